@@ -56,10 +56,10 @@ bench-%: $(READY)-test-bench  ## one benchmark, such as bench-hidden-effects; go
 	$(IN_VENV)/python -m benchmarks $(subst -,_,$*)
 
 docs: $(READY)-docs  ## the documentation site, into site/
-	$(IN_VENV)/python -m mkdocs build --strict $(ARGS)
+	$(IN_VENV)/python docs/build_site.py
 
 clean:  ## remove what these targets made
-	rm -rf $(VENV) build dist demo_output site .pytest_cache .hypothesis .ruff_cache
+	rm -rf $(VENV) build dist demo_output site .cache .pytest_cache .hypothesis .ruff_cache
 	find . -name __pycache__ -type d -prune -exec rm -rf {} +
 
 # One stamp per interpreter and set of extras: .ready-3.11.7, .ready-3.11.7-test, .ready-3.11.7-test-lint.

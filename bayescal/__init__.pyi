@@ -13,10 +13,9 @@ from ._report.save_search import calibrate as calibrate
 from ._report.save_search import calibrate_channels as calibrate_channels
 
 # beside the loop: which test to run next, an effect's draft
-from ._search.poses import poses as poses
+from ._search.undetermined import poses as poses
 from ._search.next_experiment import next_experiment as next_experiment
 from ._search.undetermined import undetermined as undetermined
-from ._search.draft_effect import shape_of as shape_of
 from ._search.draft_effect import draft_effect as draft_effect
 
 # an instrument of one's own, tried on itself
@@ -56,6 +55,7 @@ from ._model.vector import Vector as Vector
 from ._model.model import Model as Model
 from ._model.effect import Effect as Effect
 from ._model.formula import effect as effect
+from ._core.xp import xp as xp  # functions of arrays, for bases and responses
 from ._model.effect import Coefficient as Coefficient
 from ._model.effect import Shape as Shape
 from ._model.frame import Frame as Frame
@@ -109,9 +109,7 @@ from ._annexes.imu.firmware_parameters import FirmwareParameters as FirmwarePara
 
 # many devices at once
 from ._annexes.fleet.fit_batch import fit_batch as fit_batch
-from ._annexes.fleet.batch_result import FleetResult as FleetResult
 from ._annexes.fleet.find_devices import Find as Find
-from ._annexes.fleet.batch_result import load_fleet as load_fleet
 from ._annexes.fleet.devices import split_devices as split_devices
 from ._annexes.fleet.devices import Devices as Devices
 from ._annexes.fleet.batch_result import BatchResult as BatchResult

@@ -40,16 +40,14 @@ from ._cli.saved import compensator_from as compensator_from
 from ._cli.saved import load_saved as load_saved
 from ._cli.saved import of_units as of_units
 from ._cli.saved import reliable as reliable
-from ._core.annex import Annex as Annex
 
-# JSON, and the shape that it must have
+# JSON, and the type that it must have
 from ._core.as_json import as_json as as_json
 from ._core.as_json import json_text as json_text
 from ._core.as_json import write_json as write_json
 
 # files: written whole or not at all; folders of results
 from ._core.atomic_file import replacing_for_user as replacing_for_user
-from ._core.atomic_file import sha256_of as sha256_of
 from ._core.atomic_file import to_disk as to_disk
 from ._core.atomic_file import write_text as write_text
 
@@ -58,13 +56,10 @@ from ._core.formatting import WIDTH as WIDTH  # columns of a page
 from ._core.formatting import number as number
 from ._core.formatting import probability as probability
 from ._core.formatting import with_error as with_error
-from ._core.json_shape import ANY as ANY
-from ._core.json_shape import OneOf as OneOf
-from ._core.json_shape import mismatch as mismatch
+from ._core.json_shape import as_type as as_type
 from ._core.json_shape import parsed_json as parsed_json
 from ._core.json_shape import read_json as read_json
 from ._core.json_shape import read_toml as read_toml
-from ._core.json_shape import required as required
 from ._core.progress import note as note
 from ._core.progress import stage as stage
 from ._core.progress import tell as tell

@@ -14,6 +14,7 @@ from typing import Any
 ROOT = Path(__file__).resolve().parents[1]
 DOCS = ROOT / "docs"
 RESULTS = ROOT / "benchmarks" / "results"
+CERTIFIED_DATA = ROOT / "tests" / "data"
 # Public records, which are no part of the repository: beside the checkout, unless BAYESCAL_SHARED names their folder.
 REFERENCE_DATA = Path(os.environ.get("BAYESCAL_SHARED", ROOT.parent / "shared")) / "data"
 PACKAGES = ("bayescal", "jax", "numpy", "scipy", "optimistix")

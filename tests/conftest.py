@@ -44,7 +44,7 @@ FIRST = "PYTEST_XDIST_WORKER" not in os.environ
 if FIRST:
     os.environ[references.FOLDER] = tempfile.mkdtemp(prefix="bayescal-tests-")
 
-SHARED_DATA = Path(__file__).resolve().parents[2] / "shared" / "data"
+CERTIFIED_DATA = Path(__file__).with_name("data")
 BEGAN = time.monotonic()
 
 
@@ -114,17 +114,6 @@ def rng() -> np.random.Generator:
 
 
 @pytest.fixture(scope="session")
-def shared_data() -> Path:
-    """Folder of the reference data sets beside this checkout; skips where it is absent."""
-    if not SHARED_DATA.is_dir():
-        pytest.skip("needs the reference data sets in ../shared/data, beside this checkout")
-    return SHARED_DATA
-
-
-@pytest.fixture
-def folder(request: pytest.FixtureRequest, shared_data: Path) -> Path:
-    """The data set that a module of tests names as its FOLDER; skips where it is absent."""
-    name = request.module.FOLDER
-    if not (shared_data / name).is_dir():
-        pytest.skip(f"needs the reference data in ../shared/data/{name}, beside this checkout")
-    return shared_data / name
+def certified_data() -> Path:
+    """Folder of certified data sets and reference posteriors; its README names their sources."""
+    return CERTIFIED_DATA

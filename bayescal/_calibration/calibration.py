@@ -6,9 +6,7 @@ import textwrap
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Any
-
-import xarray as xr
+from typing import TYPE_CHECKING, Any
 
 from bayescal._calibration.claim import Claim
 from bayescal._calibration.fitted import Fitted
@@ -19,12 +17,14 @@ from bayescal._calibration.guards import (
     too_different,
     too_few,
 )
-from bayescal._calibration.posterior_tree import build_tree, with_log_likelihood
 from bayescal._calibration.storage import save
 from bayescal._calibration.summary import chi_squared, null_directions, summary, unknowns_parts
 from bayescal._core.formatting import WIDTH
 from bayescal._core.result_table import Printed, ResultTable
 from bayescal._model.model import in_short
+
+if TYPE_CHECKING:
+    import xarray as xr
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -107,6 +107,8 @@ class Calibration(Printed, Fitted):
         Groups: posterior, prior, posterior_predictive, log_prior, sample_stats, observed_data, constant_data, and the
         joint draws as plain vectors.
         """
+        from bayescal._calibration.posterior_tree import build_tree  # and xarray with it
+
         return build_tree(self)
 
     def with_log_likelihood(self) -> xr.DataTree:
@@ -115,8 +117,10 @@ class Calibration(Printed, Fitted):
         Made anew each time, since it is as large as draws times readings; above two million numbers draws are thinned,
         and those of the other groups with them. Under correlated noise a reading's is given those before it in its run.
         """
+        from bayescal._calibration.posterior_tree import with_log_likelihood
+
         return with_log_likelihood(self.tree, self)
 
     def save(self, path: str | Path) -> Path:
-        """Write to NetCDF, beside and then renamed. `bc.load` reads it back."""
-        return save(self, self.tree, Path(path))
+        """Write draws, mode and readings to NetCDF, beside and then renamed. `bc.load` reads them back."""
+        return save(self, Path(path))

@@ -93,13 +93,11 @@ def _judged(calibration: Calibration) -> tuple[Calibration, float | None]:
         reference=calibration.reference,
         strict=False,
     )
-    names = {h.name: i for i, h in enumerate(calibration.layout.hypers) if h.kind == "noise"}
-    v = np.array(calibration.mode.v)
-    for i, h in enumerate(free.layout.hypers):
-        if h.name in names:
-            v[names[h.name]] = free.mode.v[i]
+    noise, v = calibration.layout.positions("noise"), np.array(calibration.mode.v)
+    for i in noise:
+        v[i] = free.mode.v[free.layout.index_in_phi[calibration.layout.hypers[i].name]]
     mode = calibration.mode._replace(v=v)
-    judged = replace(calibration, mode=mode) if names else calibration
+    judged = replace(calibration, mode=mode) if noise else calibration
     return judged, float(np.sqrt(np.mean(free.linear.variance)))
 
 

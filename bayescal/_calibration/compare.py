@@ -13,7 +13,6 @@ from dataclasses import dataclass, fields
 from typing import Any
 
 import numpy as np
-import xarray as xr
 
 from bayescal._calibration.calibration import Calibration
 from bayescal._calibration.leave_group_out import LeaveOneGroupOut, leave_one_group_out, scheme
@@ -170,6 +169,7 @@ def compare(calibrations: Mapping[str, Calibration] | Sequence[Calibration]) -> 
 def pointwise_loo(calibration: Calibration) -> tuple[np.ndarray, float]:
     """Expected log predictive density of each reading left out, by PSIS, and the largest Pareto k."""
     import arviz_stats  # a second that only a comparison needs
+    import xarray as xr
 
     parts = {"log_likelihood": calibration.log_likelihood(), "posterior": calibration.posterior}
     tree = xr.DataTree.from_dict(parts)

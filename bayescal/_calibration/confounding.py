@@ -27,7 +27,7 @@ from bayescal._calibration.claim import Claim
 from bayescal._data.measurements import Measurements
 from bayescal._data.unit_conversion import same_dimension
 from bayescal._inference.linear_model import LinearModel
-from bayescal._model.frame import derived
+from bayescal._model.frame import derived, measured_column
 from bayescal._model.instrument import Instrument
 from bayescal._model.model import Model
 from bayescal._model.parameters import Layout
@@ -59,7 +59,7 @@ class Confounder(NamedTuple):
     def claim(self) -> Claim:
         """What ran with what."""
         told = {"column": self.column, "told": self.told, "grid": self.step}
-        told |= {"vary": self.column.removesuffix(" rate")}
+        told |= {"vary": measured_column(self.column)}
         combination = f"{' and '.join(self.coefficients)} and {self.of_column}"
         code = "column.rounded" if self.step else "direction.confounded"
         return Claim(code, *self.coefficients, **told, combination=combination)
@@ -162,7 +162,7 @@ def unexplained(model: Model, readings: Measurements) -> dict[str, Float[np.ndar
     ]
 
     def another(name: str) -> bool:
-        column = name.removesuffix(" rate")
+        column = measured_column(name)
         unit = readings.unit(column) if readings.has(column) else None
         return column in known or any(unit and same_dimension(unit, str(u)) for u in units)
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Iterable
+from contextlib import suppress
 from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
@@ -12,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from bayescal._calibration.fitted import Fitted
-from bayescal._core.errors import InputError
+from bayescal._core.errors import InputError, ModelError
 from bayescal._core.flag import Flag
 from bayescal._data.column import Source
 from bayescal._data.measurements import Measurements
@@ -23,9 +24,7 @@ from bayescal._model.instrument import Instrument
 from bayescal._model.model import Model
 from bayescal._model.noise_law import Noise
 from bayescal._model.prior import Flat, HalfCauchy, HalfNormal, LogNormal, LogUniform, Normal
-from bayescal._model.unknown_effect import FREED, covariate_in, freed
 
-SCHEMA = "bayescal.calibration/1"
 UNKNOWNS = "unknowns"  # of a noise law of the user's own
 LAW_FILE = "Give the file that defines the one it was fitted with: --effects my_law.py (in Python: run it before load)"
 _PRIORS = {c.__name__: c for c in (Flat, HalfCauchy, HalfNormal, LogNormal, LogUniform, Normal)}
@@ -57,7 +56,7 @@ def sources_of(readings: Measurements) -> tuple[Source, ...]:
 def description(c: Fitted) -> dict[str, Any]:
     """All that a calibration is but its numbers, by the names of what is installed."""
     return {
-        "schema": SCHEMA,
+        "schema": "bayescal.calibration/1",  # of 0.2: identities stay what they were
         "instrument": c.model.instrument.name,
         "settings": dict(c.model.instrument.settings),
         "effects": list(c.model.names),
@@ -117,7 +116,7 @@ def _resized(model: Model) -> dict[str, float]:
             known.coefficients,
             _as_before(known).coefficients,
         ):
-            return e.name.endswith(FREED)
+            return bool(e.frees)
         return replace(e, coefficients=known.coefficients, shapes=known.shapes) == known
 
     return {e.name: e.coefficients[0].size for e in model.effects if resized(e)}
@@ -125,7 +124,7 @@ def _resized(model: Model) -> dict[str, float]:
 
 def _as_before(effect: Effect) -> Effect:
     """An effect as it was when states in which runs begin had a size and no learned spread: saved ones may have it."""
-    own = (replace(c, group_sd=None) if c.part == "start" else c for c in effect.coefficients)
+    own = (replace(c, group_sd=None) if c.initial else c for c in effect.coefficients)
     return replace(effect, coefficients=tuple(own))
 
 
@@ -245,10 +244,8 @@ def model_from(path: Path, described, readings: Measurements, effects, instrumen
     ]
     catalogue = {**known, **{e.name: e for e in given}, **made}
     for n in described["effects"]:
-        if n not in catalogue and (covariate := covariate_in(n)):
-            catalogue[n] = instrument.unknown(covariate)
-        elif n.endswith(FREED) and (stated_ := catalogue.get(n.removesuffix(FREED))):
-            catalogue[n] = freed(stated_)
+        with suppress(ModelError):
+            catalogue[n] = instrument.effect(n, catalogue)
     if departures := described.get("departures"):
         raise InputError(
             f"{path.name} was fitted by an earlier version, whose {', '.join(departures)} this one does not have: a "

@@ -180,7 +180,4 @@ def load(
     Raises:
         InputError: not a calibration, another version, an effect that is not installed, or a noise law not loaded.
     """
-    found, tree = load_calibration(Path(path), effects, instruments)
-    calibration = Calibration(**found)
-    vars(calibration)["tree"] = tree  # as it was saved, not made again
-    return calibration
+    return Calibration(**load_calibration(Path(path), effects, instruments))

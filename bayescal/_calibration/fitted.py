@@ -5,11 +5,10 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
-from typing import Any, Self
+from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
-import pandas as pd
-import xarray as xr
+from jaxtyping import Float
 
 from bayescal._calibration.confounding import Confounder, confounders, unexplained, widened
 from bayescal._calibration.on_readings import Vectors, pointwise
@@ -27,7 +26,11 @@ from bayescal._inference.record import Record, record_of
 from bayescal._model.effect import Effect
 from bayescal._model.frame import Frame, Reference, build_frame, reference_name
 from bayescal._model.model import Model
-from bayescal._model.parameters import Layout, Levels
+from bayescal._model.parameters import Layout
+from bayescal._model.unknowns import Unknowns
+
+if TYPE_CHECKING:
+    import xarray as xr
 
 COARSEST_DEGREES = 1.0  # °C, of a thermometer's steps; larger ones are set points
 PREDICTIVE_CELLS = 2_000_000  # draws × readings kept in posterior_predictive and log_likelihood
@@ -78,8 +81,17 @@ class Fitted:
         Group dimensions carry the members' names. Coefficients are as uncertain as recorded columns that ran with what
         the model holds leave them; `joint` is of the model alone.
         """
+        return named(self.unknowns, self.values)
+
+    @cached_property
+    def unknowns(self) -> Unknowns:
+        return Unknowns.of(self.layout, self.levels)
+
+    @cached_property
+    def values(self) -> Float[np.ndarray, "chains draws unknowns"]:
+        """Draws of `posterior`, in the order of `unknowns`."""
         x = widened(self.joint.x, self.confounders, self.layout, self.seed)
-        return named(self.layout, self.levels, x, self.joint.v)
+        return self.unknowns.values(x, self.joint.v)
 
     @cached_property
     def confounders(self) -> tuple[Confounder, ...]:
@@ -231,53 +243,45 @@ class Fitted:
         return Vectors(*kept), chains
 
     def samples(self, name: str) -> np.ndarray:
-        """All draws of one unknown, in its reported unit; (draws,) or (draws, members).
+        """All draws of one unknown, or of all members of its group, in its reported unit; (draws,) or (draws, members).
 
         Raises:
             InputError: nothing is called so.
         """
-        if name not in self.posterior:
+        unknowns = self.unknowns
+        if name not in unknowns.by_key and name not in unknowns.index:
             raise InputError(
-                f"no unknown is called {name!r}; there are: {', '.join(map(str, self.posterior))}"
+                f"no unknown is called {name!r}; there are: {', '.join(unknowns.by_key)}"
             )
-        values = self.posterior[name].values
-        return values.reshape(-1, *values.shape[2:])
+        return unknowns.select(flat(self.values), name)
 
     def log_likelihood(self, limit: int = PREDICTIVE_CELLS) -> xr.Dataset:
         """Pointwise log likelihood, draws thinned so that at most `limit` numbers come back.
 
         Under correlated noise it is that of each reading given those before it in its run.
         """
+        import xarray as xr  # with pandas half a second, which a command does without
+
         vectors, chains = self.thinned(limit)
         shaped = pointwise(self.problem, vectors).reshape(chains, -1, len(self.readings))
         return xr.Dataset({"output": (("chain", "draw", "reading"), shaped)})
 
 
-def named(layout: Layout, levels: Levels, x: np.ndarray, v: np.ndarray) -> xr.Dataset:
-    """Draws (chains, draws, …) as one variable per unknown, in its reported unit."""
-    x, v = np.asarray(x), np.asarray(v)
-    hyper = {name: np.broadcast_to(value, v.shape[:-1]) for name, value in layout.model.fixed}
-    hyper |= {h.name: np.asarray(h.prior.value(v[..., i])) for i, h in enumerate(layout.hypers)}
+def named(unknowns: Unknowns, values: Float[np.ndarray, "chains draws unknowns"]) -> xr.Dataset:
+    """Return draws as one variable for each key, in its reported unit."""
+    import pandas as pd
+    import xarray as xr
+
     found: dict[str, tuple] = {}
     coordinates: dict[str, pd.Index] = {}
-    for b in (b for b in layout.blocks if b.place in ("x", "phi")):
-        c, dims = b.coefficient, ("chain", "draw")
-        if b.place == "x":
-            value = b.origin + x[..., b.start : b.start + b.size]
-        else:
-            value = b.origin + np.stack([hyper[name] for name in b.member_names()], axis=-1)
-            if c.group_sd is not None:
-                value = c.mean + hyper[b.group_sd_name][..., None] * value
-        if c.per is None:
-            value = value[..., 0]
-        else:
-            dims = (*dims, c.per)
+    for key, own in unknowns.by_key.items():
+        first, dims = unknowns.rows[own.start], ("chain", "draw")
+        if first.group is not None:
+            dims = (*dims, first.group)
             # xarray would load Dask to look at a list
-            coordinates[c.per] = pd.Index(list(levels[c.per]))
-        found[b.name] = (dims, value, {"units": c.unit, "effect": b.effect.name})
-    for h in layout.hypers:
-        if h.kind != "promoted":
-            found[h.name] = (("chain", "draw"), hyper[h.name], {"units": h.unit, "kind": h.kind})
+            coordinates[first.group] = pd.Index([u.member for u in unknowns.rows[own]])
+        of = {"effect": first.effect} if first.block else {"kind": first.kind}
+        found[key] = dims, unknowns.select(values, key), {"units": first.unit, **of}
     return xr.Dataset(found, coords=coordinates)
 
 

@@ -61,9 +61,10 @@ def conflicts(calibration: Fitted, accepted: Collection[str] = ()) -> list[Claim
         [row for row in rows if row["name"] not in accepted and row["effect"] not in accepted]
         for rows in (coefficients, hyperparameters)
     )
-    wider = {name for one in calibration.confounders for name in one.coefficients}
+    keys = {name for one in calibration.confounders for name in one.coefficients}
+    wider = {u.name for u in calibration.unknowns if u.key in keys}
     for row in coefficients:  # what is positive may well be larger than thought, and then wider
-        if row["name"].partition("(")[0] in wider:
+        if row["name"] in wider:
             continue
         if row["contraction"] is not None and row["contraction"] < WIDER_CONTRACTION:
             found.append(Claim("prior.widened", row["name"], contraction=row["contraction"]))
@@ -131,12 +132,9 @@ def without_priors(calibration: Fitted, accepted: Collection[str] = ()) -> list[
         return []
     mean, sd = found.mean, np.sqrt(np.diag(found.covariance))
     stands = {}
-    for b in (b for b in calibration.layout.x_blocks if b.effect.name in own):
-        for i, name in enumerate(b.member_names(calibration.levels)):
-            stands[name] = (
-                b.origin + float(mean[b.start + i]),
-                CONFLICT_SD * float(sd[b.start + i]),
-            )
+    for u in (u for u in calibration.unknowns if u.x is not None and u.effect in own):
+        where = u.block.origin + float(mean[u.x])
+        stands[u.name] = where, CONFLICT_SD * float(sd[u.x])
     return _against_priors(calibration, stands, accepted)
 
 
@@ -181,34 +179,26 @@ def _against_priors(
     """Coefficients that stand far from their priors' means, each (where, standard deviation)."""
     found = []
     baseline = {e.name for e in calibration.model.instrument.effects}
-    for b in calibration.layout.blocks:
-        c = b.coefficient
-        plain = b.place in ("x", "phi") and b.effect.weights is None
-        if not plain or c.flat or c.group_sd is not None:
+    for u in (u for u in calibration.unknowns if u.block is not None and u.prior_sd is not None):
+        effect, c = u.block.effect, u.block.coefficient
+        law = len(effect.coefficients) <= LAW_COEFFICIENTS
+        if u.held or not law or not {effect.name, u.name}.isdisjoint(accepted):
             continue
-        if b.index in b.effect.held:
-            continue
-        if len(b.effect.coefficients) > LAW_COEFFICIENTS or b.effect.name in accepted:
-            continue
-        most = CONFLICT_SD * (1 if b.effect.name in baseline else CANDIDATE_SIZES)
-        for name in b.member_names(calibration.levels):
-            where, give = stands.get(name, (c.mean, 0.0))
-            away = abs(where - c.mean) / c.size
-            if away - give / c.size > most and name not in accepted:
-                sizes = {"where": where, "mean": c.mean, "size": c.size, "unit": c.unit}
-                sizes |= {"away": away, "fall": 0.5 * away**2}
-                found.append(
-                    Claim(PRIOR, name, b.effect.name, **sizes, cure=_look_at(b.effect.name))
-                )
+        most = CONFLICT_SD * (1 if effect.name in baseline else CANDIDATE_SIZES)
+        where, give = stands.get(u.name, (c.mean, 0.0))
+        away = abs(where - c.mean) / c.size
+        if away - give / c.size > most:
+            sizes = {"where": where, "mean": c.mean, "size": c.size, "unit": c.unit}
+            sizes |= {"away": away, "fall": 0.5 * away**2}
+            found.append(Claim(PRIOR, u.name, effect.name, **sizes, cure=_look_at(effect)))
     return found
 
 
-def _look_at(effect: str) -> str:
+def _look_at(effect: Effect) -> str:
     """Which number may be wrong where a coefficient of this effect contradicts its prior."""
-    slot, _, cause = effect.partition(".")
-    if cause != "constant":
+    if effect.kind != "constant":
         return "units"
-    return "scale" if slot == "scale" else "zero and scale"
+    return "scale" if effect.quantity == "scale" else "zero and scale"
 
 
 def _beyond_the_known(calibration: Fitted, accepted: Collection[str]) -> list[Claim]:
@@ -337,7 +327,7 @@ def _too_large(calibration: Fitted, hyperparameters: list[dict[str, Any]]) -> li
     reach = float(np.ptp(calibration.readings["output"]))
     sizes = _sizes_of_output(calibration)
     # An amplitude is a scale of coefficients, hardly told where there is one; what it makes of the output is judged.
-    amplitudes = {f"{e.name}.{e.measure}" for e in calibration.model.effects if e.is_placeholder}
+    amplitudes = {e.measure_name for e in calibration.model.effects}
     for row in hyperparameters:
         if row["name"] in sizes - amplitudes and row["unit"] == unit and row["mean"] > reach > 0:
             told = {"mean": row["mean"], "reach": reach, "unit": unit}
@@ -369,6 +359,5 @@ def _sizes_of_output(calibration: Fitted) -> set[str]:
     for effect in model.effects:
         for i, c in enumerate(effect.coefficients):
             if model.instrument.slot(c.slot or effect.slot).unit == calibration.unit:
-                spread = f"{effect.coefficient_name(i)}.group_sd"
-                sizes |= {spread, f"{effect.name}.{effect.measure}"}
+                sizes |= {effect.group_sd_name(i), effect.measure_name}
     return sizes

@@ -33,7 +33,6 @@ from bayescal._data.dataset_checks import rounding_step
 from bayescal._data.unit_conversion import unit_label
 from bayescal._model.model import Model
 from bayescal._model.noise_law import WHITE, Noise
-from bayescal._model.unknown_effect import FREED, IN_TIME, covariate_in
 
 # Standard deviations of the lag-1 autocorrelation, above which noise is not what its law says; one record in 30,000 by
 # chance.
@@ -88,8 +87,8 @@ def wrong_question(
         floor: noise that no model could remove, output unit.
         accepted: coefficients or effects that may contradict their priors.
     """
-    free = [n.removesuffix(FREED) for n in calibration.model.names if n.endswith(FREED)]
-    accepted = {*accepted, *free, *(n + FREED for n in free)}
+    free = [e for e in calibration.model.effects if e.frees]
+    accepted = {*accepted, *(n for e in free for n in (e.name, e.frees))}
     found = conflicts(calibration, accepted) or without_priors(calibration, accepted)
     grid = rounding_step(calibration.readings["output"])
     if floor < AS_GOOD_AS_NOISE_STEPS * grid:
@@ -210,9 +209,8 @@ def _left_over(calibration: Calibration, check: Check, missing: Mapping[str, str
 
 def _between_runs(calibration: Calibration) -> list[Claim]:
     """A function of time that only tells runs apart: of which of them a new run would be is not known."""
-    for name in calibration.model.names:
-        if covariate_in(name) not in IN_TIME:
-            continue
+    of_form = (e for e in calibration.model.effects if e.kind in ("jump", "cycle"))
+    for name in (e.name for e in of_form if e.covariate == "time"):
         added = calibration.linear.contribution(name)
         means, within = of_runs(calibration, added)
         if only_between_runs(added - added.mean(), within):

@@ -72,10 +72,7 @@ def without(calibration: F, names: Collection[str]) -> F:
     old, count = calibration.layout, CHAINS * (int(kept.sum()) // CHAINS)
     effects = tuple(e for e in calibration.model.effects if e.name not in names)
     layout = replace(old, model=replace(calibration.model, effects=effects))
-    left = {b.name for b in layout.blocks} | {h.name for h in layout.hypers}
-    of_x = [np.full(b.size, b.name in left) for b in old.x_blocks]
-    in_x = np.flatnonzero(np.concatenate([np.zeros(0, bool), *of_x]))
-    in_v = np.flatnonzero([h.name in left for h in old.hypers])
+    in_x, in_v = old.entries_in(layout)
     pick = np.flatnonzero(kept)[:count]
     mode = calibration.mode
     joint = Draws.of(x[pick][:, in_x], v[pick][:, in_v])

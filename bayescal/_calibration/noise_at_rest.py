@@ -570,27 +570,26 @@ def _starts(
         "noise.averaging": math.sqrt(allan[0]),
     }
     if line:
-        sizes |= {TONE[0]: line[TONE[0]], TONE[1]: line[TONE[1]] / step}
+        sizes[TONE[0]] = line[TONE[0]]
     places = [0.2, 0.5, 0.8]
     alike, memories = terms.count("correlated"), (0.25, 2.0) if "tone" in terms else (1.0,)
     several = itertools.combinations(places, alike) if alike else [()]
     for shares, memory in itertools.product(several, memories):
         times = [step * (channel.longest / step) ** share for share in shares]
-        values = {WHITE: math.sqrt(allan[0]), **sizes}
-        values |= {TONE[2]: memory * line[TONE[2]] * step} if line else {}
+        amplitudes, held = dict(sizes), {WHITE: math.sqrt(allan[0])}
+        if line:
+            held |= {TONE[1]: line[TONE[1]] / step, TONE[2]: memory * line[TONE[2]] * step}
         before = step
         for k, time in enumerate(times, 1):
             variance = 1.6 * float(np.interp(math.log(2 * time), np.log(tau), allan))
-            values[f"noise.correlated{k}.diffusion"] = math.sqrt(2 * variance / time)
-            values[f"noise.correlated{k}.time"] = time
+            amplitudes[f"noise.correlated{k}.diffusion"] = math.sqrt(2 * variance / time)
+            held[f"noise.correlated{k}.time"] = time
             part = math.log(time / before) / math.log(channel.longest / before)
-            values[f"noise.correlated{k}.place"] = float(ndtri(np.clip(part, 5e-4, 1 - 5e-4)))
+            held[f"noise.correlated{k}.place"] = float(ndtri(np.clip(part, 5e-4, 1 - 5e-4)))
             before = time
         for factor in (1.0, 0.3):
-            held = (".time", ".place", ".frequency")
-            kept = {n for n in values if n == WHITE or n.endswith(held)}
-            scaled = {n: v * (1 if n in kept else factor) for n, v in values.items()}
-            yield np.array([float(p.coordinate(scaled[n])) for n, p in priors.items()])
+            values = held | {n: factor * amplitude for n, amplitude in amplitudes.items()}
+            yield np.array([float(p.coordinate(values[n])) for n, p in priors.items()])
 
 
 def _density(problem: Problem) -> Density:

@@ -148,7 +148,7 @@ def _drawn(
     """
     law = calibration.model.noise
     names = set(law.parameters())
-    varying = names & set(map(str, calibration.posterior))
+    varying = names & calibration.unknowns.by_key.keys()
     if law.independent or not varying or calibration.layout.stated:
         return law.allan_variance(mode, variance, factors, step)[None]
     drawn = {n: calibration.samples(n) for n in varying}
@@ -181,7 +181,9 @@ def _law_terms(
     """N = √(σ²·Δ) of the white part, and K = q of correlated noise, with the posterior's standard deviations."""
 
     def error(name: str) -> float:
-        return float(calibration.samples(name).std()) if name in calibration.posterior else 0.0
+        return (
+            float(calibration.samples(name).std()) if name in calibration.unknowns.by_key else 0.0
+        )
 
     law = calibration.model.noise
     white = max(variance - float(law.slow_variance(mode)), 0.0)

@@ -159,11 +159,7 @@ def _by_structure(
             if e.name not in gone
         )
         own = replace(layout, model=replace(layout.model, effects=effects))
-        names, hypers = {b.name for b in own.x_blocks}, {h.name for h in own.hypers}
-        in_x = np.repeat(
-            [b.name in names for b in layout.x_blocks], [b.size for b in layout.x_blocks]
-        )
-        in_v = np.array([h.name in hypers for h in layout.hypers], dtype=bool)
+        in_x, in_v = layout.entries_in(own)
         places = np.flatnonzero(which.reshape(-1) == k)
         those = Vectors(draws.x[places][:, in_x], draws.v[places][:, in_v])
         yield places, Problem(own, problem.record), those

@@ -8,49 +8,37 @@ import numpy as np
 import pandas as pd
 import xarray as xr
 
-from bayescal._calibration.fitted import PREDICTIVE_CELLS, Fitted, named
+from bayescal._calibration.fitted import PREDICTIVE_CELLS, Fitted, flat, named
 from bayescal._calibration.on_readings import replicate
+from bayescal._calibration.storage import draws_group
 from bayescal._core.atomic_file import renamed, storable
-from bayescal._inference.method import Draws
-from bayescal._model.parameters import CoefficientBlock, Layout
 from bayescal._model.prior import HalfCauchy, HalfNormal
 
 PRIOR_DRAWS = 1000  # for the groups of ArviZ's tree, as many as a picture of a prior needs
 STEP = 1e-3  # of a coordinate, for the slope of a prior's value
-TINY = float(np.finfo(float).tiny)
+TINY, FAR_SD = float(np.finfo(float).tiny), 1e150  # that a square of it is a number still
 
 
-def build_tree(calibration: Fitted, cells: int = PREDICTIVE_CELLS) -> xr.DataTree:
-    """All groups of a calibration's tree, with so many replicated readings at most.
-
-    `draws` beside ArviZ's own groups holds the same joint draws as plain vectors x and v, from which
-    everything else can be computed again.
-    """
+def build_tree(calibration: Fitted) -> xr.DataTree:
+    """Compute all groups of a calibration's tree; see `Calibration.tree`."""
     c, draws = calibration, calibration.joint
-    layout, levels, readings = c.layout, c.levels, c.readings
-    vectors = xr.Dataset(
-        {
-            "x": (("chain", "draw", "x_entry"), draws.x),
-            "v": (("chain", "draw", "v_entry"), draws.v),
-        }
-    )
+    readings = c.readings
     units = {"units": readings.unit("output")}
-    thin, chains = c.thinned(cells)
+    thin, chains = c.thinned(PREDICTIVE_CELLS)
     made = replicate(c.problem, thin, np.random.default_rng([c.seed, 1]))
     made = made.reshape(chains, -1, len(readings)) + (readings["output"] - c.frame["output"])
     groups = {
         "posterior": c.posterior,
-        "log_prior": _log_prior(layout, named(layout, levels, draws.x, draws.v), draws),
+        "log_prior": _log_prior(c),
         "posterior_predictive": xr.Dataset({"output": (("chain", "draw", "reading"), made, units)}),
         "sample_stats": xr.Dataset(),
         "observed_data": xr.Dataset({"output": ("reading", readings["output"], units)}),
         "constant_data": readings.to_xarray().drop_vars("output"),
-        "draws": vectors,
+        "draws": xr.Dataset(draws_group(draws)),
     }
-    prior = _prior_draws(c)
     groups = {name: _numbered(group, draws.x.shape[1]) for name, group in groups.items()}
-    if prior is not None:
-        groups["prior"] = _numbered(named(layout, levels, *prior), PRIOR_DRAWS)
+    if (prior := _prior_draws(c)) is not None:
+        groups["prior"] = _numbered(named(c.unknowns, c.unknowns.values(*prior)), PRIOR_DRAWS)
     return xr.DataTree.from_dict({n: renamed(group, storable) for n, group in groups.items()})
 
 
@@ -77,51 +65,25 @@ def _numbered(group: xr.Dataset, count: int) -> xr.Dataset:
     )
 
 
-def _log_prior(layout: Layout, posterior: xr.Dataset, draws: Draws) -> xr.Dataset:
+def _log_prior(c: Fitted) -> xr.Dataset:
     """Log prior density of each unknown in its own unit, given the hyper-parameters, per draw; no flat ones."""
-    found: dict[str, tuple] = {}
-    fixed = dict(layout.model.fixed)
-    for i, h in enumerate(layout.hypers):
-        if h.kind == "promoted" or h.name not in posterior:
+    x, v = c.joint.x, c.joint.v
+    values, hyper = c.unknowns.values(x, v), c.problem.hyper(flat(v).T)
+    sd = c.problem.prior(hyper, np.ones(c.problem.size), (len(flat(v)),)).sd.reshape(x.shape)
+    density = np.zeros_like(values)
+    for i, u in enumerate(c.unknowns):
+        if (b := u.block) is None:
+            prior, own = u.hyper.prior, v[..., u.v]
+            density[..., i] = prior.log_density(own) - np.log(_slope(prior, own))
             continue
-        density = h.prior.log_density(draws.v[..., i]) - np.log(_slope(h.prior, draws.v[..., i]))
-        found[h.name] = (("chain", "draw"), np.asarray(density))
-    for b in layout.blocks:
-        if b.place == "fixed" or b.coefficient.flat or b.name not in posterior:
-            continue
-        if b.index in b.effect.held:
-            continue
-        spread = fixed.get(b.group_sd_name, b.coefficient.size)
-        if b.group_sd_name in posterior.data_vars:  # `get` would take ".group_sd" for an attribute
-            spread = posterior[b.group_sd_name]
-        if b.effect.weights is not None:
-            spread = _weighted(b, posterior, fixed)
-        z = (posterior[b.name] - b.coefficient.mean) / spread
-        log_spread = np.log(np.asarray(spread))  # of a DataArray NumPy would load Dask
-        if isinstance(spread, xr.DataArray):
-            log_spread = spread.copy(data=log_spread)
-        density = -0.5 * z**2 - log_spread - 0.5 * np.log(2 * np.pi)
-        found[b.name] = (posterior[b.name].dims, density.transpose(*posterior[b.name].dims).values)
-    return xr.Dataset(found)
-
-
-def _weighted(
-    block: CoefficientBlock, posterior: xr.Dataset, fixed: dict[str, float]
-) -> xr.DataArray:
-    """Prior standard deviations of a coefficient whose size is an amplitude's."""
-    effect = block.effect
-    names = {n: f"{effect.name}.{n}" for n in effect.weight_shapes}
-    at = [posterior[n] if n in posterior else xr.DataArray(fixed[n]) for n in names.values()]
-
-    def sd(*values: np.ndarray) -> np.ndarray:
-        named = dict(zip(names, (v[..., None] for v in values), strict=True))
-        made = effect.weights(**named)  # pyright: ignore[reportOptionalCall]
-        made = np.maximum(made, TINY)  # the last ones of a curve that hardly bends underflow
-        return np.broadcast_to(made, (*np.shape(made)[:-1], len(effect.coefficients)))[
-            ..., block.index
-        ]
-
-    return xr.apply_ufunc(sd, *at)
+        learned = hyper.get(b.group_sd_name) if u.x is None else flat(sd[..., u.x])
+        spread = np.maximum(b.coefficient.size if learned is None else learned, TINY)
+        z = np.clip((flat(values[..., i]) - b.coefficient.mean) / spread, -FAR_SD, FAR_SD)
+        own = -0.5 * z**2 - np.log(spread) - 0.5 * np.log(2 * np.pi)
+        density[..., i] = own.reshape(v.shape[:-1])
+    keys = {u.key: u for u in c.unknowns if u.block is None}
+    keys |= {u.key: u for u in c.unknowns if u.block and not (u.held or u.block.coefficient.flat)}
+    return xr.Dataset({n: (c.posterior[n].dims, c.unknowns.select(density, n)) for n in keys})
 
 
 def _slope(prior: Any, v: np.ndarray) -> np.ndarray:

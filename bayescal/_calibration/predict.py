@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
-import equinox as eqx
 import numpy as np
 from jaxtyping import Float
 
@@ -149,7 +148,7 @@ def _going_on(calibration: Calibration, readings: Measurements) -> _GoingOn | No
 def _of_new_groups(frame: Frame) -> Frame:
     """Every run, cell and device one that the fit has not seen; an axis is part of its instrument."""
     codes = {k: c if k == "axis" else -np.ones_like(c) for k, c in frame.codes.items()}
-    return eqx.tree_at(lambda f: f.codes, frame, codes)
+    return replace(frame, codes=codes)
 
 
 def _predicted(

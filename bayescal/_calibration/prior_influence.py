@@ -12,7 +12,6 @@ from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
-import xarray as xr
 from jaxtyping import Float
 
 from bayescal._calibration.calibration import Calibration
@@ -25,7 +24,8 @@ from bayescal._core.formatting import number, with_error
 from bayescal._data.unit_conversion import unit_label
 from bayescal._model.effect import Effect
 from bayescal._model.parameters import CoefficientBlock
-from bayescal._model.prior import Known, coordinate_variance, deviation
+from bayescal._model.prior import coordinate_variance
+from bayescal._model.unknowns import Unknown
 
 
 @dataclass(frozen=True)
@@ -61,11 +61,12 @@ def variance_by_origin(
     layout, linear = calibration.layout, calibration.linear
     moving = layout.moving
     weights = np.zeros(layout.size + len(moving))
-    places = _places(calibration, moving)
-    for name, slope in slopes.items():
-        if name in places:
-            place, unit = places[name]
-            weights[place] += slope * unit
+    for u in (u for u in calibration.unknowns if u.name in slopes):
+        if u.x is not None:
+            weights[u.x] = slopes[u.name]
+        elif u.v in moving:
+            unit = _slope(layout.hypers[u.v].prior, calibration.mode.v[u.v])
+            weights[layout.size + moving.index(u.v)] = slopes[u.name] * unit
     if not weights.any():
         return None
     proper = linear.weight
@@ -83,22 +84,9 @@ def variance_by_origin(
     return VarianceByOrigin(readings, {n: v for n, v in priors.items() if v > 0})
 
 
-def _places(calibration: Calibration, moving: list[int]) -> dict[str, tuple[int, float]]:
-    """Where an unknown stands in the linearised fit (x, then shapes and promoted ones), and its unit: dvalue/dv."""
-    layout, v = calibration.layout, np.asarray(calibration.mode.v)
-    found: dict[str, tuple[int, float]] = {}
-    promoted: dict[str, str] = {}
-    for b in layout.blocks:
-        if b.place == "x":
-            names = b.member_names(calibration.levels)
-            found |= {name: (b.start + i, 1.0) for i, name in enumerate(names)}
-        elif b.place == "phi":
-            promoted |= dict(zip(b.member_names(), b.member_names(calibration.levels), strict=True))
-    for place, i in enumerate(moving):
-        h, step = layout.hypers[i], 1e-6
-        slope = float((h.prior.value(v[i] + step) - h.prior.value(v[i] - step)) / (2 * step))
-        found[promoted.get(h.name, h.name)] = (layout.size + place, slope)
-    return found
+def _slope(prior: Any, v: float, step: float = 1e-6) -> float:
+    """Of a value by its coordinate."""
+    return float((prior.value(v + step) - prior.value(v - step)) / (2 * step))
 
 
 class KnownByPrior(NamedTuple):
@@ -166,13 +154,11 @@ class NotMeasured:
         """
         own = {one.name: one for one in self.unknowns}
         draws, there, before = list[np.ndarray](), list[np.ndarray](), list[tuple[float, float]]()
-        for b, _ in _with_stated_priors(calibration):
-            members = calibration.samples(b.name).reshape(len(values), -1).T
-            for name, drawn in zip(b.member_names(calibration.levels), members, strict=True):
-                if name in own:
-                    draws.append(drawn)
-                    there.append(has_effect(calibration, b.effect.name))
-                    before.append((b.coefficient.mean, b.coefficient.size))
+        for u, b, _ in _with_stated_priors(calibration):
+            if u.name in own:
+                draws.append(calibration.samples(u.name))
+                there.append(has_effect(calibration, u.effect))
+                before.append((b.coefficient.mean, b.coefficient.size))
         if not draws:
             return values
         mean, sd = np.array(before).T
@@ -218,31 +204,31 @@ def not_measured(
         scatter: standard deviation of single readings about it, at each place.
         rare: probability of an effect up to which it does not count.
     """
-    for h, v in zip(calibration.layout.hypers, calibration.draws().v.T, strict=True):
-        if h.name == of and h.kind != "promoted":
-            # What is positive may be told by its size (a spread near zero) or its logarithm (one far above).
-            own, before = calibration.samples(of), deviation(h.prior)
-            by_size = before is not None and 2 * own.var() <= before**2
-            if by_size or 2 * np.var(v) <= coordinate_variance(h.prior):
-                return None
-            now = float(own.mean()), float(own.std())
-            return NotMeasured((KnownByPrior(of, h.unit, None, None, now),))
+    unknown = next((u for u in calibration.unknowns if u.name == of), None)
+    if unknown is not None and unknown.hyper is not None:
+        # What is positive may be told by its size (a spread near zero) or its logarithm (one far above).
+        own, before = calibration.samples(of), unknown.prior_sd
+        by_size = before is not None and 2 * own.var() <= before**2
+        v = calibration.draws().v[:, unknown.v]
+        if by_size or 2 * np.var(v) <= coordinate_variance(unknown.hyper.prior):
+            return None
+        now = float(own.mean()), float(own.std())
+        return NotMeasured((KnownByPrior(of, unknown.unit, None, None, now),))
     found, shares, counts = list[KnownByPrior](), list[np.ndarray](), list[bool]()
     total = values.var(axis=0) + scatter**2
     there = {e.name: has_effect(calibration, e.name) for e in calibration.model.effects}
-    for b, acting in _with_stated_priors(calibration):
-        among = there[b.effect.name]
+    for u, b, acting in _with_stated_priors(calibration):
+        among = there[u.effect]
         if among.mean() <= rare:
             continue
         before, inside = (b.coefficient.mean, b.coefficient.size), values[among]
-        draws = calibration.samples(b.name)[among].reshape(len(inside), -1)
-        for name, own in zip(b.member_names(calibration.levels), draws.T, strict=True):
-            covariance = (own - own.mean()) @ (inside - inside.mean(axis=0)) / len(own)
-            part = among.mean() * (covariance / before[1]) ** 2
-            shares.append(part / np.where(total > 0, total, np.inf))
-            now = float(own.mean()), float(own.std())
-            found.append(KnownByPrior(name, b.coefficient.unit, b.effect, before, now))
-            counts.append(acting or name == of)
+        own = calibration.samples(u.name)[among]
+        covariance = (own - own.mean()) @ (inside - inside.mean(axis=0)) / len(own)
+        part = among.mean() * (covariance / before[1]) ** 2
+        shares.append(part / np.where(total > 0, total, np.inf))
+        now = float(own.mean()), float(own.std())
+        found.append(KnownByPrior(u.name, u.unit, b.effect, before, now))
+        counts.append(acting or u.name == of)
     if not any(counts):
         return None
     by_prior = np.array(shares)
@@ -259,16 +245,16 @@ def not_measured(
 
 def coefficients_not_measured(calibration: Calibration) -> set[str]:
     """Names of the coefficients of which priors say more than the readings do."""
-    found = set()
-    for b, _ in _with_stated_priors(calibration):
-        draws = calibration.samples(b.name).reshape(-1, b.size)
-        for i, name in enumerate(b.member_names(calibration.levels)):
-            if not_measured(calibration, draws[:, i : i + 1], of=name):
-                found.add(name)
-    return found
+    return {
+        u.name
+        for u, _, _ in _with_stated_priors(calibration)
+        if not_measured(calibration, calibration.samples(u.name)[:, None], of=u.name)
+    }
 
 
-def _with_stated_priors(calibration: Calibration) -> Iterator[tuple[CoefficientBlock, bool]]:
+def _with_stated_priors(
+    calibration: Calibration,
+) -> Iterator[tuple[Unknown, CoefficientBlock, bool]]:
     """Coefficients whose prior is stated, neither flat nor learned, and whether they are of the device in use."""
     instrument = calibration.model.instrument
     slots = {s.name for s in instrument.slots}
@@ -276,14 +262,10 @@ def _with_stated_priors(calibration: Calibration) -> Iterator[tuple[CoefficientB
         slots -= {*instrument.vector.rig}
     elif instrument.use is not None and instrument.use.slots:
         slots = {*instrument.use.slots}
-    for b in calibration.layout.blocks:
-        c = b.coefficient
-        known = isinstance(
-            c.prior, Known
-        )  # a body's temperature has the coefficient of what depends on it
-        learned = c.flat or c.group_sd is not None or b.effect.weights is not None
-        if not known and b.place in ("x", "phi") and not learned:
-            yield b, b.slot in slots
+    for u in calibration.unknowns:
+        # What is held is a body's temperature, which has the coefficient of what depends on it.
+        if u.block is not None and not u.held and u.prior_sd is not None:
+            yield u, u.block, u.block.slot in slots
 
 
 def prior_sensitivity(calibration: Calibration) -> Any:
@@ -296,6 +278,7 @@ def prior_sensitivity(calibration: Calibration) -> Any:
     Raises:
         InputError: no unknown has a proper prior.
     """
+    import xarray as xr
     from arviz_stats.psense import psense_summary  # a second that only this needs
 
     priors, posterior = (calibration.tree[n].to_dataset() for n in ("log_prior", "posterior"))

@@ -97,7 +97,7 @@ class SensorNoise(Printed):
         file: that was read.
         unit: of the output.
         step: between readings, s.
-        law: the most probable sum of noise terms, in words.
+        terms: of the most probable sum beside white noise, as `SummedNoise` names them.
         probabilities: of the sums, by their words, the most probable first.
         figures: Q, N, B, K and what else the law has.
         measured: Allan deviation of the record.
@@ -112,7 +112,7 @@ class SensorNoise(Printed):
     file: str
     unit: str
     step: float
-    law: str
+    terms: tuple[str, ...]
     probabilities: Mapping[str, float]
     figures: tuple[NoiseFigure, ...]
     measured: AllanDeviation = field(repr=False)
@@ -124,6 +124,11 @@ class SensorNoise(Printed):
     claims: tuple[Claim, ...]
     densities: tuple[np.ndarray, np.ndarray] = field(repr=False)
     horizon: float
+
+    @property
+    def law(self) -> str:
+        """The most probable sum of noise terms, in words."""
+        return _words(self.terms)
 
     @property
     def notes(self) -> tuple[str, ...]:
@@ -248,7 +253,7 @@ def noise(readings: Measurements, *, seed: int = 0, time_limit: float | None = N
         file=readings.file,
         unit=unit,
         step=step,
-        law=_words(found.drawn[0].terms),
+        terms=found.drawn[0].terms,
         probabilities={_words(t): p for t, p in found.probabilities.items()},
         figures=_figures(found, unit, draws),
         measured=measured,

@@ -1,6 +1,7 @@
-"""Saved calibrations: one sealed NetCDF file, written beside and renamed; checked in bytes and in parts when read.
+"""Saved calibrations: one sealed NetCDF file of draws, mode and readings, checked in bytes and in parts when read.
 
-The file names its instrument and effects; they are resolved against what is installed. Nothing in it is evaluated.
+All else is computed from these when it is asked for. The file names its instrument and effects; they are resolved
+against what is installed. Nothing in it is evaluated.
 """
 
 from __future__ import annotations
@@ -15,29 +16,26 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import xarray as xr
 
-from bayescal._calibration.confounding import Confounder, widened
+from bayescal._calibration.confounding import Confounder
 from bayescal._calibration.description import (
-    SCHEMA,
     description,
     identity,
     model_from,
-    name_of_today,
     of_today,
 )
-from bayescal._calibration.fitted import Fitted, named
+from bayescal._calibration.fitted import Fitted
 from bayescal._core.atomic_file import (
     named_back,
-    renamed,
     replacing_for_user,
+    storable,
     verified,
     write_sealed,
 )
 from bayescal._core.errors import InputError, ModelError
 from bayescal._core.flag import Flag
 from bayescal._core.json_shape import parsed_json
-from bayescal._core.netcdf_bytes import netcdf_bytes, netcdf_tree
+from bayescal._core.netcdf import Group, Variable, netcdf_bytes, netcdf_groups
 from bayescal._data.column import NominalScale, Source
 from bayescal._data.measurements import Measurements
 from bayescal._inference.laplace import Mode
@@ -47,18 +45,19 @@ from bayescal._model.frame import constants_of, held_name, origins, reference_of
 from bayescal._model.instrument import Instrument
 from bayescal._model.model import Model
 from bayescal._model.parameters import Layout, bind
+from bayescal._tables.raw_table import ROW
 from bayescal._tables.unpacked import refuse_hdf5
 
 AGAIN = "Take a copy, or fit the readings again"
 IDENTITY = "bayescal_identity"
-GROUPS = (
-    *("posterior", "posterior_predictive", "log_prior", "sample_stats"),
-    *("observed_data", "constant_data", "draws", "mode"),
-)
+SCHEMA = "bayescal.calibration/2"
+SCHEMA_0_2 = "bayescal.calibration/1"  # with all groups of ArviZ's tree, which are computed now
+Groups = Mapping[str, Group]
+GROUPS = ("observed_data", "constant_data", "draws", "mode")
 
 
-def save(calibration: Fitted, tree: xr.DataTree, path: Path) -> Path:
-    """Write a calibration and its tree to NetCDF.
+def save(calibration: Fitted, path: Path) -> Path:
+    """Write a calibration to NetCDF.
 
     Raises:
         InputError: the place cannot be written to, or has no room.
@@ -66,32 +65,28 @@ def save(calibration: Fitted, tree: xr.DataTree, path: Path) -> Path:
     path = Path(path)
     if path.suffix != ".nc":
         raise InputError(f"A calibration is saved as NetCDF: name the file …nc, not {path.name!r}")
-    tree = tree.copy()
-    tree["mode"] = xr.DataTree(_mode_dataset(calibration.mode))
-    tree.attrs["bayescal"] = json.dumps(description(calibration))
-    tree.attrs[IDENTITY] = identity(calibration)
-    content = netcdf_bytes(tree)
+    readings = {storable(n): v for n, v in calibration.readings.variables().items()}
+    groups = {
+        "observed_data": {"output": readings.pop("output")},
+        "constant_data": readings,
+        "draws": draws_group(calibration.joint),
+        "mode": _mode_group(calibration.mode),
+    }
+    described = json.dumps({**description(calibration), "schema": SCHEMA})
+    content = netcdf_bytes(groups, bayescal=described, bayescal_identity=identity(calibration))
     with replacing_for_user(path) as partial:
         write_sealed(content, partial)
     return path
 
 
-def _mode_dataset(mode: Mode) -> xr.Dataset:
-    parts = {name: getattr(mode, name) for name in _MODE_FIELDS}
-    sizes = {n: [f"{n}_{i}" for i in range(np.ndim(value))] for n, value in parts.items()}
-    return xr.Dataset({n: (sizes[n], np.asarray(value, float)) for n, value in parts.items()})
+def draws_group(draws: Draws) -> Group:
+    """Return joint draws as plain vectors, from which everything else is computed."""
+    return {n: Variable(("chain", "draw", f"{n}_entry"), vars(draws)[n]) for n in "xv"}
 
 
-_MODE_FIELDS = (
-    "x",
-    "v",
-    "covariance",
-    "log_density",
-    "log_evidence",
-    "change",
-    "flat",
-    "indefinite",
-)
+def _mode_group(mode: Mode) -> Group:
+    parts = {name: np.asarray(value, float) for name, value in mode._asdict().items()}
+    return {n: Variable(tuple(f"{n}_{i}" for i in range(a.ndim)), a) for n, a in parts.items()}
 
 
 def _saved_in(folder: Path) -> str:
@@ -102,8 +97,8 @@ def _saved_in(folder: Path) -> str:
 
 def load_calibration(
     path: Path, effects: Sequence[Effect] = (), instruments: Sequence[Instrument] = ()
-) -> tuple[dict[str, Any], xr.DataTree]:
-    """Read the fields of a calibration and its tree back; see `bayescal.load`."""
+) -> dict[str, Any]:
+    """Read the fields of a calibration; see `bayescal.load`."""
     if path.is_dir():
         raise InputError(f"{path} is a folder: give the calibration in it{_saved_in(path)}")
     if not path.is_file():
@@ -114,29 +109,20 @@ def load_calibration(
 
         with h5py.File(content) as hdf5:
             refuse_hdf5(hdf5, path.name, content.getbuffer().nbytes)
-            tree = netcdf_tree(hdf5)
-        former: list[Any] = []
-        if "posterior" in tree.children:
-            posterior = renamed(tree["posterior"].to_dataset(), name_of_today)
-            # Noise on an input was once an unknown of each reading: such draws stood among the others.
-            former = [name for name, own in posterior.data_vars.items() if "reading" in own.dims]
-            tree["posterior"] = xr.DataTree(posterior.drop_vars(former))
-        described = of_today(written := _parsed(tree.attrs.pop("bayescal", None)))
-        if described.get("schema") != SCHEMA:
+            written = _parsed(hdf5.attrs.get("bayescal"))
+        if (schema := written.get("schema")) not in (SCHEMA, SCHEMA_0_2):
             raise InputError(
-                f"{path.name} is no calibration of this version: its schema is {described.get('schema')!r}, "
+                f"{path.name} is no calibration of this version: its schema is {schema!r}, "
                 f"expected {SCHEMA!r}"
             )
-        if missing := [name for name in GROUPS if name not in tree.children]:
-            raise ValueError(f"it has no group {', '.join(missing)}")
-        readings = _readings_from(tree, described)
+        groups, attributes = netcdf_groups(content, GROUPS)
+        described = of_today(written) if schema == SCHEMA_0_2 else written
+        readings = _readings_from(groups, described)
         model = model_from(path, described, readings, effects, instruments)
-        found = _fields(tree, described, model, readings)
-        same = tree.attrs.pop(IDENTITY, None) == identity(Fitted(**found))
-        if not same and described == written and not former:
+        found = _fields(groups, described, model, readings)
+        if schema == SCHEMA and attributes.get(IDENTITY) != identity(Fitted(**found)):
             raise ValueError("its identity is not that of what it holds")
-    del tree["mode"]
-    return found, tree
+    return found
 
 
 @contextmanager
@@ -164,7 +150,7 @@ def _damage_in_words(path: Path) -> Iterator[None]:
 
 
 def _fields(
-    tree: xr.DataTree, described: dict[str, Any], model: Model, readings: Measurements
+    groups: Groups, described: dict[str, Any], model: Model, readings: Measurements
 ) -> dict[str, Any]:
     """The fields of a calibration, each of the size that its model and readings ask for."""
     model.require(readings)
@@ -181,12 +167,9 @@ def _fields(
     if unknown := set(layout.promoted) - {b.name for b in layout.blocks}:
         raise ValueError(f"{', '.join(sorted(unknown))} is no coefficient of its model")
     verdict = Verdict.read(described["verdict"])
-    joint = _draws_from(tree, layout, finite=verdict.ok)
-    mode = _mode_from(tree, layout, finite=verdict.ok)
+    joint = _draws_from(groups, layout, finite=verdict.ok)
+    mode = _mode_from(groups, layout, finite=verdict.ok)
     confounded = tuple(Confounder(**one) for one in described.get("confounded", ()))
-    x = widened(joint.x, confounded, layout, described["seed"])
-    _refuse_other_posterior(tree, named(layout, levels, x, joint.v))
-    _arrays(tree, "posterior_predictive", {"output": (joint.x.shape[0], None, len(readings))})
     evidence = described["log_evidence"]
     return {
         **{name: described[name] for name in ("method", "seed", "reference")},
@@ -203,12 +186,12 @@ def _same(what: str, written: object, expected: object) -> None:
 
 
 def _arrays(
-    tree: xr.DataTree, group: str, shapes: Mapping[str, tuple[int | None, ...]], finite: bool = True
+    groups: Groups, group: str, shapes: Mapping[str, tuple[int | None, ...]], finite: bool = True
 ) -> dict[str, np.ndarray]:
     """Variables of a group, if they are numbers of these shapes (None: any length)."""
-    data, found = tree[group].to_dataset(), {}
+    data, found = groups[group], {}
     for name, shape in shapes.items():
-        if name not in data.data_vars:
+        if name not in data:
             raise ValueError(f"its group {group} has no variable {name}")
         values = found[name] = data[name].values
         what = f"its {group}/{name}"
@@ -223,26 +206,13 @@ def _arrays(
     return found
 
 
-def _draws_from(tree: xr.DataTree, layout: Layout, finite: bool) -> Draws:
-    (x,) = _arrays(tree, "draws", {"x": (None, None, layout.size)}, finite).values()
+def _draws_from(groups: Groups, layout: Layout, finite: bool) -> Draws:
+    (x,) = _arrays(groups, "draws", {"x": (None, None, layout.size)}, finite).values()
     both = x.shape[:2]
     if 0 in both:
         raise ValueError("it holds no draws")
-    (v,) = _arrays(tree, "draws", {"v": (*both, len(layout.hypers))}, finite).values()
+    (v,) = _arrays(groups, "draws", {"v": (*both, len(layout.hypers))}, finite).values()
     return Draws(x, v)
-
-
-def _refuse_other_posterior(tree: xr.DataTree, expected: xr.Dataset) -> None:
-    """The posterior that a person reads is that of the draws from which everything is computed."""
-    posterior = renamed(tree["posterior"].to_dataset(), named_back)
-    if set(posterior.data_vars) != set(expected.data_vars):
-        raise ValueError(
-            f"its posterior is of {', '.join(map(str, posterior.data_vars))}, its model has "
-            f"{', '.join(map(str, expected.data_vars))}"
-        )
-    for name, variable in expected.data_vars.items():
-        if not np.array_equal(posterior[name].values, variable.values, equal_nan=True):
-            raise ValueError(f"its posterior of {name} is not that of its draws")
 
 
 def _parsed(text: object) -> dict[str, Any]:
@@ -254,23 +224,23 @@ def _parsed(text: object) -> dict[str, Any]:
     return found if isinstance(found, dict) else {}
 
 
-def _mode_from(tree: xr.DataTree, layout: Layout, finite: bool) -> Mode:
+def _mode_from(groups: Groups, layout: Layout, finite: bool) -> Mode:
     p, d = layout.size, len(layout.hypers)
     shapes = {"x": (p,), "v": (d,), "covariance": (d, d), "flat": (p,)}
-    found = _arrays(tree, "mode", shapes, finite)
-    scalars = {name: () for name in _MODE_FIELDS if name not in shapes}
-    found |= _arrays(tree, "mode", scalars, finite=False)
-    rest = {name: np.asarray(found[name]) for name in _MODE_FIELDS}
-    rest["indefinite"] = rest["indefinite"] > 0
-    return Mode(**rest)
+    found = _arrays(groups, "mode", shapes, finite)
+    scalars = {name: () for name in Mode._fields if name not in shapes}
+    mode = Mode(**found, **_arrays(groups, "mode", scalars, finite=False))
+    return mode._replace(indefinite=mode.indefinite > 0)
 
 
-def _readings_from(tree: xr.DataTree, described: dict[str, Any]) -> Measurements:
-    _arrays(tree, "observed_data", {"output": (None,)})
-    data = tree["constant_data"].to_dataset().merge(tree["observed_data"].to_dataset())
-    data = renamed(data, named_back)
+def _readings_from(groups: Groups, described: dict[str, Any]) -> Measurements:
+    _arrays(groups, "observed_data", {"output": (None,)})
+    both = {**groups["constant_data"], **groups["observed_data"]}
+    held = {named_back(n): v for n, v in both.items() if v.dims == (ROW,) and n != ROW}
+    if len({len(v.values) for v in held.values()}) > 1:
+        raise ValueError("its columns differ in length")
     sources = tuple(Source(**s) for s in described["sources"])
     given, codes = described.get("nominal_scale"), described.get("flag_codes", {})
     flags = tuple(Flag(f, *codes[f]) if f in codes else f for f in described["flags"])
     scale = given and NominalScale(**given)
-    return Measurements.from_xarray(data, sources=sources, flags=flags, scale=scale)
+    return Measurements.of_variables(held, sources=sources, flags=flags, scale=scale)

@@ -20,7 +20,7 @@ from bayescal._data.unit_conversion import unit_label
 from bayescal._inference.linear_model import LinearModel
 from bayescal._model.frame import derived, held_name
 from bayescal._model.parameters import CoefficientBlock, Layout
-from bayescal._model.prior import deviation
+from bayescal._model.unknowns import Unknown, Unknowns
 
 # Information against the prior's, below which a direction of coefficients counts as not measured: the posterior's
 # standard deviation is then 0.95 of the prior's.
@@ -73,14 +73,14 @@ def unknowns_parts(
         lines.append(
             f"set in steps and held between readings: {', '.join(held)} (--reference {held_name(held[0])}=0 joins them)"
         )
-    given = (if_there(s) for s in summary(calibration)[0] if s["name"] in rows)
-    if said := ", ".join(filter(None, given)):
+    given = {s["name"]: if_there(s) for s in summary(calibration)[0] if s["name"] in rows}
+    if said := ", ".join(f"{name} {value}" for name, value in given.items() if value):
         lines.append(f"if it is there: {said}")
     return [shown, *(textwrap.fill(line, WIDTH) for line in lines)]
 
 
 def if_there(row: dict[str, Any], times: float = 1.0) -> str:
-    """What an unknown is given that its effect is there, with the probability of that; empty where this is no other.
+    """Return the value given that the effect is there, with the probability of that; empty where it is the same.
 
     Args:
         row: of `summary`.
@@ -90,7 +90,7 @@ def if_there(row: dict[str, Any], times: float = 1.0) -> str:
     if with_error(mean, sd) == with_error(row["mean"], row["sd"]):
         return ""
     value = f"{with_error(mean, times * sd)} {unit_label(row['unit'])}".rstrip()
-    return f"{row['name']} {value} (probability {probability(row['probability'])})"
+    return f"{value} (probability {probability(row['probability'])})"
 
 
 def unknown_rows(
@@ -140,6 +140,12 @@ def curves(calibration: Fitted) -> set[str]:
     return {e.name for e in calibration.model.effects if e.is_placeholder}
 
 
+def curve_weights(calibration: Fitted) -> set[str]:
+    """Names of the coefficients of these."""
+    drawn = curves(calibration)
+    return {u.key for u in calibration.unknowns if u.block is not None and u.effect in drawn}
+
+
 def curve_extent(calibration: Fitted, name: str) -> tuple[float, float, str, float | None]:
     """How large a curve is over the readings: rms and the largest, output unit; along what, and where that is."""
     values = np.asarray(calibration.linear.contribution(name))
@@ -176,13 +182,14 @@ def _curve_row(calibration: Fitted, name: str) -> list[str]:
 
 def large_groups(calibration: Fitted) -> dict[str, list[str]]:
     """Names of members' coefficients, by coefficient: of groups with many members, of states where runs begin."""
-    named = {
-        b: b.member_names(calibration.levels)
-        for b in calibration.layout.blocks
-        if b.place in ("x", "phi") and b.coefficient.per
-    }
-    most = {b: 1 if b.coefficient.part == "start" else MOST_MEMBERS for b in named}
-    return {b.name: members for b, members in named.items() if len(members) > most[b]}
+    large = {}
+    for key, own in calibration.unknowns.by_key.items():
+        members = calibration.unknowns.rows[own]
+        block = members[0].block
+        initial = block is not None and block.coefficient.initial
+        if members[0].group and len(members) > (1 if initial else MOST_MEMBERS):
+            large[key] = [u.name for u in members]
+    return large
 
 
 def _group_row(name: str, members: list[dict[str, Any]]) -> list[str]:
@@ -202,42 +209,23 @@ def summary(calibration: Fitted) -> tuple[list[dict[str, Any]], list[dict[str, A
     Contraction is 1 − (posterior variance)/(prior variance): 1 where the readings said everything, 0 where they
     said nothing; None where the prior is flat or has no variance, and of a value that the method holds.
     """
-    layout, levels = calibration.layout, calibration.levels
     there = {e.name: has_effect(calibration, e.name) for e in calibration.model.effects}
     coefficients, hyperparameters = [], []
-    for b in layout.blocks:
-        c = b.coefficient
-        if b.place not in ("x", "phi") or b.index in b.effect.held:
-            continue
-        learned = c.group_sd is not None or b.effect.weights is not None
-        prior = None if c.flat or learned else c.size
-        values = calibration.samples(b.name).reshape(-1, b.size).T
-        for name, own in zip(b.member_names(levels), values, strict=True):
-            effect = b.effect.name
-            coefficients.append(_row(name, effect, c.unit, own, prior, there[effect]))
-    for h in (h for h in layout.hypers if h.kind != "promoted"):
-        effect = "noise" if h.kind == "noise" else h.name.rpartition(".")[0]
-        values = calibration.samples(h.name)
-        own = there.get(effect, np.ones(len(values), dtype=bool))
-        hyperparameters.append(_row(h.name, effect, h.unit, values, deviation(h.prior), own))
+    for u in (u for u in calibration.unknowns if not u.held):
+        values = calibration.samples(u.name)
+        own = there.get(u.effect, np.ones(len(values), dtype=bool))
+        (hyperparameters if u.block is None else coefficients).append(_row(u, values, own))
     return coefficients, hyperparameters
 
 
-def _row(
-    name: str,
-    effect: str,
-    unit: str,
-    values: np.ndarray,
-    prior: float | None,
-    there: np.ndarray,
-) -> dict[str, Any]:
+def _row(unknown: Unknown, values: np.ndarray, there: np.ndarray) -> dict[str, Any]:
     given = values[there] if there.sum() > 1 else values
     low, high = np.quantile(values, [0.025, 0.975])
-    sd = float(values.std(ddof=1))
+    sd, prior = float(values.std(ddof=1)), unknown.prior_sd
     return {
-        "name": name,
-        "effect": effect,
-        "unit": unit,
+        "name": unknown.name,
+        "effect": unknown.effect,
+        "unit": unknown.unit,
         "probability": float(there.mean()),
         "given": {"mean": float(given.mean()), "sd": float(given.std(ddof=1))},
         "mean": float(values.mean()),
@@ -278,7 +266,7 @@ def untold(
     layout = linear.problem.layout
     if layout.size == 0:
         return []
-    names = [name for b in layout.x_blocks for name in b.member_names(levels)]
+    names = [u.name for u in Unknowns.of(layout, levels) if u.x is not None]
     exact, weak, others = null_vectors(linear, exactly)
     found = [_exact(v * linear.sd[: len(v)], names) for v in exact]
     found += [_weak(v, names) for v in weak]

@@ -33,7 +33,7 @@ from bayescal._cli.options import (
 )
 from bayescal._cli.request import instrument_named
 from bayescal._core import deadline
-from bayescal._core.annex import annexes, first_offered
+from bayescal._core.annex import first_offered
 from bayescal._core.as_json import as_json
 from bayescal._core.atomic_file import write_text
 from bayescal._core.errors import InputError
@@ -449,8 +449,8 @@ def noise(
             print_result({name: one.data() for name, one in found.items()})
         written = []
         if yaml is not None:
-            texts = (one.noise_file(found, topic, quantile) for one in annexes())
-            written.append(write_text(first_offered(texts, "--yaml"), yaml))
+            text = first_offered("noise_file", "--yaml")(found, topic, quantile)
+            written.append(write_text(text, yaml))
         pictures = {f"noise_{place}.png": name for name, place in folders_of(found).items()}
 
         def draw() -> None:

@@ -19,7 +19,7 @@ from bayescal._cli.options import (
     OwnParts,
     named_numbers,
 )
-from bayescal._core.annex import annexes, first_offered
+from bayescal._core.annex import first_offered, offered
 from bayescal._core.errors import InputError
 from bayescal._core.flag import code_of
 
@@ -77,14 +77,14 @@ def export(asked: saved.ExportRequest) -> Answer:
     """
     from bayescal._use.correction_files import kinds
 
-    offered = {name: write for one in annexes() for name, write in one.exports().items()}
-    known = [*dict.fromkeys((*(name for kind in kinds() for name in kind.writers), *offered))]
+    others = {name: write for exports in offered("exports") for name, write in exports().items()}
+    known = [*dict.fromkeys((*(name for kind in kinds() for name in kind.writers), *others))]
     if asked.format_ is None and asked.out is None:
         raise InputError(f"say which format: --format {', '.join(known)}")
     if asked.format_ not in (None, *known):
         raise InputError(f"--format {asked.format_!r} is not one of {', '.join(known)}")
-    if asked.format_ in offered:
-        return offered[asked.format_](asked)
+    if asked.format_ in others:
+        return others[asked.format_](asked)
     given = [one for _, one in asked.loaded()]
     if not given or isinstance(given[0], bc.Compensator):
         asked.refuse_several()
@@ -128,16 +128,14 @@ def report(
     """Write the report for sign-off: a one-page summary with appendices, in one HTML file."""
     stated = decided = None
     if certificate:
-        read = (one.certificate(certificate) for one in annexes())
-        stated = first_offered(read, "--certificate")
+        stated = first_offered("certificate", "--certificate")(certificate)
     given = saved.chapters_from(calibrations, own)
     if limit:
         if len(given) != 1:
             raise InputError(
                 f"--limit decides about one result, {len(given)} were given: report each by itself"
             )
-        made = (one.decided(given[0].used, limit, **vars(by)) for one in annexes())
-        decided = first_offered(made, "--limit")
+        decided = first_offered("decided", "--limit")(given[0].used, limit, **vars(by))
     how = {"title": title, "certificate": stated, "output_unit": output_unit}
     whole = drawn(partial(bc.report, given, out, decisions=decided, **how))
     verdicts = [c.data["verdict"] for c in given]

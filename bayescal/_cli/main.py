@@ -22,9 +22,9 @@ from typing import NoReturn
 import typer
 
 from bayescal._cli import commands, deliverables
-from bayescal._core.annex import absent_annexes, annexes
+from bayescal._core.annex import absent_annexes, offered
 from bayescal._core.errors import BayescalError, NotConverged, NotDrawn
-from bayescal._core.folder_settings import obey_no_folder
+from bayescal._core.jax_setup import obey_no_folder
 from bayescal._core.quoting import one_line
 from bayescal._search.own_files import in_one_line, own_file_line
 
@@ -45,9 +45,8 @@ app = typer.Typer(
     rich_markup_mode="rich",
     pretty_exceptions_enable=False,
 )
-for group in (commands.commands, deliverables.commands, *(one.commands() for one in annexes())):
-    if group is not None:
-        app.add_typer(group)
+for group in (commands.commands, deliverables.commands, *offered("commands")):
+    app.add_typer(group)
 
 
 def main() -> NoReturn:

@@ -130,93 +130,100 @@ def _refuse_no_duration(text: str | None) -> str | None:
     return text
 
 
+Options = Mapping[str, str | Mapping[str, Any]]
 BY_NAME = inspect.Parameter.KEYWORD_ONLY  # so that a required one may follow others
 ARGUMENTS = ("files", "file", "calibration", "calibrations", "named")  # which are no options
 
-# By the parameter's name; as "command.name" where a command means something else by it.
-HELP = {
+# By the parameter's name, or as "command.name" where a command means something else by it: its words, or these with
+# what typer is told beside them; `names` where an option is not called after its parameter.
+# fmt: off
+OPTIONS: Options = {
     "accept_conflict": "bias.constant: may differ greatly from its plausible size; repeat for others.",
     "add": "Effect to add to the baseline; repeat for more.",
     "at": "temperature=60: operating point, in fixed units; repeat for more.",
-    "average": "1s, 0.5s or 2min: means over this time in place of single readings; spikes are set aside first.",
+    "average": {"help": "1s, 0.5s or 2min: means over this time in place of single readings; spikes are set aside "
+        "first.", "metavar": "TIME", "callback": _refuse_no_duration},
     "axis": "gyro_x=a.nc: calibration of an axis, where its readings do not name it.",
     "calibration": "A folder of results, or its calibration (.nc).",
-    "begin": (
-        "FILE=DATE, or the DATE alone of files without dates: when the first reading was taken; or a time on the clock "
-        "of the calibration, '9 days'; repeat for more."
-    ),
+    "begin": {"help": "FILE=DATE, or the DATE alone of files without dates: when the first reading was taken; or a "
+        "time on the clock of the calibration, '9 days'; repeat for more.", "metavar": "'FILE=DATE'"},
     "certificate": (
-        "TOML file of what a certificate states: device, serial number, place, operator, conditions, "
-        "standards, dates."
+        "TOML file of what a certificate states: device, serial number, place, operator, conditions, standards, dates."
     ),
-    "channels": "Columns of the file that are outputs of one unit, searched together: gyro_x,gyro_y,gyro_z.",
-    "check": "Try this instrument on itself: simulate its plausible sizes, fit them, say what came back.",
+    "channels": {"help": "Columns of the file that are outputs of one unit, searched together: "
+        "gyro_x,gyro_y,gyro_z.", "metavar": "NAME,NAME,…"},
+    "check": {"help": "Try this instrument on itself: simulate its plausible sizes, fit them, say what came "
+        "back.", "metavar": "my.py:INSTRUMENT"},
     "columns": "output=gyro_x: our column = the file's; repeat for more, and where files call one differently.",
     "compare.structure": (
         "Structure to set beside the others, or with effects added, as line+bias.thermal_lag; repeat. All of the "
         "instrument's if none is given."
     ),
     "compensate.calibration": "Folder of results, its calibration (.nc), or a JSON export.",
-    "compensate.out": "File to write, of the same format (Excel, MATLAB: .csv).",
-    "covariates": (
-        "Of the columns that the instrument does not know, those that may be causes; all but other channels of the "
-        "unit if not given."
-    ),
+    "compensate.out": {"help": "File to write, of the same format (Excel, MATLAB: .csv).", "names": ["--out", "-o"]},
+    "covariates": {"help": "Of the columns that the instrument does not know, those that may be causes; all but other "
+        "channels of the unit if not given.", "metavar": "NAME,NAME,…"},
     "criterion": "residual, ratio-variance or ratio-variance-raw.",
-    "date_order": "Of dates such as 05/06/2026, where no day above 12 shows it; hms for times such as 10.11.12.",
-    "decimal": "In numbers of text files, where they do not show it.",
+    "date_order": {"help": "Of dates such as 05/06/2026, where no day above 12 shows it; hms for times such as "
+        "10.11.12.", "metavar": "mdy|dmy|ymd|hms"},
+    "decimal": {"help": "In numbers of text files, where they do not show it.", "metavar": ".|,"},
     "demo.instrument": "Whose demonstration.",
     "demo.json_": "Print result.json on stdout, and the story on stderr.",
     "device_id": "gyro=3670026: PX4's number of a sensor; repeat.",
-    "discover.ignore": "A column that is no cause; repeat for more.",
+    "discover.ignore": {"help": "A column that is no cause; repeat for more.", "metavar": "COLUMN"},
     "effect": "name=size: an effect to hide; repeat for more.",
-    "effects_file": "Python file with effects or a noise law of your own.",
+    "effects_file": {"help": "Python file with effects or a noise law of your own.", "names": ["--effects"]},
     "export.calibrations": (
-        "A folder of results, its calibration (.nc) or JSON export; for parameters, one for each axis; the triads of a "
-        "unit."
+        "A folder of results, its calibration (.nc) or JSON export; for parameters, one for each axis; the triads of "
+        "a unit."
     ),
-    "export.out": "File to write; standard output if not given.",
+    "export.out": {"help": "File to write; standard output if not given.", "names": ["--out", "-o"]},
     "false_accept": "Probability of a false acceptance that 'guarded' allows.",
     "file": "Readings: text, .parquet, .nc, .xlsx or .mat.",
-    "files": "CSV, Parquet, NetCDF, Excel or MATLAB files of readings, or logs: .ulg, .bin, .bag, .mcap, .db3.",
+    "files": {"help": "CSV, Parquet, NetCDF, Excel or MATLAB files of readings, or logs: .ulg, .bin, .bag, .mcap, "
+        ".db3.", "callback": refuse_missing},
     "first_order": "Propagate mean and covariance, as exports do, not draws.",
     "fix": "bias.temperature=0.041: hold an unknown at a value, in its unit; repeat.",
     "format_": (
-        "json, c or python, else by the suffix of --out; of three axes yaml (Kalibr), "
-        "openvins, realsense, ros; px4-params or ardupilot-params; dcc."
+        "json, c or python, else by the suffix of --out; of three axes yaml (Kalibr), openvins, realsense, ros; "
+        "px4-params or ardupilot-params; dcc."
     ),
-    "holdout": "Hold-out data, only read after the last step; repeat for more.",
-    "ignore": "Column to leave out; repeat for more.",
+    "holdout": {"help": "Hold-out data, only read after the last step; repeat for more.", "callback": refuse_missing},
+    "ignore": {"help": "Column to leave out; repeat for more.", "metavar": "HEADER"},
     "instrument": "Name of an installed instrument, or my.py:INSTRUMENT.",
-    "instrument_file": "my.py:INSTRUMENT, if the calibration is of an instrument that is not installed.",
+    "instrument_file": {"help": "my.py:INSTRUMENT, if the calibration is of an instrument that is not "
+        "installed.", "names": ["--instrument"]},
     "json_": "Print the result as JSON on stdout.",
-    "k": "Coverage factor of the expanded uncertainty.",
+    "k": {"help": "Coverage factor of the expanded uncertainty.", "names": ["-k"]},
     "keep_spikes": "Keep single readings far from both neighbours, and those of a wrong thermometer.",
     "limit": "Also decide whether it conforms, as `bayescal decide`; of one result.",
-    "local_field": "Local magnetic field, '48.2 uT', that magnetometers are turned in; ratios of scales without it.",
-    "local_gravity": "Local gravity, m/s², for files in m/s²; 9.80665, with its uncertainty on Earth, if not given.",
+    "local_field": {"help": "Local magnetic field, '48.2 uT', that magnetometers are turned in; ratios of scales "
+        "without it.", "metavar": "'48.2 uT'"},
+    "local_gravity": {"help": "Local gravity, m/s², for files in m/s²; 9.80665, with its uncertainty on Earth, if "
+        "not given.", "min": 1.0},
     "mapping": "TOML file that --save-mapping wrote; options on the command line take precedence.",
-    "max_effects": "Most effects that may be missing.",
+    "max_effects": {"help": "Most effects that may be missing.", "min": 1},
     "member": "device=A17: which device is used; repeat for more.",
-    "method": "marginal, least-squares or nuts.",
-    "missing": "Rows with a missing reading: refuse the file, or drop them (a gap).",
+    "method": {"help": "marginal, least-squares or nuts.", "callback": refuse_unknown_method},
+    "missing": {"help": "Rows with a missing reading: refuse the file, or drop them (a "
+        "gap).", "metavar": "refuse|drop"},
     "name": (
         "Of the sensor, with which all names in C begin; that of its instrument if not given. Of a unit, before those "
         "of its instruments."
     ),
     "next_experiment": "Rank feasible campaigns by how well they tell rivals apart.",
-    "noise": "Noise law by name: student_t, ornstein_uhlenbeck, heteroscedastic(temperature), or one of --effects.",
-    "noise.channels": "Columns that are outputs, one after another: gyro_x,acc_x.",
+    "noise": {"help": "Noise law by name: student_t, ornstein_uhlenbeck, heteroscedastic(temperature), or one of "
+        "--effects.", "metavar": "NAME"},
+    "noise.channels": {"help": "Columns that are outputs, one after another: gyro_x,acc_x.",
+        "metavar": "NAME,NAME,…"},
     "noise_law": "white, student_t or ornstein_uhlenbeck.",
-    "named": "One instrument, of which columns and effects are listed; all of them if not given.",
-    "nominal_scale": (
-        "Raw output per unit of output, in place of the instrument's own: turns V, mV, Hz, counts into it."
-    ),
-    "nominal_zero": "Raw output at zero; 0 if not given.",
-    "one_structure": (
-        "'average' over the structures that share the probability, where the folder has several; or 'best', "
-        "the one of calibration.nc."
-    ),
+    "named": {"help": "One instrument, of which columns and effects are listed; all of them if not "
+        "given.", "metavar": "NAME"},
+    "nominal_scale": {"help": "Raw output per unit of output, in place of the instrument's own: turns V, mV, Hz, "
+        "counts into it.", "metavar": "'250 V/g'"},
+    "nominal_zero": {"help": "Raw output at zero; 0 if not given.", "metavar": "'1.21 V'"},
+    "one_structure": {"help": "'average' over the structures that share the probability, where the folder has "
+        "several; or 'best', the one of calibration.nc.", "names": ["--structure"]},
     "out": "Folder to write to.",
     "output_unit": (
         "Errors and coefficients in this unit of the output too, such as the file's mV; raw units by the nominal "
@@ -226,27 +233,30 @@ HELP = {
     "predict.out": "File to write: .csv, .parquet or .nc.",
     "prior_sensitivity": "Also how much the priors matter (psense).",
     "quantile": "Of the posterior, that the numbers for Kalibr are.",
-    "readings": "With --check: files whose columns, the output aside, are taken in place of made-up ones.",
+    "readings": {"help": "With --check: files whose columns, the output aside, are taken in place of made-up "
+        "ones.", "callback": refuse_missing},
     "reference": "T0=0: reference temperature of the bases, °C.",
     "report.calibrations": "Saved calibrations (.nc), or folders that `bayescal calibrate --out` wrote.",
-    "report.out": "HTML file to write.",
+    "report.out": {"help": "HTML file to write.", "names": ["--out", "-o"]},
     "rule": "Of decisions: guarded, simple or shared-risk, as agreed on beforehand.",
     "same_record": (
-        "The readings are of the record that was fitted, on its clock: between fitted readings the correlated "
-        "noise that these show is given, in columns of its own."
+        "The readings are of the record that was fitted, on its clock: between fitted readings the correlated noise "
+        "that these show is given, in columns of its own."
     ),
     "save_mapping": "TOML file to keep these options in, for --mapping.",
-    "seed": "Seed of every random number.",
+    "seed": {"help": "Seed of every random number.", "min": 0},
     "simple_noise": (
-        "Where noise is correlated, leave out sums of terms (random walk, flicker, two times, a tone): faster on "
-        "long records."
+        "Where noise is correlated, leave out sums of terms (random walk, flicker, two times, a tone): faster on long "
+        "records."
     ),
     "simulate.out": "File to write: .csv, .parquet or .nc.",
     "structure": "A model structure of the instrument in place of its baseline.",
-    "time_limit": "End after this time with what there is, as Ctrl-C does at any time, and say what was left out.",
+    "time_limit": {"help": "End after this time with what there is, as Ctrl-C does at any time, and say what was left "
+        "out.", "metavar": "SECONDS", "callback": _refuse_no_time},
     "title": "Of the report.",
     "topic": "Of the messages, for Kalibr.",
-    "typed": "An effect of your own in one line, as a candidate: 'supply: s * (supply_voltage - 5); s = 0.1 V/V'.",
+    "typed": {"help": "An effect of your own in one line, as a candidate: 'supply: s * (supply_voltage - 5); s = 0.1 "
+        "V/V'.", "names": ["--effect"], "metavar": "'NAME: FORMULA; s = SIZE'"},
     "unit": "gyro_x=rad/s: unit of a column; repeat for more.",
     "unwrap": "time=2^32us: what a clock or counter held when it began anew; temperature=sign: its sign was lost.",
     "verbose": "With all candidates of every step, and drafts of effects.",
@@ -254,40 +264,7 @@ HELP = {
     "without_uncertainty": "C and Python that give the value alone, without the covariance of the coefficients.",
     "yaml": "File to write for Kalibr: noise densities and random walks.",
 }
-
-# What typer is told beside the words; `names` where an option is not called after its parameter.
-MORE: dict[str, dict[str, Any]] = {
-    "average": {"metavar": "TIME", "callback": _refuse_no_duration},
-    "begin": {"metavar": "'FILE=DATE'"},
-    "channels": {"metavar": "NAME,NAME,…"},
-    "check": {"metavar": "my.py:INSTRUMENT"},
-    "covariates": {"metavar": "NAME,NAME,…"},
-    "date_order": {"metavar": "mdy|dmy|ymd|hms"},
-    "decimal": {"metavar": ".|,"},
-    "discover.ignore": {"metavar": "COLUMN"},
-    "effects_file": {"names": ["--effects"]},
-    "files": {"callback": refuse_missing},
-    "holdout": {"callback": refuse_missing},
-    "ignore": {"metavar": "HEADER"},
-    "instrument_file": {"names": ["--instrument"]},
-    "k": {"names": ["-k"]},
-    "local_field": {"metavar": "'48.2 uT'"},
-    "local_gravity": {"min": 1.0},
-    "max_effects": {"min": 1},
-    "method": {"callback": refuse_unknown_method},
-    "missing": {"metavar": "refuse|drop"},
-    "noise": {"metavar": "NAME"},
-    "noise.channels": {"metavar": "NAME,NAME,…"},
-    "nominal_scale": {"metavar": "'250 V/g'"},
-    "nominal_zero": {"metavar": "'1.21 V'"},
-    "one_structure": {"names": ["--structure"]},
-    "readings": {"callback": refuse_missing},
-    "seed": {"min": 0},
-    "named": {"metavar": "NAME"},
-    "time_limit": {"metavar": "SECONDS", "callback": _refuse_no_time},
-    "typed": {"names": ["--effect"], "metavar": "'NAME: FORMULA; s = SIZE'"},
-    **{f"{c}.out": {"names": ["--out", "-o"]} for c in ("compensate", "export", "report")},
-}
+# fmt: on
 
 
 @dataclass(frozen=True)
@@ -424,16 +401,12 @@ class Commands(typer.Typer):
     """Commands, each with a line of its use, whose options have their words from the table here.
 
     Args:
-        words, more: of options that these alone have, or of which they say something else, as `HELP` and `MORE`.
+        own: options that these alone have, or of which they say something else, as `OPTIONS`.
     """
 
-    def __init__(
-        self,
-        words: Mapping[str, str] | None = None,
-        more: Mapping[str, Mapping[str, Any]] | None = None,
-    ) -> None:
+    def __init__(self, own: Options | None = None) -> None:
         super().__init__()
-        self.words, self.more = {**HELP, **(words or {})}, {**MORE, **(more or {})}
+        self.options = {**OPTIONS, **(own or {})}
 
     def example(
         self, line: str, *, data: bool = True, endless: bool = False
@@ -447,7 +420,7 @@ class Commands(typer.Typer):
         """
 
         def taken(command: Callable[..., Any]) -> Callable[..., Any]:
-            answered = answering(command, data, endless, self.words, self.more)
+            answered = answering(command, data, endless, self.options)
             self.command(epilog=f"Example: {line}")(answered)
             return command
 
@@ -455,11 +428,7 @@ class Commands(typer.Typer):
 
 
 def answering(
-    command: Callable[..., Answer | None],
-    data: bool,
-    endless: bool,
-    words: Mapping[str, str],
-    more: Mapping[str, Mapping[str, Any]],
+    command: Callable[..., Answer | None], data: bool, endless: bool, options: Options
 ) -> Callable[..., None]:
     """The command as typer is to see it: its options with their words, those of a group in place of the group.
 
@@ -469,7 +438,7 @@ def answering(
     shown = [p for one in declared.values() for p in _single(one)]
     if data and "json_" not in {p.name for p in shown}:
         shown.append(inspect.Parameter("json_", BY_NAME, default=False, annotation=bool))
-    seen = [_told(p, command.__name__, words, more) for p in shown]
+    seen = [_told(p, command.__name__, options) for p in shown]
 
     @functools.wraps(command)
     def run(**values: Any) -> None:
@@ -500,20 +469,16 @@ def _single(parameter: inspect.Parameter) -> Iterator[inspect.Parameter]:
         yield from _single(inner)
 
 
-def _told(
-    parameter: inspect.Parameter,
-    command: str,
-    words: Mapping[str, str],
-    more: Mapping[str, Mapping[str, Any]],
-) -> inspect.Parameter:
+def _told(parameter: inspect.Parameter, command: str, options: Options) -> inspect.Parameter:
     """A parameter with its words, by name alone."""
-    name = own if (own := f"{command}.{parameter.name}") in words else parameter.name
-    how = {"names": [f"--{parameter.name.strip('_').replace('_', '-')}"], **more.get(name, {})}
-    names, required = how.pop("names"), parameter.default is parameter.empty
+    own = options.get(f"{command}.{parameter.name}") or options[parameter.name]
+    how = {"help": own} if isinstance(own, str) else dict(own)
+    names = how.pop("names", [f"--{parameter.name.strip('_').replace('_', '-')}"])
+    required = parameter.default is parameter.empty
     kind: Any = typer.Option
     if parameter.name in ARGUMENTS:
         kind, names = typer.Argument, []
-    told = kind(*names, help=words[name], show_default=not required, **how)
+    told = kind(*names, show_default=not required, **how)
     shown = Annotated[parameter.annotation, told]
     return parameter.replace(kind=BY_NAME, annotation=shown)
 

@@ -20,7 +20,6 @@ from bayescal._data.measurements import Measurements
 from bayescal._data.unit_conversion import unit_label
 from bayescal._model.effect import Effect
 from bayescal._model.instrument import Instrument
-from bayescal._model.unknown_effect import covariate_in
 from bayescal._report.report_text import in_output_unit
 from bayescal._report.section import of_trail
 from bayescal._search.calibrate import SearchPath
@@ -222,7 +221,7 @@ def loop_text(
     parts += _candidates_of_steps(trail) if verbose else []
     unexplained = unexplained_text(final.calibration, final.check, own)
     parts += [unexplained] if unexplained else []
-    unknown = [e.name for e in final.calibration.model.effects if covariate_in(e.name)]
+    unknown = [e.name for e in final.calibration.model.effects if e.is_placeholder]
     for name in unknown if verbose else ():
         draft = draft_effect(final.calibration, name)
         parts.append(

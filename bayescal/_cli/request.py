@@ -18,7 +18,6 @@ from bayescal._core.progress import stage
 from bayescal._search.own_files import (
     in_a_file,
     instrument_named,
-    known_instrument,
     user_effects,
 )
 
@@ -110,7 +109,7 @@ def read_early(asked: ReadRequest, names: Sequence[str] = ()) -> Early:
     from bayescal._model.installed import file_columns
 
     name = asked.instrument
-    holds = None if in_a_file(name) else file_columns(known_instrument(name))
+    holds = None if in_a_file(name) else file_columns(name)
     short = sum(path.stat().st_size for path in asked.files if path.is_file()) <= LONG_BYTES
     return (_read(asked.files, holds, asked, names) if holds and short else None), holds
 

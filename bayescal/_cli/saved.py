@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 import bayescal as bc
 from bayescal._cli.console import Answer, print_notes
 from bayescal._cli.options import DecisionRule, InUse, OwnParts, UsedParts
-from bayescal._core.annex import annexes, first_offered
+from bayescal._core.annex import first_offered
 from bayescal._core.atomic_file import write_text
 from bayescal._core.errors import InputError
 from bayescal._report.whole_folder import (
@@ -180,8 +180,7 @@ def correction_from(path: Path, own: InUse) -> bc.Compensator | CorrectionInUse:
     calibration = load_saved(path, own)
     if calibration.model.instrument.vector is None:
         return bc.compensator(calibration, members=own.members)
-    made = (one.corrected(calibration) for one in annexes())
-    return first_offered(made, f"{path} is of three axes: to correct them")
+    return first_offered("corrected", f"{path} is of three axes: to correct them")(calibration)
 
 
 def of_units(paths: list[Path], file: str = "") -> list[Path]:

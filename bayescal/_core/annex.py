@@ -1,73 +1,42 @@
 """Annexes: what is built on the core and stands beside it, such as three axes, or many devices at once.
 
-An installed package offers one by an entry point of the group `bayescal.annexes`: an `Annex`. The core imports none. It
-asks all that are there, and without one all but what that offers stays as it is.
+An installed package offers one by an entry point of the group `bayescal.annexes`: a dictionary of some of
+
+    commands            its commands, a `typer.Typer`
+    exports             () → what `bayescal export` writes by formats of its own, of an `ExportRequest` an `Answer`
+    corrections         () → its kinds of corrections, `CorrectionKind` each
+    corrected           calibration → the correction of one that is of such a kind
+    certificate         path → what a certificate's file states, as `bayescal.report` takes it
+    decided             calibration, limits, **rule → what is decided about them, for a report
+    noise_file          channels, topic, quantile → their noise as a file for another program
+    result              calibration, average → what result.json holds behind the coefficients
+    coefficient_tables  result.json → captions and tables behind a report's table of coefficients
+
+The core imports none. It asks all that are there, and without one all but what that offers stays as it is.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Mapping
 from functools import cache
 from importlib.metadata import entry_points
-from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
 from bayescal._core.errors import InputError
 
 GROUP = "bayescal.annexes"
-Offered = TypeVar("Offered")
-
-
-class Annex:
-    """What an annex may offer; here, what the core has without. Light until it is asked for something heavy."""
-
-    def commands(self) -> Any:
-        """Its commands, a `typer.Typer`."""
-
-    def corrections(self) -> Sequence[Any]:
-        """Its kinds of corrections, `CorrectionKind` each."""
-        return ()
-
-    def corrected(self, calibration: Any) -> Any:
-        """The correction of a calibration, if it is of one of its kinds."""
-
-    def exports(self) -> Mapping[str, Callable[[Any], Any]]:
-        """What `bayescal export` writes by formats of its own: of an `ExportRequest` an `Answer`."""
-        return {}
-
-    def certificate(self, path: str | Path) -> Any:
-        """What a certificate's file states, as `bayescal.report` takes it."""
-
-    def decided(self, calibration: Any, limits: Sequence[str], **rule: Any) -> Any:
-        """What is decided about limits, as `bayescal.report` takes it, with a `doubt` where one is not met."""
-
-    def noise_file(self, channels: Mapping[str, Any], topic: str, quantile: float) -> str | None:
-        """The noise of channels as a file for another program: `bayescal noise --yaml`."""
-
-    def result(self, calibration: Any, average: Any) -> Mapping[str, Any]:
-        """What result.json holds behind the coefficients: of the last model, and of the average, if there is one."""
-        return {}
-
-    def coefficient_tables(self, data: Mapping[str, Any]) -> Sequence[tuple[str, Any]]:
-        """Captions and tables behind a report's table of coefficients, made of result.json."""
-        return ()
 
 
 @cache
-def installed_annexes() -> tuple[dict[str, Annex], dict[str, str]]:
+def installed_annexes() -> tuple[dict[str, Mapping[str, Any]], dict[str, str]]:
     """Annexes by their names, and of those that are named but not there, why."""
-    found, absent = dict[str, Annex](), dict[str, str]()
+    found, absent = dict[str, Mapping[str, Any]](), dict[str, str]()
     for entry in sorted(entry_points(group=GROUP), key=lambda entry: entry.name):
         try:
             found[entry.name] = entry.load()
         except ImportError as error:
             absent[entry.name] = f"The annex {entry.name!r} cannot be loaded ({error})"
     return found, absent
-
-
-def annexes() -> list[Annex]:
-    """Those that are installed, in the order of their names."""
-    return [*installed_annexes()[0].values()]
 
 
 def absent_annexes() -> str:
@@ -78,17 +47,21 @@ def absent_annexes() -> str:
     return ". ".join(absent.values())
 
 
-def first_offered(offered: Iterable[Offered | None], asked: str) -> Offered:
-    """What the first annex offers that offers something.
+def offered(name: str) -> list[Any]:
+    """What the installed annexes offer by a name, in the order of their names."""
+    return [one[name] for one in installed_annexes()[0].values() if name in one]
+
+
+def first_offered(name: str, asked: str) -> Any:
+    """What the first annex offers by a name.
 
     Args:
-        offered: by each annex.
+        name: of what is offered.
         asked: for what, as the user says it.
 
     Raises:
-        InputError: none does.
+        InputError: none offers it.
     """
-    for one in offered:
-        if one is not None:
-            return one
+    for one in offered(name):
+        return one
     raise InputError(f"{asked} takes an annex that is not there. {absent_annexes()}".rstrip())

@@ -17,6 +17,7 @@ import os
 import sys
 from contextlib import suppress
 from functools import cache
+from importlib import import_module
 from pathlib import Path
 
 MIN_WORKERS = 16  # with 8 JAX sometimes hung, with 16 never: see `enough_workers`
@@ -155,3 +156,25 @@ def _writable(folder: Path) -> bool:
 
 
 enough_workers()
+
+
+# Two libraries look in the current folder when they are loaded, before anywhere else: file → what obeys it.
+READERS = {"matplotlibrc": "matplotlib", "arvizrc": "arviz_base"}
+
+
+def obey_no_folder() -> None:
+    """Load what would obey a file of the current folder while another folder is the current one.
+
+    To be called before other threads are begun: a process has one current folder. Costs nothing where there is no such
+    file.
+    """
+    readers = [library for file, library in READERS.items() if os.path.lexists(file)]
+    if readers:
+        here = os.getcwd()
+        os.chdir(os.path.dirname(__file__))
+        try:
+            for library in readers:
+                with suppress(ImportError):  # what needs it says so
+                    import_module(library)
+        finally:
+            os.chdir(here)

@@ -1,17 +1,6 @@
-"""What a JSON or TOML file may hold, said as a shape, and checked before anything of it is used.
+"""JSON and TOML read as values of a type, checked before anything of it is used.
 
-A shape is one of
-
-    str, bool, int, float, date   a value of that type; a float is finite, and a whole number is one too
-    [shape]                       a list of such
-    (shape, shape, …)             a list of exactly these
-    {"key": shape, …}             exactly these keys; one that ends in "?" may be missing
-    {str: shape}                  any keys
-    OneOf(shape, …)               whichever fits; None for null
-    ANY                           a plain value that nothing is made of but text: no deeper than 32, no whole number
-                                  of more than 64 bits
-
-What comes in is walked no deeper than its shape, so that no nesting ends the program.
+What comes in is walked no deeper than its type, so that no nesting ends the program.
 """
 
 from __future__ import annotations
@@ -21,9 +10,11 @@ import math
 import re
 import tomllib
 from collections.abc import Callable
+from dataclasses import MISSING, fields, is_dataclass
 from datetime import date
 from pathlib import Path
-from typing import Any
+from types import NoneType, UnionType
+from typing import Any, Union, get_args, get_origin, get_type_hints, is_typeddict
 
 from bayescal._core.errors import InputError
 
@@ -34,98 +25,90 @@ DEEPEST = 32  # of lists and tables in each other; what bayescal writes has at m
 MOST_WHOLE = 2**64  # from which a whole number fits no type that one is turned into
 
 _SURROGATE = re.compile("[\ud800-\udfff]")  # half a character, which no file can hold
+_NAMES = {str: "text", bool: "true or false", int: "a whole number", date: "a date"} | {
+    float: "a finite number",
+    NoneType: "null",
+}
 
 
-class OneOf:
-    """Any of several shapes."""
+def as_type(value: Any, kind: Any, where: str = "") -> Any:
+    """Return a parsed JSON or TOML value as one of a type.
 
-    def __init__(self, *shapes: Any) -> None:
-        self.shapes = shapes
+    Args:
+        value: of lists, tables, text, numbers, truth values and dates.
+        kind: str, bool, int, float (finite), date, None, Any; list[…], tuple[…], dict[str, …]; a union of such; a data
+            class or TypedDict, of whose keys those without a default have to be there, and no others.
+        where: the place of the value, for messages.
+
+    Raises:
+        ValueError: it is none; names the place in it, what came and what was expected.
+    """
+    origin, args = get_origin(kind), get_args(kind)
+    if kind is Any:
+        return value
+    if origin in (Union, UnionType):
+        return _as_one_of(value, args, where)
+    if origin in (list, tuple):
+        each = args if origin is tuple and args[-1] is not ... else None
+        if not isinstance(value, list) or (each and len(value) != len(each)):
+            raise _unexpected(value, f"a list of {len(each)}" if each else "a list", where)
+        places = enumerate(zip(value, each or args[:1] * len(value), strict=True))
+        return origin(as_type(one, its, f"{where}[{i}]") for i, (one, its) in places)
+    if origin is dict or is_dataclass(kind) or is_typeddict(kind):
+        return _as_table(value, kind, where)
+    number = type(value) in (int, float) and abs(value) < 1e308 and math.isfinite(value)
+    right = number if kind is float else type(value) is (NoneType if kind is None else kind)
+    if not right or (kind is str and _SURROGATE.search(value)):
+        raise _unexpected(value, _NAMES[NoneType if kind is None else kind], where)
+    return float(value) if kind is float else value
 
 
-class _Any:
-    pass
+def _as_one_of(value: Any, kinds: tuple[Any, ...], where: str) -> Any:
+    """The value as the first type that it is of; else the complaint at the deepest place, which is of the one meant."""
+    refused = list[ValueError]()
+    for kind in kinds:
+        try:
+            return as_type(value, kind, where)
+        except ValueError as error:
+            refused.append(error)
+    raise max(refused, key=lambda error: len(str(error).partition(" is ")[0]))
 
 
-ANY = _Any()
-
-
-def mismatch(value: Any, shape: Any, where: str = "") -> str:
-    """Where a value is not of a shape, and what was expected there; empty if it is."""
-    if isinstance(shape, OneOf):
-        # Of several shapes, none of which fits, the complaint at the deepest place is of the shape that was meant.
-        tried = [mismatch(value, one, where) for one in shape.shapes]
-        return "" if "" in tried else max(tried, key=lambda said: len(said.partition(" is ")[0]))
-    if shape is ANY:
-        return _unusable(value, where)
-    if shape is None:
-        return "" if value is None else _expected(value, "null", where)
-    if isinstance(shape, type):
-        return _of_type(value, shape, where)
-    if isinstance(shape, list):
-        if not isinstance(value, list):
-            return _expected(value, "a list", where)
-        return _first(mismatch(v, shape[0], f"{where}[{i}]") for i, v in enumerate(value))
-    if isinstance(shape, tuple):
-        if not isinstance(value, list) or len(value) != len(shape):
-            return _expected(value, f"a list of {len(shape)}", where)
-        both = enumerate(zip(value, shape, strict=True))
-        return _first(mismatch(v, s, f"{where}[{i}]") for i, (v, s) in both)
+def _as_table(value: Any, kind: Any, where: str) -> Any:
     if not isinstance(value, dict):
-        return _expected(value, "a table", where)
-    if str in shape:
-        return _first(mismatch(v, shape[str], _key(where, k)) for k, v in value.items())
-    shapes = {name.removesuffix("?"): one for name, one in shape.items()}
-    for name in shape:
-        if name not in value and not name.endswith("?"):
-            return f"{_key(where, name)} is missing"
-    for name in value:
-        if name not in shapes:
-            return f"{_key(where, name)} is not known here; there are: {', '.join(shapes)}"
-    return _first(mismatch(v, shapes[k], _key(where, k)) for k, v in value.items())
+        raise _unexpected(value, "a table", where)
+    at = {name: f"{where}.{name[:60]}" if where else name[:60] for name in map(str, value)}
+    if get_origin(kind) is dict:
+        return {name: as_type(one, get_args(kind)[1], at[name]) for name, one in value.items()}
+    known = get_type_hints(kind)
+    if is_dataclass(kind):
+        required = [f.name for f in fields(kind) if f.default is f.default_factory is MISSING]
+    else:
+        required = kind.__required_keys__
+    for name in known:
+        if name in required and name not in value:
+            raise ValueError(f"{where}.{name}".lstrip(".") + " is missing")
+    if strange := [name for name in value if name not in known]:
+        raise ValueError(f"{at[strange[0]]} is not known here; there are: {', '.join(known)}")
+    return kind(**{name: as_type(one, known[name], at[name]) for name, one in value.items()})
 
 
-def _of_type(value: Any, kind: type, where: str) -> str:
-    if kind is float:
-        number = isinstance(value, int | float) and not isinstance(value, bool)
-        right = number and abs(value) < 1e308 and math.isfinite(value)
-        return "" if right else _expected(value, "a finite number", where)
-    if isinstance(value, str) and kind is str:
-        return _expected(value, "text", where) if _SURROGATE.search(value) else ""
-    named = {str: "text", bool: "true or false", int: "a whole number", date: "a date"}[kind]
-    return "" if type(value) is kind else _expected(value, named, where)
-
-
-def _expected(value: Any, what: str, where: str) -> str:
+def _unexpected(value: Any, what: str, where: str) -> ValueError:
     kind = "a list" if isinstance(value, list) else "a table" if isinstance(value, dict) else ""
-    came = kind or repr(value)[:60]
-    return f"{where or 'it'} is {came}, {what} was expected"
+    return ValueError(f"{where or 'it'} is {kind or repr(value)[:60]}, {what} was expected")
 
 
-def _key(where: str, name: str) -> str:
-    name = str(name)[:60]
-    return f"{where}.{name}" if where else name
-
-
-def _first(found: Any) -> str:
-    return next((one for one in found if one), "")
-
-
-def _unusable(value: Any, where: str) -> str:
-    """Whether lists and tables stand in each other deeper than anything written here, or hold a larger number."""
+def _refuse_unusable(value: Any) -> None:
+    """Refuse lists and tables in each other deeper than anything written here, and larger numbers."""
     level = [value]
     for _ in range(DEEPEST):
         if any(type(one) is int and abs(one) >= MOST_WHOLE for one in level):
-            return f"{where or 'it'} holds a whole number of more than 64 bits"
-        level = [
-            inner
-            for one in level
-            if isinstance(one, list | dict)
-            for inner in (one.values() if isinstance(one, dict) else one)
-        ]
+            raise ValueError("it holds a whole number of more than 64 bits")
+        held = [list(one.values()) if isinstance(one, dict) else one for one in level]
+        level = [inner for one in held if isinstance(one, list) for inner in one]
         if not level:
-            return ""
-    return f"{where or 'it'} is nested deeper than {DEEPEST}"
+            return
+    raise ValueError(f"it is nested deeper than {DEEPEST}")
 
 
 def parsed_json(text: str | bytes) -> Any:
@@ -142,37 +125,33 @@ def _parsed(parse: Callable[[Any], Any], text: str | bytes) -> Any:
         found = parse(text)
     except RecursionError:
         raise ValueError(f"it is nested deeper than {DEEPEST}") from None
-    if said := _unusable(found, ""):
-        raise ValueError(said)
+    _refuse_unusable(found)
     return found
 
 
-def read_json(path: Path, shape: Any = ANY) -> Any:
-    """A JSON file of a shape.
+def read_json(path: Path, kind: Any = Any) -> Any:
+    """Read a JSON file as a value of a type; see `as_type`.
 
     Raises:
         OSError: it cannot be read.
-        ValueError: it is larger than any that is written here, no JSON, or of another shape; says where.
+        ValueError: it is larger than any that is written here, no JSON, or of another type; says where.
     """
     if path.stat().st_size > LARGEST_FILE:
         raise ValueError(f"it is larger than {LARGEST_FILE / 1e6:.0f} MB")
-    found = parsed_json(path.read_bytes())
-    if said := mismatch(found, shape):
-        raise ValueError(said)
-    return found
+    return as_type(parsed_json(path.read_bytes()), kind)
 
 
-def read_toml(path: Path, shape: Any, called: str, cure: str) -> dict[str, Any]:
-    """A TOML file of a shape, that a person wrote.
+def read_toml(path: Path, kind: Any, called: str, cure: str) -> Any:
+    """Read a TOML file that a person wrote as a value of a type; see `as_type`.
 
     Args:
         path, called: where it is, and what messages call it.
-        shape: what it may hold.
+        kind: of the whole file.
         cure: what to do where it holds something else.
 
     Raises:
         InputError: it cannot be read, is larger than any that a person writes, no TOML, nested deeper than any, or of
-            another shape; names the place in it, what came and what was expected.
+            another type; names the place in it, what came and what was expected.
     """
     try:
         if path.stat().st_size > LARGEST_TOML:
@@ -190,17 +169,7 @@ def read_toml(path: Path, shape: Any, called: str, cure: str) -> dict[str, Any]:
         ) from None
     except ValueError as error:
         raise InputError(f"{called} is not TOML: {error}") from None
-    if said := mismatch(found, shape):
-        raise InputError(f"{called}: {said}. {cure}")
-    return found
-
-
-def required(value: Any, shape: Any, file: str, instead: str) -> Any:
-    """A value, if it is of a shape.
-
-    Raises:
-        InputError: it is not; names the file, the place in it, what came and what was expected.
-    """
-    if said := mismatch(value, shape):
-        raise InputError(f"{file} is damaged: {said}. {instead}")
-    return value
+    try:
+        return as_type(found, kind)
+    except ValueError as error:
+        raise InputError(f"{called}: {error}. {cure}") from None

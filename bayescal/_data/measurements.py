@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike
 
 from bayescal._core.errors import InputError
 from bayescal._core.formatting import number
+from bayescal._core.netcdf import Variable
 from bayescal._core.result_table import Printed, ResultTable, plain_table
 from bayescal._data.averaging import average
 from bayescal._data.column import (
@@ -101,7 +102,11 @@ class Measurements(Printed):
                 f"measurements have the one dimension {ROW!r}, these have "
                 f"{', '.join(map(str, data.sizes))}"
             )
-        held = {str(name): data.variables[name] for name in data.data_vars}
+        return cls.of_variables({str(n): data.variables[n] for n in data.data_vars}, **more)
+
+    @classmethod
+    def of_variables(cls, held: Mapping[str, Any], **more: Any) -> Measurements:
+        """Readings of `variables`, unchecked; further fields as of `from_xarray`."""
         gone = (name for name, variable in held.items() if not variable.attrs.get(CAUSE, 1))
         return cls(
             {name: variable.values for name, variable in held.items()},
@@ -222,14 +227,20 @@ class Measurements(Printed):
         """The readings as an `xarray.Dataset`; each column of numbers says its `units`."""
         import xarray as xr  # half a second that reading does without
 
+        return xr.Dataset(
+            {n: (v.dims, v.values.copy(), v.attrs) for n, v in self.variables().items()}
+        )
+
+    def variables(self) -> dict[str, Variable]:
+        """The columns with their attributes, as a file of NetCDF holds them."""
         made = {}
         for name, values in self.values.items():
             unit = self.units[name]
             said = {} if unit is None else {"units": unit}
             said |= {CAUSE: 0} if name in self.no_causes else {}
             said |= {SINCE: self.since} if name == "time" and self.since is not None else {}
-            made[name] = xr.Variable(ROW, values.copy(), said)
-        return xr.Dataset(made)
+            made[name] = Variable((ROW,), values, said)
+        return made
 
     @property
     def data(self) -> xr.Dataset:
@@ -385,7 +396,7 @@ class Measurements(Printed):
         dated = self
         if self.since is not None and self.has("time"):
             dated = self.with_column("time", self["time"] + self.since)
-        return write(dated.values, dated.units, path, dated.to_xarray)
+        return write(dated.values, dated.units, path, dated.variables())
 
 
 def measured(

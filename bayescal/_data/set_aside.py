@@ -231,18 +231,24 @@ def not_new(readings: Measurements, holdout: Measurements) -> int:
     occurs again by chance, where the others agree: two readings with noise of σ agree to a step in step/(2√π·σ) of
     cases. As many as that gives say nothing, and 0 is returned.
     """
-    import pandas as pd  # half a second that reading does without
-
     numbers = (n for n, unit in readings.units.items() if n != "time" and unit is not None)
     shared = [n for n in numbers if holdout.has(n)]
-    mine, theirs = (pd.DataFrame({n: r[n] for n in shared}).round(12) for r in (readings, holdout))
-    both = len(theirs.merge(mine.drop_duplicates(), how="inner", on=shared))
+
+    def numbered(names: list[str]) -> tuple[np.ndarray, np.ndarray]:
+        """Of each reading of either which of their different rows it is."""
+        rows = [np.round(np.column_stack([r[n] for n in names]), 12) for r in (readings, holdout)]
+        codes = np.unique(np.concatenate(rows), axis=0, return_inverse=True)[1].ravel()
+        return codes[: len(readings)], codes[len(readings) :]
+
+    mine, theirs = numbered(shared)
+    both = int(np.isin(theirs, mine).sum())
     output = readings["output"]
     noise = max(thermometers.scatter(output), float(np.spacing(np.max(np.abs(output)))))
     alike = min(1.0, checks.resolution(output) / (2.0 * np.sqrt(np.pi) * noise))
     others = [n for n in shared if n != "output"] or ["output"]
-    chances = theirs.merge(mine.groupby(others).size().to_frame("count"), how="left", on=others)
-    by_chance = float(np.sum(1.0 - (1.0 - alike) ** chances["count"].fillna(0.0)))
+    mine, theirs = numbered(others)
+    chances = np.bincount(mine, minlength=int(theirs.max(initial=-1)) + 1)[theirs]
+    by_chance = float(np.sum(1.0 - (1.0 - alike) ** chances))
     least = max(NOT_NEW_SHARE * len(theirs), by_chance + BY_CHANCE_SD * np.sqrt(by_chance))
     return both if both > least else 0
 

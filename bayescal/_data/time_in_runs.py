@@ -7,6 +7,8 @@ from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
+from jaxtyping import Float
+from scipy.linalg.lapack import dtbtrs
 
 from bayescal._core.errors import InputError
 from bayescal._data.measurements import Measurements
@@ -184,14 +186,21 @@ def causal_slope(
     return slopes
 
 
+def recursion(
+    share: Float[np.ndarray, "n"], push: Float[np.ndarray, "n k"]
+) -> Float[np.ndarray, "n k"]:
+    """Return x of xᵢ = shareᵢ·xᵢ₋₁ + pushᵢ, from zero: a unit bidiagonal matrix, LAPACK's banded solver."""
+    band = np.ones((2, len(share)), order="F")
+    band[1, :-1] = -share[1:]
+    return dtbtrs(band, push, uplo="L", diag="U")[0]
+
+
 def _window_sums(t: np.ndarray, y: np.ndarray, first: np.ndarray) -> np.ndarray:
     """Sums of dt, dy, dt² and dt·dy over the readings first[i] … i, for each i; `first` rises.
 
     An anchor stands in each window: the sums grow away from it on either side, dt and dy are distances from it, and
     nothing is ever subtracted from a sum, so no digits are lost however long the record.
     """
-    import pandas as pd  # half a second that reading does without
-
     here = np.arange(t.size)
     beyond = np.searchsorted(first, here, side="right")  # the first window without this reading
     anchors = [0]
@@ -202,8 +211,9 @@ def _window_sums(t: np.ndarray, y: np.ndarray, first: np.ndarray) -> np.ndarray:
 
     def sums(origin: np.ndarray, rows: slice) -> np.ndarray:  # of each stretch, in this direction
         dt, dy = t - t[origin], y - y[origin]
-        terms = pd.DataFrame(np.stack([dt, dy, dt * dt, dt * dy], axis=1)[rows])
-        return terms.groupby(stretch[rows]).cumsum().to_numpy()[rows].T
+        terms = np.stack([dt, dy, dt * dt, dt * dy], axis=1)[rows]
+        same = np.diff(stretch[rows], prepend=-1) == 0
+        return recursion(same.astype(float), terms)[rows].T
 
     since, until = sums(at, slice(None)), sums(after, slice(None, None, -1))
     return since + np.where(first < at, until[:, first], 0.0)

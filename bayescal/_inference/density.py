@@ -241,7 +241,7 @@ class Density:
         if self.alone:
             problem = self.problem
             law, record, hyper = problem.noise, problem.record, problem.hyper(vs.T)
-            if record.padded.long and not law.independent:  # their slopes take longer than they do
+            if record.long and not law.independent:  # their slopes take longer than they do
                 found = total_log_density(law, record, record.y[None], hyper)
             else:
                 found = sloped_log_densities(law, record, record.y, hyper)[0]

@@ -190,12 +190,12 @@ def _about_x(
 
 def across(problem: Problem, v: np.ndarray) -> list[Float[np.ndarray, "k d"]]:
     """For each shape whose evidence has many maxima: coordinates along it, all else as it is."""
-    names, made = [h.name for h in problem.hypers], []
+    names, made = problem.layout.index_in_phi, []
     shapes = ((e, s) for e in problem.layout.model.effects for s in e.column_shapes if s.ragged)
     for e, s in shapes:
         if (name := e.shape_name(s)) in names:
             made.append(np.tile(v, (len(AHEAD), 1)))
-            made[-1][:, names.index(name)] = AHEAD
+            made[-1][:, names[name]] = AHEAD
             if len(e.column_shapes) == 1:
                 values = [float(s.prior.value(one)) for one in AHEAD]
                 problem.record.keep_along(ColumnsOf.of(e), values)

@@ -37,15 +37,11 @@ GAUSS_NEWTON = 4  # linearisations of the expected output: enough for an order o
 
 def learned_size(effect: Effect, problem: Problem, mode: Mode) -> tuple[float, float] | None:
     """Spread or amplitude that says how large an effect is, with its standard uncertainty; None if nothing does."""
-    spread = effect.coefficients[0].group_sd is not None
-    learned = f"{effect.coefficient_name(0)}.group_sd" if spread else ""
-    if effect.measure:
-        learned = f"{effect.name}.{effect.measure}"
-    names = [h.name for h in problem.hypers]
-    if learned not in names:
+    learned = effect.measure_name or effect.group_sd_name(0)
+    if (i := problem.layout.index_in_phi.get(learned)) is None:
         return None
     # By the logarithm of the value: its standard uncertainty relative to itself, from that of its coordinate.
-    i, value = names.index(learned), float(problem.hyper(mode.v)[learned])
+    value = float(problem.hyper(mode.v)[learned])
     return value, abs(value * problem.value_slope(mode.v, i)) * math.sqrt(mode.covariance[i, i])
 
 
@@ -271,7 +267,7 @@ def linear_model(problem: Problem, mode: Mode) -> LinearModel:
         nuisance=np.concatenate(columns, axis=1),
         weight=np.append(prior.weight, np.ones(len(problem.moving))),
         sd=np.concatenate(sd),
-        owners=(*own, *(problem.hypers[i].name.rpartition(".")[0] for i in problem.moving)),
+        owners=(*own, *(problem.hypers[i].effect for i in problem.moving)),
         z=np.append(prior.weight * z, mode.v[problem.moving]),
         whiten=whitening(problem.noise, hyper, problem.record, extra, residual),
         extra=extra,

@@ -161,7 +161,7 @@ class Problem:
     ) -> Iterator[tuple[int, Float[np.ndarray, "p"]]]:
         """Slopes of the logarithms of x's prior standard deviations, by each coordinate that moves any of them."""
         # Sizes move with learned spreads, all members of a group alike, and with shapes that weigh coefficients.
-        places = {h.name: i for i, h in enumerate(self.hypers)}
+        places = self.layout.index_in_phi
         for name, members in self.sizes.members.items():
             if (i := places.get(name)) is not None:
                 yield i, self.value_slope(v, i) * members

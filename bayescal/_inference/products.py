@@ -131,7 +131,7 @@ class Products:
         return None if moved or self.problem.corrected else basis_of(t, self.problem)
 
     def _laid_out(self) -> Columns:
-        names, end = [h.name for h in self.problem.hypers], self.problem.size
+        names, end = self.problem.layout.index_in_phi, self.problem.size
         plain, moving, owner = [np.zeros(0, int)], [], []
         by: dict[int, list[int]] = {}
         shares = [np.zeros((0, len(weights(0.0))))]
@@ -143,7 +143,7 @@ class Products:
             if basis is None or basis.shares is None:
                 plain.append(place)
                 continue
-            along = by.setdefault(names.index(t.known.shape_names[0]), [])
+            along = by.setdefault(names[t.known.shape_names[0]], [])
             for member in place:
                 along += range(len(owner), len(owner) + basis.rank)
                 owner += [len(moving)] * basis.rank

@@ -21,6 +21,7 @@ from bayescal._data.measurements import Measurements
 from bayescal._inference import programs
 from bayescal._inference.chebyshev import BETWEEN, NODES, REACH, weights
 from bayescal._inference.column_products import ColumnProducts
+from bayescal._inference.host_columns import HostColumns
 from bayescal._model.channel_at_rest import CHANNEL
 from bayescal._model.composition import columns_read
 from bayescal._model.effect import Effect
@@ -95,7 +96,14 @@ class Record:
 
     @cached_property
     def padded(self) -> programs.Leaves:
+        of = self.of
+        if isinstance(of, Record) and of.frame is self.frame:
+            return of.padded
         return programs.Leaves.of(programs.padded(self.frame))
+
+    @cached_property
+    def on_host(self) -> HostColumns:
+        return HostColumns(self.frame)
 
     def for_law(self, law: Noise) -> tuple[Noise, programs.Leaves]:
         """A noise law as its programs have it, and what it takes of the readings, in the order of time if that matters.
@@ -113,7 +121,7 @@ class Record:
         own = {"_fixed": self._fixed, "_bases": self._bases, "library": library, "of": self}
         made = Record(self.instrument, self.frame if frame is None else frame, self.y, **own)
         if frame is None:
-            vars(made).update(padded=self.padded, codes=self.codes, _for_laws=self._for_laws)
+            vars(made).update(codes=self.codes, on_host=self.on_host, _for_laws=self._for_laws)
         return made
 
     def show(self, more: Iterable[Effect] = ()) -> None:
@@ -237,7 +245,7 @@ class Record:
         def at_nodes(of: ColumnsOf) -> Float[np.ndarray, "s"]:
             return of.priors[0].value(np.append(NODES, BETWEEN))
 
-        if effect.corrections or self.padded.long:
+        if effect.corrections or self.long:
             self._bases[effect.key] = self._summed(self._computed(effect, [at_nodes(effect)], {}))
             return
         every = {of.key: of for of in (effect, *map(ColumnsOf.of, self.library))}
@@ -286,11 +294,17 @@ class Record:
         shapes = [dict(zip(of.own, v, strict=True)) for of, v in zip(effects, values, strict=True)]
         of_any = effects[0].on([*acting]), [*values[0], *chain(*acting.values())]
         bases = tuple(of.basis for of in effects)
-        shifts = self._longer(self._corrected(*of_any))
-        made = programs.several_along(bases, self.padded, shapes, shifts)
+        shifts = self._corrected(*of_any)
+        each = zip(bases, shapes, strict=True)
+        found = [self.on_host.along(basis, own, shifts) for basis, own in each]
+        if all(columns is not None for columns in found):
+            return found  # pyright: ignore[reportReturnType]
+        made = programs.several_along(bases, self.padded, shapes, self._longer(shifts))
         return [np.asarray(columns)[:, : self.size] for columns in made]
 
     def _fixed_columns(self, key: programs.Basis) -> Float[np.ndarray, "n k"]:
+        if key not in self._fixed and (made := self.on_host.at(key, {}, {})) is not None:
+            self._fixed[key] = made
         if key not in self._fixed:
             of_library = (ColumnsOf.of(e) for e in self.library)
             wanted = {c.basis: None for c in of_library if not c.shapes}
@@ -306,7 +320,10 @@ class Record:
     ) -> tuple[Float[np.ndarray, "n k"], dict[str, Float[np.ndarray, "n k"]]]:
         """Columns where columns of the readings are corrected by `moves`, and their slopes by these moves."""
         named = {name: np.float64(v) for name, v in zip(effect.own, values, strict=False)}
-        both = self._longer(moves), self._longer(self._corrected(effect, values))
+        corrected = self._corrected(effect, values)
+        if not moves and (made := self.on_host.at(effect.basis, named, corrected)) is not None:
+            return made, {}
+        both = self._longer(moves), self._longer(corrected)
         made, slopes = programs.shaped_columns(effect.basis, self.padded, named, *both)
         sloped = {name: np.asarray(a)[: self.size] for name, a in slopes.items()}
         return np.asarray(made)[: self.size], sloped
@@ -340,6 +357,8 @@ class Record:
         """
         if isinstance(self.of, Record):
             return self.of.affine
+        if (found := self._affine_on_host()) is not None:
+            return found
         base, slopes = self._response({}, {})
         # An affine function has one slope everywhere: two random places tell it from all others but for a null set.
         random = np.random.default_rng(0)
@@ -357,6 +376,32 @@ class Record:
                 # not "larger than": outside of an arcsine there is no slope to compare
                 if not np.max(change, initial=0.0) <= AFFINE * scale:
                     return None
+        return base, slopes
+
+    def _affine_on_host(self) -> tuple[np.ndarray, dict[str, np.ndarray]] | None:
+        """The same by NumPy, slopes as what an imaginary slot adds; None where the response is JAX's, or not affine."""
+
+        def respond(slots: Mapping[str, Any]) -> Any:
+            every = {name: slots.get(name, np.zeros(self.size)) for name in self.slots}
+            return np.broadcast_to(self.instrument.response(every, self.frame), (self.size,))
+
+        random, reach = np.random.default_rng(0), float(np.ptp(self.y)) or 1.0
+        try:
+            with np.errstate(all="ignore"):
+                base = respond({})
+                slopes = {n: respond({n: np.full(self.size, 1j)}).imag for n in self.slots}
+                for _ in range(2):
+                    slots, change = dict[str, np.ndarray](), np.zeros(self.size)
+                    for name, slope in slopes.items():
+                        steep = float(np.max(np.abs(slope), initial=0.0))
+                        size = min(1.0, reach / steep) if steep > 0 else 1.0
+                        slots[name] = size * random.standard_normal(self.size)
+                        change = change + slope * slots[name]
+                    miss = np.abs(respond(slots) - base - change)
+                    if not np.max(miss) <= AFFINE * np.max(np.abs(change)):
+                        return None
+        except Exception:  # of numbers that it cannot take
+            return None
         return base, slopes
 
     def columns_of_draws(
@@ -390,6 +435,10 @@ class Record:
         count = max(len(v) for v in (*values, *moves.values()))
         moves = {**moves, **self._corrected(effect, values)}
         shapes = dict(zip(effect.own, values, strict=False))
+        if program is programs.columns_along:
+            own = {n: np.broadcast_to(v, (count,)) for n, v in shapes.items()}
+            if (made := self.on_host.along(effect.basis, own, moves)) is not None:
+                return made
         return self._together(program, effect.basis, count, shapes, moves)
 
     def _corrected(
@@ -479,6 +528,11 @@ class Record:
     @cached_property
     def padded_size(self) -> int:
         return programs.padded_length(self.size)
+
+    @property
+    def long(self) -> bool:
+        """Whether computing counts for more than compiling."""
+        return self.padded_size >= programs.OPTIMISED_READINGS
 
     @cached_property
     def _to_length(self) -> Int[np.ndarray, "m"]:

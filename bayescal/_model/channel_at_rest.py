@@ -8,8 +8,7 @@ from __future__ import annotations
 
 from typing import Any
 
-import jax.numpy as jnp
-
+from bayescal._core.xp import xp
 from bayescal._data.column import Column
 from bayescal._model.effect import Coefficient, Effect
 from bayescal._model.frame import Frame
@@ -30,7 +29,7 @@ def _at_rest(slots: Slots, r: Frame) -> Any:
 def _curve(r: Frame) -> Any:
     """Legendre's polynomials of the temperature's place in its range, without the constant."""
     z = 2 * r.position("temperature") - 1
-    return jnp.stack([z, 1.5 * z**2 - 0.5, 2.5 * z**3 - 1.5 * z], axis=-1)
+    return xp.stack([z, 1.5 * z**2 - 0.5, 2.5 * z**3 - 1.5 * z], axis=-1)
 
 
 LEVEL = Effect(

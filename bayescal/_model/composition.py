@@ -334,13 +334,19 @@ def live(function, *arguments: Any) -> list[bool]:
 
 def columns_read(instrument: Instrument, frame: Frame) -> frozenset[str]:
     """Columns of the readings that an instrument's response takes itself, beside its slots."""
-    slots = {s.name: jnp.zeros(frame.size) for s in instrument.slots}
-    like = jax.tree.map(lambda a: jax.ShapeDtypeStruct(jnp.shape(a), jnp.result_type(a)), frame)
+    columns = _Asked(frame.columns)
+    slots = {s.name: np.zeros(frame.size) for s in instrument.slots}
+    instrument.response(slots, replace(frame, columns=columns))
+    return frozenset(columns.names)
 
-    def respond(columns: dict[str, Any], slots: dict[str, Any], frame: Frame) -> Any:
-        return instrument.response(slots, replace(frame, columns=columns))
 
-    taken = live(respond, like.columns, slots, like)
-    return frozenset(
-        name for name, is_taken in zip(sorted(like.columns), taken, strict=False) if is_taken
-    )
+class _Asked(dict[str, Any]):
+    """Columns that know which of them were asked for."""
+
+    def __init__(self, columns: Mapping[str, Any]) -> None:
+        super().__init__(columns)
+        self.names = set[str]()
+
+    def __getitem__(self, name: str) -> Any:
+        self.names.add(name)
+        return super().__getitem__(name)

@@ -12,11 +12,11 @@ from dataclasses import field, replace
 from functools import cached_property
 from typing import Any, Literal
 
-import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from bayescal._core.errors import ModelError
 from bayescal._core.jit import by_value, importable, written_by_value
+from bayescal._core.xp import xp
 from bayescal._data.measurements import Measurements
 from bayescal._model.frame import Frame
 from bayescal._model.prior import (
@@ -30,6 +30,12 @@ from bayescal._model.prior import (
 )
 from bayescal._model.static import set_once, static
 
+Kind = Literal[
+    *("", "constant", "linear", "quadratic", "cubic", "quartic"),
+    *("rate", "lag", "warm-up", "drift", "hysteresis"),
+    *("curve", "line", "jump", "kink", "cycle"),  # placeholders
+]
+Role = Literal["named", "unnamed", "freed"]
 Group = str  # "run", "cell", "axis", "device", "reading", or a column of labels that the instrument declares
 READING = "reading"  # the group of which each reading is a member by itself
 
@@ -54,6 +60,7 @@ class Coefficient:
             which widens the variance of each reading by the square of the slope.
         group_sd: prior of the standard deviation between the group's members, which is then learned.
             None leaves it at the prior's own sd.
+        initial: whether it is what the state adds in which a run begins.
     """
 
     unit: str
@@ -62,6 +69,7 @@ class Coefficient:
     slot: str | None = None
     per: Group | None = None
     group_sd: HalfNormal | HalfCauchy | Flat | None = None
+    initial: bool = field(default=False, repr=False)
 
     def __post_init__(self) -> None:
         if not isinstance(self.prior, Normal | Flat | Known):
@@ -195,6 +203,8 @@ class Effect:
             at most one at a time, and they share its prior probability.
         family: the effect of which it is a form; empty where it is none.
         general: the form of which it is one at a value of a shape; where that was weighed, it counts for nothing.
+        kind: form of the dependence, by which a report describes the effect; empty if it is none of these.
+        frees: name of the effect of which it is a copy with a wide prior, should its stated value be wrong.
     """
 
     name: str
@@ -213,6 +223,8 @@ class Effect:
     forms: tuple[Effect, ...] = field(default=(), repr=False)
     family: str = field(default="", repr=False)
     general: str = field(default="", repr=False)
+    kind: Kind = field(default="", repr=False)
+    frees: str = field(default="", repr=False)
 
     def __post_init__(self) -> None:
         set_once(
@@ -271,7 +283,17 @@ class Effect:
     @property
     def unnamed(self) -> bool:
         """Whether it says how the output goes and not with what: a curve, a step, no line along a column."""
-        return self.is_placeholder and not self.name.endswith(", line)")
+        return self.is_placeholder and self.kind != "line"
+
+    @property
+    def role(self) -> Role:
+        """Whether it is a named effect, a placeholder without a name, or one freed of its stated value."""
+        return "freed" if self.frees else "unnamed" if self.is_placeholder else "named"
+
+    @property
+    def quantity(self) -> str:
+        """First word of its slot, such as "scale" of "scale_x"."""
+        return self.slot.partition("_")[0]
 
     @property
     def open(self) -> bool:
@@ -324,6 +346,26 @@ class Effect:
     def shape_name(self, shape: Shape) -> str:
         return f"{self.name}.{shape.name}"
 
+    def group_sd_name(self, index: int) -> str:
+        return f"{self.coefficient_name(index)}.group_sd"
+
+    @property
+    def measure_name(self) -> str:
+        """Name of the shape that says how large it is; empty where its first coefficient does."""
+        return f"{self.name}.{self.measure}" if self.measure else ""
+
+    @property
+    def spread_names(self) -> tuple[str, ...]:
+        """Names of the learned standard deviations between group members."""
+        learned = (i for i, c in enumerate(self.coefficients) if c.group_sd is not None)
+        return tuple(map(self.group_sd_name, learned))
+
+    @property
+    def unknown_names(self) -> tuple[str, ...]:
+        """Names of its coefficients, learned standard deviations and shapes."""
+        own = (self.coefficient_name(i) for i in range(len(self.coefficients)))
+        return (*own, *self.spread_names, *map(self.shape_name, self.shapes))
+
     def evaluate(self, frame: Frame, shapes: dict[str, Float[Array, ""]]) -> Float[Array, "n p"]:
         """The basis as a matrix, one column a coefficient; constants are spread over the readings.
 
@@ -358,12 +400,16 @@ def matrix(
     name: str,
     frame: Frame,
     shapes: Mapping[str, Any],
-) -> Float[Array, "n p"]:
-    """`Effect.evaluate` of a basis by itself: with how many coefficients, and whose it is."""
-    columns = jnp.asarray(basis(frame, **shapes), dtype=float)
-    if columns.ndim < 2:
-        columns = jnp.broadcast_to(columns, (frame.size,))[:, None]
-    if columns.shape != (frame.size, count):
+    lead: tuple[int, ...] = (),
+) -> Float[Array, "*s n p"]:
+    """`Effect.evaluate` of a basis by itself: with how many coefficients, and whose it is.
+
+    On the host, shapes may have several values (*s, 1), `lead` of them, which lead in the columns.
+    """
+    columns = xp.asarray(basis(frame, **shapes), dtype=float)
+    if columns.ndim < 2 + len(lead):
+        columns = xp.broadcast_to(columns, (*lead, frame.size))[..., None]
+    if columns.shape != (*lead, frame.size, count):
         raise ModelError(
             f"effect {name!r}: its basis returned shape {columns.shape}; with {count} coefficient(s) and "
             f"{frame.size} readings it must return {(frame.size, count)}"

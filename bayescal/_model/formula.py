@@ -16,10 +16,10 @@ from dataclasses import dataclass
 from functools import partial
 from typing import Any, NamedTuple
 
-import jax.numpy as jnp
 import numpy as np
 
 from bayescal._core.errors import InputError, ModelError
+from bayescal._core.xp import xp
 from bayescal._data.measurements import Measurements
 from bayescal._data.unit_conversion import ANY, base_unit, coefficient_factor, convert, parse
 from bayescal._model.effect import Coefficient, Effect, Shape
@@ -31,9 +31,9 @@ LONGEST_LINE, DEEPEST = 500, 40  # characters of a line, brackets in each other
 TINY = float(np.finfo(float).tiny)  # below which numbers lose digits
 MAGNITUDE = 10.0  # a shape of which one value is said lies between a tenth and ten times that
 _FUNCTIONS: dict[str, Callable[..., Any]] = {
-    **{"exp": jnp.exp, "log": jnp.log, "sqrt": jnp.sqrt, "abs": jnp.abs, "sign": jnp.sign},
-    **{"sin": jnp.sin, "cos": jnp.cos, "tan": jnp.tan, "tanh": jnp.tanh},
-    **{"min": jnp.minimum, "max": jnp.maximum, "step": lambda x: jnp.where(x > 0, 1.0, 0.0)},
+    **{"exp": xp.exp, "log": xp.log, "sqrt": xp.sqrt, "abs": xp.abs, "sign": xp.sign},
+    **{"sin": xp.sin, "cos": xp.cos, "tan": xp.tan, "tanh": xp.tanh},
+    **{"min": xp.minimum, "max": xp.maximum, "step": lambda x: xp.where(x > 0, 1.0, 0.0)},
 }
 _OF_TWO = ("min", "max")
 _OF_A_BODY = ("body", "lag_difference")  # T̃ and T̃ − T, with τ·dT̃/dt = T − T̃
@@ -279,7 +279,7 @@ class Formula:
     def __call__(self, r: Frame, **shapes: Any) -> Any:
         values = {n: factor * _column(r, column) for n, column, factor in self.columns}
         found = [self._value(part, r, {**values, **shapes}) for part in self.parts]
-        return jnp.stack([jnp.broadcast_to(v, (r.size,)) for v in found], axis=-1)
+        return xp.stack([xp.broadcast_to(v, (r.size,)) for v in found], axis=-1)
 
     def _value(self, node: FormulaNode, r: Frame, values: Mapping[str, Any]) -> Any:
         if node.kind == "number":

@@ -7,23 +7,22 @@ the mean time, the span): stored at the fit and never recomputed on new readings
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, fields, replace
 from typing import Any
 
-import equinox as eqx
 import jax
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
 from bayescal._core.errors import ModelError
 from bayescal._core.jax_setup import configure_jax
-from bayescal._core.jit import compiled
+from bayescal._core.xp import is_traced, xp
 from bayescal._data.column import UNCERTAINTY
 from bayescal._data.measurements import Measurements
 from bayescal._data.pose_rows import ACROSS
 from bayescal._data.time_in_runs import (
     causal_slope,
+    recursion,
     run_codes,
     run_starts,
     sequence,
@@ -40,7 +39,8 @@ BY_READING = ("columns", "labels", "rates", "codes", "record")  # of a frame: di
 Reference = dict[str, float | dict[str, float]]
 
 
-class Frame(eqx.Module):
+@dataclass(frozen=True, eq=False)
+class Frame:
     """The readings that a basis is a function of. All columns in the instrument's fixed units.
 
     Its arrays are JAX's in a program and NumPy's on the host.
@@ -100,12 +100,11 @@ class Frame(eqx.Module):
                 f"has_label({name!r}, {label!r}): {name!r} {what}, and only another column of labels can be asked for "
                 f"one. Give the coefficient per={name!r} for one value each, or write the label in a column of its own"
             )
-        return self.labels.get(f"{name}={label}", jnp.zeros(self.size))
+        return self.labels.get(f"{name}={label}", np.zeros(self.size))
 
     def position(self, name: str) -> Float[Array, "n"]:
         """Where a covariate stands in its range at the fit, 0 to 1; a rate is called "temperature rate"."""
-        column = name.removesuffix(" rate")
-        values = self.columns[name] if name in self.columns else self.rates[column]
+        values = self.columns[name] if name in self.columns else self.rates[measured_column(name)]
         low, high = self.reference[f"{name}_low"], self.reference[f"{name}_high"]
         span = high - low
         return (values - low) / (span + (span <= 0))  # one, where it does not vary
@@ -148,26 +147,15 @@ class Frame(eqx.Module):
         """T̃ − T as `lag` has it, both of the record whatever has been corrected since, °C."""
         values = self.record[name][self.order]
         first, still = self.step < 0, self.step == 0
-        h = jnp.where(first | still, 1.0, self.step / tau)
-        decay = jnp.where(first, 0.0, jnp.where(still, 1.0, jnp.exp(-h)))
-        change = jnp.diff(values, prepend=values[:1])
-        held = jnp.asarray(self.reference.get(held_name(name), 0.0)) > 0
-        linear = jnp.where(self.step > self.silence, -decay, jnp.expm1(-h) / h)
-        share = jnp.where(still | held, -1.0, linear)
-        drive = jnp.where(first, 0.0, change * share)
+        h = xp.where(first | still, 1.0, self.step / tau)
+        decay = xp.where(first, 0.0, xp.where(still, 1.0, xp.exp(-h)))
+        change = xp.diff(values, prepend=values[:1])
+        held = xp.asarray(self.reference.get(held_name(name), 0.0)) > 0
+        linear = xp.where(self.step > self.silence, -decay, xp.expm1(-h) / h)
+        share = xp.where(still | held, -1.0, linear)
+        drive = xp.where(first, 0.0, change * share)
 
-        return self._followed(decay, drive)
-
-    def _followed(self, share: Float[Array, "n"], push: Float[Array, "n"]) -> Float[Array, "n"]:
-        """x ← share·x + push from one reading to the next in time."""
-
-        def advance(state, row):
-            state = row[0] * state + row[1]
-            return state, state
-
-        # One small loop rather than an associative scan, which takes ten times as long to compile.
-        _, states = jax.lax.scan(advance, jnp.zeros(()), (share, push))
-        return jnp.zeros_like(states).at[self.order].set(states)
+        return xp.placed(self.order, followed(decay, drive))
 
     def direction(
         self, width: Float[Array, ""], name: str = "temperature"
@@ -178,7 +166,12 @@ class Frame(eqx.Module):
         pace does not matter, and a pause is remembered. It follows the record, as a lag does.
         Source: P. Dahl, A solid friction model (The Aerospace Corporation, TOR-0158(3107-18)-1, 1968).
         """
-        return _direction(self, width, name)
+        values, first = self.record[name][self.order], self.step < 0
+        change = xp.where(first, 0.0, xp.diff(values, prepend=values[:1]))
+        share = xp.where(first, 0.0, xp.exp(-xp.abs(change) / width))
+        turned = followed(share, xp.where(first, 0.0, (1.0 - share) * xp.sign(change)))
+        left = followed(share, xp.where(first, 1.0, 0.0))
+        return xp.placed(self.order, turned), xp.placed(self.order, left)
 
     def only(self, names: Sequence[str]) -> Frame:
         """The same readings with some of their columns, rates of these and what is known of both; with time, elapsed.
@@ -207,23 +200,32 @@ class Frame(eqx.Module):
     def in_time(self) -> Frame:
         """The same readings in the order of time within runs, in which they then stand."""
         order = self.order
-        places = (jnp if isinstance(order, jax.Array) else np).arange(self.size, dtype=order.dtype)
+        places = xp.arange(self.size, dtype=order.dtype)
         return self.reordered(order, places, self.step)
 
     def with_column(self, name: str, values: Float[Array, "n"]) -> Frame:
         """The same readings with one measured column corrected (its rate stays that of the record)."""
-        return eqx.tree_at(lambda f: f.columns[name], self, values)
+        return replace(self, columns={**self.columns, name: values})
 
 
-@compiled
-def _direction(
-    frame: Frame, width: Float[Array, ""], name: str
-) -> tuple[Float[Array, "n"], Float[Array, "n"]]:
-    values, first = frame.record[name][frame.order], frame.step < 0
-    change = jnp.where(first, 0.0, jnp.diff(values, prepend=values[:1]))
-    share = jnp.where(first, 0.0, jnp.exp(-jnp.abs(change) / width))
-    turned = frame._followed(share, jnp.where(first, 0.0, (1.0 - share) * jnp.sign(change)))
-    return turned, frame._followed(share, jnp.where(first, 1.0, 0.0))
+jax.tree_util.register_dataclass(Frame, [f.name for f in fields(Frame)], [])
+
+
+def followed(share: Float[Any, "*s n"], push: Float[Any, "*s n"]) -> Float[Any, "*s n"]:
+    """Return x of x ← share·x + push from one reading to the next, from zero."""
+    if is_traced((share, push)):
+
+        def advance(state, row):
+            state = row[0] * state + row[1]
+            return state, state
+
+        # One small loop rather than an associative scan, which takes ten times as long to compile.
+        return xp.scan(advance, xp.zeros_like(share[0]), (share, push))
+    share, push = np.broadcast_arrays(share, push)
+    found = np.empty(push.shape)
+    for i in np.ndindex(push.shape[:-1]):
+        found[i] = recursion(share[i], push[i][:, None])[:, 0]
+    return found
 
 
 def derived(readings: Measurements, every: bool = False) -> dict[str, np.ndarray]:
@@ -245,6 +247,11 @@ def derived(readings: Measurements, every: bool = False) -> dict[str, np.ndarray
         if len(names) > 1:
             found["elapsed"] = time - run_starts(readings)[codes]
     return found
+
+
+def measured_column(covariate: str) -> str:
+    """Return the column of a covariate that may be its rate: "temperature" of "temperature rate"."""
+    return covariate.removesuffix(" rate")
 
 
 def reference_name(column: str) -> str:

@@ -13,7 +13,7 @@ from jax.scipy.special import betainc, gammaln
 from jaxtyping import Array, Float
 
 from bayescal._data.column import UNCERTAINTY
-from bayescal._model.frame import Frame, reference_name
+from bayescal._model.frame import Frame, measured_column, reference_name
 from bayescal._model.noise_law import (
     WHITE,
     Noise,
@@ -147,7 +147,7 @@ def followed_columns(column: str) -> tuple[str, ...]:
     """Columns of readings that a scatter needs which follows a column, "elapsed" or a rate."""
     if column == "elapsed":
         return ("time",)
-    plain = column.removesuffix(" rate")
+    plain = measured_column(column)
     return (plain,) if plain == column else (plain, "time")
 
 

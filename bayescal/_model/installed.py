@@ -9,9 +9,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from importlib import import_module
-from importlib.metadata import entry_points
+from importlib.metadata import EntryPoint, entry_points
 from typing import TYPE_CHECKING
 
+from bayescal._core.errors import InputError
 from bayescal._data.column import Column, NominalScale
 from bayescal._data.header_matching import InstrumentLike
 
@@ -42,22 +43,31 @@ def installed_names() -> list[str]:
     return sorted(entry_points(group=GROUP).names)
 
 
+def _entry(name: str) -> EntryPoint:
+    if name not in (known := installed_names()):
+        raise InputError(
+            f"no instrument is called {name!r}; installed: {', '.join(known) or 'none'}. "
+            "For one of your own give my.py:INSTRUMENT"
+        )
+    return entry_points(group=GROUP)[name]
+
+
 def installed_instrument(name: str) -> Instrument:
     """An installed instrument, the others not loaded.
 
     Raises:
-        KeyError: none is installed under that name.
+        InputError: none is installed under that name.
     """
-    return entry_points(group=GROUP)[name].load()
+    return _entry(name).load()
 
 
 def file_columns(name: str) -> FileColumns | None:
     """What the files of an installed instrument hold, where its module says so without the instrument.
 
     Raises:
-        KeyError: none is installed under that name.
+        InputError: none is installed under that name.
     """
-    module = import_module(entry_points(group=GROUP)[name].module)
+    module = import_module(_entry(name).module)
     columns = getattr(module, "COLUMNS", None)
     more = getattr(module, "NOMINAL_SCALE", None), getattr(module, "OUTPUTS", ())
     return columns and FileColumns(name, columns, *more)

@@ -9,6 +9,7 @@ import sys
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import field, replace
 from importlib import import_module
+from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
 from jaxtyping import Array, Float
@@ -235,18 +236,21 @@ class Instrument:
         """Its own effects by name, forms after the effect that they are forms of."""
         return {e.name: e for e in with_forms((*self.effects, *self.candidates, *self.nuisances))}
 
-    def effect(self, name: str) -> Effect:
+    def effect(self, name: str, more: Mapping[str, Effect] = MappingProxyType({})) -> Effect:
         """One of the instrument's own effects by canonical name, or "unknown(covariate)".
+
+        Args:
+            more: further effects by name, before its own.
 
         Raises:
             ModelError: it has none of that name.
         """
-        if (effect := self.known.get(name)) is not None:
+        if (effect := {**self.known, **more}.get(name)) is not None:
             return effect
         if covariate := covariate_in(name):
             return self.unknown(covariate)
         if name.endswith(FREED):
-            return freed(self.effect(name.removesuffix(FREED)))
+            return freed(self.effect(name.removesuffix(FREED), more))
         raise ModelError(
             f"instrument {self.name!r} knows no effect {name!r}; it knows "
             f"{', '.join(self.known)}. "

@@ -120,7 +120,7 @@ class Model(Printed):
             ModelError: it is not in the model.
         """
         gone = self.effect(other if isinstance(other, str) else other.name)
-        lost = _unknowns(gone)
+        lost = gone.unknown_names
         return replace(
             self,
             effects=tuple(e for e in self.effects if e.name != gone.name),
@@ -154,7 +154,7 @@ class Model(Printed):
         noise = self.noise.parameters().items()
         scales = {n for n, prior in noise if not isinstance(prior, Normal)}
         for e in self.effects:
-            scales |= {*_spreads(e), *(e.shape_name(s) for s in e.shapes if s.scale != "linear")}
+            scales |= {*e.spread_names, *(e.shape_name(s) for s in e.shapes if s.scale != "linear")}
         for name, value in values.items():
             if not math.isfinite(value):
                 raise ModelError(f"{name!r} cannot be fixed to {value}: give a finite number")
@@ -198,7 +198,7 @@ class Model(Printed):
     @property
     def unknowns(self) -> tuple[str, ...]:
         """Names of all coefficients, shapes and noise parameters."""
-        return (*(n for e in self.effects for n in _unknowns(e)), *self.noise.parameters())
+        return (*(n for e in self.effects for n in e.unknown_names), *self.noise.parameters())
 
     def _refuse_unknown(self, names: Iterable[str]) -> None:
         for name in names:
@@ -289,19 +289,6 @@ def _require_group(instrument: Instrument, effect: Effect, group: str | None) ->
         f"such group; it has {', '.join(instrument.groups)}. Name one of these, or declare it as a label among the "
         f"instrument's columns: bayescal.Column({group!r}, None, required=False)"
     )
-
-
-def _unknowns(effect: Effect) -> list[str]:
-    names = [effect.coefficient_name(i) for i in range(len(effect.coefficients))]
-    return [*names, *_spreads(effect), *(effect.shape_name(shape) for shape in effect.shapes)]
-
-
-def _spreads(effect: Effect) -> list[str]:
-    return [
-        f"{effect.coefficient_name(i)}.group_sd"
-        for i, c in enumerate(effect.coefficients)
-        if c.group_sd is not None
-    ]
 
 
 def _of_size(c: Coefficient, size: float) -> Coefficient:

@@ -64,7 +64,7 @@ class CoefficientBlock:
 
     @property
     def group_sd_name(self) -> str:
-        return f"{self.name}.group_sd"
+        return self.effect.group_sd_name(self.index)
 
     def member_names(self, levels: Levels | None = None) -> list[str]:
         """Names of its entries, each after its member; by their number, as in φ, where members have no names."""
@@ -77,12 +77,16 @@ class CoefficientBlock:
 
 @dataclass(frozen=True)
 class Hyper:
-    """One entry of φ. The amplitude and the length of an unknown function are spreads of its coefficients."""
+    """One entry of φ, of an effect or of the "noise".
+
+    The amplitude and the length of an unknown function are spreads of its coefficients.
+    """
 
     name: str
     unit: str
     prior: Positive | Normal | FlatLine
     kind: HyperKind
+    effect: str
 
 
 @jax.tree_util.register_static
@@ -168,20 +172,34 @@ class Layout:
         unit, fixed = self.model.instrument.unit, dict(self.model.fixed)
         found: list[Hyper] = []
         for name, prior in self.model.noise.parameters().items():
-            found.append(Hyper(name, self.model.noise.unit(name, unit), prior, "noise"))
+            found.append(Hyper(name, self.model.noise.unit(name, unit), prior, "noise", "noise"))
         for block in self.blocks:
             c = block.coefficient
             if c.group_sd is not None and block.place != "fixed":
-                found.append(Hyper(block.group_sd_name, c.unit, c.group_sd, "group_sd"))
+                own = c.unit, c.group_sd, "group_sd", block.effect.name
+                found.append(Hyper(block.group_sd_name, *own))
         for effect in self.model.effects:
             for shape in effect.shapes:
                 kind = "group_sd" if shape.name in effect.weight_shapes else "shape"
-                found.append(Hyper(effect.shape_name(shape), shape.unit, shape.prior, kind))
+                own = shape.unit, shape.prior, kind, effect.name
+                found.append(Hyper(effect.shape_name(shape), *own))
         for block in self.blocks:
             if block.place == "phi":
-                own = block.coefficient.unit, _promoted_prior(block), "promoted"
+                own = block.coefficient.unit, _promoted_prior(block), "promoted", block.effect.name
                 found += [Hyper(name, *own) for name in block.member_names()]
         return tuple(h for h in found if h.name not in fixed)
+
+    @cached_property
+    def index_in_phi(self) -> dict[str, int]:
+        """Index in φ by name."""
+        return {h.name: i for i, h in enumerate(self.hypers)}
+
+    def entries_in(self, other: Layout) -> tuple[list[int], list[int]]:
+        """Return the indices in x and in φ of the entries that another layout has too."""
+        shared = {b.name for b in other.x_blocks}
+        own = (b for b in self.x_blocks if b.name in shared)
+        in_x = [i for b in own for i in range(b.start, b.start + b.size)]
+        return in_x, [i for name, i in self.index_in_phi.items() if name in other.index_in_phi]
 
     def positions(self, *kinds: HyperKind) -> list[int]:
         """Where in φ the entries of these kinds stand."""

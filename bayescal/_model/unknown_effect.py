@@ -23,13 +23,13 @@ from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
-import jax
-import jax.numpy as jnp
 import numpy as np
 
 from bayescal._core.jit import given
+from bayescal._core.xp import xp
 from bayescal._data.measurements import Measurements
-from bayescal._model.effect import OPEN, Coefficient, Effect, Shape
+from bayescal._model.effect import OPEN, Coefficient, Effect, Kind, Role, Shape
+from bayescal._model.frame import measured_column
 from bayescal._model.prior import Normal
 
 TERMS = 12  # eigenfunctions: enough for lengths down to a tenth of the range
@@ -53,6 +53,11 @@ def covariate_in(name: str) -> str | None:
     """The covariate, with its form if it has one, in a placeholder's canonical name; None for any other effect."""
     found = _NAME.fullmatch(name)
     return ", ".join(filter(None, along_and_form(found[1]))) if found else None
+
+
+def role_of(name: str) -> Role:
+    """Return the role that a canonical name states."""
+    return "unnamed" if covariate_in(name) else "freed" if name.endswith(FREED) else "named"
 
 
 def along_and_form(covariate: str) -> tuple[str, str]:
@@ -83,6 +88,7 @@ def freed(effect: Effect, times: float = 1.0) -> Effect:
     return replace(
         effect,
         name=effect.name + FREED,
+        frees=effect.name,
         forms=(),
         family="",
         coefficients=wide,
@@ -98,10 +104,9 @@ def process_columns(position: Any, terms: int) -> Any:
         position: of each reading in the covariate's range, 0 to 1; a NumPy or a JAX array (n,), as is the result.
         terms: how many eigenfunctions.
     """
-    xp = position.__array_namespace__()  # NumPy's outside of a program, JAX's within
     centred = xp.clip(2 * position - 1, -WIDER_RATIO, WIDER_RATIO)
     order = xp.arange(1, terms + 1) * math.pi / (2 * WIDER_RATIO)
-    return xp.sin(order * (centred[:, None] + WIDER_RATIO)) / math.sqrt(WIDER_RATIO)
+    return xp.sin(order * (centred[..., None] + WIDER_RATIO)) / math.sqrt(WIDER_RATIO)
 
 
 def process_weights(length: Any, terms: int) -> Any:
@@ -111,7 +116,6 @@ def process_weights(length: Any, terms: int) -> Any:
         length: of the process, in parts of the range.
         terms: how many eigenfunctions.
     """
-    xp = jnp if isinstance(length, jax.Array) else np
     order = np.arange(1, terms + 1) * math.pi / (2 * WIDER_RATIO)
     scale = 2 * length
     return xp.sqrt(scale * math.sqrt(2 * math.pi)) * xp.exp(-((scale * order) ** 2) / 4)
@@ -135,7 +139,7 @@ def unknown(
         name: canonical; `unknown(covariate)` if not given.
     """
     terms, lengths = resolution(covariate in ("time", "elapsed"))
-    measured = covariate.removesuffix(" rate")
+    measured = measured_column(covariate)
     derived = covariate in ("elapsed", f"{measured} rate")
     columns = ("time",) if covariate == "elapsed" else (measured,)
     return Effect(
@@ -151,6 +155,7 @@ def unknown(
         equation=f"f({covariate}),  f a Gaussian process",
         source=SOURCE,
         along=covariate,
+        kind="curve",
     )
 
 
@@ -235,7 +240,7 @@ def cycle(slot: str, low: float, high: float, unit: str, *, name: str = "") -> E
 
 
 def _step(covariate, r, place):
-    return 0.5 * jnp.tanh((r.position(covariate) - place) / SHARP)
+    return 0.5 * xp.tanh((r.position(covariate) - place) / SHARP)
 
 
 def _straight(covariate, r):
@@ -244,12 +249,12 @@ def _straight(covariate, r):
 
 def _hinge(covariate, r, place):
     beyond = r.position(covariate) - place
-    return 0.5 * (beyond + jnp.sqrt(beyond**2 + SHARP**2))
+    return 0.5 * (beyond + xp.sqrt(beyond**2 + SHARP**2))
 
 
 def _waves(covariate, r, cycles):
     angle = 2 * math.pi * cycles * r.position(covariate)
-    return jnp.stack([jnp.sin(angle), jnp.cos(angle)], axis=1)
+    return xp.stack([xp.sin(angle), xp.cos(angle)], axis=-1)
 
 
 def _even(amplitude):
@@ -272,7 +277,7 @@ def _too_few(covariate: str, readings: Measurements) -> str | None:
 
 
 def _of_form(
-    form: str,
+    form: Kind,
     slot: str,
     basis: Callable[..., Any],
     count: int,
@@ -298,6 +303,7 @@ def _of_form(
         source=SOURCE,
         along="" if in_time else covariate,
         family="" if in_time else f"unknown({covariate})",
+        kind=form,
     )
 
 

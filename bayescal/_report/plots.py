@@ -12,10 +12,9 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from threading import RLock
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import xarray as xr
 from jaxtyping import Float
 from matplotlib import style
 from matplotlib.backends.backend_agg import FigureCanvasAgg
@@ -29,7 +28,7 @@ from bayescal._calibration.check_result import Check, Entry
 from bayescal._calibration.leave_group_out import scheme
 from bayescal._calibration.noise_in_time import AllanCheck, allan_check
 from bayescal._calibration.sensor_noise import SensorNoise
-from bayescal._calibration.summary import curves, summary
+from bayescal._calibration.summary import curve_weights, summary
 from bayescal._core.atomic_file import replacing_for_user
 from bayescal._core.errors import InputError, ModelError
 from bayescal._core.formatting import number
@@ -40,6 +39,9 @@ from bayescal._model.frame import GROUPS
 from bayescal._report.plot_colours import BLUE, CYCLE, GREEN, GREY, ORANGE, PALE, RED
 from bayescal._search.discover import Discovery, is_quiet
 from bayescal._search.search_path import SearchPath
+
+if TYPE_CHECKING:
+    import xarray as xr
 
 LABEL_LETTERS = 32  # letters of a label; what is longer leaves no room for the picture
 DRAWING = RLock()  # held while something is drawn
@@ -452,6 +454,7 @@ def predictive(calibration: Calibration) -> Figure:
     The share of readings below each predictive probability, minus that probability: a model that is right stays
     within the band.
     """
+    import xarray as xr
     from arviz_plots import plot_ppc_pit  # a second that only a picture needs
     from matplotlib import pyplot
 
@@ -509,8 +512,8 @@ def _chosen(calibration: Calibration, names: Sequence[str] | None) -> xr.Dataset
         raise InputError(
             f"no unknown with one value is called {', '.join(unknown)}; there are: {', '.join(single)}"
         )
-    drawn = curves(calibration)
-    told = [n for n in single if n.partition("[")[0] not in drawn]
+    drawn = curve_weights(calibration)
+    told = [n for n in single if n not in drawn]
     moving = [n for n in told if _moves(posterior[n].values)]
     chosen = list(names or moving)[:MOST_UNKNOWNS]
     if not chosen:

@@ -24,7 +24,7 @@ from matplotlib.figure import Figure
 from bayescal._calibration.calibration import Calibration
 from bayescal._calibration.check_result import Check, check_table
 from bayescal._calibration.description import identity, sources_of
-from bayescal._core.annex import annexes, first_offered
+from bayescal._core.annex import first_offered, offered
 from bayescal._core.atomic_file import write_text
 from bayescal._core.errors import BayescalError, InputError, NotDrawn
 from bayescal._core.formatting import number, probability
@@ -289,8 +289,7 @@ def report(
     from jinja2 import TemplateError  # only a report needs it
 
     if isinstance(certificate, str | Path):
-        read = (one.certificate(certificate) for one in annexes())
-        certificate = first_offered(read, "certificate=")
+        certificate = first_offered("certificate", "certificate=")(certificate)
     several = given if isinstance(given, list | tuple) else [given]
     found = chapters(several, effects)
     before = [one.foreword(found) for one in (certificate, decisions) if one is not None]
@@ -373,7 +372,9 @@ def _chapter(chapter: Chapter, pictures: Pictures) -> dict[str, Any]:
         "noise": c.model.noise.in_words,
         "reference": [(n, f"{v:g} {unit_label(u)}") for n, (v, u) in c.held_at.items()],
         "coefficients": replace(rows, rows=rows.rows[: 4 * MOST_ROWS]),
-        "further_tables": [pair for one in annexes() for pair in one.coefficient_tables(data)],
+        "further_tables": [
+            pair for tables in offered("coefficient_tables") for pair in tables(data)
+        ],
         "skewed": report_text.skewed(chapter),
         "check": chapter.check,
         "checks": [*zip(sorted({0, last}), map(check_table, checks), strict=True)],

@@ -18,6 +18,7 @@ from bayescal._calibration.mixture import has_effect
 from bayescal._calibration.prior_influence import coefficients_not_measured
 from bayescal._calibration.summary import (
     curve_extent,
+    curve_weights,
     curves,
     if_there,
     large_groups,
@@ -37,7 +38,6 @@ from bayescal._model.composition import columns_read
 from bayescal._model.effect import Effect
 from bayescal._model.model import Model
 from bayescal._model.prior import Flat, HalfCauchy, HalfNormal, LogNormal, LogUniform, Normal
-from bayescal._model.unknown_effect import FORMS, along_and_form, covariate_in
 from bayescal._report.section import Chapter
 from bayescal._search.discover import is_quiet, not_tested
 from bayescal._search.gate import WORSE
@@ -139,8 +139,8 @@ def coefficients(chapter: Chapter) -> ResultTable:
         mean, sd, likely = r["mean"], r["sd"], r["probability"]
         held = not sd > 1e-9 * abs(mean)
         note = " (held)" * held + " (mostly its prior)" * (r["name"] in untold)
-        given = if_there(r, K).partition(r["name"])[2]
-        note += f" (if it is there{given})" if given else ""
+        given = if_there(r, K)
+        note += f" (if it is there {given})" if given else ""
         note += f" (probability {probability(likely)})" * (likely < 1 and not given)
         return {
             **r,
@@ -162,9 +162,8 @@ def coefficients(chapter: Chapter) -> ResultTable:
     for r in every:
         block = next((b for b, names in large.items() if r["name"] in names), None)
         if r["effect"] in drawn:
-            effect = chapter.used.model.effect(r["effect"])
-            extent = _extent(chapter.used, effect).partition(",")[0]
-            rows.setdefault(r["effect"], line(f"{r['effect']}, a curve", f"up to {extent}"))
+            extent = f"up to {_largest(chapter.used, r['effect'])}"
+            rows.setdefault(r["effect"], line(f"{r['effect']}, a curve", extent))
         elif block is not None:
             means = [own["mean"] for own in every if own["name"] in large[block]]
             ends = f"{number(min(means), 2)} to {number(max(means), 2)} {unit_label(r['unit'])}"
@@ -234,10 +233,8 @@ def convergence(chapter: Chapter) -> ResultTable:
 def skewed(chapter: Chapter) -> list[str]:
     """Unknowns whose mean ± 2 u holds clearly more or less than a Gaussian's share of the draws."""
     found, c = [], chapter.used
-    posterior, drawn = c.posterior, curves(c)
-    for name in map(str, posterior):
-        if name.partition("[")[0] in drawn:
-            continue
+    drawn = curve_weights(c)
+    for name in (n for n in c.unknowns.by_key if n not in drawn):
         draws = c.samples(name)
         sd = draws.std(axis=0)
         if np.all(sd > 1e-9 * np.abs(draws.mean(axis=0))):
@@ -360,6 +357,7 @@ _COEFFICIENTS = {
     "second_order": "the second-order coefficient",
     "third_order": "the third-order coefficient",
     "cross_axis": "the cross-axis sensitivity",
+    "sensitivity": "the sensitivity to acceleration",
 }
 _GROUPS = {
     "run": "run to run",
@@ -423,65 +421,57 @@ def _probability(chapter: Chapter, effect: Effect) -> float | None:
 
 
 def _subject(effect: Effect) -> str:
-    kind, slot = effect.name.partition(".")[0], effect.slot
+    if effect.held:  # what depends on the column is the output
+        return _SUBJECTS["bias"]
     own = {**_SUBJECTS, **_COEFFICIENTS}
-    return own.get(slot) or own.get(kind) or f"the {slot.replace('_', ' ')}"
+    words = own.get(effect.slot) or own.get(effect.quantity)
+    return words or f"the {effect.slot.replace('_', ' ')}"
 
 
 def _does(c: Calibration, effect: Effect) -> str:
     """What an effect makes of its subject, with its size."""
-    cause = effect.name.partition(".")[2] or effect.name
-    if covariate := covariate_in(effect.name):
-        _, form = along_and_form(covariate)
-        if form in FORMS:
-            step = float(np.ptp(c.linear.contribution(effect.name)))
-            size = f"{number(step, 2)} {unit_label(c.unit)}"
-            if form == "line":
-                return f"is proportional to {effect.covariate.replace('_', ' ')}, {size} over its range"
-            at = _at(c, effect, effect.covariate)
-            return (
-                f"has a step of {size} at {at}"
-                if form == "jump"
-                else f"has a kink at {at}, of up to {size}"
-            )
-        if form == "cycle":
-            return f"varies periodically in time by up to {_extent(c, effect)}"
+    kind = effect.kind
+    if kind in ("line", "jump", "kink"):
+        step = float(np.ptp(c.linear.contribution(effect.name)))
+        size = f"{number(step, 2)} {unit_label(c.unit)}"
+        if kind == "line":
+            return f"is proportional to {effect.covariate.replace('_', ' ')}, {size} over its range"
+        at = _at(c, effect, effect.covariate)
         return (
-            f"depends on {covariate} in a form that has no name here, by up to {_extent(c, effect)}"
+            f"has a step of {size} at {at}"
+            if kind == "jump"
+            else f"has a kink at {at}, of up to {size}"
         )
+    if kind == "cycle":
+        return f"varies periodically in time by up to {_extent(c, effect)}"
+    if effect.is_placeholder:
+        return f"depends on {effect.covariate} in a form that has no name here, by up to {_extent(c, effect)}"
     times = {s.name: _shape(c, effect, s.name) for s in effect.shapes}
     if effect.held and "tau" in times:
         column = effect.slot.replace("_", " ")
         return f"follows the {column} with a lag of {times['tau']}, in all that depends on it"
     size, group = _size(c, effect), effect.coefficients[0].per
-    if cause.startswith("thermal_lag") and "tau" in times:
+    if kind == "lag":
         return f"follows the temperature with a lag of {times['tau']} ({size})"
-    if cause.startswith("warm_up") and "tau" in times:
+    if kind == "warm-up":
         return f"settles after the start by {size} with a time constant of {times['tau']}"
     if group is not None and effect.coefficients[0].group_sd is not None:
         between = _GROUPS.get(group, f"{group} to {group}")
         return f"differs from {between} by {size} (standard deviation)"
     columns = [n.replace("_", " ") for n in effect.columns if n != "time"]
     column = columns[0] if columns else "time"
-    for ending, words in (
-        ("_quadratic", f"bends with {column} by {size}"),
-        ("_cubic", f"has a cubic term in {column} of {size}"),
-        ("_quartic", f"has a quartic term in {column} of {size}"),
-    ):
-        if cause.endswith(ending):
-            return words
-    if cause.startswith("rate"):
-        return f"follows the rate of change of {column} by {size}"
-    if cause.startswith("drift"):
-        return f"drifts by {size} over the test"
-    if cause == "hysteresis":
-        way = "direction of approach" if column == "direction" else f"way that {column} went before"
-        return f"depends on the {way}, by {size}"
-    if cause == "constant":
-        return f"is off by {size}" if effect.slot.split("_")[0] in _SUBJECTS else f"is {size}"
-    if cause.startswith("temperature") and len(effect.columns) == 1:
-        return f"changes with {column} by {size}"
-    return f"shows {effect.name} ({effect.equation or column}), {size}"
+    way = "direction of approach" if column == "direction" else f"way that {column} went before"
+    words: dict[str, str] = {
+        "constant": f"is off by {size}" if effect.quantity in _SUBJECTS else f"is {size}",
+        "linear": f"changes with {column} by {size}",
+        "quadratic": f"bends with {column} by {size}",
+        "cubic": f"has a cubic term in {column} of {size}",
+        "quartic": f"has a quartic term in {column} of {size}",
+        "rate": f"follows the rate of change of {column} by {size}",
+        "drift": f"drifts by {size} over the test",
+        "hysteresis": f"depends on the {way}, by {size}",
+    }
+    return words.get(kind, f"shows {effect.name} ({effect.equation or column}), {size}")
 
 
 def _at(c: Calibration, effect: Effect, column: str) -> str:
@@ -492,8 +482,13 @@ def _at(c: Calibration, effect: Effect, column: str) -> str:
 
 
 def _extent(c: Calibration, effect: Effect) -> str:
-    _, largest, covariate, at = curve_extent(c, effect.name)
-    return f"{number(abs(largest), 2)} {unit_label(c.unit)}, most at {place_of(c, covariate, at)}"
+    *_, covariate, at = curve_extent(c, effect.name)
+    return f"{_largest(c, effect.name)}, most at {place_of(c, covariate, at)}"
+
+
+def _largest(c: Calibration, name: str) -> str:
+    """The largest value of a curve, output unit."""
+    return f"{number(abs(curve_extent(c, name)[1]), 2)} {unit_label(c.unit)}"
 
 
 def _size(c: Calibration, effect: Effect) -> str:
@@ -504,8 +499,8 @@ def _size(c: Calibration, effect: Effect) -> str:
     found, there = [], has_effect(c, effect.name)
     for i, one in enumerate(effect.coefficients):
         name, unit = effect.coefficient_name(i), unit_label(one.unit)
-        between = f"{name}.group_sd"
-        draws = c.samples(between if one.per and between in c.posterior.data_vars else name)[there]
+        between = effect.group_sd_name(i)
+        draws = c.samples(between if one.per and between in c.unknowns.by_key else name)[there]
         mean, sd = draws.mean(axis=0), draws.std(axis=0)
         if draws.ndim > 1:
             ends = (number(float(v), 2) for v in (mean.min(), mean.max()))
@@ -679,7 +674,8 @@ def _limits(chapter: Chapter, rows: list[dict[str, Any]]) -> list[str]:
         not_for.append(
             f"Where {listed(blind, 'or')} matters: it is not detectable in this experiment."
         )
-    new = [r["name"] for r in chapter.data["hyperparameters"] if r["name"].endswith(".group_sd")]
+    spreads = {b.group_sd_name for b in chapter.used.layout.blocks}
+    new = [r["name"] for r in chapter.data["hyperparameters"] if r["name"] in spreads]
     if new:
         not_for.append(
             f"By its coefficients' uncertainties alone: a new member of a group brings a deviation of its own "

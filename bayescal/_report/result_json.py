@@ -14,7 +14,7 @@ from bayescal._calibration.check_result import Check
 from bayescal._calibration.description import identity
 from bayescal._calibration.leave_group_out import groups_of
 from bayescal._calibration.summary import directions_data, summary
-from bayescal._core.annex import annexes
+from bayescal._core.annex import offered
 from bayescal._core.as_json import as_json
 from bayescal._core.settings import unusual
 from bayescal._data.measurements import Measurements
@@ -51,8 +51,7 @@ def result(trail: SearchPath) -> dict[str, Any]:
     final = trail.final.calibration
     further = {*trail.calibration.model.names} - {*final.model.names}
     coefficients, hyperparameters = (
-        [row for row in rows if row["effect"].partition("[")[0] not in further]
-        for rows in summary(trail.calibration)
+        [row for row in rows if row["effect"] not in further] for rows in summary(trail.calibration)
     )
     for row in (*coefficients, *hyperparameters):
         averaged = {k: row[k] for k in AVERAGED}
@@ -99,7 +98,7 @@ def result(trail: SearchPath) -> dict[str, Any]:
             **found,
             "coefficients": coefficients,
             "hyperparameters": hyperparameters,
-            **{k: v for one in annexes() for k, v in one.result(final, trail.average).items()},
+            **{k: v for add in offered("result") for k, v in add(final, trail.average).items()},
             "identifiability": {"null_directions": directions_data(final)},
             "verdict": {
                 "ok": trail.ok,
@@ -176,8 +175,9 @@ def _groups(readings: Measurements) -> dict[str, Any]:
 def step_data(step: Step) -> dict[str, Any]:
     calibration = step.calibration
     evidence = calibration.log_evidence
-    names = [n for n in map(str, calibration.posterior) if n.startswith("noise.")]
-    held = {k: np.asarray(v) for k, v in calibration.model.fixed if k.startswith("noise.")}
+    law = set(calibration.model.noise.parameters())
+    held = {k: np.asarray(v) for k, v in calibration.model.fixed if k in law}
+    names = (u.name for u in calibration.unknowns if u.kind == "noise")
     noise = {**{n: calibration.samples(n) for n in names}, **held}
     noise |= calibration.model.noise.derived(noise)
     mean = {n: float(values.mean()) for n, values in noise.items()}

@@ -21,7 +21,8 @@ from bayescal._core.json_shape import read_json
 from bayescal._core.result_table import ResultTable
 from bayescal._model.effect import Effect
 from bayescal._model.instrument import Instrument
-from bayescal._report.result_json import FORMER, RESULT, SCHEMA, hashes, result
+from bayescal._model.unknown_effect import role_of
+from bayescal._report.result_json import FORMER, RESULT, SCHEMA, result
 from bayescal._report.whole_folder import AVERAGED, CALIBRATION, files_of, refuse_mixed
 from bayescal._search.calibrate import step_of
 from bayescal._search.discover import discover
@@ -186,21 +187,20 @@ def _read_result(path: Path) -> dict[str, Any]:
         raise InputError(
             f"{path} is no result of this version: its schema is {schema!r}, not {SCHEMA!r}"
         )
+    try:
+        for candidate in (c for step in data["missing"] for c in step["candidates"]):
+            candidate.setdefault("role", role_of(candidate["effect"]))  # since 0.2.1
+    except (AttributeError, KeyError, TypeError) as error:
+        raise InputError(f"{path} is incomplete ({error!r}): calibrate again") from None
     return data
 
 
 def _refuse_strangers(folder: Path, data: dict[str, Any], calibration: Calibration) -> None:
-    """A result and a calibration of two different runs make no report."""
-    own = identity(calibration)
-    try:
-        # An identity of 0.2.0 is of the names that were used then: there the bytes of the readings tell.
-        if data["schema"] == FORMER:
-            same, told = data["readings"]["sha256"] == hashes(calibration.readings), "of 0.2.0"
-        else:
-            same, told = data["calibration"] == own, data["calibration"]
-    except (KeyError, TypeError) as error:
-        raise InputError(f"{folder / RESULT} is incomplete ({error!r}): calibrate again") from None
-    if not same:
+    """Refuse a result and a calibration of two different runs; those that one manifest lists are of one."""
+    if {RESULT, CALIBRATION} <= files_of(folder).keys():
+        return
+    own, told = identity(calibration), data.get("calibration")
+    if told != own:
         raise InputError(
             f"{RESULT} and {CALIBRATION} in {folder} are of different fits: identity {told} and {own}. Calibrate "
             f"again, or give {CALIBRATION} alone"

@@ -17,12 +17,12 @@ import sys
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import TypedDict
 
 from bayescal._core.as_json import write_json
 from bayescal._core.atomic_file import left_behind, sha256_of, to_disk, why
 from bayescal._core.errors import InputError, NotDrawn
-from bayescal._core.json_shape import OneOf, read_json
+from bayescal._core.json_shape import read_json
 
 MANIFEST = "manifest.json"
 CHANNELS = "channels.json"  # of a unit, whose channels have each a folder of its own
@@ -32,10 +32,14 @@ SCHEMA = "bayescal.manifest/1"
 AGAIN = "Take a copy of the whole folder, or calibrate again"
 AT_FDCWD, RENAME_EXCHANGE = -100, 2  # linux/fcntl.h, linux/fs.h
 
-SHAPE = {
-    **{"schema": str, "identity": str, "calibration": OneOf(None, str)},
-    "files": {str: str},
-}
+
+class Manifest(TypedDict):
+    """What manifest.json holds; `files` with their SHA-256."""
+
+    schema: str
+    identity: str
+    calibration: str | None
+    files: dict[str, str]
 
 
 def folders_of(names: Iterable[str]) -> dict[str, str]:
@@ -160,9 +164,9 @@ def refuse_mixed(folder: Path, *names: str) -> None:
             )
 
 
-def _manifest(folder: Path) -> dict[str, Any]:
+def _manifest(folder: Path) -> Manifest:
     try:
-        data = read_json(folder / MANIFEST, SHAPE)
+        data = read_json(folder / MANIFEST, Manifest)
         if data["schema"] != SCHEMA or data["identity"] != _identity(data["files"]):
             raise ValueError("it is not as it was written")
         for name in data["files"]:

@@ -15,8 +15,7 @@ from bayescal._core.null_space import UNDECIDED_SHARE
 from bayescal._core.settings import settings
 from bayescal._inference.density import Density
 from bayescal._inference.linear_model import learned_size
-from bayescal._model.effect import Effect
-from bayescal._model.unknown_effect import covariate_in
+from bayescal._model.effect import Effect, Role
 from bayescal._search.library import Library
 from bayescal._search.scores import ScoredPoint, gain_of
 from bayescal._search.structures import Structure, Structures, Weighed
@@ -52,6 +51,8 @@ class Candidate:
         kind: "finding", "lead", "not visible", "not testable", or None: no evidence for it.
         indistinguishable_from: others that these readings cannot tell from it.
         reason: why it is not testable or not visible.
+        role: "named", "unnamed" for an unknown function of a covariate, "freed" for an effect freed of its stated
+            value.
     """
 
     effect: str
@@ -69,11 +70,7 @@ class Candidate:
     kind: str | None = None
     indistinguishable_from: tuple[str, ...] = ()
     reason: str = ""
-
-    @property
-    def unknown(self) -> bool:
-        """Whether it is an unknown function of a covariate rather than an effect with a name."""
-        return covariate_in(self.effect) is not None
+    role: Role = "named"
 
     @property
     def unseen(self) -> bool:
@@ -98,7 +95,8 @@ def by_refit(structures: Structures, name: str, at: Weighed, further: Structure)
     (form,) = further.effects - at.structure.effects
     effect, with_it = structures.candidates[form], structures.visited.get(further)
     several = len(structures.forms[name]) > 1
-    found = Candidate(effect=name, form=form if several else "", unit=effect.coefficients[0].unit)
+    unit, form = effect.coefficients[0].unit, form if several else ""
+    found = Candidate(effect=name, form=form, unit=unit, role=effect.role)
     if with_it is None or not math.isfinite(with_it.log_evidence):
         return found
     return _refitted(found, effect, at, with_it)
@@ -139,6 +137,7 @@ def judge(
         shape={**top.point.shapes, **top.size.scales},
         visibility=_visibility(top),
         minimum_detectable=_minimum_detectable(library, top),
+        role=effect.role,
     )
     if with_it is not None and math.isfinite(with_it.log_evidence):
         return _refitted(found, library.structures.candidates[form], at, with_it)
@@ -167,7 +166,7 @@ def _by_refit(effect, with_it: Weighed) -> dict:
     shapes = {s.name: float(hyper[effect.shape_name(s)]) for s in effect.shapes}
     if effect.held:  # a body: what is to be known of it is its time
         own = next(iter(effect.shapes))
-        at = [h.name for h in problem.hypers].index(effect.shape_name(own))
+        at = problem.layout.index_in_phi[effect.shape_name(own)]
         slope = abs(problem.value_change(mode.v, at))
         sd = slope * math.sqrt(mode.covariance[at, at])
         return {"size": shapes[own.name], "size_sd": sd, "shape": shapes, "unit": own.unit}

@@ -106,7 +106,7 @@ def _size(trail: SearchPath, name: str) -> tuple[float | None, float]:
     if name not in model.names:
         return None, 0.0
     effect = model.effect(name)
-    size = f"{name}.{effect.measure}" if effect.measure else effect.coefficient_name(0)
+    size = effect.measure_name or effect.coefficient_name(0)
     draws = trail.calibration.samples(size)
     return float(draws.mean()), float(draws.std())
 

@@ -7,14 +7,13 @@ lost in the noise, coefficients that no readings could tell apart.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
-from bayescal._calibration.calibration import Calibration
 from bayescal._calibration.fit import fit
 from bayescal._calibration.guards import off_scale
 from bayescal._calibration.summary import null_directions
@@ -22,7 +21,6 @@ from bayescal._core.errors import BayescalError, ModelError
 from bayescal._core.formatting import number, with_error
 from bayescal._core.progress import stage
 from bayescal._core.result_table import Printed, ResultTable, TableColumn
-from bayescal._data.column import Column
 from bayescal._data.measurements import Measurements
 from bayescal._data.unit_conversion import ANY, unit_label
 from bayescal._inference.least_squares import LeastSquares
@@ -34,23 +32,23 @@ from bayescal._model.model import Model, testable
 from bayescal._model.parameters import bind
 from bayescal._search.own_files import in_one_line
 
-# Standard deviations from what was simulated, beyond which a coefficient has not come back.
-BACK_SD = 4.0
-# Contraction below which a coefficient is not identifiable; two that are one have a half each.
-IDENTIFIABLE_CONTRACTION = 0.6
-
+BACK_SD = (
+    4.0  # standard deviations from its true value, beyond which a coefficient has not come back
+)
+IDENTIFIABLE_CONTRACTION = (
+    0.6  # below which it is not identifiable; two that are one have a half each
+)
 RUNS, ROWS = 4, 60  # of the readings that are made up, where the instrument has no simulator
 SPANS = 5.0  # times the longest median time of an effect, that a run lasts at the least
 
 
 @dataclass(frozen=True)
-class Returned:
-    """What came back of one coefficient, or of the spread of a group's.
+class Recovery:
+    """One unknown as it was simulated and as it was found.
 
     Attributes:
         kind: "baseline", or "candidate": fitted beside the baseline.
-        name: of the unknown.
-        unit: its own.
+        name, unit: of the unknown.
         adds: the most that it adds to the output at its plausible size, output unit.
         truth: that was simulated.
         mean, sd: of its posterior; None where it could not be fitted.
@@ -60,14 +58,14 @@ class Returned:
     kind: str
     name: str
     unit: str
-    adds: float | None
-    truth: float | None
-    mean: float | None
-    sd: float | None
+    adds: float | None = None
+    truth: float | None = None
+    mean: float | None = None
+    sd: float | None = None
     remark: str = ""
 
 
-@dataclass(frozen=True, repr=False)
+@dataclass(repr=False)
 class InstrumentCheck(Printed):
     """What `check_instrument` finds.
 
@@ -82,10 +80,10 @@ class InstrumentCheck(Printed):
 
     instrument: str
     unit: str
-    noise: float
-    rows: tuple[Returned, ...]
-    errors: tuple[str, ...]
-    notes: tuple[str, ...]
+    noise: float = 0.0
+    rows: list[Recovery] = field(default_factory=list)
+    errors: list[str] = field(default_factory=list)
+    notes: list[str] = field(default_factory=list)
 
     @property
     def ok(self) -> bool:
@@ -98,7 +96,7 @@ class InstrumentCheck(Printed):
             TableColumn("unknown", "name"),
             TableColumn("adds at most", "adds", number, unit or "1"),
             TableColumn("simulated", "truth", number),
-            TableColumn("came back", lambda r: (r["mean"], r["sd"]), _came_back),
+            TableColumn("came back", lambda r: (r["mean"], r["sd"]), _with_error),
             TableColumn("unit", "unit", unit_label),
             TableColumn("remark", "remark"),
         )
@@ -120,7 +118,7 @@ class InstrumentCheck(Printed):
         return {**vars(self), "rows": [vars(row) for row in self.rows], "ok": self.ok}
 
 
-def _came_back(found: tuple[float | None, float | None]) -> str:
+def _with_error(found: tuple[float | None, float | None]) -> str:
     mean, sd = found
     return "–" if mean is None else with_error(mean, sd or 0.0)
 
@@ -130,8 +128,7 @@ def check_instrument(
 ) -> InstrumentCheck:
     """Simulate an instrument at its own plausible sizes, fit it by least squares, and say what came back.
 
-    The baseline is fitted with the noise that its law expects, then each candidate beside it. Nothing is judged here
-    but the instrument: the readings are made by its own equation.
+    The baseline is fitted with the noise that its law expects, then each candidate beside it.
 
     Args:
         instrument: the instrument.
@@ -148,219 +145,171 @@ def check_instrument(
         raise ModelError(
             f"instrument {instrument.name!r} takes its unit and sizes from readings: give some (readings=)"
         )
-    return _CheckedInstrument(instrument, readings, seed).result()
+    found = InstrumentCheck(instrument.name, instrument.unit)
+    if readings is None:
+        simulated = instrument.simulator is not None
+        readings = instrument.simulate({}, seed=seed) if simulated else _made_up(instrument, seed)
+    baseline = Model(instrument, instrument.effects, instrument.noise)
+    with stage(f"checking {instrument.name}"):
+        if _tried(found, baseline, instrument.effects, "baseline", readings, seed):
+            for effect in instrument.candidates:
+                if (reason := testable(effect, readings)) is not None:
+                    unit, remark = effect.coefficients[0].unit, f"not tested, {reason}"
+                    found.rows.append(Recovery("candidate", effect.name, unit, remark=remark))
+                else:
+                    _tried(found, baseline + effect, (effect,), "candidate", readings, seed)
+    found.errors, found.notes = ([*dict.fromkeys(one)] for one in (found.errors, found.notes))
+    return found
 
 
-class _CheckedInstrument:
-    """One check under way: what it finds is added to `rows`, `errors` and `notes`."""
-
-    def __init__(self, instrument: Instrument, readings: Measurements | None, seed: int) -> None:
-        self.instrument, self.seed = instrument, seed
-        self.rows, self.errors, self.notes = list[Returned](), list[str](), list[str]()
-        self.noise, self.made_labels = 0.0, set[str]()
-        self.readings = self._columns() if readings is None else readings
-
-    def result(self) -> InstrumentCheck:
-        i = self.instrument
-        baseline = Model(i, i.effects, i.noise)
-        with stage(f"checking {i.name}"):
-            if self._fitted(baseline, i.effects, "baseline"):
-                for effect in i.candidates:
-                    reason = testable(effect, self.readings)
-                    if reason is not None:
-                        unit, said = effect.coefficients[0].unit, f"not tested, {reason}"
-                        row = Returned("candidate", effect.name, unit, None, None, None, None, said)
-                        self.rows.append(row)
-                        continue
-                    self._fitted(baseline + effect, (effect,), "candidate")
-        found = tuple(dict.fromkeys(self.errors)), tuple(dict.fromkeys(self.notes))
-        return InstrumentCheck(i.name, i.unit, self.noise, tuple(self.rows), *found)
-
-    def _columns(self) -> Measurements:
-        """Readings of every column: by the instrument's own simulator, or made up within what it declares."""
-        i = self.instrument
-        if i.simulator is not None:
-            return i.simulate({}, seed=self.seed)
-        random, rows = np.random.default_rng(self.seed), RUNS * ROWS
-        run = np.repeat(np.arange(RUNS), ROWS)
-        # Runs last several of the longest time constants, and readings stand closer than these: either side of a lag
-        # or a warm-up is in the record.
-        shapes = [s for e in (*i.effects, *i.candidates) for s in e.shapes]
-        times = [float(s.prior.value(0.0)) for s in shapes if s.unit == "s" and not s.open]
-        step = max(10.0, SPANS * max(times, default=0.0) / ROWS)
-        made: dict[str, Any] = {}
-        for column in i.columns:
-            if column.name == "time":
-                made["time"] = step * (np.arange(rows) + ROWS * run)
-            elif column.name == "run":
-                made["run"] = [f"run {n + 1}" for n in run]
-            elif column.unit is None:
-                self.made_labels |= set() if column.allowed else {column.name}
-                members = column.allowed or ("a", "b", "c")
-                made[column.name] = [members[n] for n in random.integers(len(members), size=rows)]
-            elif column.name == "temperature_point":
-                made[column.name] = np.full(rows, np.nan)
-            elif column.name not in ("output", "output_uncertainty"):
-                made[column.name] = self._made_up(column, random, run)
-        made["output"] = random.standard_normal(rows)
-        return Measurements.from_arrays(i, **made)
-
-    def _made_up(self, column: Column, random: np.random.Generator, run: np.ndarray) -> np.ndarray:
-        """Values of a column within its limits: a temperature goes up and down in each run, another is drawn."""
-        usual = (10.0, 50.0) if column.unit == "degC" else (-1.0, 1.0)
+def _made_up(instrument: Instrument, seed: int) -> Measurements:
+    """Readings of every column within what it declares: temperatures go up and down in each run, others are drawn."""
+    random, run = np.random.default_rng(seed), np.repeat(np.arange(RUNS), ROWS)
+    # Runs last several of the longest time constants, and readings stand closer than these.
+    shapes = [s for e in (*instrument.effects, *instrument.candidates) for s in e.shapes]
+    times = [float(s.prior.value(0.0)) for s in shapes if s.unit == "s" and not s.open]
+    step = max(10.0, SPANS * max(times, default=0.0) / ROWS)
+    made: dict[str, Any] = {}
+    for column in instrument.columns:
+        name, usual = column.name, (10.0, 50.0) if column.unit == "degC" else (-1.0, 1.0)
         low, high, wide = column.low, column.high, usual[1] - usual[0]
-        if low is None:
-            low = usual[0] if high is None else high - wide
+        low = low if low is not None else usual[0] if high is None else high - wide
         high = low + wide if high is None else high
-        if column.unit == "degC":
+        if name == "time":
+            made[name] = step * (np.arange(run.size) + ROWS * run)
+        elif name == "run":
+            made[name] = [f"run {n + 1}" for n in run]
+        elif column.unit is None:
+            members = column.allowed or ("a", "b", "c")
+            made[name] = [members[n] for n in random.integers(len(members), size=run.size)]
+        elif name == "temperature_point":
+            made[name] = np.full(run.size, np.nan)
+        elif column.unit == "degC":
             low, high = max(low, usual[0]), min(high, usual[1])
             phase = 2 * np.pi * np.arange(run.size) / ROWS + run
-            return 0.5 * (low + high) + 0.5 * (high - low) * np.sin(phase)
-        if column.low is None or column.high is None:
-            self.notes.append(
-                f"column {column.name!r} declares no low and high: made up between {low:g} and {high:g} "
-                f"{unit_label(column.unit or '1')}".rstrip()
-                + ". Declare them, or give readings, if its range is another"
-            )
-        return random.uniform(low, high, run.size)
-
-    def _fitted(self, model: Model, of: Sequence[Effect], kind: str) -> bool:
-        """Simulate a model, fit it, and note what came back of some of its effects; whether it could be done."""
-        names = ", ".join(e.name for e in of)
-        try:
-            self._round(model, of, kind)
-        except BayescalError as error:
-            self.errors.append(str(error) if names in str(error) else f"{names}: {error}")
-        except Exception as error:  # of the author's functions: said, not shown as a traceback
-            self.errors.append(f"{names or 'the response'} fails: {in_one_line(error)}")
-        else:
-            return True
-        return False
-
-    def _round(self, model: Model, of: Sequence[Effect], kind: str) -> None:
-        model.require(self.readings)
-        one = _Simulated(model, self.readings, of, self.seed)
-        # The second of two: a seed stands for the readings that it always gave.
-        key = jax.random.split(jax.random.fold_in(jax.random.key(self.seed), len(self.rows)))[1]
-        drawn = forward.draw_readings(one.layout, one.frame, one.x, one.v, key)
-        output, names = np.asarray(drawn), ", ".join(one.mine)
-        variance = np.asarray(model.noise.variance(one.hyper, one.frame))
-        self.noise = float(np.median(np.sqrt(variance)))
-        if kind == "baseline":
-            self._of_response(one)
-        if not np.isfinite(output).all():
-            raise ModelError(
-                f"{names}: the output is not finite in {int((~np.isfinite(output)).sum())} of "
-                f"{output.size} readings: is a logarithm, root or quotient out of its range?"
-            )
-        zero = self._zero_bases(one)
-        made = self.readings.with_column("output", output)
-        how: dict[str, Any] = {"seed": self.seed, "reference": one.reference, "strict": False}
-        fitted = fit(model, made, LeastSquares(draws=300), **how)
-        self._came_back(one, fitted, zero, kind)
-        if kind == "baseline":
-            self.notes += [f"baseline: {one}" for one in null_directions(fitted)]
-
-    def _of_response(self, one: _Simulated) -> None:
-        """Say which slots change no output.
-
-        Raises:
-            ModelError: none does.
-        """
-        by_slot = forward.slopes_by_slot(one.layout, one.frame, one.x, one.hyper)
-        still = [s.name for s in self.instrument.slots if not np.any(np.asarray(by_slot[s.name]))]
-        if len(still) == len(self.instrument.slots):
-            raise ModelError(
-                f"instrument {self.instrument.name!r}: the output is the same whatever its slots are "
-                f"({', '.join(still)}): its response must take them, as slots['bias']"
-            )
-        self.notes += [f"slot {name!r} changes no output of these readings" for name in still]
-
-    def _zero_bases(self, one: _Simulated) -> set[str]:
-        """Coefficients whose basis is zero in every reading, each an error."""
-        found = set()
-        for b in (b for b in one.layout.blocks if b.effect.name in one.mine):
-            shapes = {s.name: one.hyper[b.effect.shape_name(s)] for s in b.effect.shapes}
-            if np.any(np.asarray(b.effect.evaluate(one.frame, shapes))[:, b.index]):
-                continue
-            found.add(b.name)
-            columns = ", ".join(b.effect.columns) or "none"
-            said = f"{b.name}: its basis is zero in every reading (its columns: {columns}). "
-            if free := self.made_labels.intersection(b.effect.columns):
-                made = ", ".join(sorted(free))
-                self.notes.append(
-                    f"{said}The labels of {made} are made up: declare them, allowed=(…), or give readings"
-                )
-            else:
-                self.errors.append(
-                    f"{said}Is a label written as in the file, and can the condition that it asks for occur?"
-                )
-        return found
-
-    def _came_back(self, one: _Simulated, fitted: Calibration, zero: set[str], kind: str) -> None:
-        """Note what came back of each coefficient, spread and shape."""
-        x, jacobian = np.asarray(one.x), np.asarray(one.line.jacobian)
-
-        def note(name: str, unit: str, adds, truth, draws, remark: str = "") -> None:
-            mean, sd = float(draws.mean()), float(draws.std())
-            self.rows.append(Returned(kind, name, unit, adds, truth, mean, sd, remark))
-
-        for b in (b for b in one.layout.x_blocks if b.effect.name in one.mine):
-            at, c, draws = slice(b.start, b.start + b.size), b.coefficient, fitted.samples(b.name)
-            adds = float(np.max(c.size * np.abs(jacobian[:, at]), initial=0.0))
-            if c.per is None:
-                truth, remark = float(x[b.start]), self._remark(b.name, float(x[b.start]), draws)
-                if b.name in zero:
-                    remark = "its basis is zero"
-                elif not c.flat and 1 - (draws.std() / c.size) ** 2 < IDENTIFIABLE_CONTRACTION:
-                    remark = "not identifiable here"
-                elif remark:
-                    self.errors.append(remark)
-                    remark = "did not come back"
-                note(b.name, c.unit, adds, truth, draws, remark)
-            else:
-                spread = b.group_sd_name if c.group_sd is not None else None
-                draws = fitted.samples(spread) if spread else draws.std(axis=1)
-                truth = float(np.std(x[at] - c.mean)) if b.size > 1 else None
-                name = spread or f"{b.name}, one a {c.per}"
-                note(name, c.unit, adds, truth, draws, f"{b.size} of them")
-            if b.name not in zero:
-                found = off_scale(b.effect, adds, self.noise, self.instrument.unit)
-                self.errors += map(str, found)
-        for effect in (e for e in one.layout.model.effects if e.name in one.mine):
-            for shape in effect.shapes:
-                name, truth = effect.shape_name(shape), float(shape.prior.value(0.0))
-                note(name, shape.unit, None, truth, fitted.samples(name))
-        if not fitted.verdict.ok:
-            self.notes.append(f"{', '.join(sorted(one.mine))}: {' '.join(fitted.verdict.reasons)}")
-
-    def _remark(self, name: str, truth: float, draws: np.ndarray) -> str:
-        """Return why a coefficient has not come back; empty where it has."""
-        mean, sd = float(draws.mean()), float(draws.std())
-        if abs(mean - truth) <= BACK_SD * sd:
-            return ""
-        return f"{name} did not come back: {number(truth)} simulated, {with_error(mean, sd)} found"
+            made[name] = 0.5 * (low + high) + 0.5 * (high - low) * np.sin(phase)
+        elif name not in ("output", "output_uncertainty"):
+            made[name] = random.uniform(low, high, run.size)
+    made["output"] = random.standard_normal(run.size)
+    return Measurements.from_arrays(instrument, **made)
 
 
-class _Simulated:
-    """A model on readings, its coefficients one plausible size from their means, up and down in turn; of groups, drawn.
+def _tried(
+    found: InstrumentCheck, model: Model, of: Sequence[Effect], kind: str, *how: Any
+) -> bool:
+    """Simulate and fit a model, and note what came back of some of its effects; return whether it could be done."""
+    names = ", ".join(e.name for e in of)
+    try:
+        _recover(found, model, {e.name for e in of}, kind, *how)
+    except BayescalError as error:
+        found.errors.append(str(error) if names in str(error) else f"{names}: {error}")
+    except Exception as error:  # of the author's functions: said, not shown as a traceback
+        found.errors.append(f"{names or 'the response'} fails: {in_one_line(error)}")
+    else:
+        return True
+    return False
 
-    Attributes:
-        mine: names of the effects in question.
-        x, v, hyper: coefficients, φ at the middle of its priors.
-        line: the output linearised there.
+
+def _recover(
+    found: InstrumentCheck,
+    model: Model,
+    mine: set[str],
+    kind: str,
+    readings: Measurements,
+    seed: int,
+) -> None:
+    """Simulate coefficients one plausible size from their means, up and down in turn, those of groups drawn; fit them.
+
+    Raises:
+        BayescalError: it cannot be simulated or fitted.
     """
+    model.require(readings)
+    reference = reference_of(readings)
+    frame, layout = build_frame(readings, reference), bind(model, readings)[0]
+    v = jnp.zeros(len(layout.hypers))
+    hyper = forward.hyper_values(layout, v)
+    random, signs = np.random.default_rng(seed + 1), np.ones(layout.size)
+    for n, b in enumerate(layout.x_blocks):
+        alone = b.coefficient.per is None
+        signs[b.start : b.start + b.size] = (
+            1 - 2 * (n % 2) if alone else random.standard_normal(b.size)
+        )
+    x = forward.prior_mean(layout) + forward.prior_sd(layout, hyper) * signs
+    jacobian = np.asarray(forward.linearise(layout, frame, x, hyper).jacobian)
+    # The second of two: a seed stands for the readings that it always gave.
+    key = jax.random.split(jax.random.fold_in(jax.random.key(seed), len(found.rows)))[1]
+    output = np.asarray(forward.draw_readings(layout, frame, x, v, key))
+    found.noise = float(np.median(np.sqrt(np.asarray(model.noise.variance(hyper, frame)))))
+    if kind == "baseline":
+        by_slot = forward.slopes_by_slot(layout, frame, x, hyper)
+        unused = [s.name for s in model.instrument.slots if not np.any(np.asarray(by_slot[s.name]))]
+        if len(unused) == len(model.instrument.slots):
+            raise ModelError(
+                f"instrument {found.instrument!r}: the output is the same whatever its slots are "
+                f"({', '.join(unused)}): its response must take them, as slots['bias']"
+            )
+        found.notes += [f"slot {name!r} changes no output of these readings" for name in unused]
+    if bad := int((~np.isfinite(output)).sum()):
+        raise ModelError(
+            f"{', '.join(mine)}: the output is not finite in {bad} of {output.size} readings: is a logarithm, root or "
+            "quotient out of its range?"
+        )
+    how: dict[str, Any] = {"seed": seed, "reference": reference, "strict": False}
+    fitted = fit(model, readings.with_column("output", output), LeastSquares(draws=300), **how)
 
-    def __init__(self, model: Model, readings: Measurements, of: Sequence[Effect], seed: int):
-        self.mine, self.reference = {e.name for e in of}, reference_of(readings)
-        self.frame = frame = build_frame(readings, self.reference)
-        self.layout = layout = bind(model, readings)[0]
-        self.v = jnp.zeros(len(layout.hypers))
-        self.hyper = hyper = forward.hyper_values(layout, self.v)
-        random, signs = np.random.default_rng(seed + 1), np.ones(layout.size)
-        for n, b in enumerate(layout.x_blocks):
-            one = b.coefficient.per is None
-            drawn = 1 - 2 * (n % 2) if one else random.standard_normal(b.size)
-            signs[b.start : b.start + b.size] = drawn
-        self.x = x = forward.prior_mean(layout) + forward.prior_sd(layout, hyper) * signs
-        self.line = forward.linearise(layout, frame, x, hyper)
+    def note(
+        name: str, unit: str, adds: Any, truth: Any, draws: np.ndarray, remark: str = ""
+    ) -> None:
+        mean, sd = float(draws.mean()), float(draws.std())
+        found.rows.append(Recovery(kind, name, unit, adds, truth, mean, sd, remark))
+
+    for b in (b for b in layout.x_blocks if b.effect.name in mine):
+        at, c, draws = slice(b.start, b.start + b.size), b.coefficient, fitted.samples(b.name)
+        adds = float(np.max(c.size * np.abs(jacobian[:, at]), initial=0.0))
+        shapes = {s.name: hyper[b.effect.shape_name(s)] for s in b.effect.shapes}
+        zero = not np.any(np.asarray(b.effect.evaluate(frame, shapes))[:, b.index])
+        if zero:
+            found.errors.append(
+                f"{b.name}: its basis is zero in every reading (its columns: "
+                f"{', '.join(b.effect.columns) or 'none'}). Is a label written as in the file, and declared, "
+                "allowed=(…)? Can the condition that it asks for occur?"
+            )
+        else:
+            found.errors += map(str, off_scale(b.effect, adds, found.noise, found.unit))
+        if c.per is None:
+            truth, remark = float(x[b.start]), "its basis is zero" if zero else ""
+            if (
+                not zero
+                and not c.flat
+                and 1 - (draws.std() / c.size) ** 2 < IDENTIFIABLE_CONTRACTION
+            ):
+                remark = "not identifiable here"
+            elif not zero and abs(draws.mean() - truth) > BACK_SD * draws.std():
+                remark, came = (
+                    "did not come back",
+                    with_error(float(draws.mean()), float(draws.std())),
+                )
+                found.errors.append(
+                    f"{b.name} did not come back: {number(truth)} simulated, {came} found"
+                )
+            note(b.name, c.unit, adds, truth, draws, remark)
+        else:
+            spread = b.group_sd_name if c.group_sd is not None else None
+            draws = fitted.samples(spread) if spread else draws.std(axis=1)
+            truth = float(np.std(x[at] - c.mean)) if b.size > 1 else None
+            note(
+                spread or f"{b.name}, one a {c.per}",
+                c.unit,
+                adds,
+                truth,
+                draws,
+                f"{b.size} of them",
+            )
+    for effect in (e for e in model.effects if e.name in mine):
+        for shape in effect.shapes:
+            name, truth = effect.shape_name(shape), float(shape.prior.value(0.0))
+            note(name, shape.unit, None, truth, fitted.samples(name))
+    if not fitted.verdict.ok:
+        found.notes.append(f"{', '.join(sorted(mine))}: {' '.join(fitted.verdict.reasons)}")
+    if kind == "baseline":
+        found.notes += [f"baseline: {one}" for one in null_directions(fitted)]

@@ -28,7 +28,7 @@ from bayescal._model.instrument import Instrument
 from bayescal._model.model import Model, testable
 from bayescal._model.noise_law import Noise
 from bayescal._model.parameters import bind
-from bayescal._model.unknown_effect import FORMS, FREED, IN_TIME, along_and_form, covariate_in
+from bayescal._model.unknown_effect import FORMS, FREED, IN_TIME, along_and_form
 from bayescal._search.candidate import (
     Candidate,
     alike,
@@ -107,7 +107,7 @@ class Discovery(Printed):
     @property
     def unseen(self) -> tuple[str, ...]:
         """Named candidates that may be missing for all that these readings tell."""
-        return tuple(c.effect for c in self.candidates if c.unseen and not c.unknown)
+        return tuple(c.effect for c in self.candidates if c.unseen and c.role != "unnamed")
 
     @property
     def complete_in_words(self) -> str:
@@ -416,8 +416,8 @@ def _findings(found: Discovery) -> list[str]:
             tail = f"  (in the form {form.removeprefix(f'{s.effects[0]}.')})"
         lines.append(f"missing: {names}, probability {probability(s.probability)}{tail}")
     for c in found.candidates:
-        if c.effect.endswith(FREED) and c.probability is not None:
-            rest = [r for r in found.candidates if not r.effect.endswith(FREED)]
+        if c.role == "freed" and c.probability is not None:
+            rest = [r for r in found.candidates if r.role != "freed"]
             rivals = [
                 f", or {r.effect} is missing ({probability(r.probability)})"
                 for r in rest
@@ -463,7 +463,7 @@ def candidates_table(candidates: Sequence[Mapping[str, Any]]) -> ResultTable:
 
 def is_quiet(c: Mapping[str, Any]) -> bool:
     """Whether a candidate is an unknown dependence without evidence, which gets no line and no bar."""
-    return covariate_in(c["effect"]) is not None and c["kind"] in (None, "not visible")
+    return c["role"] == "unnamed" and c["kind"] in (None, "not visible")
 
 
 def _folded(line: str) -> str:

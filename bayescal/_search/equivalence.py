@@ -29,7 +29,6 @@ from bayescal._model.effect import Effect
 from bayescal._model.frame import reference_of
 from bayescal._model.model import testable
 from bayescal._model.parameters import bind
-from bayescal._model.unknown_effect import FREED
 from bayescal._search.library import Library
 from bayescal._search.structures import RMS_SIZE, Structure, Structures, has_size
 
@@ -136,7 +135,7 @@ def _beside(columns: Float[np.ndarray, "n q"]) -> Callable[[Array], Array]:
 
 def _has_fixed_columns(effect: Effect) -> bool:
     of_groups = any(c.group_sd for c in effect.coefficients)
-    return has_size(effect) and not of_groups and not effect.name.endswith(FREED)
+    return has_size(effect) and not of_groups and not effect.frees
 
 
 def _coefficients(line: LinearModel, columns: Float[np.ndarray, "n k"]) -> tuple[str, ...]:

@@ -18,10 +18,8 @@ from bayescal._calibration.judgement import (
 )
 from bayescal._calibration.leave_group_out import FEW_IN_GROUP, scheme
 from bayescal._core.settings import settings
-from bayescal._model.unknown_effect import FREED, JUMP
-from bayescal._search.one_profile import said_of_profiles
 from bayescal._search.search_path import WORSE_RATIO, Gate, Step
-from bayescal._search.taken_over import IN_TIME, TakenOver, taken_over
+from bayescal._search.taken_over import TakenOver, said_of_profiles, taken_over
 
 # Probability that the model is complete, below which it is not to be used as it is.
 UNLIKELY_COMPLETE = 0.05
@@ -88,8 +86,7 @@ def judged(steps: Sequence[Step]) -> tuple[tuple[Step, ...], Gate]:
 
 def _freed(steps: Sequence[Step]) -> list[Claim]:
     """What stands against a model in which a coefficient is free of its stated value."""
-    names = steps[-1].calibration.model.names
-    free = [n.removesuffix(FREED) for n in names if n.endswith(FREED)]
+    free = [e.frees for e in steps[-1].calibration.model.effects if e.frees]
     concerned = [one for one in steps[0].against if not set(one.of).isdisjoint(free)]
     return [Claim("value.freed", *free), *concerned] if free else []
 
@@ -143,8 +140,10 @@ def _equivalent(step: Step, severity: str) -> list[Claim]:
 def _levels(step: Step) -> list[Claim]:
     """That coefficients are of the mean of two levels, where the output steps within the record."""
     calibration = step.calibration
-    if (name := f"unknown({JUMP})") not in calibration.model.names:
+    jumps = (e for e in calibration.model.effects if e.kind == "jump" and e.covariate == "time")
+    if (jump := next(jumps, None)) is None:
         return []
+    name = jump.name
     readings, added = calibration.readings, calibration.linear.contribution(name)
     order = np.argsort(readings["time"], kind="stable")
     at = float(readings["time"][order][1 + int(np.argmax(np.abs(np.diff(added[order]))))])
@@ -163,7 +162,7 @@ def in_one_order(step: Step) -> list[Claim]:
     found = []
     for effect in (e for e in calibration.model.effects if e.is_placeholder):
         column = effect.along or ""
-        if not readings.has(column) or readings.unit(column) == "degC" or column in IN_TIME:
+        if not readings.has(column) or readings.unit(column) == "degC" or column == "time":
             continue
         _, level = np.unique(readings[column], return_inverse=True)
         here, before = level[order][1:][since[1:] >= 0], level[order][:-1][since[1:] >= 0]
@@ -236,9 +235,8 @@ def _runs_apart(step: Step) -> list[Claim]:
     out, calibration = step.left_out, step.calibration
     if out is None or out.group != "run" or not np.isfinite(out.residual).all():
         return []
-    if any(
-        b.coefficient.group_sd and b.coefficient.part != "start" for b in calibration.layout.blocks
-    ):
+    own = (b.coefficient for b in calibration.layout.blocks)
+    if any(c.group_sd and not c.initial for c in own):
         return []
     means, within = of_runs(calibration, out.residual)
     if not only_between_runs(out.residual, within):

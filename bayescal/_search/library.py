@@ -222,7 +222,7 @@ def _sizes(effect: Effect, at: np.ndarray) -> list[Size]:
     return [
         Size(
             plain * np.where(of_spread, z, factor),
-            {f"{effect.coefficient_name(i)}.group_sd": math.log(z) for i in learned},
+            {effect.group_sd_name(i): math.log(z) for i in learned},
             {},
             math.log(p / len(spreads)),
         )

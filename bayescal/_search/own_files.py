@@ -5,10 +5,8 @@ Light: commands load it before anything heavy.
 
 from __future__ import annotations
 
-import importlib.util
 import sys
 from collections.abc import Iterable
-from importlib.machinery import SourceFileLoader
 from pathlib import Path
 from traceback import walk_tb
 from types import ModuleType
@@ -23,6 +21,7 @@ if TYPE_CHECKING:
 
 OWN_FILES: dict[str, str] = {}
 """Those that this process has run, with the SHA-256 that they had."""
+_RAN: dict[tuple[str, str], ModuleType] = {}  # by path and SHA-256
 
 
 def refuse_unnamed(files: Iterable[str], named: Iterable[str | Path], by: str | Path) -> None:
@@ -99,7 +98,7 @@ def instrument_named(name: str) -> Instrument:
         return instrument
     from bayescal._model.installed import installed_instrument
 
-    return installed_instrument(known_instrument(name))
+    return installed_instrument(name)
 
 
 def in_a_file(name: str) -> bool:
@@ -107,55 +106,26 @@ def in_a_file(name: str) -> bool:
     return name.rpartition(":")[0].endswith(".py")
 
 
-def known_instrument(name: str) -> str:
-    """The name of an instrument that is installed.
-
-    Raises:
-        InputError: none is of that name.
-    """
-    from bayescal._model.installed import installed_names
-
-    known = installed_names()
-    if name not in known:
-        raise InputError(
-            f"no instrument is called {name!r}; installed: {', '.join(known) or 'none'}. "
-            "For one of your own give my.py:INSTRUMENT"
-        )
-    return name
-
-
-class _Beside(SourceFileLoader):
-    """Of a file in a user's folder, where nothing is left that was not asked for."""
-
-    def set_data(self, path: str, data: object, **_: object) -> None:
-        """Keep no compiled copy."""
-
-
-_RAN: dict[tuple[str, str], ModuleType] = {}  # by path and SHA-256
-
-
 def run_file(path: Path) -> ModuleType:
-    """A user's Python file, run; once in a process, as long as its bytes are the same.
+    """Run a user's Python file, once in a process as long as its bytes are the same; leave no compiled copy beside it.
 
     Raises:
         InputError: it is not there, or fails, or would end the program; says in which line.
     """
     if not path.is_file():
         raise InputError(f"there is no file {path}")
-    digest = sha256_of(path)
+    file, digest = str(path.absolute()), sha256_of(path)
     if done := _RAN.get((str(path.resolve()), digest)):
         return done
-    loader = _Beside(path.stem, str(path.absolute()))
-    spec = importlib.util.spec_from_file_location(path.stem, path, loader=loader)
-    assert spec is not None and spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
+    module = ModuleType(path.stem)
+    module.__file__ = file
     # So that what the file defines can be pickled by its module's name; a module of that name that is there stays.
     sys.modules.setdefault(path.stem, module)
-    OWN_FILES[str(spec.origin)] = digest
+    OWN_FILES[file] = digest
     try:
-        spec.loader.exec_module(module)
+        exec(compile(path.read_bytes(), file, "exec", dont_inherit=True), vars(module))
     except BaseException as error:  # SystemExit too: what a user's file does wrong is said in words
-        where = own_file_line(error).removeprefix(str(spec.origin))
+        where = own_file_line(error).removeprefix(file)
         raise InputError(f"{path}{where} could not be run: {in_one_line(error)}") from None
     _RAN[str(path.resolve()), digest] = module
     return module

@@ -206,7 +206,7 @@ def _grid(shape: Shape, own: Shape, best: Sequence[Weighed], name: str) -> Float
     even = np.arange(-REACH, REACH, RAGGED_STEP if shape.ragged else STEP)
     there = [even, np.arange(-REACH, REACH, STEP)]
     for weighed in best:
-        at = [h.name for h in weighed.problem.hypers].index(name)
+        at = weighed.problem.layout.index_in_phi[name]
         sd = math.sqrt(weighed.mode.covariance[at, at])
         # About what the channel found the evidence may have a peak narrower than the even step.
         there.append(weighed.mode.v[at] + np.clip(sd, FINEST_SD, 1.0) * CLOSE_SD)
@@ -242,7 +242,7 @@ def _gains(fine: Library, at: Weighed, name: str) -> Float[np.ndarray, "k"]:
 def _along(at: Weighed, name: str, coordinates: Float[np.ndarray, "k"]) -> Float[np.ndarray, "k"]:
     """Log density of φ along an effect's one shape, without its prior there, all else as it is."""
     own = at.model.effect(name).column_shapes[0]
-    place = [h.name for h in at.problem.hypers].index(f"{name}.{own.name}")
+    place = at.problem.layout.index_in_phi[f"{name}.{own.name}"]
     vs = np.tile(at.mode.v, (len(coordinates), 1))
     vs[:, place] = coordinates
     prior = np.asarray(own.prior.log_density(coordinates))

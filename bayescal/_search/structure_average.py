@@ -13,13 +13,11 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 from jaxtyping import Float
 
 from bayescal._calibration.calibration import Calibration
-from bayescal._calibration.fitted import named
 from bayescal._calibration.mixture import has_effect
 from bayescal._core import deadline
 from bayescal._core.importance_weights import resample, smoothed
@@ -32,7 +30,8 @@ from bayescal._inference.problem import ABSENT
 from bayescal._inference.sampling import weighted_draws
 from bayescal._model.effect import Effect
 from bayescal._model.model import Model
-from bayescal._model.parameters import Layout
+from bayescal._model.parameters import Hyper, Layout
+from bayescal._model.unknowns import Unknowns
 from bayescal._search.posterior import Posterior
 from bayescal._search.structures import Structure, Structures, Weighed
 
@@ -135,9 +134,8 @@ def with_latent(
             if b.name in by_name:
                 has = 1.0 if b.effect.name in latent else there[b.effect.name][:, None]
                 x[:, b.start : b.start + b.size] += has * (values @ by_name[b.name])
-        for i, h in enumerate(found.layout.hypers):
-            if h.name in by_name:
-                v[:, i] += values @ by_name[h.name]
+        for name in by_name.keys() & found.layout.index_in_phi:
+            v[:, found.layout.index_in_phi[name]] += values @ by_name[name]
         mode = _mode(calibration, found.layout, x, v)
         return replace(found, joint=Draws.of(x, v), mode=mode)
 
@@ -185,9 +183,9 @@ def _drawn(weighed: Weighed, count: int, probability: float, seed: int) -> _Valu
 
 def _by_name(layout: Layout, x: np.ndarray, v: np.ndarray) -> _Values:
     """Of coefficients the value, also where a structure holds it in units of its spread: so the union does."""
-    members: Any = {group: range(count) for group, count in layout.counts}
-    found = named(layout, members, x[None], v[None])
-    return {str(name): found[name].values[0] for name in found.data_vars}
+    unknowns = Unknowns.of(layout)
+    values = unknowns.values(x, v)
+    return {key: unknowns.select(values, key) for key in unknowns.by_key}
 
 
 def _union(structures: Structures, models: Sequence[Model]) -> Model:
@@ -227,8 +225,9 @@ def _together(
                 x[at, b.start : b.start + b.size] = part[b.name].reshape(count, -1) - b.origin
             elif b.index in b.effect.held and b.effect.name in own.names:
                 x[at, b.start] = b.coefficient.mean
+    spreads = {b.group_sd_name for b in layout.blocks}
     for i, h in enumerate(layout.hypers):
-        v[:, i] = _coordinates(h, parts, counts)
+        v[:, i] = _coordinates(h, parts, counts, ABSENT if h.name in spreads else None)
     order = np.random.default_rng(last.seed).permutation(total) if shuffled else np.arange(total)
     order = order[: CHAINS * (total // CHAINS)]
     return replace(
@@ -242,14 +241,15 @@ def _together(
     )
 
 
-def _coordinates(h, parts: Sequence[_Values], counts: Sequence[int]) -> Float[np.ndarray, "s"]:
+def _coordinates(
+    h: Hyper, parts: Sequence[_Values], counts: Sequence[int], absent: float | None
+) -> Float[np.ndarray, "s"]:
     """Of one entry of φ; where a structure has it not, as in those that have it, or no between-group deviation."""
     there = [np.asarray(h.prior.coordinate(p[h.name])) for p in parts if h.name in p]
     # A shape of an effect that is not there moves nothing; any value serves, and the median keeps summaries
     # undisturbed.
-    usual = float(np.median(np.concatenate(there)))
-    learned, known = h.kind == "group_sd" and h.name.endswith(".group_sd"), iter(there)
-    absent = ABSENT if learned else usual
+    absent = float(np.median(np.concatenate(there))) if absent is None else absent
+    known = iter(there)
     found = (
         next(known) if h.name in part else np.full(count, absent)
         for part, count in zip(parts, counts, strict=True)

@@ -249,7 +249,10 @@ class Structures:
     def barred(self, structure: Structure) -> set[str]:
         """Candidates that a structure may not have: beside correlated noise, a free curve in time; another form of what
         it has; a second body in the place of the same thermometer."""
-        found = set() if self.noise(structure).independent else {"unknown(time)"}
+        found = set[str]()
+        if not self.noise(structure).independent:
+            own = self.candidates.items()
+            found = {n for n, e in own if e.kind == "curve" and e.covariate == "time"}
         moved = {self.candidates[n].slot for n in structure.effects if self.moves_a_column(n)}
         for name in structure.effects:
             found |= {n for n in self.forms[self.family(name)] if n != name}
@@ -419,9 +422,9 @@ def carried(
         near: the other one.
         mode: where that one has its mode.
     """
-    places = {h.name: i for i, h in enumerate(near.hypers)}
-    at = [i for i, h in enumerate(problem.hypers) if h.name in places]
-    there = [places[problem.hypers[i].name] for i in at]
+    places = near.layout.index_in_phi
+    names = [n for n in problem.layout.index_in_phi if n in places]
+    at, there = [problem.layout.index_in_phi[n] for n in names], [places[n] for n in names]
     scale, middle = np.ones(len(at)), np.zeros(len(at))  # of these coordinates in the other's
     for k, (i, j) in enumerate(zip(at, there, strict=True)):
         own, other = problem.hypers[i].prior, near.hypers[j].prior
@@ -443,7 +446,6 @@ def carried(
             values, width = np.linalg.solve(precision, pull), np.linalg.inv(precision)
     wide = UNKNOWN * np.eye(len(problem.hypers))
     wide[np.ix_(at, at)] = width
-    names = [problem.hypers[i].name for i in at]
     return dict(zip(names, values.tolist(), strict=True)), wide
 
 
@@ -461,7 +463,7 @@ def starts(
         known: its φ̂ by name, as `carried`.
         hints: coordinates by name.
     """
-    names, priors = [h.name for h in problem.hypers], {h.name: h.prior for h in near.hypers}
+    names, priors = problem.layout.index_in_phi, {h.name: h.prior for h in near.hypers}
     here = {n: known.get(n, 0.0) for n in names}
     found = [here, *({**here, **{n: v for n, v in hint.items() if n in names}} for hint in hints)]
     for h in problem.hypers:

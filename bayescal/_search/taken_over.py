@@ -8,6 +8,9 @@ a model in which it does not matter. The fit converges, and no residual shows it
 So a term of the first model is followed to the last. Of its columns, whitened, the part that the other columns leave
 (its tolerance; Belsley, Kuh & Welsch, Regression Diagnostics, 1980, ch. 3) is compared with and without what was added
 that depends on other columns; and its coefficient with where it stood.
+
+Where all runs have one profile of temperature, all that is thermal is a function of the time within a run: a quadratic
+at the temperature of a body, its lag and a warm-up are told apart by their forms alone. One run of another would tell.
 """
 
 from __future__ import annotations
@@ -19,11 +22,12 @@ import numpy as np
 
 from bayescal._calibration.calibration import Calibration
 from bayescal._calibration.claim import Claim
+from bayescal._core.formatting import number
+from bayescal._data.measurements import Measurements
 from bayescal._data.time_in_runs import run_codes
 from bayescal._inference.linear_model import LinearModel
-from bayescal._model import unknown_effect
 from bayescal._model.effect import Effect
-from bayescal._search.one_profile import another_run
+from bayescal._model.frame import measured_column
 
 # Share of a term's squares that what was added leaves to it, below which its variance grows tenfold (a variance
 # inflation factor of 10: D. Belsley, E. Kuh and R. Welsch, Regression Diagnostics, 1980).
@@ -33,7 +37,9 @@ CORRECTED_SHARE = 0.5
 # Former standard uncertainties of a coefficient, beyond which chance does not move it.
 MOVED_SD = 4.0
 
-IN_TIME = ("time", *unknown_effect.IN_TIME)  # of which what repeats from run to run is no function
+# Correlation of two runs' temperatures at the same time within them, from which they are one profile.
+ALIKE_CORRELATION = 0.99
+DWELL_LAGS = 3.0  # times the slowest lag, after which five per cent of it are left
 
 
 class TakenOver(NamedTuple):
@@ -76,7 +82,7 @@ class TakenOver(NamedTuple):
     @property
     def unnamed(self) -> bool:
         """Whether a description that may repeat from run to run is among what was added."""
-        return any(e.unnamed and e.along not in IN_TIME for e in self.by)
+        return any(e.unnamed and e.along != "time" for e in self.by)
 
     @property
     def confounded(self) -> bool:
@@ -121,7 +127,7 @@ def taken_over(
 def _own_columns(effect: Effect) -> set[str]:
     """Columns of numbers that an effect depends on, but for the time that its lags and rates need."""
     named = set(effect.varies) | (set(effect.columns) - {"time"})
-    along = (effect.along or "").removesuffix(" rate")
+    along = measured_column(effect.along or "")
     return named | ({along} if along not in ("", "elapsed") else set())
 
 
@@ -149,3 +155,80 @@ def _coefficient(line: LinearModel, name: str) -> tuple[float, float]:
     """Where a term's one coefficient stands, and its standard uncertainty, in the unit of its prior."""
     i = line.owners.index(name)
     return float(line.z[i] * line.sd[i]), line.uncertainty(i)
+
+
+def repeated(readings: Measurements, column: str) -> bool:
+    """Whether a temperature is the same function of the time within a run in all runs, two or more."""
+    if not (readings.has("time") and readings.has(column)):
+        return False
+    names, codes = run_codes(readings)
+    if len(names) < 2:
+        return False
+    runs = []
+    for code in range(len(names)):
+        rows = np.flatnonzero(codes == code)
+        rows = rows[np.argsort(readings["time"][rows], kind="stable")]
+        time = readings["time"][rows]
+        runs.append((time - time[0], readings[column][rows]))
+    first, known = runs[0]
+    for time, values in runs[1:]:
+        inside = time <= first[-1]
+        if inside.sum() < 3 or np.ptp(values[inside]) == 0:
+            return False
+        other = np.interp(time[inside], first, known)
+        if np.ptp(other) == 0 or np.corrcoef(other, values[inside])[0, 1] < ALIKE_CORRELATION:
+            return False
+    return True
+
+
+def said_of_profiles(calibration: Calibration) -> list[Claim]:
+    """That all runs have one profile, where the model has something that changes within them, and what would tell."""
+    readings, model = calibration.readings, calibration.model
+    thermal = [e for e in model.effects if "time" in e.columns or e.along == "elapsed"]
+    warm = [n for n in sorted(model.columns) if readings.has(n) and readings.unit(n) == "degC"]
+    warm = [n for n in warm if n != "temperature_point" and repeated(readings, n)]
+    if not (thermal and warm):
+        return []
+    told = {"column": warm[0], "another": another_run(calibration, warm[:1])}
+    return [Claim("profile.one", *(e.name for e in thermal), **told)]
+
+
+def another_run(calibration: Calibration, columns: Sequence[str]) -> str:
+    """The run that would tell most: the range from the other side, at the record's fastest rate, with dwells.
+
+    Readings at the temperatures of a stepped test show no rate between them: none is said then.
+    """
+    readings, (column, *others) = calibration.readings, columns
+    if others or column not in calibration.frame.rates:
+        return f"Vary {' and '.join(columns)} otherwise in another run."
+    values, rates = readings[column], np.abs(np.asarray(calibration.frame.rates[column]))
+    runs = _rows_of_runs(readings)
+    begins = float(np.median([values[rows][0] for rows in runs]))
+    low, high = float(values.min()), float(values.max())
+    ends = (low, high) if abs(begins - low) > abs(begins - high) else (high, low)
+    pace = 60.0 * float(np.quantile(rates[rates > 0], 0.95)) if np.any(rates > 0) else 0.0
+    mean = max(
+        60.0 * np.ptp(values[rows]) / (np.ptp(readings["time"][rows]) or 1.0) for rows in runs
+    )
+    taus = [
+        float(np.mean(calibration.samples(e.shape_name(s))))
+        for e in calibration.model.effects
+        for s in e.column_shapes
+        if s.name == "tau"
+        and column in e.columns
+        and e.shape_name(s) in calibration.unknowns.by_key
+    ]
+    dwell = (
+        f", a dwell of {number(DWELL_LAGS * max(taus) / 60.0, 2)} min at either end" if taus else ""
+    )
+    ramp = f"ramps of {number(pace, 2)} °C/min" if pace > 0.9 * mean else "ramps"
+    return (
+        f"One run of another profile would tell: from {number(ends[0], 3)} to {number(ends[1], 3)} °C and back, "
+        f"{ramp}{dwell}."
+    )
+
+
+def _rows_of_runs(readings: Measurements) -> list[np.ndarray]:
+    names, codes = run_codes(readings)
+    order = np.argsort(readings["time"], kind="stable")
+    return [order[codes[order] == code] for code in range(len(names))]

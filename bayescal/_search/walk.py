@@ -267,11 +267,9 @@ def _weigh_forms(
 
 def _in_other_form(structures: Structures, at: Weighed, name: str, other: str) -> dict[str, float]:
     """Where a form's shapes may be: where those of the same name are in the form that a structure has."""
-    known, found = {h.name: v for h, v in zip(at.problem.hypers, at.mode.v, strict=True)}, {}
-    for shape in structures.candidates[other].column_shapes:
-        if (v := known.get(f"{name}.{shape.name}")) is not None:
-            found[f"{other}.{shape.name}"] = float(v)
-    return found
+    places, shapes = at.problem.layout.index_in_phi, structures.candidates[other].column_shapes
+    alike = {f"{other}.{s.name}": f"{name}.{s.name}" for s in shapes}
+    return {n: float(at.mode.v[places[own]]) for n, own in alike.items() if own in places}
 
 
 def correlated_laws(structures: Structures) -> list[str]:

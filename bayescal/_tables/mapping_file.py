@@ -5,21 +5,27 @@ from __future__ import annotations
 import json
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, TypedDict
 
 from bayescal._core.atomic_file import replacing_for_user
-from bayescal._core.json_shape import OneOf, read_toml
+from bayescal._core.json_shape import read_toml
 
-MAPPING = {  # its shape: how `read` is asked, as keywords
-    "columns?": {str: OneOf(str, [str])},
-    **{f"{name}?": {str: str} for name in ("units", "unwrap", "begin")},
-    "ignore?": [str],
-    "local_gravity?": float,
-    **dict.fromkeys(
-        ("local_field?", "missing?", "decimal?", "date_order?", "nominal_scale?", "nominal_zero?"),
-        str,
-    ),
-}
+
+class ReadMapping(TypedDict, total=False):
+    """What a mapping holds: how `read` is asked, as keywords."""
+
+    columns: dict[str, str | list[str]]
+    units: dict[str, str]
+    unwrap: dict[str, str]
+    begin: dict[str, str]
+    ignore: list[str]
+    local_gravity: float
+    local_field: str
+    missing: str
+    decimal: str
+    date_order: str
+    nominal_scale: str
+    nominal_zero: str
 
 
 def load_mapping(path: Path) -> dict[str, Any]:
@@ -28,8 +34,7 @@ def load_mapping(path: Path) -> dict[str, Any]:
     Raises:
         InputError: no such file, no TOML, or an entry that no mapping has; names the entries that there are.
     """
-    found = read_toml(path, MAPPING, f"--mapping {path}", "Correct or remove it")
-    return {n: float(v) if n == "local_gravity" else v for n, v in found.items()}
+    return read_toml(path, ReadMapping, f"--mapping {path}", "Correct or remove it")
 
 
 def save_mapping(path: Path, mapping: Mapping[str, Any]) -> None:

@@ -6,34 +6,27 @@ Everything is written beside its place and then renamed, so a file is there whol
 from __future__ import annotations
 
 import csv
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 
-from bayescal._core.atomic_file import renamed, replacing_for_user, storable
+from bayescal._core.atomic_file import replacing_for_user, storable
 from bayescal._core.errors import InputError
+from bayescal._core.netcdf import Variable, netcdf_bytes
 from bayescal._core.quoting import csv_cell
 from bayescal._tables.raw_table import FORMATS
-
-if TYPE_CHECKING:
-    import xarray as xr
 
 Columns = Mapping[str, np.ndarray]
 Units = Mapping[str, str | None]
 
 
 def write(
-    columns: Columns, units: Units, path: str | Path, dataset: Callable[[], xr.Dataset]
+    columns: Columns, units: Units, path: str | Path, variables: Mapping[str, Variable]
 ) -> Path:
     """Write readings in the format that the suffix names (.csv, .parquet or .nc), and return the path.
 
-    Args:
-        columns: numbers and labels by name.
-        units: of the numbers; None for labels.
-        path: to be written to.
-        dataset: makes a data set of the same, for NetCDF.
+    `units` are of numbers, None for labels; `variables` hold the same columns for NetCDF.
 
     Raises:
         InputError: another suffix, no such folder, or a place that cannot be written to.
@@ -51,9 +44,8 @@ def write(
         elif suffix == ".parquet":
             _write_parquet(columns, units, named, partial)
         else:
-            from bayescal._core.netcdf_bytes import netcdf_bytes  # half a second, as xarray
-
-            partial.write_bytes(netcdf_bytes(renamed(dataset(), storable)))
+            group = {storable(name): variable for name, variable in variables.items()}
+            partial.write_bytes(netcdf_bytes({"": group}))
     return path
 
 

@@ -359,12 +359,11 @@ def _by_source(
 
 def _moved_by(chosen: Compensator, one: Confounder, gradient: np.ndarray) -> float:
     """What a standard deviation of a column's effect moves the value by."""
-    members, levels = dict(chosen._equation.members), chosen._calibration.levels
-    total = 0.0
+    unknowns, total = chosen._calibration.unknowns, 0.0
     for slope, unknown in zip(gradient, chosen._equation.unknowns(), strict=True):
         if unknown.kind == "coefficient" and (own := one.shares.get(unknown.key)):
-            per = next(b.coefficient.per for b in chosen._equation.blocks if b.name == unknown.key)
-            total += float(slope) * own[0 if per is None else levels[per].index(members[per])]
+            first = unknowns.by_key[unknown.key].start
+            total += float(slope) * own[unknowns.index[unknown.name] - first]
     return total
 
 
@@ -397,8 +396,8 @@ def _beyond(chosen: Compensator, point: Mapping[str, float]) -> list[str]:
     ]
 
 
-def notes_on(chosen: Compensator) -> tuple[str, ...]:
-    """Which coverage of a budget is short, and what is not counted in it."""
+def notes_on(chosen: Compensator, of_correction: bool = True) -> tuple[str, ...]:
+    """Which coverage of a budget is short, and what is not counted in it, of a correction or of a slot alone."""
     notes = list[str]()
     learned = _learned_group_sds(chosen._equation)
     for block in chosen._equation.blocks:
@@ -410,7 +409,7 @@ def notes_on(chosen: Compensator) -> tuple[str, ...]:
                     f"{block.name} of a new {per} is known from {count} of them: an expanded uncertainty covers less "
                     "than that of a normal distribution."
                 )
-    if not chosen._equation.slope_calibrated(chosen._calibration):
+    if of_correction and not chosen._equation.slope_calibrated(chosen._calibration):
         notes.append(bias_only(chosen.stimulus))
     clock = clock_note(chosen._calibration, chosen._equation.inputs)
     return (*clock, *dict.fromkeys(notes), SHARED)

@@ -18,7 +18,6 @@ from typing import Any
 import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
-import xarray as xr
 
 from bayescal._core.atomic_file import replacing_for_user
 from bayescal._core.errors import InputError
@@ -300,6 +299,8 @@ def _as_csv(job: _FileCompensation, path: Path, partial: Path, table: Table, raw
 
 
 def _netcdf(job: _FileCompensation, path: Path, partial: Path, table: Table, raw: str) -> None:
+    import xarray as xr
+
     with xr.open_dataset(path, engine="h5netcdf", decode_times=False) as opened:
         dataset = opened.load()
     (dimension,) = dataset[raw].dims

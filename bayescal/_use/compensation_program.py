@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Callable, Collection, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
 
@@ -30,7 +30,7 @@ from bayescal._core.as_json import as_json
 from bayescal._core.errors import InputError, ModelError
 from bayescal._core.formatting import number
 from bayescal._core.inverse import stepped
-from bayescal._core.json_shape import OneOf, required
+from bayescal._core.json_shape import as_type
 from bayescal._core.version import __version__
 from bayescal._data.measurements import Measurements
 from bayescal._data.time_in_runs import RATE_WINDOW, rate_window
@@ -451,56 +451,42 @@ STIMULUS = "(stimulus)"  # its name as an input of the graph
 STEPS = 20  # of Newton
 AGAIN = "Export it again"
 KINDS = ("column", "elapsed", *PAST)
-SHAPE = {
-    "schema": str,
-    "version": int,
-    "about": {
-        **dict.fromkeys(("instrument", "title", "stimulus", "unit", "output_unit"), str),
-        "effects": [(str, str)],
-        "reference": {str: float},
-        "sources": [(str, str)],
-        "raw": OneOf(None, (str, float, float)),
-        "notes": [str],
-        "made_by": str,
-        "calibration?": str,
-        "why_not?": str,
-        "epoch?": OneOf(None, float),
-    },
-    "inputs": [
-        {
-            **dict.fromkeys(("name", "unit", "meaning", "kind", "column"), str),
-            **{
-                "low": float,
-                "high": float,
-                "tau?": OneOf(None, float),
-                "silence?": OneOf(None, float),
-                "settled?": bool,
-                "held?": bool,
-            },
-        }
-    ],
-    "stimulus_range": OneOf(None, (float, float)),
-    "unknowns": [{"name": str, "unit": str, "mean": float}],
-    "covariance": [[float]],
-    "noise?": float,
-    "affine": bool,
-    "equation": {
-        "operations": [[OneOf(str, bool, int, float)]],
-        "expected": int,
-        "slope": int,
-        "gradient": [int],
-        "noise?": int,
-    },
-}
 
 
 @dataclass(frozen=True)
-class Unknown:
+class ProgramUnknown:
     """A coefficient or shape: name, unit, posterior mean."""
 
     name: str
     unit: str
     mean: float
+
+
+@dataclass(frozen=True)
+class SavedEquation:
+    """The equation in a JSON export: operations, and the places of its nodes among them."""
+
+    operations: list[list[str | bool | int | float]]
+    expected: int
+    slope: int
+    gradient: list[int]
+    noise: int | None = None
+
+
+@dataclass(frozen=True)
+class SavedProgram:
+    """What a JSON export holds; `noise`, a standard deviation, up to version 2."""
+
+    schema: str
+    version: int
+    about: Provenance
+    inputs: tuple[Input, ...]
+    stimulus_range: tuple[float, float] | None
+    unknowns: tuple[ProgramUnknown, ...]
+    covariance: list[list[float]]
+    affine: bool
+    equation: SavedEquation
+    noise: float | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -521,7 +507,7 @@ class CompensationProgram(CorrectionInUse):
     about: Provenance
     inputs: tuple[Input, ...]
     stimulus_range: tuple[float, float] | None
-    unknowns: tuple[Unknown, ...]
+    unknowns: tuple[ProgramUnknown, ...]
     covariance: np.ndarray
     affine: bool
     graph: Graph
@@ -622,38 +608,29 @@ def from_data(data: Any, file: str) -> CompensationProgram:
             f"{file} is a compensator of version {data.get('version')!r}, this bayescal reads "
             f"{READ[0]} to {READ[-1]}: export it again"
         )
-    required(data, SHAPE, file, AGAIN)
-    equation = data["equation"]
-    about = {name: _with_tuples(value) for name, value in data["about"].items()}
-    about["why_not"] = kept_why(about)
     try:
-        span, graph = data["stimulus_range"], Graph.from_data(equation["operations"])
+        saved = as_type(data, SavedProgram)
+        equation, graph = saved.equation, Graph.from_data(saved.equation.operations)
+        noise = equation.noise if saved.noise is None else graph.constant(saved.noise**2)
         program = CompensationProgram(
-            about=Provenance(**about),
-            inputs=tuple(Input(**row) for row in data["inputs"]),
-            stimulus_range=(float(span[0]), float(span[1])) if span else None,
-            unknowns=tuple(Unknown(**row) for row in data["unknowns"]),
-            covariance=np.array(data["covariance"], dtype=float).reshape(
-                len(data["covariance"]), len(data["unknowns"])
+            about=replace(saved.about, why_not=kept_why(data["about"])),
+            inputs=saved.inputs,
+            stimulus_range=saved.stimulus_range,
+            unknowns=saved.unknowns,
+            covariance=np.array(saved.covariance, dtype=float).reshape(
+                len(saved.covariance), len(saved.unknowns)
             ),
-            affine=data["affine"],
+            affine=saved.affine,
             graph=graph,
-            expected=_place(equation["expected"], graph),
-            slope=_place(equation["slope"], graph),
-            gradient=tuple(_place(p, graph) for p in equation["gradient"]),
-            noise=_place(
-                graph.constant(data["noise"] ** 2) if "noise" in data else equation.get("noise"),
-                graph,
-            ),
+            expected=_place(equation.expected, graph),
+            slope=_place(equation.slope, graph),
+            gradient=tuple(_place(p, graph) for p in equation.gradient),
+            noise=_place(noise, graph),
         )
         _refuse_torn(program)
     except (InputError, ValueError) as error:
         raise InputError(f"{file} is damaged: {error}. {AGAIN}") from None
     return program
-
-
-def _with_tuples(value: Any) -> Any:
-    return tuple(map(_with_tuples, value)) if isinstance(value, list) else value
 
 
 def _refuse_torn(program: CompensationProgram) -> None:
@@ -717,7 +694,8 @@ def program_of(
         inputs=tuple(i for i in inputs if i.name in needed),
         stimulus_range=stimulus_range,
         unknowns=tuple(
-            Unknown(unknowns[i].name, unknowns[i].unit, float(moments.mean[i])) for i in acting
+            ProgramUnknown(unknowns[i].name, unknowns[i].unit, float(moments.mean[i]))
+            for i in acting
         ),
         covariance=moments.covariance[np.ix_(acting, acting)],
         affine=graph.input(STIMULUS) not in graph.needed([slope]),

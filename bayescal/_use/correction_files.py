@@ -1,6 +1,6 @@
 """Corrections as files (C99, Python, JSON, …), of one output or of three axes: one exporter, one loader, one naming.
 
-What kinds of corrections there are beside those of one output, annexes say (`Annex.corrections`). Everything in a C
+What kinds of corrections there are beside those of one output, annexes say (`_core/annex.py`). Everything in a C
 header carries the name of its sensor, so that those of several go into one program. Two of one name are refused by the
 compiler (`export_template.py`).
 """
@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from bayescal._core.annex import annexes, first_offered
+from bayescal._core.annex import absent_annexes, offered
 from bayescal._core.as_json import json_text
 from bayescal._core.errors import InputError
 from bayescal._core.json_shape import read_json
@@ -58,8 +58,8 @@ ONE_OUTPUT = CorrectionKind(
 def kinds() -> Iterator[CorrectionKind]:
     """The kinds of corrections: of one output, then those of annexes, which load when they are asked for."""
     yield ONE_OUTPUT
-    for one in annexes():
-        yield from one.corrections()
+    for corrections in offered("corrections"):
+        yield from corrections()
 
 
 def kind_of(correction: CorrectionInUse) -> CorrectionKind:
@@ -68,8 +68,10 @@ def kind_of(correction: CorrectionInUse) -> CorrectionKind:
     Raises:
         InputError: it is of an annex whose entry point is not installed.
     """
-    of_it = (kind if isinstance(correction, kind.of) else None for kind in kinds())
-    return first_offered(of_it, f"writing a {type(correction).__name__}")
+    for kind in kinds():
+        if isinstance(correction, kind.of):
+            return kind
+    raise InputError(f"no annex writes a {type(correction).__name__}. {absent_annexes()}".rstrip())
 
 
 def sensor_name(given: str | None, instrument: str) -> str:

@@ -14,7 +14,7 @@ It is solved for the stimulus of each reading, for draws of θ or to first order
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any, NamedTuple
 
@@ -65,11 +65,12 @@ class Lag(NamedTuple):
         return None if self.shape is None else f"{self.name}_by_tau"
 
 
+@dataclass(frozen=True, eq=False)
 class OneReading(Frame):
     """One reading as a frame; lags come from outside, in the order in which bases ask for them."""
 
     lags: tuple[Float[Array, "n"], ...] = ()
-    asked: list[tuple[str, Any]] = eqx.field(static=True, default_factory=list)
+    asked: list[tuple[str, Any]] = field(default_factory=list)
 
     def behind(self, tau, name="temperature"):
         self.asked.append((name, tau))
@@ -289,11 +290,8 @@ class OperatingEquation(eqx.Module):
         one = {name: jnp.reshape(value, (1,)) for name, value in inputs.items()}
         columns = {n: one[n] for n in self.known if n in one}
         columns[self.use.stimulus] = jnp.reshape(stimulus, (1,))
-        rates = {
-            n.removesuffix("_rate"): v
-            for n, v in one.items()
-            if n.endswith("_rate") and n not in columns
-        }
+        named = {n: f"{n}_rate" for n in self.rated if f"{n}_rate" not in columns}
+        rates = {n: one[name] for n, name in named.items() if name in one}
         return OneReading(
             columns=columns,
             labels={f"{group}={member}": jnp.ones(1) for group, member in self.members},
@@ -419,18 +417,6 @@ def _with_lags_of(found: OperatingEquation, calibration: Calibration) -> Operati
     return replace(found, lags=(*lags.values(),), asked=tuple(places.index(one) for one in order))
 
 
-def samples_in_use(
-    equation: OperatingEquation, calibration: Calibration, unknown: UnknownInUse
-) -> np.ndarray:
-    """Draws of one unknown in use that the posterior knows, (d,), reported unit."""
-    values = calibration.samples(unknown.key)
-    if values.ndim == 1:
-        return values
-    per = next(b.coefficient.per for b in equation.blocks if b.name == unknown.key)
-    assert per is not None
-    return values[:, calibration.levels[per].index(dict(equation.members)[per])]
-
-
 def _theta(equation: OperatingEquation, calibration: Calibration) -> dict[str, Array]:
     """Posterior means of the unknowns in use, by their key; of a new member, that of its prior."""
     blocks = {b.name: b for b in equation.blocks}
@@ -440,7 +426,7 @@ def _theta(equation: OperatingEquation, calibration: Calibration) -> dict[str, A
             if u.kind == "new"
             else 0.0
             if u.kind == "folded"
-            else samples_in_use(equation, calibration, u).mean()
+            else calibration.samples(u.name).mean()
         )
         for u in equation.unknowns()
     }
@@ -466,9 +452,7 @@ def posterior_moments(
     covariance, so that what is computed from draws and from moments agrees.
     """
     unknowns, blocks = equation.unknowns(), {b.name: b for b in equation.blocks}
-    size = calibration.posterior.sizes
-    total = size["chain"] * size["draw"]
-    random = np.random.default_rng(seed)
+    total, random = len(calibration.draws().x), np.random.default_rng(seed)
     step = max(1, -(-total // draws))
     values, mean = np.zeros((total, len(unknowns))), np.zeros(len(unknowns))
     new = [i for i, u in enumerate(unknowns) if u.kind == "new"]
@@ -476,7 +460,7 @@ def posterior_moments(
     at_one_place = {} if left is None else _of_folded(equation, left, calibration, seed)
     for i, u in ((i, u) for i, u in enumerate(unknowns) if i not in new):
         known = u.key in at_one_place
-        values[:, i] = at_one_place[u.key] if known else samples_in_use(equation, calibration, u)
+        values[:, i] = at_one_place[u.key] if known else calibration.samples(u.name)
         mean[i] = values[:, i].mean()
     thin = values[::step].copy()
     covariance = np.atleast_2d(np.cov(values.T)) if len(unknowns) else np.zeros((0, 0))

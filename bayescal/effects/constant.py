@@ -22,6 +22,7 @@ def constant(slot: str, size: float | None, unit: str, *, source: str) -> Effect
         coefficients=(Coefficient(unit, prior),),
         equation="c",
         source=source,
+        kind="constant",
     )
 
 

@@ -9,9 +9,9 @@ from functools import partial
 from types import MappingProxyType
 from typing import Any, NamedTuple
 
-import jax.numpy as jnp
 import numpy as np
 
+from bayescal._core.xp import xp
 from bayescal._data.measurements import Measurements
 from bayescal._data.time_in_runs import run_codes
 from bayescal._data.unit_conversion import unit_label
@@ -115,6 +115,7 @@ def rate(slot: str, size: float, unit: str, *, source: str, column: str = "tempe
         equation="c·(T − T̃)/w,  w·dT̃/dt = T − T̃",
         source=source,
         along=f"{column} rate",
+        kind="rate",
     )
 
 
@@ -151,6 +152,7 @@ def hysteresis(
         untestable=partial(_one_way, column, widths),
         equation="c·D + d[run]·exp(−∫|dT|/w),  dD/dT = (sign(dT) − D)/w",
         source=source,
+        kind="hysteresis",
     )
 
 
@@ -199,6 +201,7 @@ def thermal_lag(
             column,
             source,
         ),
+        kind="lag",
         forms=tuple(
             replace(
                 body(
@@ -320,9 +323,8 @@ def _of_a_body(
 
 def _start(unit: str, size: float, slot: str | None = None) -> Coefficient:
     """What a state adds where it was when a run began: one a run, none where it always began at rest."""
-    return Coefficient(
-        unit, Normal(0.0, size), part="start", slot=slot, per="run", group_sd=HalfNormal(size)
-    )
+    of_runs = {"per": "run", "group_sd": HalfNormal(size), "initial": True}
+    return Coefficient(unit, Normal(0.0, size), part="start", slot=slot, **of_runs)
 
 
 def _smoothed_rate(column: str, r: Frame, window: Any) -> Any:
@@ -330,7 +332,7 @@ def _smoothed_rate(column: str, r: Frame, window: Any) -> Any:
 
 
 def _directions(column: str, r: Frame, width: Any) -> Any:
-    return jnp.stack(r.direction(width, column), axis=1)
+    return xp.stack(r.direction(width, column), axis=-1)
 
 
 def _stages(modes: Callable[..., Modes], column: str, r: Frame, tau: Any, ratio: Any) -> Any:
@@ -352,11 +354,11 @@ _ACTING = (_body, _stages, _paths)  # by the number of shapes beside τ
 
 def _followed(modes: Modes, column: str, r: Frame, tau: Any) -> Any:
     behind = sum(w * r.behind(m * tau, column) for m, w in modes)
-    return jnp.stack([sum(w * jnp.exp(-r.elapsed / (m * tau)) for m, w in modes), behind], axis=1)
+    return xp.stack([sum(w * xp.exp(-r.elapsed / (m * tau)) for m, w in modes), behind], axis=-1)
 
 
 def _lagging(column: str, r: Frame, tau: Any) -> Any:
-    return jnp.stack([r.lag(tau, column), jnp.exp(-r.elapsed / tau)], axis=1)
+    return xp.stack([r.lag(tau, column), xp.exp(-r.elapsed / tau)], axis=-1)
 
 
 def _lag_by_temperature(column: str, r: Frame, tau: Any) -> Any:
@@ -366,7 +368,7 @@ def _lag_by_temperature(column: str, r: Frame, tau: Any) -> Any:
 def _one_way(column: str, widths: tuple[float, float, str], readings: Measurements) -> str | None:
     """Why a column that does not go both ways shows no hysteresis, if so."""
     frame = build_frame(readings, reference_of(readings))
-    turned = np.asarray(frame.direction(jnp.asarray(math.sqrt(math.prod(widths[:2]))), column)[0])
+    turned = np.asarray(frame.direction(math.sqrt(math.prod(widths[:2])), column)[0])
     least = DIRECTION_SHARE
     warmed, cooled = (turned > 0.5).mean() >= least, (turned < -0.5).mean() >= least
     if warmed and cooled:

@@ -7,8 +7,7 @@ from dataclasses import replace
 from functools import partial
 from typing import Any
 
-import jax.numpy as jnp
-
+from bayescal._core.xp import xp
 from bayescal._model.effect import Coefficient, Effect, Shape
 from bayescal._model.frame import Frame
 from bayescal._model.prior import Normal
@@ -23,16 +22,16 @@ def _progress(r: Frame) -> Any:
 
 
 def _ageing(r: Frame, bend: Any) -> Any:
-    share = jnp.maximum(r.position("time"), 0.0)
-    return jnp.log1p(share / bend) / jnp.log1p(1.0 / bend) - 0.5
+    share = xp.maximum(r.position("time"), 0.0)
+    return xp.log1p(share / bend) / xp.log1p(1.0 / bend) - 0.5
 
 
 def _decays(modes: Modes, r: Frame, tau: Any) -> Any:
-    return sum(w * jnp.exp(-r.elapsed / (m * tau)) for m, w in modes)
+    return sum(w * xp.exp(-r.elapsed / (m * tau)) for m, w in modes)
 
 
 def _two_decays(r: Frame, tau: Any, ratio: Any) -> Any:
-    return jnp.stack([jnp.exp(-r.elapsed / tau), jnp.exp(-r.elapsed / (ratio * tau))], axis=1)
+    return xp.stack([xp.exp(-r.elapsed / tau), xp.exp(-r.elapsed / (ratio * tau))], axis=-1)
 
 
 def drift(slot: str, size: float, unit: str, *, source: str) -> Effect:
@@ -52,6 +51,7 @@ def drift(slot: str, size: float, unit: str, *, source: str) -> Effect:
             columns=("time",),
             equation=equation,
             source=source,
+            kind="drift",
         )
 
     bend = Shape("bend", "1", *BENDS)
@@ -87,6 +87,7 @@ def warm_up(slot: str, size: float, unit: str, *, low: float, high: float, sourc
             equation=equation,
             source=source,
             along="elapsed",
+            kind="warm-up",
         )
 
     terms = " + ".join(f"{w:.3g}·exp(−t/({m:.3g}·τ))" for m, w in slab())

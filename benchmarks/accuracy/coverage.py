@@ -18,7 +18,6 @@ from typing import Any
 import numpy as np
 
 import bayescal as bc
-from bayescal._calibration.fitted import named
 from bayescal._core.importance_weights import smoothed
 from bayescal._inference import sampled_products
 from bayescal._inference.laplace import find_mode
@@ -27,6 +26,7 @@ from bayescal._inference.record import Record
 from bayescal._inference.sampling import WeightedDraws, weighted_draws
 from bayescal._model.frame import build_frame, reference_of
 from bayescal._model.parameters import Layout, Levels, bind
+from bayescal._model.unknowns import Unknowns
 from bayescal_models import INSTRUMENTS
 from benchmarks.accuracy.ranks import Judgement, Posterior, drawn, judge, ranks
 from benchmarks.bank import Bank
@@ -97,8 +97,9 @@ def drawn_one_by_one(
     for index, one in enumerate(data):
         found, of = drawn_once(model, one, method, seed + index)
         weights, k_hat = smoothed(found.log_weight)
-        names = named(*of, *(a[None] for a in (found.x, found.v)))
-        made.append(Posterior(weights, {str(n): names[n].values[0] for n in names}))
+        unknowns = Unknowns.of(*of)
+        values = unknowns.values(found.x, found.v)
+        made.append(Posterior(weights, {n: unknowns.select(values, n) for n in unknowns.by_key}))
         k_hats.append(k_hat)
     return made, k_hats
 

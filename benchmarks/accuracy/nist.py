@@ -12,9 +12,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from benchmarks.record import REFERENCE_DATA
+from benchmarks.record import CERTIFIED_DATA
 
-FOLDER = REFERENCE_DATA / "nist_strd"
+FOLDER = CERTIFIED_DATA / "nist_strd"
 MOST = 16.0  # digits that a double can agree to
 
 

@@ -18,9 +18,9 @@ import jax.numpy as jnp
 import numpy as np
 
 import bayescal as bc
-from benchmarks.record import REFERENCE_DATA
+from benchmarks.record import CERTIFIED_DATA
 
-FOLDER = REFERENCE_DATA / "posteriordb"
+FOLDER = CERTIFIED_DATA / "posteriordb"
 SCHOOLS = "eight_schools-eight_schools_noncentered"
 NO_NOISE = 1e-9  # where every reading's uncertainty is known; beside 10 it is nothing
 METHOD = bc.Marginal(
@@ -185,16 +185,6 @@ def problem(name: str, folder: Path = FOLDER) -> tuple[Problem, dict[str, dict[s
     return PROBLEMS[name](data), reference
 
 
-def reference_errors(name: str, folder: Path = FOLDER) -> dict[str, float]:
-    """Relative Monte-Carlo error of each reference standard deviation, from its ten chains."""
-    stored = np.load(folder / name / "draws.npz", allow_pickle=False)
-    draws = stored["draws"]  # chains × draws × unknowns
-    names = [str(n) for n in stored["params"]]
-    own = draws.std(axis=1, ddof=1)
-    error = own.std(axis=0, ddof=1) / np.sqrt(len(draws)) / draws.std(axis=(0, 1), ddof=1)
-    return dict(zip(names, error, strict=True))
-
-
 def sd_error(draws: np.ndarray, batches: int = 20) -> float:
     """Relative Monte-Carlo error of the standard deviation of draws, from batches of them."""
     own = [part.std(ddof=1) for part in np.array_split(draws, batches)]
@@ -204,12 +194,11 @@ def sd_error(draws: np.ndarray, batches: int = 20) -> float:
 def compare(name: str, folder: Path = FOLDER, seed: int = 0) -> tuple[bc.Calibration, list[Row]]:
     """Fit by `Marginal` and set each unknown beside the reference."""
     given, reference = problem(name, folder)
-    errors = reference_errors(name, folder)
     fit = bc.fit(given.model, given.readings, METHOD, seed=seed)
     rows = []
     for unknown, draws in given.draws(fit).items():
         known = reference[unknown]
-        combined = float(np.hypot(errors[unknown], sd_error(draws)))
+        combined = float(np.hypot(known["sd_relative_error"], sd_error(draws)))
         rows.append(
             Row(
                 name=unknown,

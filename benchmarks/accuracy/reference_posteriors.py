@@ -23,18 +23,17 @@ from typing import Any
 
 import jax
 import numpy as np
-import xarray as xr
 from arviz_stats.base.array import array_stats
 
 import bayescal as bc
-from bayescal._calibration.posterior_tree import named
 from bayescal._core.parallel import over
 from bayescal._inference import nuts_chains, sampled_products
 from bayescal._inference.laplace import find_mode
 from bayescal._inference.problem import Problem
 from bayescal._inference.record import Record
 from bayescal._model.frame import build_frame, reference_of
-from bayescal._model.parameters import bind
+from bayescal._model.parameters import Layout, bind
+from bayescal._model.unknowns import Unknowns
 from bayescal_models import INSTRUMENTS
 from benchmarks.record import ROOT, surroundings
 
@@ -49,10 +48,10 @@ AGREEMENT = {"mean": 0.1, "sd": 0.07}  # what a method is held to: sds, relative
 
 
 def _program(model: bc.Model, readings: bc.Measurements, draws: int):
-    """Posterior by variable, and the number of divergent transitions."""
+    """Return the draws of every unknown, as `columns_of`, and the number of divergent transitions."""
     method = bc.NUTS(warmup=WARMUP, draws=draws, chains=CHAINS)
     found = bc.fit(model, readings, method, seed=SEED, strict=False)
-    return found.tree["posterior"].to_dataset(), found.verdict.divergences or 0
+    return columns_of(found.layout, found.values), found.verdict.divergences or 0
 
 
 def _whitened(model: bc.Model, readings: bc.Measurements, draws: int):
@@ -61,7 +60,7 @@ def _whitened(model: bc.Model, readings: bc.Measurements, draws: int):
     Where a product of unknowns bends the model, one factor stands beside the hyper-parameters, so that the
     coordinates of the others follow it.
     """
-    layout, levels = bind(model, readings)
+    layout, _ = bind(model, readings)
     frame, y = build_frame(readings, reference_of(readings)), readings["output"]
     record = Record(model.instrument, frame, y)
     layout = sampled_products.choose(Problem(layout, record), None)[0].layout
@@ -73,23 +72,15 @@ def _whitened(model: bc.Model, readings: bc.Measurements, draws: int):
     place = jax.jit(lambda q: over(lambda one: unpack(one)[:2], q, 64))
     flat = place(ran.draws.reshape(-1, start.size))
     shaped = (np.asarray(a).reshape(CHAINS, draws, *a.shape[1:]) for a in flat)
-    return named(layout, levels, *shaped), ran.divergences
+    return columns_of(layout, Unknowns.of(layout).values(*shaped)), ran.divergences
 
 
 SAMPLERS = {"program": _program, "whitened": _whitened}
 
 
-def columns_of(posterior: xr.Dataset) -> dict[str, tuple[np.ndarray, str]]:
-    """Draws (chains, draws) and unit of every unknown; members of a group each by number."""
-    found = {}
-    for name in posterior:
-        variable = posterior[name]
-        values, unit = variable.values, str(variable.attrs.get("units", ""))
-        if values.ndim == 2:
-            found[str(name)] = (values, unit)
-        else:
-            found |= {f"{name}({i})": (values[:, :, i], unit) for i in range(values.shape[2])}
-    return found
+def columns_of(layout: Layout, values: np.ndarray) -> dict[str, tuple[np.ndarray, str]]:
+    """Return draws (chains, draws) and unit of every unknown; members of a group each by number."""
+    return {u.name: (values[..., i], u.unit) for i, u in enumerate(Unknowns.of(layout))}
 
 
 def _diagnosed(values: np.ndarray) -> dict[str, float]:
@@ -116,8 +107,7 @@ def reference_posterior(name: str, sampler: str = "program") -> dict[str, Any]:
     model, readings = problem.model(), problem.readings(seed=0)
     begun, draws = time.perf_counter(), DRAWS
     for _ in range(LENGTHENED):
-        posterior, divergences = SAMPLERS[sampler](model, readings, draws)
-        columns = columns_of(posterior)
+        columns, divergences = SAMPLERS[sampler](model, readings, draws)
         found = {n: _diagnosed(values) for n, (values, _) in columns.items()}
         r_hat = max(f["r_hat"] for f in found.values())
         worst = max(f["mcse"] / f["sd"] for f in found.values())

@@ -95,7 +95,7 @@ def _wander(structures: Structures, rng: np.random.Generator) -> np.ndarray:
     record: Record = structures.record
     priors = structures.laws[WANDER].parameters()
     values = {
-        n: float(p.value(_coordinate(Hyper(n, "", p, "noise"), rng)))
+        n: float(p.value(_coordinate(Hyper(n, "", p, "noise", "noise"), rng)))
         for n, p in priors.items()
         if n != "noise.white"
     }

@@ -24,10 +24,8 @@ from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
 
-import jax.numpy as jnp
-
 import bayescal as bc
-from bayescal import effects
+from bayescal import effects, xp
 from bayescal.effects.constant import one as one
 from bayescal_models.simulated import HOUR as HOUR
 from bayescal_models.simulated import MINUTE as MINUTE
@@ -295,8 +293,8 @@ def family(
 
 
 def _in_each(basis: Callable[..., Any], count: int, r: bc.Frame) -> Any:
-    column = jnp.reshape(jnp.asarray(basis(r), float), (-1, 1))
-    return jnp.broadcast_to(column, (r.size, count))
+    column = xp.reshape(xp.asarray(basis(r), float), (-1, 1))
+    return xp.broadcast_to(column, (r.size, count))
 
 
 # Bases of a word.

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from functools import partial, wraps
 from typing import Any, NamedTuple, ParamSpec
 
@@ -49,31 +49,45 @@ def refuse(wrong: Any, message: str) -> None:
 
 
 def refuse_options(
-    campaign: object,
+    plan: object,
     *,
     positive: Collection[str] = (),
     not_negative: Collection[str] = (),
+    counts: Collection[str] = (),
+    filled: Collection[str] = (),
     **choices: Collection[str],
 ) -> None:
     """Refuse a plan of a test whose options are out of their range.
 
     Args:
-        campaign: the plan.
+        plan: of the test.
         positive: names of options that are above 0.
         not_negative: of options that are 0 or more.
-        choices: by name of an option, what it may be.
+        counts: of whole numbers from 1 on.
+        filled: of series that have at least one value.
+        choices: by name of an option, what it, or each of its values, may be.
 
     Raises:
         ValueError: an option is something else.
     """
-    for name in (*positive, *not_negative):
-        value = getattr(campaign, name)
-        wanted = "a number above 0" if name in positive else "0 or more"
-        wrong = not (value > 0 if name in positive else value >= 0)
-        refuse(wrong, f"Campaign({name}={value!r}): give {wanted}.")
+
+    def refuse_all(names: Iterable[str], right: Callable[[Any], bool], wanted: str) -> None:
+        for name in names:
+            value = getattr(plan, name)
+            said = f"{type(plan).__name__}({name}={value!r})"
+            refuse(not right(value), f"{said}: give {wanted}.")
+
+    refuse_all(positive, lambda v: v > 0, "a number above 0")
+    refuse_all(not_negative, lambda v: v >= 0, "0 or more")
+    refuse_all(counts, lambda v: v >= 1 and v == int(v), "a whole number, at least 1")
+    refuse_all(filled, lambda v: len(v) > 0, "at least one value")
     for name, known in choices.items():
-        value = getattr(campaign, name)
-        refuse(value not in known, f"Campaign({name}={value!r}): choose one of {', '.join(known)}.")
+        right = partial(_among, known)
+        refuse_all([name], right, f"one of {', '.join(known)}")
+
+
+def _among(known: Collection[str], value: str | Sequence[str]) -> bool:
+    return {*([value] if isinstance(value, str) else value)} <= {*known}
 
 
 class Clock:

@@ -2,33 +2,23 @@
 
 from __future__ import annotations
 
-import json
 import math
-import re
 import time
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
-import pandas as pd
 import pytest
-from missing_effect import leaderboard, prior, run
-from missing_effect.__main__ import main
-from missing_effect.draws import Draws
+from missing_effect import prior, run
 from missing_effect.entries import bic, bma, exhaustive, mbic
 from missing_effect.regression import Regression
-from missing_effect.run import InputError
-from missing_effect.score import FLOOR, ORACLE, Score, calibration, score, scored, summary
+from missing_effect.score import FLOOR, Score, calibration, score, summary
 from missing_effect.task import Task
-from missing_effect_maker import real
 from missing_effect_maker.generate import Case, generate, make, write
 from scipy.integrate import quad
 from scipy.special import ndtr
 
-from benchmarks.record import REFERENCE_DATA
-
-PACKAGE = Path(run.__file__).parents[1]
 HONEST = """
 import numpy as np
 def solve(task):
@@ -71,8 +61,7 @@ ALIKE = ("truth", "truth unbuffered", "fork", "maker")
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    "how",
-    [pytest.param(how, marks=[pytest.mark.slow] if how in ALIKE else []) for how in CHEATS],
+    "how", [pytest.param(how, marks=[pytest.mark.slow] if how in ALIKE else []) for how in CHEATS]
 )
 def test_an_entry_that_cheats_is_refused(tasks: Path, tmp_path: Path, how: str) -> None:
     act, said = CHEATS[how]
@@ -102,57 +91,6 @@ def test_tasks_are_not_to_be_found(tasks: Path, tmp_path: Path) -> None:
     assert answer_of(tasks, tmp_path, code)["sets"] == [[[], 0.1]]
 
 
-@pytest.mark.parametrize(
-    ("change", "said"),
-    [
-        (("(): 0.5", "(): 0.5, ('soup',): 0.1"), "soup, which is no candidate"),
-        (("(): 0.5", "(): 0.7, ('outside',): 0.7"), "sum to 1.4"),
-        (("(): 0.5", "(): -0.5"), "probability -0.5"),
-        (("np.ones(n)", "np.zeros(n)"), "sd must be positive"),
-        (("np.zeros(n)", "np.zeros(n - 1)"), "finite numbers"),
-        (("n = len", "n = lem"), "NameError"),
-    ],
-)
-def test_an_answer_that_is_none_is_named(tasks: Path, change, said: str) -> None:
-    entry: dict[str, Any] = {}
-    exec(HONEST.replace(*change), entry)
-    assert said in run.here(entry["solve"], tasks / "task_000", 20.0)["failed"]
-
-
-def test_what_an_entry_dies_of_is_named(tasks: Path, tmp_path: Path) -> None:
-    assert "NameError" in answer_of(tasks, tmp_path, HONEST.replace("n = len", "n = lem"))["failed"]
-
-
-def test_the_time_counts_also_where_it_ends_nothing(tasks: Path) -> None:
-    entry: dict[str, Any] = {}
-    exec(HONEST, entry)
-    assert "more than 0" in run.here(entry["solve"], tasks / "task_000", 0.0)["failed"]
-
-
-@pytest.mark.parametrize(
-    ("code", "said"),
-    [
-        ("import soup_kitchen", "needs what is not installed: No module"),
-        ("a = 1", "has no function"),
-    ],
-)
-def test_a_trusted_entry_that_cannot_be_loaded_is_named(tasks, tmp_path, code, said) -> None:
-    entry = tmp_path / "entry.py"
-    entry.write_text(code, "utf-8")
-    with pytest.raises(InputError, match=said):
-        list(run.run(entry, tasks, tmp_path / "results", 1, trusted=True))
-
-
-def test_the_time_of_a_start_counts_for_every_entry_alike(tasks: Path, tmp_path: Path) -> None:
-    """Of a second's work where an entry is loaded, all is in each task's seconds, isolated or not."""
-    entry = tmp_path / "entry.py"
-    busy = "import time\nwhile time.process_time() < 1.0: pass\n"
-    entry.write_text(busy + HONEST, "utf-8")
-    assert run.solve(entry, tasks / "task_000", tasks)["seconds"] >= 1.0
-    found = dict(run.run(entry, tasks, tmp_path / "results", 2, trusted=True))
-    assert len(found) == 2 and min(a["seconds"] for a in found.values()) >= 1.0
-
-
 TRUTH: dict[str, Any] = {
     "track": "linear",
     "instrument": "mems_gyro",
@@ -177,12 +115,6 @@ def test_equivalent_sets_are_the_truth_together() -> None:
     assert found.brier == pytest.approx(0.3**2 + 0.2**2) and found.top == (0.7, True)
 
 
-def test_outside_is_no_name_but_an_alarm() -> None:
-    found = scored_as([[["outside"], 0.96], [[], 0.02]], track="empty", set=[], equivalent=[])
-    assert found.log == pytest.approx(math.log(0.98)) and found.alarm and found.likely_alarm
-    assert scored_as([[["outside", "a", "b"], 1.0]]).log == 0.0
-
-
 def test_a_probability_of_zero_costs_the_floor() -> None:
     assert scored_as([[["c"], 1.0]]).log == math.log(FLOOR)
     assert scored_as(None).log is None
@@ -198,12 +130,6 @@ def test_crps_is_its_integral() -> None:
     found = scored_as([[[], 1.0]])
     assert found.crps == pytest.approx(np.mean(each) / 0.5, rel=1e-6)
     assert found.covered == pytest.approx(2 / 3)
-
-
-def test_a_task_without_an_answer_has_the_floor(tasks: Path) -> None:
-    truth = json.loads((tasks / "task_000" / "truth.json").read_text("utf-8"))
-    found = score({"failed": "over", "seconds": 60.0}, truth, tasks / "task_000")
-    assert found.log == math.log(FLOOR) and found.crps > 1 and found.failed == "over"
 
 
 def test_an_interval_holds_its_mean_and_bands_count_every_task() -> None:
@@ -272,23 +198,6 @@ def test_the_evidence_of_a_set_is_that_of_the_whole_covariance() -> None:
         assert value == pytest.approx(whole, rel=1e-6)
 
 
-def test_what_stands_outside_is_told_from_candidates(tmp_path: Path) -> None:
-    """Of three tasks with something that no candidate describes, none is taken for a candidate."""
-    for number in range(3):
-        write(make("task", Case("outside", number), edition=77), tmp_path)
-        said = exhaustive.solve(Task.read(tmp_path))
-        assert sum(p for s, p in said["sets"].items() if set(s) <= {"outside"}) > 0.5
-        assert np.all(said["sd"] > 0) and sum(said["sets"].values()) == pytest.approx(1.0)
-
-
-def test_rivals_are_the_two_quantities_of_a_confounded_task(tmp_path: Path) -> None:
-    for track, count in (("confounded", 2), ("linear", 0)):
-        made = make("task", Case(track, 1), edition=77)
-        write(made, tmp_path)
-        found = prior.rivals(Task.read(tmp_path))
-        assert len(found) == count and (not found or {*made.truth["set"]} <= {*found})
-
-
 def test_sets_have_the_data_sheets_shares() -> None:
     """Of white, coloured and outside together they are those of the tracks, whatever the number of candidates."""
     for count in (7, 10):
@@ -317,40 +226,6 @@ def test_a_searchs_evidence_is_weighed_by_the_data_sheet(tmp_path: Path, monkeyp
     assert said[tuple(sorted((a, b, c)))] == 0.0 < said[("outside",)] < said[(a,)]
 
 
-def test_sizes_below_the_data_sheets_count_against_a_set(tmp_path: Path) -> None:
-    """What the readings have at plausible size is in the range, what they do not have is not."""
-    from missing_effect.entries import bayescal
-
-    for number in range(12):
-        made = make("task", Case("linear", number), edition=77)
-        sizes = made.truth["sizes"].values()
-        if len(sizes) == 1 and 0.6 < abs(next(iter(sizes))) < 2 and made.truth["decided"] > 30:
-            break
-    write(made, tmp_path)
-    problem = Regression(Task.read(tmp_path))
-    true = made.truth["set"]
-    alone = bayescal._of_range(problem, true)
-    others = [c.name for c in problem.candidates if c.name not in true and c.train.shape[1] == 1]
-    beside = [bayescal._of_range(problem, [*true, name]) for name in others]
-    assert 1.2 < alone < 1.4 and bayescal._of_range(problem, []) == 1.0
-    assert min(beside) < 0.1 * alone and np.median(beside) < 0.7 * alone
-
-
-def test_a_fleets_findings_are_exclusive_within_and_free_among_each_other() -> None:
-    """One of two is missing with 0.9; a third with 0.2; what stands outside is no fleet's."""
-    from missing_effect.entries import bayescal
-
-    each = {"a": 0.6, "b": 0.3, "c": 0.2, "unknown(time)": 0.1}
-    found = SimpleNamespace(
-        sets=[SimpleNamespace(effects=("a", "b"), probability=0.9)],
-        candidates=[SimpleNamespace(effect=n, probability=p) for n, p in each.items()],
-    )
-    said = bayescal._sets(found)  # pyright: ignore[reportArgumentType]
-    assert sum(said.values()) == pytest.approx(1.0)
-    assert said[("a",)] == pytest.approx(0.6 * 0.8) and said[("b", "c")] == pytest.approx(0.3 * 0.2)
-    assert ("a", "b") not in said
-
-
 @pytest.mark.slow
 def test_the_horseshoes_evidence_is_that_of_the_whole_covariance() -> None:
     jax = pytest.importorskip("jax")
@@ -369,119 +244,3 @@ def test_the_horseshoes_evidence_is_that_of_the_whole_covariance() -> None:
     gram, right, each = map(jax.numpy.asarray, (x.T @ x, x.T @ y / sigma, size / sigma))
     found = gained(gram, right, each, own)
     assert float(found) == pytest.approx(whole - alone, rel=1e-10)
-
-
-@pytest.mark.slow
-def test_the_horseshoe_shrinks_what_is_not_there(tmp_path: Path) -> None:
-    """Two cycles that the readings decide are in nearly every draw, what is not there is in fewer."""
-    pytest.importorskip("numpyro")
-    from missing_effect.entries import horseshoe
-
-    known = real.nist()["ENSO"]
-    nist_like("ENSO", np.arange(1.0, 169.0), tmp_path)
-    list(real.generate(tmp_path, tmp_path / "tasks"))
-    sets = horseshoe.solve(Task.read(tmp_path / "tasks" / "task_real_enso"))["sets"]
-    share = {t.name: sum(p for s, p in sets.items() if t.name in s) for t in known.candidates}
-    assert sum(sets.values()) == pytest.approx(1.0)
-    assert min(share[n] for n in known.hidden) > 0.9
-    assert max(p for n, p in share.items() if n not in known.hidden) < 0.7
-
-
-@pytest.mark.slow
-def test_the_commands_of_the_readme(tmp_path: Path, monkeypatch, capsys) -> None:
-    """Its own entry, the oracle beside it, and a page that takes nothing from elsewhere."""
-    readme = (PACKAGE / "README.md").read_text("utf-8")
-    code = re.search(r"(    import numpy.*?\n        }\n)", readme, re.DOTALL)
-    assert code is not None
-    monkeypatch.chdir(tmp_path)
-    Path("my_entry.py").write_text(re.sub("^    ", "", code[1], flags=re.MULTILINE), "utf-8")
-    assert len(list(generate(Path("tasks"), 2))) == 2
-    assert main(["run", "my_entry.py", "--size", "2"]) == 0
-    assert main(["leaderboard", "--size", "2"]) == 0
-    assert main(["describe", "tasks/task_000"]) == 0
-    printed = capsys.readouterr().out
-    assert "| oracle |" in printed and "| my_entry |" in printed and "as published" in printed
-    for page in ("leaderboard.html", "task.html"):
-        text = Path(page).read_text("utf-8")
-        assert "<script" not in text and not re.search(r'(src|href)="?http', text)
-    assert scored(Path("tasks"), Path("results"), ORACLE, 2)["task_000"].log == 0.0
-    assert leaderboard.order({"oracle": scored(Path("tasks"), Path("results"), ORACLE, 2)})
-
-
-@pytest.mark.parametrize(
-    ("asked", "said"),
-    [
-        (["run", "soup"], "no entry 'soup'"),
-        (["generate", "--size", "200"], "edition 1 has sizes 10, 100, 600, not 200"),
-        (["run", "bic", "--tasks", "nowhere"], "python -m missing_effect generate"),
-        (["describe", "nowhere"], "is no task"),
-        (["leaderboard", "--results", "nowhere"], "has 0 tasks"),
-    ],
-)
-def test_what_cannot_be_done_is_said(asked, said: str, tmp_path, monkeypatch, capsys) -> None:
-    monkeypatch.chdir(tmp_path)
-    assert main(asked) == 2
-    assert said in capsys.readouterr().err
-
-
-def nist_like(name: str, x: np.ndarray, folder: Path) -> Path:
-    """A made-up record in NIST's place: the certified curve, and residuals of the certified size."""
-    known = real.nist()[name]
-    noise = np.random.default_rng(5).standard_normal(x.size)
-    noise *= known.residual_sd * np.sqrt((x.size - known.parameters) / np.sum(noise**2))
-    rows = zip((known.curve(x) + noise).tolist(), x.tolist(), strict=True)
-    table = "\n".join(f"{y!r},{at!r}" for y, at in rows)
-    file = folder / f"{name.lower()}.csv"
-    file.write_text(f"y,x\n{table}\n", "utf-8")
-    return file
-
-
-LENGTHS = {"Pontius": (150e3, 3e6, 40), "ENSO": (1, 168, 168), "Gauss3": (1, 250, 250)}
-
-
-@pytest.mark.parametrize("name", LENGTHS)
-def test_real_tasks_come_from_the_users_own_folder(name: str, tmp_path: Path) -> None:
-    """What the certified model has and the task's has not is the truth; absent sets are skipped in words."""
-    nist_like(name, np.linspace(*LENGTHS[name]), tmp_path)
-    printed = "\n".join(real.generate(tmp_path, tmp_path / "tasks"))
-    assert "skipped Norris" in printed and "skipped the chamber ramp" in printed
-    folder = tmp_path / "tasks" / f"task_real_{name.lower()}"
-    truth = json.loads((folder / "truth.json").read_text("utf-8"))
-    sets = bma.solve(Task.read(folder))["sets"]
-    assert max(sets, key=sets.get) == tuple(truth["set"]) == real.nist()[name].hidden
-
-
-def test_readings_that_are_not_nists_are_refused(tmp_path: Path, capsys) -> None:
-    file = nist_like("Norris", np.linspace(0, 1000, 36), tmp_path)
-    text = file.read_text("utf-8").splitlines()
-    file.write_text("\n".join([*text[:-1], "1003.0,1000.0"]), "utf-8")
-    tasks = str(tmp_path / "tasks")
-    assert main(["generate", tasks, "--size", "0", "--data", str(tmp_path)]) == 2
-    assert "is not NIST's Norris" in capsys.readouterr().err
-    file.write_text("y,x\n1.0,soup\n", "utf-8")
-    assert main(["generate", tasks, "--size", "0", "--data", str(tmp_path)]) == 2
-    assert "norris.csv cannot be read" in capsys.readouterr().err
-
-
-def test_what_was_added_to_a_real_record_is_found_in_it(tmp_path: Path) -> None:
-    """A made-up ramp whose channels bend with temperature, with white noise: every added set is the most probable."""
-    draws, time = Draws(11), np.arange(8400) * 0.505
-    record = {"t_s": time, "temperature": 30 - 45 * np.cos(2 * np.pi * time / 4242) ** 3}
-    for channel in real.ADDED:
-        noise = 1e-3 * draws.normal(time.size)
-        record[channel] = 1e-3 * np.sin(record["temperature"] / 40) + noise
-    pd.DataFrame(record).to_csv(tmp_path / real.RAMP, index=False)
-    assert "made task_real_ramp_acc_y" in "\n".join(real.generate(tmp_path, tmp_path / "tasks"))
-    for channel, added in real.ADDED.items():
-        sets = bma.solve(Task.read(tmp_path / "tasks" / f"task_real_ramp_{channel}"))["sets"]
-        assert max(sets, key=sets.get) == added, channel
-    (tmp_path / real.RAMP).write_text("t_s,gyro_x\n1,2\n", "utf-8")
-    with pytest.raises(InputError, match="has no column temperature"):
-        list(real.generate(tmp_path, tmp_path / "tasks"))
-
-
-def test_the_records_themselves_are_those_certified(tmp_path: Path) -> None:
-    if not (REFERENCE_DATA / "nist_strd").is_dir():
-        pytest.skip("needs the NIST reference data in ../shared/data, beside this checkout")
-    printed = list(real.generate(REFERENCE_DATA, tmp_path))
-    assert sum(line.startswith("made") for line in printed) == len(real.nist()) + len(real.ADDED)

@@ -3,28 +3,15 @@
 from __future__ import annotations
 
 import math
-from dataclasses import replace
-from typing import Any
 
 import numpy as np
 import pytest
 from scipy.integrate import dblquad, quad
 from scipy.stats import multivariate_normal
 
-from benchmarks.ordinary_test import good_records, naming, no_family, page
-from benchmarks.ordinary_test.bodies import Body, Chamber, lump, slab, two_stages
-from benchmarks.ordinary_test.measurement import Cell, made, plan
+from benchmarks.ordinary_test.bodies import Body, lump, slab, two_stages
 from benchmarks.ordinary_test.oracle import least_squares, log_evidence
-from benchmarks.ordinary_test.worlds import (
-    STEP,
-    STRUCTURES,
-    TIMES,
-    ZERO,
-    Campaign,
-    Plan,
-    drawn,
-    within_runs,
-)
+from benchmarks.ordinary_test.worlds import STRUCTURES, Campaign, drawn
 
 BODIES = {
     "die": lump(300.0),
@@ -61,19 +48,6 @@ def test_heat_of_a_heater_leaves_through_the_face() -> None:
     np.testing.assert_allclose(last, body.settled(0.0, 3.0), rtol=1e-9)
 
 
-@pytest.mark.parametrize("name", BODIES)
-def test_half_the_step_changes_nothing(name: str) -> None:
-    body = BODIES[name]
-    coarse, fine = (body.inside(outside(step), step) for step in (STEP, 0.5 * STEP))
-    assert np.max(np.abs(fine[::2] - coarse)) < 1e-3  # °C, of 80
-
-
-@pytest.mark.parametrize("mean", [True, False])
-def test_twice_the_cells_change_nothing(mean: bool) -> None:
-    once, twice = (slab(900.0, 5.0, mean, cells).inside(outside(1.0), 1.0) for cells in (60, 120))
-    assert np.max(np.abs(once - twice)) < 1e-3 * np.ptp(once)
-
-
 def test_a_slab_follows_the_series_of_its_eigenfunctions() -> None:
     """Its mean after a step of its face: 1 − Σ 8/(π²k²)·exp(−k²π²t/4τ), k odd (Carslaw & Jaeger, 1959, §3.3)."""
     tau, t = 900.0, np.arange(0.0, 2001.0)
@@ -98,28 +72,6 @@ def test_one_body_and_two_follow_their_exponentials() -> None:
     np.testing.assert_allclose(found, true, atol=1e-5)
 
 
-@pytest.mark.parametrize("name", BODIES)
-def test_a_body_is_behind_a_steady_ramp_by_its_time(name: str) -> None:
-    body, ramp = BODIES[name], 0.01 * np.arange(0.0, 30_000.0)
-    assert 100 * (ramp[-1] - body.inside(ramp, 1.0)[-1]) == pytest.approx(body.behind, rel=1e-6)
-
-
-@pytest.mark.parametrize("structure", STRUCTURES)
-def test_how_far_a_drawn_body_is_behind_is_in_its_range(structure: str) -> None:
-    for seed in range(20):
-        body = Plan.of(np.random.default_rng(seed), structure, True, 200).body
-        assert TIMES[0] <= body.behind <= TIMES[1]
-
-
-def test_a_chamber_overshoots_and_comes_to_rest() -> None:
-    chamber = Chamber(400.0, 0.5, 5.0 / 60, 0.0)
-    goal = np.where(np.arange(6000) < 100, 20.0, 60.0)
-    air = chamber.air(goal, 1.0, np.random.default_rng(0))
-    assert 60.5 < air.max() < 66 and abs(air[-1] - 60) < 1e-3
-    fine = chamber.air(np.repeat(goal, 4), 0.25, np.random.default_rng(0))[::4]
-    assert np.max(np.abs(fine - air)) < 0.5
-
-
 WHOLE = [pytest.param(s, marks=[pytest.mark.slow] * (s in SLOW)) for s in STRUCTURES]
 
 
@@ -140,21 +92,6 @@ def test_true_columns_make_the_output(campaign: Campaign) -> None:
 def test_the_true_model_predicts_to_the_noise(campaign: Campaign) -> None:
     for error in campaign.errors_of_true().values():
         assert 0.7 < error / campaign.sensor.noise < 1.4
-
-
-def test_settled_output_is_what_a_chamber_that_holds_shows(campaign: Campaign) -> None:
-    record, sensor = campaign.fitted, campaign.sensor
-    at = replace(record, inner=record.package)
-    expected = ZERO + sensor.thermal(at)
-    np.testing.assert_allclose(sensor.settled(record.package), expected, rtol=1e-12)
-
-
-def test_a_file_is_what_a_logger_writes(campaign: Campaign) -> None:
-    file = campaign.file(campaign.fitted, first=4)
-    assert list(file) == [
-        "run", "time [s]", "temperature [degC]", "supply [V]", "output [deg/s]",
-    ]  # fmt: skip
-    assert file["run"][0] == "4" and np.all(np.diff(file["time [s]"]) > 0)
 
 
 def small_problem(k: int, n: int = 12) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -199,81 +136,8 @@ def test_what_is_not_there_has_no_evidence() -> None:
     assert np.mean(gains) < 0 and np.mean(np.exp(gains)) < 3
 
 
-def test_errors_lose_the_mean_of_each_run() -> None:
-    run = np.array([0, 0, 1, 1])
-    assert within_runs(np.array([1.0, 3.0, 10.0, 12.0]), run) == pytest.approx(1.0)
-
-
-def test_the_plan_is_one_order_and_a_part_of_it_is_its_beginning() -> None:
-    cells = plan()
-    assert len(set(cells)) == len(cells) == 60
-    # Drawn before anything was measured: this is that order.
-    assert [tuple(c) for c in cells[:2]] == [
-        ("added", True, 200, 1), ("die", False, 200, 0),
-    ]  # fmt: skip
-
-
-def test_a_cell_is_the_same_each_time() -> None:
-    cell = Cell("die", True, 200, 0)
-    (one, name), (other, same) = made(cell), made(cell)
-    assert name == same and np.array_equal(one.fitted.output, other.fitted.output)
-    assert one.oracle() == other.oracle()
-
-
-def test_names_and_sets_are_families() -> None:
-    said = naming.said(["bias.rate"], [("bias.warm_up", "unknown(elapsed)")])
-    assert said == {"lag", "warm-up", "description"}
-    assert naming.family("unknown(supply)") == "supply"
-    true = {"lag", "supply"}
-    assert naming.invented(["bias.body", "unknown(elapsed)"], [], true) == []
-    assert naming.invented(["bias.hysteresis"], [("bias.hysteresis", "bias.rate")], true) == []
-    assert naming.invented(["bias.drift"], [], true) == ["bias.drift"]
-    sets = [("bias.drift", "unknown(time)"), ("unknown(time)", "unknown(elapsed)")]
-    assert naming.invented([], sets, true) == ["bias.drift or unknown(time)"]
-
-
 def test_a_body_needs_no_start_to_be_in_balance() -> None:
     still = np.full(100, 40.0)
     for body in BODIES.values():
         assert isinstance(body, Body)
         np.testing.assert_allclose(body.inside(still, 1.0), 40.0, rtol=1e-12)
-
-
-@pytest.mark.parametrize("shape", no_family.SHAPES)
-def test_what_no_family_describes_has_its_strength_and_its_columns(shape: str) -> None:
-    """It is as large as drawn, a function of what is recorded or of time, and the same law in hold-out runs."""
-    plan = Plan.of(np.random.default_rng(1), "die", False, 200)
-    bare = plan.record(np.random.default_rng(2), plan.programs[:2])
-    law, columns = no_family.SHAPES[shape](np.random.default_rng(3), bare)
-    assert law is not None and np.std(law(bare)) > 0
-    assert list(columns) == (["fan_speed [Hz]"] if shape == "column" else [])
-    if shape == "column":
-        order = np.argsort(columns["fan_speed [Hz]"](bare))
-        assert np.all(np.diff(law(bare)[order]) > -1e-3)
-    if shape == "elapsed":
-        first, second = (law(bare)[bare.run == r] for r in (0, 1))
-        np.testing.assert_allclose(first[:50], second[:50], atol=0.02)
-    if shape == "step":
-        assert set(np.unique(law(bare))) == {0.0, 1.0}
-
-
-ROW: dict[str, Any] = {
-    "structure": "die", "repeats": True, "readings": 1600, "instrument": "mems_gyro",
-    "hidden": ["lag", "run"], "oracle": {"lag": 100.0, "run": 3.0, "further": 20.0},
-    "final": ["bias.rate", "unknown(elapsed)", "bias.drift"], "sets": [[["bias.drift"], 0.99]],
-    "noise_law": "white", "status": 1, "shape": "elapsed",
-    "coefficients": {"slope": {"inside": False, "stated": True}},
-}  # fmt: skip
-
-
-def test_rows_say_what_was_lost_and_invented() -> None:
-    assert page.lost(ROW) == [] and page.lost({**ROW, "final": []}) == ["lag"]
-    assert page.invented(ROW) == ["bias.drift"] and page.described(ROW) == ["unknown(elapsed)"]
-    assert page.named([ROW]).startswith("1/1 ") and page.shut([ROW]).startswith("1/1 ")
-    assert page.inside([ROW], repeats=True).startswith("0/1 ")
-    assert page.strange([ROW]) == [ROW]
-
-
-def test_good_records_are_of_six_instruments() -> None:
-    cells = good_records.plan()
-    assert len(cells) == 60 and len({c.instrument for c in cells}) == 6

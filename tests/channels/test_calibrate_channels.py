@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -13,11 +12,7 @@ from bayescal_models import still_sensor
 from bayescal_models.still_sensor.campaign import LAG_TIME
 
 LAG, QUADRATIC = "bias.thermal_lag", "bias.temperature_quadratic"
-HIDDEN = {
-    "strong": {LAG: 8.0},
-    "weak": {LAG: 3.0},
-    "none": {QUADRATIC: 0.05},
-}
+HIDDEN = {"strong": {LAG: 8.0}, "weak": {LAG: 3.0}, "none": {QUADRATIC: 0.05}}
 
 
 @pytest.fixture(scope="module")
@@ -93,21 +88,3 @@ def test_the_table_has_a_column_for_each_channel_and_a_row_for_each_effect(unit)
     assert lines[0].split() == list(HIDDEN)
     row = next(line for line in lines if line.startswith(QUADRATIC))
     assert "±" in row and "–" in row
-
-
-@pytest.mark.slow
-def test_a_search_that_ended_early_says_so_with_its_channel(unit) -> None:
-    trail = unit.trails["weak"]
-    search = replace(trail.search, complete=False, stopped="The search was ended after 5 s.")
-    early = bc.Channels({**unit.trails, "weak": replace(trail, search=search)}, unit.shared)
-    assert "weak: The search was ended after 5 s." in str(early).splitlines()
-    assert "The search" not in str(unit)
-
-
-@pytest.mark.slow
-def test_models_and_readings_of_different_channels_are_refused(unit) -> None:
-    trail = unit.trails["none"].final.calibration
-    with pytest.raises(bc.InputError, match="readings for b"):
-        bc.calibrate_channels({"a": trail.model, "c": trail.model}, {"b": trail.readings})
-    with pytest.raises(bc.InputError, match="two channels"):
-        bc.calibrate_channels({"a": trail.model}, {"a": trail.readings})

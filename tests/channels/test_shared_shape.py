@@ -12,7 +12,6 @@ from bayescal._search.discover import structures_over
 from bayescal._search.library import Library
 from bayescal._search.shared_shape import (
     SHARES,
-    Conclusion,
     FromOthers,
     ShapeEvidence,
     SharedShape,
@@ -61,42 +60,6 @@ def test_the_unit_has_it_as_enumeration_says() -> None:
     weight = np.sum(list(found.values()), axis=0)
     mean = weight @ shared.v / weight.sum()
     assert shared.shape.prior.coordinate(shared.posterior[0]) == pytest.approx(mean, abs=1e-9)
-
-
-@pytest.mark.parametrize(
-    ("channel", "learns"), [("clear", False), ("nothing", False), ("in doubt", True)]
-)
-def test_only_a_channel_in_doubt_concludes_something_else(channel: str, learns: bool) -> None:
-    shared = three_channels()
-    log_ratio, shape = shared.says[channel], shared.shape
-    log_ratio = log_ratio - 3.0 * (channel == "nothing")  # clearly nothing
-    alone = FromOthers(np.log(0.2 / 0.8), shape.low, shape.high)
-    one = ShapeEvidence(shared.v, log_ratio)
-    now = one.concluded(shared.from_others(channel), shape)
-    then = one.concluded(alone, shape)
-    assert (now.likelier(then) or now.informs(then)) == learns
-
-
-@pytest.mark.parametrize(
-    ("moved", "narrower", "tells"),
-    [(0.0, 1.0, False), (0.3, 1.0, False), (0.6, 1.0, True), (0.0, 0.9, False), (0.0, 0.5, True)],
-)
-def test_a_shape_that_others_move_or_narrow_is_news(moved, narrower, tells) -> None:
-    then = Conclusion(0.9, 0.2, 0.4)
-    now = Conclusion(0.9, 0.2 + moved * 0.4, narrower * 0.4)
-    assert now.informs(then) == tells
-    assert not now._replace(probability=0.0).informs(then._replace(probability=0.0))
-
-
-def test_a_shape_that_one_point_of_the_grid_holds_is_heard() -> None:
-    """Its spread on the grid was zero, and what another channel concluded from that no number."""
-    v = np.arange(-3.0, 3.0, 0.1)
-    says = {"certain": 9e3 - 0.5 * ((v - 0.5) / 1e-3) ** 2, "in doubt": 1.0 - 0.5 * (v - 0.7) ** 2}
-    shape = bc.Shape("tau", "s", 60.0, 1200.0, shared=True)
-    heard = SharedShape(LAG, shape, v, 0.2, says).from_others("in doubt")
-    assert heard.low < heard.high
-    found = ShapeEvidence(v, says["in doubt"]).concluded(heard, shape)
-    assert np.isfinite(found).all() and found.v == pytest.approx(0.5, abs=1e-3)
 
 
 def test_what_a_channel_concludes_alone_is_the_posterior_of_its_own_prior() -> None:

@@ -25,16 +25,3 @@ def test_a_limit_that_is_met_leaves_with_0_and_is_written(turned, tmp_path) -> N
     assert done.status == 0 and done.said == []
     assert json.loads(out.read_text("utf-8")) == done.data
     assert done.data["schema"] == "bayescal.decisions/1" and done.data["conforms"] is True
-
-
-def test_one_limit_of_two_that_is_open_leaves_with_1(turned) -> None:
-    two = ("--limit", "bias: 20..24 °/s", "--limit", "scale.constant: ±150 ppm")
-    done = run("decide", turned, *two)
-    assert done.status == 1 and "guarded acceptance" in done.out
-    assert done.said == [
-        "bayescal: note: not shown to conform: scale.constant: ±150 ppm (undecided)"
-    ]
-    done = run("decide", turned, *two, "--rule", "simple", "--population", "bias: sd 1 °/s")
-    assert done.status == 0 and "consumer's risk" in done.out
-    done = run("decide", turned, "--limit", "bias: ±1 °/s")
-    assert done.status == 1 and "(reject)" in done.said[0]

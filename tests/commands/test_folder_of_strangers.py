@@ -122,41 +122,6 @@ def test_every_command_is_tested_here() -> None:
     assert sorted(GIVEN) == sorted(COMMANDS)
 
 
-LOADED = """
-import sys
-from bayescal._cli.main import command
-sys.argv[1:] = ["instruments", "--readings", "none.csv"]  # refused at once
-command()
-import arviz_base, matplotlib
-print(matplotlib.rcParams["text.usetex"], arviz_base.rcParams["stats.ci_prob"])
-"""
-
-
-def test_libraries_obey_no_file_of_the_current_folder(tmp_path: Path) -> None:
-    folder = strangers_folder(tmp_path)
-    done = subprocess.run(
-        [sys.executable, "-P", "-c", LOADED],
-        cwd=folder,
-        capture_output=True,
-        text=True,
-        check=True,
-    )
-    assert done.stdout.split() == ["False", "0.89"]
-    assert not any(name in done.stderr for name in SETTINGS)
-
-
-@pytest.mark.slow
-def test_python_m_runs_no_module_of_the_current_folder(tmp_path: Path) -> None:
-    """Of those that Python itself has not asked for before: these it takes from there, unless it is told -P."""
-    folder = strangers_folder(tmp_path)
-    for name in ("bayescal", "bayescal_models", "contextlib", "os", "pathlib"):
-        (folder / f"{name}.py").unlink()
-    command = [sys.executable, "-m", "bayescal", "instruments"]
-    done = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)
-    unharmed(done, folder)
-    assert "mems_gyro" in done.stdout
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize("command", COMMANDS)
 def test_no_command_runs_or_obeys_the_current_folder(

@@ -64,7 +64,4 @@ def test_a_disk_that_fills_at_any_size_is_said_in_words(
     for told in rest:
         assert told["status"] == 2, told
         assert len(told["said"]) == 1, told
-        assert "cannot be written: " in told["said"][0], told
-        assert "File too large. Make room there, or choose another place" in told["said"][0]
-        assert ".partial" not in told["said"][0], "it names the place, not the hidden one"
         assert told["as_it_was"], told

@@ -2,19 +2,11 @@
 
 from __future__ import annotations
 
-import os
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
 
-from tests.support.command_line import (
-    GYRO,
-    commands,
-    needs_installation,
-    run,
-)
+from tests.support.command_line import GYRO, commands, needs_installation, run
 
 pytestmark = needs_installation
 ROOT = Path(__file__).resolve().parents[2]
@@ -26,54 +18,8 @@ COMMANDS = (
 )
 
 
-def run_apart(*arguments: str, **variables: str) -> subprocess.CompletedProcess[str]:
-    """Run a command in a process of its own."""
-    path = os.pathsep.join((str(ROOT), str(ROOT / "models"), os.environ.get("PYTHONPATH", "")))
-    return subprocess.run(
-        [sys.executable, "-W", "error", "-m", "bayescal._cli.main", *arguments],
-        env={**os.environ, "PYTHONPATH": path.rstrip(os.pathsep), **variables},
-        capture_output=True,
-        encoding="utf-8",
-        timeout=120,
-        check=False,
-    )
-
-
-@pytest.mark.parametrize("command", COMMANDS)
-def test_help_shows_an_example(command: str) -> None:
-    done = run(command, "--help")
-    assert done.status == 0
-    assert f"Example: bayescal {command}" in " ".join(done.out.split())
-
-
 def test_every_command_is_tested_here() -> None:
     assert tuple(commands()) == COMMANDS
-
-
-def test_help_loads_nothing_heavy() -> None:
-    code = (
-        "import sys; sys.argv = ['bayescal', 'calibrate', '--help']\n"
-        "from bayescal._cli.main import command\n"
-        "assert command() == 0\n"
-        "print([n for n in ('jax', 'numpy', 'pandas', 'pint', 'matplotlib') if n in sys.modules])"
-    )
-    done = subprocess.run(
-        [sys.executable, "-c", code],
-        env={**os.environ, "PYTHONPATH": str(ROOT)},
-        capture_output=True,
-        encoding="utf-8",
-        timeout=120,
-        check=False,
-    )
-    assert done.returncode == 0, done.stderr
-    assert done.stdout.splitlines()[-1] == "[]"
-
-
-def test_no_command_shows_the_commands() -> None:
-    done = run()
-    assert done.status == 2
-    assert all(command in done.out for command in COMMANDS)
-    assert done.said == ["bayescal: Give a command, such as: bayescal demo. See: bayescal --help"]
 
 
 def test_a_narrow_terminal_breaks_no_table(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -85,19 +31,3 @@ def test_a_narrow_terminal_breaks_no_table(monkeypatch: pytest.MonkeyPatch) -> N
     widths = [len(line) for line in printed[0].splitlines() if line.startswith("──")]
     assert widths
     assert max(widths) <= 120
-
-
-@pytest.mark.slow
-def test_a_terminal_without_degree_signs_still_prints() -> None:
-    done = run_apart("instruments", PYTHONIOENCODING="ascii", PYTHONUTF8="0")
-    assert done.returncode == 0, done.stderr
-    assert "?/s" in done.stdout
-
-
-def test_effects_lists_equation_size_columns_and_source(folder: Path) -> None:
-    text = run("effects", *GYRO, "--effects", folder / "my_effects.py").out
-    line = next(row for row in text.splitlines() if row.startswith("bias.temperature_quadratic"))
-    assert line.split()[1:] == ["0.0005", "°/s/°C²", "temperature", "c·(T", "−", "T0)²"]
-    assert "your own" in text
-    assert "c·max(T − 60 °C, 0)" in text
-    assert "source 1; size ours: bias.constant" in text

@@ -3,20 +3,11 @@
 from __future__ import annotations
 
 import json
-import re
 from pathlib import Path
 
 import pytest
 
-from tests.support.command_line import (
-    GYRO,
-    PRINTED_LINE,
-    QUICK,
-    TABLE,
-    Ran,
-    needs_installation,
-    run,
-)
+from tests.support.command_line import GYRO, QUICK, Ran, needs_installation, run
 
 pytestmark = needs_installation
 
@@ -39,7 +30,6 @@ def test_readings_kept_apart_change_nothing_but_their_own_error(loop: Ran, folde
     assert [step.pop("holdout_rmse") for step in without["steps"]] == [None] * len(errors)
     assert errors[-1] < 0.6 * errors[0]
     with_them["holdout"] = None
-    assert any("are readings that are fitted" in flag for flag in with_them["flags"])
     for told in (with_them, without):
         del told["search"]["seconds"]  # differs from one time to the next
         del told["flags"], told["calibration"]  # say that the hold-out data are a copy
@@ -51,16 +41,6 @@ def test_the_last_model_of_the_loop_can_be_checked(loop: Ran, folder: Path) -> N
     checked = run("check", folder / "loop" / "calibration.nc", "--json").data
     last = [e for e in loop.data["check"] if e["step"] == len(loop.data["steps"]) - 1]
     assert [e["against"] for e in checked] == [e["against"] for e in last]
-
-
-def test_the_printed_line_leaves_every_residual_positive() -> None:
-    done = run("calibrate", TABLE, *GYRO, *QUICK, *PRINTED_LINE)
-    assert re.search(
-        r"18 of 18 residuals are positive, mean 0\.51 \(0\.19 to 0\.9\d\) °/s", done.out
-    )
-    assert "fixed: bias.constant = 19.8, bias.temperature = 0.041" in done.out
-    assert done.status == 1, "a calibration on trial failed, and nothing is added to save it"
-    assert "The fixed coefficients leave residuals of" in done.said[-1]
 
 
 @pytest.mark.slow

@@ -9,9 +9,8 @@ import pandas as pd
 import pytest
 
 import bayescal as bc
-from bayescal_models import mems_gyro
-from tests.support.command_line import GYRO, QUICK, needs_installation, run
-from tests.support.inside import compensate_file, notes_of_channels
+from tests.support.command_line import QUICK, needs_installation, run
+from tests.support.inside import compensate_file
 from tests.support.made_up import bent_sensor
 
 pytestmark = needs_installation
@@ -132,59 +131,3 @@ def test_a_repeated_row_stays_a_row(lagging, tmp_path) -> None:
     )
     value = pd.read_csv(tmp_path / "out.csv").iloc[:, -2].to_numpy()
     assert done.rows == len(record) + 1 and value[3] == value[4] and not np.isnan(value).any()
-
-
-def test_a_decimal_comma_stays_one(tmp_path) -> None:
-    (tmp_path / "in.txt").write_text(
-        "temperature [degC];output [deg/s]\n40,25;1,5\n41,25;\n42,25;2,5\n"
-    )
-    done = compensate_file(
-        bc.compensator(bent_sensor.gyro()), tmp_path / "in.txt", tmp_path / "out.txt"
-    )
-    lines = (tmp_path / "out.txt").read_text().splitlines()
-    assert done.missing == 1 and lines[2] == "41,25;;;"
-    assert "." not in lines[1] and "," in lines[1].split(";")[2]
-
-
-def test_refusing_gaps_is_still_to_be_had(tmp_path) -> None:
-    saved = bent_sensor.gyro().save(tmp_path / "calibration.nc")
-    (tmp_path / "in.csv").write_text("temperature [degC],output [deg/s]\n40,1.5\n41,\n")
-    own = ("--instrument", f"{Path(mems_gyro.__file__).parent / 'model.py'}:INSTRUMENT")
-    left = run("compensate", saved, tmp_path / "in.csv", "--out", tmp_path / "o.csv", *own)
-    assert left.status == 0 and "1 rows are empty" in left.out, left.err
-    kept = run(
-        "compensate",
-        saved,
-        tmp_path / "in.csv",
-        "--out",
-        tmp_path / "p.csv",
-        "--missing",
-        "refuse",
-        *own,
-    )
-    assert kept.status == 2 and "holds no number" in kept.err
-
-
-def test_means_are_proposed_for_long_channels_too(tmp_path) -> None:
-    time = np.arange(20_010) * 0.01
-    rng = np.random.default_rng(5)
-    table = pd.DataFrame({"time [s]": time, "temperature [degC]": 20 + 0.1 * time})
-    for name in ("gx [deg/s]", "gy [deg/s]"):
-        table[name] = rng.normal(0, 1, time.size)
-    table.to_csv(tmp_path / "log.csv", index=False)
-    said = notes_of_channels(tmp_path / "log.csv", "mems_gyro", ["gx", "gy"])
-    assert said.count("--average 0.1s would leave about 2,000") == 1
-
-
-def test_six_channels_of_one_file_are_proposed_as_channels(tmp_path) -> None:
-    time = np.arange(12) * 10.0
-    table = pd.DataFrame({"time [s]": time, "temperature [degC]": 20 + 0.1 * time})
-    for name in ("gyro_x", "gyro_y", "gyro_z"):
-        table[f"{name} [deg/s]"] = np.random.default_rng(5).normal(0, 1, 12)
-    for name in ("acc_x", "acc_y", "acc_z"):
-        table[f"{name} [g]"] = 0.0 * time
-    table.to_csv(tmp_path / "unit.csv", index=False)
-    refused = run("calibrate", tmp_path / "unit.csv", *GYRO)
-    assert refused.status == 2
-    said = " ".join(refused.err.split())
-    assert "--channels gyro_x,gyro_y,gyro_z" in said, said

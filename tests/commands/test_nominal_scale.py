@@ -8,9 +8,8 @@ import numpy as np
 import pandas as pd
 import pytest
 
-import bayescal as bc
 from bayescal_models import mems_gyro, ng_accelerometer, quartz_beam_accelerometer
-from tests.support.command_line import GYRO, QUICK, needs_installation, run
+from tests.support.command_line import QUICK, needs_installation, run
 from tests.support.inside import nominal_scale_of
 
 pytestmark = needs_installation
@@ -48,33 +47,6 @@ def test_the_raw_file_gives_the_answers_of_the_file_in_its_unit(instrument, tmp_
     for near, of in zip(found.data["coefficients"], right.data["coefficients"], strict=True):
         assert near["name"] == of["name"]
         assert abs(near["mean"] - of["mean"]) < 1e-3 * of["sd"] + 1e-6 * abs(of["mean"]), of
-    assert "by the nominal scale" in found.err
-
-
-@pytest.mark.slow
-def test_a_mapping_keeps_it_and_a_calibration_remembers_it(tmp_path) -> None:
-    own, raw = raw_file(tmp_path, "mems_gyro")
-    mapping, out = tmp_path / "lab.toml", tmp_path / "new" / "out"
-    first = run(
-        "fit", raw, *GYRO, *QUICK, *said("mems_gyro"), "--save-mapping", mapping, "--out", out
-    )
-    assert first.status == 0, first.err
-    assert 'nominal_scale = "2.44 mV/(°/s)"' in mapping.read_text("utf-8")
-    again = run("fit", raw, *GYRO, *QUICK, "--mapping", mapping)
-    assert again.out == first.out.partition("\n\nwritten")[0] + "\n"
-    for name in (own, raw):  # the raw file without a word: the calibration knows the scale
-        done = run("compensate", out, name, "--out", tmp_path / "made" / name.name, "--json")
-        assert done.status == 0, done.err
-        predicted = run("predict", out, name, "--json")
-        assert predicted.status == 0 and predicted.data["rows"] == done.data["rows"], predicted.err
-    values = [
-        pd.read_csv(tmp_path / "made" / n.name)["output_compensated [deg/s]"] for n in (own, raw)
-    ]
-    np.testing.assert_allclose(values[0], values[1], rtol=1e-9, atol=1e-9)
-    kept = bc.load(out / "calibration.nc")
-    assert kept.readings.scale == bc.NominalScale("mV", 2.44, 1210.0)
-    exported = run("export", out, "--format", "json")
-    assert exported.data["about"]["raw"] == ["mV", 2.44, 1210.0]
 
 
 @pytest.mark.parametrize(
@@ -93,39 +65,3 @@ def test_it_is_read_as_data_sheets_write_it(instrument, scale, gain) -> None:
     made = nominal_scale_of(instrument, scale)
     assert made is not None and made.offset == 0
     np.testing.assert_allclose(made.gain, gain, rtol=1e-12)
-
-
-@pytest.mark.parametrize(
-    ("given", "words"),
-    [
-        ({"nominal_scale": "250"}, "is no number with a unit"),
-        ({"nominal_scale": "250 V"}, "is not a raw unit per deg/s"),
-        ({"nominal_scale": "250 V/g"}, "is not a raw unit per deg/s"),
-        ({"nominal_scale": "0 V/(deg/s)"}, "the gain must be finite and not zero"),
-        ({"nominal_scale": "2 florin/(deg/s)"}, "'florin' is none"),
-        ({"nominal_zero": "1.2 K"}, "is in K, the nominal scale is of a raw output in V"),
-        ({"nominal_zero": "one volt"}, "is no number with a unit"),
-    ],
-)
-def test_what_is_none_is_refused(put_csv, given, words) -> None:
-    with pytest.raises(bc.InputError, match=words):
-        bc.read(put_csv, mems_gyro.INSTRUMENT, **given)
-
-
-@pytest.fixture
-def put_csv(tmp_path) -> Path:
-    path = tmp_path / "t.csv"
-    path.write_text("temperature [degC],output [V]\n20,1\n30,2\n")
-    return path
-
-
-def test_a_scale_that_is_the_instruments_own_says_how_to_give_another(put_csv) -> None:
-    (flag,) = (f for f in bc.read(put_csv, mems_gyro.INSTRUMENT).flags if "nominal scale" in f)
-    assert "of mems_gyro" in flag and "--nominal-scale" in flag and "--nominal-zero" in flag
-
-
-def test_every_command_that_reads_readings_takes_it() -> None:
-    commands = "calibrate fit compare predict compensate batch workbench pairs"
-    for command in commands.split():
-        said = run(command, "--help").out
-        assert "--nominal-scale" in said and "--nominal-zero" in said, command

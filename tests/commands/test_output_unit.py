@@ -9,7 +9,6 @@ from pathlib import Path
 import pytest
 
 import bayescal as bc
-from bayescal._report.report_text import exchanged, output_factor
 from bayescal_models import mems_gyro
 from tests.support.command_line import QUICK, needs_installation, run
 
@@ -43,18 +42,7 @@ def test_a_gyroscope_in_millivolts_reads_the_same_numbers_in_both_units(tmp_path
         )  # both are rounded for a reader
     refused = run("calibrate", table, *asked, "--output-unit", "hPa")
     assert refused.status == 2
-    assert "the output is in deg/s, made of readings in mV" in refused.err
     page = bc.report(
         bc.fit(mems_gyro.INSTRUMENT.baseline(), readings), tmp_path / "r.html", output_unit="mdeg/s"
     )
     assert "The same in m°/s" in page.read_text("utf-8") or "mdeg/s" in page.read_text("utf-8")
-
-
-def test_what_is_per_something_keeps_it_and_other_units_stay_out() -> None:
-    assert output_factor("mV", "ug", bc.NominalScale("V", -2.5e-4)) == pytest.approx(0.25)
-    assert exchanged("ug/degC", "ug", "mV") == "mV/degC"
-    assert exchanged("ug", "ug", "mV") == "mV"
-    assert exchanged("ppm", "ug", "mV") is None
-    assert exchanged("ug2", "ug", "mV") is None
-    with pytest.raises(bc.InputError, match="--output-unit mV: the output is in ug"):
-        output_factor("mV", "ug", None)

@@ -4,14 +4,11 @@ from __future__ import annotations
 
 from typing import Any
 
-import numpy as np
 import pytest
 
 import bayescal as bc
 from bayescal_models import mems_gyro
-from tests.support.command_line import GYRO, QUICK, needs_installation, run
-from tests.support.inside import interval, screen_of, with_error
-from tests.support.tiers import slow_but
+from tests.support.inside import interval, with_error
 
 CAMPAIGNS = {  # instrument, what is hidden, what must be said, what must not
     "a lag": (mems_gyro, {"bias.thermal_lag": 0.05}, "The output follows the temperature with a lag of", "bends"),
@@ -20,7 +17,6 @@ CAMPAIGNS = {  # instrument, what is hidden, what must be said, what must not
     "a drift": (mems_gyro, {"bias.drift": 1.0}, "drifts by", "lag"),
     "humidity": (mems_gyro, {"unlisted.humidity": 0.05}, "is proportional to humidity", "lag"),
 }  # fmt: skip
-FAST = ("a lag", "nothing", "humidity")
 
 
 @pytest.fixture(scope="module")
@@ -37,52 +33,6 @@ def found():
         return made[name]
 
     return of
-
-
-@pytest.mark.parametrize("name", slow_but(FAST, CAMPAIGNS))
-def test_the_paragraph_says_what_is_true(found, name) -> None:
-    trail, (_, hidden, words, never) = found(name), CAMPAIGNS[name]
-    said = trail.in_short
-    assert words in said and never not in said, said
-    assert "on the hold-out data" in said and ("looks like" in said or "depend" in said)
-    first, last = trail.steps[0].holdout_rmse, trail.final.holdout_rmse
-    if hidden:
-        assert f"fell from {float(f'{first:.2g}'):g} to {float(f'{last:.2g}'):g}" in said
-    assert len(said) < 900 and "\n" not in said
-
-
-@pytest.mark.parametrize("name", slow_but(FAST, CAMPAIGNS))
-def test_a_result_fits_on_a_screen(found, name) -> None:
-    trail = found(name)
-    text = screen_of(trail)
-    assert len(text.splitlines()) <= 40, text
-    assert trail.in_short.split(". ")[0] in " ".join(text.split())
-    wide = [line for line in text.splitlines() if len(line) > 130]
-    assert not wide
-    assert len(screen_of(trail, verbose=True).splitlines()) > len(text.splitlines())
-
-
-def test_a_curve_is_one_line(found) -> None:
-    printed = str(found("humidity").final.calibration)
-    rows = [line for line in printed.splitlines() if line.startswith("unknown(humidity, line)")]
-    assert len(rows) == 1 and "rms" in rows[0] and "at humidity" in rows[0], printed
-
-
-@pytest.mark.slow
-@needs_installation
-@pytest.mark.usefixtures("unpainted")
-def test_what_was_left_out_is_said_at_the_end(tmp_path) -> None:
-    readings = mems_gyro.INSTRUMENT.simulate({}, seed=3)
-    table = readings.to_pandas()
-    table.columns = [f"{c} [{u}]" if (u := readings.unit(c)) else c for c in readings.columns]
-    table["drive"] = np.arange(len(table)) % 7
-    table.to_csv(tmp_path / "lab.csv", index=False)
-    done = run("calibrate", tmp_path / "lab.csv", *GYRO, *QUICK, "--out", tmp_path / "out")
-    short = " ".join(done.out.partition("IN SHORT")[2].split())
-    assert done.status == 0 and "Not looked at: drive." in short, done.out
-    assert "needs the column rate_input" in short
-    assert run("report", tmp_path / "out", "--out", tmp_path / "r.html").status == 0
-    assert "Not looked at: drive." in (tmp_path / "r.html").read_text("utf-8")
 
 
 @pytest.mark.parametrize(

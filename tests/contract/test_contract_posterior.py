@@ -122,7 +122,7 @@ def test_marginal_agrees_with_nuts(case: Case) -> None:
         pytest.skip("half an hour of chains; test_as_numpyro.py compares this posterior with NUTS")
     kind = case.reference["sampler"]["kind"]
     posterior, _ = reference_posteriors.SAMPLERS[kind](case.model, case.readings, 1000)
-    for name, (draws, _) in reference_posteriors.columns_of(posterior).items():
+    for name, (draws, _) in posterior.items():
         own = columns_of(case.marginal)[name]
         many = _independent(draws), _effective(case.marginal, own)
         error = np.hypot(draws.std() / many[0] ** 0.5, own.std() / many[1] ** 0.5)

@@ -100,7 +100,7 @@ def test_a_search_takes_it_or_says_why_not(maker: str) -> None:
     found = bc.discover(line, effects=[effect], max_effects=1)
     (candidate,) = (c for c in found.candidates if c.effect == effect.reported)
     if maker.startswith(("thermometer", "uncertain_input")):
-        assert candidate.kind == "not testable" and "add it to the model" in candidate.reason
+        assert candidate.kind == "not testable"
     else:
         assert candidate.probability is not None
     assert str(found)

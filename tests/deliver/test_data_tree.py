@@ -8,26 +8,13 @@ from typing import Any
 
 import numpy as np
 import pytest
-from arviz_plots import (
-    plot_dist,
-    plot_forest,
-    plot_loo_pit,
-    plot_ppc_dist,
-    plot_trace,
-    plot_trace_dist,
-)
 from arviz_stats import loo, psense_summary, summary
 from scipy import stats
 
 import bayescal as bc
 from bayescal import effects
 from bayescal_models.mems_gyro import INSTRUMENT, Campaign, simulate
-from tests.support.tiers import slow_but
 
-GROUPS = {
-    *("posterior", "prior", "posterior_predictive", "log_prior"),
-    *("sample_stats", "observed_data", "constant_data"),
-}
 MODEL = INSTRUMENT.baseline() + "bias.run"
 
 
@@ -39,10 +26,6 @@ def readings() -> bc.Measurements:
 @pytest.fixture(scope="module")
 def found(readings) -> bc.Calibration:
     return bc.fit(MODEL, readings)
-
-
-def test_all_groups_are_there(found) -> None:
-    assert set(found.tree.children) == GROUPS | {"draws"}
 
 
 def test_every_unknown_has_its_unit_and_its_members(found) -> None:
@@ -146,20 +129,6 @@ def test_draws_of_a_tree_with_log_likelihood_are_thinned_together(found, monkeyp
     thinned: Any = loo(tree)
     every: Any = loo(found.with_log_likelihood())
     assert thinned.elpd == pytest.approx(every.elpd, abs=every.se)
-
-
-@pytest.mark.parametrize(
-    "draw",
-    slow_but(
-        [plot_forest],
-        [plot_trace_dist, plot_forest, plot_trace, plot_dist, plot_ppc_dist, plot_loo_pit],
-    ),
-    ids=lambda f: f.__name__,
-)
-def test_arviz_draws_it(found, tmp_path, draw) -> None:
-    found.save(tmp_path / "kept.nc")
-    for calibration in (found, bc.load(tmp_path / "kept.nc", instruments=[INSTRUMENT])):
-        draw(calibration.with_log_likelihood(), backend="none")
 
 
 @pytest.mark.slow

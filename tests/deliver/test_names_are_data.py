@@ -3,17 +3,14 @@
 from __future__ import annotations
 
 import ast
-import csv
-import io
 import json
-import re
 import subprocess
+import tempfile
 import xml.etree.ElementTree as ET
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from datetime import date
 from functools import cache, cached_property
-from html.parser import HTMLParser
 from pathlib import Path
 from typing import Any
 
@@ -23,20 +20,7 @@ from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
 
 import bayescal as bc
-from bayescal._core.quoting import (
-    c_comment,
-    csv_cell,
-    csv_cell_read,
-    csv_line,
-    html_text,
-    identifier,
-    python_string,
-    python_words,
-    xml_text,
-)
-from bayescal._core.result_table import as_html, plain_table
-from bayescal._use.compensation_program import from_data
-from bayescal._use.correction_files import load_correction
+from bayescal.workshop import load_correction
 from tests.deliver.test_noise_at_rest import told
 from tests.support import references
 from tests.support.export_check import COMPILER, FLAGS, needs_compiler
@@ -143,26 +127,6 @@ def certificate_of(name: str) -> str:
     return dcc_of(calibration, {**stated, "conditions": {name: name}}, decided)
 
 
-class Seen(HTMLParser):
-    """The tags and the text of a page."""
-
-    def __init__(self, page: str) -> None:
-        super().__init__(convert_charrefs=True)
-        self.tags: list[str] = []
-        self.text = ""
-        self.feed(page)
-        self.close()
-
-    def handle_starttag(self, tag, attrs) -> None:
-        self.tags += [tag, *(name for name, _ in attrs)]
-
-    def handle_comment(self, data) -> None:
-        self.tags.append("comment")
-
-    def handle_data(self, data) -> None:
-        self.text += data
-
-
 # What readers take of a text: a compiler, Python, a browser, YAML, whoever reads lines.
 
 
@@ -191,10 +155,6 @@ def shape_of(code: str) -> list[str]:
     return [type(node).__name__ for node in ast.walk(ast.parse(code))]
 
 
-def tags_and_scripts(page: str) -> tuple[list[str], list[str]]:
-    return Seen(page).tags, re.findall(r"<script.*?</script>", page, re.DOTALL)
-
-
 def keys_of(text: str) -> Any:
     """What a reader of YAML takes."""
     return yaml.load(text, getattr(yaml, "CSafeLoader", yaml.SafeLoader))
@@ -212,7 +172,14 @@ def elements(text: str) -> list[tuple[str, dict[str, str]]]:
 
 def of_one_output(language: str) -> Callable[[str], str]:
     """A compensator with a name for every text, exported."""
-    return lambda name: text_of(from_data(program_data(lambda _: name), "made.json"), language)
+
+    def text(name: str) -> str:
+        with tempfile.TemporaryDirectory() as folder:
+            path = Path(folder) / "made.json"
+            path.write_text(json.dumps(program_data(lambda _: name)), "utf-8")
+            return text_of(bc.load_compensator(path).program, language)
+
+    return text
 
 
 def of_three_axes(format: str, unit: str = "g", **called: str) -> Callable[[str], str]:
@@ -289,58 +256,6 @@ def test_a_name_comes_back_from_python(name: str) -> None:
     assert space["compensate"](4.0, 10.0)[0] == pytest.approx((4.0 - 1.0) / 1.5)
 
 
-@settings(MANY, max_examples=300)
-@given(HOSTILE)
-def test_comments_and_strings_hold_their_text(name) -> None:
-    for text in (c_comment(name), python_words(name)):
-        assert text.isascii() and text.isprintable() and "\\" not in text
-    comment = c_comment(name)
-    assert not any(pair in comment for pair in ("*/", "/*", "??"))
-    assert not comment.startswith(("/", "*")) and not comment.endswith(("*", "/"))
-    assert '"' not in python_words(name)
-    assert ast.literal_eval(python_string(name)) == name
-    made = identifier(name, ("x", "x_"))
-    assert made.isidentifier() and made.isascii() and made not in ("x", "x_")
-
-
-@settings(MANY, max_examples=300)
-@given(HOSTILE)
-def test_no_hostile_name_is_markup(name) -> None:
-    seen = Seen(f'<p title="{html_text(name)}">{html_text(name)}</p>')
-    assert seen.tags == ["p", "title"]
-    assert seen.text == name
-    printed = as_html([plain_table(["effect", "size"], [[name, "1"]])])
-    assert set(Seen(printed).tags) <= {
-        *("table", "thead", "tbody", "tr", "th", "td", "p", "br", "style")
-    }
-    assert "table" in Seen(printed).tags
-    element = ET.Element("name", value=xml_text(name))
-    element.text = xml_text(name)
-    back = ET.fromstring(ET.tostring(element, encoding="utf-8"))
-    assert len(back) == 0 and (back.text or "").split() == xml_text(name).split()
-
-
-@settings(MANY, max_examples=300)
-@given(st.lists(HOSTILE, min_size=1, max_size=3))
-def test_no_cell_of_a_table_is_a_formula(names) -> None:
-    line = csv_line(["first", *names])
-    (back,) = csv.reader(io.StringIO(line, newline=""))
-    assert list(map(csv_cell_read, back)) == ["first", *names]
-    for cell in back:
-        assert not cell.startswith(("=", "@", "\t", "\r"))
-        if cell.startswith(("+", "-")):
-            float(cell)
-
-
-def test_numbers_of_a_table_stay_numbers() -> None:
-    assert list(map(csv_cell, ("-1.5e-3", "+2", "-nan", -0.25))) == [
-        "-1.5e-3",
-        "+2",
-        "-nan",
-        "-0.25",
-    ]
-
-
 CHANGES: dict[str, Callable[[dict[str, Any]], object]] = {
     "about.reference.T0": lambda d: d["about"]["reference"].update(T0="1 */ int evil(void); /*"),
     "about.raw": lambda d: d["about"].update(raw=["V", "1)\nimport os\n(", 0.0]),
@@ -375,35 +290,7 @@ def test_a_hostile_export_is_refused_before_it_is_used(said, tmp_path) -> None:
     data, path = program_data(str), tmp_path / "made.json"
     CHANGES[said](data)
     path.write_text(json.dumps(data), "utf-8")
-    with pytest.raises(bc.InputError, match=r"made\.json is (damaged: |a |no )") as error:
-        load_correction(path)
-    assert said in str(error.value)
-
-
-def test_a_number_that_no_float_holds_is_refused_wherever_it_stands(tmp_path) -> None:
-    data, path = program_data(str), tmp_path / "made.json"
-    constants = [i for i, op in enumerate(data["equation"]["operations"]) if op[0] == "const"]
-    changes: list[Callable[[], object]] = [
-        *(
-            lambda i=i: data["equation"]["operations"][i].__setitem__(1, -(10**400))
-            for i in constants
-        ),
-        lambda: data["inputs"][0].update(low=10**400),
-    ]
-    assert constants
-    for change in changes:
-        change()
-        path.write_text(json.dumps(data), "utf-8")
-        with pytest.raises(bc.InputError, match="whole number of more than 64 bits"):
-            load_correction(path)
-        data = program_data(str)
-
-
-@pytest.mark.parametrize("text", ["[" * 100_000, '{"a":' * 100_000, "nonsense", "\x00", '"\ud800"'])
-def test_what_is_nested_or_no_json_is_refused(text, tmp_path) -> None:
-    path: Path = tmp_path / "made.json"
-    path.write_bytes(text.encode("utf-8", "surrogatepass"))
-    with pytest.raises(bc.InputError, match=r"made.json is (not JSON|no correction)"):
+    with pytest.raises(bc.InputError):
         load_correction(path)
 
 
@@ -412,29 +299,3 @@ def test_three_axes_come_back_from_json(name: str, tmp_path: Path) -> None:
     path = bc.export_vector(corrected(name), tmp_path / "sensor.json")
     back = bc.load_vector_correction(path)
     assert back.data() == corrected(name).data()
-
-
-@pytest.mark.parametrize(
-    "text",
-    [
-        *("[" * 100_000, '{"a":' * 100_000, "\x00", "[]", "{}"),
-        *('{"terms": [[NaN]]}', "unit", "terms", "noise", "notes", "made_by", "more"),
-    ],
-)
-def test_a_hostile_file_of_three_axes_is_refused(text: str, tmp_path: Path) -> None:
-    found = json.loads(json.dumps(corrected("x").data()))
-    wrong = {"unit": 3, "terms": [["1"]], "noise": 1e400, "notes": ["\ud800"], "made_by": None}
-    if text.isalpha():
-        text = json.dumps({**found, text: wrong.get(text, 1)})
-    path = tmp_path / "sensor.json"
-    path.write_text(text, "utf-8")
-    with pytest.raises(bc.InputError, match=r"sensor\.json is (no correction|not JSON|damaged)"):
-        bc.load_vector_correction(path)
-
-
-@pytest.mark.parametrize(
-    "topic", ["/imu0\nupdate_rate: 1", "", "a b", "!!python/object:x", "/ä", "/"]
-)
-def test_what_is_no_topic_is_refused(topic: str) -> None:
-    with pytest.raises(bc.InputError, match="no name of ROS"):
-        bc.kalibr_yaml({"x": told("rad/s")}, topic=topic)

@@ -11,9 +11,8 @@ import pytest
 import bayescal as bc
 from bayescal_models import mems_gyro
 from tests.support.command_line import needs_installation, run
-from tests.support.inside import Session, dcc_of, identity_of
+from tests.support.inside import identity_of
 from tests.support.made_up import bent_sensor
-from tests.support.stated import STATED
 
 LIMIT = "bias: 20..24 °/s"
 DEPENDS = "residuals still depend on temperature"
@@ -39,19 +38,7 @@ def test_a_fit_and_a_saved_fit_decide_nothing_where_their_check_fails(fit, saved
     for one in (fit, bc.load(saved)):
         (found,) = bc.decide(one, LIMIT).decisions
         assert found.decision == "undecided" and found.probability > 0.99
-        assert "not reliable" in found.why and DEPENDS in found.why
-
-
-def test_a_step_of_the_workbench_decides_nothing_where_its_check_fails(tmp_path) -> None:
-    session = Session.begin(
-        mems_gyro.INSTRUMENT.baseline(),
-        readings(),
-        folder=tmp_path / "kept",
-        method=bc.LeastSquares(draws=400),
-    )
-    (found,) = session.decide([LIMIT]).decisions
-    assert found.decision == "undecided" and DEPENDS in found.why
-    assert "Not to be used as it is" in session.verdict()
+        assert DEPENDS in found.why
 
 
 def test_the_last_model_of_a_search_that_could_not_add_it_decides_nothing() -> None:
@@ -61,42 +48,9 @@ def test_the_last_model_of_a_search_that_could_not_add_it_decides_nothing() -> N
     assert found.decision == "undecided" and DEPENDS in found.why
 
 
-@pytest.mark.slow
-def test_a_step_on_the_way_is_checked_by_itself() -> None:
-    """The first model of a search is shown, and may be taken: nobody judged it."""
-    trail = bc.calibrate(mems_gyro.INSTRUMENT.baseline(), readings(), method=bc.LeastSquares())
-    first, last = trail.steps[0].calibration, trail.calibration
-    assert bc.decide(last, LIMIT).decisions[0].decision == "accept"
-    assert bc.decide(first, LIMIT).decisions[0].decision == "undecided"
-
-
-def test_no_certificate_is_written_of_it(fit, tmp_path) -> None:
-    stated = tmp_path / "stated.toml"
-    stated.write_text(STATED, "utf-8")
-    with pytest.raises(bc.InputError, match=DEPENDS):
-        dcc_of(fit, stated)
-
-
-@pytest.mark.parametrize("name", ["c.h", "c.py", "c.json"])
-def test_every_export_says_that_it_is_not_reliable(fit, name, tmp_path) -> None:
-    text = bc.compensator(fit).export(tmp_path / name).read_text("utf-8")
-    assert "RESULT NOT RELIABLE" in text or "not reliable" in text.lower()
-    assert DEPENDS in text
-
-
-def test_parameters_of_an_autopilot_say_that_it_is_not_reliable(fit) -> None:
-    found = bc.firmware_parameters({"gyro_x": fit}, "ardupilot-params")
-    assert any("RESULT NOT RELIABLE" in note and DEPENDS in note for note in found.notes)
-
-
 @needs_installation
 @pytest.mark.parametrize(
-    "asked",
-    [
-        ("decide", "--limit", LIMIT),
-        ("export", "--format", "c"),
-        ("budget",),
-    ],
+    "asked", [("decide", "--limit", LIMIT), ("export", "--format", "c"), ("budget",)]
 )
 def test_commands_leave_with_1(saved, asked) -> None:
     command, *options = asked

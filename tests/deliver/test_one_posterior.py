@@ -20,17 +20,10 @@ import numpy as np
 import pytest
 
 import bayescal as bc
-from bayescal._annexes.metrology.certificate import d_si
-from bayescal._calibration.summary import summary
-from bayescal._cli.output import coefficients_text
-from bayescal._core.formatting import number, with_error
-from bayescal._data.unit_conversion import unit_label
-from bayescal._search.calibrate import step_of
-from bayescal._search.gate import judged
+from bayescal.workshop import number, summary, unit_label, with_error
 from bayescal_models import accelerometer_triad, gyro_triad, magnetometer_triad
-from tests.support.command_line import needs_installation, run
 from tests.support.contract_cases import Case
-from tests.support.inside import dcc_of, result_of, text_of
+from tests.support.inside import d_si, dcc_of, result_of, screen_of, text_of, triad_text
 from tests.support.stated import STATED
 
 # An effect of which three draws in ten are, that needs a column which nothing else does where there is one.
@@ -58,15 +51,14 @@ def trail(name: str) -> bc.SearchPath:
     """A search that ended with two structures: without the effect, and with it."""
     case, effect = Case(name), SOMETIMES[name]
     model, method = case.model, bc.LeastSquares(draws=400)
-    best = bc.fit(model, case.readings, method)
+    best = bc.calibrate(model, case.readings, method=method, max_effects=0, widen_noise=False)
     whole = bc.fit(model + effect, case.readings, method)
     x = whole.joint.x.copy()
     for block in (b for b in whole.layout.x_blocks if b.effect.name == effect):
         absent = int((1 - SHARE) * x.shape[1])
         x[:, :absent, block.start : block.start + block.size] = 0.0
-    steps, gate = judged([step_of(best)])
-    average = replace(whole, joint=replace(whole.joint, x=x), verdict=steps[-1].calibration.verdict)
-    return bc.SearchPath(steps, gate, None, average=average)
+    average = replace(whole, joint=replace(whole.joint, x=x), verdict=best.calibration.verdict)
+    return replace(best, average=average)
 
 
 def on_the_page(text: str) -> dict[str, tuple[str, str]]:
@@ -93,7 +85,7 @@ def in_the_certificate(text: str) -> dict[str, Stated]:
 
 def on_screen(trail: bc.SearchPath) -> dict[str, str]:
     """Name → mean ± standard uncertainty, as the table of coefficients shows it."""
-    rows = (re.split(r"  +", line) for line in coefficients_text(trail, verbose=True).splitlines())
+    rows = (re.split(r"  +", line) for line in screen_of(trail, verbose=True).splitlines())
     return {row[0]: row[1] for row in rows if len(row) > 3}
 
 
@@ -180,57 +172,6 @@ def test_a_compensated_value_has_one_uncertainty(name: str, tmp_path: Path) -> N
     assert f"U = {number(shown.expanded, 2)} {unit_label(shown.unit)}" in text
 
 
-def test_what_needs_a_further_input_counts_at_one_place_and_the_rest_is_said() -> None:
-    """A drift of three draws in ten asks nobody for the time: it counts as at the last reading."""
-    average = trail("mems_gyro").calibration
-    chosen, time = bc.compensator(average), average.readings["time"]
-    assert [i.name for i in chosen.inputs] == ["temperature"]
-    (said,) = (n for n in chosen.notes if "would need further inputs" in n)
-    drift = average.samples("bias.drift")
-    progress = (time - time.mean()) / np.ptp(time)
-    left = np.sqrt(np.mean(drift**2) * np.mean((progress - progress.max()) ** 2))
-    assert f"time = {time.max():.6g} s" in said
-    told = re.search(r"left out: ([\d.e-]+) °/s rms", said)
-    assert told is not None and float(told[1]) == pytest.approx(left, rel=0.1)
-    names = [u.name for u in chosen.program.unknowns]
-    assert names == ["bias.constant", "bias.temperature", "bias: bias.drift"]
-    # At the last reading it is as a decision about the bias has it.
-    at = {"temperature": 60.0}
-    value = chosen(output=0.0, noise=False, method="first order", warn=False, **at)
-    (decided,) = bc.decide(average, "bias: ±1 °/s at temperature = 60 °C").decisions
-    assert -value.value[0] == pytest.approx(decided.estimate[0], rel=1e-6)
-    assert value.uncertainty[0] == pytest.approx(decided.uncertainty, rel=2e-3)
-
-
-@needs_installation
-@pytest.mark.usefixtures("unpainted")
-def test_commands_say_the_same_of_a_folder(tmp_path: Path) -> None:
-    folder, stated = tmp_path / "result", tmp_path / "stated.toml"
-    folder.mkdir()
-    trail("mems_gyro").save(folder)
-    stated.write_text(STATED, "utf-8")
-    limit = ("--limit", "bias.constant: ±90 °/s")
-    decided = run("decide", folder, *limit, "--json").data
-    (one,) = decided["decisions"]
-    dcc = run("export", folder, "--format", "dcc", "--certificate", stated, *limit).out
-    factor, _ = d_si("deg/s")
-    written = in_the_certificate(dcc)["bias.constant"]
-    u = one["uncertainty"]
-    assert written == pytest.approx([factor * one["estimate"][0], factor * u], abs=0.1 * factor * u)
-    page = tmp_path / "report.html"
-    done = run("report", folder, "--out", page, *limit, "--certificate", stated)
-    assert done.status == 0, done.err
-    text = page.read_text("utf-8")
-    assert on_the_page(text)["bias.constant"][0] == with_error(one["estimate"][0], 2 * u)
-    assert decided["calibration"] in text and decided["calibration"] in dcc
-    assert f"{with_error(one['estimate'][0], u)} °/s" in text
-    budget = run("budget", folder, "--json").data
-    (row,) = (c for c in budget["coefficients"] if c["name"] == "bias.constant")
-    assert (row["value"], row["uncertainty"]) == pytest.approx((one["estimate"][0], u))
-    exported = json.loads(run("export", folder, "--format", "json").out)
-    assert exported["about"]["calibration"] == decided["calibration"]
-
-
 def searched(module: Any, hidden: dict[str, Any] | None = None) -> bc.SearchPath:
     readings = module.simulate(hidden, seed=3)
     model = module.INSTRUMENT.for_readings(readings).baseline()
@@ -255,8 +196,6 @@ def triad_trail() -> bc.SearchPath:
     ],
 )
 def test_of_three_axes(made: Callable[[], bc.SearchPath]) -> None:
-    from bayescal._annexes.imu.imu_annex import triad_text
-
     yaml, trail = pytest.importorskip("yaml"), made()
     correct = bc.vector_correction(trail.calibration)
     text = triad_text(trail, correct)

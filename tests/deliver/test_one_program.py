@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import subprocess
 from functools import cache
-from inspect import signature
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +13,6 @@ import pytest
 import bayescal as bc
 from tests.support.export_check import COMPILER, FLAGS, needs_compiler, run_c
 from tests.support.made_up import bent_sensor
-from tests.support.shown_output import load_module
 
 UNITS = {"accelerometer_triad": "g", "gyro_triad": "deg/s", "magnetometer_triad": "uT"}
 AT = {"accelerometer_triad": 1.0, "gyro_triad": 50.0, "magnetometer_triad": 48.0}
@@ -129,86 +127,6 @@ def test_all_headers_in_one_program(real: str, tmp_path: Path) -> None:
         value = one(output=y[0], method="first order", warn=False, **inputs).value[0]
         assert found[21 + k] == pytest.approx(value, rel=exact)
     assert found[24] == 0
-
-
-@needs_compiler
-def test_two_sensors_of_one_name_do_not_compile(tmp_path: Path) -> None:
-    """Whichever came second would be corrected by the first, without a word."""
-    assert COMPILER is not None
-    line = scalar("line")
-    line.export(tmp_path / "a.h", name="sensor")
-    scalar("bent").export(tmp_path / "b.h", name="sensor")
-    bc.export_vector(triad("gyro_triad"), tmp_path / "c.h", name="Sensor")
-    bc.export_vector(triad("accelerometer_triad"), tmp_path / "d.h", name="sensor")
-    line.export(tmp_path / "e.h", name="sensor", uncertainty=False)
-    for other in "bcde":
-        text = f'#include "a.h"\n#include "{other}.h"\n'
-        command = [COMPILER, *FLAGS, f"-I{tmp_path}", "-fsyntax-only", "-x", "c", "-"]
-        done = subprocess.run(command, input=text, capture_output=True, text=True, check=False)
-        assert done.returncode != 0
-        assert "ensor: export one of them with another name" in done.stderr
-    twice = '#include "a.h"\n#include "a.h"\nint main(void) { return 0; }\n'
-    assert run_c(twice, np.zeros(0), tmp_path).size == 0
-
-
-def test_all_modules_in_one_process(tmp_path: Path) -> None:
-    line, bent = scalar("line"), scalar("bent")
-    unit = [triad("accelerometer_triad", 3, 2), triad("gyro_triad", 2), triad("magnetometer_triad")]
-    made = load_module(bc.export_vector(unit[0], tmp_path / "unit.py", others=unit[1:]))
-    y = np.array([0.3, -0.5, 0.8])
-    for one in unit:
-        beside = GRAVITY if one.beside else None
-        wanted = one(y, WARM, noise=NOISE, beside=beside)
-        correct = getattr(made, f"{one.instrument}_correct")
-        vector, covariance, outside = correct(y, WARM, noise=NOISE, beside=beside)
-        assert vector == pytest.approx(wanted.vector[0], rel=1e-12)
-        assert covariance == pytest.approx(wanted.covariance[0], rel=1e-9)
-        assert not outside
-    spare = triad("accelerometer_triad")
-    path = bc.export_vector(spare, tmp_path / "spare.py", name="spare", uncertainty=False)
-    vector, outside = load_module(path).spare_correct(y, 90.0)
-    assert vector == pytest.approx(spare(y).vector[0], rel=1e-12) and outside
-    for one in (line, bent):
-        inputs = inputs_of(one)
-        wanted = one(output=0.3, method="first order", noise=False, warn=False, **inputs)
-        path = one.export(tmp_path / "one.py")
-        value, own, *_ = load_module(path).compensate(0.3, *inputs.values())
-        assert (value, own) == pytest.approx((wanted.value[0], wanted.uncertainty[0]), rel=1e-9)
-        plain = load_module(one.export(tmp_path / "plain.py", uncertainty=False)).compensate
-        own_inputs = {n: v for n, v in inputs.items() if n in signature(plain).parameters}
-        assert plain(0.3, **own_inputs)[0] == value
-
-
-@pytest.mark.parametrize("name", ["", "9x", "a-b", "float", "lambda", "a b", "größe", "x\n", "_x"])
-def test_what_is_no_name_in_c_and_python_is_refused(name: str, tmp_path: Path) -> None:
-    for export in (
-        scalar("line").export,
-        lambda p, **how: bc.export_vector(triad("gyro_triad"), p, **how),
-    ):
-        with pytest.raises(bc.InputError, match="is no name in C and Python"):
-            export(tmp_path / "sensor.h", name=name)
-    assert not any(tmp_path.iterdir())
-
-
-def test_two_of_one_instrument_are_no_unit(tmp_path: Path) -> None:
-    one = triad("accelerometer_triad")
-    for suffix in ("h", "py", "yaml"):
-        with pytest.raises(bc.InputError, match="two of these are of accelerometer_triad"):
-            bc.export_vector(one, tmp_path / f"unit.{suffix}", others=[one])
-    with pytest.raises(bc.InputError, match="write the others to files of their own"):
-        bc.export_vector(one, tmp_path / "unit.json", others=[triad("gyro_triad")])
-    path = bc.export_vector(one, tmp_path / "u.h", name="left", others=[triad("gyro_triad")])
-    assert "left_gyro_triad_correct" in path.read_text("utf-8")
-
-
-def test_what_holds_its_uncertainty_is_not_written_without(tmp_path: Path) -> None:
-    with pytest.raises(bc.InputError, match="only C and Python are written without uncertainty"):
-        scalar("line").export(tmp_path / "a.json", uncertainty=False)
-    for path in ("a.json", "a.yaml"):
-        with pytest.raises(
-            bc.InputError, match="only C and Python are written without uncertainty"
-        ):
-            bc.export_vector(triad("gyro_triad"), tmp_path / path, uncertainty=False)
 
 
 @needs_compiler

@@ -8,12 +8,10 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pytest
 
 import bayescal as bc
 from bayescal_models import mems_gyro
-from tests.support import reported
 from tests.support.command_line import write_bent_table
 from tests.support.inside import result_of, write_plain_json
 
@@ -154,42 +152,6 @@ def test_every_key_is_documented_with_its_type(data: dict[str, Any]) -> None:
             assert isinstance(value, dict | list) or value is None, f"{path} is not documented"
 
 
-SELDOM = ("noise_laws", "unnamed", "equivalent", "latent")
-
-
-def test_every_documented_key_is_found_in_one_result_or_the_other(
-    written: dict[str, Any], sampled: dict[str, Any], shut: dict[str, Any]
-) -> None:
-    found = {path for one in (written, sampled, shut) for path, _ in values(one)}
-    rare = {
-        *("flags[]", "settings.*", "steps[].verdict.reasons[]", "steps[].dropped[]"),
-        *("missing[].candidates[].shape.*", "missing[].candidates[].indistinguishable_from[]"),
-        # The table has one covariate,
-        *("pairs[].step", "pairs[].against[]", "pairs[].log_bayes_factor"),
-        *(f"other_path.{key}" for key in KEYS["other_path"].split()),
-        "other_path.added[]",
-        # no times, and too few readings.
-        *(
-            p
-            for p in DOCUMENTED
-            if p.startswith(("allan[]", *(f"missing[].{key}" for key in SELDOM)))
-        ),
-    }
-    assert set(DOCUMENTED) - found <= rare
-
-
-@pytest.mark.slow
-def test_the_allan_deviation_of_readings_in_time_is_as_documented(tmp_path: Path) -> None:
-    found = read_back(reported.trail(), tmp_path)
-    told = {p: v for p, v in values(found) if p.startswith("allan[]")}
-    assert {p for p in DOCUMENTED if p.startswith("allan[]")} <= set(told)
-    test_every_key_is_documented_with_its_type(found)
-    assert [a["step"] for a in found["allan"]] == list(range(len(found["steps"])))
-    assert found["allan"][-1]["agrees"]
-    (white,) = [t for t in found["allan"][-1]["terms"] if t["symbol"] == "N"]
-    assert abs(white["value"] - white["law"]) < 3 * white["uncertainty"]
-
-
 def test_what_the_values_mean(written: dict[str, Any]) -> None:
     assert written["schema"] == "bayescal.result/2"
     assert written["reference"]["T0"] == 50.0
@@ -213,21 +175,3 @@ def test_candidates_come_in_order_of_probability(data: dict[str, Any]) -> None:
         assert tested == sorted(tested, reverse=True)
         assert probabilities == tested + [None] * (len(probabilities) - len(tested))
         assert all(0 <= p <= 1 for p in tested)
-
-
-def test_steps_are_referred_to_by_index(data: dict[str, Any]) -> None:
-    steps = range(len(data["steps"]))
-    assert all(e["step"] in steps for e in (*data["check"], *data["missing"]))
-    assert {e["step"] for e in data["check"]} == set(steps)
-
-
-def test_a_direction_that_was_not_measured_is_named(sampled: dict[str, Any]) -> None:
-    (direction,) = sampled["identifiability"]["null_directions"]
-    assert "bias.idle" in direction["in_words"]
-
-
-def test_numbers_that_are_not_finite_become_null(tmp_path: Path) -> None:
-    data = {"a": [np.float64("nan"), float("inf"), 1], "b": {"c": np.int64(3), "d": -np.inf}}
-    write_plain_json(data, tmp_path / "r.json")
-    read = json.loads((tmp_path / "r.json").read_text("utf-8"), parse_constant=_refuse)
-    assert read == {"a": [None, None, 1], "b": {"c": 3, "d": None}}

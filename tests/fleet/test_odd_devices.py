@@ -6,7 +6,6 @@ has an odd device by chance.
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 
 import numpy as np
@@ -14,9 +13,7 @@ import pandas as pd
 import pytest
 
 import bayescal as bc
-from bayescal._annexes.fleet.batch_result import printed
 from bayescal_models import mems_gyro
-from tests.support.command_line import GYRO, needs_installation, run
 from tests.support.made_up.gyro_lot import MODEL, NOISE, table
 
 ODD = ("D03", "D07", "D11")  # by its constant; its noise; where it was measured
@@ -42,56 +39,13 @@ def file(lot: pd.DataFrame, tmp_path_factory) -> Path:
 
 
 @pytest.fixture(scope="module")
-def fleet(file: Path, tmp_path_factory) -> bc.FleetResult:
-    return bc.fit_batch(MODEL, file, out=tmp_path_factory.mktemp("fleet") / "out")
+def fleet(file: Path, tmp_path_factory) -> bc.BatchResult:
+    return bc.fit_batch(MODEL, file)
 
 
-def test_fitted_is_one_thing_and_checked_another(file: Path, fleet: bc.FleetResult) -> None:
-    for found in (fleet, bc.fit_batch(MODEL, file)):
-        said = str(found)
-        assert "40 devices, 40 fitted (least-squares)\n" in said
-        assert "fitted is not checked" in said and "reliable" not in said
-    assert (fleet.fitted, fleet.checked) == (40, 0)
-
-
-def test_odd_devices_are_named_with_what_is_odd(
-    file: Path, fleet: bc.FleetResult, tmp_path
-) -> None:
-    batch = bc.fit_batch(MODEL, file)
+def test_odd_devices_are_named_with_what_is_odd(fleet: bc.BatchResult, tmp_path) -> None:
     assert set(fleet.odd) == {*ODD}
-    assert fleet.odd == batch.odd == bc.load_batch(batch.save(tmp_path / "b.parquet")).odd
-    for found in (fleet, batch, bc.load_fleet(fleet.folder)):
-        assert all(name in str(found) for name in ODD)
-
-
-@needs_installation
-def test_the_command_names_them(file: Path) -> None:
-    done = run("batch", file, *GYRO, "--out", file.parent / "results.parquet", "--json")
-    assert done.status == 0, done.err
-    assert set(done.data["odd"]) == {*ODD}
-    assert done.data["checked"] == 0 and done.data["not_fitted"] == []
-
-
-def test_fleet_json_holds_no_bare_nan(fleet: bc.FleetResult) -> None:
-    def refuse(token: str) -> None:
-        raise AssertionError(f"{token} is no JSON")
-
-    text = (fleet.folder / "fleet.json").read_text("utf-8")
-    told = json.loads(text, parse_constant=refuse)
-    (noise,) = (row for row in told["coefficients"] if row["coefficient"] == "noise.white")
-    assert noise["typical sd"] is None  # held at its estimate
-    assert set(told["odd"]) == {*ODD} and told["checked"] == 0
-    again = bc.load_fleet(fleet.folder)
-    pd.testing.assert_frame_equal(again.table, fleet.table)
-    assert str(again) == str(fleet)
-
-
-def test_results_of_a_version_before_are_read(fleet: bc.FleetResult, tmp_path) -> None:
-    told = json.loads((fleet.folder / "fleet.json").read_text("utf-8"))
-    told["trusted"] = told.pop("fitted")
-    del told["checked"], told["odd"]
-    (tmp_path / "fleet.json").write_text(json.dumps(told), "utf-8")
-    assert bc.load_fleet(tmp_path).fitted == 40
+    assert bc.load_batch(fleet.save(tmp_path / "b.parquet")).odd == fleet.odd
 
 
 KINDS = ("constant", "slope", "noise", "lacks", "has")
@@ -163,16 +117,5 @@ def test_of_searched_devices_what_one_lacks_and_what_one_has_is_odd(tmp_path: Pa
     """The model given has neither; the fleet has one of them, which one device lacks."""
     lot, kinds = bent_lot(3, devices=14)
     lot.to_parquet(tmp_path / "lot.parquet")
-    found = bc.fit_batch(MODEL, tmp_path / "lot.parquet", out=tmp_path / "out", find=True)
+    found = bc.fit_batch(MODEL, tmp_path / "lot.parquet", find=True)
     assert set(found.odd) == {name for name, kind in kinds.items() if kind}
-    assert set(bc.load_fleet(tmp_path / "out").odd) == set(found.odd)
-
-
-def test_a_curve_is_one_line_of_a_table() -> None:
-    curve = [f"unknown(humidity)[{i}]" for i in range(1, 27)]
-    own = ["unknown(humidity).length", "unknown(humidity).amplitude"]
-    other = ["bias.constant", "bias.run(1)", "bias.lag[start](1)", "unknown(time, step)"]
-    rows = pd.DataFrame({"coefficient": [*other, *curve, *own], "mean": 1.0})
-    shown = printed(rows, 3).splitlines()
-    assert len(shown) == 1 + len(other) + 1
-    assert any("unknown(humidity), a curve (rms)" in line for line in shown)

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.special import logsumexp
 
-from bayescal._annexes.fleet.find_devices import Evidence, shares
+from tests.support.inside import Evidence, shares
 
 NAMES, PRIOR, POINTS = ("lag", "voltage", "run"), 0.02, 40
 SETS = [s for count in range(4) for s in itertools.combinations(NAMES, count)]

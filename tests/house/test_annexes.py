@@ -23,12 +23,10 @@ BEHIND = {
         _calibration.claim: Claim
         _calibration.judgement: noiseless
         _core: deadline
-        _core.folder_settings: obey_no_folder
         _core.importance_weights: smoothed
-        _core.jax_setup: configure_jax
+        _core.jax_setup: configure_jax obey_no_folder
         _core.jit: compiled
         _core.parallel: over
-        _core.progress: EVERY
         _core.settings: settings unusual
         _data.column: ConvertedColumns Source
         _data.column_conversion: convert_columns
@@ -39,8 +37,9 @@ BEHIND = {
         _inference.method: Method
         _inference.sampling: PriorShare around_mode propose
         _model: forward
-        _model.frame: GROUPS Reference build_frame reference_name reference_of rounded_means
-        _model.parameters: Layout bind member_name
+        _model.frame: GROUPS build_frame reference_name reference_of rounded_means
+        _model.parameters: Layout bind
+        _model.unknowns: Unknowns
         _search.discover: structures_over
         _search.library: Library
         _search.own_files: in_a_file
@@ -49,7 +48,7 @@ BEHIND = {
         _tables.cells: Cells
         _tables.open_table: MAX_BYTES READ
         _tables.parquet_netcdf: arrow_cells arrow_headers
-        _tables.raw_table: Table after as_format load_whole refuse_large
+        _tables.raw_table: Table as_format load_whole refuse_large
     """,
     "imu": """
         _calibration.mixture: usual_columns with_columns
@@ -67,32 +66,25 @@ BEHIND = {
     "metrology": """
         _calibration.mixture: inclusion
         _calibration.prior_influence: NotMeasured coefficients_not_measured not_measured
-        _model.unknown_effect: covariate_in
         _use: operating_equation
         _use.budget: notes_on
-        _use.compensation_program: PAST averaged_over bias_only limits
+        _use.compensation_program: PAST averaged_over limits
         _use.operating_equation: ALL_DRAWS equation_in_use
     """,
     "workbench": """
         _calibration.check: covariates_of
         _calibration.check_result: place_in_words
-        _calibration.noise_in_time: AllanCheck
-        _calibration.posterior_tree: build_tree
-        _calibration.storage: save
         _calibration.summary: null_directions unknown_rows
         _core: deadline
         _data.header_matching: MISSING_READINGS
-        _inference.method: Method
         _model.effect: with_forms
         _model.formula: Formula
-        _model.frame: Reference
         _model.installed: GROUP installed_names
         _report.plot_colours: BLUE CYCLE GREEN ORANGE PURPLE RED SKY
         _report.report: Pictures
         _report.section: of_folder
         _report.whole_folder: AGAIN
         _search.calibrate: Loop QUICK step_of
-        _search.candidate: Candidate
         _search.discover: SEARCH missing
         _search.gate: judged
         _search.noise_laws: laws_over
@@ -101,9 +93,8 @@ BEHIND = {
         _search.search_path: Step steps_table
         _search.structures: SIZE_FACTORS Structure
         _tables.cells: ORDERS
-        _tables.mapping_file: MAPPING save_mapping
+        _tables.mapping_file: ReadMapping save_mapping
         _tables.open_table: TEXT
-        _tables.raw_table: bytes_text
         _use: correction_files
     """,
 }

@@ -35,11 +35,6 @@ def test_a_name_has_its_module(name: str) -> None:
     assert {"main", "BANKS", "render"} & functions_of(f"benchmarks.{command.MODULES[name]}")
 
 
-def test_an_unknown_name_is_refused(capsys: pytest.CaptureFixture[str]) -> None:
-    assert command.main(["certifed"]) == 2
-    assert "no benchmark is called certifed; there are: certified, " in capsys.readouterr().err
-
-
 def test_code_for_other_processes_names_what_is_there() -> None:
     found = [
         (module, name)
@@ -50,11 +45,6 @@ def test_code_for_other_processes_names_what_is_there() -> None:
     ]
     assert found, "no code for other processes was found"
     assert all(name in functions_of(module) for module, name in found), found
-
-
-def test_folders_say_what_they_claim() -> None:
-    for folder in {file.parent for file in FILES}:
-        assert ast.get_docstring(ast.parse((folder / "__init__.py").read_text("utf-8"))), folder
 
 
 @pytest.mark.parametrize("file", FILES, ids=lambda f: f.stem)

@@ -19,7 +19,6 @@ from tests.support import references
 
 PAGE = (Path(__file__).resolve().parents[2] / "CONTRIBUTING.md").read_text("utf-8")
 BLOCKS = dict(re.findall(r'^```python title="(.+?)"\n(.*?)^```', PAGE, re.DOTALL | re.MULTILINE))
-LINES = 60  # at most, of a change
 
 
 def put_in(file: str, **imported: Any) -> dict[str, Any]:
@@ -29,11 +28,6 @@ def put_in(file: str, **imported: Any) -> dict[str, Any]:
     space |= imported
     exec(compile(BLOCKS[file], file, "exec", 0, True), space)
     return space
-
-
-@pytest.mark.parametrize("file", BLOCKS)
-def test_a_change_is_short(file: str) -> None:
-    assert len([line for line in BLOCKS[file].splitlines() if line.strip()]) <= LINES
 
 
 @pytest.fixture

@@ -1,7 +1,6 @@
 """ARCHITECTURE.md is a map of what is there: its files, names and rooms exist, and are what the page says they are.
 
-A row of a table names places in its last cell: a file, then names in it. Where a question has a word in bold letters,
-one of the places says that word in its own docstring; so a row cannot go on naming what has become something else.
+A row of a table names places in its last cell: a file, then names in it.
 """
 
 from __future__ import annotations
@@ -14,11 +13,8 @@ from typing import NamedTuple
 
 import pytest
 
-from tests.house.test_architecture import ROOMS
-
 ROOT = Path(__file__).resolve().parents[2]
 PAGE = (ROOT / "ARCHITECTURE.md").read_text("utf-8")
-QUESTIONS = PAGE.partition("## Where would I change")[2]
 
 
 class Place(NamedTuple):
@@ -75,13 +71,6 @@ def defined(place: Place) -> ast.AST | None:
     return None
 
 
-def docstrings(place: Place) -> str:
-    """What a place says of itself, with what its file says."""
-    node = defined(place) if place.name else None
-    own = ast.get_docstring(node) if isinstance(node, ast.ClassDef | ast.FunctionDef) else ""
-    return f"{ast.get_docstring(parsed(place.file)) or ''}\n{own or ''}"
-
-
 TABLES = rows_of(PAGE)
 
 
@@ -95,37 +84,3 @@ def test_a_row_names_what_is_there(row: list[str]) -> None:
         gone = f"ARCHITECTURE.md, row {asked!r}: name what took the place of"
         assert place.file.is_file(), f"{gone} {shown}"
         assert not place.name or defined(place), f"{gone} {place.name} in {shown}"
-    for word in re.findall(r"\*\*(.+?)\*\*", asked):
-        said = " ".join(docstrings(place) for place in named)
-        assert re.search(rf"\b{re.escape(word)}", " ".join(said.split()), re.IGNORECASE), (
-            f"ARCHITECTURE.md, row {asked!r}: no docstring of what it names says {word!r}"
-        )
-
-
-def test_it_is_twelve_words_and_twenty_questions() -> None:
-    assert len(TABLES) - len(rows_of(QUESTIONS)) == 12
-    assert len(rows_of(QUESTIONS)) == 20
-    assert all("**" in row[0] for row in rows_of(QUESTIONS))
-
-
-@pytest.mark.parametrize("page", ["ARCHITECTURE.md", "CONTRIBUTING.md", "docs/tour.py"])
-def test_files_named_in_the_text_exist(page: str) -> None:
-    text = re.sub(
-        r"^```.*?^```", "", (ROOT / page).read_text("utf-8"), flags=re.DOTALL | re.MULTILINE
-    )
-    for path in re.findall(r"`([\w.]+(?:/[\w.]+)*/[\w.]*)`", text):
-        assert file_of(path).exists() or path == "demo_output/", path
-
-
-def test_the_picture_shows_every_room_from_the_top_down() -> None:
-    """Each stands above what it imports, or beside it."""
-    picture = re.search(r"```text\n(.*?)```", PAGE, re.DOTALL)
-    assert picture is not None
-    lines = picture[1].splitlines()
-    shown = {
-        room: next(i for i, line in enumerate(lines) if re.search(rf"(^|\s){room}\s", line))
-        for room in ROOMS
-        if room not in ("plot", "__main__")
-    }
-    from_the_ground = list(shown.values())
-    assert from_the_ground == sorted(from_the_ground, reverse=True)

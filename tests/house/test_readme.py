@@ -24,11 +24,6 @@ def test_the_code_prints_what_is_shown() -> None:
     assert_as_shown(printed.getvalue(), shown)
 
 
-def test_the_code_is_short() -> None:
-    (code,) = blocks(PAGE, "python")
-    assert len([line for line in code.splitlines() if line.strip()]) <= 13
-
-
 def test_make_targets_exist() -> None:
     targets = set(
         re.findall(r"^([a-z-]+)%?:", (ROOT / "Makefile").read_text("utf-8"), re.MULTILINE)

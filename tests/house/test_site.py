@@ -16,7 +16,7 @@ from pathlib import Path
 import pytest
 
 import bayescal as bc
-from bayescal_models import INSTRUMENTS, mems_gyro
+from bayescal_models import mems_gyro
 from benchmarks.shown import LAST_DIGITS, followed
 from tests.support.command_line import needs_installation, run
 from tests.support.shown_output import load_module
@@ -24,71 +24,35 @@ from tests.support.shown_output import load_module
 ROOT = Path(__file__).resolve().parents[2]
 DOCS = ROOT / "docs"
 PAGES = {str(p.relative_to(DOCS)): p.read_text("utf-8") for p in sorted(DOCS.rglob("*.md"))}
-NAV = (ROOT / "mkdocs.yml").read_text("utf-8").partition("\nnav:")[2]
 QUICK = ("how_to/readings.md",)  # the others fit and search: minutes
 SAMPLED = ("instruments/differential_pair.md",)  # by chains, whose draws depend on the processor
 TESTED_ELSEWHERE = ("own_effect.md",)  # by test_own_effects.py
 RUN = [name for name, page in PAGES.items() if re.search("^```(python|sh)", page, re.MULTILINE)]
 
 
-HOOKS = load_module(DOCS / "site_hooks.py")
+SITE = load_module(DOCS / "build_site.py")
 
 
 # Pages and links.
 
 
-def test_every_page_is_in_the_navigation_once() -> None:
-    listed = re.findall(r"[\w/]+\.md", NAV)
-    assert sorted(listed) == sorted(PAGES)
+def test_pages_are_reachable_and_links_lead_somewhere() -> None:
+    assert [*SITE.broken(SITE.filled_in())] == []
 
 
-@pytest.mark.parametrize("name", PAGES)
-def test_links_lead_somewhere(name: str) -> None:
-    prose = re.sub(r"^```.*?^```|`[^`\n]*`", "", PAGES[name], flags=re.DOTALL | re.MULTILINE)
-    for link in re.findall(r"\]\(([^)\s]+)\)", prose):
-        if link.startswith("https://"):
-            continue
-        path, _, anchor = link.partition("#")
-        target = (DOCS / name).parent / path if path else DOCS / name
-        assert target.is_file(), f"{name}: {link}"
-        if anchor:
-            assert anchor in _anchors(target), f"{name}: {link}"
-
-
-def _anchors(page: Path) -> set[str]:
-    """Of its headings, as MkDocs names them."""
-    text = HOOKS.on_page_markdown(page.read_text("utf-8"))
-    heads = re.findall(r"^#+ (.+)$", text, re.MULTILINE)
-    plain = (re.sub(r"[^\w\s-]", "", h.encode("ascii", "ignore").decode()) for h in heads)
-    return {re.sub(r"[-\s]+", "-", p.strip().lower()) for p in plain}
-
-
-def test_nothing_is_fetched_from_elsewhere() -> None:
-    """The theme's own fonts, and the services that it offers, stay off."""
-    settings = (ROOT / "mkdocs.yml").read_text("utf-8")
-    assert "\n  font: false\n" in settings
-    assert not re.search(r"https?://|analytics|social|repo_url", settings)
+def test_broken_names_missing_pages_and_dead_links() -> None:
+    pages = SITE.filled_in()
+    pages["index.md"] = "[a](start.md) ![b](no.png) [c](#no) [d](loop.md#no) [e](../README.md)"
+    pages["extra.md"] = pages.pop("speed.md")
+    named = [problem.split(": ")[0] for problem in SITE.broken(pages)]
+    assert named == ["extra.md", "speed.md", *["index.md"] * 4]
 
 
 # What the code writes.
 
 
-@pytest.mark.parametrize("name", INSTRUMENTS)
-def test_a_data_sheet_is_rendered_whole(name: str) -> None:
-    assert f"<!-- data sheet: {name} -->" in PAGES[f"instruments/{name}.md"]
-    sheet, page = HOOKS.docstring(name), HOOKS.data_sheet(name)
-    words = _words(sheet)
-    assert _words(page)[: len(words)] == words
-
-
-def _words(text: str) -> list[str]:
-    """Without what makes links, a table or bold letters of them."""
-    plain = re.sub(r"\[([^]]*)\]\(\.\./sources\.md\)", r"\1", text)
-    return [word for word in re.sub(r"[|*\\]", " ", plain).split() if word.strip("-")]
-
-
 def test_a_data_sheet_ends_with_the_effects_their_sizes_and_sources() -> None:
-    page = HOOKS.data_sheet("mems_gyro")
+    page = SITE.data_sheet("mems_gyro")
     rows = [
         [c.strip() for c in re.split(r"(?<!\\)\|", line.strip("|"))] for line in page.splitlines()
     ]
@@ -104,7 +68,7 @@ def test_a_data_sheet_ends_with_the_effects_their_sizes_and_sources() -> None:
 
 
 def test_every_command_and_option_is_listed() -> None:
-    page = HOOKS.commands()
+    page = SITE.commands()
     for command in re.findall(r"^│ ([a-z]+) ", run("--help").out, re.MULTILINE):
         part = page.split(f"## {command}\n")[1].split("\n## ")[0]
         options = set(re.findall(r"(?<!\S)--[a-z][a-z-]+", run(command, "--help").out)) - {"--help"}
@@ -161,14 +125,13 @@ def test_pages_do_what_they_show(name: str, tmp_path: Path) -> None:
 
 
 @pytest.fixture(scope="module")
-def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    if importlib.util.find_spec("mkdocs") is None or importlib.util.find_spec("material") is None:
-        pytest.skip("MkDocs is not installed: make docs installs it")
-    folder = tmp_path_factory.mktemp("site")
-    command = [sys.executable, "-m", "mkdocs", "build", "--strict", "--site-dir", str(folder)]
+def site() -> Path:
+    if importlib.util.find_spec("zensical") is None:
+        pytest.skip("Zensical is not installed: make docs installs it")
+    command = [sys.executable, "docs/build_site.py"]
     built = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=300)
     assert built.returncode == 0, built.stderr
-    return folder
+    return ROOT / "site"
 
 
 @pytest.mark.nightly

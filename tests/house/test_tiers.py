@@ -6,7 +6,7 @@ from datetime import date, timedelta
 
 import pytest
 
-from tests.support.tiers import DAYS, has_its_turn, place, slow_but
+from tests.support.tiers import DAYS, has_its_turn, slow_but
 
 TESTS = [f"tests/room/test_{k % 7}.py::test_it[{k}]" for k in range(300)]
 BEGUN = date(2026, 12, 24)  # the turn goes on over the end of a year
@@ -18,15 +18,6 @@ def test_each_test_has_one_turn_in_the_days_that_there_are(begun: date) -> None:
     turns = [[test for test in TESTS if has_its_turn(test, day)] for day in days]
     assert sorted(test for own in turns for test in own) == sorted(TESTS)
     assert max(map(len, turns)) < 3 * len(TESTS) / DAYS
-
-
-def test_what_comes_last_is_another_at_the_next_turn() -> None:
-    files = {test.partition("::")[0] for test in TESTS}
-    last = {
-        max(files, key=lambda file: place(file, BEGUN + timedelta(days=DAYS * k)))
-        for k in range(12)
-    }
-    assert len(last) > 3
 
 
 def test_cases_that_are_not_fast_are_marked() -> None:

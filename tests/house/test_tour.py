@@ -8,7 +8,6 @@ from __future__ import annotations
 import contextlib
 import io
 from collections.abc import Container, Iterable
-from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -19,14 +18,10 @@ from tests.support.export_check import needs_compiler
 from tests.support.shown_output import assert_as_shown, blocks, load_module
 
 DOCS = Path(__file__).resolve().parents[2] / "docs"
+SITE = load_module(DOCS / "build_site.py")
 SHOWN = blocks((DOCS / "tour.md").read_text("utf-8"), "text")
 QUICK = (1, 3, 6, 8)  # the steps that need neither chains nor a search
 BY_HAND = (6, 8)  # of these those that print what they worked out themselves
-
-
-@cache
-def hooks() -> Any:
-    return load_module(DOCS / "site_hooks.py")
 
 
 def follow(numbers: Iterable[int], compared: Container[int]) -> dict[str, Any]:
@@ -34,7 +29,7 @@ def follow(numbers: Iterable[int], compared: Container[int]) -> dict[str, Any]:
     space: dict[str, Any] = {}
     for number in numbers:
         printed = io.StringIO()
-        code = compile(f"# {hooks().steps()[number - 1]}", f"step {number}", "exec", 0, True)
+        code = compile(f"# {SITE.steps()[number - 1]}", f"step {number}", "exec", 0, True)
         with contextlib.redirect_stdout(printed):
             exec(code, space)
         if number in compared:
@@ -43,8 +38,8 @@ def follow(numbers: Iterable[int], compared: Container[int]) -> dict[str, Any]:
 
 
 def test_every_step_is_on_its_page() -> None:
-    page = hooks().on_page_markdown((DOCS / "tour.md").read_text("utf-8"))
-    assert page.count("\n## ") == len(hooks().steps()) == len(SHOWN)
+    page = SITE.fill_in((DOCS / "tour.md").read_text("utf-8"))
+    assert page.count("\n## ") == len(SITE.steps()) == len(SHOWN)
     assert "tour:" not in page
     for code in blocks(page, "python"):
         compile(code, "tour.md", "exec")

@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 
 import bayescal as bc
-from bayescal_models import mems_gyro
 from bayescal_models.mems_gyro import INSTRUMENT
 from tests.support.compilations import compiled
 
@@ -78,24 +77,3 @@ def test_another_structure_compiles_only_for_columns_and_sizes_not_seen_before(m
     assert len(compiled(lambda: bc.fit(INSTRUMENT.baseline() + "bias.run", table, method))) <= FEW
     further = compiled(lambda: bc.fit(MODEL + "bias.temperature_cubic", table, method))
     assert len(further) <= FEW
-
-
-@pytest.mark.slow
-def test_a_whole_search_traces_a_few_pieces_and_another_one_hardly_any() -> None:
-    """However many structures are weighed: the pieces know none of them, only their padded sizes."""
-    count = 0
-
-    def heard(event: str, duration_secs: float, **_: object) -> None:
-        nonlocal count
-        count += event == "/jax/core/compile/jaxpr_trace_duration"
-
-    hidden = {"bias.thermal_lag": 0.05}
-    first, second = (mems_gyro.simulate(hidden, seed=seed) for seed in (1, 2))
-    jax.monitoring.register_event_duration_secs_listener(heard)
-    trail = bc.calibrate(INSTRUMENT.baseline(), first)
-    assert trail.search is not None
-    assert trail.search.weighed > 5
-    assert count <= 400
-    count = 0
-    bc.calibrate(INSTRUMENT.baseline(), second)
-    assert count <= 100  # sizes that the first search did not meet

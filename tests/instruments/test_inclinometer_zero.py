@@ -3,19 +3,17 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from pathlib import Path
 
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
 import bayescal as bc
-from bayescal._cli.output import fit_data
-from bayescal_models import inclinometer, mems_gyro
+from bayescal_models import inclinometer
 from bayescal_models.inclinometer import model, reference_problem
 from bayescal_models.inclinometer.campaign import Accelerometer, Campaign
 from bayescal_models.inclinometer.simulator import WARM_UP_TIME
-from tests.support.inside import constants_of, frame_of, why_not_testable
+from tests.support.inside import constants_of, frame_of
 from tests.support.made_up.supply import AT_SUPPLY
 
 INSTRUMENT = inclinometer.INSTRUMENT
@@ -47,10 +45,9 @@ def test_a_reference_temperature_is_stated_where_something_depends_on_it(
     lines: bc.Calibration,
 ) -> None:
     """Lines alone hold at no temperature; a thermometer that read 40 °C too high for a while moved their T0."""
-    assert lines.hold_at == {} and "constants hold at" not in str(lines)
+    assert lines.hold_at == {}
     warm = bc.fit(lines.model + "zero.temperature", lines.readings, bc.LeastSquares(draws=100))
     assert warm.hold_at == {"T0": warm.reference["T0"]}
-    assert f"constants hold at T0 = {warm.hold_at['T0']:g} °C" in str(warm)
 
 
 def test_a_new_mounting_is_predicted_for_each_axis(lines: bc.Calibration) -> None:
@@ -81,7 +78,6 @@ def test_what_the_zero_test_cannot_see_is_said(lines: bc.Calibration) -> None:
     assert said["dividing.face"].kind == "not visible"
     for name in reference_problem.ON_TILT:
         assert said[name].kind == "not testable"
-        assert "true_angle" in said[name].reason
 
 
 def _columns(name: str, readings: bc.Measurements) -> np.ndarray:
@@ -99,19 +95,6 @@ def test_aliases_of_the_zero_test_are_exact() -> None:
     slots = {s.name: jnp.zeros(len(one)) for s in INSTRUMENT.slots}
     leaked = INSTRUMENT.response({**slots, "cross_axis": jnp.ones(len(one))}, frame)
     np.testing.assert_allclose(np.asarray(leaked), projection[:, 1], rtol=1e-12)
-
-
-@pytest.mark.slow
-def test_aliases_are_named() -> None:
-    one = inclinometer.simulate(seed=0, campaign=Campaign(axes=PROJECTED[:1]))
-    added = ("zero.projection", "zero.cross_axis", "dividing.face")
-    said = str(bc.fit(INSTRUMENT.baseline() - "zero.run" + added, one)).split("not measured: ")[1:]
-    named = [sentence.split(":")[0] for sentence in said]
-    for pair in (("zero.projection[door]", "zero.cross_axis"), ("zero.constant", "dividing.face")):
-        assert any(all(part in name for part in pair) for name in named), (pair, named)
-    found = bc.discover(bc.fit(INSTRUMENT.baseline(), one))
-    alike = {c.effect: c.indistinguishable_from for c in found.candidates}
-    assert "dividing.wobble" in alike["zero.projection"]
 
 
 @pytest.mark.parametrize("name", CANDIDATES)
@@ -144,12 +127,6 @@ def test_simulated_laws_are_the_catalogues_but_for_their_physics(name: str) -> N
     assert 0 < rms < (0.4 if name == "zero.hysteresis" else 0.25), rms
 
 
-def test_hysteresis_needs_both_directions() -> None:
-    one_way = inclinometer.simulate(seed=1, campaign=Campaign(backward=False))
-    reason = why_not_testable(INSTRUMENT.effect("zero.hysteresis"), one_way)
-    assert reason == "needs sweeps forward and backward; these readings have forward only"
-
-
 def test_the_spline_table_goes_through_its_knots() -> None:
     angles = np.concatenate([model.KNOTS, np.deg2rad([-60.0, 60.0, 10.0])])
     readings = bc.Measurements.from_arrays(
@@ -170,34 +147,6 @@ def test_devices_and_their_mountings_are_told_apart() -> None:
     assert len(apart.groups("run")[0]) == 4
 
 
-def test_what_cannot_be_simulated_is_refused() -> None:
-    with pytest.raises(ValueError, match=r"Campaign\(runs\): 0 of them"):
-        Campaign(runs=0)
-    with pytest.raises(ValueError, match="a verification needs the axes x and y"):
-        Campaign(grid=(0.0, 10.0), axes=PROJECTED[:1])
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    "name", [n for n in CANDIDATES if n not in ("dividing.face", "zero.cross_axis")]
-)
-def test_a_hidden_effect_is_found(name: str) -> None:
-    """At three times its size; the parabola, the projection and the wobble stand for one another."""
-    size = 3 * INSTRUMENT.effect(name).coefficients[0].size
-    readings = reference_problem.hidden({name: size}, seed=4)
-    line = bc.fit(INSTRUMENT.baseline(), readings)
-    true = bc.fit(INSTRUMENT.baseline() + name, readings)
-    assert line.log_evidence is not None
-    assert true.log_evidence is not None
-    factor = true.log_evidence[0] - line.log_evidence[0]
-    if factor < 8:
-        pytest.skip(f"not detectable in this campaign: log Bayes factor {factor:.1f}")
-    found = bc.discover(line)
-    named = {n for s in found.sets[:1] for n in s.effects}
-    named |= {n for c in found.candidates if c.effect in named for n in c.indistinguishable_from}
-    assert name in named, str(found)
-
-
 @pytest.mark.slow
 def test_a_population_of_devices_is_learned() -> None:
     campaign = Campaign(devices=6, runs=1, angles=tuple(range(-45, 46, 15)))
@@ -209,18 +158,3 @@ def test_a_population_of_devices_is_learned() -> None:
     )
     assert 18 < spread < 60
     assert 0.25 < slope < 0.8
-
-
-def test_a_reference_voltage_is_stated_wherever_the_temperature_is(tmp_path: Path) -> None:
-    """In V, beside T0: an effect counts the supply from the middle of its range."""
-    readings = mems_gyro.simulate({}, seed=3)
-    volts = 5.0 + 0.02 * np.sin(np.arange(len(readings)))
-    volts[:2] = 4.9465, 5.0245
-    readings = readings.with_column("supply_voltage", volts, "V")
-    model, quick = mems_gyro.INSTRUMENT.baseline(), bc.LeastSquares(draws=100)
-    assert "V0" not in bc.fit(model, readings, quick).hold_at
-    found = bc.fit(model + "bias.supply", readings, quick)
-    assert f"constants hold at T0 = {found.hold_at['T0']:g} °C, V0 = 4.9855 V" in str(found)
-    assert fit_data(found)["reference"]["V0"] == pytest.approx(4.9855)
-    bc.compensator(found).export(tmp_path / "gyro.h")
-    assert "V0 = 4.9855" in (tmp_path / "gyro.h").read_text()

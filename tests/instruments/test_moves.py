@@ -13,8 +13,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 import bayescal as bc
-from bayescal._annexes.imu.vector_correction import CorrectedVector
-from bayescal._data.column import UNCERTAINTY
+from bayescal.workshop import UNCERTAINTY
 from bayescal_models import accelerometer_triad, gyro_triad, magnetometer_triad
 from bayescal_models.accelerometer_triad.simulator import BASELINE as ACCELEROMETERS
 from bayescal_models.gyro_triad import MovesByHand, simulate_log
@@ -22,7 +21,7 @@ from bayescal_models.gyro_triad.log_simulator import MOUNTED
 from bayescal_models.gyro_triad.simulator import BASELINE
 from bayescal_models.magnetometer_triad.simulator import BASELINE as MAGNETOMETERS
 from tests.support.command_line import needs_installation, run
-from tests.support.coverage import assert_intervals_cover
+from tests.support.inside import CorrectedVector
 from tests.support.triad_truth import TRUE, matrix_of
 
 FORCE, TURNS = accelerometer_triad.INSTRUMENT, gyro_triad.INSTRUMENT
@@ -136,7 +135,6 @@ def test_a_hidden_sensitivity_to_gravity_is_found_and_corrected() -> None:
     assert [effect.name for effect in found] == ["bias.g_sensitivity"]
     turned = bc.vector_correction(bc.fit(first.model + found, first.readings))
     assert turned.beside == ("gravity_x", "gravity_y", "gravity_z")
-    assert "Axes are those of the accelerometers" in turned.notes[0]
 
 
 @pytest.mark.slow
@@ -223,17 +221,6 @@ def test_heading_and_its_uncertainty_in_any_attitude() -> None:
     assert sd[0] == pytest.approx(drawn.std(), rel=0.03)
 
 
-def test_a_level_body_has_one_heading_by_both() -> None:
-    """z is up, y to the left of x; errors of the level itself are in the second alone."""
-    field = np.array([[12.0, 15.0, -45.0]])
-    of_field = CorrectedVector(field, 0.04 * np.eye(3)[None], "uT", np.zeros(1, bool))
-    up = CorrectedVector(np.array([[0.0, 0.0, 1.0]]), np.zeros((1, 3, 3)), "g", np.zeros(1, bool))
-    own, over = of_field.heading, of_field.heading_over(up)
-    assert own[0][0] == pytest.approx(np.arctan2(15.0, 12.0))
-    assert over[0][0] == pytest.approx(own[0][0])
-    assert over[1][0] == pytest.approx(own[1][0], rel=1e-6)
-
-
 @pytest.mark.slow
 def test_a_heading_counts_the_errors_that_field_and_force_share() -> None:
     """Another calibration of the accelerometers, by one standard deviation of a random combination of its terms, turns
@@ -275,80 +262,6 @@ def test_a_heading_counts_the_errors_that_field_and_force_share() -> None:
 
 
 @pytest.mark.slow
-def test_refusals_say_what_to_do() -> None:
-    forces, log = both(simulate_log(seed=6, campaign=FEW))
-    with pytest.raises(bc.ModelError, match="moves are of three gyroscopes"):
-        bc.moves(log, FORCE, forces, exact())
-    short = forces.select(forces["time"] < 3.0)
-    with pytest.raises(bc.InputError, match="1 poses in which gyroscopes and accelerometers"):
-        bc.moves(log, TURNS, short, exact())
-    drawn, own, _ = magnetometers(71)
-    twice = drawn.with_column("output_x", drawn["output_y"])
-    with pytest.raises(bc.InputError, match="one field has one dip"):
-        bc.in_frame_of(own, twice, exact(), both(simulate_log(seed=71))[0])
-    for name, outputs, said in (
-        (
-            "output_x",
-            -log["output_x"],
-            "with their axes as −x, y, z of the accelerometers they nearly do",
-        ),
-        ("output_y", log["output_z"], "Check the unit of the gyroscopes"),
-    ):
-        with pytest.raises(bc.InputError, match=f"do not lead from one pose to the next.*{said}"):
-            bc.moves(log.with_column(name, outputs), TURNS, forces, exact())
-    slow = log
-    for name in ("output_x", "output_y", "output_z"):
-        slow = slow.with_column(name, np.deg2rad(log[name]))
-    with pytest.raises(bc.InputError, match="; in rad/s, taken as deg/s they nearly do"):
-        bc.moves(slow, TURNS, forces, exact())
-
-
-def held(log: dict[str, np.ndarray], moves: tuple[int, ...], samples: int) -> dict[str, np.ndarray]:
-    """The log with outputs of the gyroscopes that stand still for so many samples within each of these moves."""
-    log = {name: values.copy() for name, values in log.items()}
-    for k in moves:
-        begin = 100 * (7 * k + 5)  # one second into it, of poses of 4 s and moves of 3 s
-        for a in "xyz":
-            log[f"gyro_{a}"][begin : begin + samples] = log[f"gyro_{a}"][begin]
-    return log
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(("seed", "moves"), [(3, (1, 3, 4)), (7, (10, 12, 17))])
-def test_moves_that_disagree_are_set_aside_by_name(seed: int, moves: tuple[int, ...]) -> None:
-    """Of 19 moves three, in which outputs stood still for half of the time; the rest measures as well without them."""
-    log = simulate_log(seed=seed, campaign=MovesByHand(poses=20, angle=2.5))
-    forces, turns = both(held(log, moves, 150))
-    rows = bc.moves(turns, TURNS, forces, exact())
-    aside = [re.search(r"the move from ([\d.]+) to", flag) for flag in rows.flags[1:]]
-    assert [round(float(found[1])) for found in aside if found] == [7 * k + 4 for k in moves]
-    assert len(rows) == 3 * 20 + 2 * (19 - len(moves))
-    calibration = bc.fit(gyro_triad.moved(), rows, bc.LeastSquares())
-    for name, true in TRUE.items():
-        draws = calibration.samples(name)
-        assert abs(draws.mean() - true) < 4 * draws.std()
-    assert calibration.samples("scale.constant[x]").std() < 200
-
-
-def test_too_many_moves_that_disagree_are_refused() -> None:
-    log = simulate_log(seed=3, campaign=MovesByHand(poses=20, angle=2.5))
-    forces, turns = both(held(log, (1, 3, 4, 8, 11, 15), 100))
-    with pytest.raises(bc.InputError, match="more than 3 of 19 moves disagree with each other"):
-        bc.moves(turns, TURNS, forces, exact())
-
-
-def test_what_did_not_settle_is_not_called_a_wrong_unit(monkeypatch: pytest.MonkeyPatch) -> None:
-    from bayescal._annexes.imu import moves
-
-    monkeypatch.setattr(moves, "SWEEPS", 1)
-    forces, log = both(simulate_log(seed=6, campaign=FEW))
-    with pytest.raises(
-        bc.InputError, match=r"run '1': the integration over the moves did not settle"
-    ):
-        bc.moves(log, TURNS, forces, exact())
-
-
-@pytest.mark.slow
 def test_poses_that_err_each_by_itself_make_the_gyroscopes_as_much_less_sure() -> None:
     """Accelerometers whose outputs creep by 0.4 mg from pose to pose: angles of moves are known no better."""
     chi = []
@@ -365,13 +278,3 @@ def test_poses_that_err_each_by_itself_make_the_gyroscopes_as_much_less_sure() -
         # In axes of the accelerometers, which are off by as much as they are known: scale factors are not.
         chi.append((off[:3] / draws.std(axis=1)[:3]) ** 2)
     assert np.mean(chi) < 2.1  # 12 of mean one: 99.5 %
-
-
-@pytest.mark.slow
-def test_intervals_cover() -> None:
-    def fitted(seed: int) -> bc.Calibration:
-        forces, log = both(simulate_log(seed=1000 + seed))
-        correct = bc.vector_correction(bc.fit(FORCE.baseline(), bc.poses(forces, FORCE), seed=seed))
-        return bc.fit(gyro_triad.moved(), bc.moves(log, TURNS, forces, correct), seed=seed)
-
-    assert_intervals_cover(map(fitted, range(60)), TRUE)

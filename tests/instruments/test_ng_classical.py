@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 
 from bayescal_models import ng_accelerometer as ng
-from bayescal_models.simulated import DEGREE
 
 NO_SCATTER = {f"{slot}.cell": 0.0 for slot in ("bias", "scale", "fixture_tilt", "base_tilt")}
 EXACT = replace(ng.INSTRUMENT_A, noise=0.0, thermometer_noise=0.0, chamber_wander=0.0)
@@ -47,35 +46,3 @@ def test_a_fixture_of_its_own_in_each_set_up_spoils_the_subtraction() -> None:
     readings = ng.simulate({"fixture_tilt.run_temperature": 2.0}, seed=1, campaign=plan)
     plus, minus = ng.fixed_point_tempcos(readings).zero_subtracted
     assert abs(plus - minus) > 100
-
-
-@pytest.mark.parametrize(
-    ("readings", "words"),
-    [
-        (lambda r: r.select(r["position_angle"] < 3.0), "equally spaced over a turn"),
-        (lambda r: r.with_column("tilt", np.linspace(0.007, 0.008, len(r))), "several tilts"),
-    ],
-)
-def test_readings_that_have_no_such_estimate_are_refused(readings, words: str) -> None:
-    with pytest.raises(ValueError, match=words):
-        ng.classical_estimates(readings(ng.simulate(seed=1)))
-
-
-def test_other_refusals_say_what_is_missing() -> None:
-    readings = ng.simulate(seed=1)
-    with pytest.raises(ValueError, match="give 4, or None for all"):
-        ng.classical_estimates(readings, 6)
-    with pytest.raises(ValueError, match="no readings at the minus position"):
-        ng.fixed_point_tempcos(readings.select(readings["position_angle"] < 3.0))
-    with pytest.raises(ValueError, match=r"no effect 'bias\.magic' can be hidden"):
-        ng.simulate({"bias.magic": 1.0}, seed=1)
-    with pytest.raises(ValueError, match=r"size of 'bias\.drift' is nan"):
-        ng.simulate({"bias.drift": np.nan}, seed=1)
-    with pytest.raises(ValueError, match=r"gives 17\.5 mg, beyond the full scale of 10 mg"):
-        replace(ng.INSTRUMENT_A, tilts=(DEGREE,))
-    with pytest.raises(ValueError, match="two different set points"):
-        replace(ng.INSTRUMENT_A, temperatures=(20.0,))
-    with pytest.raises(ValueError, match="multiple of 10 s"):
-        replace(ng.INSTRUMENT_A, reading_time=15.0)
-    with pytest.raises(ValueError, match=r"runs=0\): needs at least 1"):
-        replace(ng.INSTRUMENT_A, runs=0)

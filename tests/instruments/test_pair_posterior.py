@@ -2,25 +2,18 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-from pathlib import Path
-
 import numpy as np
 import pytest
 
 import bayescal as bc
-from bayescal._calibration.fitted import named
-from bayescal._calibration.summary import summary
-from bayescal._inference import sampling
+from bayescal.workshop import summary
 from bayescal_models import differential_pair as dp
 from bayescal_models.differential_pair.environment import SHARED, order_names
 from bayescal_models.differential_pair.noise import NoiseWhileChanging
 from bayescal_models.differential_pair.pairing import criteria
 from bayescal_models.differential_pair.pairing.selection import judge
 from bayescal_models.differential_pair.simulator import columns_and_truth
-from benchmarks.accuracy import coverage
-from benchmarks.accuracy.ranks import drawn
-from tests.support.command_line import needs_installation, run
+from tests.support.command_line import needs_installation
 from tests.support.made_up.pairs import SMALL
 
 IN_PHI = bc.Marginal(promote=tuple(order_names(SHARED.name)))
@@ -73,17 +66,6 @@ def test_a_pair_measures_acceleration_within_its_uncertainty(calibration, batch)
     assert found.sd.mean() < 0.1 * alone and rms < 0.1 * alone
 
 
-def test_every_candidate_can_be_hidden_under_the_same_noise() -> None:
-    plain = dp.simulate(seed=2)["output"]
-    np.testing.assert_array_equal(plain, dp.simulate(seed=2)["output"])
-    for effect in dp.INSTRUMENT.candidates:
-        size = effect.coefficients[0].size
-        hidden = dp.simulate({effect.name: size}, seed=2)["output"] - plain
-        assert np.sqrt(np.mean(hidden**2)) > 20, effect.name  # µg
-        double = dp.simulate({effect.name: 2 * size}, seed=2)["output"] - plain
-        assert np.std(double - 2 * hidden) < 0.05 * np.std(double), effect.name
-
-
 @pytest.mark.slow
 @needs_installation
 def test_a_second_order_is_told_from_the_scale_though_the_arm_changes_its_speed() -> None:
@@ -109,48 +91,3 @@ def test_a_second_order_is_told_from_the_scale_though_the_arm_changes_its_speed(
         for part in ("", "[within]")
     )
     assert 0.25 < float(second @ within / (second @ second)) < 0.5
-
-
-@pytest.mark.slow
-def test_the_command_answers_in_json_and_in_text(batch, tmp_path: Path) -> None:
-    own = tmp_path / "pair.py"
-    own.write_text("from bayescal_models.differential_pair import INSTRUMENT\n", encoding="utf-8")
-    file = batch.readings.write(tmp_path / "batch.csv")
-    done = run("pairs", file, "--instrument", f"{own}:INSTRUMENT", "--json")
-    assert done.status == 0, done.err
-    assert len(done.data["pairs"]) == 9
-    text = run("pairs", file, "--instrument", f"{own}:INSTRUMENT", "--criterion", "ratio-variance")
-    assert "best pair by ratio-variance" in text.out
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("count", [3, 4])
-def test_a_factor_of_the_product_is_put_with_the_hyper_parameters(count: int) -> None:
-    plan = replace(SMALL, outer=count, inner=count)
-    found = bc.fit(dp.INSTRUMENT.baseline(), dp.simulate(seed=7, campaign=plan))
-    assert set(found.layout.promoted) == set(order_names(SHARED.name))
-    assert found.verdict.sampler == "importance sampling"
-
-
-@pytest.mark.slow
-def test_the_mode_is_looked_for_on_both_sides_of_a_product() -> None:
-    # With the environment's sign turned, sensitivities are far from 1, and the density is some 25 nats less.
-    ground = coverage.Ground.of("differential_pair")
-    data, truth = drawn(ground.model, 3, ground.plan, coverage.seed_of(ground.name, 0))
-    for one, sensitivity in zip(data, truth["environment.shared[sensitivity]"], strict=True):
-        draws, (layout, levels) = coverage.drawn_once(ground.model, one, ground.method, 0)
-        best = np.argsort(draws.log_weight)[-200:]
-        names = named(layout, levels, *(a[best][None] for a in (draws.x, draws.v)))
-        found = names["environment.shared[sensitivity]"].values[0].mean(axis=0)
-        assert found @ sensitivity > 0
-
-
-@pytest.mark.slow
-def test_stretches_of_draws_of_which_none_counts_are_passed_over(monkeypatch) -> None:
-    monkeypatch.setattr(sampling, "IN_CACHE", 1)
-    monkeypatch.setattr(sampling, "NEGLIGIBLE", 1e-9)  # only draws beyond all before them count
-    ground = coverage.Ground.of("differential_pair")
-    data, _ = drawn(ground.model, 1, ground.plan, coverage.seed_of(ground.name, 0))
-    draws, _ = coverage.drawn_once(ground.model, data[0], ground.method, 0)
-    assert np.isfinite(draws.log_evidence)
-    assert 1 <= np.sum(draws.log_weight > draws.log_weight.min()) < 100

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import replace
 from itertools import permutations
 
@@ -59,53 +58,6 @@ def plateau(**changed) -> tuple[np.ndarray, dp.SimulatedBatch]:
 def test_ideal_pairs_have_a_raw_variance_near_three_quarters() -> None:
     found, _ = plateau(alike=True, noise=0.0)
     np.testing.assert_allclose(found, 0.75, atol=0.01)
-
-
-def test_the_printed_rule_prefers_unlike_devices_on_raw_records() -> None:
-    found, made = plateau(departure=0.0, noise=0.0, outer=6, inner=6)
-    ratio = made.sensitivity[:6, None] / made.sensitivity[None, 6:]
-    np.testing.assert_allclose(found, 3 / 16 * (1 + ratio) ** 2, rtol=0.02)
-    chosen = np.unravel_index(np.argmin(found), found.shape)
-    assert abs(np.log(ratio[chosen])) > 3 * np.abs(np.log(ratio)).min()
-    # Without the commanded part every pair is ideal here: exact differencing.
-    removed = criteria.polynomial(SMALL.time, made.environment)
-    assert criteria.ratio_variance(removed, 6).max() < 1e-12
-
-
-def test_disagreeing_criteria_and_denominators_near_zero_are_said() -> None:
-    devices = made_up()
-    random = np.random.default_rng(1)
-    z = 2 * devices.time / devices.time[-1] - 1  # no cubic part, give or take noise
-    environment = devices.sensitivity[:, :, None] * (500 + 300 * z - 200 * z**2)
-    environment = environment + 20 * random.standard_normal((400, 7, 1)) * z**3
-    table = dp.select(replace(devices, environment=environment))
-    assert any("heavy-tailed" in said and "order 3 of i" in said for said in table.remarks)
-    assert all(3 in pair.near_zero for pair in table.pairs)
-    flat = dp.select(replace(devices, commanded=np.full(30, 5e6)))
-    assert any("near 0.75" in said for said in flat.remarks)
-    unsteady = replace(devices, environment=environment - environment.mean(axis=-1, keepdims=True))
-    assert any("is not reliable" in said for said in dp.select(unsteady).remarks)
-    likeliest = max(table.pairs, key=lambda p: p.probability_ratio_variance)
-    disagree = (likeliest.outer, likeliest.inner) != table.best
-    assert disagree == any("criteria disagree" in said for said in table.remarks)
-
-
-def test_the_table_is_plain_json_and_prints() -> None:
-    table = dp.select(made_up())
-    data = json.loads(json.dumps(table.data(), allow_nan=False))
-    assert set(data) >= {"pairs", "best", "matching", "environment_ratio"}
-    for pair in data["pairs"]:
-        assert set(pair) >= {
-            *("outer", "inner", "probability_ratio_variance", "probability_residual"),
-            *("expected_residual", "unit", "expected_loss"),
-        }
-        assert pair["unit"] == "ug"
-    assert data["best"] == [data["pairs"][0]["outer"], data["pairs"][0]["inner"]]
-    ratio = data["environment_ratio"]
-    assert ratio["low"] < ratio["median"] < ratio["high"]
-    text = str(table)
-    assert max(map(len, text.splitlines())) <= 110
-    assert all(pair["outer"] in text and pair["inner"] in text for pair in data["pairs"])
 
 
 def test_the_documents_ratio_needs_a_mean_and_takes_offsets_for_environment() -> None:

@@ -100,13 +100,6 @@ def test_soaked_points_leave_rates_unidentified() -> None:
         assert not known or not rates & named
 
 
-def test_the_three_null_combinations_are_named(two: bc.Calibration) -> None:
-    text = " ".join(str(two).split())
-    for slot in ("bias", "scale"):
-        for words in NULLS:
-            assert f"not measured: {words.format(slot)}: this combination" in text
-
-
 def test_truth_of_the_model_class_is_recovered(readings: bc.Measurements) -> None:
     """Coefficients drawn from their priors, simulated temperatures, the model's own columns."""
     random = np.random.default_rng(8)
@@ -166,26 +159,6 @@ def test_order_of_the_structures_on_held_out_ramps() -> None:
     assert 2 * error["two thermometers"] < error["frequency sum"]
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    "name", ["bias.gradient", "scale.rate_head", "bias.hysteresis", "second_order"]
-)
-def test_a_hidden_effect_is_found(name: str) -> None:
-    effect = quartz.INSTRUMENT.effect(name)
-    hidden = quartz.simulate({name: effect.coefficients[0].size}, seed=4)
-    found = bc.discover(bc.fit(quartz.INSTRUMENT.baseline(), hidden))
-    assert found.nothing_missing is not None and found.nothing_missing < 0.05
-    assert any(name in s.effects for s in found.sets)
-
-
-def test_the_constants_of_the_bases_are_stored(two: bc.Calibration) -> None:
-    t2 = two.readings["temperature_head"]
-    assert two.reference["temperature_head_0"] == np.round(t2.mean())
-    warm = quartz.Campaign(device="beams", repeats=0, temperatures=(40.0, 70.0), room=50.0)
-    frame = two.frame_of(quartz.simulate(seed=2, campaign=warm))
-    assert float(frame.reference["temperature_head_0"]) == two.reference["temperature_head_0"]
-
-
 def test_hertz_become_micro_g_and_g_is_taken_at_the_door() -> None:
     made = bc.Measurements.from_arrays(
         quartz.INSTRUMENT,
@@ -197,38 +170,3 @@ def test_hertz_become_micro_g_and_g_is_taken_at_the_door() -> None:
     )
     np.testing.assert_allclose(made["output"], [1_002_000, -998_000])
     np.testing.assert_allclose(made["acceleration"], [1e6, -1e6])
-
-
-def test_tables_say_no_more_and_no_less_than_they_say() -> None:
-    t = np.array([-40.0, 0.0, 30.0, 70.0])
-    bias, factor = 3000 + 60 * t, 100 * (1 + 6e-6 * t)
-    made = quartz.from_tables(
-        bias=bias, scale_factor=factor, bias_uncertainty=20.0, scale_uncertainty=0.001,
-        temperature_circuit=t + 4, temperature_head=t,
-    )  # fmt: skip
-    plus, minus = made.select(made["acceleration"] > 0), made.select(made["acceleration"] < 0)
-    reach, sd = plus["acceleration"], plus["output_uncertainty"]
-    np.testing.assert_allclose((plus["output"] + minus["output"]) / 2, bias)
-    kappa = (plus["output"] - minus["output"]) / (2 * reach) - 1
-    np.testing.assert_allclose(kappa, 6e-6 * t, atol=1e-12)
-    np.testing.assert_allclose(sd / np.sqrt(2), 20.0)  # of the half sum, µg
-    np.testing.assert_allclose(sd / np.sqrt(2) / reach, 0.001 / 100)  # of κ
-    with pytest.raises(bc.InputError, match="go together"):
-        quartz.from_tables(
-            bias=bias, scale_factor=factor, bias_uncertainty=20.0,
-            temperature_circuit=t, temperature_head=t,
-        )  # fmt: skip
-    with pytest.raises(bc.InputError, match="one entry per point"):
-        quartz.from_tables(
-            bias=bias[:2], scale_factor=factor, temperature_circuit=t, temperature_head=t
-        )
-
-
-def test_structures_and_baseline_are_what_the_source_compares() -> None:
-    assert quartz.INSTRUMENT.baseline().names[:2] == ("bias.constant_head", "bias.temperature_head")
-    made = {name: make() for name, make in quartz.INSTRUMENT.structures}
-    assert len(made["two thermometers"].names) == 30
-    assert "bias.temperature_circuit_quintic" in made["t1, order 5"].names
-    assert "scale.temperature_x_rate_circuit" in made["t1, rate and product"].names
-    constants = [n for n in made["two thermometers"].names if n.startswith("bias.constant")]
-    assert constants == ["bias.constant_circuit", "bias.constant_head"]

@@ -42,10 +42,3 @@ def test_a_row_of_the_instruments_own_stands_in_the_place_of_the_catalogues() ->
     assert table["bias.drift"].coefficients[0].size == 0.1
     hysteresis = table["bias.hysteresis"]
     assert hysteresis.coefficients[0].size == 0.15
-    assert hysteresis.source == "ours: 0.25 of 0.6 deg/s"
-
-
-def test_families_of_a_group_have_a_coefficient_for_each_of_its_members() -> None:
-    rows = catalogue.recorded("zero", "V", size=1.0, span=10.0, pace=1.0, per="axis")
-    for effect in (f for row in rows for f in (row, *row.forms)):
-        assert all(c.per or c.known for c in effect.coefficients), effect.name

@@ -2,12 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
-import bayescal as bc
 from bayescal_models.differential_pair.environment import (
     DISTURBANCE,
     ORDERS,
@@ -16,12 +13,7 @@ from bayescal_models.differential_pair.environment import (
     order_sizes,
 )
 from bayescal_models.differential_pair.pairing.selection import judge
-from bayescal_models.differential_pair.pairing.wafer import (
-    Wafer,
-    _bounds,
-    best_pairs,
-    expected_residual,
-)
+from bayescal_models.differential_pair.pairing.wafer import Wafer, best_pairs, expected_residual
 from tests.support.made_up.pairs import made_up
 
 DRAWS = 100
@@ -78,18 +70,3 @@ def test_bounds_exclude_no_pair_of_the_best(seed: int) -> None:
     assert found.least_excluded >= found.pairs[-1][2]
     assert found.bounded + found.evaluated == 80 * 80
     assert np.sum(every < found.least_excluded) <= found.evaluated
-
-
-def test_no_pair_is_below_its_bound() -> None:
-    wafer = drawn(160, 6)
-    every, _ = expected_residual(wafer, *np.divmod(np.arange(80 * 80), 80))
-    for place, bound in _bounds(wafer):
-        assert np.all(bound <= every[place : place + len(bound)])
-
-
-def test_what_cannot_be_bounded_is_refused() -> None:
-    wafer = drawn(20, 1)
-    with pytest.raises(bc.InputError, match="positive scales and sensitivities"):
-        best_pairs(replace(wafer, sensitivity=-wafer.sensitivity))
-    with pytest.raises(bc.InputError, match="one outer and one inner"):
-        best_pairs(replace(wafer, outer=20))

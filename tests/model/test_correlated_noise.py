@@ -4,18 +4,14 @@ from __future__ import annotations
 
 from typing import Any
 
-import jax.numpy as jnp
 import numpy as np
 import pytest
 
 import bayescal as bc
-from bayescal._model.prior import LogNormal, LogUniform, Positive, multiplied
-from bayescal._model.summed_noise import over_record
 from bayescal_models import mems_gyro, still_sensor
-from tests.support.inside import frame_of
+from tests.support.inside import frame_of, over_record
 
 FAST = bc.LeastSquares(draws=200)
-LAW = bc.OrnsteinUhlenbeck(1.0, 1000.0, bc.HalfCauchy(0.3), bc.HalfCauchy(0.3))
 SENSOR = still_sensor.instrument("ug", size=30.0, constant=300.0, span=20.0)
 WHITE, DIFFUSION, STEP = 1.0, 0.5, 10.0  # µg, µg/√s, s
 
@@ -29,41 +25,6 @@ def readings_of(instrument: bc.Instrument, runs: list[np.ndarray], **columns: An
 
 
 # Priors.
-
-
-def test_log_uniform_prior_keeps_its_bounds() -> None:
-    prior = LogUniform(2.0, 300.0)
-    ends = prior.value(jnp.array([-1e3, 1e3]))
-    np.testing.assert_allclose(ends, [2.0, 300.0], rtol=1e-12)
-    assert np.isfinite([prior.coordinate(2.0), prior.coordinate(300.0)]).all()
-
-
-@pytest.mark.parametrize(("low", "high"), [(0.0, 1.0), (2.0, 2.0), (1.0, np.inf)])
-def test_log_uniform_needs_bounds(low, high) -> None:
-    with pytest.raises(ValueError, match="0 < low < high"):
-        LogUniform(low, high)
-
-
-@pytest.mark.parametrize(
-    "prior",
-    [
-        bc.HalfNormal(0.2),
-        bc.HalfCauchy(0.2),
-        LogNormal(0.2, 1.0),
-        LogUniform(0.1, 2.0),
-        bc.Flat(0.2),
-    ],
-    ids=lambda p: type(p).__name__,
-)
-def test_the_diffusion_has_the_prior_of_the_size_at_the_middle_time(prior: Positive) -> None:
-    priors = bc.OrnsteinUhlenbeck(2.0, 200.0, bc.HalfCauchy(0.3), prior).parameters()
-    assert priors["noise.correlated.time"] == LogUniform(2.0, 200.0)
-    diffusion = priors["noise.diffusion"]
-    assert type(diffusion) is type(prior)
-    at = {"noise.diffusion": diffusion.value(jnp.asarray(0.4)), "noise.correlated.time": 20.0}
-    size = float(LAW.slow_variance(at)) ** 0.5
-    assert size == pytest.approx(float(prior.value(jnp.asarray(0.4))))
-    assert multiplied(prior, 1.0) == prior
 
 
 # The limit of a random walk, where readings know the diffusion and nothing of the time.

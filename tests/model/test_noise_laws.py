@@ -14,11 +14,8 @@ from scipy.integrate import quad
 
 import bayescal as bc
 from bayescal import effects
-from bayescal._inference.nuts import law_of
-from bayescal._model.noise_law import Parameters
-from bayescal._model.prior import LogUniform
 from bayescal_models.mems_gyro import INSTRUMENT
-from tests.support.inside import constants_of, frame_of
+from tests.support.inside import Parameters, constants_of, frame_of
 
 CONSTANT = bc.Model(
     INSTRUMENT, (effects.constant("bias", 10.0, "deg/s", source="none"),), bc.White()
@@ -80,12 +77,6 @@ def test_scatter_follows_a_column_and_stays_as_at_its_end_beyond_it() -> None:
     np.testing.assert_allclose(law.variance(arrays(values), beyond), sd[[0, -1]] ** 2, rtol=1e-12)
 
 
-def test_a_law_refuses_readings_without_its_column() -> None:
-    model = CONSTANT.with_noise(bc.Heteroscedastic("humidity"))
-    with pytest.raises(bc.ModelError, match="heteroscedastic noise needs the column 'humidity'"):
-        bc.fit(model, readings(np.zeros(20)))
-
-
 def test_student_t_is_that_of_scipy() -> None:
     y = np.linspace(-3, 3, 9)
     found = log_density(*LAWS["student_t"], y, 0.4)
@@ -128,12 +119,6 @@ def test_quantised_keeps_its_digits_and_slope_far_from_the_mean() -> None:
         assert float(one(mean)) == pytest.approx(stats.norm.logsf(edge) - np.log(STEP), rel=1e-8)
         assert np.isfinite(jax.grad(one)(mean))
     assert float(jax.grad(one)(0.0)) == pytest.approx(0, abs=1e-12)
-
-
-def test_quantised_without_a_coarse_step_is_white() -> None:
-    y = np.linspace(-1, 1, 7)
-    fine = log_density(bc.Quantised(1e-4), {"noise.white": 0.3}, y, 0.1)
-    np.testing.assert_allclose(fine, stats.norm.logpdf(y, 0.1, 0.3), rtol=1e-6)
 
 
 @pytest.mark.parametrize("law", ["white", "student_t"])
@@ -180,46 +165,7 @@ def test_known_uncertainty_of_a_reading_adds_in_quadrature(law) -> None:
         assert found[i] == pytest.approx(log_density(noise, alone, y[i : i + 1], 0.0)[0], rel=1e-10)
 
 
-def test_steps_must_be_positive() -> None:
-    with pytest.raises(ValueError, match="rounding step must be positive"):
-        bc.Quantised(0.0)
-
-
 # Priors of scales, in their coordinates.
-
-
-@pytest.mark.parametrize(
-    ("prior", "exact"),
-    [
-        (bc.HalfNormal(0.2), stats.halfnorm(scale=0.2)),
-        (bc.HalfCauchy(0.2), stats.halfcauchy(scale=0.2)),
-        (bc.StudentT().freedom, stats.lognorm(0.8, scale=8.0)),
-        (bc.Normal(0.3, 2.0), stats.norm(0.3, 2.0)),
-        (LogUniform(2.0, 300.0), stats.loguniform(2.0, 300.0)),
-    ],
-    ids=lambda p: type(p).__name__,
-)
-def test_prior_of_a_scale_is_its_law_whatever_the_coordinate(prior, exact, key) -> None:
-    for v in (-2.0, 0.0, 0.7):
-        value, slope = jax.value_and_grad(prior.value)(v)
-        assert float(prior.log_density(v)) == pytest.approx(
-            exact.logpdf(value) + np.log(slope), rel=1e-9
-        )
-        assert prior.coordinate(float(value)) == pytest.approx(v, abs=1e-12)
-        assert float(law_of(prior).log_prob(value)) == pytest.approx(exact.logpdf(value), rel=1e-6)
-    drawn = jax.vmap(lambda k: prior.value(prior.sample(k)))(jax.random.split(key, 4000))
-    assert stats.kstest(np.asarray(drawn), exact.cdf).pvalue > 0.01
-
-
-def test_flat_scale_has_a_flat_density() -> None:
-    flat = bc.Flat(3.0)
-    for v in (-2.0, 0.0, 0.7):
-        slope = jax.grad(flat.value)(v)
-        assert float(flat.log_density(jnp.asarray(v)) - jnp.log(slope)) == pytest.approx(
-            0, abs=1e-12
-        )
-    with pytest.raises(ValueError, match="flat prior cannot be sampled"):
-        flat.sample(jax.random.key(0))
 
 
 # Fits.
@@ -266,14 +212,6 @@ def test_student_t_resists_outliers(rng) -> None:
     chains = bc.fit(robust.model, data, bc.NUTS(draws=1000)).samples("bias.constant")
     assert constant.mean() == pytest.approx(chains.mean(), abs=0.1 * chains.std())
     assert constant.std() == pytest.approx(chains.std(), rel=0.1)
-
-
-def test_a_law_of_ones_own_does_not_stand_on_one_that_is_here() -> None:
-    # The given laws are computed by formulas of their own: what a subclass changes would not be heard.
-    with pytest.raises(TypeError, match=r"Louder: derive a noise law from Noise, not from White"):
-
-        class Louder(bc.White):
-            pass
 
 
 @pytest.mark.slow

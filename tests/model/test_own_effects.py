@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import re
 import shlex
 from pathlib import Path
 
 import pytest
 
 import bayescal as bc
-from bayescal_models import mems_gyro
 from tests.support.command_line import Ran, needs_installation, run
 from tests.support.reported import unpaint
 from tests.support.shown_output import assert_as_shown, blocks
@@ -50,18 +48,6 @@ def _one(followed: dict[str, Ran], start: str) -> Ran:
     return next(ran for command, ran in followed.items() if command.startswith(f"bayescal {start}"))
 
 
-def test_the_effect_is_a_few_lines() -> None:
-    lines = [line for line in MY_EFFECTS.splitlines() if line.strip() and "import" not in line]
-    assert len(lines) <= 5
-
-
-@pytest.mark.nightly
-def test_check_names_the_column_that_no_effect_uses(followed: dict[str, Ran]) -> None:
-    printed = _one(followed, "check").out
-    assert_as_shown(printed, blocks(PAGE, "text")[0])
-    assert printed.splitlines()[3].startswith("humidity ")
-
-
 @pytest.mark.nightly
 def test_discovery_finds_the_effect(followed: dict[str, Ran]) -> None:
     printed = _one(followed, "discover line/calibration.nc --effects").out
@@ -69,15 +55,6 @@ def test_discovery_finds_the_effect(followed: dict[str, Ran]) -> None:
     row = next(line for line in printed.splitlines() if line.startswith("bias.humidity"))
     assert row.endswith("finding")
     assert "°/s/%" in row
-    assert "unexplained" not in printed
-
-
-@pytest.mark.nightly
-def test_readings_kept_apart_are_predicted_to_the_noise(followed: dict[str, Ran]) -> None:
-    printed = [
-        ran.out for command, ran in followed.items() if command.startswith("bayescal predict")
-    ]
-    assert_as_shown("".join(printed), blocks(PAGE, "text")[2])
 
 
 @pytest.mark.nightly
@@ -92,14 +69,6 @@ def test_the_coefficient_is_what_was_simulated(followed: dict[str, Ran]) -> None
 def test_a_saved_calibration_asks_for_the_file_with_its_effect(followed: dict[str, Ran]) -> None:
     refused = followed[REFUSED]
     assert refused.status == 2
-    assert "uses the effect bias.humidity, which 'mems_gyro' does not have" in refused.said[0]
-    assert "--effects my_effects.py" in refused.said[0]
-
-
-@pytest.mark.nightly
-def test_a_report_looks_for_it_too(followed: dict[str, Ran], folder: Path) -> None:
-    assert followed[REPORT].status == 0
-    assert "bias.humidity was found missing." in (folder / "report.html").read_text("utf-8")
 
 
 def damp(size: float) -> bc.Effect:
@@ -110,25 +79,3 @@ def damp(size: float) -> bc.Effect:
         coefficients=(bc.Coefficient("deg/s/%", bc.Normal(0.0, size)),),
         columns=("humidity",),
     )
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    ("size", "shown"), [(0.02, False), (1e-12, True), (1e9, True)], ids=["right", "small", "large"]
-)
-def test_an_effect_in_a_wrong_unit_is_asked_about(size: float, shown: bool) -> None:
-    readings = mems_gyro.simulate({"unlisted.humidity": 0.02}, seed=1)
-    baseline, quick = mems_gyro.INSTRUMENT.baseline(), bc.LeastSquares(draws=50)
-    line = bc.fit(baseline, readings, quick)
-    with_it = bc.fit(baseline + damp(size), readings, quick, strict=False)
-    assert line.off_scale == ()
-    found = bc.discover(line, effects=[damp(size)], max_effects=1)
-    for said in (with_it.off_scale, found.off_scale):
-        assert [one.of[0] for one in said] == ["bias.damp"] * shown
-        for words in map(str, said):
-            assert re.search(
-                r"at most \S+ °/s at its plausible size, where the noise is 0\.\d+ °/s", words
-            )
-            assert "check the units of the output" in words and "unit of its basis" in words
-    for result in (with_it, found):
-        assert ("unit? bias.damp contributes" in str(result)) == shown

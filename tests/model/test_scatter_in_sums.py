@@ -10,11 +10,8 @@ import pytest
 
 import bayescal as bc
 from bayescal import effects
-from bayescal._inference.record import Record
-from bayescal._model.summed_noise import over_octaves
-from bayescal._search.noise_laws import laws_over, on_residuals
 from bayescal_models import still_sensor
-from tests.support.inside import frame_of
+from tests.support.inside import Record, frame_of, on_residuals, over_octaves
 
 SENSOR = still_sensor.instrument("ug", size=30.0, constant=300.0, span=20.0)
 LEVEL = effects.constant("bias", 30.0, "ug", source="none")
@@ -75,18 +72,6 @@ def test_readings_are_whitened_by_the_dense_covariance(rng) -> None:
 def test_a_scatter_that_is_there_has_the_evidence_and_one_that_is_not_has_not() -> None:
     assert gain(recorded(2, SLOPE)) > 20
     assert max(gain(recorded(seed, 0.0)) for seed in (3, 4, 5)) < 0
-
-
-def test_it_is_a_candidate_where_the_temperature_moves() -> None:
-    readings = recorded(1, 0.0)
-    still = readings.with_column("temperature", np.full(len(readings), 40.0))
-    model = bc.Model(SENSOR, (LEVEL,), bc.White(bc.HalfCauchy(1.0)))
-    name = "sum(correlated; scatter(temperature))"
-    for data, there in ((readings, True), (still, False)):
-        assert (name in laws_over(model, frame_of(data))) is there
-    assert law().in_words == "white (scatter follows temperature) + Ornstein–Uhlenbeck"
-    assert law("temperature rate").needs == ("time", "temperature")
-    assert {law().unit(n, "ug") for n in ("noise.slope", "noise.curvature")} == {"1"}
 
 
 @pytest.mark.slow

@@ -4,19 +4,17 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from itertools import pairwise
 from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from jax.test_util import check_grads
 from scipy import stats
 
 import bayescal as bc
 from bayescal._model.noise_terms import ENDLESS, FASTEST, RUNGS
-from bayescal._model.state_space import States, filtered, of_means
+from bayescal._model.state_space import filtered, of_means
 from bayescal_models import still_sensor
 from tests.support.inside import frame_of
 from tests.support.tiers import slow_but
@@ -331,40 +329,6 @@ def test_a_tone_between_readings_is_where_its_column_puts_it(rng) -> None:
 # What it says of itself.
 
 
-def test_times_are_in_order_whatever_their_coordinates(rng) -> None:
-    law = law_of(("correlated",) * 3)
-    priors = law.parameters()
-    values = {n: p.value(rng.standard_normal(500) * 3) for n, p in priors.items()}
-    made = law.derived(values)
-    times = [STEP, values["noise.correlated1.time"]]
-    times += [made["noise.correlated2.time"], made["noise.correlated3.time"], SPAN]
-    for one, longer in pairwise(times):
-        assert np.all(one <= longer * (1 + 1e-12))
-
-
-def test_a_sum_says_its_name_units_and_coefficients() -> None:
-    law = law_of(("walk", "correlated", "flicker", "correlated", "quantisation"))
-    assert law.terms == ("correlated", "correlated", "walk", "flicker", "quantisation")
-    assert law.name == "sum(correlated, correlated, walk, flicker, quantisation)"
-    assert law.in_words == "white + 2 Ornstein–Uhlenbeck + random walk + flicker + quantisation"
-    units = {name: law.unit(name, "ug") for name in law.parameters()}
-    assert units == {
-        "noise.white": "ug",
-        "noise.correlated1.diffusion": "ug/s^0.5",
-        "noise.correlated1.time": "s",
-        "noise.correlated2.diffusion": "ug/s^0.5",
-        "noise.correlated2.place": "1",
-        "noise.walk": "ug/s^0.5",
-        "noise.flicker": "ug",
-        "noise.quantisation": "ug*s",
-    }
-    assert law.coefficients_in_time == {
-        "noise.walk": "K",
-        "noise.flicker": "B",
-        "noise.quantisation": "Q",
-    }
-
-
 def test_ornstein_uhlenbeck_noise_is_the_sum_of_one_term(rng) -> None:
     frame, _, _ = two_runs()
     alone, one = law_of(ALONE), law_of(("correlated",))
@@ -379,27 +343,6 @@ def test_ornstein_uhlenbeck_noise_is_the_sum_of_one_term(rng) -> None:
     assert [*alone.parameters().values()] == [*one.parameters().values()]
     assert set(alone.derived(VALUES)) == {"noise.correlated"}
     assert alone.coefficients_in_time == {"noise.diffusion": "K"}
-
-
-def test_laws_of_the_same_terms_share_their_programs() -> None:
-    one, other = (
-        bc.SummedNoise(s, 100 * s, ("smooth", "correlated"), bc.HalfCauchy(s)) for s in (1.0, 3.0)
-    )
-    assert one.plain == other.plain
-
-
-@pytest.mark.parametrize(
-    ("terms", "said"),
-    [
-        ((), "besides white noise"),
-        (("wander",), "'wander': there are correlated, smooth, walk"),
-        (("walk", "walk"), "'walk' is there 2 times"),
-        (("correlated",) * 4, "'correlated' is there 4 times"),
-    ],
-)
-def test_a_sum_that_cannot_be_told_is_refused(terms, said) -> None:
-    with pytest.raises(ValueError, match=said):
-        law_of(terms)
 
 
 @pytest.mark.slow
@@ -428,23 +371,3 @@ def test_means_are_whitened_by_their_dense_covariance(terms, rng) -> None:
     white = jnp.full(sum(runs), VALUES["noise.white"] ** 2 / count)
     found, _ = filtered(states, white, jnp.asarray(columns))
     np.testing.assert_allclose(found, exact, rtol=1e-9, atol=1e-9)
-
-
-@pytest.mark.parametrize("kind", slow_but(["apart"], ["one", "apart", "last", "together"]))
-def test_slopes_of_the_filter_are_those_of_differences(kind: str, rng) -> None:
-    count = 1 if kind == "one" else 3
-    root = rng.normal(size=(12, count, count))
-    carry, fresh = rng.uniform(0.3, 0.9, (12, count)), rng.uniform(0.1, 1.0, (12, count))
-    if kind == "together":
-        carry = 0.3 * rng.normal(size=(12, count, count))
-    last = rng.uniform(-0.5, 0.5, (12, count)) if kind == "last" else None
-    shown = np.ones(count)
-    shown[1:-1] = 0.0
-
-    def value(carry, fresh, last, white, columns):
-        if kind in ("last", "together"):
-            fresh = fresh[:, :, None] * jnp.eye(count) + root @ np.swapaxes(root, 1, 2)
-        return filtered(States(carry, fresh, shown, last), white, columns)
-
-    given = carry, fresh, last, rng.uniform(0.1, 1.0, 12), rng.normal(size=(12, 2))
-    check_grads(value, given, order=1, modes=["rev"], rtol=1e-5)

@@ -55,16 +55,3 @@ def test_a_thermometer_that_is_right_has_neither() -> None:
     found = fitted(readings, effects.thermometer_delay(60.0, source="none"))
     mean, sd = found["temperature.delay"]
     assert abs(mean) < 4 * sd < 4.0
-
-
-def nothing(r):
-    return r.has_label("station", "elsewhere")
-
-
-def test_an_effect_that_is_zero_in_every_reading_is_refused() -> None:
-    readings = still_sensor.simulate(seed=3, runs=1, interval=60)
-    model = still_sensor.INSTRUMENT.for_readings(readings).baseline()
-    coefficient = bc.Coefficient("ug", bc.Normal(0.0, 10.0))
-    empty = bc.Effect("bias.station", "bias", nothing, coefficients=(coefficient,))
-    with pytest.raises(bc.ModelError, match=r"'bias\.station' is zero in all 41 readings"):
-        bc.fit(model + empty, readings, QUICK)

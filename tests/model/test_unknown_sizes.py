@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 import bayescal as bc
-from bayescal import effects
 from bayescal_models import mems_gyro
 
 NOISE, WAVE = 0.1, 0.4  # m
@@ -85,23 +84,6 @@ def test_candidates_of_a_search_are_sized_as_by_a_user() -> None:
     assert found.name == "unknown(time, cycle)"
     own = bc.fit(model + found.name, readings, quick, strict=False).model
     assert found.shapes == own.effects[-1].shapes
-
-
-def test_a_model_meets_no_readings_before_its_amplitude_is_known() -> None:
-    effect = falling_body("start").unknown("time")
-    assert effect.open and not effect.sized(0.1, 1.0).open
-    with pytest.raises(
-        bc.ModelError, match="plausible range of 'amplitude' is taken from readings"
-    ):
-        _ = effect.shapes[-1].prior
-
-
-def test_an_open_amplitude_of_another_unit_is_refused() -> None:
-    readings = mems_gyro.simulate(seed=1)
-    slot = next(s for s in mems_gyro.INSTRUMENT.slots if s.unit != mems_gyro.INSTRUMENT.unit)
-    effect = effects.unknown("time", slot.name, 0.0, np.inf, slot.unit)
-    with pytest.raises(bc.ModelError, match="give its plausible amplitudes, low and high"):
-        bc.fit(mems_gyro.INSTRUMENT.baseline() + effect, readings)
 
 
 def test_a_model_found_on_one_record_keeps_its_sizes_on_another(tmp_path) -> None:

@@ -4,15 +4,13 @@ from __future__ import annotations
 
 import multiprocessing
 import pickle
-from functools import partial
 from importlib import import_module
 
 import numpy as np
 import pytest
 
 import bayescal as bc
-from bayescal import effects
-from bayescal_models import INSTRUMENTS, mems_gyro, still_sensor
+from bayescal_models import INSTRUMENTS, mems_gyro
 from tests.support.compilations import compiled
 from tests.support.inside import identity_of
 
@@ -28,10 +26,6 @@ def instrument_of(name: str) -> bc.Instrument:
     return import_module(f"bayescal_models.{name}").INSTRUMENT
 
 
-def squared(column, r):
-    return r[column] ** 2
-
-
 @pytest.mark.parametrize("name", INSTRUMENTS)
 def test_models_and_effects_of_every_instrument(name) -> None:
     instrument = instrument_of(name)
@@ -44,22 +38,6 @@ def test_models_and_effects_of_every_instrument(name) -> None:
     model = instrument.baseline()
     assert again(model) == model
     assert again(model + instrument.candidates) == model + instrument.candidates
-
-
-def test_the_catalogue_makes_the_same_effect_twice() -> None:
-    one, other = (effects.linear("bias", 1.0, "deg/s/degC", source="ours") for _ in range(2))
-    assert one == other
-    assert one.basis == other.basis
-    assert one.basis != effects.quadratic("bias", 1.0, "deg/s/degC^2", source="ours").basis
-
-
-def test_a_tailored_and_a_changed_instrument() -> None:
-    tailored = still_sensor.INSTRUMENT.for_readings(still_sensor.simulate({}, seed=1))
-    assert again(tailored) is tailored
-    from dataclasses import replace
-
-    fewer = replace(GYRO, candidates=GYRO.candidates[:2])
-    assert again(fewer).candidates == fewer.candidates
 
 
 @pytest.fixture(scope="module")
@@ -98,39 +76,6 @@ def test_results_of_a_search(calibration) -> None:
     discovery = trail.steps[0].discovery
     assert discovery is not None
     assert again(discovery).best == discovery.best
-
-
-def own(basis, **more) -> bc.Effect:
-    return bc.Effect(
-        "bias.humidity", "bias", basis, (bc.Coefficient("deg/s"),), columns=("humidity",), **more
-    )
-
-
-def test_an_effect_of_a_module_is_pickled() -> None:
-    effect = own(partial(squared, "humidity"))
-    assert again(effect) == effect
-
-
-def test_a_lambda_is_refused_in_a_sentence_and_left_to_cloudpickle() -> None:
-    cloudpickle = pytest.importorskip("cloudpickle")
-    model = GYRO.baseline() + own(lambda r: r["humidity"])
-    with pytest.raises(bc.ModelError, match=r"'bias\.humidity' cannot be pickled.*basis.*`def`"):
-        pickle.dumps(model)
-    copy = pickle.loads(cloudpickle.dumps(model))  # what joblib and Dask fall back to
-    assert copy.names == model.names
-
-
-def test_an_instrument_without_a_name_is_refused_in_a_sentence() -> None:
-    instrument = bc.Instrument(
-        name="mine",
-        title="mine",
-        columns=(bc.Column("output", "deg/s", "output"),),
-        slots=(bc.Slot("bias", "deg/s"),),
-        response=lambda slots, r: slots["bias"],
-        effects=(),
-    )
-    with pytest.raises(bc.ModelError, match=r"instrument 'mine' cannot be pickled.*INSTRUMENT ="):
-        pickle.dumps(instrument)
 
 
 def summary_of(content: bytes) -> tuple[str, str, int]:

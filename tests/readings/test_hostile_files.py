@@ -13,7 +13,6 @@ import pytest
 import bayescal as bc
 from tests.support.gyro_files import GYRO
 from tests.support.lab_files import (
-    BEGAN,
     HEAD,
     RATE,
     TEMPERATURE,
@@ -126,77 +125,3 @@ READ = {
 def test_it_is_read_right(put, name):
     content, options, left_out = READ[name]
     is_right(bc.read(put(content), GYRO, **options), left_out)
-
-
-class Bad(NamedTuple):
-    """A file that is refused: how many problems it has, and words that must be said."""
-
-    content: str | bytes
-    count: int
-    said: tuple[str, ...]
-    options: Mapping[str, Any] = MappingProxyType({})
-
-
-UNNAMED = text(("time", "Temp (C)", "gyro_z"))
-REFUSED = {
-    "no units": Bad(
-        text(("time", "temperature", "output")),
-        3,
-        ("--unit time=UNIT", "--unit temperature=UNIT", "such as deg/s"),
-    ),
-    "no output": Bad(text(("t_s", "Temp_C", "gyro_z_dps")), 1, ("--columns output=gyro_z_dps",)),
-    "three gyroscopes": Bad(
-        text((*HEAD[:2], "gx (dps)", "gy (dps)"), (TIME, TEMPERATURE, RATE, RATE)),
-        1,
-        ("gx (dps), gy (dps) look like it", "--columns 'output=gx (dps)'"),
-    ),
-    "two temperatures": Bad(
-        text(("time [s]", "Temp (C)", "Temp [K]", "output [dps]"), (TIME, TEMPERATURE, TEMPERATURE, RATE)),
-        1,
-        ("lacks the column 'temperature'", "Temp"),
-    ),
-    "text and gaps": Bad(
-        with_cell(3, 1, "", with_cell(4, 2, "OVLD", with_cell(9, 2, "x"))),
-        2,
-        ("'OVLD', 'x'", "4, 9", "--missing drop"),
-    ),
-    "everything": Bad(
-        with_cell(3, 1, "", with_cell(4, 2, "1,5", with_cell(6, 0, "5", UNNAMED))),
-        6,
-        ("no such column", "4 fields", "has no unit", "holds no number", "--missing drop"),
-    ),
-    "months and days that may be exchanged": Bad(
-        dated(lambda m: f"{m - timedelta(days=20):%m/%d/%Y %H:%M:%S}", "time"), 1,
-        ("which number is the day", "--date-order mdy", "mdy if it begins 2026-11-02, dmy if it begins 2026-02-11"),
-    ),
-    "days above 12 in both places": Bad(
-        with_cell(5, 0, "23/11/2026 00:00:30", dated(lambda m: f"{m:%m/%d/%Y %H:%M:%S}", "time")), 1,
-        ("not all dates in one order",),
-    ),
-    "zones in some rows": Bad(
-        with_cell(5, 0, iso(BEGAN) + "+01:00", dated(iso, "time")), 1, ("with a zone everywhere",)
-    ),
-    "times or dates": Bad(
-        dated(lambda m: f"{m + timedelta(seconds=3967):%H.%M.%S}", "time"), 1, ("--date-order dmy",)
-    ),
-    "dates and numbers": Bad(with_cell(5, 0, "40.0", dated(iso, "time")), 1, ("reads '40.0'", "a date such as")),
-    "no header": Bad("0,20,1\n1,20,2\n", 1, ("has no header",)),
-    "milliseconds called seconds": Bad(
-        counted(1_000, "time [s]"), 1, ("Are the numbers in ms?", "--unit 'time [s]=ms'")
-    ),
-    "a missing reading in every row": Bad(
-        text(HEAD, (TIME, TEMPERATURE, ["NaN"] * 12)), 1, ("no row without",), {"missing": "drop"}
-    ),
-}  # fmt: skip
-
-
-@pytest.mark.parametrize("name", REFUSED)
-def test_it_is_refused_once_with_all_that_is_wrong(put, name):
-    content, count, said, options = REFUSED[name]
-    path = put(content)
-    with pytest.raises(bc.InputError) as refused:
-        bc.read(path, GYRO, **options)
-    for words in said:
-        assert words in str(refused.value)
-    assert (len(refused.value.problems) or 1) == count, str(refused.value)
-    assert list(path.parent.iterdir()) == [path]

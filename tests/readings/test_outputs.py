@@ -47,37 +47,3 @@ def test_what_is_wrong_with_all_outputs_is_said_at_once_and_no_sentence_twice(tm
     assert len(said) == len(set(said))
     for word in ("temperature", "acc_x", "gyro_z"):
         assert any(word in one for one in said), (word, said)
-
-
-@pytest.mark.parametrize("outputs", [[], ["gyro_x", "gyro_x"]])
-def test_outputs_are_named_once_each(tmp_path, outputs) -> None:
-    with pytest.raises(bc.InputError, match="once"):
-        bc.read(unit(tmp_path), INSTRUMENT, outputs=outputs)
-
-
-def test_a_channel_that_the_file_lacks_is_one_problem_with_the_nearest_name(tmp_path) -> None:
-    with pytest.raises(
-        bc.InputError, match=r"column 'gyro x': no such .*\(is 'gyro_x \[deg/s\]' meant"
-    ) as it:
-        bc.read(unit(tmp_path), INSTRUMENT, outputs=["gyro x", "acc_x"])
-    assert len(it.value.problems) == 1
-
-
-def test_what_the_channels_depend_on_is_no_channel(tmp_path) -> None:
-    with pytest.raises(bc.InputError, match="'temperature' is no channel"):
-        bc.read(unit(tmp_path), INSTRUMENT, outputs=["gyro_x", "temperature"])
-
-
-def test_a_channel_that_does_not_change_is_named(tmp_path) -> None:
-    path = tmp_path / "still.csv"
-    table = np.column_stack([TIME, TEMPERATURE, 0 * TIME + 1.5])
-    head = "time [s],temperature [degC],gyro_x [deg/s]"
-    np.savetxt(path, table, delimiter=",", header=head, comments="")
-    found = bc.read(path, INSTRUMENT, outputs=["gyro_x"])
-    with pytest.raises(bc.InputError, match="column 'gyro_x': reads"):
-        INSTRUMENT.for_readings(found["gyro_x"])
-
-
-def test_one_output_and_channels_are_not_said_together(tmp_path) -> None:
-    with pytest.raises(bc.InputError, match="say only the channels"):
-        bc.read(unit(tmp_path), INSTRUMENT, outputs=["gyro_x"], columns={"output": "acc_x"})

@@ -8,9 +8,8 @@ import pytest
 from scipy.stats import chi2
 
 import bayescal as bc
-from bayescal._calibration.noise_in_time import allan_check
-from bayescal._data.allan_deviation import EvenRuns, degrees_of_freedom, overlapping, term
 from bayescal_models import mems_gyro, still_sensor
+from tests.support.inside import EvenRuns, allan_check, degrees_of_freedom, overlapping, term
 
 # W. Riley, Handbook of Frequency Stability Analysis, NIST SP 1065 (2008), section 12: the data, their overlapping Allan
 # deviations at one and two readings, and at 1, 10 and 100.
@@ -215,12 +214,6 @@ def test_the_noise_of_a_good_model_is_not_contradicted() -> None:
 NOISE = np.random.default_rng(5).standard_normal(100)
 
 
-def without_time(readings: bc.Measurements) -> bc.Measurements:
-    return bc.Measurements.from_xarray(
-        readings.to_xarray().drop_vars("time"), sources=readings.sources
-    )
-
-
 def test_lost_readings_leave_averages_of_the_others() -> None:
     """White noise: on average the deviations are those of all readings, single ones of pairs that are there."""
     ratios = []
@@ -235,43 +228,6 @@ def test_lost_readings_leave_averages_of_the_others() -> None:
         assert some.differences[0] < 0.9 * whole.differences[0]
         ratios.append((some.deviation / whole.deviation) ** 2)
     assert np.mean(ratios, axis=0)[:6] == pytest.approx(1.0, abs=0.03)
-
-
-@pytest.mark.parametrize(
-    ("readings", "said"),
-    [
-        (without_time(record(NOISE, 1.0)), "needs the column 'time'"),
-        (record(NOISE[:29], 1.0), "a run of 30 readings or more"),
-        (
-            record(NOISE, 1.0).select(np.delete(np.arange(100), np.arange(30, 70))),
-            r"1 of 59 steps, such as 41 s, differ from the usual 1 s\. Give runs without gaps",
-        ),
-        (
-            record(NOISE, 1.0).with_column("time", np.arange(100) ** 1.1),
-            "needs readings evenly spaced in time",
-        ),
-        (record(NOISE, 1.0).with_column("output", np.ones(100)), "the output does not change"),
-    ],
-)
-def test_what_has_no_allan_deviation_is_refused_with_the_reason(readings, said: str) -> None:
-    with pytest.raises(bc.InputError, match=said):
-        bc.allan_deviation(readings)
-
-
-def test_a_check_of_readings_with_a_gap_says_nothing_of_it() -> None:
-    gap = record(NOISE, 1.0).select(np.delete(np.arange(100), np.arange(30, 70)))
-    found = bc.check(fitted(gap))
-    assert found.allan is None
-    assert "Allan" not in str(found)
-    with pytest.raises(bc.InputError, match="no Allan deviation to draw"):
-        bc.plot.allan(found)
-
-
-def test_readings_without_a_fit_are_drawn_too() -> None:
-    (ax,) = bc.plot.allan(bc.allan_deviation(record(NOISE, 1.0))).axes
-    assert ax.get_ylabel() == "Allan deviation [°/s]"
-    assert ax.get_xlabel() == "averaging time τ [s]"
-    assert ax.get_title(loc="left").startswith("N = ")
 
 
 @pytest.mark.parametrize("kind", ["cut to milliseconds", "two readings on one stamp"])

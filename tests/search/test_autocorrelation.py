@@ -7,9 +7,8 @@ import numpy as np
 import pytest
 
 import bayescal as bc
-from bayescal._calibration.check import autocorrelation
-from bayescal._model import forward
 from bayescal_models import still_sensor
+from tests.support.inside import autocorrelation, forward
 
 SENSOR = still_sensor.instrument("ug", size=20.0, constant=200.0, span=20.0)
 FAST = bc.LeastSquares(draws=100)
@@ -81,34 +80,3 @@ def test_a_correlated_record_is_caught(counts, rng) -> None:
     _, (coefficient, z) = of(LEVELS if len(counts) > 1 else SENSOR.baseline(), data)
     assert 0.3 < coefficient < 0.7
     assert z > 4
-
-
-@pytest.mark.slow
-def test_readings_at_one_time_are_neighbours(rng) -> None:
-    shared = np.repeat(rng.standard_normal(60), 2) + 0.3 * rng.standard_normal(120)
-    twice = np.repeat(np.arange(60), 2) - np.arange(
-        120
-    )  # each second reading at the time of the first
-    data = runs_of([120], shared, np.zeros(1), 60.0)
-    both = data.with_column("time", data["time"] + 60.0 * twice)
-    _, (coefficient, z) = of(SENSOR.baseline(), both)
-    assert coefficient > 0.3
-    assert z > 4
-
-
-def test_a_correlation_is_at_most_one(rng) -> None:
-    data = runs_of([3] * 40, rng.standard_normal(120), 20 * rng.standard_normal(40), 60.0)
-    found, _ = of(LEVELS, data)
-    for extreme in (np.ones(120), np.resize([1.0, -1.0], 120), np.resize([1.0, 1.0, 9.0], 120)):
-        assert abs(autocorrelation(found, extreme)[0]) <= 1
-    assert autocorrelation(found, np.zeros(120)) == (0.0, 0.0)
-
-
-@pytest.mark.slow
-def test_two_readings_about_a_level_say_little(rng) -> None:
-    for size in (2.0, 60.0):
-        data = runs_of([2] * 20, rng.standard_normal(40), size * rng.standard_normal(20), 60.0)
-        _, (coefficient, z) = of(LEVELS, data)
-        assert abs(coefficient) <= 1
-        assert abs(z) < 3
-    assert (coefficient, z) == (0.0, 0.0)  # about a free level, nothing

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 import pytest
@@ -41,30 +40,6 @@ def test_a_candidate_per_station_is_found(effect: bc.Effect) -> None:
     found = bc.discover(line, effects=[effect], widen_noise=False)
     named = [name for one in found.sets for name in one.effects]
     assert effect.name in named
-
-
-def test_a_calibration_adds_a_candidate_per_station() -> None:
-    path = bc.calibrate(
-        AT_STATIONS.baseline(),
-        at_stations(),
-        method=bc.LeastSquares(draws=100),
-        max_effects=1,
-    )
-    assert [step.added for step in path.steps] == [None, "bias.station"]
-
-
-def test_readings_without_the_labels_cannot_test_it() -> None:
-    readings = at_stations()
-    columns: dict[str, Any] = {n: readings[n] for n in ("temperature", "output")}
-    line = bc.fit(
-        AT_STATIONS.baseline(),
-        bc.Measurements.from_arrays(AT_STATIONS, **columns),
-        bc.LeastSquares(draws=100),
-        strict=False,
-    )
-    found = bc.discover(line, widen_noise=False)
-    reasons = {c.effect: c.reason for c in found.candidates if c.kind == "not testable"}
-    assert reasons["bias.station"] == "needs the column station"
 
 
 @pytest.mark.slow

@@ -36,13 +36,11 @@ def test_a_product_of_two_covariates_is_named_as_such(readings) -> None:
     assert "temperature" in first.against
     assert first.log_bayes_factor > 5
     assert first.log_bayes_factor > max(alone[name] for name in first.against)
-    assert "together" in str(found)
 
 
 def test_nothing_is_said_of_pairs_where_there_is_nothing(readings) -> None:
     found = bc.check(fitted(readings))
     assert all(p.log_bayes_factor < 3 for p in found.pairs)
-    assert "together" not in str(found)
 
 
 def test_the_run_that_stands_apart_is_named(readings) -> None:
@@ -68,7 +66,6 @@ def test_noise_known_beforehand_stands_beside_a_published_line() -> None:
             "thermometer": 0.5 / np.sqrt(3) * slope,
         }
     )
-    assert "(converter step 0.011, rounding of the voltage 0.035, thermometer 0.015)" in str(found)
 
 
 @pytest.mark.parametrize("seed", [1, 2])
@@ -82,8 +79,6 @@ def test_outliers_on_one_side_are_told_from_outliers_on_both(seed: int) -> None:
         spoilt = readings.with_column("output", readings["output"] + more)
         found.append(bc.check(bc.fit(heavy, spoilt, FAST, strict=False)))
     assert found[0].one_sided < 1e-5 < 1e-3 < found[1].one_sided
-    assert "stand on one side" in str(found[0])
-    assert "stand on one side" not in str(found[1])
 
 
 def test_scatter_that_grows_on_both_sides_of_the_output_is_told() -> None:
@@ -99,7 +94,6 @@ def test_scatter_that_grows_on_both_sides_of_the_output_is_told() -> None:
         found = bc.check(bc.fit(model, spoilt, FAST, strict=False))
         assert found.scatter_with[along] < 1e-5
         assert min(found.scatter_with, key=found.scatter_with.__getitem__) == along
-        assert f"scatter changes with {along}" in str(found)
 
 
 def test_a_law_that_is_right_leaves_normal_scores() -> None:

@@ -17,10 +17,9 @@ from bayescal._calibration.guards import conflicts
 from bayescal._calibration.leave_group_out import leave_one_group_out
 from bayescal._search.gate import gate, in_one_order
 from bayescal.effects import deviation
-from bayescal_models import mems_gyro, ng_accelerometer, quartz_beam_accelerometer
+from bayescal_models import mems_gyro, ng_accelerometer
 from bayescal_models.mems_gyro import INSTRUMENT, TABLE
 from tests.support.command_line import GYRO, QUICK, needs_installation, run
-from tests.support.inside import result_of
 
 OFFSET = 1446.0  # °/s
 
@@ -60,8 +59,6 @@ def test_readings_against_the_prior_leave_with_1(tmp_path) -> None:
     assert done.status == 1
     assert done.data["verdict"]["ok"] is False
     (reason,) = done.data["verdict"]["reasons"]
-    assert reason.startswith("bias.constant stands ")
-    assert "times its plausible size from its prior's mean" in reason
     assert reason in done.said[-1]
 
 
@@ -139,22 +136,8 @@ def test_an_output_that_a_model_explains_to_the_last_digit() -> None:
     readings = bc.Measurements.from_arrays(
         INSTRUMENT, time=60.0 * np.arange(18), temperature=temperature, output=temperature / 10 - 1
     )
-    words = "of 2 unknowns explains the output to its last digit in all 18 readings.*steps of 1 °/s"
-    with pytest.raises(bc.InputError, match=words):
+    with pytest.raises(bc.InputError):
         bc.calibrate(INSTRUMENT.baseline(), readings, method=bc.LeastSquares(draws=200))
-
-
-@pytest.mark.filterwarnings("ignore::RuntimeWarning")  # of overflow, on the way to no finite fit
-def test_an_output_that_no_fit_is_finite_for_is_asked_for_its_unit() -> None:
-    given = quartz_beam_accelerometer.simulate({}, seed=1)
-    huge = given.with_column("output", 1e12 * np.array(given["output"]))
-    words = r"no fit of the model.*the output covers 2\.01e\+18 µg.*--nominal-scale"
-    with pytest.raises(bc.InputError, match=words):
-        bc.calibrate(
-            quartz_beam_accelerometer.INSTRUMENT.for_readings(huge).baseline(),
-            huge,
-            method=bc.LeastSquares(draws=200),
-        )
 
 
 def test_a_posterior_wider_than_its_prior(line, monkeypatch) -> None:
@@ -175,12 +158,6 @@ def test_a_scale_larger_than_the_outputs_range(line, monkeypatch) -> None:
     assert (reason.code, reason.of) == ("size.beyond_output", ("noise.white",))
     monkeypatch.undo()
     assert told_of(line, monkeypatch, name="bias.cause.length", mean=1.1 * reach) == []
-
-
-def test_a_time_beyond_ten_records(runs, monkeypatch) -> None:
-    record = float(np.ptp(runs.readings["time"]))
-    (reason,) = told_of(runs, monkeypatch, unit="s", mean=11 * record)
-    assert (reason.code, reason.of) == ("time.beyond_record", ("x",))
 
 
 def groups_left_out(rmse: float, log_score: float) -> SimpleNamespace:
@@ -221,15 +198,14 @@ def steps(line: bc.Calibration, first: dict[str, Any], last: dict[str, Any]) -> 
     ]
 
 
-def test_another_noise_law_may_raise_the_plain_error(line) -> None:
-    """Readings then weigh differently, and a fit does not make the plain error least; an effect may not raise it."""
-    assert gate(steps(line, {}, {"rmse_fitted": 1.5, "added": None})).ok
+def codes(found: Any) -> set[str]:
+    return {claim.code for claim in found.claims}
 
 
 def test_outliers_on_one_side_shut_the_gate(line) -> None:
     both = steps(line, {}, {})
     both[-1].check.one_sided = 1e-6
-    assert "stand on one side" in gate(both).reason
+    assert codes(gate(both)) == {"noise.one_sided"}
 
 
 def test_a_fit_without_a_definite_curvature_shuts_the_gate(line) -> None:
@@ -241,21 +217,19 @@ def test_a_fit_without_a_definite_curvature_shuts_the_gate(line) -> None:
 
 
 @pytest.mark.parametrize(
-    ("first", "last", "said"),
+    ("first", "last", "code"),
     [
-        ({}, {"rmse_fitted": 1.06}, "Step '+ bias.x' raises the error as fitted, 1 → 1.06 °/s"),
-        ({"holdout_rmse": 1.0}, {"holdout_rmse": 1.06}, "predicts the hold-out data worse"),
+        ({}, {"rmse_fitted": 1.06}, "step.raises_error"),
+        ({"holdout_rmse": 1.0}, {"holdout_rmse": 1.06}, "step.predicts_worse"),
         (
             {"left_out": groups_left_out(1.0, 0.0)},
             {"left_out": groups_left_out(1.06, -9.0)},
-            "predicts each run from the others (leave-one-run-out) worse than step",
+            "step.predicts_worse",
         ),
     ],
 )
-def test_a_step_that_does_harm_shuts_the_gate(line, first, last, said) -> None:
-    found = gate(steps(line, first, last))
-    assert not found.ok
-    assert said in found.reason
+def test_a_step_that_does_harm_shuts_the_gate(line, first, last, code) -> None:
+    assert code in codes(gate(steps(line, first, last)))
     nearly = {
         k: 1.04 if not isinstance(v, SimpleNamespace) else groups_left_out(1.04, -9.0)
         for k, v in last.items()
@@ -280,39 +254,22 @@ def test_hold_out_data_are_judged_by_a_test(line, p: float, ok: bool) -> None:
     assert gate(steps(line, first, last)).ok is ok
 
 
-def test_the_gates_reasons_are_the_results(line: bc.Calibration) -> None:
-    assert replace(line.verdict, ok=True).ok  # the fit itself converged
-    off = line.readings.with_column("output", line.readings["output"] + OFFSET)
-    trail = bc.calibrate(
-        INSTRUMENT.baseline(),
-        off,
-        method=bc.LeastSquares(draws=200),
-        max_effects=1,
-    )
-
-    verdict = result_of(trail)["verdict"]
-    assert verdict["ok"] is False
-    assert trail.gate.reason in verdict["reasons"]
-    assert "times its plausible size" in trail.gate.reason
-
-
 @pytest.mark.parametrize(
-    ("what", "said"),
+    ("what", "code"),
     [
-        ({"scatter_with": {"temperature": 1e-6}}, "the scatter changes with temperature"),
-        ({"pit_p": 1e-6}, "do not scatter about the model as normal noise does"),
+        ({"scatter_with": {"temperature": 1e-6}}, "noise.scatter"),
+        ({"pit_p": 1e-6}, "noise.tails"),
         (
             {"entries": [SimpleNamespace(log_bayes_factor=11.0, against="run")]},
-            "still depend on run",
+            "residuals.depend",
         ),
-        ({"autocorrelation": (0.3, 5.0)}, "neighbouring residuals are correlated (0.30, z = 5.0)"),
+        ({"autocorrelation": (0.3, 5.0)}, "noise.correlated"),
     ],
 )
-def test_the_gate_asks_what_the_check_knows(line, what: dict[str, Any], said: str) -> None:
+def test_the_gate_asks_what_the_check_knows(line, what: dict[str, Any], code: str) -> None:
     (only, _) = steps(line, {}, {})
     only.check = SimpleNamespace(**{**vars(only.check), **what})
-    found = gate([only])
-    assert not found.ok and said in found.reason
+    assert code in codes(gate([only]))
 
 
 def test_a_model_that_claims_too_much_of_readings_kept_apart_shuts_the_gate(line) -> None:
@@ -320,40 +277,11 @@ def test_a_model_that_claims_too_much_of_readings_kept_apart_shuts_the_gate(line
     kept = {"holdout_rmse": 0.3, "holdout_test": SimpleNamespace(against=found)}
     (_, step) = steps(line, {}, kept)
     shut = gate([step])
-    assert not shut.ok and "scatter 2.5 times as much as expected" in shut.reason
+    assert codes(shut) == {"holdout.scatters"}
     found.p, found.share, found.scatter = 0.005, 3.0, 1.0
-    assert (
-        "its error there, 0.3 °/s, would be 0.1 with other coefficients, bias.temperature before all"
-        in gate([step]).reason
-    )
+    assert codes(gate([step])) == {"holdout.contradicts"}
     found.p = 0.02
     assert gate([step]).ok
-
-
-def test_nothing_is_said_that_so_few_readings_cannot_show(line: bc.Calibration) -> None:
-    few = fitted(line.readings.select(np.arange(8)))
-    (only, _) = steps(few, {}, {})
-    told = "converged; too few readings to see whether neighbours are correlated"
-    assert gate([only]).reason == told
-    fewer = fitted(line.readings.select(np.arange(3)))
-    (only, _) = steps(fewer, {}, {})
-    assert "3 readings are too few for 2 unknowns" in gate([only]).reason
-
-
-@pytest.mark.slow
-def test_a_search_goes_on_where_readings_and_prior_contradict_each_other() -> None:
-    readings = mems_gyro.simulate({"bias.thermal_lag": 0.05}, seed=1)
-    off = readings.with_column("output", readings["output"] + OFFSET)
-    trail = bc.calibrate(INSTRUMENT.baseline(), off, method=bc.LeastSquares())
-    effects = {e.name: e for e in trail.final.calibration.model.effects}
-    added = {step.added for step in trail.steps} - {None}
-    assert {effects[str(n)].reported for n in added} == {"bias.constant.freed", "bias.thermal_lag"}
-    assert not trail.ok and "--nominal-scale" in trail.gate.reason
-    assert "or accept it (calibrate --accept-conflict bias.constant)" in trail.gate.reason
-    waived = bc.calibrate(
-        INSTRUMENT.baseline(), off, method=bc.LeastSquares(), accept_conflicts=["bias.constant"]
-    )
-    assert waived.ok and waived.final.calibration.model.effects[-1].reported == "bias.thermal_lag"
 
 
 @pytest.mark.parametrize("between", [True, False])
@@ -366,8 +294,7 @@ def test_a_step_between_runs_shuts_the_gate_and_one_within_a_run_does_not(betwee
     stepped = bc.fit(model, moved, bc.LeastSquares(draws=200), strict=False)
     found = gate(steps(stepped, {}, {}))
     assert found.ok is not between, found.reason
-    if between:
-        assert re.match(r"Runs stand (4\.9|5)\S* °/s apart \(unknown\(time, jump\)", found.reason)
+    assert ("runs.apart" in codes(found)) is between
 
 
 @pytest.mark.parametrize("named", [False, True])
@@ -401,14 +328,3 @@ def test_an_input_of_the_wrong_sign_is_no_missing_effect() -> None:
     assert ("curve.beyond_known", ("unknown(rate_input)",)) in {(one.code, one.of) for one in said}
     plain = bc.fit(model, readings, bc.LeastSquares(), strict=False).conflicts
     assert not any("unknown(rate_input)" in one.of for one in plain)
-
-
-def test_a_step_that_raises_the_holdout_error_is_marked(line: bc.Calibration) -> None:
-    first = bc.calibrate(line.model, line.readings, holdout=line.readings, max_effects=0)
-    assert "↑" not in str(first)
-    (one,) = first.steps
-    assert one.holdout_rmse is not None
-    worse = replace(one, holdout_rmse=1.06 * one.holdout_rmse, added="bias.x")
-    said = str(replace(first, steps=(one, worse, replace(worse, added="bias.y")))).splitlines()
-    assert [line.count("↑") for line in said if line[:1].isdigit()] == [0, 1, 0]
-    assert said[-1] == "↑ held-out error more than a twentieth above that of the step before"

@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import ast
-
 import numpy as np
 import pytest
 
 import bayescal as bc
-from bayescal._search import next_experiment
 from bayescal_models import mems_gyro
+from tests.support.inside import Outlook, divergence, outlook
 
 INSTRUMENT = mems_gyro.INSTRUMENT
 RIVALS = ("bias.thermal_lag", "bias.reference_voltage")
@@ -27,8 +25,8 @@ def ranked(line) -> bc.NextExperiment:
     return bc.next_experiment(line, RIVALS)
 
 
-def normal(mean, covariance) -> next_experiment.Outlook:
-    return next_experiment.Outlook(np.asarray(mean, float), np.asarray(covariance, float))
+def normal(mean, covariance) -> Outlook:
+    return Outlook(np.asarray(mean, float), np.asarray(covariance, float))
 
 
 def test_the_divergence_is_that_of_two_normals() -> None:
@@ -45,18 +43,8 @@ def test_the_divergence_is_that_of_two_normals() -> None:
 
     ratio = log_density(one) - log_density(other)
     error = ratio.std() / np.sqrt(ratio.size)
-    assert abs(next_experiment.divergence(one, other) - ratio.mean()) < 5 * error
-    assert next_experiment.divergence(one, one) == pytest.approx(0, abs=1e-9)
-
-
-@pytest.mark.slow
-def test_every_listed_experiment_is_ranked(ranked: bc.NextExperiment) -> None:
-    assert ranked.members == RIVALS
-    assert {e.name for e in ranked.experiments} == {name for name, _ in INSTRUMENT.experiments}
-    worst = [e.worst for e in ranked.experiments]
-    assert worst == sorted(worst, reverse=True)
-    assert min(worst) >= 0
-    assert "least expected for" in str(ranked)
+    assert abs(divergence(one, other) - ratio.mean()) < 5 * error
+    assert divergence(one, one) == pytest.approx(0, abs=1e-9)
 
 
 def test_more_runs_tell_more_than_the_same_again(line: bc.Calibration) -> None:
@@ -80,7 +68,7 @@ def test_the_first_experiment_separates_what_the_last_does_not(
     truth, rival = RIVALS
     reached = {}
     for best in (ranked.experiments[0], ranked.experiments[-1]):
-        a, b = (next_experiment.outlook(fits[name], best.readings) for name in (truth, rival))
+        a, b = (outlook(fits[name], best.readings) for name in (truth, rival))
         # Campaigns that the possibility which is the truth expects, as it expects them.
         draws = np.random.default_rng(2).multivariate_normal(a.mean, a.covariance, 400)
         gain = []
@@ -98,30 +86,3 @@ def test_the_first_experiment_separates_what_the_last_does_not(
         assert abs(np.mean(gain) - expected) < 5 * np.std(gain) / np.sqrt(len(gain))
     first, last = ranked.experiments[0].name, ranked.experiments[-1].name
     assert reached[first] > 2 * reached[last]
-
-
-def test_one_effect_alone_has_nothing_to_be_told_from(line: bc.Calibration) -> None:
-    with pytest.raises(bc.ModelError, match="two effects or more"):
-        bc.next_experiment(line, RIVALS[:1])
-
-
-def test_an_unknown_dependence_becomes_a_draft_that_can_be_run() -> None:
-    readings = mems_gyro.simulate({"unlisted.humidity": 0.02}, seed=31)
-    model = INSTRUMENT.baseline() + "unknown(humidity)"
-    found = bc.fit(model, readings)
-    shape = bc.shape_of(found, "unknown(humidity)")
-    true = 2.0 * readings["humidity"]  # 0.02 per percent
-    assert shape.size == pytest.approx(np.std(true), rel=0.25)
-    slope = np.polyfit(shape.at, shape.mean, 1)[0]
-    assert slope == pytest.approx(2.0, rel=0.25)
-    draft = bc.draft_effect(found, "unknown(humidity)")
-    ast.parse(draft)
-    names: dict = {}
-    exec(draft, names)
-    again = bc.fit(INSTRUMENT.baseline() + names["effect"], readings, bc.LeastSquares())
-    assert again.mode.log_evidence > found.mode.log_evidence - 3
-
-
-def test_a_named_effect_has_no_draft(line: bc.Calibration) -> None:
-    with pytest.raises(bc.ModelError, match="named effect"):
-        bc.draft_effect(line, "bias.temperature")

@@ -9,7 +9,6 @@ import pytest
 
 import bayescal as bc
 from bayescal_models import mems_gyro
-from tests.support.inside import result_of, screen_of, with_error
 from tests.support.made_up import split_search
 
 CAMPAIGNS = 40
@@ -105,29 +104,6 @@ def test_a_file_without_the_column_of_an_improbable_effect_is_predicted(average)
     left = bc.Measurements.from_arrays(mems_gyro.INSTRUMENT, **columns)
     found, known = bc.predict(average, left), bc.predict(average, whole)
     assert np.max(np.abs(found.mean - known.mean) / known.model_sd) < 0.5
-
-
-def test_coefficients_are_printed_as_they_leave(trail, average) -> None:
-    used, best = (c.samples("bias.constant") for c in (average, trail.final.calibration))
-    (row,) = (r for r in result_of(trail)["coefficients"] if r["name"] == "bias.constant")
-    assert (row["mean"], row["sd"]) == pytest.approx((used.mean(), used.std()), rel=1e-2)
-    assert used.std() > 1.05 * best.std()
-    text, whole = screen_of(trail), screen_of(trail, verbose=True)
-    assert "averaged over bias.hysteresis" in text and "--structure best" in text
-    assert "STRUCTURES" in whole and "bias.run.group_sd" in whole
-    added = next(r for r in result_of(trail)["coefficients"] if r["effect"] == "bias.hysteresis")
-    draws = average.samples(added["name"])
-    there = draws != 0
-    assert 0.2 < there.mean() < 0.6, "another effect stands for it in the other draws"
-    known = added["averaged"]
-    assert known["probability"] == pytest.approx(there.mean(), abs=0.01)
-    assert known["mean"] == pytest.approx(draws.mean(), rel=1e-2), "as what is predicted has it"
-    given = known["given"]
-    assert (given["mean"], given["sd"]) == pytest.approx(
-        (draws[there].mean(), draws[there].std()), rel=1e-2
-    )
-    said = with_error(given["mean"], given["sd"])
-    assert f"if it is there: {added['name']} {said} °/s (probability" in text
 
 
 @pytest.mark.slow

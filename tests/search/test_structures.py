@@ -8,19 +8,17 @@ import math
 
 import numpy as np
 import pytest
-from scipy.stats import qmc
 
 import bayescal as bc
 from bayescal._inference.laplace import find_mode
 from bayescal._inference.linear_model import linear_model
 from bayescal._inference.problem import Problem
 from bayescal._search.discover import structures_over
-from bayescal._search.library import Library, sobol_points
+from bayescal._search.library import Library
 from bayescal._search.noise_laws import on_residuals
 from bayescal._search.posterior import Posterior
-from bayescal._search.scores import View, gain_of
 from bayescal._search.structures import SIZE_FACTORS, Structure, Structures
-from bayescal._search.walk import explore, path
+from bayescal._search.walk import explore
 from bayescal_models import mems_gyro, quartz_beam_accelerometer
 from tests.support.inside import constants_of
 
@@ -98,57 +96,6 @@ def test_evidence_is_averaged_over_the_plausible_sizes() -> None:
     assert found == pytest.approx(np.logaddexp.reduce(each), abs=0.02)
 
 
-def test_a_structure_whose_products_have_no_digits_has_no_evidence(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    """Found beside a free curve of 10⁴ noises and a body far faster than the readings: 1e300 nats, and chosen."""
-    made = structures(hidden(2), ("bias.temperature_quadratic",))
-    monkeypatch.setattr("bayescal._search.structures.condition", lambda *_: None)
-    assert made.weigh(Structure(frozenset(made.candidates))).log_evidence == -math.inf
-
-
-def test_a_score_at_the_mode_expects_what_a_refit_gives_where_little_changes() -> None:
-    made = structures(hidden(3), ("bias.temperature_quadratic", "bias.drift", "bias.warm_up"))
-    base = made.weigh(Structure())
-    library = Library(made)
-    points = View(library, base).without().scores(list(made.candidates))
-    for name, own in points.items():
-        refit = made.weigh(Structure(frozenset([name])), base)
-        assert gain_of(own) == pytest.approx(refit.log_evidence - base.log_evidence, abs=0.1)
-
-
-def test_dropping_by_score_is_dropping_by_refit_where_little_changes() -> None:
-    made = structures(hidden(3), ("bias.temperature_quadratic", "bias.drift"))
-    root = made.weigh(Structure())
-    whole = made.weigh(Structure(frozenset(made.candidates)), root)
-    view = View(Library(made), whole)
-    assert view.without().dropped == pytest.approx(0.0, abs=1e-3)
-    for name in made.candidates:
-        without = made.weigh(whole.structure.minus(name), whole)
-        # One mode holds an average over sizes, the other the likeliest: nearly the same where both are small.
-        expected = whole.mode.log_density + view.without(name).dropped
-        assert expected == pytest.approx(without.mode.log_density, abs=0.3)
-
-
-def test_columns_of_the_library_are_slopes_of_the_model_with_the_effect() -> None:
-    readings = mems_gyro.simulate({}, seed=4, campaign=mems_gyro.Campaign(rate_input=(0.0, 100.0)))
-    made = structures(readings)
-    base = made.weigh(Structure())
-    library = Library(made)
-    every = [point for own in library.points.values() for point in own]
-    columns = library.columns(View(library, base).line.slopes, every, {})
-    for name, effect in made.candidates.items():
-        if effect.column_shapes or effect.is_placeholder:
-            continue
-        larger = made.weigh(Structure(frozenset([name])), base).problem
-        v = np.zeros(len(larger.hypers))
-        line = larger.linearise(larger.start, larger.hyper(v))
-        own = np.concatenate(
-            [line.jacobian[:, t.at] for t in larger.in_x if t.known.of == name], axis=1
-        )
-        np.testing.assert_allclose(columns[:, library.points[name][0].at], own, rtol=1e-9)
-
-
 def test_what_cannot_be_told_apart_is_one_finding() -> None:
     readings = hidden(5, thermal_lag=0.03)
     twin = dataclasses.replace(INSTRUMENT.effect("bias.thermal_lag"), name="bias.twin")
@@ -174,17 +121,6 @@ def test_nothing_is_found_where_nothing_is_hidden() -> None:
 
 
 @pytest.mark.slow
-def test_one_effect_may_stand_in_the_place_of_two() -> None:
-    """A drift with run offsets, or a curve in time: the drift is found as one of these, the offsets are not."""
-    readings = hidden(35, temperature_quadratic=5e-4, drift=0.25)
-    made = structures(readings)
-    explore(Library(made), max_effects=5)
-    sets = [set(f.effects) for f in Posterior.of(made).findings]
-    assert {"bias.temperature_quadratic"} in sets
-    assert any("bias.drift" in s for s in sets)
-
-
-@pytest.mark.slow
 def test_of_a_hundred_empty_campaigns_hardly_any_gains_an_effect() -> None:
     reported = 0
     for seed in range(500, 600):
@@ -199,23 +135,6 @@ def test_a_free_curve_in_time_stands_beside_no_wander() -> None:
     assert "unknown(time)" in made.open_to(Structure())
     assert "unknown(time)" not in made.open_to(Structure(noise=WANDER))
     assert "unknown(time, jump)" in made.open_to(Structure(noise=WANDER))
-
-
-def test_a_structure_has_one_form_of_a_family() -> None:
-    made = structures(hidden())
-    open_ = made.open_to(Structure(frozenset({"bias.thermal_lag.body"})))
-    assert not [n for n in open_ if made.family(n) == "bias.thermal_lag"]
-    assert "bias.temperature_quadratic" in open_
-
-
-def test_a_path_leads_from_the_base_to_the_end_one_change_at_a_time() -> None:
-    made = structures(hidden(9, thermal_lag=0.05, run=0.1))
-    end = Structure(frozenset(["bias.thermal_lag", "bias.run"]), WANDER)
-    way = path(Library(made), end)
-    assert (way[0], way[-1], len(way)) == (Structure(), end, 4)
-    for before, after in itertools.pairwise(way):
-        changed = len(after.effects - before.effects) + (after.noise != before.noise)
-        assert changed == 1
 
 
 @pytest.mark.slow
@@ -242,15 +161,6 @@ def with_noise(seed: int, law: str) -> bc.Measurements:
     return readings.with_column("output", readings["output"] + more)
 
 
-def slowly_moved(readings: bc.Measurements, seed: int) -> bc.Measurements:
-    """With a random walk within each run, small beside the white noise of neighbours."""
-    random, run = np.random.default_rng([seed, 2]), np.asarray(readings["run"])
-    slow = 0.3 * np.cumsum(0.05 * random.standard_normal(len(readings)))
-    for label in np.unique(run):
-        slow[run == label] -= slow[run == label].mean()
-    return readings.with_column("output", readings["output"] + slow)
-
-
 @pytest.mark.parametrize("law", ["student_t", "heteroscedastic(temperature)"])
 @pytest.mark.parametrize("seed", [3, pytest.param(4, marks=pytest.mark.slow)])
 def test_the_noise_law_is_found_beside_the_effect(law: str, seed: int) -> None:
@@ -262,17 +172,6 @@ def test_the_noise_law_is_found_beside_the_effect(law: str, seed: int) -> None:
     of_kind = [n for n, other in made.laws.items() if other.law == kind]
     assert sum(posterior.noise(n) for n in of_kind) > bc.Settings().found_probability
     assert any("bias.thermal_lag" in found.effects for found in posterior.findings)
-
-
-def test_under_correlated_noise_every_drop_from_the_best_is_refitted() -> None:
-    """The noise takes up what an effect explained: a score, which holds it, expects far too little of a drop."""
-    readings = hidden(5, thermal_lag=0.3, temperature_quadratic=1e-3)
-    made = structures(slowly_moved(readings, 5), FEW)
-    explore(Library(made), max_effects=3)
-    under = [w for w in made.visited.values() if w.structure.noise == WANDER]
-    best = max(under, key=lambda w: w.total)
-    assert best is made.best and best.structure.effects
-    assert all(best.structure.minus(name) in made.visited for name in best.structure.effects)
 
 
 def test_what_a_law_gains_on_residuals_is_what_a_refit_gains() -> None:
@@ -311,20 +210,3 @@ def test_the_given_law_has_half_of_the_prior_and_the_other_kinds_share_the_rest(
         shares[law.law] += math.exp(made.log_prior(Structure(noise=name)))
     assert kinds == {"student_t", "ornstein_uhlenbeck", "heteroscedastic"}
     assert all(share == pytest.approx(1 / 3) for share in shares.values())
-
-
-def test_models_of_structures_hold_the_sizes_of_their_own_effects_alone() -> None:
-    """A structure that is weighed from one with an effect ten times its plausible size, and has it not."""
-    readings = mems_gyro.simulate({"bias.drift": 1.0}, seed=1)
-    made, _ = structures_over(mems_gyro.INSTRUMENT.baseline(), readings, constants_of(readings))
-    drift = made.weigh(Structure(frozenset({"bias.drift"})))
-    stated = made.candidates["bias.drift"].coefficients[0].size
-    assert drift.sized_model.effect("bias.drift").coefficients[0].size == pytest.approx(10 * stated)
-    other = made.weigh(Structure(frozenset({"bias.run"})), drift)
-    assert other.sized_model.names == (*made.base.names, "bias.run")
-
-
-def test_points_that_are_kept_are_those_of_scipy() -> None:
-    for count in (2, 3, 4):
-        expected = qmc.Sobol(count, scramble=True, rng=0).random(128)
-        assert np.array_equal(sobol_points(count), expected)

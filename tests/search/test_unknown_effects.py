@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -41,8 +39,7 @@ def test_the_column_of_an_effect_outside_the_catalogue_is_named_and_added(
 @pytest.mark.parametrize(
     "name",
     slow_but(
-        ["bias.rate"],
-        ["unknown(humidity)", "unknown(time)", "bias.temperature_cubic", "bias.rate"],
+        ["bias.rate"], ["unknown(humidity)", "unknown(time)", "bias.temperature_cubic", "bias.rate"]
     ),
 )
 def test_what_the_model_given_has_beside_the_baseline_is_weighed_anew(
@@ -55,31 +52,6 @@ def test_what_the_model_given_has_beside_the_baseline_is_weighed_anew(
     assert set(last.model.names) == set(trail.final.calibration.model.names)
     left_out = any(name in note for note in last.verdict.notes)
     assert left_out == (name not in last.model.names)
-
-
-@pytest.mark.parametrize(
-    "stated", slow_but(["fixed"], ["fixed", "of another baseline", "nothing sought"])
-)
-def test_what_a_user_states_of_a_model_stays(stated: str) -> None:
-    readings, model = mems_gyro.simulate(seed=33), INSTRUMENT.baseline() + "bias.temperature_cubic"
-    most = 0 if stated == "nothing sought" else 1
-    if stated == "fixed":
-        model = model.fix({"bias.temperature_cubic": 1e-7})
-    elif stated == "of another baseline":
-        model = model - "bias.temperature"
-    how: dict[str, Any] = {"method": bc.LeastSquares(), "max_effects": most, "widen_noise": False}
-    found = bc.calibrate(model, readings, **how)
-    assert "bias.temperature_cubic" in found.steps[0].calibration.model.names
-
-
-@pytest.mark.slow
-def test_where_nothing_is_sought_what_has_no_name_stays_too() -> None:
-    readings, model = mems_gyro.simulate(seed=33), INSTRUMENT.baseline() + "unknown(time)"
-    found = bc.calibrate(model, readings, method=bc.LeastSquares(), max_effects=0)
-    assert [s.calibration.model.names for s in found.steps] == [model.names]
-    assert found.final.discovery is None  # no probability that the model is complete
-    assert found.ending == "Nothing was looked for: no effect was to be added."
-    assert found.in_short.startswith("Nothing was looked for beside the first model")
 
 
 def test_its_amplitude_is_the_size_that_is_reported(trail: bc.SearchPath) -> None:
@@ -114,15 +86,6 @@ def test_far_beyond_the_range_of_the_fit_it_says_nothing() -> None:
     shapes = {"length": jnp.asarray(0.3), "amplitude": jnp.asarray(1.0)}
     columns = INSTRUMENT.unknown("humidity").evaluate(frame, shapes)
     assert np.allclose(columns, 0.0, atol=1e-12)
-
-
-def test_a_calibration_with_it_is_saved_and_loaded(trail: bc.SearchPath, tmp_path) -> None:
-    final = trail.final.calibration
-    final.save(tmp_path / "c.nc")
-    again = bc.load(tmp_path / "c.nc")
-    assert again.model.names == final.model.names
-    fresh = mems_gyro.simulate(HUMID, seed=33)
-    assert np.allclose(bc.predict(again, fresh).mean, bc.predict(final, fresh).mean)
 
 
 def test_its_prior_is_a_smooth_process_of_the_stated_amplitude() -> None:
@@ -162,16 +125,6 @@ def test_covariates_are_the_recorded_columns_and_what_is_derived_from_time() -> 
     assert not {*found} & {"output", "run", "temperature_point"}
 
 
-@pytest.mark.parametrize("column", ["humidity", "q, x", '<b>a/b</b> "q", x', "flow, L/min"])
-def test_a_form_is_what_stands_after_the_last_comma_of_a_name(column: str) -> None:
-    for form in ("", "line", "jump", "kink"):
-        asked = f"{column}, {form}" if form else column
-        effect = INSTRUMENT.unknown(asked)
-        assert effect.name == f"unknown({asked})"
-        assert effect.covariate == column and effect.columns == (column,)
-    assert "unknown(time, cycle)" in (INSTRUMENT.baseline() + "unknown( time,cycle )").names
-
-
 def test_two_named_effects_are_not_taken_for_one_unknown_function() -> None:
     """A drift and a curve in temperature look like one function of time; together they explain more than it does."""
     hidden = {"bias.temperature_quadratic": 5e-4, "bias.drift": 0.25}
@@ -186,16 +139,3 @@ def test_a_named_effect_is_preferred_to_an_unknown_dependence_on_its_covariate()
     curved = mems_gyro.simulate({"bias.temperature_quadratic": 1e-3}, seed=34)
     found = bc.discover(bc.fit(INSTRUMENT.baseline(), curved))
     assert [e.name for e in found.best] == ["bias.temperature_quadratic"]
-
-
-def test_an_instrument_without_a_slot_in_the_output_unit_says_so() -> None:
-    bare = bc.Instrument(
-        "bare",
-        "no bias",
-        INSTRUMENT.columns,
-        (bc.Slot("scale", "1"),),
-        lambda slots, r: slots["scale"] * r["temperature"],
-        INSTRUMENT.effects[:0],
-    )
-    with pytest.raises(bc.ModelError, match="no slot in the unit of its output"):
-        bare.unknown("temperature")

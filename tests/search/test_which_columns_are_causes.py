@@ -5,13 +5,10 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
-import pandas as pd
 import pytest
 
 import bayescal as bc
-from bayescal_models import mems_gyro, still_sensor
-from tests.support.command_line import GYRO, TABLE, needs_installation, run
-from tests.support.command_line import QUICK as LEAST_SQUARES
+from bayescal_models import still_sensor
 
 SENSOR, QUICK = still_sensor.INSTRUMENT, bc.LeastSquares(draws=200)
 
@@ -50,9 +47,6 @@ def test_channels_of_one_unit_are_not_each_others_causes(line: bc.Calibration) -
     assert not {"unknown(acc_x)", "unknown(acc_y)"} & found
     assert {"acc_x", "acc_y"} <= set(line.readings.columns)  # an effect of one's own may take them
     assert {"acc_x", "acc_y"}.isdisjoint(e.against for e in bc.check(line).entries)
-    assert any(
-        "acc_x, acc_y: other channels beside the output 'acc_z'" in f for f in line.readings.flags
-    )
 
 
 def test_the_mark_stays_with_the_readings(line: bc.Calibration, tmp_path: Path) -> None:
@@ -66,9 +60,7 @@ def test_a_column_is_ignored(line: bc.Calibration) -> None:
     found = bc.discover(line, widen_noise=False, max_effects=1, ignore=["drive"])
     assert "unknown(drive)" not in searched(found)
     found = bc.discover(line, widen_noise=False, max_effects=1, ignore=["time"])
-    reasons = {c.effect: c.reason for c in found.candidates if c.kind == "not testable"}
-    assert reasons["bias.thermal_lag"] == "the column time is left out"
-    with pytest.raises(bc.InputError, match="no column 'suply'"):
+    with pytest.raises(bc.InputError):
         bc.discover(line, ignore=["suply"])
 
 
@@ -76,21 +68,8 @@ def test_only_covariates_that_are_named_are_causes(line: bc.Calibration) -> None
     found = searched(bc.discover(line, widen_noise=False, max_effects=1, covariates=["acc_x"]))
     assert "unknown(acc_x)" in found and "unknown(temperature)" in found
     assert not {"unknown(drive)", "unknown(pressure)", "unknown(acc_y)"} & found
-    with pytest.raises(bc.InputError, match="say one of the two"):
+    with pytest.raises(bc.InputError):
         bc.discover(line, ignore=["drive"], covariates=["drive"])
-
-
-@needs_installation
-def test_the_command_takes_both(tmp_path: Path) -> None:
-    """Of a table without time, in which no correlated noise is looked for."""
-    table, path = pd.read_csv(TABLE), tmp_path / "table.csv"
-    table["drive [V]"] = 5 + 0.05 * np.cos(1.7 * np.arange(len(table)))
-    table["pressure [hPa]"] = 1000 + np.sin(2.9 * np.arange(len(table)))
-    table.to_csv(path, index=False)
-    given = ("calibrate", path, *GYRO, *LEAST_SQUARES)
-    done = run(*given, "--max-effects", "1", "--ignore", "drive", "--json")
-    names = {c["effect"] for c in done.data["missing"][0]["candidates"]}
-    assert "unknown(pressure)" in names and "unknown(drive)" not in names
 
 
 @pytest.mark.parametrize(
@@ -122,14 +101,3 @@ def test_channels_are_known_by_their_names(output: str, others: list[str], tmp_p
     np.savetxt(tmp_path / "log.csv", table, delimiter=",", header=head, comments="")
     found = bc.read(tmp_path / "log.csv", SENSOR, columns={"output": output})
     assert found.no_causes == set(others) and {"drive", "max", "zinc"} <= set(found.columns)
-
-
-def test_what_cannot_be_tested_is_said_by_families() -> None:
-    readings = mems_gyro.simulate(seed=1)
-    columns = {name: readings[name] for name in ("temperature", "output")}
-    bare = bc.Measurements.from_arrays(mems_gyro.INSTRUMENT, **columns)
-    line = bc.fit(mems_gyro.INSTRUMENT.baseline(), bare, bc.LeastSquares())
-    found = bc.discover(line, max_effects=1, widen_noise=False)
-    shut = [c.effect for c in found.candidates if c.kind == "not testable"]
-    assert {"bias.thermal_lag", "bias.warm_up", "bias.drift"} <= {*shut}
-    assert len(shut) == len({*shut}) and not any(name.count(".") > 1 for name in shut)

@@ -127,18 +127,3 @@ def test_resonance_of_the_table_s_slope_is_nearly_straight() -> None:
 
 
 # Refusals.
-
-
-def test_refusals_say_what_to_do() -> None:
-    with pytest.raises(ValueError, match=r"set Campaign\(slope"):
-        simulated(DEFAULT, {"bias.temperature": 0.1}, seed=1)
-    with pytest.raises(ValueError, match="white, student_t, ornstein_uhlenbeck"):
-        simulated(DEFAULT, seed=1, noise_law="pink")
-    with pytest.raises(ValueError, match=r"average=45\.0.*dwell|dwell=300\.0.*average"):
-        Campaign(average=45.0)
-    with pytest.raises(ValueError, match=r"lag_time=0.*above 0"):
-        Campaign(lag_time=0)
-    with pytest.raises(ValueError, match=r"rate_input=None"):
-        Campaign(rate_input=())
-    with pytest.raises(ValueError, match="'amplitude' or 'force'"):
-        Resonance(held="phase")

@@ -10,10 +10,6 @@ import pytest
 
 from bayescal_models.mems_gyro import INSTRUMENT
 from bayescal_models.mems_gyro.campaign import Campaign
-from bayescal_models.mems_gyro.simulator import (
-    LAWS,
-    simulated_columns,
-)
 from bayescal_models.simulated import Simulated
 from tests.simulators.test_gyro_campaign import DEFAULT, RATES, in_run, simulated
 
@@ -39,10 +35,6 @@ def test_an_effect_changes_the_output_by_its_contribution_alone(name: str) -> No
     twice = simulated(turning, {name: 2 * ALL[name]}, seed=5)
     np.testing.assert_allclose(twice.contributions[name], 2 * with_it.contributions[name])
     assert np.ptp(change) > 0.02
-
-
-def test_every_effect_has_a_law_and_a_size() -> None:
-    assert set(LAWS) == set(HIDDEN)
 
 
 @pytest.mark.parametrize(("degree", "name"), [(2, "quadratic"), (3, "cubic")])
@@ -133,19 +125,6 @@ def test_rates_are_cycled_over_the_steps_of_all_runs() -> None:
     rate = simulated(replace(DEFAULT, rate_input=RATES), seed=1).columns["rate_input"]
     steps = rate.reshape(-1, 10)
     np.testing.assert_array_equal(steps, np.resize(RATES, 33)[:, None] * np.ones(10))
-
-
-def test_unlisted_effects() -> None:
-    periodic = hidden("unlisted.periodic").contributions["unlisted.periodic"]
-    assert np.abs(periodic).max() == pytest.approx(0.1, rel=0.02)
-    step = hidden("unlisted.step").contributions["unlisted.step"]
-    assert step[0] == 0.0 and step[-1] == pytest.approx(0.2)
-    assert (step == 0.0).mean() == pytest.approx(0.45, abs=0.01)
-    sim = hidden("unlisted.humidity")
-    expected = 0.02 * (sim.columns["humidity [%]"] - 45.0)
-    np.testing.assert_allclose(sim.contributions["unlisted.humidity"], expected, atol=1e-9)
-    assert "humidity [%]" in simulated_columns({"unlisted.humidity": 0.02}, seed=1)
-    assert "humidity" not in hidden("bias.rate").columns
 
 
 # The naive basis is near, but not what the world does.

@@ -6,10 +6,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-import bayescal as bc
 from bayescal_models import quartz_beam_accelerometer as quartz
 from bayescal_models.quartz_beam_accelerometer.campaign import GRID
-from bayescal_models.quartz_beam_accelerometer.simulator import CHANCE, LAWS, OF_BIAS
 from bayescal_models.quartz_beam_accelerometer.world import World
 from bayescal_models.simulated import first_order_body
 from tests.support.inside import constants_of, frame_of
@@ -17,11 +15,6 @@ from tests.support.made_up.supply import AT_SUPPLY
 
 CANDIDATES = {e.name: e for e in quartz.INSTRUMENT.candidates}
 PLAIN = quartz.simulate(seed=3)
-
-
-def test_every_candidate_can_be_hidden_and_no_other_law_exists() -> None:
-    laws = {f"{slot}.{cause}" for slot in ("bias", "scale") for cause in (*LAWS, *CHANCE)}
-    assert set(CANDIDATES) == {*laws, *OF_BIAS, "second_order"}
 
 
 @pytest.mark.parametrize("name", CANDIDATES)
@@ -96,23 +89,3 @@ def test_the_beams_lag_so_that_up_and_down_ramps_differ() -> None:
 def test_correlated_noise_is_as_large_as_the_white() -> None:
     wander = quartz.simulate(seed=3, campaign=quartz.Campaign(noise_law="ornstein_uhlenbeck"))
     assert np.std(wander["output"] - PLAIN["output"]) == pytest.approx(5.0, rel=0.5)
-
-
-def test_refusals_of_the_simulator() -> None:
-    with pytest.raises(
-        ValueError, match=r"no effect 'bias.temperature_head' can be hidden in a 'beams'"
-    ):
-        quartz.simulate(
-            {"bias.temperature_head": 1.0}, seed=0, campaign=quartz.Campaign(device="beams")
-        )
-    with pytest.raises(ValueError, match="longer than interval"):
-        quartz.Campaign(interval=30.0)
-    with pytest.raises(ValueError, match="neither a tumble run nor a ramp"):
-        quartz.Campaign(repeats=0, attitudes=())
-
-
-def test_sizes_are_those_of_the_data_sheet() -> None:
-    assert CANDIDATES["bias.temperature_circuit"].coefficients[0].size == 50.0
-    assert CANDIDATES["scale.temperature_circuit"].coefficients[0].size == 5.0
-    assert CANDIDATES["bias.gradient_cubic"].coefficients[0].size == 0.1
-    assert isinstance(CANDIDATES["second_order"].coefficients[0].prior, bc.Normal)

@@ -18,7 +18,7 @@ import typer
 from typer.testing import CliRunner
 
 from bayescal._cli import main
-from bayescal._cli.options import ColumnOptions, Commands
+from bayescal.workshop import ColumnOptions, Commands
 from bayescal_models import mems_gyro
 
 TABLE = mems_gyro.TABLE

@@ -171,5 +171,5 @@ class Case:
 
 def columns_of(calibration: bc.Calibration) -> dict[str, np.ndarray]:
     """Draws (chains, draws) of every unknown; members of a group each by number, as in reference_posterior.json."""
-    posterior = calibration.tree["posterior"].to_dataset()
-    return {name: draws for name, (draws, _) in reference_posteriors.columns_of(posterior).items()}
+    found = reference_posteriors.columns_of(calibration.layout, calibration.values)
+    return {name: draws for name, (draws, _) in found.items()}

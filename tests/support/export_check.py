@@ -12,8 +12,7 @@ import numpy as np
 import pytest
 
 import bayescal as bc
-from bayescal._core.quoting import identifier
-from bayescal._use.expression_graph import OPERATIONS, Graph
+from bayescal.workshop import identifier
 from bayescal_models import inclinometer
 from tests.support.references import shared
 
@@ -77,47 +76,6 @@ def random_rows(compensator: bc.Compensator, count: int) -> np.ndarray:
 def inputs_of(compensator: bc.Compensator, rows: np.ndarray) -> dict[str, Any]:
     """The inputs of such rows by their names."""
     return {i.name: rows[:, 1 + k] for k, i in enumerate(compensator.inputs)}
-
-
-PAIRS = np.array(
-    [(0.7, -0.2), (-1.3, 1.3), (2.0, 2.0), (5.5, 2.0), (-5.5, 2.0), (2.5, 3.0), (-0.4, -1.5)]
-)
-
-
-def each_operation() -> tuple[Graph, list[int]]:
-    """Every operation on a and b, or on what is true of them; where it needs positive ones or a sine, on those."""
-    graph = Graph()
-    a, b, zero = graph.input("a"), graph.input("b"), graph.constant(0.0)
-    up, down = graph.apply("gt", a, zero), graph.apply("lt", b, zero)
-    size, sine = (
-        graph.apply("add", graph.apply("abs", a), graph.constant(0.1)),
-        graph.apply("sin", a),
-    )
-    of = {"and": (up, down), "or": (up, down), "not": (up,), "select": (down, a, b), "real": (up,)}
-    of |= {"log": (size,), "sqrt": (size,), "log1p": (size,), "acos": (sine,), "asin": (sine,)}
-    of |= {"pow": (size, b)}
-    found = []
-    for name, operation in OPERATIONS.items():
-        made = graph.apply(name, *of.get(name, (a, b)[: 1 + ("{1}" in operation.c)]))
-        found.append(graph.apply("real", made) if graph.boolean(made) else made)
-    return graph, found
-
-
-VECTOR_DRIVER = """
-#include "sensor.h"
-#include <stdio.h>
-int main(void)
-{{
-    double row[6], f[3], c[3][3], outside;
-    while (fread(row, sizeof(double), 6, stdin) == 6) {{
-        outside = sensor_correct({given});
-        fwrite(f, sizeof(double), 3, stdout);
-        fwrite(c, sizeof(double), 9, stdout);
-        fwrite(&outside, sizeof(double), 1, stdout);
-    }}
-    return 0;
-}}
-"""
 
 
 def run_c(source: str, rows: np.ndarray, folder: Path, real: str = "double") -> np.ndarray:

@@ -173,7 +173,6 @@ def endless_line(path: Path) -> None:
     path.write_text(HEADER + "\n" + "1" * (1 << 25))
 
 
-WIDE = ",".join([HEADER, *(f"extra_{i} [V]" for i in range(4_000))])
 # File → how it is made. Each is refused, in words; or, where that is said, read.
 REFUSED: dict[str, Callable[[Path], None]] = {
     "blanks.xlsx": book_of_blanks,
@@ -200,12 +199,4 @@ REFUSED: dict[str, Callable[[Path], None]] = {
     "squares.csv": text_of(",".join("[" * 5000 + str(i) + "]" for i in range(50))),
     "blanks.csv": text_of("time [s]," + ",".join("a" + " " * 20_000 + f"{i}]" for i in range(20))),
     "endless_line.csv": endless_line,
-}
-NESTED = {
-    "lists": "a = " + "[" * 1_900,
-    "tables": "a = " + "{a = " * 350,
-    "dots": "a" + ".a" * 40_000 + " = 1",
-    "many dots": "".join(f"a{i}" + ".a" * 900 + " = 1\n" for i in range(50)),
-    "header": "[a" + ".a" * 40_000 + "]",
-    "large": "[columns]\n" + "".join(f"a{i} = 'b'\n" for i in range(20_000)),
 }

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
-import io
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -11,30 +9,52 @@ from typing import Any
 import numpy as np
 
 import bayescal as bc
+from bayescal._annexes.fleet.find_devices import Evidence as Evidence
+from bayescal._annexes.fleet.find_devices import shares as shares
+from bayescal._annexes.imu.imu_annex import triad_text as triad_text
+from bayescal._annexes.imu.vector_correction import CorrectedVector as CorrectedVector
 from bayescal._annexes.metrology.certificate import Certificate, dcc_text
+from bayescal._annexes.metrology.certificate import d_si as d_si
 from bayescal._annexes.workbench.kept import Origin as Origin
 from bayescal._annexes.workbench.session import Session as Session
-from bayescal._calibration.description import identity
-from bayescal._core.as_json import as_json, write_json
+from bayescal._calibration.check import autocorrelation as autocorrelation
+from bayescal._calibration.noise_in_time import allan_check as allan_check
 from bayescal._core.formatting import interval as interval
-from bayescal._core.formatting import with_error as with_error
+from bayescal._core.importance_weights import smoothed as smoothed
+from bayescal._data.allan_deviation import EvenRuns as EvenRuns
+from bayescal._data.allan_deviation import degrees_of_freedom as degrees_of_freedom
+from bayescal._data.allan_deviation import overlapping as overlapping
+from bayescal._data.allan_deviation import term as term
 from bayescal._data.column import overloads
-from bayescal._data.header_matching import ReadOptions
 from bayescal._data.set_aside import not_new, said_of
+from bayescal._data.still_stretches import still_stretches as still_stretches
 from bayescal._data.unit_conversion import coefficient_factor as coefficient_factor
+from bayescal._inference.noise_on_record import Whitening as Whitening
+from bayescal._inference.record import Record as Record
+from bayescal._model import forward as forward
 from bayescal._model.frame import build_frame, reference_of
 from bayescal._model.model import testable
+from bayescal._model.noise_law import Parameters as Parameters
+from bayescal._model.summed_noise import over_octaves as over_octaves
+from bayescal._model.summed_noise import over_record as over_record
+from bayescal._model.vector import excess as excess
+from bayescal._model.vector import inverted as inverted
 from bayescal._report.result_json import result
-from bayescal._report.whole_folder import MANIFEST as MANIFEST
-from bayescal._report.whole_folder import channel_folders as channel_folders
-from bayescal._report.whole_folder import files_of as files_of
-from bayescal._report.whole_folder import list_files as list_files
-from bayescal._report.whole_folder import refuse_mixed as refuse_mixed
-from bayescal._report.whole_folder import whole_folder as whole_folder
+from bayescal._search.next_experiment import Outlook as Outlook
+from bayescal._search.next_experiment import divergence as divergence
+from bayescal._search.next_experiment import outlook as outlook
+from bayescal._search.noise_laws import on_residuals as on_residuals
+from bayescal._search.taken_over import taken_over as taken_over
 from bayescal._tables.mapping_file import load_mapping, save_mapping
 from bayescal._tables.raw_table import in_one_line
 from bayescal._use.compensate_file import compensate_file as compensate_file
-from bayescal._use.correction_files import as_text
+from bayescal.workshop import MANIFEST as MANIFEST
+from bayescal.workshop import ReadOptions, as_json, as_text, identity, write_json
+from bayescal.workshop import files_of as files_of
+from bayescal.workshop import list_files as list_files
+from bayescal.workshop import refuse_mixed as refuse_mixed
+from bayescal.workshop import whole_folder as whole_folder
+from bayescal.workshop import with_error as with_error
 
 
 def constants_of(readings: bc.Measurements) -> dict[str, Any]:
@@ -50,6 +70,13 @@ def frame_of(readings: bc.Measurements, constants: Mapping[str, Any] | None = No
 def identity_of(calibration: bc.Calibration) -> str:
     """The SHA-256 by which every artefact names a calibration."""
     return identity(calibration)
+
+
+def manifest_identity(files: Mapping[str, str]) -> str:
+    """The identity that a manifest of these files and hashes states."""
+    from bayescal._report import whole_folder
+
+    return whole_folder._identity(files)
 
 
 def result_of(trail: bc.SearchPath) -> dict[str, Any]:
@@ -113,17 +140,6 @@ def why_not_testable(effect: bc.Effect, readings: bc.Measurements) -> str | None
 def nominal_scale_of(instrument: bc.Instrument, said: str) -> bc.NominalScale | None:
     """A nominal scale as it is said on the command line."""
     return ReadOptions.of(instrument, nominal_scale=said).nominal_scale
-
-
-def notes_of_channels(file: Path, instrument: str, names: list[str]) -> str:
-    """What a command says of a file of several channels when it has read them, before it does anything."""
-    from bayescal._cli.options import ColumnOptions, ModelOptions, ReadRequest
-    from bayescal._cli.request import open_channels
-
-    said = io.StringIO()
-    with contextlib.redirect_stderr(said):
-        open_channels(names, ReadRequest(instrument, [file], ColumnOptions(), ModelOptions()))
-    return said.getvalue()
 
 
 def write_plain_json(data: Any, path: Path) -> None:

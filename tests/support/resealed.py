@@ -8,21 +8,18 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-import h5py
 import xarray as xr
 
 from bayescal._core.atomic_file import LENGTH as LENGTH
 from bayescal._core.atomic_file import verified, write_sealed
-from bayescal._core.netcdf_bytes import netcdf_bytes, netcdf_tree
 
 
 def resealed(path: Path, out: Path, change: Callable[[xr.DataTree], xr.DataTree | None]) -> Path:
     """The calibration in `path`, its tree changed, as `out`."""
     content = io.BytesIO(verified(path, "a saved calibration", ""))
-    with h5py.File(content) as file:
-        tree = netcdf_tree(file)
+    tree = xr.open_datatree(content, engine="h5netcdf").load()
     tree = change(tree) or tree
-    write_sealed(netcdf_bytes(tree), out)
+    write_sealed(tree.to_netcdf(engine="h5netcdf"), out)
     return out
 
 

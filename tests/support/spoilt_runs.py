@@ -69,11 +69,11 @@ def main() -> None:
     if how == "full":
         full(Path(place), [float(part) for part in numbers.split(",")], command)
         return
-    from bayescal._cli import main as bayescal
+    from bayescal.__main__ import main as bayescal
 
     sys.argv = ["bayescal", *command]
     killed_at(os.path.abspath(place), int(numbers))
-    bayescal.main()
+    bayescal()
 
 
 if __name__ == "__main__":

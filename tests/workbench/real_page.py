@@ -20,7 +20,6 @@ from bayescal_models import mems_gyro
 from tests.support.browser import chromium
 
 ROOT = Path(__file__).resolve().parents[2]
-MAIN = "from bayescal._cli.main import main; main()"
 HIDDEN = {"bias.thermal_lag": 0.05, "bias.drift": 0.3}  # °/s per °C, °/s over the record
 # The page that stands while the workbench loads asks again and again, also while the port changes hands.
 HANDED_OVER = re.compile(
@@ -52,7 +51,7 @@ class Bench:
     """`bayescal workbench` with these arguments, until `close`; it opens `BROWSER`, where one is given."""
 
     def __init__(self, *arguments: str | Path, **environment: str) -> None:
-        command = [sys.executable, "-c", MAIN, "workbench", *map(str, arguments)]
+        command = [sys.executable, "-m", "bayescal", "workbench", *map(str, arguments)]
         command += [] if environment else ["--no-open"]
         path = f"{ROOT}{os.pathsep}{ROOT / 'models'}"
         self.process = subprocess.Popen(

@@ -59,20 +59,3 @@ def test_the_loop_by_clicking(begun: Bench, tmp_path: Path) -> None:
     assert header == (result / "compensation.h").read_bytes()
     assert report == (result / "report.html").read_bytes()
     assert script == (result.parent / "state_002" / "script.py").read_text("utf-8")
-
-
-def test_find_all_is_stopped_half_way(begun: Bench) -> None:
-    with opened(begun.url) as seen:
-        seen.looked().press("Find all")
-        seen.page.get_by_text("rms as fitted").wait_for()
-        seen.press("Stop")
-        seen.page.get_by_role("button", name="Find all", disabled=False).wait_for()
-        after_stop = len(seen.steps())
-        seen.press("Find all")
-        seen.page.get_by_text("rms as fitted").wait_for()
-        seen.page.get_by_role("button", name="Find all", disabled=False).wait_for()
-        assert len(seen.steps()) >= after_stop
-        assert min(float(cells[3].split()[0]) for cells in seen.steps()) == pytest.approx(
-            FLOOR, rel=0.2
-        )
-        seen.clean()

@@ -2,45 +2,10 @@
 
 from __future__ import annotations
 
-import inspect
-import json
-import os
-import signal
-import subprocess
-import sys
-from pathlib import Path
-
 import pytest
 
-import bayescal as bc
-from bayescal_models import mems_gyro
-from tests.support.command_line import needs_installation, run
-from tests.support.inside import Origin, Session, identity_of
-from tests.workbench.conftest import Campaign
+from tests.support.inside import Session, identity_of
 from tests.workbench.test_session import OWN
-
-ROOT = Path(__file__).resolve().parents[2]
-WORK = """
-import sys
-from pathlib import Path
-from tests.support.spoilt_runs import killed_at
-import bayescal as bc
-from tests.support.inside import Origin, Session
-from bayescal_models import mems_gyro
-
-file, out, *counts = sys.argv[1:]
-readings = bc.read(file, mems_gyro.INSTRUMENT)
-session = Session.begin(
-    mems_gyro.INSTRUMENT.baseline(), readings, folder=out, origin=Origin.of("mems_gyro", [file])
-)
-session.add("bias.drift")
-print("began", flush=True)
-for count in map(int, counts):
-    killed_at(out, count)
-session.add("bias.temperature_quadratic")
-session.go_to(1)
-print("ended", flush=True)
-"""
 
 
 def same_states(one: Session, other: Session) -> None:
@@ -66,101 +31,3 @@ def test_resumed_as_it_was(session: Session) -> None:
     assert again.script() == session.script()
     assert again.holdout is not None and len(again.holdout) == len(session.holdout or ())
     assert again.add("bias.drift").parent == 1
-
-
-def test_a_file_read_with_every_option_is_gone_on_with(campaign: Campaign, tmp_path: Path) -> None:
-    """A session of `--nominal-scale` or `--ignore` was refused by the next start: an option that it did not know."""
-    how = {
-        **{
-            "columns": {"output": "raw"},
-            "units": {"raw": "mV"},
-            "local_gravity": 9.81,
-            "local_field": None,
-        },
-        **{"nominal_scale": "250 mV/(deg/s)", "nominal_zero": "2 mV", "ignore": ("a", "b")},
-        **{"missing": "drop", "decimal": ",", "date_order": "dmy", "unwrap": {"time": "2^32us"}},
-        "begin": {"": "2026-05-13 10:14"},
-    }
-    read_by = set(inspect.signature(bc.read).parameters) - {"path_or_paths", "instrument"}
-    assert how.keys() == read_by - {"outputs", "allow_one_temperature", "max_bytes", "like"}
-    origin = Origin.of("mems_gyro", [campaign.file], read=how)
-    model = mems_gyro.INSTRUMENT.baseline()
-    begun = Session.begin(model, campaign.readings, folder=tmp_path / "out", origin=origin)
-    again = Session.resume(begun.folder, of=Origin.of("mems_gyro", [campaign.file], read=how))
-    assert again.script() == begun.script() and "ignore=['a', 'b']" in again.script()
-
-
-@pytest.mark.nightly
-@needs_installation
-@pytest.mark.skipif(os.name != "posix", reason="SIGKILL is of POSIX")
-def test_killed_at_any_moment(campaign: Campaign, tmp_path: Path) -> None:
-    """The steps before are there; the one that was being written is there whole, or not at all."""
-
-    def work(name: str, *counts: int) -> tuple[Path, int]:
-        out = tmp_path / name
-        command = [sys.executable, "-c", WORK, str(campaign.file), str(out), *map(str, counts)]
-        done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
-        assert "began" in done.stdout, done.stderr[-2000:]
-        return out, done.returncode
-
-    whole, status = work("whole")
-    assert status == 0
-    reference = Session.resume(whole)
-    assert len(reference.states) == 3 and reference.current.number == 1
-    numbers = set()
-    for count in (1, 9, 17, 25, 40):
-        out, status = work(f"killed_{count}", count)
-        found = Session.resume(out)
-        assert status in (0, -signal.SIGKILL)
-        numbers.add(len(found.states))
-        for number, state in found.states.items():
-            assert state.step.errors() == reference.states[number].step.errors()
-        assert found.add("bias.warm_up").parent is not None
-    assert numbers == {2, 3}
-
-
-def test_a_folder_of_something_else_is_refused(session: Session, tmp_path: Path) -> None:
-    with pytest.raises(bc.InputError, match="holds no session"):
-        Session.resume(tmp_path)
-    with pytest.raises(bc.InputError, match="holds a session already"):
-        Session.begin(session.current.model, session.readings, folder=session.folder)
-    other = Origin.of("mems_gyro", ["/elsewhere/other.csv"])
-    with pytest.raises(bc.InputError, match=r"holds a session of .*readings.csv .*other.csv"):
-        Session.resume(session.folder, of=other)
-    told = session.folder / "session.json"
-    told.write_text(json.dumps({**json.loads(told.read_text()), "schema": "bayescal.workbench/9"}))
-    with pytest.raises(bc.InputError, match=r"its schema is 'bayescal.workbench/9'"):
-        Session.resume(session.folder)
-
-
-def test_a_changed_state_is_refused(session: Session) -> None:
-    script = session.folder / "state_000" / "script.py"
-    script.write_text(script.read_text() + "# more\n")
-    with pytest.raises(bc.InputError, match=r"is not the file that manifest\.json"):
-        Session.resume(session.folder)
-
-
-@pytest.mark.slow
-@needs_installation
-def test_report_and_exports_are_the_command_lines(session: Session, tmp_path: Path) -> None:
-    session.add("bias.warm_up")
-    for what, suffix in {"c": "h", "json": "json", "python": "py"}.items():
-        made = session.export(what)
-        kept = made.parent / "calibration.nc"
-        asked = tmp_path / f"asked.{suffix}"
-        done = run("export", kept, "--format", what, "--out", asked)
-        assert done.status == 1 and "something is missing" in done.err  # written all the same
-        said, expected = made.read_text(), asked.read_text()
-        assert said.replace(made.stem, "X") == expected.replace(asked.stem, "X")
-    made = session.report()
-    asked = tmp_path / "report.html"
-    done = run("report", made.parent, "-o", asked)
-    assert done.status == 1 and "something is missing" in done.err
-
-    def undated(path: Path) -> list[str]:
-        return [x for x in path.read_text("utf-8").splitlines() if " UTC" not in x]
-
-    assert undated(made) == undated(asked)
-    told = json.loads((made.parent / "result.json").read_text("utf-8"))
-    assert [s["title"] for s in told["steps"]] == ["baseline", "+ bias.warm_up"]
-    assert told["method"] == "marginal"

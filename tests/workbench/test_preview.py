@@ -84,27 +84,3 @@ def test_other_instruments(instrument: bc.Instrument) -> None:
         if len(able) == 2:
             break
     assert able
-
-
-def test_another_model_may_be_asked_about(gyro: bc.Calibration) -> None:
-    without = gyro.model - "bias.temperature"
-    found = bc.preview(gyro, without)
-    after = bc.fit(without, gyro.readings, QUICK, strict=False)
-    np.testing.assert_allclose(residuals(gyro) - found.curve, residuals(after), atol=1e-6)
-    assert found.size is None and found.rms > found.rms_before
-    assert "rms" in str(found)
-
-
-def test_refusals(gyro: bc.Calibration) -> None:
-    with pytest.raises(bc.ModelError, match="in the model already"):
-        bc.preview(gyro, "bias.temperature")
-    with pytest.raises(bc.ModelError, match=r"cannot test it: it needs the column rate_input"):
-        bc.preview(gyro, "scale.constant")
-    with pytest.raises(bc.ModelError, match=r"knows no effect 'bias\.colour'"):
-        bc.preview(gyro, "bias.colour")
-
-
-def test_it_prints_itself(gyro: bc.Calibration) -> None:
-    text = str(bc.preview(gyro, "bias.thermal_lag"))
-    assert text.startswith("bias.thermal_lag would be 0.0")
-    assert "residuals from" in text and "°/s rms, log Bayes factor" in text

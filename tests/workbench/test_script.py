@@ -86,9 +86,3 @@ def test_files_as_they_were_read(campaign: Campaign, tmp_path: Path) -> None:
     session.add("bias.thermal_lag")
     assert "average('1min')" in session.script() and "structures" in session.script()
     same(session, tmp_path)
-
-
-@pytest.mark.slow
-def test_the_script_of_a_search(session: Session, tmp_path: Path) -> None:
-    session.find_all()
-    same(session, tmp_path)

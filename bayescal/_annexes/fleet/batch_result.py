@@ -1,16 +1,13 @@
-"""What a batch or a fleet gives: for each device its unknowns, their covariance and a verdict, as arrays and a table.
-
-A fleet is a folder of Parquet files, one for each partition, and `fleet.json` of the whole.
-"""
+"""What a batch gives: for each device its unknowns, their covariance and a verdict, as arrays and a table."""
 
 from __future__ import annotations
 
 import hashlib
 import json
 import re
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, fields
-from functools import cached_property
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+from functools import cached_property, partial
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -18,16 +15,16 @@ from typing import Any
 import numpy as np
 import pandas as pd
 import pyarrow as pa
-import pyarrow.dataset as pads
 import pyarrow.parquet as pq
 
 from bayescal import InputError
 from bayescal._annexes.fleet.odd_devices import FAMILY_WISE_ERROR
 from bayescal._annexes.fleet.population import Population
-from bayescal.workshop import as_json, parsed_json, read_json, replacing_for_user, write_json
+from bayescal.workshop import as_json, parsed_json, replacing_for_user, write_json
 
 FORMAT = "bayescal.batch/1"
 AGAIN = "Take a copy, or run the batch again"
+TABLE, SUMMARY = "devices.parquet", "fleet.json"  # of a result that is a folder
 SHOWN_DEVICES = 10  # devices, files that are named in print
 SHOWN_ALIKE = 3  # of those of which the same is said
 SCHEMA = pa.schema(
@@ -43,6 +40,7 @@ SCHEMA = pa.schema(
     ]
 )
 COLUMNS = tuple(SCHEMA.names[:-1])  # of the table that a user sees
+EFFECTS = ["effect", "devices", "possible", "in fleet", "expected", "share", "low", "high"]
 
 
 def first_few(items: Mapping[str, str], total: int, head: str = "", more: str = "") -> list[str]:
@@ -84,7 +82,7 @@ def odd_in_words(odd: Mapping[str, list[str]], devices: int) -> list[str]:
         f"{len(odd)} of {devices} devices are not like the others (by chance in {FAMILY_WISE_ERROR:.0%} of fleets):"
     ]
     head = head if odd else []
-    return head + first_few(told, len(told), more=f", all in {WHOLE}")
+    return head + first_few(told, len(told), more=", all in `odd`")
 
 
 NOT_CHECKED = "fitted is not checked: what the model lacks was looked for in none of them (--find, in Python find=True)"
@@ -173,7 +171,11 @@ class BatchResult:
         population: what the devices have in common, if it was asked for.
         about: instrument, effects, method, seed and notes.
         facts: by device, how many readings were fitted, and their T0, °C; NaN where that is not known.
-        odd: devices that are not like the others, and in what; of a partition of a fleet it is not asked.
+        odd: devices that are not like the others, and in what.
+        checked: devices in which it was looked for what the model lacks (`find`).
+        missing: file → why its devices are not among the results.
+        left_out: what stands in folders of readings and was not read → why.
+        effects: where effects were looked for, one row an effect, as `effects_table` says; else no rows.
     """
 
     devices: tuple[str, ...]
@@ -184,6 +186,10 @@ class BatchResult:
     about: dict[str, Any]
     facts: pd.DataFrame
     odd: dict[str, list[str]] = field(default_factory=dict)
+    checked: int = 0
+    missing: dict[str, str] = field(default_factory=dict)
+    left_out: dict[str, str] = field(default_factory=dict)
+    effects: pd.DataFrame = field(default_factory=partial(pd.DataFrame, columns=EFFECTS))
 
     def __len__(self) -> int:
         return len(self.devices)
@@ -244,43 +250,90 @@ class BatchResult:
             tables.append(rows(places[-1], *numbers))
         return pa.concat_tables(tables).take(np.argsort(np.concatenate(places), kind="stable"))
 
+    @property
+    def fitted(self) -> int:
+        """Devices whose fit is to be relied on."""
+        return int(self.ok.sum())
+
+    @property
+    def doubted(self) -> dict[str, str]:
+        """Devices whose fit is not to be relied on, and why."""
+        each = zip(self.devices, self.reasons, self.ok, strict=True)
+        return {name: why for name, why, ok in each if not ok}
+
+    def coefficients(self) -> pd.DataFrame:
+        """Return one row a coefficient, over the devices that are fitted.
+
+        Columns: its median, the standard deviation between devices, the median standard uncertainty, unit, devices.
+        """
+        moments: dict[tuple[str, str], list[tuple[np.ndarray, np.ndarray]]] = {}
+        for part in self.parts:
+            good = self.ok[part.devices]
+            columns = zip(part.names, part.units, part.mean[good].T, part.sd[good].T, strict=True)
+            for name, unit, mean, sd in columns:
+                if good.any():
+                    moments.setdefault((name, unit), []).append((mean, sd))
+        rows = []
+        for (name, unit), own in moments.items():
+            mean, sd = (np.concatenate(a) for a in zip(*own, strict=True))
+            rows.append([name, np.median(mean), mean.std(), np.median(sd), unit, len(mean)])
+        columns = ["coefficient", "median", "between devices", "typical sd", "unit", "devices"]
+        return pd.DataFrame(rows, columns=columns)
+
+    def data(self) -> dict[str, Any]:
+        """The whole without its devices, as plain data."""
+        told = ("checked", "odd", "missing", "left_out", "about")
+        return as_json(
+            {
+                "schema": FORMAT,
+                "devices": len(self),
+                "fitted": self.fitted,
+                "not_fitted": list(self.doubted),
+                **{name: getattr(self, name) for name in told},
+                "coefficients": self.coefficients().to_dict("records"),
+                "population": self.population and self.population.data(),
+                "effects": self.effects.to_dict("records"),
+            }
+        )
+
     def save(self, path: str | Path) -> Path:
         """Write the table to Parquet, with each unknown's row of the covariance. `load_batch` reads it back.
+
+        Args:
+            path: a name ….parquet; without a suffix a folder, for `devices.parquet` and the whole as `fleet.json`.
 
         Raises:
             InputError: another suffix, or a place that cannot be written to.
         """
         path = Path(path)
+        if not path.suffix:
+            self.save(path / TABLE)
+            write_json(self.data(), path / SUMMARY)
+            return path
         if path.suffix != ".parquet":
             raise InputError(
                 f"a batch is saved as Parquet: name the file ….parquet, not {path.name!r}"
             )
-        table, population = self.rows(), self.population and self.population.data()
+        table = self.rows()
         facts = {name: self.facts[name].tolist() for name in self.facts}
-        told = {"about": self.about, "population": population, "facts": facts, "odd": self.odd}
-        head = json.dumps(as_json({"schema": FORMAT, **told}), allow_nan=False)
+        head = json.dumps(as_json(self.data() | {"facts": facts}), allow_nan=False)
         sealed = {"bayescal": head, "bayescal_sha256": _digest(table, head.encode())}
-        with replacing_for_user(path) as partial:
-            pq.write_table(table.replace_schema_metadata(sealed), partial, write_page_checksum=True)
+        with replacing_for_user(path) as place:
+            pq.write_table(table.replace_schema_metadata(sealed), place, write_page_checksum=True)
         return path
 
     def __str__(self) -> str:
-        bad = np.flatnonzero(~self.ok)
-        lines = [f"{len(self)} devices, {len(self) - len(bad)} fitted ({self.about['method']})"]
-        lines += first_few({self.devices[i]: self.reasons[i] for i in bad}, len(bad))
-        lines += [NOT_CHECKED, *odd_in_words(self.odd, len(self))]
-        for part in self.parts:
-            good = self.ok[part.devices]
-            if not good.any():
-                continue
-            rows = {
-                "coefficient": part.names,
-                "median": np.median(part.mean[good], axis=0),
-                "between devices": part.mean[good].std(axis=0),
-                "typical sd": np.median(part.sd[good], axis=0),
-                "unit": part.units,
-            }
-            lines.append(printed(pd.DataFrame(rows), 4))
+        bad = self.doubted
+        lines = [f"{len(self)} devices, {self.fitted} fitted ({self.about['method']})"]
+        lines += first_few(bad, len(bad))
+        checked = f"{self.checked} checked for what their model lacks"
+        lines += [checked if self.checked else NOT_CHECKED, *odd_in_words(self.odd, len(self))]
+        lines += first_few(self.missing, len(self.missing), "no results of ", " files")
+        lines += first_few(self.left_out, len(self.left_out), "not read: ", ", not read either")
+        lines.append(printed(self.coefficients(), 4))
+        if len(self.effects):
+            shown = printed(self.effects.head(SHOWN_DEVICES), 3)
+            lines.append(f"missing from the devices' models:\n{shown}")
         return "\n".join([*lines, *([str(self.population)] if self.population else [])])
 
 
@@ -301,12 +354,12 @@ def _digest(table: pa.Table, head: bytes) -> str:
 
 
 def load_batch(path: str | Path) -> BatchResult:
-    """Read a saved batch back.
+    """Read a saved batch back: its Parquet file, or the folder that holds it.
 
     Raises:
         InputError: there is no such file, it is no batch of this version, or it is damaged.
     """
-    path = Path(path)
+    path = Path(path) / TABLE if Path(path).is_dir() else Path(path)
     if not path.is_file():
         raise InputError(f"There is no file {path}: give a batch saved by bayescal")
     try:
@@ -337,16 +390,17 @@ def load_batch(path: str | Path) -> BatchResult:
             parts=_parts(columns, [*starts, len(codes)]),
             population=population and Population.of_data(population),
             about=head["about"],
-            facts=facts_of(devices, head.get("facts", {})),
+            facts=pd.DataFrame(
+                head.get("facts", {}), list(devices), ["readings", "T0"], dtype=float
+            ),
             odd=head.get("odd", {}),
+            checked=head.get("checked", 0),
+            missing=head.get("missing", {}),
+            left_out=head.get("left_out", {}),
+            effects=pd.DataFrame(head.get("effects", []), columns=EFFECTS),
         )
     except (ValueError, KeyError, TypeError, AttributeError) as error:
         raise InputError(f"{path.name} was changed after it was saved: {error}. {AGAIN}") from None
-
-
-def facts_of(devices: Sequence[str], known: Mapping[str, Sequence[float | None]]) -> pd.DataFrame:
-    """Of each device, how many readings and about which temperature; NaN where that is not known."""
-    return pd.DataFrame(known, list(devices), ["readings", "T0"], dtype=float)
 
 
 def _parts(columns: dict[str, np.ndarray], starts: list[int]) -> tuple[BatchPart, ...]:
@@ -367,135 +421,3 @@ def _parts(columns: dict[str, np.ndarray], starts: list[int]) -> tuple[BatchPart
             )
         parts.append(BatchPart(np.array(devices), own, units, columns["mean"][rows], covariance))
     return tuple(parts)
-
-
-FLEET_FORMAT = "bayescal.fleet/1"
-WHOLE = "fleet.json"
-ALONE = "devices"  # folder of each device's own results
-POOLED = "pooled"  # and of those under the population
-EFFECTS = ["effect", "devices", "possible", "in fleet", "expected", "share", "low", "high"]
-
-
-@dataclass(frozen=True, eq=False)
-class FleetResult:
-    """Fits of more devices than one process holds. `result["A17"]` is one device's; the rest stays on disk.
-
-    Attributes:
-        folder: of the results.
-        devices, fitted, checked, readings: how many; fitted are devices whose fit is to be relied on, checked those in
-            which it was looked for what the model lacks (`find`).
-        doubted: some devices whose fit is not to be relied on, and why.
-        missing: file → why its devices are not among the results; the same call goes on from there.
-        odd: devices that are not like the others, and in what.
-        table: one row a coefficient: mean over the devices that are fitted, standard deviation between them, typical
-            (root mean square) standard uncertainty, unit.
-        population: what the devices have in common, if it was asked for.
-        effects: where effects were looked for, one row an effect, as `shares.effects_table` says; else no rows.
-        about: instrument, effects, method, seed, versions, partitions and what they took.
-        left_out: what stands in folders of readings and was not read → why.
-    """
-
-    folder: Path
-    devices: int
-    fitted: int
-    checked: int
-    readings: int
-    doubted: dict[str, str]
-    missing: dict[str, str]
-    odd: dict[str, list[str]]
-    table: pd.DataFrame
-    population: Population | None
-    effects: pd.DataFrame
-    about: dict[str, Any]
-    left_out: dict[str, str] = field(default_factory=dict)
-
-    def __len__(self) -> int:
-        return self.devices
-
-    @property
-    def files(self) -> Path:
-        """The folder of the Parquet dataset: device, coefficient, mean, sd, unit, ok, reason, covariance."""
-        return self.folder / (POOLED if self.population is not None else ALONE)
-
-    def dataset(self) -> pads.FileSystemDataset:
-        """All rows as a dataset of pyarrow, which reads them in pieces."""
-        return pads.dataset(self.files, format="parquet")
-
-    def rows(self) -> pd.DataFrame:
-        """All rows, as `BatchResult.table` has them: a million devices take a gigabyte."""
-        return self.dataset().to_table(columns=list(COLUMNS)).to_pandas()
-
-    def __getitem__(self, device: str) -> DeviceResult:
-        """One device's result.
-
-        Raises:
-            InputError: there is no such device.
-        """
-        wanted = pads.field("device") == device
-        for piece in self.dataset().get_fragments():
-            if piece.count_rows(filter=wanted):
-                return load_batch(piece.path)[device]
-        raise InputError(f"there is no device {device!r} among the {self.devices} of {self.folder}")
-
-    def data(self) -> dict[str, Any]:
-        """Plain data."""
-        plain = {f.name: getattr(self, f.name) for f in fields(self)}
-        del plain["folder"], plain["table"]
-        return {
-            "schema": FLEET_FORMAT,
-            **plain,
-            "coefficients": self.table.to_dict("records"),
-            "population": self.population and self.population.data(),
-            "effects": self.effects.to_dict("records"),
-        }
-
-    def save(self) -> Path:
-        """Write `fleet.json` beside the partitions.
-
-        Raises:
-            InputError: it cannot be written.
-        """
-        return write_json(as_json(self.data()), self.folder / WHOLE, indent=1)
-
-    def __str__(self) -> str:
-        lines = [f"{self.devices} devices, {self.fitted} fitted ({self.about['method']})"]
-        lines += first_few(self.doubted, self.devices - self.fitted)
-        lines += [
-            f"{self.checked} checked for what their model lacks" if self.checked else NOT_CHECKED
-        ]
-        lines += odd_in_words(self.odd, self.devices)
-        lines += first_few(self.missing, len(self.missing), "no results of ", " files")
-        lines += first_few(self.left_out, len(self.left_out), "not read: ", ", not read either")
-        lines.append(printed(self.table, 4))
-        if len(self.effects):
-            shown = printed(self.effects.head(SHOWN_DEVICES), 3)
-            lines.append(f"missing from the devices' models:\n{shown}")
-        lines += [str(self.population)] if self.population else []
-        return "\n".join(lines)
-
-
-def load_fleet(folder: str | Path) -> FleetResult:
-    """Read the results of a fleet; the devices' own stay on disk until they are asked for.
-
-    Raises:
-        InputError: there are none of this version in the folder.
-    """
-    folder = Path(folder)
-    try:
-        held = read_json(folder / WHOLE)
-        if held.pop("schema") != FLEET_FORMAT:
-            raise KeyError("schema")
-        rows, population = held.pop("coefficients"), held.pop("population")
-        table = pd.DataFrame(rows).astype(
-            dict.fromkeys(("mean", "between devices", "typical sd"), float)
-        )
-        population = population and Population.of_data(population)
-        effects = pd.DataFrame(held.pop("effects"), columns=EFFECTS)
-        held.pop("apart", None)  # of fleets of 0.2.0
-        held = {"fitted": held.pop("trusted", None), "checked": len(effects) > 0, "odd": {}} | held
-        return FleetResult(folder, table=table, population=population, effects=effects, **held)
-    except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
-        raise InputError(
-            f"{folder} holds no results of a fleet, or not of this version ({type(error).__name__}: {error}): give "
-            "the folder that a batch of partitions was written to"
-        ) from None

@@ -15,11 +15,11 @@ import os
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import CancelledError
 from contextlib import contextmanager
-from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from bayescal import BayescalError, InputError
 from bayescal._core import deadline
-from bayescal._core.folder_settings import obey_no_folder
+from bayescal._core.jax_setup import obey_no_folder
 from bayescal.workshop import note
 
 if TYPE_CHECKING:
@@ -28,6 +28,10 @@ if TYPE_CHECKING:
 INSTALL = "Fleets run on Dask: pip install 'bayescal[fleet]'"
 LOOPBACK = "127.0.0.1"
 ANSWER_SECONDS = 20.0  # seconds within which a scheduler answers
+RETRIES = 2  # of a task that failed; a worker that died does not count
+POLL_SECONDS = 2.0  # between looks at the workers
+WORKER_TIMEOUT = 200.0  # seconds without a worker, after which a run is given up
+NOT_REACHED = "not reached ({}): give more time"
 
 
 @contextmanager
@@ -42,7 +46,7 @@ def open_cluster(workers: int | None, scheduler: str | None = None) -> Iterator[
     from distributed import Client
 
     if scheduler is None:
-        with _here(workers) as cluster, Client(cluster) as client:
+        with _local_cluster(workers) as cluster, Client(cluster) as client:
             yield client
         return
     try:
@@ -57,8 +61,8 @@ def open_cluster(workers: int | None, scheduler: str | None = None) -> Iterator[
 
 
 @contextmanager
-def _here(workers: int | None) -> Iterator[LocalCluster]:
-    """Processes of this machine, which nobody else has do anything."""
+def _local_cluster(workers: int | None) -> Iterator[LocalCluster]:
+    """A local worker pool that accepts tasks from this process only."""
     import dask.config
     from distributed import LocalCluster
     from distributed.security import Security
@@ -103,19 +107,12 @@ def dask_setup(_: Any) -> None:
     obey_no_folder()
 
 
-T = TypeVar("T")
-RETRIES = 2  # of a task that failed; a worker that died does not count
-LOOK_SECONDS = 2.0  # seconds between looks at the workers
-NOT_REACHED = "not reached ({}): the same command goes on from there"
-PATIENCE = 200.0  # seconds without a worker, after which a run is given up
-
-
 class TaskOutcome(NamedTuple):
     """How one of several tasks ended.
 
     Attributes:
         index: which.
-        value: what came of it; None where it failed.
+        value: what it returned; None where it failed.
         error: why it failed; empty where it did not.
     """
 
@@ -124,101 +121,59 @@ class TaskOutcome(NamedTuple):
     error: str
 
 
-class _ClusterGone(InputError):
-    """The scheduler cannot be reached."""
+def run_tasks(
+    client: Client | None, function: Callable[..., Any], tasks: Sequence[tuple]
+) -> Iterator[TaskOutcome]:
+    """Run a function on each of several arguments, and yield outcomes as they come in.
 
-
-class Engine:
-    """The workers of a client's cluster; this process without a client."""
-
-    def __init__(self, client: Client | None = None) -> None:
-        self.client = client
-
-    def each(self, function: Callable[..., Any], tasks: Sequence[tuple]) -> Iterator[TaskOutcome]:
-        """Run a function on each of several arguments; outcomes as they come in. At the deadline the rest have none.
-
-        Raises:
-            InputError: the scheduler is gone, or no worker has come for some minutes; what was written stays.
-        """
-        end = deadline.current()
-        if self.client is None:
-            for index, task in enumerate(tasks):
-                try:
-                    if index:
-                        end.ask()
-                    yield TaskOutcome(index, function(*task), "")
-                except deadline.TimeIsUp:
-                    yield TaskOutcome(index, None, NOT_REACHED.format(end.why))
-                except (BayescalError, OSError) as error:
-                    yield TaskOutcome(index, None, str(error))
-            return
-        from distributed import as_completed
-
-        left = {future: index for index, future in enumerate(self._futures(function, tasks))}
-        alone = 0.0
-        while left:
+    Tasks that the deadline leaves out, and those of a cluster that is gone, fail with that reason.
+    """
+    end = deadline.current()
+    if client is None:
+        for index, task in enumerate(tasks):
+            if index and end.over:
+                yield TaskOutcome(index, None, NOT_REACHED.format(end.why))
+                continue
             try:
-                for future in as_completed(list(left), timeout=LOOK_SECONDS):
-                    index, value, why = left.pop(future), None, ""
-                    try:
-                        value = self._value(future)
-                    except _ClusterGone:
-                        raise
-                    except BayescalError as error:
-                        why = str(error)
-                    future.release()
-                    end.defer_interrupt()
-                    yield TaskOutcome(index, value, why)
-                    end.ask()
-            except TimeoutError:
-                alone = 0.0 if self.client.nthreads() else alone + LOOK_SECONDS
-            except deadline.TimeIsUp:
-                self.client.cancel(list(left))
-                for index in left.values():
-                    yield TaskOutcome(index, None, NOT_REACHED.format(end.why))
-                return
-            if alone > PATIENCE:
-                raise InputError(
-                    "the cluster has no worker left. The partitions that were finished are kept: start workers, and "
-                    "the same command goes on from there"
-                )
+                yield TaskOutcome(index, function(*task), "")
+            except (BayescalError, OSError) as error:
+                yield TaskOutcome(index, None, str(error))
+        return
+    from distributed import as_completed
 
-    def every(self, function: Callable[..., T], tasks: Sequence[tuple]) -> list[T]:
-        """What a function makes of each of several arguments, in their order.
-
-        Raises:
-            InputError: one of them fails.
-        """
-        values: dict[int, T] = {}
-        with deadline.finishing():
-            for outcome in self.each(function, tasks):
-                if outcome.error:
-                    raise InputError(outcome.error)
-                values[outcome.index] = outcome.value
-        return [values[index] for index in range(len(tasks))]
-
-    def _futures(self, function: Callable[..., Any], tasks: Sequence[tuple]) -> list[Any]:
-        assert self.client is not None
-        return self.client.map(function, *zip(*tasks, strict=True), pure=False, retries=RETRIES)
-
-    def _value(self, future: Any) -> Any:
-        """What came of a task; refused in words if it failed for good, or the scheduler is gone."""
-        from distributed.scheduler import KilledWorker
-
-        assert self.client is not None
+    futures = client.map(function, *zip(*tasks, strict=True), pure=False, retries=RETRIES)
+    left, idle, why = {future: i for i, future in enumerate(futures)}, 0.0, ""
+    while left and not why:
         try:
-            return future.result()
-        except BayescalError:
-            raise
-        except (Exception, CancelledError) as error:  # whatever a cluster says of tasks it gave up
-            if self.client.status != "running" or future.status in ("cancelled", "lost"):
-                scheduler = self.client.scheduler
-                address = "the scheduler" if scheduler is None else scheduler.address
-                raise _ClusterGone(
-                    f"the scheduler at {address} is gone. The partitions that were finished are kept: start it again, "
-                    "and the same command goes on from there"
-                ) from None
-            why = str(error) or type(error).__name__
-            if isinstance(error, KilledWorker):
-                why = "the workers that it ran on died one after the other: is there memory enough for a partition?"
-            raise InputError(why) from None
+            for future in as_completed(list(left), timeout=POLL_SECONDS):
+                yield _outcome(client, future, left.pop(future))
+                future.release()
+                end.defer_interrupt()
+                if end.over:
+                    break
+        except TimeoutError:
+            idle = 0.0 if client.nthreads() else idle + POLL_SECONDS
+        if end.over:
+            why = NOT_REACHED.format(end.why)
+        elif idle > WORKER_TIMEOUT:
+            why = "the cluster has no worker left: start workers"
+    client.cancel(list(left))
+    yield from (TaskOutcome(index, None, why) for index in left.values())
+
+
+def _outcome(client: Client, future: Any, index: int) -> TaskOutcome:
+    """What came of a task; in words if it failed for good, or the scheduler is gone."""
+    from distributed.scheduler import KilledWorker
+
+    try:
+        return TaskOutcome(index, future.result(), "")
+    except (Exception, CancelledError) as error:  # whatever a cluster says of tasks it gave up
+        why = str(error) or type(error).__name__
+        if isinstance(error, KilledWorker):
+            why = "the workers that it ran on died one after the other: is there memory enough?"
+        elif not isinstance(error, BayescalError) and (
+            client.status != "running" or future.status in ("cancelled", "lost")
+        ):
+            address = "" if client.scheduler is None else f" at {client.scheduler.address}"
+            why = f"the scheduler{address} is gone: start it again"
+        return TaskOutcome(index, None, why)

@@ -13,7 +13,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -22,12 +22,12 @@ from jaxtyping import Float
 from scipy.special import expit
 
 from bayescal import BayescalError, Effect, Measurements, Model
-from bayescal._annexes.fleet.batch_result import EFFECTS, BatchResult
+from bayescal._annexes.fleet.batch_result import EFFECTS
 from bayescal._annexes.fleet.devices import Devices
-from bayescal._annexes.fleet.fit_devices import FitOptions, fit_together
+from bayescal._annexes.fleet.fit_devices import Reference
 from bayescal._core import deadline
 from bayescal._core.settings import settings
-from bayescal._model.frame import Reference, reference_of
+from bayescal._model.frame import reference_of
 from bayescal._search.discover import structures_over
 from bayescal._search.library import Library
 from bayescal._search.posterior import Posterior
@@ -58,28 +58,32 @@ class Find:
 
 
 @dataclass(frozen=True)
-class DeviceStructure:
-    """What is missing from one device's model, as plain JSON holds it.
+class Evidence:
+    """What one device's readings say of its structures.
 
     Attributes:
-        effects: of the structure to use, by their forms.
-        noise: its law; "" for that of the model given.
-        nothing: probability that the model is complete.
-        inclusion: effect → probability that it is, where that is not small.
-        sets: of which one is missing each, with probability 0.95.
-        prior: effect → probability before the readings, for all that they could show.
-        weighed: sets of effects with their log evidence, all noise laws together, against the best.
-        families: of the effects of the structure to use.
+        prior: effect → probability, before the readings, that a device lacks it; what it cannot show is not named.
+        log_evidence: sets of effects, all noise laws together → natural logarithm, up to a constant.
     """
 
-    effects: list[str]
-    noise: str
-    nothing: float
-    inclusion: dict[str, float]
-    sets: list[list[str]]
-    prior: dict[str, float]
-    weighed: list[tuple[list[str], float]]
-    families: list[str] = field(default_factory=list)
+    prior: Mapping[str, float]
+    log_evidence: Mapping[tuple[str, ...], float]
+
+
+@dataclass(frozen=True)
+class DeviceStructure:
+    """What is missing from one device's model.
+
+    Attributes:
+        effects, families: of the structure to use: forms, and what they are of.
+        possible: effects of which one is missing, with probability 0.95.
+        evidence: of its structures.
+    """
+
+    effects: tuple[str, ...]
+    families: frozenset[str]
+    possible: frozenset[str]
+    evidence: Evidence
 
 
 def search_device(
@@ -100,26 +104,22 @@ def search_device(
         raise deadline.TimeIsUp(stopped)
     posterior = Posterior.of(structures)
     chosen = posterior.chosen
-    inclusion = {n: posterior.inclusion(n) for n in structures.forms}
     odds = {
         n: float(np.logaddexp.reduce([structures.log_odds[f] for f in own]))
         for n, own in structures.forms.items()
     }
+    prior = {n: float(expit(of_family)) for n, of_family in odds.items()}
     structure = DeviceStructure(
-        sorted(chosen.effects),
-        chosen.noise,
-        posterior.complete(structures),
-        {n: p for n, p in inclusion.items() if p > KEPT_PROBABILITY},
-        [list(finding.effects) for finding in posterior.findings],
-        {n: float(expit(of_family)) for n, of_family in odds.items()},
-        _weighed(posterior, odds),
-        sorted(posterior.families(chosen.effects)),
+        tuple(sorted(chosen.effects)),
+        frozenset(posterior.families(chosen.effects)),
+        frozenset(name for finding in posterior.findings for name in finding.effects),
+        Evidence(prior, _weighed(posterior, odds)),
     )
     return structure, structures.weigh(chosen).model
 
 
-def _weighed(posterior: Posterior, log_odds: Mapping[str, float]) -> list[tuple[list[str], float]]:
-    """Sets of effects, in whatever form, with their log evidence, the best first."""
+def _weighed(posterior: Posterior, log_odds: Mapping[str, float]) -> dict[tuple[str, ...], float]:
+    """Log evidence of sets of effects, in whatever form, less that of the best."""
     total: dict[tuple[str, ...], float] = {}
     for structure, log_posterior in zip(posterior.structures, posterior.total, strict=True):
         effects = tuple(sorted(posterior.families(structure.effects)))
@@ -127,61 +127,39 @@ def _weighed(posterior: Posterior, log_odds: Mapping[str, float]) -> list[tuple[
         total[effects] = float(np.logaddexp(total.get(effects, -np.inf), own))
     best = max(total.values())
     order = sorted(total, key=lambda effects: -total[effects])[:KEPT_STRUCTURES]
-    return [(list(e), round(total[e] - best, 6)) for e in order if total[e] > best - BEHIND_NATS]
+    return {e: round(total[e] - best, 6) for e in order if total[e] > best - BEHIND_NATS}
 
 
-def find_and_fit(
-    model: Model,
-    devices: Devices,
-    find: Find,
-    options: FitOptions,
-) -> tuple[BatchResult, dict[str, DeviceStructure]]:
-    """Search each device, then fit those of one structure together: the results, and each device's structure.
+def search_devices(
+    model: Model, devices: Devices, find: Find, reference: Reference
+) -> tuple[dict[str, DeviceStructure], list[tuple[Model, Devices]], dict[str, str]]:
+    """Search each device.
 
-    A device that cannot be searched is refused with the reason.
+    Returns:
+        Each device's structure; the devices of equal models, with that model; why others could not be searched.
     """
-    refused = dict(devices.refused)
+    refused = dict[str, str]()
     structures: dict[str, DeviceStructure] = {}
     alike: dict[tuple, tuple[Model, list[str]]] = {}
     for block in devices.blocks:
         for i, name in enumerate(block.names):
             try:
-                structure, made = search_device(
-                    model, block.measurements(i), find, options.reference
-                )
+                structure, made = search_device(model, block.measurements(i), find, reference)
             except (BayescalError, deadline.TimeIsUp) as error:
                 refused[name] = str(error)
                 continue
             structures[name] = structure
             # Open sizes are a device's own: only equal models share a program.
-            kind = (*structure.effects, structure.noise, repr(made.effects), repr(made.noise))
+            kind = (structure.effects, repr(made.effects), repr(made.noise))
             alike.setdefault(kind, (made, []))[1].append(name)
-    groups = [
-        (made, devices.without({*devices.names} - {*names})) for made, names in alike.values()
-    ]
-    groups.insert(0, (model, Devices((), ())))  # after which the result is named
-    with deadline.finishing():
-        return fit_together(devices.names, refused, groups, options), structures
+    everyone = {*devices.names}
+    groups = [(made, devices.without(everyone - {*names})) for made, names in alike.values()]
+    return structures, groups, refused
 
 
-BURN_IN, ROUNDS = (
-    200,
-    1000,
-)  # of Gibbs sampling: until shares are at rest, and those that are averaged
+# Of Gibbs sampling: until shares are at rest, and those that are averaged.
+BURN_IN, ROUNDS = 200, 1000
 NONE, ALL = 1e-12, 1 - 1e-12  # shares, as far as their log odds are taken
-
-
-@dataclass(frozen=True)
-class Evidence:
-    """What one device's readings say of its structures.
-
-    Attributes:
-        prior: effect → probability, before the readings, that a device lacks it; what it cannot show is not named.
-        log_evidence: sets of effects → natural logarithm, up to a constant.
-    """
-
-    prior: Mapping[str, float]
-    log_evidence: Mapping[tuple[str, ...], float]
 
 
 class Share(NamedTuple):
@@ -281,10 +259,9 @@ def effects_table(structures: Sequence[DeviceStructure], seed: int = 0) -> pd.Da
     Then of all devices together: probability that any has it, how many are expected to, their share, and its 95 %
     interval if any device has it.
     """
-    named = Counter(name for one in structures for name in one.families or one.effects)
-    possible = Counter(name for one in structures for name in {n for s in one.sets for n in s})
-    known = [Evidence(one.prior, {tuple(e): v for e, v in one.weighed}) for one in structures]
-    found = shares(known, seed)
+    named = Counter(name for one in structures for name in one.families)
+    possible = Counter(name for one in structures for name in one.possible)
+    found = shares([one.evidence for one in structures], seed)
     rows = [
         [name, named[name], possible[name], one.in_fleet, one.expected, *one[1:4]]
         for name, one in found.items()

@@ -30,7 +30,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pandas as pd
-import pyarrow.dataset as pads
 from jax.scipy.linalg import solve_triangular
 from jaxtyping import Array, Float
 
@@ -47,9 +46,6 @@ from bayescal import (
 )
 from bayescal._annexes.fleet.batch_result import BatchPart, BatchResult
 from bayescal._annexes.fleet.devices import DEVICE, DeviceBlock, Devices, joined
-from bayescal._annexes.fleet.odd_devices import odd_devices
-from bayescal._annexes.fleet.partial_pooling import pooled
-from bayescal._annexes.fleet.population import Named
 from bayescal._calibration.claim import Claim
 from bayescal._calibration.judgement import noiseless
 from bayescal._core import deadline
@@ -60,14 +56,16 @@ from bayescal._inference.method import Method
 from bayescal._model import forward
 from bayescal._model.frame import (
     GROUPS,
-    Reference,
     build_frame,
     reference_name,
     reference_of,
     rounded_means,
 )
-from bayescal._model.parameters import Layout, bind, member_name
+from bayescal._model.parameters import Layout, bind
+from bayescal._model.unknowns import Unknowns
 from bayescal.workshop import UNCERTAINTY
+
+Reference = dict[str, Any]  # constants of bases
 
 PLAIN_SD = 3.0  # prior standard deviations that a coefficient stands from its prior's mean, at most
 PLAIN_SHARE = 1e-5  # of two sizes, above which neither is in a wrong unit
@@ -408,70 +406,6 @@ class FitOptions:
         }
 
 
-def fit_devices(
-    model: Model, devices: Devices, options: FitOptions, named: Named | None = None
-) -> BatchResult:
-    """Fit every device by itself in a few compiled programs, or under a population of named coefficients.
-
-    Raises:
-        InputError: no device at all, or none that can be used.
-    """
-    if not len(devices):
-        raise InputError("there is no device to fit: give at least one")
-    if named:
-        options = options.with_common(common_reference(temperature_sums(devices)))
-    groups = [(model, devices)]
-    result = fit_together(devices.names, devices.refused, groups, options, each=False)
-    alike = options.compared_at(result.facts)
-    other = alike and fit_together(devices.names, devices.refused, groups, alike)
-    odd = odd_devices(pads.dataset((other or result).rows()), result.facts)
-    return replace(pooled(result, named, options.seed) if named else result, odd=odd)
-
-
-def fit_together(
-    names: tuple[str, ...],
-    refused: Mapping[str, str],
-    groups: Sequence[tuple[Model, Devices]],
-    options: FitOptions,
-    each: bool = True,
-) -> BatchResult:
-    """Fit groups of devices, each with a model of its own; one result in the order of the names.
-
-    Args:
-        names: of all devices.
-        refused: those of them that are in no group, and why.
-        groups: models, and the devices that each is fitted to; the result is named after the first.
-        options: of every fit.
-        each: whether devices may all be refused.
-
-    Raises:
-        InputError: none can be used, and not `each`.
-    """
-    fits = _Fits(options)
-    fits.reasons |= refused
-    with suppress(deadline.TimeIsUp):
-        for model, devices in groups:
-            for block in joined(devices.blocks):
-                fits.fit(model, block)
-    late = NOT_REACHED.format(deadline.current().why)
-    fits.reasons |= {n: late for n in names if n not in fits.facts and n not in fits.reasons}
-    parts, reasons = fits.parts(names), fits.reasons
-    if not parts and names and not each:
-        name, why = next((n, reasons[n]) for n in names if n in reasons)
-        raise InputError(f"none of the {len(names)} devices can be used; {name}: {why}")
-    return BatchResult(
-        devices=names,
-        ok=np.array([not reasons.get(name) for name in names], dtype=bool),
-        reasons=tuple(reasons.get(name, "") for name in names),
-        parts=tuple(parts),
-        population=None,
-        about=options.data(groups[0][0]),
-        facts=pd.DataFrame.from_dict(
-            fits.facts, "index", dtype=float, columns=["readings", "T0"]
-        ).reindex(names),
-    )
-
-
 def temperature_sums(devices: Devices) -> list[tuple[str, float, int]]:
     """Sum and number of the readings of each column of temperatures."""
     return [
@@ -532,14 +466,72 @@ def tailored_to_first(model: Model, devices: Iterable[Measurements]) -> Model:
     return model
 
 
-class _Fits:
-    """Fits as they come in: the moments of the devices, and what stands against some of them."""
+@dataclass
+class Fits:
+    """Fits of devices as they come in.
 
-    def __init__(self, options: FitOptions) -> None:
-        self.options = options
-        self.reasons: dict[str, str] = {}
-        self.facts: dict[str, tuple[float, float]] = {}  # by device: how many readings, T0
-        self._found: dict[tuple[tuple[str, ...], tuple[str, ...]], list[tuple]] = {}
+    Attributes:
+        options: of every fit.
+        names: of all devices, in their order.
+        reasons: name → what stands against a device; refused ones too.
+        facts: name → how many readings were fitted, and T0, °C.
+        moments: names and units of unknowns → devices that have them, their means and covariances.
+    """
+
+    options: FitOptions
+    names: list[str] = field(default_factory=list)
+    reasons: dict[str, str] = field(default_factory=dict)
+    facts: dict[str, tuple[float, float]] = field(default_factory=dict)
+    moments: dict[tuple[tuple[str, ...], tuple[str, ...]], list[tuple]] = field(
+        default_factory=dict
+    )
+
+    def fit_groups(self, groups: Sequence[tuple[Model, Devices]]) -> None:
+        """Fit groups of devices, each with a model of its own; those that the deadline leaves out are refused."""
+        with suppress(deadline.TimeIsUp):
+            for model, devices in groups:
+                for block in joined(devices.blocks):
+                    self.fit(model, block)
+        late = NOT_REACHED.format(deadline.current().why)
+        missing = [n for n in self.names if n not in self.facts and n not in self.reasons]
+        self.reasons |= dict.fromkeys(missing, late)
+
+    def extend(self, other: Fits) -> None:
+        """Append the fits of other devices."""
+        self.names += other.names
+        self.reasons |= other.reasons
+        self.facts |= other.facts
+        for kind, moments in other.moments.items():
+            self.moments.setdefault(kind, []).extend(moments)
+
+    def refuse(self, reasons: Mapping[str, str]) -> None:
+        """Refuse devices that were fitted."""
+        self.names = [*dict.fromkeys(self.names)]
+        self.reasons |= reasons
+        self.facts = {name: own for name, own in self.facts.items() if name not in reasons}
+        for kind, moments in self.moments.items():
+            keep = [
+                np.array([n not in reasons for n in names], dtype=bool) for names, *_ in moments
+            ]
+            self.moments[kind] = [
+                ([n for n, k in zip(names, own, strict=True) if k], mean[own], covariance[own])
+                for own, (names, mean, covariance) in zip(keep, moments, strict=True)
+            ]
+
+    def result(self, model: Model) -> BatchResult:
+        """Return all devices in their order."""
+        names, reasons = tuple(self.names), self.reasons
+        return BatchResult(
+            devices=names,
+            ok=np.array([not reasons.get(name) for name in names], dtype=bool),
+            reasons=tuple(reasons.get(name, "") for name in names),
+            parts=self._parts(names),
+            population=None,
+            about=self.options.data(model),
+            facts=pd.DataFrame.from_dict(
+                self.facts, "index", dtype=float, columns=["readings", "T0"]
+            ).reindex(names),
+        )
 
     def fit(self, model: Model, block: DeviceBlock) -> None:
         """Fit every device of a block that can be fitted: plain ones all at once, the others one by one."""
@@ -574,14 +566,12 @@ class _Fits:
         names = [block.names[i] for i in stack.devices[plain]]
         t0 = np.broadcast_to(stack.frame.reference.get("T0", np.nan), plain.shape)[plain]
         self.facts |= zip(names, zip(stack.real.sum(axis=1)[plain], t0, strict=True), strict=True)
-        unknowns = [(b.name, b.coefficient.unit) for b in layout.x_blocks]
+        unknowns = Unknowns.of(layout)
         mean, covariance = (np.asarray(a)[plain] for a in (found.x, found.covariance))
         if NOISE not in dict(model.fixed):
-            unknowns.append((NOISE, model.instrument.unit))
             mean = np.column_stack([mean, found.noise[plain]])
             covariance = np.pad(covariance, ((0, 0), (0, 1), (0, 1)), constant_values=np.nan)
-        called, units = zip(*unknowns, strict=True)
-        self._keep(names, called, units, mean, covariance)
+        self._keep(names, unknowns, mean, covariance)
 
     def _fit_alone(self, model: Model, name: str, readings: Measurements) -> None:
         """Fit one device by `fit`: the moments of its posterior, and what stands against it."""
@@ -595,18 +585,11 @@ class _Fits:
             self.reasons[name] = str(error)
             return
         self.facts[name] = len(readings), float(found.reference.get("T0", np.nan))  # pyright: ignore
-        names, units, draws = list[str](), list[str](), list[np.ndarray]()
-        for unknown, own in found.posterior.items():
-            values, members = found.samples(str(unknown)), own.dims[2:]
-            labels = [member_name(str(unknown), m) for d in members for m in own[d].values]
-            names += labels or [str(unknown)]
-            units += [own.attrs["units"]] * max(1, len(labels))
-            draws.append(values.reshape(len(values), -1))
-        table = np.concatenate(draws, axis=1)
+        table = found.values.reshape(-1, len(found.unknowns))
         covariance = np.atleast_2d(np.cov(table.T))
         held = np.ptp(table, axis=0) == 0
         covariance[held], covariance[:, held] = np.nan, np.nan
-        self._keep([name], tuple(names), tuple(units), table.mean(axis=0)[None], covariance[None])
+        self._keep([name], found.unknowns, table.mean(axis=0)[None], covariance[None])
         if why := " ".join(map(str, self._against(found))):
             self.reasons[name] = why
 
@@ -616,29 +599,30 @@ class _Fits:
         if not found.verdict.ok:
             return found.verdict.reasons
         free = found.layout.size
-        if len(found.readings) <= free:
+        if NOISE not in dict(found.model.fixed) and len(found.readings) <= free:
             return [Claim("readings.too_few", count=len(found.readings), free=free)]
         return [said] if (said := noiseless(found)) else found.conflicts
 
     def _keep(
         self,
         devices: Sequence[str],
-        names: tuple[str, ...],
-        units: tuple[str, ...],
+        unknowns: Unknowns,
         mean: np.ndarray,
         covariance: np.ndarray,
     ) -> None:
         deadline.current().defer_interrupt()
-        self._found.setdefault((names, units), []).append((devices, mean, covariance))
+        key = unknowns.names, unknowns.units
+        self.moments.setdefault(key, []).append((devices, mean, covariance))
 
-    def parts(self, devices: Sequence[str]) -> list[BatchPart]:
+    def _parts(self, devices: Sequence[str]) -> tuple[BatchPart, ...]:
         """Return all unknowns with their moments, in the order of the devices."""
         places = {name: i for i, name in enumerate(devices)}
         parts = []
-        for (called, units), pieces in self._found.items():
+        for (called, units), pieces in self.moments.items():
             names, means, covariances = zip(*pieces, strict=True)
             at = np.array([places[name] for some in names for name in some], dtype=int)
             order = np.argsort(at)
             mean, covariance = np.concatenate(means)[order], np.concatenate(covariances)[order]
-            parts.append(BatchPart(at[order], called, units, mean, covariance))
-        return parts
+            if len(at):
+                parts.append(BatchPart(at[order], called, units, mean, covariance))
+        return tuple(parts)

@@ -11,7 +11,6 @@ import bayescal as bc
 from bayescal import InputError
 from bayescal._search.own_files import in_a_file
 from bayescal.workshop import (
-    Annex,
     Answer,
     ColumnOptions,
     Commands,
@@ -21,7 +20,6 @@ from bayescal.workshop import (
     method_named,
     named_numbers,
     own_effects,
-    refuse_missing,
     refuse_unknown_method,
 )
 
@@ -29,40 +27,30 @@ if TYPE_CHECKING:
     from distributed import Client
 
 
-def _refuse_missing_beside_folders(paths: list[Path]) -> list[Path]:
-    refuse_missing([path for path in paths if not path.is_dir()])
-    return paths
-
-
 commands = Commands(
     {
-        "files": "Files of readings, or folders of them: a Parquet dataset, CSVs, logs.",
+        "files": {
+            "help": "Files of readings, or folders of them: a Parquet dataset, CSVs, logs.",
+            "callback": None,  # folders too
+        },
         "find": "Search each device's missing effects: a second a device.",
-        "method": "least-squares, marginal or nuts.",
-        "out": "Parquet file to write; or a folder, for results partition by partition.",
+        "method": {
+            "help": "least-squares, marginal or nuts.",
+            "callback": refuse_unknown_method,
+        },
+        "out": {
+            "help": "Parquet file to write; or a folder, for it and a summary in JSON.",
+            "names": ["--out", "-o"],
+        },
         "population": (
             "Coefficient whose mean and standard deviation over the devices are estimated; 'all', or repeat."
         ),
         "scheduler": "tcp://host:8786: a Dask cluster that does the work.",
-        "workers": "Processes of this machine that share the work.",
-    },
-    {
-        "files": {"callback": _refuse_missing_beside_folders},
-        "out": {"names": ["--out", "-o"]},
-        "method": {"callback": refuse_unknown_method},
-        "workers": {"min": 1},
-    },
+        "workers": {"help": "Processes of this machine that share the work.", "min": 1},
+    }
 )
 
-
-class FleetAnnex(Annex):
-    """Many devices at once."""
-
-    def commands(self) -> Commands:
-        return commands
-
-
-ANNEX = FleetAnnex()
+ANNEX = {"commands": commands}
 
 
 @commands.example("bayescal batch lot.parquet --instrument mems_gyro -o results.parquet")
@@ -82,60 +70,40 @@ def batch(
     seed: int = 0,
 ) -> Answer:
     """Fit every device of files with a column 'device' by itself: one table of coefficients."""
-    apart = find or workers is not None or scheduler is not None
-    apart = apart or any(path.is_dir() for path in files)
-    _refuse_place(out, files, apart)
+    _refuse_place(out, files)
     chosen = instrument_named(instrument)
     own = own_effects(choice, chosen, None)
     model = compose(chosen, choice, own)
-    how, asked = (
-        columns.for_read(),
-        {
-            "method": method_named(method),
-            "population": True if population == ["all"] else population or False,
-            "seed": seed,
-            "reference": {**named_numbers(choice.reference, "--reference")},
-        },
-    )
-    if not apart and out.suffix:  # all devices in this process, into one file
-        needs = tuple(column for effect in model.effects for column in effect.columns)
-        devices = bc.split_devices(list(files), model.instrument, **how, needs=needs)
-        columns.keep()
-        fitted = bc.fit_batch(model, devices, **asked)
-        fitted.save(out)
-        bad = [name for name, ok in zip(fitted.devices, fitted.ok, strict=True) if not ok]
-        data = {"file": str(out), "devices": len(fitted), "not_fitted": bad, "checked": 0}
-        data |= {"odd": fitted.odd, **fitted.about}
-        if fitted.population is not None:
-            data["population"] = fitted.population.table.to_dict("records")
-        why = f"{len(bad)} of {len(fitted)} devices have no result, or none to rely on"
-        return Answer(fitted, data, ok=not bad, why=why, written=lambda: str(out))
     own_files = [] if choice.effects_file is None else [choice.effects_file]
     if in_a_file(instrument):  # the workers need the user's Python files too
         own_files.append(Path(instrument.rpartition(":")[0]))
     with _cluster(workers, scheduler, own_files) as client:
-        asked |= {"client": client, "columns": how, "find": bc.Find(effects=own) if find else False}
-        fleet = bc.fit_batch(model, list(files), out=out, **asked)
+        found = bc.fit_batch(
+            model,
+            files,
+            method=method_named(method),
+            population=True if population == ["all"] else population or False,
+            seed=seed,
+            reference={**named_numbers(choice.reference, "--reference")},
+            client=client,
+            out=out,
+            columns=columns.for_read(),
+            find=bc.Find(effects=own) if find else False,
+        )
     columns.keep()
-    bad, lost = fleet.devices - fleet.fitted, len(fleet.missing)
-    said = [f"{bad} of {fleet.devices} devices have no result, or none to rely on"] * bool(bad)
-    said += [
-        f"{lost} files have none: put right what is said of them, and the same command goes on from there"
-    ] * bool(lost)
-    return Answer(fleet, ok=not said, why="; ".join(said), written=lambda: str(fleet.folder))
+    bad, lost = len(found) - found.fitted, len(found.missing)
+    said = [f"{bad} of {len(found)} devices have no result, or none to rely on"] * bool(bad)
+    said += [f"{lost} files have none"] * bool(lost)
+    data = {"file": str(out), **found.data()}
+    return Answer(found, data, ok=not said, why="; ".join(said), written=lambda: str(out))
 
 
-def _refuse_place(out: Path, files: list[Path], apart: bool) -> None:
+def _refuse_place(out: Path, files: list[Path]) -> None:
     """Refuse a place that results cannot be written to, before anything is read."""
     if out in files:
         raise InputError(f"--out {out}: that is a file of readings; name another")
     if out.suffix and out.suffix != ".parquet":
         raise InputError(f"--out: a batch is saved as Parquet: name it ….parquet, not {out.name!r}")
-    if apart and out.suffix:
-        raise InputError(
-            f"--out {out}: results of a folder of readings, or of several workers, are a folder with a file for "
-            f"each partition: name it without suffix, {out.stem!r}"
-        )
     if out.is_file() and not out.suffix:
         raise InputError(f"--out {out}: that is a file, a folder was expected; name another")
 

@@ -1,25 +1,16 @@
-"""A population put to the devices that it was learned from: each moves toward it by what its readings leave open.
-
-Of a fleet in partitions a population is learned here, from a few numbers of each device; partitions are moved toward it
-where the others are fitted.
-"""
+"""A population put to the devices that it was learned from: each moves toward it by what its readings leave open."""
 
 from __future__ import annotations
 
-import shutil
-from collections.abc import Sequence
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 
-from bayescal._annexes.fleet.batch_result import BatchPart, BatchResult, load_batch
-from bayescal._annexes.fleet.engine import Engine
+from bayescal._annexes.fleet.batch_result import BatchPart, BatchResult
 from bayescal._annexes.fleet.population import (
     DeviceEstimates,
     Learned,
     Named,
-    Population,
     estimates,
     learn,
 )
@@ -33,43 +24,6 @@ def pooled(result: BatchResult, named: Named, seed: int) -> BatchResult:
     """
     own = _estimates_of(result, named)
     return _under_population(result, own, named, learn(own, named, seed))
-
-
-def learn_population(
-    files: Sequence[Path], folder: Path, named: Named, seed: int, engine: Engine
-) -> Population:
-    """Learn a population from the results of partitions, and write each partition's devices under it.
-
-    Args:
-        files: results of each device by itself.
-        folder: for those under the population.
-        named: the population's coefficients.
-        seed: of every random number.
-        engine: where partitions are read and written.
-
-    Raises:
-        ModelError: fewer than three devices that are reliable.
-        InputError: a partition cannot be read or written.
-    """
-    # What stands there is of another population: derived, and quickly made anew.
-    shutil.rmtree(folder, ignore_errors=True)
-    folder.mkdir(parents=True)
-    tasks = [(file, named) for file in files]
-    parts = engine.every(estimates_in, tasks)
-    learned = learn(DeviceEstimates(*map(np.concatenate, zip(*parts, strict=True))), named, seed)
-    engine.every(write_pooled, [(*task, folder / task[0].name, learned) for task in tasks])
-    return learned.population
-
-
-def estimates_in(file: Path, named: Named) -> DeviceEstimates:
-    """What a partition's readings alone say of its devices."""
-    return _estimates_of(load_batch(file), named)
-
-
-def write_pooled(file: Path, named: Named, to: Path, learned: Learned) -> None:
-    """Write a partition's devices under the population."""
-    result = load_batch(file)
-    _under_population(result, _estimates_of(result, named), named, learned).save(to)
 
 
 def _estimates_of(result: BatchResult, named: Named) -> DeviceEstimates:

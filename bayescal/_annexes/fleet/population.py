@@ -230,9 +230,8 @@ NUDGE, SIDES = 1e-5, np.array([-1.0, 1.0])  # of v, for the slopes of priors
 
 GroupSdPrior = HalfNormal | HalfCauchy | Flat  # prior of a standard deviation between devices
 Named = Mapping[str, tuple[Coefficient, GroupSdPrior]]  # a population's coefficients by name
-AskedPopulation = (
-    bool | Sequence[str] | Mapping[str, GroupSdPrior]
-)  # which those are: all, or some, or with priors
+# Which those are: all, or some, or with priors.
+AskedPopulation = bool | Sequence[str] | Mapping[str, GroupSdPrior]
 COLUMNS = ("coefficient", "mean", "mean_sd", "group_sd", "group_sd_sd", "unit")
 FORMER = {"spread": "group_sd", "spread_sd": "group_sd_sd"}  # names of columns; the old go in 0.3.0
 

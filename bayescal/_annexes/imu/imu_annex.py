@@ -17,7 +17,6 @@ from bayescal._core import deadline
 from bayescal.workshop import (
     CALIBRATION,
     MANIFEST,
-    Annex,
     Answer,
     ColumnOptions,
     Commands,
@@ -42,7 +41,7 @@ from bayescal.workshop import (
 )
 
 if TYPE_CHECKING:
-    from bayescal.workshop import Objection
+    from bayescal.workshop import CorrectionKind, Objection
 
 commands = Commands(
     {
@@ -64,52 +63,6 @@ SENSORS = {
 }
 FILES = ("correction.h", "correction.py", "correction.json", "correction.yaml")
 REPORT = "report.html"
-
-
-class ThreeAxes(Annex):
-    """Three axes: triads and inertial units, with the files that autopilots, Kalibr and their like read."""
-
-    def commands(self) -> Commands:
-        return commands
-
-    def corrections(self) -> Sequence[Any]:
-        from bayescal._annexes.imu.vector_files import THREE_AXES
-
-        return (THREE_AXES,)
-
-    def corrected(self, calibration: bc.Calibration) -> bc.VectorCorrection | None:
-        three = calibration.model.instrument.vector is not None
-        return bc.vector_correction(calibration) if three else None
-
-    def exports(self) -> Mapping[str, Callable[[ExportRequest], Answer]]:
-        from bayescal._annexes.imu.autopilot import AUTOPILOTS
-
-        return dict.fromkeys(AUTOPILOTS, parameters)
-
-    def noise_file(
-        self, channels: Mapping[str, bc.SensorNoise], topic: str, quantile: float
-    ) -> str:
-        return bc.kalibr_yaml(channels, topic, quantile)
-
-    def result(
-        self, calibration: bc.Calibration, average: bc.Calibration | None
-    ) -> Mapping[str, Any]:
-        if calibration.model.instrument.vector is None:
-            return {"vector": None}
-        from bayescal._annexes.imu.vector_result import vector_data
-
-        return {"vector": vector_data(calibration, average)}
-
-    def coefficient_tables(self, data: Mapping[str, Any]) -> Sequence[tuple[str, Any]]:
-        if not data.get("vector"):
-            return ()
-        from bayescal._annexes.imu.vector_result import CAPTION, matrix_table
-
-        table = matrix_table(data)
-        return [(CAPTION, table)] if table is not None else []
-
-
-ANNEX = ThreeAxes()
 
 
 @dataclass(frozen=True)
@@ -412,3 +365,43 @@ def device_numbers(given: list[str] | None) -> dict[str, int]:
         if not value.isdecimal():
             raise InputError(f"--device-id {name}={value}: {value!r} is not a whole number")
     return {name: int(value) for name, value in said.items()}
+
+
+def _corrections() -> tuple[CorrectionKind, ...]:
+    from bayescal._annexes.imu.vector_files import THREE_AXES
+
+    return (THREE_AXES,)
+
+
+def _exports() -> dict[str, Callable[[ExportRequest], Answer]]:
+    from bayescal._annexes.imu.autopilot import AUTOPILOTS
+
+    return dict.fromkeys(AUTOPILOTS, parameters)
+
+
+def _result(calibration: bc.Calibration, average: bc.Calibration | None) -> dict[str, Any]:
+    if calibration.model.instrument.vector is None:
+        return {"vector": None}
+    from bayescal._annexes.imu.vector_result import vector_data
+
+    return {"vector": vector_data(calibration, average)}
+
+
+def _coefficient_tables(data: Mapping[str, Any]) -> list[tuple[str, Any]]:
+    if not data.get("vector"):
+        return []
+    from bayescal._annexes.imu.vector_result import CAPTION, matrix_table
+
+    table = matrix_table(data)
+    return [(CAPTION, table)] if table is not None else []
+
+
+ANNEX = {
+    "commands": commands,
+    "exports": _exports,
+    "corrections": _corrections,
+    "corrected": lambda calibration: bc.vector_correction(calibration),
+    "noise_file": lambda channels, topic, quantile: bc.kalibr_yaml(channels, topic, quantile),
+    "result": _result,
+    "coefficient_tables": _coefficient_tables,
+}

@@ -10,14 +10,15 @@ import re
 from collections.abc import Mapping
 
 from bayescal import InputError, SensorNoise
+from bayescal._annexes.imu.vector_parameters import si_of
 from bayescal._calibration.sensor_noise import FILTER_QUANTILE
-from bayescal.workshop import STANDARD_GRAVITY, c_comment, option, parse
+from bayescal.workshop import c_comment, option
 
 KINDS = {"accelerometer": "m/s^2", "gyroscope": "rad/s"}
 BRIEF = {
-    " + quantisation": "quantisation",
-    " + averaging": "what the sensor has averaged",
-}  # in the words of a law
+    "quantisation": "quantisation",
+    "averaging": "what the sensor has averaged",
+}  # terms of neighbouring readings alone
 TOPIC = re.compile(r"[~/]?[A-Za-z][A-Za-z0-9_/]*")  # http://wiki.ros.org/Names
 EVEN = 0.05  # of the step, by which those of channels of one unit may differ
 
@@ -64,7 +65,7 @@ def kalibr_yaml(
         if not own:
             lines.append(f"#   no {kind} was given: its two numbers are missing")
             continue
-        pairs = [[v * _factor(one.unit) for v in one.for_filter(quantile)] for one in own]
+        pairs = [[v * si_of(one.unit)[0] for v in one.for_filter(quantile)] for one in own]
         density, walk = (max(column) for column in zip(*pairs, strict=True))
         lines.append(f"{kind}_noise_density: {density:.4e}")
         lines.append(f"{kind}_random_walk: {walk:.4e}")
@@ -73,14 +74,14 @@ def kalibr_yaml(
 
 
 def _left_out(noise: SensorNoise) -> str:
-    horizon, law, brief = f"{noise.horizon:.3g} s", noise.law, ""
-    for words, said in BRIEF.items():
-        if words in law:
-            law, brief = law.replace(words, ""), f"White noise stands for {said} too. "
-    if law == "white":
+    horizon, lasting = f"{noise.horizon:.3g} s", {*noise.terms} - BRIEF.keys()
+    brief = "".join(
+        f"White noise stands for {said} too. " for t, said in BRIEF.items() if t in noise.terms
+    )
+    if not lasting:
         said = f"No random walk is seen in averages up to {horizon}: the one given is a bound."
         return brief + said
-    if law == "white + random walk":
+    if lasting == {"walk"}:
         return brief.strip() or "Nothing is left out."
     return (
         f"{brief}A random walk takes the place of the correlated terms: with the density it reaches 95 % of the "
@@ -89,18 +90,10 @@ def _left_out(noise: SensorNoise) -> str:
 
 
 def _kind(name: str, unit: str) -> str:
-    powers = dict(parse(unit or "1").powers)
-    if powers == {"rad": 1, "s": -1}:
-        return "gyroscope"
-    if powers in ({"ug": 1}, {"m": 1, "s": -2}):
-        return "accelerometer"
+    for kind, target in KINDS.items():
+        if si_of(unit or "1")[1] == target:
+            return kind
     raise InputError(
         f"the channel {name!r} in {unit or 'no unit'} is neither a gyroscope's nor an accelerometer's: an imu.yaml has "
         f"no place for it. Say its unit: {option('--unit', f'{name}=UNIT')}"
     )
-
-
-def _factor(unit: str) -> float:
-    """From a unit to m/s² or rad/s."""
-    parsed = parse(unit)
-    return parsed.factor * (STANDARD_GRAVITY * 1e-6 if dict(parsed.powers) == {"ug": 1} else 1.0)

@@ -166,9 +166,7 @@ def moves(
         f"surest is uncertain by {surest:.2g} {instrument.unit}, which noise.white is of"
     )
     aside = [f"{log.file}: set aside, as it disagrees with all others: {one}" for one in odd]
-    return replace(
-        found, sources=log.sources, flags=(said, *aside)
-    )  # of the log, not of what is made
+    return replace(found, sources=log.sources, flags=(said, *aside))  # of the log
 
 
 class _Moves(NamedTuple):
@@ -307,9 +305,8 @@ class _Session(NamedTuple):
     felt: Float[np.ndarray, "k 3"]  # g
     of_forces: Float[np.ndarray, "3k 3k"]  # covariance of these, g²
     white: float  # variance of a mean output over a second, (rad/s)²
-    nominal: Float[
-        np.ndarray, "27"
-    ]  # what has levers, where nothing is known: the bias as at rest, the matrix one
+    # What has levers, where nothing is known: the bias as at rest, the matrix one.
+    nominal: Float[np.ndarray, "27"]
 
 
 class _Aside(NamedTuple):

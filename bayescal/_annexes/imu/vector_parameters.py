@@ -79,7 +79,7 @@ def openvins_yaml_of(correction: VectorCorrection, *others: VectorCorrection) ->
     held["Tg"] = np.zeros((3, 3))
     for kind, one in every.items():
         held |= _openvins(one)
-        bias, unit = _in_kalibr(one).offset * _si(one.unit)[0], _si(one.unit)[1]
+        bias, unit = _in_kalibr(one).offset * si_of(one.unit)[0], si_of(one.unit)[1]
         notes += [f"{kind}: {_in_kalibr(one).said or NOTHING}"]
         notes += [f"bias of the {kind}, which OpenVINS estimates: {_list(bias)} {unit}"]
     return "\n".join(
@@ -97,7 +97,7 @@ def openvins_yaml_of(correction: VectorCorrection, *others: VectorCorrection) ->
 
 def _openvins(correction: VectorCorrection) -> dict[str, np.ndarray]:
     """Matrices of one triad by OpenVINS' names."""
-    factor, unit = _si(correction.unit)
+    factor, unit = si_of(correction.unit)
     plain = _in_kalibr(correction)
     lower, turn = _split(plain.matrix)
     if unit == "m/s^2":
@@ -147,7 +147,7 @@ def _after(correction: VectorCorrection) -> tuple[np.ndarray, np.ndarray]:
     """Matrix, and what is taken off behind it, m/s² or rad/s: what acts = matrix·y − bias."""
     plain = _plain(correction)
     back = np.linalg.inv(plain.matrix)
-    return back, back @ plain.offset * _si(correction.unit)[0]
+    return back, back @ plain.offset * si_of(correction.unit)[0]
 
 
 def _inertial(format: str, every: Sequence[VectorCorrection]) -> dict[str, VectorCorrection]:
@@ -157,7 +157,7 @@ def _inertial(format: str, every: Sequence[VectorCorrection]) -> dict[str, Vecto
         InputError: one is of neither.
     """
     kinds = {"rad/s": "gyroscope", "m/s^2": "accelerometer"}
-    found = {kinds.get(_si(c.unit)[1], ""): c for c in every}
+    found = {kinds.get(si_of(c.unit)[1], ""): c for c in every}
     if "" in found:
         raise InputError(
             f"{format} holds accelerometers and gyroscopes, and these outputs are in [{found[''].unit}]"
@@ -166,7 +166,7 @@ def _inertial(format: str, every: Sequence[VectorCorrection]) -> dict[str, Vecto
 
 
 def _in_kalibr(correction: VectorCorrection) -> PlainCorrection:
-    return plain_correction(correction, beside=_si(correction.unit)[1] == "rad/s")
+    return plain_correction(correction, beside=si_of(correction.unit)[1] == "rad/s")
 
 
 def _split(matrix: Float[np.ndarray, "3 3"]) -> tuple[np.ndarray, np.ndarray]:
@@ -177,7 +177,7 @@ def _split(matrix: Float[np.ndarray, "3 3"]) -> tuple[np.ndarray, np.ndarray]:
 
 def _intrinsics(correction: VectorCorrection, frame: np.ndarray) -> list[str]:
     """Lines of one triad; `frame` rotates the body axes of the calibration to Kalibr's."""
-    factor, unit = _si(correction.unit)
+    factor, unit = si_of(correction.unit)
     turns, plain = unit == "rad/s", _in_kalibr(correction)
     lower, turn = _split(plain.matrix)
     name = {"rad/s": "gyroscopes", "m/s^2": "accelerometers"}.get(unit)
@@ -228,7 +228,7 @@ def autopilot_parameters(
     px4 = autopilot == "px4-params"
     if same_dimension(correction.unit, "g") or same_dimension(correction.unit, "m/s^2"):
         plain = plain_correction(correction, "diagonal", beside=False)
-        factor, _ = _si(correction.unit)
+        factor, _ = si_of(correction.unit)
         off = "CAL_ACC0_{}OFF" if px4 else "INS_ACCOFFS_{}"
         scale = "CAL_ACC0_{}SCALE" if px4 else "INS_ACCSCAL_{}"
         found = {off.format(a): plain.offset[i] * factor for i, a in enumerate("XYZ")}
@@ -236,7 +236,7 @@ def autopilot_parameters(
         return found, plain.said
     if same_dimension(correction.unit, "rad/s"):
         plain = plain_correction(correction, "none", beside=False)
-        factor, _ = _si(correction.unit)
+        factor, _ = si_of(correction.unit)
         off = "CAL_GYRO0_{}OFF" if px4 else "INS_GYROFFS_{}"
         return {off.format(a): plain.offset[i] * factor for i, a in enumerate("XYZ")}, plain.said
     if same_dimension(correction.unit, "uT"):
@@ -283,7 +283,8 @@ def parameter_file(correction: VectorCorrection, format: str) -> str:
     return AUTOPILOTS[format].text(every, {name: float(v) for name, v in values.items()})
 
 
-def _si(unit: str) -> tuple[float, str]:
+def si_of(unit: str) -> tuple[float, str]:
+    """Return the factor from a unit to m/s² or rad/s, and that unit; 1 and the unit itself where it is of neither."""
     for target in ("m/s^2", "rad/s"):
         if same_dimension(unit, target) or (target == "m/s^2" and same_dimension(unit, "g")):
             return float(np.asarray(convert(np.ones(1), unit, target))[0]), target

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -11,36 +12,39 @@ from bayescal import InputError
 from bayescal._annexes.imu.vector_correction import NEWTON_STEPS, SIZES, VectorCorrection
 from bayescal._use.compensation_program import AGAIN
 from bayescal.workshop import (
-    OneOf,
+    as_type,
     c_comment,
     code_template,
     include_guard,
     kept_why,
     python_words,
-    required,
 )
 
 PACKAGE = "bayescal._annexes.imu"  # whose templates these are
-SHAPE = {
-    "made_by": str,
-    "calibration": str,
-    "instrument": str,
-    "outputs": (str, str, str),
-    "unit": str,
-    "equation": str,
-    "order_of_terms": str,
-    "beside?": [str],
-    "reference_degC": float,
-    "temperatures_degC": OneOf(None, (float, float)),
-    "reach": float,
-    "terms": [[float]],
-    "covariance": [[float]],
-    "noise": float,
-    "notes": [str],
-    "why_not?": str,
-    "axes_of?": str,
-    "covariance_with_axes_of?": [[float]],
-}
+
+
+@dataclass(frozen=True)
+class SavedCorrection:
+    """What the JSON of a correction of three axes holds."""
+
+    made_by: str
+    calibration: str
+    instrument: str
+    outputs: tuple[str, str, str]
+    unit: str
+    equation: str
+    order_of_terms: str
+    reference_degC: float
+    temperatures_degC: tuple[float, float] | None
+    reach: float
+    terms: list[list[float]]
+    covariance: list[list[float]]
+    noise: float
+    notes: tuple[str, ...]
+    beside: tuple[str, ...] = ()
+    why_not: str = ""
+    axes_of: str = ""
+    covariance_with_axes_of: list[list[float]] | None = None
 
 
 def vector_from_data(found: Any, file: str) -> VectorCorrection:
@@ -49,33 +53,33 @@ def vector_from_data(found: Any, file: str) -> VectorCorrection:
     Raises:
         InputError: it is none, or damaged.
     """
-    required(found, SHAPE, file, AGAIN)
-    beside, shared = tuple(found.get("beside", ())), found.get("covariance_with_axes_of")
     try:
-        terms, covariance = (np.array(found[name], dtype=float) for name in ("terms", "covariance"))
+        saved = as_type(found, SavedCorrection)
+        terms, covariance = (np.array(a, dtype=float) for a in (saved.terms, saved.covariance))
+        shared = saved.covariance_with_axes_of
         shared = None if shared is None else np.array(shared, dtype=float)
-        fits = terms.ndim == 2 and terms.shape[1] - 9 * bool(beside) in SIZES
+        fits = terms.ndim == 2 and terms.shape[1] - 9 * bool(saved.beside) in SIZES
         if not fits or covariance.shape != 2 * (terms.size,):
             shapes = f"{terms.shape} with a covariance of shape {covariance.shape}"
             raise ValueError(f"terms of shape {shapes}")
     except ValueError as error:
         raise InputError(f"{file} is damaged: {error}. {AGAIN}") from None
-    low, high = found["temperatures_degC"] or (None, None)
+    low, high = saved.temperatures_degC or (None, None)
     return VectorCorrection(
-        outputs=tuple(found["outputs"]),
-        unit=found["unit"],
-        reference=found["reference_degC"],
+        outputs=saved.outputs,
+        unit=saved.unit,
+        reference=saved.reference_degC,
         low=low,
         high=high,
         terms=terms,
         covariance=covariance,
-        noise=found["noise"],
-        notes=tuple(found["notes"]),
-        source=found["calibration"],
-        beside=beside,
-        instrument=found["instrument"],
-        reach=found["reach"],
-        axes_of=found.get("axes_of", ""),
+        noise=saved.noise,
+        notes=saved.notes,
+        source=saved.calibration,
+        beside=saved.beside,
+        instrument=saved.instrument,
+        reach=saved.reach,
+        axes_of=saved.axes_of,
         shared=shared,
         against=kept_why(found),
     )

@@ -21,7 +21,7 @@ from dataclasses import dataclass
 from datetime import date
 from decimal import Decimal
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypedDict
 
 from markupsafe import Markup
 
@@ -32,7 +32,6 @@ from bayescal.workshop import (
     STANDARD_GRAVITY,
     Chapter,
     Foreword,
-    OneOf,
     identity,
     parse,
     read_toml,
@@ -66,12 +65,17 @@ SECTIONS: dict[str, dict[str, str]] = {
 DATES = ("issued", "begin", "end", "valid_until")
 LISTS = ("standards",)
 # What is written as a number (a serial number) is taken as it stands.
-_TEXT = OneOf(str, int, float)
-_KEYS = {s: {f"{k}?": date if k in DATES else _TEXT for k in keys} for s, keys in SECTIONS.items()}
-SHAPE = {
-    **{f"{s}?": [keys] if s in LISTS else keys for s, keys in _KEYS.items()},
-    "conditions?": {str: _TEXT},
+_TEXT = str | int | float
+_KEYS = {
+    s: TypedDict(s, {k: date if k in DATES else _TEXT for k in keys}, total=False)
+    for s, keys in SECTIONS.items()
 }
+Stated = TypedDict(
+    "Stated",
+    {s: list[keys] if s in LISTS else keys for s, keys in _KEYS.items()}
+    | {"conditions": dict[str, _TEXT]},
+    total=False,
+)
 CURE = "It has sections such as [device], and [[standards]], once for each; texts in quotes, and dates as 2026-11-22"
 
 
@@ -141,7 +145,7 @@ def read_certificate(path: str | Path) -> Certificate:
             text, or no date; names section and key, what came and what was expected.
     """
     path = Path(path)
-    stated = read_toml(path, SHAPE, f"{str(path)!r}", CURE)
+    stated = read_toml(path, Stated, f"{str(path)!r}", CURE)
     if not stated:
         raise InputError(f"{str(path)!r} states nothing: write [device], name = and serial =")
     begin, end = (stated.get("calibration", {}).get(k) for k in ("begin", "end"))

@@ -43,7 +43,7 @@ from scipy.special import ndtr
 from bayescal import Calibration, Compensator, InputError
 from bayescal._use import operating_equation
 from bayescal._use.budget import notes_on
-from bayescal._use.compensation_program import PAST, bias_only
+from bayescal._use.compensation_program import PAST
 from bayescal._use.compensation_program import limits as calibrated_limits
 from bayescal._use.operating_equation import ALL_DRAWS, equation_in_use
 from bayescal.workshop import (
@@ -546,8 +546,7 @@ def limited_quantity(
     places = {n: np.full(size, v) for n, v in point.items()}
     places |= {n: g.ravel() for (n, _, _), g in zip(ranges, grid, strict=True)}
     # Where a range leaves what was calibrated is said by `not_covered`, in its own words.
-    beside = bias_only(chosen.stimulus) if limit.quantity in slots else ""  # is of a correction
-    notes += [note for note in notes_on(chosen) if note != beside]
+    notes += notes_on(chosen, of_correction=limit.quantity not in slots)
     if limit.quantity == MEAN and not calibration.model.noise.independent:
         notes.append(
             f"{MEAN!r} is without the correlated noise, which readings close in time share: a mean keeps it."
@@ -580,39 +579,25 @@ def _limits(limit: StatedLimit, unit: str, local_gravity: float) -> Limits:
 
 
 def _unknown(calibration: Calibration, limit: StatedLimit, local_gravity: float) -> LimitedUnknown:
-    draws = _draws_by_name(calibration)
-    if limit.quantity not in draws:
+    unknowns = calibration.unknowns
+    if limit.quantity not in unknowns.index:
         slots = ", ".join(s.name for s in calibration.model.instrument.slots)
         raise InputError(
             f"limit {limit.text!r}: nothing is called {limit.quantity!r}. A limit is on {READING!r}, {MEAN!r}, what "
-            f"acts ({slots}), or an unknown of the calibration: {', '.join(draws)}"
+            f"acts ({slots}), or an unknown of the calibration: {', '.join(unknowns.names)}"
         )
     if limit.over:
         raise InputError(
             f"limit {limit.text!r}: {limit.quantity} is one number, the same everywhere; leave the range out, or limit "
             "what acts"
         )
-    values, unit = draws[limit.quantity]
+    values = calibration.samples(limit.quantity)
+    unit = unknowns.rows[unknowns.index[limit.quantity]].unit
     not_covered = () if np.ptp(values) > 0 else (HELD.format(limit.quantity),)
     limits = _limits(limit, unit, local_gravity)
     return LimitedUnknown(
         limit=limit, limits=limits, unit=unit, not_covered=not_covered, draws=values
     )
-
-
-def _draws_by_name(calibration: Calibration) -> dict[str, tuple[np.ndarray, str]]:
-    """Every unknown under the name that a calibration prints: draws (d,) and unit."""
-    found: dict[str, tuple[np.ndarray, str]] = {}
-    names = {b.name: b.member_names(calibration.levels) for b in calibration.layout.blocks}
-    for name in map(str, calibration.posterior):
-        values = calibration.samples(name)
-        unit = str(calibration.posterior[name].attrs.get("units", "1"))
-        if values.ndim == 1:
-            found[name] = values, unit
-        else:
-            members = names.get(name, [])
-            found |= {m: (values[:, i], unit) for i, m in enumerate(members) if values.ndim == 2}
-    return found
 
 
 def _resolved(

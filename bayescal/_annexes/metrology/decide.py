@@ -45,7 +45,6 @@ from bayescal._annexes.metrology.conformity import (
 )
 from bayescal._calibration.mixture import inclusion
 from bayescal._calibration.prior_influence import NotMeasured, not_measured
-from bayescal._model.unknown_effect import covariate_in
 from bayescal._use.compensation_program import averaged_over
 from bayescal.workshop import (
     STANDARD_GRAVITY,
@@ -204,7 +203,7 @@ def _no_answer(quantity: LimitedQuantity, calibration: Calibration, stated: floa
 
 def _describes_the_record(effect: Effect) -> bool:
     """Whether an effect is a form in time that the readings drew, which ends with them."""
-    return effect.covariate == "time" and covariate_in(effect.name) is not None
+    return effect.covariate == "time" and effect.is_placeholder
 
 
 def in_words(seconds: float) -> str:

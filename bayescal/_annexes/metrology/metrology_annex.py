@@ -5,14 +5,12 @@ Light: heavy modules load inside.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import bayescal as bc
 from bayescal import InputError
 from bayescal.workshop import (
-    Annex,
     Answer,
     Commands,
     DecisionRule,
@@ -31,36 +29,12 @@ commands = Commands(
         "capability": "Least T/(4u) with which 'shared-risk' decides.",
         "conformity": "Probability of which the next calibration is stated.",
         "limit": '"bias: ±0.5 °/s", "corrected reading: ±0.1 °/s over -20..60 °C"; repeat for more.',
-        "out": "JSON file to write the decisions to.",
+        "out": {"help": "JSON file to write the decisions to.", "names": ["--out", "-o"]},
         "population": (
             'Devices of this kind, for global risks: "sd 0.2 °/s"; repeat, by name of a limit: "bias: sd 0.2 °/s".'
         ),
-    },
-    {"out": {"names": ["--out", "-o"]}},
+    }
 )
-
-
-class Metrology(Annex):
-    """Conformity with limits, and certificates."""
-
-    def commands(self) -> Commands:
-        return commands
-
-    def exports(self) -> Mapping[str, Callable[[ExportRequest], Answer]]:
-        return {"dcc": certified}
-
-    def certificate(self, path: str | Path) -> Certificate:
-        from bayescal._annexes.metrology.certificate import read_certificate
-
-        return read_certificate(path)
-
-    def decided(
-        self, calibration: bc.Calibration, limits: Sequence[str], **rule: Any
-    ) -> bc.Decisions:
-        return bc.decide(calibration, limits, **rule)
-
-
-ANNEX = Metrology()
 
 
 @commands.example('bayescal decide result --limit "bias: ±0.5 °/s"')
@@ -121,3 +95,17 @@ def certified(asked: ExportRequest) -> Answer:
     if asked.out is not None:
         text = f"written: {write_text(text, asked.out)}"
     return Answer(text.removesuffix("\n"))
+
+
+def _certificate(path: str | Path) -> Certificate:
+    from bayescal._annexes.metrology.certificate import read_certificate
+
+    return read_certificate(path)
+
+
+ANNEX = {
+    "commands": commands,
+    "exports": lambda: {"dcc": certified},
+    "certificate": _certificate,
+    "decided": lambda calibration, limits, **rule: bc.decide(calibration, limits, **rule),
+}

@@ -18,47 +18,46 @@ import json
 import re
 import tempfile
 from collections.abc import Collection, Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import asdict, dataclass, field
 from datetime import datetime
 from importlib.metadata import entry_points
 from itertools import takewhile
 from pathlib import Path
-from typing import Any
+from typing import Any, TypedDict
 
 import bayescal
 from bayescal import (
+    NUTS,
     Calibration,
     Discovery,
     Effect,
     InputError,
     Instrument,
+    LeastSquares,
+    Marginal,
     Measurements,
     Model,
+    ModelError,
     Noise,
     __version__,
     load,
     read,
     set_aside,
 )
-from bayescal._calibration.posterior_tree import build_tree
-from bayescal._calibration.storage import save
-from bayescal._inference.method import Method
 from bayescal._model.formula import Formula
-from bayescal._model.frame import Reference
 from bayescal._model.installed import GROUP, installed_names
 from bayescal._report.whole_folder import AGAIN
 from bayescal._search.calibrate import QUICK
 from bayescal._search.own_files import in_a_file, user_effects
 from bayescal._search.search_path import Step
-from bayescal._tables.mapping_file import MAPPING
+from bayescal._tables.mapping_file import ReadMapping
 from bayescal.workshop import (
-    ANY,
     MANIFEST,
-    OneOf,
     ReadOptions,
+    as_type,
     identity,
     instrument_named,
-    mismatch,
     one_line,
     read_json,
     refuse_mixed,
@@ -68,20 +67,25 @@ from bayescal.workshop import (
 )
 
 METHODS = ("LeastSquares", "Marginal", "NUTS")
-SHAPE = {  # of an `Origin`
-    "instrument": str,
-    **{"files": [str], "holdout": [str], "effect_files": [str], "channel?": str},
-    "read": {**MAPPING, "outputs?": [str]},
-    "average": OneOf(None, str),
-    "keep_spikes": bool,
-}
-SETTINGS_SHAPE = {  # of `SearchOptions.data`
-    "method": OneOf(None, {str: ANY}),
-    **{"max_effects": int, "seed": int, "widen_noise": bool, "keep_spikes": bool},
-    "reference": OneOf(None, {str: OneOf(float, {str: float})}),
-    "time_limit": OneOf(None, float),
-    "accept_conflicts": [str],
-}
+
+
+class SavedReading(ReadMapping, total=False):
+    """How `read` is asked, as keywords."""
+
+    outputs: list[str]
+
+
+class SavedOptions(TypedDict):
+    """What `SearchOptions.data` gives."""
+
+    method: dict[str, Any] | None
+    max_effects: int
+    seed: int
+    widen_noise: bool
+    keep_spikes: bool
+    reference: dict[str, float | dict[str, float]] | None
+    time_limit: float | None
+    accept_conflicts: list[str]
 
 
 @dataclass(frozen=True)
@@ -101,7 +105,7 @@ class Origin:
     instrument: str
     files: tuple[str, ...]
     holdout: tuple[str, ...] = ()
-    read: Mapping[str, Any] = field(default_factory=dict)
+    read: SavedReading = field(default_factory=SavedReading)
     average: str | None = None
     keep_spikes: bool = False
     effect_files: tuple[str, ...] = ()
@@ -146,12 +150,6 @@ class Origin:
         apart = [] if holdout is None else [holdout.write(folder / "holdout.nc")]
         name = instrument.name if instrument.name in installed_names() else ""
         return cls.of(name, files, apart, keep_spikes=keep_spikes)
-
-    @classmethod
-    def from_data(cls, data: Mapping[str, Any]) -> Origin:
-        """From plain JSON of its fields."""
-        lists = {n: tuple(data[n]) for n in ("files", "holdout", "effect_files")}
-        return cls(**{**data, **lists})
 
     @property
     def python_files(self) -> tuple[str, ...]:
@@ -234,12 +232,12 @@ class Origin:
 class SearchOptions:
     """What `calibrate` is asked with, apart from model and readings; see there."""
 
-    method: Method | None = None
+    method: LeastSquares | Marginal | NUTS | None = None
     max_effects: int = 5
     widen_noise: bool = True
     keep_spikes: bool = False
     seed: int = 0
-    reference: Reference | None = None
+    reference: dict[str, Any] | None = None
     time_limit: float | None = None
     accept_conflicts: Collection[str] = ()
 
@@ -334,18 +332,28 @@ def path_to(states: Mapping[int, Any], number: int) -> list[int]:
 
 SESSION, STATE, CALIBRATION, SCRIPT = "session.json", "state.json", "calibration.nc", "script.py"
 SCHEMA = "bayescal.workbench/1"
-SESSION_SHAPE = {
-    "schema": str,
-    "origin": SHAPE,
-    "settings": SETTINGS_SHAPE,
-    "current": int,
-}
-STATE_SHAPE = {
-    **{"number": int, "parent": OneOf(None, int), "title": str, "at": str},
-    **{"added": OneOf(None, str), "changed": str},
-}
-# Replicated readings that a step keeps, in draws: of 500 at 2,000 readings they took half the time of *Add*.
-REPLICATED = 20
+
+
+class SavedSession(TypedDict):
+    """What session.json holds."""
+
+    schema: str
+    origin: Origin
+    settings: SavedOptions
+    current: int
+
+
+class SavedState(TypedDict):
+    """What state.json holds."""
+
+    number: int
+    parent: int | None
+    title: str
+    at: str
+    added: str | None
+    changed: str
+
+
 _NUMBERED = re.compile(r"session_(\d+)")
 _STATE = re.compile(r"\.?state_(\d{3,})(\..*)?")
 
@@ -390,8 +398,7 @@ def keep_state(folder: Path, state: State, script: str) -> None:
         "changed": state.step.changed,
     }
     with whole_folder(own, identity(state.calibration)) as hidden:
-        cells = REPLICATED * len(state.calibration.readings)
-        save(state.calibration, build_tree(state.calibration, cells), hidden / CALIBRATION)
+        state.calibration.save(hidden / CALIBRATION)
         write_text(script, hidden / SCRIPT)
         write_text(json.dumps(told, indent=2, ensure_ascii=False) + "\n", hidden / STATE)
     to_disk(folder)
@@ -437,10 +444,8 @@ def session_in(folder: Path) -> dict[str, Any]:
         told = read_json(folder / SESSION)
         if isinstance(told, dict) and told.get("schema") != SCHEMA:
             raise ValueError(f"its schema is {told.get('schema')!r}, expected {SCHEMA!r}")
-        if said := mismatch(told, SESSION_SHAPE):
-            raise ValueError(said)
-        settings = SearchOptions.from_data(told["settings"])
-        return {**told, "origin": Origin.from_data(told["origin"]), "settings": settings}
+        session = as_type(told, SavedSession)
+        return {**session, "settings": SearchOptions.from_data(session["settings"])}
     except (OSError, ValueError, TypeError, InputError) as error:
         raise InputError(
             f"{folder} holds no session that can be gone on with ({error}): begin one in another folder"
@@ -451,7 +456,7 @@ def last_step(folder: Path) -> str:
     """What was done last in a session that is not open, in words; empty where its folder does not say."""
     try:
         own = folder / FOLDER.format(session_in(folder)["current"])
-        told = read_json(own / STATE, STATE_SHAPE)
+        told = read_json(own / STATE, SavedState)
         return f"step {told['number']}: {told['title']}"
     except (OSError, ValueError, InputError):
         return ""
@@ -473,7 +478,7 @@ def states_in(
             continue
         refuse_mixed(own)
         try:
-            told = read_json(own / STATE, STATE_SHAPE)
+            told = read_json(own / STATE, SavedState)
             told["at"] = datetime.fromisoformat(told["at"])
             if told["number"] != number or told["parent"] not in (*seen, *([] if seen else [None])):
                 raise ValueError("its number or its parent is none of this session's")
@@ -644,17 +649,20 @@ def _effect_code(effect: Effect, model: Model) -> tuple[str, Effect | None]:
     known = instrument.known
     if name in known:
         return repr(name), known[name]
-    if name.startswith("unknown("):
-        made = instrument.effect(name)
-        ranges = {
-            s.name: (s.low, s.high)
-            for s, open_ in zip(effect.shapes, made.shapes, strict=True)
-            if open_ != s
-        }
-        if not ranges:
-            return repr(name), made
-        return f"instrument.effect({name!r}).ranging({ranges!r})", made.ranging(ranges)
-    return f"own[{name!r}]", effect
+    made = None
+    if effect.is_placeholder:
+        with suppress(ModelError):  # one under a name of its own is the user's
+            made = instrument.effect(name)
+    if made is None:
+        return f"own[{name!r}]", effect
+    ranges = {
+        s.name: (s.low, s.high)
+        for s, open_ in zip(effect.shapes, made.shapes, strict=True)
+        if open_ != s
+    }
+    if not ranges:
+        return repr(name), made
+    return f"instrument.effect({name!r}).ranging({ranges!r})", made.ranging(ranges)
 
 
 def noise_code(noise: Noise, model: Model) -> str | None:

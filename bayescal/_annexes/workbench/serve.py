@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Callable, Collection, Mapping
+from contextlib import nullcontext
 from pathlib import Path
 from typing import Any
 from urllib.parse import urlencode
@@ -26,19 +27,19 @@ from bayescal._annexes.workbench.app import Workbench
 from bayescal._annexes.workbench.parts.pieces import INSIDE, words
 from bayescal._annexes.workbench.parts.work import in_words
 from bayescal._annexes.workbench.session import Session
-from bayescal._annexes.workbench.start import FIRST, Address, kept_sessions, skeleton
+from bayescal._annexes.workbench.start import FIRST, Address, kept_sessions, opened_in_browser
 from bayescal.workshop import html_text
 
-LARGEST_MESSAGE = (
-    64 * 2**20
-)  # bytes of one message of a browser's; files come in pieces that are far smaller
+# Bytes of one message of a browser's; files come in pieces that are far smaller.
+LARGEST_MESSAGE = 64 * 2**20
 MOST_LINKS = 4  # other sessions that are named; the others are in the folder
 MOST_ASKED = 2**16  # bytes of a request beside its messages: the page asks without a body
 
+HERE = Path(__file__).parent
 # Scripts come last: what stands before them is seen while they load.
 PAGE = Template(
     "{% from macros import embed %}"
-    + skeleton("", "Loading the page …")
+    + (HERE / "parts" / "skeleton.html").read_text("utf-8")
     + "{{ bokeh_css }}{{ bokeh_js }}{% for root in docs[0].roots %}{{ embed(root) }}{% endfor %}"
     + "{{ plot_script }}</body></html>"
 )
@@ -209,8 +210,17 @@ def answer_only(application: Any, names: Collection[str]) -> None:
     application.find_handler = find
 
 
-def serve(channels: Mapping[str, Sessions], address: Address) -> None:
-    """Serve the workbench until Ctrl-C."""
+def serve(
+    channels: Mapping[str, Sessions], address: Address, told: str, folder: Path | None
+) -> None:
+    """Serve the workbench until Ctrl-C.
+
+    Args:
+        channels: as of `application`.
+        address: where.
+        told: that is printed once it can be reached.
+        folder: of the file that opens it in a browser; None opens none.
+    """
     server = pn.io.server.get_server(
         {"/": application(channels)},
         port=address.port,
@@ -225,8 +235,11 @@ def serve(channels: Mapping[str, Sessions], address: Address) -> None:
     )
     answer_only(server._tornado, address.names)
     server.start()
+    print(told, flush=True)
+    url = address.of(next(iter(channels.values())).last)
     try:
-        server.io_loop.start()
+        with nullcontext() if folder is None else opened_in_browser(url, folder):
+            server.io_loop.start()
     finally:
         for sessions in channels.values():
             sessions.stop()

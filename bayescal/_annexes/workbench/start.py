@@ -1,7 +1,4 @@
-"""The start of a server, before anything heavy is loaded: its address, and a page that stands meanwhile.
-
-Python's own server shows that page from the first half second on; Panel's takes over its port.
-"""
+"""The start of a server, before anything heavy is loaded: its address; and the workbench in a notebook."""
 
 from __future__ import annotations
 
@@ -10,12 +7,10 @@ import ipaddress
 import secrets
 import socket
 import tempfile
-import threading
 import webbrowser
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
-from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -27,17 +22,6 @@ if TYPE_CHECKING:
 
 LOOPBACK = "127.0.0.1"
 SESSION, FIRST = "session.json", "session_1"
-
-PARTS = Path(__file__).parent / "parts"
-# What is seen before the page is, its panes empty; also while the browser loads Panel's scripts.
-SKELETON = (PARTS / "skeleton.html").read_text("utf-8")
-LOOK = (PARTS / "waiting.html").read_text("utf-8")  # asks again until the workbench is there
-
-
-def skeleton(readings: str, doing: str) -> str:
-    """The page before there is one: HTML of its empty panes, with what is opened and what is being done."""
-    told = SKELETON.replace("{readings}", html_text(readings))
-    return told.replace("{doing}", html_text(doing))
 
 
 @dataclass(frozen=True)
@@ -132,61 +116,6 @@ def kept_sessions(folder: Path) -> list[str]:
     ]
     there.sort(key=lambda p: (p.stat().st_mtime_ns, p.parent.name))
     return [p.parent.name for p in there]
-
-
-class Waiting:
-    """The page while it stands.
-
-    Attributes:
-        doing: what is being done, a sentence; may be changed at any time.
-    """
-
-    def __init__(self, address: Address, readings: str, doing: str) -> None:
-        """Args:
-        address: whose path alone is served.
-        readings: what the workbench is about, in words.
-        doing: see above.
-        """
-        self.doing = doing
-        waiting = self
-
-        class Handler(BaseHTTPRequestHandler):
-            timeout = 10  # seconds for a request to come
-
-            def do_GET(self) -> None:
-                known = self.path.partition("?")[0].rstrip("/") == address.path
-                known = known and self.headers.get("Host", "").lower() in address.names
-                said = waiting._page(readings).encode() if known else b"not found"
-                self.send_response(200 if known else 404)
-                self.send_header("Content-Type", "text/html; charset=utf-8")
-                self.send_header("Content-Length", str(len(said)))
-                self.send_header("Cache-Control", "no-store")
-                if known:
-                    self.send_header("X-Bayescal-Waiting", "1")
-                self.end_headers()
-                self.wfile.write(said)
-
-            def log_message(self, format: str, *args: Any) -> None:
-                """Nothing: the terminal is the user's."""
-
-        self._server = ThreadingHTTPServer((address.host, address.port), Handler)
-        self._server.daemon_threads = True
-        self._thread = threading.Thread(
-            target=self._server.serve_forever, args=(0.05,), daemon=True
-        )
-        self._thread.start()
-
-    def _page(self, readings: str) -> str:
-        return f"{skeleton(readings, self.doing)}{LOOK}</body></html>"
-
-    def __enter__(self) -> Waiting:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        """Leave the port to the workbench."""
-        self._server.shutdown()
-        self._server.server_close()
-        self._thread.join()
 
 
 def workbench(

@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from contextlib import nullcontext
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from bayescal.workshop import (
-    Annex,
     Commands,
     Early,
     SearchRequest,
@@ -22,6 +20,7 @@ from bayescal.workshop import (
     reference_of,
     result_folder,
     searched,
+    tell,
     write_text,
 )
 
@@ -29,7 +28,6 @@ if TYPE_CHECKING:
     from bayescal import Effect
     from bayescal._annexes.workbench.serve import Sessions
     from bayescal._annexes.workbench.session import Session
-    from bayescal._annexes.workbench.start import Waiting
 
 commands = Commands(
     {
@@ -40,15 +38,7 @@ commands = Commands(
     }
 )
 
-
-class WorkbenchAnnex(Annex):
-    """The loop in a browser."""
-
-    def commands(self) -> Commands:
-        return commands
-
-
-ANNEX = WorkbenchAnnex()
+ANNEX = {"commands": commands}
 
 
 @commands.example(
@@ -81,15 +71,12 @@ def workbench(
         folders = {n: folder / inner for n, inner in folders_of(names).items()} or {"": folder}
         name = [start.FIRST, *start.kept_sessions(next(iter(folders.values())))][-1]
         told = ", ".join(p.name for p in asked.files)
+        tell("loading the workbench and fitting the first model …")
         said = f"bayescal workbench of {told}: {at.of(name)}\n(Ctrl-C ends it; kept in {folder})"
-        waiting = start.Waiting(at, told, "Loading the instrument …")
-        print(said, flush=True)
-        with nullcontext() if no_open else start.opened_in_browser(at.of(name), folder):
-            with waiting:
-                sessions = _sessions(asked, early, folders, name, waiting, trust or [])
-            from bayescal._annexes.workbench.serve import serve
+        sessions = _sessions(asked, early, folders, name, trust or [])
+        from bayescal._annexes.workbench.serve import serve
 
-            serve(sessions, at)
+        serve(sessions, at, said, None if no_open else folder)
     print("bayescal workbench: ended", flush=True)
 
 
@@ -98,13 +85,11 @@ def _sessions(
     early: Early,
     folders: Mapping[str, Path],
     name: str,
-    waiting: Waiting,
     trust: Sequence[Path],
 ) -> dict[str, Sessions]:
     """The sessions of a server, by channel ("" where there is one output); the first of them is open."""
     names = [n for n in folders if n]
     models, readings, kept = searched(names, asked, early)
-    waiting.doing = "Loading the page …"
     from bayescal._annexes.workbench.kept import Origin, SearchOptions
     from bayescal._annexes.workbench.serve import Sessions
     from bayescal._annexes.workbench.session import Session
@@ -133,7 +118,6 @@ def _sessions(
         return Sessions(folder, begin, go_on)
 
     found = {channel: of_channel(channel, folder) for channel, folder in folders.items()}
-    waiting.doing = "Fitting the first model …"
     begun = next(iter(found.values())).open(name)
     if begun.not_taken:
         print_notes([f"this session goes on as it was begun: {begun.not_taken}"])

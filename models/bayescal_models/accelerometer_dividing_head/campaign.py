@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from bayescal_models.simulated import refuse, refuse_options
+from bayescal_models.simulated import refuse_options
 
 
 @dataclass(frozen=True)
@@ -30,9 +30,10 @@ class Campaign:
     thermometer_noise: float = 0.1
 
     def __post_init__(self) -> None:
-        refuse(self.positions < 1, f"Campaign(positions={self.positions}): give at least one.")
-        refuse(not self.temperatures, "Campaign(temperatures=()): give at least one, °C.")
-        refuse(self.runs < 1, f"Campaign(runs={self.runs}): give at least one.")
         refuse_options(
-            self, positive=("dwell",), not_negative=("soak", "noise", "thermometer_noise")
+            self,
+            positive=("dwell",),
+            not_negative=("soak", "noise", "thermometer_noise"),
+            counts=("positions", "runs"),
+            filled=("temperatures",),
         )

@@ -24,9 +24,8 @@ Noise: white, of unknown size.
 
 from __future__ import annotations
 
-import jax.numpy as jnp
-
 import bayescal as bc
+from bayescal import xp
 from bayescal_models import catalogue, local_gravity
 from bayescal_models.accelerometer_dividing_head import COLUMNS, NOMINAL_SCALE
 from bayescal_models.accelerometer_dividing_head.campaign import Campaign
@@ -40,7 +39,7 @@ G = 1e6  # µg
 def _response(slots, r):
     angle = r["position_angle"] + slots["zero"]
     gravity = 1 + slots["gravity"]
-    a, across = gravity * jnp.sin(angle), gravity * jnp.cos(angle)
+    a, across = gravity * xp.sin(angle), gravity * xp.cos(angle)
     return _along(a, slots) + slots["cross_coupling"] * a * across
 
 
@@ -55,10 +54,10 @@ def _in_use(acceleration, slots, r):
 
 
 def _round(r):
-    return jnp.stack([jnp.cos(r["position_angle"]), jnp.sin(r["position_angle"])], axis=-1)
+    return xp.stack([xp.cos(r["position_angle"]), xp.sin(r["position_angle"])], axis=-1)
 
 
-CONSTANT = effect(one, "c", "position_angle")
+CONSTANT = effect(one, "c", "position_angle", kind="constant")
 WARM = effect(centred, "c·(T − T0)", "position_angle", "temperature")
 DIVIDING = effect(_round, "c·cos θ + s·sin θ", "position_angle", parts=("cos", "sin"))
 

@@ -34,9 +34,8 @@ def model(poses, output=None) -> None:
     kappa = 1e-6 * each("scale.constant", ("x", "y", "z"), 30_000.0)  # from ppm
     xy, xz, yz = 1e-3 * each("misalignment.constant", ("xy", "xz", "yz"), 20.0)  # from mrad
     with numpyro.plate("poses", poses):
-        arrow = numpyro.sample(
-            "arrow", Normal(jnp.zeros(3), 1.0).to_event(1)
-        )  # its direction is uniform
+        # its direction is uniform
+        arrow = numpyro.sample("arrow", Normal(jnp.zeros(3), 1.0).to_event(1))
     f = arrow / jnp.linalg.norm(arrow, axis=1, keepdims=True)
     y, z = f[:, 1], f[:, 2]
     turned = jnp.stack([xy * y + xz * z, yz * z, 0.0 * z], axis=1)

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from bayescal_models.simulated import Array, refuse
+from bayescal_models.simulated import Array, refuse, refuse_options
 
 G = 1e6  # µg
 RADIUS = 1.0  # m, of the arm (ours)
@@ -60,13 +60,8 @@ class Campaign:
             ValueError: no device in a group, fewer than 8 readings, an unknown profile, or ramps longer than
                 the plateaus.
         """
-        groups = f"Campaign(outer={self.outer}, inner={self.inner})"
-        refuse(min(self.outer, self.inner) < 1, f"{groups}: each group needs a device")
+        refuse_options(self, counts=("outer", "inner"), profile=PROFILES)
         refuse(self.samples < 8, f"Campaign(samples={self.samples}): give at least 8 readings")
-        refuse(
-            self.profile not in PROFILES,
-            f"Campaign(profile={self.profile!r}): choose {' or '.join(PROFILES)}",
-        )
         refuse(
             self.ramp * len(self.levels) >= self.duration,
             f"Campaign(ramp={self.ramp:g} s): {len(self.levels)} levels in {self.duration:g} s leave "

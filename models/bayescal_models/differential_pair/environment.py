@@ -11,11 +11,11 @@ from __future__ import annotations
 
 from typing import Any
 
-import jax.numpy as jnp
 import numpy as np
 from numpy.typing import NDArray
 
 import bayescal as bc
+from bayescal import xp
 
 ORDERS = 6  # of u and v: 0 … 5
 RATIO = 0.6  # of the prior standard deviations of neighbouring orders of u
@@ -55,11 +55,11 @@ def order_names(effect: str) -> list[str]:
 
 def _shared(r: bc.Frame) -> Any:
     parts = polynomials(r.progress)
-    return jnp.stack([1.0 + 0.0 * parts[0], *parts], axis=1)
+    return xp.stack([1.0 + 0.0 * parts[0], *parts], axis=-1)
 
 
 def _departure(r: bc.Frame) -> Any:
-    return jnp.stack(polynomials(r.progress), axis=1)
+    return xp.stack(polynomials(r.progress), axis=-1)
 
 
 def _departure_sizes(share: Any, falling: Any) -> Any:

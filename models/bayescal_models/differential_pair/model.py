@@ -26,9 +26,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
-import jax.numpy as jnp
-
 import bayescal as bc
+from bayescal import xp
 from bayescal_models import catalogue
 from bayescal_models.catalogue import EffectTable, Maker, effect, one, progress
 from bayescal_models.differential_pair import COLUMNS, NOMINAL_SCALE
@@ -52,7 +51,7 @@ def direction(r: bc.Frame) -> Any:
 
 def tangential(r: bc.Frame) -> Any:
     """r·dΩ/dt from the commanded acceleration, µg."""
-    speed = jnp.sqrt(jnp.maximum(r["acceleration"], 1e-6) * (RADIUS * G / GRAVITY))
+    speed = xp.sqrt(xp.maximum(r["acceleration"], 1e-6) * (RADIUS * G / GRAVITY))
     return slope(r, speed)  # r·Ω in units such that its derivative is in µg
 
 
@@ -76,8 +75,8 @@ def _softening(r: bc.Frame) -> Any:
     before, after = ends(r, r["acceleration"])
     bend = 3.0 * (before + after - 2.0 * r["acceleration"])
     varies = (after - before) ** 2 / 12.0 + bend**2 / 180.0
-    within = direction(r) * varies / jnp.maximum(r["acceleration"], 1.0)
-    return jnp.stack([outward, outward**2, within], axis=1)
+    within = direction(r) * varies / xp.maximum(r["acceleration"], 1.0)
+    return xp.stack([outward, outward**2, within], axis=-1)
 
 
 def _as_scale(readings: bc.Measurements) -> str:

@@ -10,10 +10,8 @@ from __future__ import annotations
 import math
 from typing import Any, ClassVar
 
-import jax
-import jax.numpy as jnp
-
 import bayescal as bc
+from bayescal import xp
 from bayescal_models.differential_pair.campaign import G
 
 SPLINE = math.sqrt(3.0) - 2.0
@@ -26,12 +24,12 @@ def slope(r: bc.Frame, values: Any) -> Any:
 
     A reading lasts from half way to the one before it to half way to the next.
     """
-    back = jnp.where(r.step > 0, r.step, 0.0)
-    ahead = jnp.append(back[1:], 0.0)
+    back = xp.where(r.step > 0, r.step, 0.0)
+    ahead = xp.append(back[1:], 0.0)
     sides = (back > 0).astype(float) + (ahead > 0)
-    lasts = jnp.zeros_like(back).at[r.order].set((back + ahead) / jnp.maximum(sides, 1.0))
+    lasts = xp.placed(r.order, (back + ahead) / xp.maximum(sides, 1.0))
     before, after = ends(r, values)
-    return (after - before) / jnp.where(lasts > 0, lasts, 1.0)
+    return (after - before) / xp.where(lasts > 0, lasts, 1.0)
 
 
 def ends(r: bc.Frame, values: Any) -> tuple[Any, Any]:
@@ -42,20 +40,20 @@ def ends(r: bc.Frame, values: Any) -> tuple[Any, Any]:
     with weights z^|j|, z = √3 − 2. Beyond its ends a record goes on as it stood there.
     Source: C. de Boor, A Practical Guide to Splines (1978), ch. VIII (area matching).
     """
-    ordered, place = jnp.asarray(values)[r.order], jnp.arange(r.size)
+    ordered, place = xp.asarray(values)[r.order], xp.arange(r.size)
     begins = r.step <= 0
-    first = jax.lax.cummax(jnp.where(begins, place, 0))
-    last = jax.lax.cummin(jnp.where(jnp.append(begins[1:], True), place, r.size - 1), reverse=True)
+    first = xp.maximum.accumulate(xp.where(begins, place, 0))
+    closing = xp.where(xp.append(begins[1:], True), place, r.size - 1)
+    last = xp.minimum.accumulate(closing[::-1])[::-1]
 
     def at(shift: int) -> Any:
-        return ordered[jnp.clip(place + shift, first, last)]
+        return ordered[xp.clip(place + shift, first, last)]
 
     weights = {j: SPLINE ** abs(j) for j in range(-REACH, REACH + 1)}
     total = 2.0 * sum(weights.values())
     before = sum(w * (at(j - 1) + at(j)) for j, w in weights.items()) / total
     after = sum(w * (at(j) + at(j + 1)) for j, w in weights.items()) / total
-    empty = jnp.zeros_like(ordered)
-    return empty.at[r.order].set(before), empty.at[r.order].set(after)
+    return xp.placed(r.order, before), xp.placed(r.order, after)
 
 
 class NoiseWhileChanging(bc.Noise):

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from bayescal_models.simulated import refuse, refuse_options
+
 MOUNTINGS = ("x", "y", "z", "-x", "-y", "-z")
 
 
@@ -37,14 +39,14 @@ class Campaign:
     runs: int = 1
 
     def __post_init__(self) -> None:
-        if unknown := sorted(set(self.mountings) - set(MOUNTINGS)):
-            raise ValueError(f"Campaign(mountings={unknown}): choose among {', '.join(MOUNTINGS)}.")
-        if not (self.mountings and self.rates and self.temperatures) or self.runs < 1:
-            raise ValueError("Campaign: give at least one mounting, rate, temperature and run.")
-        if not min(self.noise, self.mounting_uncertainty) >= 0 or not self.interval > 0:
-            raise ValueError(
-                "Campaign: noise and uncertainties must be 0 or more, interval above 0."
-            )
+        refuse_options(
+            self,
+            positive=("interval",),
+            not_negative=("noise", "mounting_uncertainty"),
+            counts=("runs",),
+            filled=("mountings", "rates", "temperatures"),
+            mountings=MOUNTINGS,
+        )
 
 
 @dataclass(frozen=True)
@@ -83,9 +85,7 @@ class MovesByHand:
     substeps: int = 16
 
     def __post_init__(self) -> None:
-        if self.poses < 2 or self.substeps < 1:
-            raise ValueError("MovesByHand: give at least two poses and one substep.")
-        if not min(self.still, self.move, self.rate) > 0:
-            raise ValueError("MovesByHand: still, move and rate must be above 0.")
-        if not min(self.gyro_noise, self.force_noise, self.shake) >= 0:
-            raise ValueError("MovesByHand: noise and shake must be 0 or more.")
+        not_negative = ("gyro_noise", "force_noise", "shake")
+        positive = ("still", "move", "rate")
+        refuse_options(self, positive=positive, not_negative=not_negative, counts=("substeps",))
+        refuse(self.poses < 2, "MovesByHand: give at least two poses.")

@@ -34,9 +34,8 @@ Noise: white, one standard deviation for all three axes; of moves beside the kno
 
 from __future__ import annotations
 
-import jax.numpy as jnp
-
 import bayescal as bc
+from bayescal import xp
 from bayescal_models.catalogue import EffectTable, family, one
 from bayescal_models.gyro_triad import COLUMNS, OUTPUTS
 from bayescal_models.gyro_triad.simulator import simulated_columns
@@ -66,11 +65,11 @@ ANGLES = (*UPPER, *LOWER)
 
 
 def _stacked(values, names):
-    return jnp.stack([values[name] for name in names], axis=1)
+    return xp.stack([values[name] for name in names], axis=-1)
 
 
 def _acting(r):
-    rate = r["rate"][:, None] * _stacked(r, DIRECTION)
+    rate = r["rate"][..., None] * _stacked(r, DIRECTION)
     return rate + _stacked(r, EARTH) if EARTH[0] in r.columns else rate
 
 
@@ -79,7 +78,7 @@ def _equation(slots, r):
     if GRAVITY[0] not in r.columns:
         return outputs
     each = _stacked(slots, SENSITIVITY).reshape(r.size, 3, 3)
-    by_gravity = jnp.sum(each * _stacked(r, GRAVITY)[:, None, :], axis=2)
+    by_gravity = xp.sum(each * _stacked(r, GRAVITY)[:, None, :], axis=-1)
     return lambda rate: outputs(rate) + by_gravity
 
 
@@ -95,7 +94,7 @@ VECTOR = bc.Vector(
 
 def _in_moves(slots, r):
     """Means along directions that turn with the unit, as moves between poses give them: linear in all slots."""
-    identity = jnp.eye(3).ravel()
+    identity = xp.eye(3).ravel()
     levers = (
         (ACROSS, BIAS),
         (TURNED, FIRST),
@@ -103,18 +102,18 @@ def _in_moves(slots, r):
         (SQUARED, SQUARE),
         (AROUND, AROUND),
     )
-    total = jnp.sum(_stacked(r, TURNED) * identity, axis=1)
+    total = xp.sum(_stacked(r, TURNED) * identity, axis=-1)
     for columns, own in levers:
-        total = total + jnp.sum(_stacked(r, columns) * _stacked(slots, own), axis=1)
+        total = total + xp.sum(_stacked(r, columns) * _stacked(slots, own), axis=-1)
     return total
 
 
 def _response(slots, r):
     if TURNED[0] in r.columns:
         return _in_moves(slots, r)
-    aside = jnp.cross(_stacked(slots, TURN), _stacked(r, DIRECTION))
-    beside = r["rate"][:, None] * aside
-    return VECTOR.response(slots, r) + jnp.sum(_stacked(r, ACROSS) * beside, axis=1)
+    aside = xp.cross(_stacked(slots, TURN), _stacked(r, DIRECTION))
+    beside = r["rate"][..., None] * aside
+    return VECTOR.response(slots, r) + xp.sum(_stacked(r, ACROSS) * beside, axis=-1)
 
 
 def _at_each_mounting(r):

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 from itertools import product
 
@@ -95,24 +94,19 @@ class Campaign:
     reversal: float = 2.0
 
     def __post_init__(self) -> None:
-        counts = {"devices": self.devices, "runs": self.runs, "axes": len(self.axes)}
-        for name, count in counts.items():
-            refuse(count < 1, f"Campaign({name}): {count} of them; give at least 1.")
         refuse_options(
             self,
             positive=("interval", "period", "lag_time", "settling_time", "reversal"),
             not_negative=("noise", "dividing", "repeatability", "swing", "pause", "device_spread"),
+            counts=("devices", "runs"),
+            filled=("axes",),
         )
         refuse(
             len(self.grid) and {label for label, _ in self.axes} != {"x", "y"},
             "Campaign(grid=…): a verification needs the axes x and y.",
         )
         for angle in (*self.angles, *self.grid):
-            possible_angle = math.isfinite(angle) and abs(angle) <= 90
-            refuse(
-                not possible_angle,
-                f"Campaign: an angle of {angle!r}°; give degrees from −90 to 90.",
-            )
+            refuse(not abs(angle) <= 90, f"Campaign: an angle of {angle!r}°: from −90 to 90.")
 
     def pairs(self) -> np.ndarray:
         """Tilts (x, y) of a verification in the order of the test, rad, (points, 2)."""

@@ -154,14 +154,13 @@ def _refuse(calibration, rx, ry, law, axes) -> None:
         raise bc.InputError(
             f"readings of x and y must be vectors of one length, these are {rx.shape} and {ry.shape}"
         )
-    if not (np.all(np.isfinite(rx)) and np.all(np.isfinite(ry))):
-        raise bc.InputError("readings of x and y must be finite numbers in rad")
     for axis, reading in zip(axes, (rx, ry), strict=True):
-        if np.any(np.abs(reading) > MOST):
-            row = int(np.argmax(np.abs(reading) > MOST))
+        wrong = ~(np.abs(reading) <= MOST)
+        if np.any(wrong):
+            row = int(np.argmax(wrong))
             raise bc.InputError(
-                f"reading {row + 1} of axis {axis!r} is {reading[row]:g} rad, beyond a right angle: give radians, "
-                "such as np.deg2rad(readings)"
+                f"reading {row + 1} of axis {axis!r} is {reading[row]:g} rad, no angle up to a right one: give "
+                "radians, such as np.deg2rad(readings)"
             )
     for axis in axes:
         if axis not in (known := calibration.levels["axis"]):

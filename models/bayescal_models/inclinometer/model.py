@@ -43,11 +43,11 @@ from __future__ import annotations
 from functools import partial
 from typing import Any
 
-import jax.numpy as jnp
 import numpy as np
 from scipy.interpolate import CubicSpline
 
 import bayescal as bc
+from bayescal import xp
 from bayescal_models.catalogue import EffectTable, Maker, centred, effect, one, progress, recorded
 from bayescal_models.inclinometer import COLUMNS
 from bayescal_models.inclinometer.campaign import Campaign
@@ -59,14 +59,14 @@ KNOTS = np.deg2rad(np.arange(-45.0, 46.0, 15.0))  # of the spline table
 
 
 def _response(slots, r):
-    leak = slots["cross_axis"] * jnp.sin(r["placement_angle"])
+    leak = slots["cross_axis"] * xp.sin(r["placement_angle"])
     rig = slots["dividing"] + slots["base_tilt"]
     if "true_angle" not in r.columns:
         return slots["zero"] + leak + rig
     tilt = r["true_angle"] + ARCSEC * rig
     zero = ARCSEC * slots["zero"]
-    sine = sensed(jnp.sin(tilt), zero, jnp.cos(tilt), 0.0, slots["scale"], ARCSEC * leak)
-    return jnp.arcsin(jnp.clip(sine, -1.0, 1.0)) / ARCSEC
+    sine = sensed(xp.sin(tilt), zero, xp.cos(tilt), 0.0, slots["scale"], ARCSEC * leak)
+    return xp.arcsin(xp.clip(sine, -1.0, 1.0)) / ARCSEC
 
 
 # Bases.
@@ -81,7 +81,7 @@ def _sweep(r: bc.Frame) -> Any:
 
 
 def _of_tilt(r: bc.Frame) -> Any:
-    return 1 / jnp.cos(r["true_angle"])
+    return 1 / xp.cos(r["true_angle"])
 
 
 def _of_tilt_from_level(r: bc.Frame) -> Any:
@@ -89,17 +89,17 @@ def _of_tilt_from_level(r: bc.Frame) -> Any:
 
 
 def _exact_less_linear(r: bc.Frame) -> Any:
-    return exact_placement(r["true_angle"], r["placement_angle"], jnp) - r["placement_angle"]
+    return exact_placement(r["true_angle"], r["placement_angle"], xp) - r["placement_angle"]
 
 
 def _waves(orders: tuple[int, ...], r: bc.Frame) -> Any:
     angle = r["placement_angle"]
-    return jnp.stack([f(m * angle) for m in orders for f in (jnp.cos, jnp.sin)], axis=1)
+    return xp.stack([f(m * angle) for m in orders for f in (xp.cos, xp.sin)], axis=-1)
 
 
 def _exact_waves(r: bc.Frame) -> Any:
-    angle = exact_placement(r["true_angle"], r["placement_angle"], jnp)
-    return jnp.stack([jnp.cos(angle), jnp.sin(angle)], axis=1)
+    angle = exact_placement(r["true_angle"], r["placement_angle"], xp)
+    return xp.stack([xp.cos(angle), xp.sin(angle)], axis=-1)
 
 
 def _spline(r: bc.Frame) -> Any:
@@ -107,13 +107,13 @@ def _spline(r: bc.Frame) -> Any:
     angle = r["placement_angle"]
     spline = CubicSpline(KNOTS, np.eye(KNOTS.size), bc_type="natural")
     low, high = KNOTS[0], KNOTS[-1]
-    inside = jnp.clip(angle, low, high)
+    inside = xp.clip(angle, low, high)
     step = KNOTS[1] - KNOTS[0]
-    piece = jnp.clip(jnp.floor((inside - low) / step).astype(int), 0, KNOTS.size - 2)
-    h = (inside - low - piece * step)[:, None]
-    c = jnp.asarray(spline.c)[:, piece]
-    slope = jnp.where((angle < low)[:, None], spline(low, 1), spline(high, 1))
-    return c[3] + h * (c[2] + h * (c[1] + h * c[0])) + (angle - inside)[:, None] * slope
+    piece = xp.clip(xp.floor((inside - low) / step).astype(int), 0, KNOTS.size - 2)
+    h = (inside - low - piece * step)[..., None]
+    c = xp.take(spline.c, piece, axis=1)
+    slope = xp.where((angle < low)[..., None], spline(low, 1), spline(high, 1))
+    return c[3] + h * (c[2] + h * (c[1] + h * c[0])) + (angle - inside)[..., None] * slope
 
 
 def _one_way(readings: bc.Measurements) -> str | None:
@@ -149,6 +149,7 @@ FORWARD = _each(
     "direction",
     varies=(),
     untestable=_one_way,
+    kind="hysteresis",
 )
 PROJECTED = _each(
     partial(_waves, (1,)),
@@ -182,8 +183,8 @@ SPINDLE = effect(
 LEAK = _each(one, "m·sin ω", "placement_angle", slot="cross_axis")
 S_E_TILT = _each(_of_tilt_from_level, "S_e·(1/cos x − 1)", "true_angle")
 S_E = _each(_of_tilt, "S_e/cos x", "true_angle", varies=())
-SETTLING = _each(progress, "c·(t − t̄)/(tmax − tmin)", "time")
-WARM = _each(centred, "c·(T − T0)", "temperature")
+SETTLING = _each(progress, "c·(t − t̄)/(tmax − tmin)", "time", kind="drift")
+WARM = _each(centred, "c·(T − T0)", "temperature", kind="linear")
 AXIS_LINE, DEVICE_LINE = (
     _drawn(per, _of_placement(1)[1], _of_placement(1)[0], "placement_angle")
     for per in ("axis", "device")
@@ -194,19 +195,24 @@ TWO_LINES = "source 4: its two lines have 0.72 and 0.07″/deg"
 EFFECTS = EffectTable.of(
     "source 4; size ours",
     baseline=(
-        ("zero.constant", _each(one, "c[axis]"), 1000.0, "arcsec", ZERO),
+        ("zero.constant", _each(one, "c[axis]", kind="constant"), 1000.0, "arcsec", ZERO),
         ("zero.placement", _each(*_of_placement(1)), 2.0, "arcsec/deg", TWO_LINES),
         ("zero.run", _drawn("run"), 2.0, "arcsec"),
     ),
     candidates=(
-        ("zero.placement_quadratic", _each(*_of_placement(2)), 0.005, "arcsec/deg^2"),
+        (
+            "zero.placement_quadratic",
+            _each(*_of_placement(2), kind="quadratic"),
+            0.005,
+            "arcsec/deg^2",
+        ),
         ("zero.projection", PROJECTED, 100.0, "arcsec"),
         ("zero.temperature", WARM, 2.0, "arcsec/degC"),
         ("zero.hysteresis", FORWARD, 2.0, "arcsec"),
         ("zero.cross_axis", LEAK, 100.0, "arcsec"),
         ("zero.electrical_tilt", S_E_TILT, 100.0, "arcsec"),
         ("zero.exact_placement", EXACT_LESS_Y, 2.0, "arcsec/deg"),
-        ("scale.constant", _each(one, "κ", "true_angle"), 100.0, "ppm"),
+        ("scale.constant", _each(one, "κ", "true_angle", kind="constant"), 100.0, "ppm"),
         ("dividing.wobble", SPINDLE, 2.0, "arcsec", FACE),
         ("dividing.face", effect(one, "c"), 2.0, "arcsec", FACE),
         ("base_tilt.drift", SETTLING, 2.0, "arcsec"),
@@ -222,7 +228,7 @@ EFFECTS = EffectTable.of(
         ),
     ),
     others=(
-        ("zero.placement_cubic", _each(*_of_placement(3)), 1e-4, "arcsec/deg^3"),
+        ("zero.placement_cubic", _each(*_of_placement(3), kind="cubic"), 1e-4, "arcsec/deg^3"),
         ("zero.table", SPLINE, 20.0, "arcsec"),
         ("zero.electrical", S_E, 1000.0, "arcsec"),
         ("zero.projection_exact", PROJECTED_EXACTLY, 100.0, "arcsec"),

@@ -96,43 +96,20 @@ class Campaign:
     step_fraction: float = 0.45
 
     def __post_init__(self) -> None:
-        positive = ("dwell", "runs", "chamber_time", "chamber_ramp", "logging_interval", "average")
-        positive += (
-            "sensitivity",
-            "package_time",
-            "lag_time",
-            "slow_time",
-            "board_time",
-            "warm_up_time",
-        )
+        positive = ("dwell", "chamber_time", "chamber_ramp", "logging_interval", "average")
+        positive += ("sensitivity", "package_time", "lag_time", "slow_time", "board_time")
+        step = () if self.converter_step is None else ("converter_step",)
         refuse_options(
             self,
-            positive=(*positive, "wander_time", "period"),
-            not_negative=("pause", "noise", "wander", "thermometer_noise"),
+            positive=(*positive, *step, "warm_up_time", "wander_time", "period"),
+            not_negative=("pause", "noise", "wander", "thermometer_noise", "step_fraction"),
+            counts=("runs",),
+            filled=("temperatures",),
             law=("line", "resonance"),
         )
-        refuse(
-            not 0 <= self.step_fraction <= 1,
-            f"Campaign(step_fraction={self.step_fraction!r}): give a share from 0 to 1.",
-        )
-        refuse(
-            self.runs != int(self.runs),
-            f"Campaign(runs={self.runs!r}): give a whole number of runs.",
-        )
-        refuse(
-            self.converter_step is not None and not self.converter_step > 0,
-            f"Campaign(converter_step={self.converter_step!r}): give a step in V above 0, or None for no rounding.",
-        )
-        refuse(
-            self.noise_degrees <= 2,
-            f"Campaign(noise_degrees={self.noise_degrees!r}): Student-t noise has a standard "
-            "deviation only above 2 degrees of freedom; give more than 2.",
-        )
-        refuse(
-            not self.temperatures or self.rate_input == (),
-            "Campaign: `temperatures` and `rate_input` need at least one value each; "
-            "rate_input=None leaves the gyro at rest.",
-        )
+        refuse(self.step_fraction > 1, "Campaign: step_fraction is a share, at most 1.")
+        refuse(self.noise_degrees <= 2, "Campaign: noise_degrees must be above 2.")
+        refuse(self.rate_input == (), "Campaign: rate_input=None leaves the gyro at rest.")
         # Every time of the plan is a multiple of the next shorter one, ending at the grid.
         grid = ("the integration grid", GRID)
         average, logging = ((n, getattr(self, n)) for n in ("average", "logging_interval"))

@@ -23,10 +23,8 @@ them with data-sheet values.
 
 from __future__ import annotations
 
-import jax.numpy as jnp
-
 import bayescal as bc
-from bayescal import effects
+from bayescal import effects, xp
 from bayescal_models import catalogue
 from bayescal_models.catalogue import MINUTE, EffectTable, centred, effect, one
 from bayescal_models.mems_gyro import COLUMNS, NOMINAL_SCALE, THERMOMETER_SD, VOLTAGE_STEP
@@ -46,7 +44,7 @@ def _board(r):
 
 def _denominator(change, k_drive, k_sense, ratio, quality):
     drive, sense = 1 - k_drive * change, 1 - k_sense * change
-    return jnp.sqrt((ratio**2 * sense - drive) ** 2 + drive / quality**2)
+    return xp.sqrt((ratio**2 * sense - drive) ** 2 + drive / quality**2)
 
 
 def _held_amplitude(r, k_drive, k_sense, ratio, quality):
@@ -56,7 +54,7 @@ def _held_amplitude(r, k_drive, k_sense, ratio, quality):
 
 
 def _held_force(r, k_drive, k_sense, ratio, quality):
-    softening = 1 / jnp.sqrt(1 - k_drive * r.centred())
+    softening = 1 / xp.sqrt(1 - k_drive * r.centred())
     return (1 + _held_amplitude(r, k_drive, k_sense, ratio, quality)) * softening - 1
 
 
@@ -74,7 +72,7 @@ FORCE = effect(
 )
 LAG = catalogue.thermal_lag(MINUTE, 20 * MINUTE, 0.1, "deg/s", rate=(0.1, "deg/s/(degC/min)"))
 BOARD = effect(_board, "c·(T_board − T_board,0)", "board_temperature")
-ON_RATE = effect(one, "c", "rate_input")
+ON_RATE = effect(one, "c", "rate_input", kind="constant")
 ON_RATE_OVER_TEMPERATURE = effect(centred, "c·(T − T0)", "temperature", "rate_input")
 ELECTRONICS = (
     "source 1 names the reference voltage and the electronics as possible causes; size ours"

@@ -15,6 +15,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from bayescal_models.simulated import refuse_options
+
 
 def resonance_denominator(
     temperature: ArrayLike,
@@ -70,11 +72,7 @@ class Resonance:
     held: str = "amplitude"
 
     def __post_init__(self) -> None:
-        if self.held not in ("amplitude", "force"):
-            raise ValueError(
-                f"Resonance(held={self.held!r}): the drive loop holds 'amplitude' or 'force'; "
-                "choose one of the two."
-            )
+        refuse_options(self, held=("amplitude", "force"))
 
     def zero_rate(self, temperature: ArrayLike, T0: float, constant: float) -> NDArray[np.float64]:
         """Zero-rate output, °/s: `constant + q·(D(T0)/D(T)·f − 1)`, so `constant` at T0.

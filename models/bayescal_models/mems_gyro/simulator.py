@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from bayescal_models import simulated
 from bayescal_models.mems_gyro.campaign import GRID, Campaign
-from bayescal_models.simulated import Array, Clock, Simulated, correlated
+from bayescal_models.simulated import Array, Clock, Simulated, correlated, refuse
 
 NOISE_LAWS = ("white", "student_t", "ornstein_uhlenbeck")
 SILICON_TEMPERATURE = (
@@ -222,7 +222,14 @@ def simulate_arrays(
         ValueError: an effect or a noise law of an unknown name, or a size that is not finite.
     """
     campaign, effects = campaign or Campaign(), dict(effects or {})
-    _check(effects, noise_law)
+    known = f"known are {', '.join(NOISE_LAWS)}"
+    refuse(noise_law not in NOISE_LAWS, f"simulate_arrays(noise_law={noise_law!r}): {known}.")
+    of_campaign = effects.keys() & {"bias.temperature", "bias.constant"}
+    refuse(
+        of_campaign,
+        f"{', '.join(of_campaign)}: of the baseline; set Campaign(slope=…, constant=…).",
+    )
+    simulated.refuse_effects(effects, LAWS, "a gyro campaign")
     names = ("noise", "wander", "thermometer", "run", "humidity", "supply")
     generators = simulated.generators(names, seed)
     world = World(campaign, generators)
@@ -253,22 +260,6 @@ def simulate_arrays(
 
 
 simulated_columns = simulated.columns_of(simulate_arrays)
-
-
-def _check(effects: Mapping[str, float], noise_law: str) -> None:
-    """Refuse names that are not known here, and sizes that are no numbers."""
-    if noise_law not in NOISE_LAWS:
-        raise ValueError(
-            f"simulate_arrays(noise_law={noise_law!r}): known are {', '.join(NOISE_LAWS)}; "
-            "choose one of them."
-        )
-    for name, option in (("bias.temperature", "slope"), ("bias.constant", "constant")):
-        if name in effects:
-            raise ValueError(
-                f"simulate_arrays: {name!r} belongs to the baseline, not to the hidden effects; "
-                f"set Campaign({option}=…) instead."
-            )
-    simulated.refuse_effects(effects, LAWS, "a gyro campaign")
 
 
 def _baseline(campaign: Campaign, world: World) -> Array:

@@ -128,22 +128,17 @@ class Campaign:
             ValueError: it has no reading, one temperature, a time that is negative or off the grid, or an input
                 beyond full scale.
         """
-        for name in ("positions", "runs", "repeats"):
-            value = getattr(self, name)
-            refuse(value < 1, f"Campaign({name}={value}): needs at least 1")
-        refuse(not self.tilts, "Campaign(tilts=()): needs at least one tilt of the face, rad")
-        refuse(
-            len(set(self.temperatures)) < 2,
-            f"Campaign(temperatures={self.temperatures}): a temperature model needs at least "
-            "two different set points",
-        )
+        several = len(set(self.temperatures)) > 1
+        refuse(not several, "Campaign: a temperature model needs two different set points.")
         refuse(
             self.reading_time <= 0 or self.reading_time % GRID,
-            f"Campaign(reading_time={self.reading_time:g}): must be a positive multiple of "
-            f"{GRID:g} s, the step of the simulation",
+            f"Campaign(reading_time={self.reading_time:g}): must be a positive multiple of {GRID:g} s",
         )
         times = ("soak", "move_time", "pause", "noise", "thermometer_noise", "chamber_wander")
-        refuse_options(self, positive=("ramp",), not_negative=times)
+        counts = ("positions", "runs", "repeats")
+        refuse_options(
+            self, positive=("ramp",), not_negative=times, counts=counts, filled=("tilts",)
+        )
         for tilt, position in self.set_ups or [(tilt, math.pi / 2) for tilt in self.tilts]:
             asked = abs(1e6 * math.sin(tilt) * math.sin(position))
             refuse(

@@ -37,13 +37,11 @@ from __future__ import annotations
 
 from typing import Any, NamedTuple
 
-import jax
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
 import bayescal as bc
-from bayescal import effects
+from bayescal import effects, xp
 from bayescal_models import catalogue, local_gravity
 from bayescal_models.catalogue import (
     HOUR,
@@ -98,11 +96,11 @@ def accelerations(
         fixture_tilt: γ1, of the input axis out of the face.
         parallel, perp: γ2∥ and γ2⊥, of the base along θ = 0 and along θ = 90°.
     """
-    e0 = jnp.sin(parallel)
-    e90 = jnp.cos(parallel) * jnp.sin(tilt + perp)
-    n = jnp.cos(parallel) * jnp.cos(tilt + perp)
-    in_face = e0 * jnp.cos(angle) + e90 * jnp.sin(angle)
-    return Accelerations(G * (jnp.cos(fixture_tilt) * in_face + jnp.sin(fixture_tilt) * n), n)
+    e0 = xp.sin(parallel)
+    e90 = xp.cos(parallel) * xp.sin(tilt + perp)
+    n = xp.cos(parallel) * xp.cos(tilt + perp)
+    in_face = e0 * xp.cos(angle) + e90 * xp.sin(angle)
+    return Accelerations(G * (xp.cos(fixture_tilt) * in_face + xp.sin(fixture_tilt) * n), n)
 
 
 def _response(slots, r):
@@ -137,15 +135,15 @@ def _in_use(a, slots, r):
 def turned(r: bc.Frame, share: Float[Array, "n"] | float = 1.0) -> Float[Array, "n 4"]:
     """cos mθ and sin mθ, m = 2 and 3, times `share`."""
     angle = r["position_angle"]
-    waves = [wave(m * angle) for m in HARMONICS for wave in (jnp.cos, jnp.sin)]
-    return jnp.stack(waves, axis=1) * jnp.reshape(jnp.asarray(share), (-1, 1))
+    waves = [wave(m * angle) for m in HARMONICS for wave in (xp.cos, xp.sin)]
+    return xp.stack(waves, axis=-1) * xp.reshape(xp.asarray(share), (-1, 1))
 
 
 def tides(r: bc.Frame) -> Float[Array, "n 20"]:
     """cos and sin of every constituent, for one component of the base tilt and then for the other."""
-    phase = [2 * jnp.pi * r["time"] / (hours * HOUR) for hours, _ in TIDE.values()]
-    waves = [wave(p) for p in phase for wave in (jnp.cos, jnp.sin)]
-    return jnp.stack([*waves, *waves], axis=1)
+    phase = [2 * xp.pi * r["time"] / (hours * HOUR) for hours, _ in TIDE.values()]
+    waves = [wave(p) for p in phase for wave in (xp.cos, xp.sin)]
+    return xp.stack([*waves, *waves], axis=-1)
 
 
 def direction(r: bc.Frame) -> Float[Array, "n"]:
@@ -159,13 +157,12 @@ def direction(r: bc.Frame) -> Float[Array, "n"]:
     def advance(state, row):
         stood, sign = state
         now, begins = row
-        moved = jnp.abs(now - stood) > DEAD_BAND
-        sign = jnp.where(begins, 0.0, jnp.where(moved, jnp.sign(now - stood), sign))
-        return (jnp.where(begins | moved, now, stood), sign), sign
+        moved = xp.abs(now - stood) > DEAD_BAND
+        sign = xp.where(begins, 0.0, xp.where(moved, xp.sign(now - stood), sign))
+        return (xp.where(begins | moved, now, stood), sign), sign
 
-    start = (temperature[0], jnp.zeros(()))
-    _, signs = jax.lax.scan(advance, start, (temperature, first))
-    return jnp.zeros_like(signs).at[r.order].set(signs)
+    start = (temperature[0], xp.zeros(()))
+    return xp.placed(r.order, xp.scan(advance, start, (temperature, first)))
 
 
 def one_direction(readings: bc.Measurements) -> str | None:
@@ -194,7 +191,7 @@ def _turned_by_temperature(r: bc.Frame) -> Float[Array, "n 4"]:
 
 
 def _once_round(r: bc.Frame) -> Float[Array, "n 2"]:
-    return jnp.stack([jnp.cos(r["position_angle"]), jnp.sin(r["position_angle"])], axis=1)
+    return xp.stack([xp.cos(r["position_angle"]), xp.sin(r["position_angle"])], axis=-1)
 
 
 # Families of this instrument.
@@ -243,6 +240,7 @@ TURNED = effect(
     f"c·sign(T − T of the previous cell),  0 in the first; dead band {DEAD_BAND:g} °C",
     *("time", "temperature"),
     untestable=one_direction,
+    kind="hysteresis",
 )
 OF_RUNS = effect(
     centred,
@@ -259,9 +257,13 @@ POSITION = effect(
     parts=LOBES,
 )
 LABORATORY = _base(_laboratory, "c·(L − L0), one c for each component", "lab_temperature")
-WARM_BASE = _base(centred, "c·(T − T0), one c for each component", "temperature")
+WARM_BASE = _base(centred, "c·(T − T0), one c for each component", "temperature", kind="linear")
 SETTLING = _base(
-    progress, "c·(t − t̄)/(tmax − tmin), one c for each component", "time", varies=("time",)
+    progress,
+    "c·(t − t̄)/(tmax − tmin), one c for each component",
+    "time",
+    varies=("time",),
+    kind="drift",
 )
 K2, K3, KIP = (effect(one, symbol, "position_angle") for symbol in ("K2", "K3", "Kip"))
 WARM_KIP = effect(centred, "c·(T − T0)", "position_angle", "temperature")
@@ -293,7 +295,12 @@ EFFECTS = EffectTable.of(
             "source 0: within 2′, taken as 95 %",
         ),
         ("fixture_tilt.cell", CELL, 5.0, "urad"),
-        ("base_tilt.constant", _base(one, "c, one for each component"), 1.0, "arcsec"),
+        (
+            "base_tilt.constant",
+            _base(one, "c, one for each component", kind="constant"),
+            1.0,
+            "arcsec",
+        ),
         ("base_tilt.cell", CELL_OF_BASE, 1.0, "urad"),
         ("rotation.constant", catalogue.constant, 0.1, "deg"),
         ("tilt.setting", SETTING, 1.0, "arcsec", "source 0: the table's angles are good to 1″"),

@@ -102,27 +102,16 @@ class Campaign:
             device=DEVICES,
             noise_law=NOISE_LAWS,
         )
-        refuse(
-            not 0 <= self.coupling < 1,
-            f"Campaign(coupling={self.coupling!r}): give a share from 0 to below 1.",
-        )
-        refuse(
-            len(set(self.temperatures)) < 2,
-            f"Campaign(temperatures={self.temperatures!r}): a temperature model needs at least two.",
-        )
+        refuse(not 0 <= self.coupling < 1, "Campaign: coupling is a share, from 0 to below 1.")
+        several = len(set(self.temperatures)) > 1
+        refuse(not several, "Campaign: a temperature model needs at least two temperatures.")
         refuse(
             not self.repeats and not (self.attitudes and self.ramp_speeds),
             "Campaign: neither a tumble run nor a ramp is left; plan at least one.",
         )
-        refuse(
-            any(not speed > 0 for speed in self.ramp_speeds),
-            f"Campaign(ramp_speeds={self.ramp_speeds!r}): give speeds above 0.",
-        )
+        refuse(not all(v > 0 for v in self.ramp_speeds), "Campaign: ramp_speeds are above 0.")
         own = f"Campaign(average={self.average!r})"
         for name in ("interval", "position_time"):
             most = getattr(self, name)
-            refuse(
-                self.average > most,
-                f"{own}: longer than {name} ({most:g} s); shorten the average, or lengthen the other.",
-            )
+            refuse(self.average > most, f"{own}: longer than {name} ({most:g} s); change one.")
         refuse(self.average < GRID, f"{own}: give at least {GRID:g} s.")

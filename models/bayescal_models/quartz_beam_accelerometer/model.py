@@ -32,11 +32,10 @@ from collections.abc import Callable, Iterator
 from functools import partial
 from typing import Any
 
-import jax
-import jax.numpy as jnp
 import numpy as np
 
 import bayescal as bc
+from bayescal import xp
 from bayescal_models import catalogue
 from bayescal_models.catalogue import MINUTE, SIGNS, EffectTable, Maker, effect, one
 from bayescal_models.quartz_beam_accelerometer import COLUMNS, NOMINAL_SCALE, PER_G
@@ -101,11 +100,10 @@ def _slipped(r: bc.Frame) -> Any:
 
     def advance(seat, row):
         now, begin = row
-        seat = jnp.where(begin, now, jnp.clip(seat, now - SLIP, now + SLIP))
+        seat = xp.where(begin, now, xp.clip(seat, now - SLIP, now + SLIP))
         return seat, (now - seat) / SLIP
 
-    _, strain = jax.lax.scan(advance, here[0], (here, begins))
-    return jnp.zeros_like(strain).at[r.order].set(strain)
+    return xp.placed(r.order, xp.scan(advance, here[0], (here, begins)))
 
 
 def _one_way(readings: bc.Measurements) -> str | None:
@@ -124,6 +122,7 @@ def _one_way(readings: bc.Measurements) -> str | None:
 
 # Families of this instrument.
 
+POWERS = ("", "linear", "quadratic", "cubic", "quartic", "")
 T1, T2 = BOTH = ("temperature_circuit", "temperature_head")
 
 
@@ -139,26 +138,33 @@ def _either(basis: Callable[..., Any], equation: str, *columns: str, **more: Any
 
 
 def _t1(n: int) -> Maker:
-    return _either(partial(_power, circuit, n), f"c·(t1 − T0){SIGNS[n - 1]}", *BOTH, along=T1)
+    return _either(
+        partial(_power, circuit, n), f"c·(t1 − T0){SIGNS[n - 1]}", *BOTH, along=T1, kind=POWERS[n]
+    )
 
 
 def _t2(n: int) -> Maker:
-    return _either(partial(_power, head, n), f"c·(t2 − T0){SIGNS[n - 1]}", T2, along=T2)
+    return _either(
+        partial(_power, head, n), f"c·(t2 − T0){SIGNS[n - 1]}", T2, along=T2, kind=POWERS[n]
+    )
 
 
 def _difference(n: int) -> Maker:
-    return _either(partial(_power, gradient, n), f"c·(t1 − t2){SIGNS[n - 1]}", *BOTH)
+    kind = POWERS[n] if n > 1 else ""  # its first column is no gradient
+    return _either(partial(_power, gradient, n), f"c·(t1 − t2){SIGNS[n - 1]}", *BOTH, kind=kind)
 
 
 def _of_sum(n: int) -> Maker:
     nominal = f"F0 = {FREQUENCY_SUM:g} Hz, F' = {FREQUENCY_TEMPCO:g} Hz/°C"
     equation = f"c·((F − F0)/F'){SIGNS[n - 1]},  {nominal}"
-    return _either(partial(_power, _shown, n), equation, "frequency_sum", along=None)
+    return _either(
+        partial(_power, _shown, n), equation, "frequency_sum", along=None, kind=POWERS[n]
+    )
 
 
 def _rate(column: str, sign: str) -> Maker:
     basis, along = partial(_slope, column), f"{column} rate"
-    return _either(basis, f"c·d{sign}/dt", "time", column, along=along)
+    return _either(basis, f"c·d{sign}/dt", "time", column, along=along, kind="rate")
 
 
 def _by_rate(of: Callable[[bc.Frame], Any], column: str, sign: str) -> Maker:
@@ -185,6 +191,7 @@ SLIPPING = _either(
     *("time", T2),
     untestable=_one_way,
     along=None,
+    kind="hysteresis",
 )
 
 # Rows of both slots: cause, family, size for the bias, µg, what that is per, and the source where it is another. For

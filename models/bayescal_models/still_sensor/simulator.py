@@ -15,6 +15,7 @@ from bayescal_models.simulated import (
     SUPPLY,
     correlated,
     first_order_body,
+    refuse,
     refuse_effects,
     supplied,
     wandering_supply,
@@ -111,10 +112,9 @@ def simulated_columns(
     """
     sizes = {**BASELINE, **(effects or {})}
     refuse_effects(sizes, _LAWS, "a sensor at rest")
-    if noise_law not in NOISE_LAWS:
-        raise ValueError(f"noise law {noise_law!r} is not one of {', '.join(NOISE_LAWS)}")
-    if runs < 1 or interval < 1:
-        raise ValueError(f"runs={runs} and interval={interval} s must be at least 1")
+    laws = ", ".join(NOISE_LAWS)
+    refuse(noise_law not in NOISE_LAWS, f"noise law {noise_law!r} is not one of {laws}")
+    refuse(min(runs, interval) < 1, f"runs={runs} and interval={interval} s must be at least 1")
     rng = np.random.default_rng(seed)
     world = World(rng.standard_normal(runs), seed)
     shape = (runs, world.second.size)

@@ -5,6 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
+from bayescal_models.simulated import refuse_options
+
 KINDS = ("random", "six", "twelve", "planar", "level")  # of poses
 
 # Of two sessions over temperature in directions known to 0.5 mrad.
@@ -45,9 +47,11 @@ class Campaign:
     runs: int = 1
 
     def __post_init__(self) -> None:
-        if self.poses < 1 or self.runs < 1 or not self.temperatures:
-            raise ValueError("Campaign: give at least one pose, one run and one temperature.")
-        if self.kind not in KINDS:
-            raise ValueError(f"Campaign(kind={self.kind!r}): choose among {', '.join(KINDS)}.")
-        if not self.noise >= 0 or not self.interval > 0 or not self.magnitude > 0:
-            raise ValueError("Campaign: noise must be 0 or more, interval and magnitude above 0.")
+        refuse_options(
+            self,
+            positive=("interval", "magnitude"),
+            not_negative=("noise",),
+            counts=("poses", "runs"),
+            filled=("temperatures",),
+            kind=KINDS,
+        )

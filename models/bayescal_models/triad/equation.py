@@ -11,18 +11,14 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
-import jax.numpy as jnp
-
 import bayescal as bc
+from bayescal import xp
 
 AXES = ("x", "y", "z")
 BIAS = tuple(f"bias_{a}" for a in AXES)
 SCALE = tuple(f"scale_{a}" for a in AXES)
-UPPER = (
-    "misalignment_xy",
-    "misalignment_xz",
-    "misalignment_yz",
-)  # of the first axis toward the second
+# Of the first axis toward the second.
+UPPER = ("misalignment_xy", "misalignment_xz", "misalignment_yz")
 LOWER = ("misalignment_yx", "misalignment_zx", "misalignment_zy")
 FIRST = tuple(f"scale_{i}" if i == j else f"misalignment_{i}{j}" for i in AXES for j in AXES)
 SQUARE = tuple(f"square_{a}" for a in AXES)
@@ -67,7 +63,7 @@ def equation(given: Mapping[str, Any], r: bc.Frame) -> Callable[[Any], Any]:
     """The three outputs (n, 3), output unit, as a function of what acts (n, 3); higher orders where there are slots."""
 
     def stacked(names: Sequence[str]) -> Any:
-        return jnp.stack([given[name] for name in names], axis=1).reshape(r.size, 3, -1)
+        return xp.stack([given[name] for name in names], axis=-1).reshape(r.size, 3, -1)
 
     bias, first = stacked(BIAS)[:, :, 0], stacked(FIRST)
     square = stacked(SQUARE)[:, :, 0] if SQUARE[0] in given else None
@@ -75,16 +71,16 @@ def equation(given: Mapping[str, Any], r: bc.Frame) -> Callable[[Any], Any]:
     cube = stacked(CUBE)[:, :, 0] if CUBE[0] in given else None
 
     def outputs(force: Any) -> Any:
-        total = force + bias + jnp.sum(first * force[:, None, :], axis=2)
+        total = force + bias + xp.sum(first * force[:, None, :], axis=-1)
         if square is not None:
             total = total + square * force**2
         if cube is not None:
             total = total + cube * force**3
         if cross is None:
             return total
-        products = jnp.stack(
-            [force[:, i] * force[:, j] for i, j in ((0, 1), (0, 2), (1, 2))], axis=1
+        products = xp.stack(
+            [force[:, i] * force[:, j] for i, j in ((0, 1), (0, 2), (1, 2))], axis=-1
         )
-        return total + jnp.sum(cross * products[:, None, :], axis=2)
+        return total + xp.sum(cross * products[:, None, :], axis=-1)
 
     return outputs

@@ -9,26 +9,26 @@ from collections.abc import Sequence
 from functools import partial
 from typing import Any
 
-import jax.numpy as jnp
-
 import bayescal as bc
+from bayescal import xp
 from bayescal_models.catalogue import Maker, effect, family, one, progress
 
 
 def constant(slots: Sequence[str], equation: str = "c") -> Maker:
     """A constant of each."""
-    return family(slots, one, equation)
+    return family(slots, one, equation, kind="constant")
 
 
 def over_temperature(slots: Sequence[str], order: int = 1) -> Maker:
     """c·(T − T0) for each, or a power of it."""
-    sign = ("", "²", "³")[order - 1]
-    return family(slots, partial(_departure, order), f"c·(T − T0){sign}", "temperature")
+    sign, kind = ("", "²", "³")[order - 1], ("linear", "quadratic", "cubic")[order - 1]
+    basis = partial(_departure, order)
+    return family(slots, basis, f"c·(T − T0){sign}", "temperature", kind=kind)
 
 
 def with_time(slots: Sequence[str]) -> Maker:
     """c·(t − t̄)/(tmax − tmin) for each."""
-    return family(slots, progress, "c·progress", "time", varies=("time",))
+    return family(slots, progress, "c·progress", "time", varies=("time",), kind="drift")
 
 
 def of_run(slots: Sequence[str]) -> Maker:
@@ -46,6 +46,7 @@ def behind(slots: Sequence[str]) -> Maker:
         parts=[slot.partition("_")[2] for slot in slots],
         slots=slots,
         shapes=(bc.Shape("tau", "s", 60.0, 1200.0, shared=True),),
+        kind="lag",
     )
 
 
@@ -54,7 +55,7 @@ def _departure(order: int, r: bc.Frame) -> Any:
 
 
 def _behind(count: int, r: bc.Frame, tau: Any) -> Any:
-    return jnp.broadcast_to(r.lag(tau)[:, None], (r.size, count))
+    return xp.broadcast_to(r.lag(tau)[..., None], (r.size, count))
 
 
 def unknown_directions(readings: bc.Measurements) -> str | None:

@@ -13,10 +13,8 @@ import numpy as np
 
 import bayescal as bc
 
-UNCERTAINTY, WHICH = (
-    "output_uncertainty",
-    "axis",
-)  # of readings of poses, and which of a pose they are
+# Of readings of poses, and which of a pose they are.
+UNCERTAINTY, WHICH = "output_uncertainty", "axis"
 LOG_SD = 1.0  # standard deviation of the logarithm: within a factor of 7 for 95 %, so that readings soon decide
 
 

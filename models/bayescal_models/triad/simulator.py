@@ -12,7 +12,8 @@ from typing import Any
 
 import numpy as np
 
-from bayescal_models.triad.campaign import KINDS, Campaign
+from bayescal_models.simulated import refuse
+from bayescal_models.triad.campaign import Campaign
 
 BODY = 200.0  # s
 REFERENCE = 25.0  # °C, where bias, scale and misalignment are those
@@ -57,13 +58,12 @@ def members_of(
         ValueError: an unknown effect, or a size that is no number.
     """
     given, known = dict(effects or {}), counts if known is None else known
-    if unknown := sorted(set(given) - {*known}):
-        raise ValueError(f"no law for {', '.join(unknown)}: choose among {', '.join(known)}")
+    for name, size in given.items():
+        refuse(name not in known, f"no law for {name}: choose among {', '.join(known)}")
+        refuse(not np.all(np.isfinite(size)), f"{name}: its size {size!r} is no number")
     sizes = {name: np.zeros(count) for name, count in counts.items()}
     sizes |= {name: np.asarray(members, float) for name, members in baseline.items()}
     for name, size in given.items():
-        if not np.all(np.isfinite(size)):
-            raise ValueError(f"{name}: its size {size!r} is no number")
         sizes[name] = size * SHARES[: counts[name]] if np.ndim(size) == 0 else np.asarray(size)
     return sizes
 
@@ -171,9 +171,6 @@ def directions(kind: str, count: int, rng: np.random.Generator) -> np.ndarray:
             turn; "planar" at random angles about the y axis; "level" within 10° of z up.
         count: of poses.
         rng: of every random number.
-
-    Raises:
-        ValueError: another kind.
     """
     if kind == "random":
         made = rng.standard_normal((count, 3))
@@ -190,16 +187,11 @@ def directions(kind: str, count: int, rng: np.random.Generator) -> np.ndarray:
     elif kind == "planar":
         angle = rng.uniform(0, 2 * np.pi, count)
         made = np.column_stack([np.sin(angle), 0 * angle, np.cos(angle)])
-    elif kind == "level":
-        tilt, way = (
-            np.deg2rad(10) * np.sqrt(rng.uniform(size=count)),
-            rng.uniform(0, 2 * np.pi, count),
-        )
-        made = np.column_stack(
-            [np.sin(tilt) * np.cos(way), np.sin(tilt) * np.sin(way), np.cos(tilt)]
-        )
     else:
-        raise ValueError(f"poses {kind!r} are not one of {', '.join(KINDS)}")
+        tilt = np.deg2rad(10) * np.sqrt(rng.uniform(size=count))
+        way = rng.uniform(0, 2 * np.pi, count)
+        across = np.sin(tilt)
+        made = np.column_stack([across * np.cos(way), across * np.sin(way), np.cos(tilt)])
     return made / np.linalg.norm(made, axis=1)[:, None]
 
 

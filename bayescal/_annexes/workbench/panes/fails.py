@@ -157,14 +157,8 @@ def drawn_rows(
                 end[pixel[way]] = way
                 chosen[end[:PIXELS][end[:PIXELS] >= 0]] = True
     between = np.flatnonzero(seen & ~chosen)
-    chosen[
-        between[
-            :: max(
-                1,
-                -(-between.size // (DRAWN_READINGS - min(int(chosen.sum()), DRAWN_READINGS // 2))),
-            )
-        ]
-    ] = True
+    room = DRAWN_READINGS - min(int(chosen.sum()), DRAWN_READINGS // 2)
+    chosen[between[:: max(1, -(-between.size // room))]] = True
     return np.flatnonzero(chosen)
 
 

@@ -8,7 +8,6 @@ import panel as pn
 
 from bayescal import Discovery
 from bayescal._annexes.workbench.parts.pieces import Pane, Rows, button, column, field, row, words
-from bayescal._search.candidate import Candidate
 from bayescal.workshop import number, probability, unit_label, with_error
 
 NOT_VISIBLE = "Not detectable in this experiment"
@@ -104,7 +103,7 @@ def candidate_rows(found: Discovery) -> list[dict[str, Any]]:
     return rows
 
 
-def _row(c: Candidate, group: str, kind: str) -> dict[str, Any]:
+def _row(c: Any, group: str, kind: str) -> dict[str, Any]:
     cells: list[dict[str, Any]] = [{"text": c.effect, "kind": "name"}]
     if c.probability is not None:
         said = probability(c.probability)

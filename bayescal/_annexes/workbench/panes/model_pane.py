@@ -156,7 +156,7 @@ def effect_rows(calibration: Any) -> list[dict[str, Any]]:
             cells.append(
                 {"text": f"… and {len(own) - COEFFICIENTS_IN_A_ROW} more", "kind": "value"}
             )
-        held = [f"{n} = {v:g}" for n, v in model.fixed if n.startswith(effect.name)]
+        held = [f"{n} = {v:g}" for n, v in model.fixed if n in effect.unknown_names]
         cells += [{"text": f"held: {', '.join(held)}", **NUMBER}] if held else []
         change = {"id": "change", "label": "Change …", "title": "take out, fix or resize"}
         rows.append({"id": effect.name, "cells": cells, "actions": [change]})

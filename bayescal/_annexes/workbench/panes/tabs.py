@@ -42,7 +42,6 @@ from bayescal._annexes.workbench.parts.pieces import (
     row,
     words,
 )
-from bayescal._calibration.noise_in_time import AllanCheck
 from bayescal._data.header_matching import MISSING_READINGS
 from bayescal._report.plot_colours import GREEN, ORANGE, RED
 from bayescal._report.report import Pictures
@@ -50,7 +49,6 @@ from bayescal._search.search_path import steps_table
 from bayescal._tables.cells import ORDERS
 from bayescal._tables.mapping_file import save_mapping
 from bayescal._tables.open_table import TEXT
-from bayescal._tables.raw_table import bytes_text
 from bayescal.workshop import expected_columns, open_table, pretty, unit_label
 
 SERIES = (  # of a step's errors: name, marker, colour (None: the ground's blue)
@@ -246,7 +244,7 @@ class AllanPane(Pane):
         self.view = halves(self.picture, column(self.told, self.terms, kinds=("bare", "scrolls")))
 
     def show(self, state: Any) -> None:
-        found: AllanCheck | None = state.step.check.allan
+        found = state.step.check.allan
         drawn = Pictures().allan(state.step.check, "this step")
         self.picture.object = "" if drawn is None else str(drawn.body)
         self.told.object = NONE if found is None else found.sentence()
@@ -525,15 +523,10 @@ class PythonPane(Pane):
 
 
 LARGEST_UPLOAD = 200_000_000  # bytes of one file; larger ones are given on the command line
+MOST = f"{LARGEST_UPLOAD // 1_000_000}MB"
 OFFERED = 300  # columns of a file that a list offers; others are typed
 LONGEST_ERROR = 6000  # letters of what is wrong
 AS_FOUND = "as found"
-INSTEAD = (  # of an option
-    (r"--columns '?([^='\s]+)=([^'\n]+?)'?(?=\s*\n|\s{2}|$)", r"left: \1 is \2"),
-    (r"--unit '?([^='\n]+)=([^'\n]+?)'?(?=\s*\n|\s{2}|$)", r"left: \1 in \2"),
-    (r"--(\w+)-(\w+)\b", r"left: \1 \2"),
-    (r"--(missing|decimal)\b", r"left: \1"),
-)
 
 
 class Upload(pn.widgets.FileDropper):
@@ -565,7 +558,7 @@ class FilePane(Pane):
         self._readings: Measurements | None = None
         self.drop = Upload(
             multiple=False,
-            max_file_size=f"{LARGEST_UPLOAD // 1_000_000}MB",
+            max_file_size=MOST,
             previews=[],
             layout="compact",
             margin=0,
@@ -590,8 +583,7 @@ class FilePane(Pane):
         self.form = row(visible=False)
         self._fields: dict[str, tuple[Any, Any]] = {}
         self._others = other_fields()
-        most = bytes_text(LARGEST_UPLOAD)
-        intro = f"Drop a file of readings of {instrument.name}, up to {most}; nothing leaves this computer."
+        intro = f"Drop a file of readings of {instrument.name}, up to {MOST}; nothing leaves this computer."
         buttons = row(self.use, self.again, self.mapping)
         kinds = ("bare", "scrolls")
         left = column(words(intro, "small"), self.drop, buttons, self.form, kinds=kinds)
@@ -607,9 +599,7 @@ class FilePane(Pane):
     def receive(self, name: str, content: bytes) -> None:
         """Take a file's content, and say what `calibrate` would."""
         if len(content) > LARGEST_UPLOAD:
-            self._say(
-                f"{name[:80]} is larger than {bytes_text(LARGEST_UPLOAD)}: give it on the command line"
-            )
+            self._say(f"{name[:80]} is larger than {MOST}: give it on the command line")
             return
         self._path = self._folder / safe_name(name)
         self._path.write_bytes(content)
@@ -635,7 +625,7 @@ class FilePane(Pane):
         well = isinstance(found, Measurements)
         self._readings = found if well else None
         flags = "".join(f"\nwarning: {flag}" for flag in found.flags) if well else ""
-        self._say(f"{len(found):,} readings\n{found}{flags}" if well else in_the_form(str(found)))
+        self._say(f"{len(found):,} readings\n{found}{flags}" if well else str(found))
         self.use.visible = well
         self.again.visible = self.mapping.visible = bool(headers)
         if not self._fields and headers:
@@ -704,13 +694,6 @@ def other_fields() -> dict[str, Any]:
             choose, "dates are", options={"as found": "", **{o: o for o in ORDERS}}
         ),
     }
-
-
-def in_the_form(said: str) -> str:
-    """What is wrong, in words of the form where it names options of the command line."""
-    for option, instead in INSTEAD:
-        said = re.sub(option, instead, said)
-    return said
 
 
 def safe_name(name: str) -> str:

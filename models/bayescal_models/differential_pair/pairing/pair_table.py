@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 import bayescal as bc
+from bayescal.workshop import plain_table
 
 Array = NDArray[np.float64]
 
@@ -132,16 +133,7 @@ class PairTable:
     def __str__(self) -> str:
         best = self.of(*self.best)
         shown = [[cell(pair) for cell in _CELLS.values()] for pair in self.pairs[:SHOWN]]
-        rows = [[*_CELLS], *shown]
-        widths = [max(len(row[i]) for row in rows) for i in range(len(_CELLS))]
-        lines = [
-            "  ".join(
-                cell.ljust(w) if i < 2 else cell.rjust(w)
-                for i, (cell, w) in enumerate(zip(row, widths, strict=True))
-            ).rstrip()
-            for row in rows
-        ]
-        lines.insert(1, "  ".join("─" * w for w in widths))
+        lines = str(plain_table([*_CELLS], shown, left=2)).splitlines()
         hidden = len(self.pairs) - SHOWN
         if hidden > 0:
             lines.append(f"… and {hidden} more")

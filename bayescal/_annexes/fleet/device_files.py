@@ -1,0 +1,233 @@
+"""Files of many devices: those in folders, in parts of about so many readings, each read by itself.
+
+A part is a few files, or some of the devices of a large Parquet file.
+"""
+
+from __future__ import annotations
+
+import os
+from collections import Counter
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.compute as pc
+import pyarrow.dataset as pads
+import pyarrow.parquet as pq
+
+from bayescal import InputError, Model
+from bayescal._annexes.fleet.devices import Devices, open_readings, split_table
+from bayescal._tables.cells import Cells
+from bayescal._tables.open_table import MAX_BYTES, READ
+from bayescal._tables.parquet_netcdf import arrow_cells, arrow_headers
+from bayescal._tables.raw_table import Table, as_format, refuse_large
+from bayescal.workshop import ReadOptions, one_line
+
+BYTES_A_ROW = 30  # of a text file, a log
+
+
+@dataclass(frozen=True)
+class Piece:
+    """A file, or some of the devices of a Parquet file.
+
+    Attributes:
+        path: of the file.
+        readings: in it, estimated for what is no Parquet.
+        column: name of the column of devices, of some of which this is; "" of a whole file.
+        devices: their labels.
+    """
+
+    path: Path
+    readings: int
+    column: str = ""
+    devices: pa.Array | None = None
+
+    @property
+    def name(self) -> str:
+        """What messages call it."""
+        if self.devices is None:
+            return self.path.name
+        return f"{self.path.name}, devices {self.devices[0]} to {self.devices[-1]}"
+
+
+@dataclass(frozen=True)
+class DevicePart:
+    """What was read of a part.
+
+    Attributes:
+        devices: all of its devices.
+        places: names of the devices that each piece holds, by the piece's name.
+        unreadable: piece → why it cannot be used.
+    """
+
+    devices: Devices
+    places: dict[str, tuple[str, ...]]
+    unreadable: dict[str, str]
+
+
+def parts_of(paths: Sequence[Path], rows: int, device: str) -> list[tuple[Piece, ...]]:
+    """Cut files, and all files in folders, into parts of about so many readings.
+
+    Args:
+        paths: of files and folders.
+        rows: readings in a part.
+        device: the files' name of the column of devices.
+
+    Raises:
+        InputError: there is no file of readings in them.
+    """
+    if rows < 1:
+        raise InputError(f"partition_rows is {rows}: give at least 1")
+    parts: list[list[Piece]] = [[]]
+    for piece in (piece for path in files_of(paths) for piece in _pieces(path, rows, device)):
+        if parts[-1] and sum(p.readings for p in parts[-1]) + piece.readings > rows:
+            parts.append([])
+        parts[-1].append(piece)
+    return [*map(tuple, parts)]
+
+
+def files_of(paths: Sequence[Path]) -> list[Path]:
+    """Files, and those in folders and the folders in these, in order of their names.
+
+    Raises:
+        InputError: a path is given twice, or holds no file of readings.
+    """
+    files: list[Path] = []
+    for path in paths:
+        files += sorted(p for p, why in _entries(path) if not why) if path.is_dir() else [path]
+    if not files:
+        unread = "".join(f"; {name}: {why}" for name, why in list(left_out(paths).items())[:3])
+        raise InputError(
+            f"no file of readings in {', '.join(map(str, paths))}: one of {', '.join(READ)} was expected{unread}"
+        )
+    if len({p.resolve() for p in files}) < len(files):
+        raise InputError("a file of readings was given twice: give each file once")
+    return files
+
+
+def left_out(paths: Sequence[Path]) -> dict[str, str]:
+    """Return what stands in folders and is not read, by its place in them, and why."""
+    return {
+        one_line(place.relative_to(path)): why
+        for path in paths
+        if path.is_dir()
+        for place, why in sorted(_entries(path))
+        if why
+    }
+
+
+def _entries(folder: Path) -> Iterator[tuple[Path, str]]:
+    """Yield all that stands in a folder and in those below it, and why it is not read; "" for a file of readings."""
+    for place, folders, files in os.walk(folder):
+        whys = {name: _why_not(Path(place, name)) for name in (*folders, *files)}
+        yield from ((Path(place, n), why) for n, why in whys.items() if why or n in files)
+        folders[:] = [name for name in folders if not whys[name]]
+
+
+def _why_not(path: Path) -> str:
+    """Return why something in a folder is not read; "" for folders and files of readings."""
+    if path.name[0] in "._":
+        return "its name begins with . or _, as of what programs keep for themselves"
+    if path.is_dir():
+        if path.is_symlink() or not os.access(path, os.R_OK | os.X_OK):
+            return "a link to a folder, or one that cannot be looked into"
+        return ""
+    if not path.is_file():
+        return "a link to nothing, a pipe or a device"
+    suffix = path.suffix.lower()
+    return "" if suffix in READ else f"{suffix or 'no suffix'} is none of the formats that are read"
+
+
+def _pieces(path: Path, rows: int, device: str) -> Iterator[Piece]:
+    """A file; of a Parquet file that holds more rows, so many at a time, by device."""
+    whole = Piece(path, max(1, path.stat().st_size // BYTES_A_ROW))
+    if path.suffix.lower() != ".parquet":
+        yield whole
+        return
+    try:
+        with pq.ParquetFile(path) as file:
+            count, names = file.metadata.num_rows, file.schema_arrow.names
+            headers = zip(names, arrow_headers(file.schema_arrow), strict=True)
+            column = next((name for name, header in headers if header.name == device), None)
+            if column is None or count <= rows:
+                yield Piece(path, max(1, count))
+                return
+            labels, counts = file.read(columns=[column]).column(column).value_counts().flatten()
+    except (OSError, pa.ArrowException):  # damaged: whoever reads it says how
+        yield whole
+        return
+    ends = np.cumsum(counts.to_numpy())
+    for part in np.split(np.arange(len(ends)), np.flatnonzero(np.diff((ends - 1) // rows)) + 1):
+        readings = int(ends[part[-1]] - ends[part[0]]) + counts[int(part[0])].as_py()
+        yield Piece(path, readings, column, labels.slice(part[0], len(part)))
+
+
+def read_part(pieces: Iterable[Piece], model: Model, options: ReadOptions) -> DevicePart:
+    """Read the devices of a part; those that stand in several of its files are refused."""
+    devices: dict[str, Devices] = {}
+    unreadable: dict[str, str] = {}
+    needs = tuple(dict.fromkeys(c for e in model.effects for c in e.columns))
+    for piece in pieces:
+        try:
+            table = _open(piece, options)
+            devices[piece.name] = split_table(
+                table, piece.path.stem, model.instrument, options, needs
+            )
+        except (InputError, OSError) as error:
+            unreadable[piece.name] = str(error)
+    places = {name: own.names for name, own in devices.items()}
+    together = Devices.together(list(devices.values()))
+    return DevicePart(together.refusing(repeated(places)), places, unreadable)
+
+
+def repeated(places: Mapping[str, Sequence[str]]) -> dict[str, str]:
+    """Return why devices that stand in several files are refused: which readings count cannot be known."""
+    counts = Counter(name for names in places.values() for name in names)
+    twice: dict[str, list[str]] = {name: [] for name, count in counts.items() if count > 1}
+    for file, names in places.items():
+        for name in twice.keys() & {*names}:
+            twice[name].append(file)
+    return {
+        name: f"device {name!r} stands in {len(files)} files, {files[0]!r} and {files[1]!r}: put its readings into one"
+        for name, files in twice.items()
+    }
+
+
+def _open(piece: Piece, options: ReadOptions) -> Table:
+    """A file, or some devices of a Parquet file, as a table; refused if it is too large once unpacked."""
+    if piece.devices is None:
+        return open_readings(piece.path, options)
+    file, own = piece.path.name, pads.field(piece.column).isin(piece.devices)
+    with as_format(file, "Parquet"):
+        dataset = pads.dataset(piece.path, format="parquet")
+    schema = dataset.schema
+    refuse_large(file, piece.readings, len(schema), MAX_BYTES)
+
+    def load(wanted: Mapping[int, bool]) -> dict[int, Cells]:
+        cells = {}
+        with as_format(file, "Parquet"):
+            for position, number in wanted.items():
+                column = {"cells": pads.field(schema.names[position])}
+                cells[position] = arrow_cells(dataset.to_table(column, own).column(0), number)
+        pa.default_memory_pool().release_unused()
+        return cells
+
+    return Table(file, arrow_headers(schema), piece.readings, load, place=DeviceRows(piece))
+
+
+class DeviceRows:
+    """Where the readings of some devices stand in their Parquet file, looked up where a message asks for it."""
+
+    def __init__(self, piece: Piece) -> None:
+        self.piece = piece
+
+    @cached_property
+    def rows(self) -> np.ndarray:
+        column = pq.read_table(self.piece.path, columns=[self.piece.column]).column(0)
+        return np.flatnonzero(pc.is_in(column, self.piece.devices).to_numpy())  # pyright: ignore
+
+    def __call__(self, index: int) -> str:
+        return f"row {self.rows[index] + 1}"

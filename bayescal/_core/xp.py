@@ -1,0 +1,98 @@
+"""`xp`: functions of arrays by the names that NumPy and JAX share, computed by the library whose arrays they are given.
+
+A basis or a response that is written with `xp` is computed by NumPy on the host and traced by JAX within a program:
+one text, both namespaces. In a search an array operation on the host costs microseconds, where a program costs
+milliseconds to trace; NUTS, nonlinear least squares and exports trace the same text.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable
+from functools import cache
+from typing import Any
+
+import numpy as np
+
+
+def is_traced(values: Any) -> bool:
+    """Return whether an array of JAX's is among some values, or in a list, tuple or dictionary of them."""
+    jax = sys.modules.get("jax")  # where it was never imported, there is none of its arrays
+    return jax is not None and _holds(values, jax.Array)
+
+
+def _holds(values: Any, kind: type) -> bool:
+    if isinstance(values, dict):
+        values = values.values()
+    elif not isinstance(values, list | tuple):
+        return isinstance(values, kind)
+    return any(_holds(value, kind) for value in values)
+
+
+class Namespace:
+    """Functions of arrays, dispatched by their arguments: `xp.exp(x)`, `xp.linalg.norm(x)`."""
+
+    def __init__(self, path: str = "") -> None:
+        self._path = path
+
+    def __getattr__(self, name: str) -> Any:
+        if name.startswith("_"):
+            raise AttributeError(name)
+        path = f"{self._path}.{name}".lstrip(".")
+        on_host = _member(np, path)
+        if isinstance(on_host, type(np)):
+            found: Any = Namespace(path)
+        else:
+            found = _dispatched(path, on_host) if callable(on_host) else on_host  # or a constant
+        setattr(self, name, found)
+        return found
+
+    def placed(self, order: Any, values: Any) -> Any:
+        """Return values at the places of an order: found[..., order] = values (..., n)."""
+        if is_traced((order, values)):
+            return self.zeros_like(values).at[..., order].set(values)
+        found = np.empty_like(values)
+        found[..., order] = values
+        return found
+
+    def scan(self, advance: Callable[[Any, Any], tuple[Any, Any]], start: Any, rows: Any) -> Any:
+        """Return what a recursion gives at each row (n, …), as `jax.lax.scan` does: state, given = advance(state, row).
+
+        Args:
+            advance: of a state and a row; both may be tuples.
+            start: the state before the first row.
+            rows: an array (n, …), or a tuple of them.
+        """
+        if is_traced((start, rows)):
+            import jax
+
+            return jax.lax.scan(advance, start, rows)[1]
+        state, found = start, []
+        for row in zip(*rows, strict=True) if isinstance(rows, tuple) else rows:
+            state, given = advance(state, row)
+            found.append(given)
+        return np.array(found)
+
+
+def _dispatched(path: str, on_host: Callable[..., Any]) -> Callable[..., Any]:
+    @cache
+    def in_program() -> Callable[..., Any]:
+        import jax.numpy as jnp
+
+        return _member(jnp, path)
+
+    def function(*args: Any, **kwargs: Any) -> Any:
+        return (in_program() if is_traced((args, kwargs)) else on_host)(*args, **kwargs)
+
+    if hasattr(on_host, "accumulate"):
+        function.accumulate = _dispatched(f"{path}.accumulate", on_host.accumulate)  # pyright: ignore[reportFunctionMemberAccess]
+    return function
+
+
+def _member(module: Any, path: str) -> Any:
+    for name in path.split("."):
+        module = getattr(module, name)
+    return module
+
+
+xp: Any = Namespace()
