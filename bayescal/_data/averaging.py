@@ -77,7 +77,12 @@ def average(
     row = np.lexsort((means["time"], runs))
     found = {name: values[row] for name, values in means.items()}
     own = units.get(output)
-    flag = f"{names}: {time.size} readings averaged over {seconds:g} s, to {_averaging_note(counts, noise, own)}"
+    low, high = int(counts.min()), int(counts.max())
+    each = str(high) if low == high else f"{low} to {high}"
+    flag = f"{names}: {time.size} readings averaged over {seconds:g} s, to {counts.size} means of {each}"
+    if noise:
+        alone = f"{noise:.3g} {unit_label(own or '')}".rstrip()
+        flag += f"; noise.white is that of a mean of {high}, {alone} that of one"
     return found, {UNCERTAINTY: own, **units}, flag
 
 
@@ -95,16 +100,6 @@ def _refuse_useless(
             f"{names}: nothing to average, as no two readings with the same labels and settings lie within "
             f"{seconds:g} s{apart}: give a longer time, or do not average"
         )
-
-
-def _averaging_note(counts: np.ndarray, noise: float, unit: str | None) -> str:
-    """How many means there are, and what noise they have."""
-    low, high = int(counts.min()), int(counts.max())
-    means = f"{counts.size} means of {high if low == high else f'{low} to {high}'}"
-    alone = f"{noise:.3g} {unit_label(unit or '')}".rstrip()
-    return (
-        f"{means}; noise.white is that of a mean of {high}, {alone} that of one" if noise else means
-    )
 
 
 def _bins(time: np.ndarray, same: np.ndarray, seconds: float) -> np.ndarray:

@@ -304,7 +304,7 @@ class MatchedFile:
         table: the file, with the name and unit that each header means.
         instrument: whose columns are expected.
         options: what the user says.
-        problems: to add to: where `columns=` names what the file lacks, two columns would be one, …
+        problems: to add to.
         expected: the columns that are expected, by our names.
         positions: our name of every column → its position in the file.
     """
@@ -476,9 +476,7 @@ class MatchedFile:
         self.problems.append(made.at([int(row) for row in rows], self.table.place))
 
     def note_missing(self) -> tuple[dict[str, tuple[int, Header]], set[int]]:
-        """Note the columns that the instrument needs and the file has not.
-
-        Columns whose header the user has said are not among them: that the file lacks it is a problem already.
+        """Note the columns that the instrument needs and the file has not, and whose header the user has not said.
 
         Returns:
             Those that one header looks like, and where; and where all headers stand that look like one.
@@ -580,16 +578,13 @@ class MatchedFile:
         return next((name for name in free if self.rule(name).could_be(header)), None)
 
     def further_columns(self, passed: Collection[int]) -> tuple[dict[str, Column], list[str]]:
-        """The columns beyond the instrument's that are kept, in base units, and why others are not.
+        """Return the columns beyond the instrument's that are kept, in base units, and why others are not.
 
         One that the instrument could use, or that ends in what may be a unit and is none known here, is a problem:
-        what is left out is left out because somebody says so.
-
-        Args:
-            passed: positions of columns that are passed over.
+        what is left out is left out because somebody says so. Columns at positions `passed` are passed over.
         """
         kept, flags, file = dict[str, Column](), list[str](), self.table.file
-        without_unit, labelled = list[str](), False
+        without_unit, labelled = list[str](), "run" in self.positions
         for name, position in {} if self.options.only else self.positions.items():
             header = self.table.headers[position]
             if name in self.expected or position in passed or self.options.leaves_out(header):
@@ -604,26 +599,25 @@ class MatchedFile:
             with contextlib.suppress(InputError):
                 base = base_unit(unit) if unit else None
             if base == "s" and self._goes_on(position):
-                came, cure = "goes on as a time does, and is no column known here", "Say what it is"
-                self.problem(
-                    header.raw, came, cure=cure, option=option("--columns", f"time={header.raw}")
-                )
-            elif base is not None:
+                came = "goes on as a time does, and is no column known here"
+                asked = option("--columns", f"time={header.raw}")
+                self.problem(header.raw, came, cure="Say what it is", option=asked)
+                continue
+            if base is not None:
                 kept[name] = Column(name, base, required=False)
-            elif unit or (unit := like_a_unit(header)) or self.could_be(header):
-                labels = not (self.could_be(header) or _known(unit)) and self._holds_labels(
-                    position
-                )
+                continue
+            labels = False
+            if unit or (unit := like_a_unit(header)) or self.could_be(header):
+                useful = self.could_be(header) or _known(unit)
+                labels = not useful and self._holds_labels(position)
                 if not labels and (unit or "").lower() not in NO_UNIT - {""}:
                     self._note_unclear(position, unit)
-                elif not labels or "run" in self.positions or labelled:
-                    without_unit.append(header.raw)
-                else:
-                    labelled = True
-                    came = "holds labels, each for a while, and is no column known here"
-                    cure = "Are they runs? Say so; if they are not, remove the column"
-                    asked = option("--columns", f"run={header.raw}")
-                    self.problem(header.raw, came, "", cure, asked)
+                    continue
+            if labels and not labelled:
+                labelled = True
+                came = "holds labels, each for a while, and is no column known here"
+                cure = "Are they runs? Say so; if they are not, remove the column"
+                self.problem(header.raw, came, "", cure, option("--columns", f"run={header.raw}"))
             else:
                 without_unit.append(header.raw)
         if not self.options.only:
@@ -668,26 +662,22 @@ class MatchedFile:
     def _note_unclear(self, position: int, unit: str | None) -> None:
         """Note a column that would be left out and may be of use: how to keep it, and how to leave it out."""
         header = self.table.headers[position]
-        meant = self.could_be(header)
-        column = self.expected[meant] if meant else None
+        column = self.expected.get(self.could_be(header) or "")
         kind = (column and column.unit) or ANY
         known, lacking = _known(unit, kind), any(p.came == _LACKS for p in self.problems)
         came = f"ends in [{unit}], no unit known here" if unit else "has no unit"
-        left = option("--ignore", header.raw)
-        keep = option("--unit", f"{header.raw}={known or 'UNIT'}")
+        left, wanted = option("--ignore", header.raw), "a unit known here"
+        given = keep = option("--unit", f"{header.raw}={known or 'UNIT'}")
+        cure = f"Say its unit, or leave the column out: {left}"
         if column:
             wanted, dates = f"{column.name} [{column.example}]", False
             if column.name == "time":
                 dates = load_whole(self.table, {position: True})[position].dates
-            keep = option("--columns", f"{column.name}={header.raw}") + f" {keep}" * (not dates)
+            given = option("--columns", f"{column.name}={header.raw}") + f" {keep}" * (not dates)
             cure = f"It may be {column.name}: say so and in which unit, or leave the column out: {left}"
-            self.problem(header.raw, came, wanted, cure, keep)
-        elif known or lacking:  # what may be needed is not proposed to be left out
-            cure = f"Say its unit, or leave the column out: {left}"
-            self.problem(header.raw, came, "a unit known here", cure, keep)
-        else:
-            cure = f"Leave the column out, or say its unit: {keep}"
-            self.problem(header.raw, came, "a unit known here", cure, left)
+        elif not (known or lacking):  # what may be needed is not proposed to be left out
+            cure, given = f"Leave the column out, or say its unit: {keep}", left
+        self.problem(header.raw, came, wanted, cure, given)
 
 
 def _known(unit: str | None, kind: str = ANY) -> str | None:

@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 
 import numpy as np
 
 from bayescal._core.errors import InputError
 from bayescal._data.column import ASSUMED_GRAVITY, MAY_BE_EMPTY, ConvertedColumns
-from bayescal._tables.raw_table import Table
 
 
 def joined(parts: Sequence[ConvertedColumns], labels: Sequence[str]) -> ConvertedColumns:
@@ -22,7 +20,12 @@ def joined(parts: Sequence[ConvertedColumns], labels: Sequence[str]) -> Converte
         return parts[0]
     _label_runs(parts, labels)
     whole = _end_to_end(parts)
-    return replace(whole, flags=[*whole.flags, *_equal_contents(whole.tables)])
+    first: dict[str, str] = {}
+    for table in whole.tables:
+        if (other := first.setdefault(table.sha256, table.file)) != table.file:
+            same = f"{table.file} has the same content as {other}: the same readings twice?"
+            whole.flags.append(same)
+    return whole
 
 
 def _label_runs(parts: Sequence[ConvertedColumns], labels: Sequence[str]) -> None:
@@ -103,14 +106,3 @@ def _on_one_clock(parts: Sequence[ConvertedColumns]) -> float | None:
         assert part.origin is not None
         part.values["time"] = np.round(part.values["time"] + (part.origin - min(origins)), 6)
     return min(origins)
-
-
-def _equal_contents(tables: Sequence[Table]) -> list[str]:
-    first: dict[str, str] = {}
-    for table in tables:
-        first.setdefault(table.sha256, table.file)
-    return [
-        f"{table.file} has the same content as {first[table.sha256]}: the same readings twice?"
-        for table in tables
-        if table.file != first[table.sha256]
-    ]

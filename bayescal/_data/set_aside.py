@@ -67,7 +67,10 @@ def set_aside(
     begun = len(readings)
     while len((fault := _wrong(readings, needed, begun)).rows):
         readings = _without(readings, fault)
-    return _without(readings, _spikes(readings))
+    rows = find_spikes(readings)
+    shown = _listed(rows, readings["output"])
+    said = f"{len(rows)} reading(s) set aside as spikes, far from both neighbours: {shown}"
+    return _without(readings, Fault(rows, f"{said}; keep_spikes keeps them"))
 
 
 def _without(readings: Measurements, fault: Fault) -> Measurements:
@@ -147,13 +150,6 @@ def _can_go(columns: Columns, odd: Oddity, begun: int) -> bool:
     labels = [n for n in RECORD if n != "run" and n in columns]
     whole = all(set(columns[n][kept]) == set(columns[n]) for n in labels)
     return whole and bool(np.ptp(columns[odd.column][kept]) > settings().temperature_span)
-
-
-def _spikes(readings: Measurements) -> Fault:
-    rows = find_spikes(readings)
-    shown = _listed(rows, readings["output"])
-    said = f"{len(rows)} reading(s) set aside as spikes, far from both neighbours: {shown}"
-    return Fault(rows, f"{said}; keep_spikes keeps them")
 
 
 def find_spikes(readings: Measurements) -> np.ndarray:

@@ -67,20 +67,11 @@ def triad(
 def columns_of(
     sensors: Collection[Sensor], chosen: Collection[str], file: str
 ) -> tuple[dict[str, np.ndarray], list[str]]:
-    """The chosen channels as columns, with time, temperature and what they are of.
+    """Return the chosen channels as columns, with time, temperature and what they are of, and what was done to it.
 
-    The rows are the samples of the chosen sensor that is sampled most slowly. Other sensors give
-    their sample nearest in time, so that noise stays as it is; the temperature, where it was
-    sampled at other times, is interpolated between its own.
-
-    Args:
-        sensors: of the log.
-        chosen: names of channels; all if it names none that the log has.
-        file: its name in messages.
-
-    Returns:
-        Header, such as "gyro_x [rad/s]" → one value per sample, numbers or labels; and what was done to make them so,
-        each a sentence.
+    The rows are the samples of the chosen sensor that is sampled most slowly. Other sensors give their sample nearest
+    in time, so that noise stays as it is; the temperature, where it was sampled at other times, is interpolated between
+    its own. All channels are taken if `chosen` names none that the log has.
 
     Raises:
         InputError: the log has no channels, or no row has all that is asked for.

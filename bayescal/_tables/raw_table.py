@@ -246,7 +246,6 @@ class Table:
         notes: how it was read, where that is not as usual, a sentence each.
         problems: what keeps it from being used.
         readable: whether its cells can be looked at all the same.
-
     """
 
     file: str

@@ -110,10 +110,17 @@ def open_matlab(path: Path, file: str, max_bytes: int) -> Table:
     Raises:
         InputError: it is no such file, or has vectors of several lengths to choose from.
     """
+    from scipy.io import loadmat
+
     with as_format(file, "MATLAB (.mat)"):
         with path.open("rb") as handle:
             old = b"MATLAB 7.3" not in handle.read(128)
-        found = _variables(path, file) if old else _variables_of_hdf5(path, file)
+        if old:
+            refuse_matlab(path, file)
+            loaded = loadmat(path, squeeze_me=True, struct_as_record=False, chars_as_strings=True)
+            found = {name: value for name, value in loaded.items() if not name.startswith("__")}
+        else:
+            found = _variables_of_hdf5(path, file)
     columns = dict(pair for key, value in found.items() for pair in _vectors(key, value))
     lengths = {len(vector) for vector in columns.values()} - {1}
     if len(lengths) != 1:
@@ -127,15 +134,6 @@ def open_matlab(path: Path, file: str, max_bytes: int) -> Table:
     kept = {name: vector for name, vector in columns.items() if len(vector) == rows}
     refuse_large(file, rows, len(kept), max_bytes)
     return Table.of_columns(file, kept)
-
-
-def _variables(path: Path, file: str) -> dict[str, Any]:
-    """Load the variables of a file of version 7.2 or before."""
-    from scipy.io import loadmat
-
-    refuse_matlab(path, file)
-    loaded = loadmat(path, squeeze_me=True, struct_as_record=False, chars_as_strings=True)
-    return {name: value for name, value in loaded.items() if not name.startswith("__")}
 
 
 def _variables_of_hdf5(path: Path, file: str) -> dict[str, Any]:
