@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import re
 import unicodedata
-from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -105,11 +104,13 @@ def _converted(
     positions |= {name: position for name, (position, _) in offered.items()}
     if not table.readable:
         found = {}
-    day = _day_position(table, positions) if "time" in found else None
     wanted = {positions[n]: c.unit is not None for n, c in found.items()}
-    cells = load_whole(table, wanted if day is None else {**wanted, day: True})
-    if day is not None:
-        cells[positions["time"]] = cells[positions["time"]].on_days(cells[day], options.date_order)
+    days = [i for i, h in enumerate(table.headers) if plain(h.name) in DAYS and not h.unit]
+    days = [i for i in days if "time" in found and i != positions["time"]]  # beside times of day
+    cells = load_whole(table, wanted | dict.fromkeys(days, True) if len(days) == 1 else wanted)
+    if len(days) == 1:
+        times = cells[positions["time"]]
+        cells[positions["time"]] = times.on_days(cells[days[0]], options.date_order)
 
     def reader(name: str) -> ColumnReader:
         header = offered[name][1] if name in offered else file.header(name)
@@ -154,13 +155,6 @@ def _converted(
                 "(--covariates NAME, in Python covariates=, to let one be)"
             )
     return converted
-
-
-def _day_position(table: Table, positions: Mapping[str, int]) -> int | None:
-    """Where a column of days stands beside one of times of day."""
-    named = (i for i, h in enumerate(table.headers) if plain(h.name) in DAYS and not h.unit)
-    found = [i for i in named if i != positions["time"]]
-    return found[0] if len(found) == 1 else None
 
 
 def _drop(table: Table, converted: ConvertedColumns, problems: Objections) -> None:

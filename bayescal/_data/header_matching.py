@@ -379,8 +379,8 @@ class MatchedFile:
             take(position, replace(headers[position], name=name), name)
         for i in sorted(free):
             ours = labels_in(headers[i])
-            known = not ours or ours in positions or ours in self.options.columns
-            if not known and self._holds_labels(i, ours == "device"):
+            taken = {*positions, *self.options.columns}
+            if ours and ours not in taken and self._holds_labels(i, ours == "device"):
                 reading = replace(headers[i], name=ours, unit=None)
                 take(i, reading, ours, ", as its values are labels")
         dated = [i for i in sorted(free) if not headers[i].unit and self._goes_on(i, dates=True)]

@@ -95,15 +95,10 @@ def _usual_step(times: np.ndarray) -> float:
 def on_clock(
     readings: Measurements, epoch: float | None, changing: Callable[[], str]
 ) -> Measurements:
-    """Return readings with their times counted from a calibration's epoch.
+    """Return readings with their times counted from a calibration's `epoch`, s since 1970; None where it has no dates.
 
     Times without dates count from the calibration's zero where that has no date either: a column `time` has one origin
-    over all runs.
-
-    Args:
-        readings: for a calibration, or beside its own as hold-out data.
-        epoch: seconds since 1970 at the calibration's time zero; None where its times have no dates.
-        changing: gives what changes with the date, for the message; empty for nothing.
+    over all runs. `changing` gives what changes with the date, for the message; empty for nothing.
 
     Raises:
         InputError: one has dates and the other has none, and something changes with the date.
@@ -142,10 +137,9 @@ def going_on(fitted: Measurements, later: Measurements) -> dict[str, np.ndarray]
             continue
         merged = np.concatenate([np.zeros(known.size, bool), np.ones(rows.size, bool)])
         merged = merged[np.argsort(np.concatenate([known, at[rows]]), kind="stable")]
-        mixed = np.count_nonzero(np.diff(merged)) > max(
-            2.0, INTERLEAVED_SHARE * min(known.size, rows.size)
-        )
-        if not mixed and first - before[-1] <= PAUSE_STEPS * _usual_step(known):
+        most = max(2.0, INTERLEAVED_SHARE * min(known.size, rows.size))
+        apart = np.count_nonzero(np.diff(merged)) <= most
+        if apart and first - before[-1] <= PAUSE_STEPS * _usual_step(known):
             found[name] = rows
     return found
 

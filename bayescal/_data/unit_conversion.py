@@ -369,15 +369,14 @@ def coefficient_factor(unit: str, slot_unit: str) -> float:
 def basis_factor(
     unit: str, slot_unit: str, named: tuple[str, ...], open_: bool, others: tuple[str, ...]
 ) -> float:
-    """What a coefficient in its reported unit, times a basis of columns in their own units, is in the slot's unit.
+    """Return what a coefficient in its unit, times a basis of columns in their own units, is in the slot's unit.
 
     The basis has the dimension of slot unit ÷ unit, and is in the product of column units that has this dimension:
     where the slot is in um/s^2, a coefficient in um/s^2/hPa on a column in hPa has the factor 1, on one in Pa 0.01. A
     ratio has no dimension: a percent below the coefficient's stroke stands for the columns that are ratios.
 
     Args:
-        unit: of the coefficient.
-        slot_unit: of the slot.
+        unit, slot_unit: of the coefficient and of the slot.
         named: units of the columns that the effect names.
         open_: whether it names a column that no instrument declares: such a one is in base units.
         others: units of shapes and of further columns, for an effect that names too few.

@@ -78,8 +78,9 @@ def _days(text: str) -> dict[str, int]:
     """Return days since 1970 by the order in which a date may be written, "" for one that leaves no choice."""
     days = dict[str, int]()
     for form, orders in _FORMS.items():
-        found = form.fullmatch(text)
-        for order, parts in orders.items() if found else ():
+        if not (found := form.fullmatch(text)):
+            continue
+        for order, parts in orders.items():
             with suppress(ValueError):
                 year, month, day = (found[part] for part in parts)
                 if len(year) in (2, 4):  # of two digits: of this century
