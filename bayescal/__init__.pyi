@@ -8,7 +8,6 @@ from ._calibration.predict import predict as predict
 from ._calibration.check import check as check
 from ._calibration.compare import compare as compare
 from ._search.discover import discover as discover
-from ._search.preview import preview as preview
 from ._report.save_search import calibrate as calibrate
 from ._report.save_search import calibrate_channels as calibrate_channels
 
@@ -92,7 +91,6 @@ from ._inference.method import Verdict as Verdict
 from ._calibration.check_result import Check as Check
 from ._calibration.compare import Comparison as Comparison
 from ._search.discover import Discovery as Discovery
-from ._search.preview import Preview as Preview
 from ._report.save_search import (
     SearchPath as SearchPath,
 )  # with `save`, which save_search.py attaches

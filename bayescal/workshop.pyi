@@ -4,8 +4,8 @@
 # a calibration: its identity, its files, what stands against it; its part of a report
 from ._calibration.description import identity as identity
 from ._calibration.description import sources_of as sources_of
-from ._calibration.judgement import why_not as why_not
 from ._calibration.summary import summary as summary
+from ._calibration.why_not import why_not as why_not
 
 # commands: their options, what they are asked for, what they answer
 from ._cli.console import Answer as Answer
@@ -112,7 +112,6 @@ from ._tables.raw_table import option as option
 from ._use.correction import NOT_RELIABLE as NOT_RELIABLE
 from ._use.correction import CorrectionInUse as CorrectionInUse
 from ._use.correction import CorrectionKind as CorrectionKind
-from ._use.correction import kept_why as kept_why
 from ._use.correction_files import as_data as as_data
 from ._use.correction_files import as_text as as_text
 from ._use.correction_files import format_of as format_of
@@ -120,5 +119,5 @@ from ._use.correction_files import in_form as in_form
 from ._use.correction_files import load_correction as load_correction
 from ._use.correction_files import names_in_unit as names_in_unit
 from ._use.correction_files import sensor_name as sensor_name
-from ._use.export_template import code_template as code_template
-from ._use.export_template import include_guard as include_guard
+from ._use.program_text import code_template as code_template
+from ._use.program_text import include_guard as include_guard

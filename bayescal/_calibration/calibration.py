@@ -10,15 +10,17 @@ from typing import TYPE_CHECKING, Any
 
 from bayescal._calibration.claim import Claim
 from bayescal._calibration.fitted import Fitted
-from bayescal._calibration.guards import (
-    conflicts,
+from bayescal._calibration.judgement import (
+    CONFLICTS,
+    FEW,
+    GROUPS,
+    Subject,
+    claims,
     effects_off_scale,
-    following_members,
-    too_different,
-    too_few,
 )
 from bayescal._calibration.storage import save
 from bayescal._calibration.summary import chi_squared, null_directions, summary, unknowns_parts
+from bayescal._core.flag import Flag
 from bayescal._core.formatting import WIDTH
 from bayescal._core.result_table import Printed, ResultTable
 from bayescal._model.model import in_short
@@ -56,8 +58,11 @@ class Calibration(Printed, Fitted):
         lines.append(str(self.verdict))
         lines += [f"conflict: {words}" for words in self.conflicts]
         lines += [f"unit? {words}" for words in self.off_scale]
-        said = {*map(str, self.conflicts)}
-        lines += [f"not reliable: {words}" for words in self.verdict.against if words not in said]
+        told = {(one.code, one.of) for one in self.conflicts}
+        further = [
+            w for w in self.verdict.against if not (isinstance(w, Flag) and (w.code, w.of) in told)
+        ]
+        lines += [f"not reliable: {words}" for words in further]
         return "\n".join(textwrap.fill(line, WIDTH) for line in lines)
 
     def _brief(self) -> str:
@@ -88,17 +93,12 @@ class Calibration(Printed, Fitted):
     @cached_property
     def conflicts(self) -> tuple[Claim, ...]:
         """Where readings and priors contradict each other, and what else a fit may not be."""
-        return (
-            *conflicts(self),
-            *too_different(self),
-            *following_members(self),
-            *too_few(self),
-        )
+        return tuple(claims((*CONFLICTS, *GROUPS, *FEW), Subject(self)))
 
     @cached_property
     def off_scale(self) -> tuple[Claim, ...]:
         """Effects that at their plausible size are a million times smaller or larger than the noise."""
-        return () if too_few(self) else tuple(effects_off_scale(self))
+        return effects_off_scale(self)
 
     @cached_property
     def tree(self) -> xr.DataTree:

@@ -9,7 +9,7 @@ import numpy as np
 from scipy.special import bdtr, kolmogorov, ndtr, smirnov
 
 from bayescal._calibration.calibration import Calibration
-from bayescal._calibration.check_result import Check, Entry, FixedComparison, Pair
+from bayescal._calibration.check_result import Check, Entry, FixedComparison, Pair, Region
 from bayescal._calibration.covariate_evidence import (
     Covariate,
     log_bayes_factors,
@@ -18,9 +18,8 @@ from bayescal._calibration.covariate_evidence import (
     together,
 )
 from bayescal._calibration.fit import fit
-from bayescal._calibration.guards import uncorrelated
+from bayescal._calibration.judgement import uncorrelated
 from bayescal._calibration.noise_in_time import SIGNIFICANT_P, allan_check
-from bayescal._calibration.worst_region import worst_regions
 from bayescal._core.parallel import on_one_thread
 from bayescal._core.settings import settings
 from bayescal._inference.least_squares import LeastSquares
@@ -35,6 +34,9 @@ FARTHEST_SHARE = 0.1  # share of the readings, those farthest from the model, wh
 DUOS = 15  # pairs of covariates, at most
 MEMBERS = 64  # of a group that is looked at member by member, at most
 ROUNDING = 1e-9  # share of a sum, below which it is the rounding of its terms
+
+RUN_REGION_READINGS = 8  # readings that a run needs for a region of its own where a model fails
+BINS = 12  # of a covariate
 
 
 @on_one_thread
@@ -59,7 +61,10 @@ def check(calibration: Calibration) -> Check:
     pairs = [Pair((a.name, b.name), f) for (a, b), f in zip(duos, of_duos, strict=True)]
     loo = _leave_one_out(judged, white)
     # Where the mean is off, so are size and side of the residuals: these are judged only where it is not.
-    off = max(factors, default=0.0) >= settings().strong_evidence
+    off, one_sided = max(factors, default=0.0) >= settings().strong_evidence, 1.0
+    if (count := int(FARTHEST_SHARE * len(loo))) and not off:  # sign test (binomial, two-sided)
+        above = int(np.sum(loo[np.argsort(-np.abs(loo))[:count]] > 0))
+        one_sided = min(1.0, 2 * float(bdtr(min(above, count - above), count, 0.5)))
     return Check(
         entries=tuple(sorted(entries, key=lambda e: -e.log_bayes_factor)),
         pairs=tuple(sorted(pairs, key=lambda p: -p.log_bayes_factor)),
@@ -74,7 +79,7 @@ def check(calibration: Calibration) -> Check:
             (i, z) for i, z in enumerate(loo.tolist()) if abs(z) > settings().outlier_sd
         ),
         pit_p=_uniform(ndtr(loo)),
-        one_sided=1.0 if off else _one_sided(loo),
+        one_sided=one_sided,
         fixed=_compare_fixed(calibration, residual, noise, free_noise),
         residuals=residual,
         allan=allan_check(judged),
@@ -104,20 +109,18 @@ def _judged(calibration: Calibration) -> tuple[Calibration, float | None]:
 def _compare_fixed(
     calibration: Calibration, residual: np.ndarray, noise: float, free: float | None
 ) -> FixedComparison | None:
-    return (
-        None
-        if free is None
-        else FixedComparison(
-            noise=noise,
-            free_fit=free,
-            known=known_noise(calibration),
-            mean=float(residual.mean()),
-            low=float(residual.min()),
-            high=float(residual.max()),
-            rms=float(np.sqrt(np.mean(residual**2))),
-            positive=int((residual > 0).sum()),
-            count=residual.size,
-        )
+    if free is None:
+        return None
+    return FixedComparison(
+        noise=noise,
+        free_fit=free,
+        known=known_noise(calibration),
+        mean=float(residual.mean()),
+        low=float(residual.min()),
+        high=float(residual.max()),
+        rms=float(np.sqrt(np.mean(residual**2))),
+        positive=int((residual > 0).sum()),
+        count=residual.size,
     )
 
 
@@ -161,9 +164,7 @@ def covariates_of(calibration: Calibration) -> list[Covariate]:
     return found
 
 
-def _duos(
-    covariates: list[Covariate],
-) -> list[tuple[Covariate, Covariate]]:
+def _duos(covariates: list[Covariate]) -> list[tuple[Covariate, Covariate]]:
     """Pairs of covariates that are not nearly one and the same."""
     varied = [b for b in covariates if not b.levels]
     rank = {b.name: _ranks(b.values) for b in varied}
@@ -180,10 +181,6 @@ def autocorrelation(calibration: Calibration, standardised: np.ndarray) -> tuple
     A fit takes from residuals what it follows: about a fitted level, n independent readings have −1/(n − 1). With
     r that of the residuals and ρ that expected of independent noise under this model, the coefficient is the
     difference on Fisher's scale, tanh(artanh r − artanh ρ), which is within ±1.
-
-    Args:
-        calibration: the fitted model.
-        standardised: its whitened residuals.
     """
     order, step = calibration.problem.record.in_time
     first = np.flatnonzero((step[1:] >= 0) | (not calibration.readings.has("time")))
@@ -251,13 +248,6 @@ def _leave_one_out(calibration: Calibration, white: np.ndarray) -> np.ndarray:
     return white / np.sqrt(np.maximum(1 - leverage, 1e-12))
 
 
-def _one_sided(loo: np.ndarray) -> float:
-    """p-value of the sign test (binomial, two-sided) on the readings that stand farthest from the model."""
-    count = int(FARTHEST_SHARE * len(loo))
-    above = int(np.sum(loo[np.argsort(-np.abs(loo))[:count]] > 0))
-    return min(1.0, 2 * float(bdtr(min(above, count - above), count, 0.5))) if count else 1.0
-
-
 def _ranks(values: np.ndarray) -> np.ndarray:
     """1 for the smallest; equal values share the mean of their ranks."""
     _, place, count = np.unique(values, return_inverse=True, return_counts=True)
@@ -279,3 +269,66 @@ def _uniform(values: np.ndarray) -> float:
     root = np.sqrt(n)
     x = root * apart
     return float(kolmogorov(x + 1 / (6 * root) + (x - 1) / (4 * n)))
+
+
+def worst_regions(calibration: Calibration, covariates: list[Covariate]) -> list[Region]:
+    """For each covariate the range of neighbouring bins whose mean residual is worst against its uncertainty.
+
+    Means and uncertainties follow the noise law: under correlated noise a long range counts for less.
+    """
+    levels, codes = calibration.readings.groups("run")
+    every: list[tuple[str | None, np.ndarray]] = [(None, np.ones(len(codes), bool))]
+    runs = [(level, codes == k) for k, level in enumerate(levels)] if len(levels) > 1 else []
+    runs = [(level, own) for level, own in runs if own.sum() >= RUN_REGION_READINGS]
+    found = []
+    for covariate in covariates:
+        parts = every if covariate.levels else [*every, *runs]
+        regions = [_worst(calibration, covariate, own, run) for run, own in parts]
+        # One run's own region must be clearly worse than the common one to be named.
+        region = max(regions, key=lambda r: abs(r.z) - (r.group is not None))
+        group = covariate.levels[int(region.low)] if covariate.levels else region.group
+        found.append(replace(region, group=group))
+    return found
+
+
+def _binned(covariate: Covariate, own: np.ndarray) -> tuple[np.ndarray, int]:
+    """The bin of each reading, −1 for those that are not its own; and how many bins there are."""
+    values = covariate.values[own]
+    distinct, bins = np.unique(values), np.full(len(covariate.values), -1)
+    if covariate.levels or len(distinct) <= BINS:
+        bins[own] = np.searchsorted(distinct, values)
+        return bins, len(distinct)
+    edges = np.quantile(values, np.linspace(0, 1, BINS + 1)[1:-1])
+    bins[own] = np.searchsorted(edges, values, side="right")
+    return bins, BINS
+
+
+def _worst(
+    calibration: Calibration, covariate: Covariate, own: np.ndarray, run: str | None
+) -> Region:
+    """Of all readings, or one run's own."""
+    bins, count = _binned(covariate, own)
+    pull, weight = calibration.linear.along((bins[:, None] == np.arange(count)).astype(float))
+    starts, ends = np.triu_indices(count + 1, 1)
+    short = ends - starts <= (1 if covariate.levels else max(1, (2 * count) // 3))
+    starts, ends = starts[short], ends[short]
+    pulls = np.append(0.0, np.cumsum(pull))
+    weights = np.pad(weight.cumsum(axis=0).cumsum(axis=1), ((1, 0), (1, 0)))
+    total = pulls[ends] - pulls[starts]
+    information = (weights[ends, ends] - weights[starts, ends]) - (
+        weights[ends, starts] - weights[starts, starts]
+    )
+    known = information > 0
+    scores = np.where(known, total, 0.0) / np.sqrt(np.where(known, information, 1.0))
+    at = int(np.argmax(np.abs(scores)))
+    z = float(scores[at])
+    inside = (bins >= starts[at]) & (bins < ends[at])
+    values = covariate.values[inside] if inside.any() else covariate.values
+    return Region(
+        low=float(values.min()),
+        high=float(values.max()),
+        group=run,
+        size=float(total[at] / information[at]) if z != 0 else 0.0,
+        z=z,
+        covariate_unit=covariate.unit,
+    )

@@ -11,13 +11,31 @@ from typing import Any
 import numpy as np
 
 from bayescal._calibration.noise_in_time import SIGNIFICANT_P, AllanCheck
-from bayescal._calibration.worst_region import Region
 from bayescal._core.formatting import WIDTH, number
 from bayescal._core.result_table import Printed, ResultTable, TableColumn
 from bayescal._core.settings import settings
 from bayescal._data.unit_conversion import unit_label
 
 IN_TIME = ("time", "elapsed", "order", "run")  # what correlated noise seems to follow
+
+
+@dataclass(frozen=True)
+class Region:
+    """A part of a covariate where the residuals are systematically positive or negative.
+
+    Attributes:
+        low, high: of the covariate, in `covariate_unit`.
+        group: the run, where it is one run's alone; the member, where the covariate is a group.
+        size: mean residual there (weighted by the noise law), output unit.
+        z: size over its standard uncertainty.
+    """
+
+    low: float
+    high: float
+    group: str | None
+    size: float
+    z: float
+    covariate_unit: str
 
 
 @dataclass(frozen=True)

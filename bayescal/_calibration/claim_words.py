@@ -13,7 +13,8 @@ from typing import Any, NamedTuple
 from bayescal._core.formatting import number
 from bayescal._data.unit_conversion import unit_label
 
-# Code (severity), what it says, and behind → what to do; of several cures the claim says which, by the [name].
+# Code (severity), what it says, and behind → what to do; of several cures the claim says which, by the [name];
+# "as" another claim's.
 # A "stop" and a "doubt" shut the gate, a "note" does not.
 CATALOGUE = """\
 kept (doubt)
@@ -133,9 +134,7 @@ term.replaceable (doubt)
     The coefficient {of[0]} is not measured, whatever its contraction in the model shown: {by} can stand for it, as
     the profiles are, and these readings cannot tell which it is ({of[0]} is {kept:.2g} times what it was in the model
     without {by}, {moved:.0f} of its standard uncertainties there away).
-  → [one run] Look at the column {column}: late, held, smoothed? Or does a body lag for longer than the run? {another}
-  → [runs] Look at the column {column}: late, held, smoothed, another's in one run? Or does a body lag for longer than
-    a run? {another}
+  → as term.replaced
 equivalent.undecided (doubt)
     These readings cannot tell {of[0]} from {beside}: they belong in the model together, each as uncertain as its prior
     leaves it, and which of them acts in use is not decided.
@@ -181,9 +180,7 @@ column.rounded (note)
 equivalent.latent (note)
     These readings cannot tell {of[0]} from {beside}: they belong in the model together, each as uncertain as its prior
     leaves it.
-  → [test] Of the instrument's experiments {experiment!r} would tell best ({nats:.1f} nats at plausible sizes).
-  → [none] None of the instrument's experiments would tell: take another set-up, or give one of them the size that is
-    known.
+  → as equivalent.undecided
 equivalent.candidates (note)
     These readings cannot tell {of[0]} from {beside}.
 term.confounded (note)
@@ -218,10 +215,7 @@ noise.no_level (note)
 noise.temperature (note)
     A polynomial of degree {degree} over {of[0]} was taken out beside the noise.
 noise.lost (note)
-    {share:.2g} % of the readings were lost: the filter goes on without.
-noise.blocks (note)
-    Of {readings} readings the filter took {means} means of {count} by their exact law, and {stretches} stretches of
-    {length} single readings.
+    {share:.2g} % of the readings were lost: they are drawn from the noise law, given the others.
 noise.event (note)
     At {at} s the average over {over} s changes by {change} {unit:unit}, {times} times what is usual: that is an event,
     such as a warm-up, a knock or a step, and the law takes it for noise.
@@ -252,6 +246,8 @@ def _read(catalogue: str) -> dict[str, Words]:
         if not line.startswith(" "):
             code, _, severity = told.removesuffix(")").partition(" (")
             found[code], cure = Words(severity, "", {}), None
+        elif told.startswith("→ as "):
+            found[code].cures.update(found[told.removeprefix("→ as ")].cures)
         elif told.startswith("→"):
             name, _, told = (
                 told.removeprefix("→ [").partition("] ") if "→ [" in told else ("", "", told[2:])
@@ -282,12 +278,7 @@ class _Filled(string.Formatter):
 
 
 def worded(code: str, holds: Mapping[str, Any]) -> str:
-    """A claim in words: what it says, and what to do.
-
-    Args:
-        code: of the claim.
-        holds: what it is of, and its numbers; `cure` says which of several cures is meant.
-    """
+    """A claim in words: what it says, and what to do."""
     words = WORDS[code]
     cure = words.cures.get(holds.get("cure", ""), "")
     return _Filled().vformat(f"{words.says} {cure}".rstrip(), (), holds)

@@ -25,9 +25,7 @@ from bayescal._core.settings import settings
 from bayescal._data.unit_conversion import unit_label
 from bayescal._inference.trust import K_HAT
 
-FEWEST_GROUPS = (
-    10  # that a standard error over groups needs: over three it is itself uncertain by half
-)
+FEWEST_GROUPS = 10  # for a standard error over groups: over three it is uncertain by half
 BY_GROUPS, BY_EVIDENCE = "leave-one-group-out", "log evidence"
 BY_READINGS = "pointwise leave-one-out"
 SAME_CURVE = 0.15  # of the noise: the largest difference of curves that count as the same
@@ -229,42 +227,30 @@ def _error(differences: np.ndarray) -> float:
 
 
 def _warnings(rows: list[ComparisonRow], by: str, fold: LeaveOneGroupOut | None) -> list[str]:
+    """Whether what ranks the models tells the first two apart, and where another measure is not reliable or differs."""
     said, (best, second) = [], rows[:2]
-    names = f"{best.name!r} and {second.name!r}"
+    differ, untold = f"{best.name!r} and {second.name!r} differ by", "it does not tell them apart."
     if fold and fold.count < FEWEST_GROUPS:
         said.append(
             f"Only {fold.count} groups ({fold.group}) to leave out: a standard error over so few says nothing, "
             "and none is given."
         )
     if by == BY_EVIDENCE:
-        said += _by_evidence(rows)
+        gap = (best.log_evidence or 0.0) - (second.log_evidence or 0.0)
+        if gap < settings().strong_evidence:
+            said.append(f"{differ} {gap:.1f} in log evidence: {untold}")
+        other = max(rows, key=lambda r: r.group_score or -np.inf)
+        if other is not best:
+            said.append(f"By leave-one-group-out {other.name!r} would come first.")
     elif by == BY_GROUPS and second.group_difference is not None and second.group_error:
         gap, error = -second.group_difference, second.group_error
         if gap < 2 * error:
-            said.append(
-                f"{names} differ by {gap:.1f} ± {error:.1f} in leave-one-group-out score: it does not tell them apart."
-            )
-    for row in rows:
-        if row.pareto_k > K_HAT:
-            said.append(
-                f"{row.name!r}: Pareto k up to {row.pareto_k:.2f}, so its pointwise leave-one-out is not "
-                "reliable."
-            )
-    return said
-
-
-def _by_evidence(rows: list[ComparisonRow]) -> list[str]:
-    """Whether the evidence tells the first two apart, and where leave-one-group-out would choose another first."""
-    best, second = rows[:2]
-    said, gap = [], (best.log_evidence or 0.0) - (second.log_evidence or 0.0)
-    if gap < settings().strong_evidence:
-        said.append(
-            f"{best.name!r} and {second.name!r} differ by {gap:.1f} in log evidence: it does not tell them apart."
-        )
-    other = max(rows, key=lambda r: r.group_score or -np.inf)
-    if other is not best:
-        said.append(f"By leave-one-group-out {other.name!r} would come first.")
-    return said
+            said.append(f"{differ} {gap:.1f} ± {error:.1f} in leave-one-group-out score: {untold}")
+    return said + [
+        f"{r.name!r}: Pareto k up to {r.pareto_k:.2f}, so its pointwise leave-one-out is not reliable."
+        for r in rows
+        if r.pareto_k > K_HAT
+    ]
 
 
 def _named(calibrations: Sequence[Calibration]) -> dict[str, Calibration]:

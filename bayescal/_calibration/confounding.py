@@ -28,7 +28,6 @@ from bayescal._data.measurements import Measurements
 from bayescal._data.unit_conversion import same_dimension
 from bayescal._inference.linear_model import LinearModel
 from bayescal._model.frame import derived, measured_column
-from bayescal._model.instrument import Instrument
 from bayescal._model.model import Model
 from bayescal._model.parameters import Layout
 
@@ -89,10 +88,15 @@ def confounders(
         return ()
     x = linear.mode.x - linear.problem.mean_of_x
     size = SIZE * float(np.std(line.jacobian[:, main] @ x[main]))
+    # Something unknown would add to the first slot in the output's unit, of three axes to each axis' own.
+    instrument = layout.model.instrument
+    slots = [s.name for s in instrument.slots if s.unit == instrument.unit]
+    vector = instrument.vector
+    slots = slots[:1] if vector is None else [n for n in slots if n not in vector.rig]
     acting = [
         (name, size * (values - values.mean()) / values.std() * linear.slopes[slot], 0.0)
         for name, values in columns.items()
-        for slot in _slots(layout.model.instrument)
+        for slot in slots
     ]
     acting += [(name, step / math.sqrt(12.0) * by, step) for name, (step, by) in steps.items()]
     found = list[Confounder]()
@@ -127,12 +131,7 @@ def stand_alone(layout: Layout) -> Bool[np.ndarray, "p"]:
 
 
 def given_up(linear: LinearModel, columns: Float[np.ndarray, "n k"]) -> Float[np.ndarray, "p k"]:
-    """By how much a model's coefficients would stand elsewhere beside further ones of one standard deviation each.
-
-    Args:
-        linear: the model.
-        columns: of these, whitened, per standard deviation.
-    """
+    """By how much a model's coefficients would stand elsewhere beside further ones of one standard deviation each."""
     p = linear.problem.layout.size
     return -(linear.root[:p] * linear.sd[:p, None]) @ linear.projected(columns)
 
@@ -142,13 +141,6 @@ def widened_by(linear: LinearModel, added: Float[np.ndarray, "p"]) -> Bool[np.nd
     p = linear.problem.layout.size
     known = np.linalg.norm(linear.root[:p] * linear.sd[:p, None], axis=1)
     return stand_alone(linear.problem.layout) & (np.hypot(added, known) > (1 + A_FIFTH) * known)
-
-
-def _slots(instrument: Instrument) -> list[str]:
-    """Those that something unknown would add to: the first in the output's unit, of three axes each axis' own."""
-    fitting = [s.name for s in instrument.slots if s.unit == instrument.unit]
-    vector = instrument.vector
-    return fitting[:1] if vector is None else [n for n in fitting if n not in vector.rig]
 
 
 def unexplained(model: Model, readings: Measurements) -> dict[str, Float[np.ndarray, "n"]]:
@@ -174,10 +166,7 @@ def unexplained(model: Model, readings: Measurements) -> dict[str, Float[np.ndar
 
 
 def widened(
-    x: Float[np.ndarray, "chains draws p"],
-    found: Sequence[Confounder],
-    layout: Layout,
-    seed: int,
+    x: Float[np.ndarray, "chains draws p"], found: Sequence[Confounder], layout: Layout, seed: int
 ) -> Float[np.ndarray, "chains draws p"]:
     """Draws of the coefficients that hold what columns may have done: of the same mean."""
     for i, one in enumerate(found):

@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Float
 from scipy.special import logsumexp
 
-from bayescal._calibration.calibration import Calibration
+from bayescal._calibration.fitted import Fitted
 from bayescal._core.errors import InputError
 from bayescal._model.unknown_effect import process_columns, process_weights, resolution
 
@@ -73,7 +73,7 @@ def _waves(values: np.ndarray) -> np.ndarray:
 
 
 def log_bayes_factors(
-    calibration: Calibration, covariates: list[Covariate], noise: float
+    calibration: Fitted, covariates: list[Covariate], noise: float
 ) -> list[float]:
     """For each covariate the log Bayes factor of a dependence on it against none.
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Iterable
 from contextlib import suppress
 from dataclasses import asdict, replace
 from pathlib import Path
@@ -55,6 +54,11 @@ def sources_of(readings: Measurements) -> tuple[Source, ...]:
 
 def description(c: Fitted) -> dict[str, Any]:
     """All that a calibration is but its numbers, by the names of what is installed."""
+    # Of flags that code asks for, code and names, by their words; effects that some structures of an average have not,
+    # of those that have no size by which their draws say so.
+    flags = (f for f in (*c.readings.flags, *c.verdict.against) if isinstance(f, Flag))
+    codes = {str(flag): [flag.code, *flag.of] for flag in flags}
+    averaged = [e.name for e in c.model.effects if e.held and e == e.averaged]
     return {
         "schema": "bayescal.calibration/1",  # of 0.2: identities stay what they were
         "instrument": c.model.instrument.name,
@@ -66,7 +70,7 @@ def description(c: Fitted) -> dict[str, Any]:
             e.name: {s.name: [s.low, s.high] for s in e.shapes} for e in c.model.effects if e.shapes
         },
         **({"sizes": sizes} if (sizes := _resized(c.model)) else {}),
-        **({"averaged": averaged} if (averaged := _averaged(c.model)) else {}),
+        **({"averaged": averaged} if averaged else {}),
         "fixed": dict(c.model.fixed),
         "noise": _noise_words(c.model.noise),
         "promoted": list(c.layout.promoted),
@@ -86,24 +90,14 @@ def description(c: Fitted) -> dict[str, Any]:
             for s in c.readings.sources
         ],
         "flags": list(c.readings.flags),
-        **({"flag_codes": codes} if (codes := _codes(c.readings.flags)) else {}),
+        **({"flag_codes": codes} if codes else {}),
         **({"nominal_scale": asdict(scale)} if (scale := c.readings.scale) else {}),
     }
-
-
-def _codes(flags: Iterable[str]) -> dict[str, list[str]]:
-    """Of flags that code asks for, code and names, by their words."""
-    return {str(flag): [flag.code, *flag.of] for flag in flags if isinstance(flag, Flag)}
 
 
 def typed_effects(model: Model) -> dict[str, str]:
     """The lines of the effects that were typed, by name: data, from which they are made again."""
     return {e.name: e.basis.text for e in model.effects if isinstance(e.basis, Formula)}
-
-
-def _averaged(model: Model) -> list[str]:
-    """Effects that some structures of an average have not, of those that have no size by which their draws say so."""
-    return [e.name for e in model.effects if e.held and e == e.averaged]
 
 
 def _resized(model: Model) -> dict[str, float]:
@@ -112,10 +106,7 @@ def _resized(model: Model) -> dict[str, float]:
 
     def resized(e: Effect) -> bool:
         known = own.get(e.name)
-        if known is None or e.coefficients in (
-            known.coefficients,
-            _as_before(known).coefficients,
-        ):
+        if known is None or e.coefficients in (known.coefficients, _as_before(known).coefficients):
             return bool(e.frees)
         return replace(e, coefficients=known.coefficients, shapes=known.shapes) == known
 

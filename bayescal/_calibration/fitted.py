@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, Self
@@ -56,10 +55,6 @@ class Fitted:
     log_evidence: tuple[float, float | None] | None
     start: dict[str, float] = field(default_factory=dict)
     confounded: tuple[Confounder, ...] | None = None  # None: to be asked of the readings
-
-    def judged(self, against: Iterable[Any]) -> Self:
-        """The same, checked, with why it is not to be used though it converged; nothing where it may be."""
-        return self.with_verdict(against=tuple(map(str, against)), checked=True)
 
     def with_verdict(self, **changes: Any) -> Self:
         """The same with another verdict; what was computed of it is kept."""

@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.special import fdtrc
 
-from bayescal._calibration.calibration import Calibration
+from bayescal._calibration.fitted import Fitted
 from bayescal._calibration.part import Part
 from bayescal._core.parallel import on_one_thread
 from bayescal._data.measurements import Measurements
@@ -86,7 +86,7 @@ def groups_of(readings: Measurements) -> tuple[str, tuple[str, ...], np.ndarray]
 
 
 @on_one_thread
-def leave_one_group_out(calibration: Calibration) -> LeaveOneGroupOut | None:
+def leave_one_group_out(calibration: Fitted) -> LeaveOneGroupOut | None:
     """Predict every group from the others; None where the noise is not Gaussian."""
     if not calibration.model.noise.gaussian:
         return None
@@ -137,7 +137,9 @@ class _Fold(NamedTuple):
 
 def _fold(whole: Problem, mode: Mode, kept: np.ndarray, out: np.ndarray) -> _Fold | None:
     """The readings left out, given the kept; None where these say nothing."""
-    fitted, predicted = (_density(whole, mode, rows) for rows in (kept, out))
+    parts = (Part(whole.record, rows) for rows in (kept, out))
+    problems = (Problem(whole.layout, part, whole.size_factors) for part in parts)
+    fitted, predicted = (Density(one, mode.x, mode.flat, mode.v) for one in problems)
     v, _ = climb(fitted, [mode.v], mode.covariance, NOTHING_LEFT)
     kinds = np.array(whole.kinds)
     # A law that follows a column is that of all readings: where it lies for these, the kept may have none.
@@ -175,9 +177,3 @@ def _given(
     gram = Gram(turned.T @ turned, pull, float(table[:, -1] @ table[:, -1]), logdet)
     line = predicted.problem.linearise(predicted.x, predicted.problem.hyper(v))
     return centred, gram, np.sum((line.jacobian @ found.root) ** 2, axis=1)
-
-
-def _density(whole: Problem, mode: Mode, rows: np.ndarray) -> Density:
-    """Of some readings, linearised where all of them were."""
-    part = Problem(whole.layout, Part(whole.record, rows), whole.size_factors)
-    return Density(part, mode.x, mode.flat, mode.v)

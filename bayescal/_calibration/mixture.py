@@ -45,12 +45,7 @@ def likeliest(calibration: Fitted) -> set[str]:
 
 
 def with_columns(calibration: F, columns: Iterable[str]) -> F:
-    """The average over those structures that need no other columns, where that leaves enough of them.
-
-    Args:
-        calibration: averaged or not.
-        columns: of readings that are there.
-    """
+    """The average over those structures that need no other columns, where that leaves enough of them."""
     there = set(columns)
     lacking = [e.name for e in calibration.model.effects if not there.issuperset(e.columns)]
     return without(calibration, lacking) if lacking else calibration

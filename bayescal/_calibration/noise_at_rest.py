@@ -1,55 +1,48 @@
 """Noise of a sensor at rest: Q, N, B and K of IEEE 952 with intervals, by the likelihood of sums of noise terms.
 
-Every sum is fitted by the Kalman filter to the readings themselves, levels of runs and a cubic over temperature
-integrated out beside it (restricted likelihood); the sums are weighed by their evidence, and the parameters of the
-most probable one drawn by importance sampling. Of a long log the filter takes the means of blocks of readings, by
-their exact law, and some stretches of single readings.
+Every sum is fitted to the spectrum of the readings, levels of runs and a cubic over temperature integrated out beside
+it (restricted likelihood); the sums are weighed by their evidence, and the parameters of the probable ones drawn by
+importance sampling. Lost readings are drawn from the noise law, given the others, and the sums fitted anew (data
+augmentation).
 
 N is the density along which the Allan deviation falls with slope −½ (IEEE 952, C.1.2). A low-pass, a moving average, an
 interpolation or a held output correlates readings over times shorter than those: where the deviation falls so only from
 means of m readings on, all is read from these means. Of a process that is short against T they are white noise, but for
 a correlation of neighbours.
 
-Sources: D. Harville, J. Am. Stat. Assoc. 72 (1977) 320 (restricted likelihood); IEEE Std 952-1997, Annex C.
+Sources: D. Harville, J. Am. Stat. Assoc. 72 (1977) 320 (restricted likelihood); M. Tanner and W. Wong, J. Am. Stat.
+Assoc. 82 (1987) 528 (data augmentation); IEEE Std 952-1997, Annex C.
 """
 
 from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import replace
+from collections import Counter
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any, ClassVar, NamedTuple
 
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float, Int
+from numpy.polynomial.legendre import legvander
+from scipy.fft import dct, idct
 from scipy.special import ndtri, softmax
 
 from bayescal._calibration.claim import Claim
 from bayescal._core import deadline
 from bayescal._core.errors import InputError
-from bayescal._core.importance_weights import resample, smoothed
+from bayescal._core.importance_weights import resample
 from bayescal._core.parallel import on_one_thread
 from bayescal._core.settings import settings
 from bayescal._data.allan_deviation import EvenRuns, degrees_of_freedom, even_runs, overlapping
-from bayescal._data.column import UNCERTAINTY
 from bayescal._data.measurements import Measurements
-from bayescal._inference.density import Density
-from bayescal._inference.laplace import Mode, find_mode, flat_scales, with_fit
-from bayescal._inference.problem import Problem
-from bayescal._inference.record import Record
-from bayescal._inference.sampling import WeightedDraws, weighted_draws
-from bayescal._inference.trust import FEWEST_DRAWS, unevenness
-from bayescal._model.channel_at_rest import CHANNEL, CURVE, DEGREE, LEVEL
-from bayescal._model.frame import build_frame, reference_of
-from bayescal._model.independent_noise import White
-from bayescal._model.model import Model
+from bayescal._inference.density import NOWHERE
+from bayescal._inference.newton import GaussianFit, climb, importance_draws
+from bayescal._inference.noise_nodes import EvenSpectrum
 from bayescal._model.noise_law import WHITE
+from bayescal._model.noise_spectrum import eigenvalues
 from bayescal._model.noise_terms import FLAT, TERMS
-from bayescal._model.parameters import Layout, bind
 from bayescal._model.prior import HalfCauchy, Positive
-from bayescal._model.state_space import filtered, of_means
 from bayescal._model.summed_noise import SummedNoise, SumOfTerms
 
 # Share of the probability of the likeliest noise law of a sensor at rest, from which another one has its share of the
@@ -76,11 +69,10 @@ STIRRED_DEGREES = 0.2
 
 
 Terms = tuple[str, ...]  # names of those of a sum, beside white noise
-# Readings above which means of blocks are taken: the filter then takes a tenth of a second.
-BLOCK_MEANS_READINGS = 16_384
-NOTHING = 1e6  # times the scatter of neighbours: the uncertainty of a place without a reading
-STRETCHES = 8  # of single readings beside the means, as many readings as there are means at most
-ALONE = ("walk", "flicker", "correlated")  # terms that are weighed one by one, then in pairs
+DEGREE = 3  # of the polynomial over temperature: a sensor's own law is rarely of more in one soak
+IMPUTATIONS = 6  # of lost readings; the first begins far from them and does not count
+SLOW = ("walk", "flicker", "correlated")  # terms of which a sum has two at most,
+NOT_TWICE = (("walk", "walk"), ("flicker", "flicker"))  # but none of these
 TONE: Terms = ("noise.tone", "noise.tone.frequency", "noise.tone.time")
 ROUNDED, AVERAGED = "quantisation", "averaging"  # of neighbouring readings alone
 # Of five values at 2 to 6: what the straight line through them has at 1.
@@ -89,50 +81,31 @@ WINDOW = 64  # readings of the shortest spectra in which a line is looked for; o
 WINDOWS = 8  # of the longest, at least
 # Places of a spectrum from a line to what it stands above: a window's own width is 2.
 BESIDE = np.array([3, 4, 5, 6])
+LINE_BLOCKS = 256  # of a run, along which the phase of a line is followed
+COHERENT_SHARE = 0.25  # of the longest run, for which a line keeps its phase
 SMOOTH = 0.02  # relative, of a spectrum without lines over as many places: it bends where one noise takes over another
 STARTS = 2  # of the starts tried, those from which a maximum is looked for
-SETTLED = 0.02  # standard deviations that a climb's last step moves by: 1e-3 nats of the maximum
-DRAWS = 1024  # proposals of each round
-FEWEST_SHARE = 0.25  # of them, for a sum of little probability or a bound
-KEPT = 2048  # draws by their weights, over all sums together
-ROUNDS = 4  # of proposals at most, until their weights are sound
+DRAWS = 2048  # of each sum
+KEPT = 2048  # of them by their weights, over all sums together
 
 
 class RestingSum(SumOfTerms):
-    """A sum of terms on evenly spaced readings, of which the first rows are means of blocks, by their exact law.
+    """A sum of terms on evenly spaced readings; unlike `SummedNoise` it may be white noise alone.
 
     Attributes:
         shortest, longest: the step between readings, and about that of the longest run, s.
         terms: beside white noise; there may be none.
-        count: readings in each mean.
-        means: how many rows are means; the rest are single readings.
         scale, correlated: priors of standard deviations, output unit.
     """
 
     shortest: float
     longest: float
     terms: tuple[str, ...]
-    count: int = 1
-    means: int = 0
     scale: Positive = HalfCauchy(1.0)
     correlated: Positive = HalfCauchy(1.0)
     gaussian: ClassVar[bool] = True
     law: ClassVar[str] = "sum_at_rest"
     independent: ClassVar[bool] = False
-
-    def whiten(self, columns, extra, parameters, frame):
-        m, step = self.means, frame.step
-        own = self._own_variance(parameters, frame) + extra
-        own = own.at[:m].divide(self.count)
-        if not self.terms:
-            sd = jnp.sqrt(own)
-            return columns / sd[:, None], jnp.log(sd)
-        single = filtered(self.states(parameters, step[m:]), own[m:], columns[m:])
-        if not m:
-            return single
-        one = self.states(parameters, jnp.stack([-1.0, step[m + 1]]))
-        of_blocks = filtered(of_means(one, self.count, step[:m] < 0), own[:m], columns[:m])
-        return tuple(map(jnp.concatenate, zip(of_blocks, single, strict=True)))
 
 
 class RestNoise(NamedTuple):
@@ -169,27 +142,42 @@ class RestNoise(NamedTuple):
 
 
 class _AtRest(NamedTuple):
-    """A channel, as rows that are means of blocks and single readings."""
+    """A channel at rest.
 
-    layout: Layout
-    record: Record
-    count: int  # readings in a mean,
-    means: int  # and how many rows of the record are means
-    size: float  # standard deviation of neighbours, output unit
-    step: float  # s
-    longest: float  # a power of two of steps, s
-    tau: np.ndarray  # averaging times, s,
-    allan: np.ndarray  # and variances, output unit squared
-    line: Mapping[str, float] = {}  # a tone to begin with, for steps of one second; none if empty
+    Attributes:
+        columns: of its runs (n, r), the last the output, the others taken out.
+        spectrum: of these.
+        size: standard deviation of neighbours, output unit.
+        longest: run, a power of two of steps, s.
+        tau: averaging times, s,
+        allan: and variances, output unit squared.
+        line: a tone to begin with; none if empty.
+    """
+
+    columns: Sequence[Float[np.ndarray, "n r"]]
+    spectrum: EvenSpectrum
+    size: float
+    longest: float
+    tau: np.ndarray
+    allan: np.ndarray
+    line: Mapping[str, float]
 
     def law(self, terms: Terms) -> RestingSum:
         scale = HalfCauchy(self.size)
-        return RestingSum(self.step, self.longest, terms, self.count, self.means, scale, scale)
+        return RestingSum(self.spectrum.step, self.longest, terms, scale, scale)
 
-    def problem(self, terms: Terms) -> Problem:
-        """Levels, the curve over temperature and this sum, on the readings."""
-        model = self.layout.model.with_noise(self.law(terms))
-        return Problem(replace(self.layout, model=model), self.record)
+    def log_density(self, terms: Terms) -> Callable[[Float[np.ndarray, "s d"]], np.ndarray]:
+        """Return the log posterior density of coordinates of a sum's parameters, levels and curve integrated out."""
+        law = self.law(terms)
+        priors = law.parameters()
+
+        def values(v: Float[np.ndarray, "s d"]) -> Float[np.ndarray, "s"]:
+            own = {n: p.value(v[:, i]) for i, (n, p) in enumerate(priors.items())}
+            prior = sum(p.log_density(v[:, i]) for i, p in enumerate(priors.values()))
+            found = self.spectrum.log_likelihood(law, own) + prior
+            return np.where(np.isfinite(found), found, NOWHERE)
+
+        return values
 
 
 class WeighedNoise(NamedTuple):
@@ -216,7 +204,7 @@ class WeighedNoise(NamedTuple):
 
 @on_one_thread
 def weigh_noise(readings: Measurements, seed: int = 0) -> WeighedNoise:
-    """Sums of noise terms on a channel at rest, the first with draws of its parameters.
+    """Sums of noise terms on a channel at rest, the probable ones with draws of their parameters.
 
     Args:
         readings: evenly spaced in time within runs; a column `temperature` is taken out as a cubic, if it moves.
@@ -233,88 +221,111 @@ def weigh_noise(readings: Measurements, seed: int = 0) -> WeighedNoise:
     if count is not None and count > 1:
         readings, runs = _means_of(readings, runs, count)
         base = (AVERAGED,)
-    channel, claims = _channel(readings, runs)
+    columns, size, claims = _columns(readings, runs)
     output = np.asarray(readings["output"], float)
     clear, line = _line(output, runs)
-    channel = channel._replace(line=line)
-    with deadline.finishing():
-        fits: dict[Terms, Mode] = {base: _fit(channel, base)}
     limits = {"tone": (clear, LINE_SD)}
     if not base:
         negative = _negative(output, runs)
         limits[ROUNDED if negative > 0 else AVERAGED] = abs(negative), NEIGHBOURS_SD
     further = tuple(term for term, (sigmas, limit) in limits.items() if sigmas > limit)
     kept = tuple(term for term in further if limits[term][0] > SURE_SD)
+    variance, _ = overlapping(output, runs)
+    longest = runs.step * 2.0 ** math.ceil(math.log2(max(runs.lengths)))
+    per_reading = dict(zip(TONE, (1.0, 1 / runs.step, runs.step), strict=True))
+    line = {name: per_reading[name] * value for name, value in line.items()}
+    made = size, longest, runs.factors * runs.step, variance, line
+    law, values = RestingSum(runs.step, longest, ("walk",)), {WHITE: size}
+    values["noise.walk"] = math.sqrt(3 * variance[-1] / (runs.factors[-1] * runs.step))
+    random, found = np.random.default_rng(seed), list[WeighedNoise]()
     end = deadline.current()
     end.defer_interrupt()
-    try:
-        end.ask()
-        for _ in _fitted_sums(channel, fits, base, further, kept):
-            end.ask()
-    except deadline.TimeIsUp:
-        claims += (Claim("noise.ended", why=end.why),)
-    with deadline.finishing():
-        drawn, walk, probabilities = _drawn_sums(channel, fits, seed)
-    return WeighedNoise(tuple(drawn), walk, probabilities, claims, readings, runs, count)
+    for k in range(IMPUTATIONS if runs.lost else 1):
+        filled = [_filled(own, law, values, runs.step, random) for own in columns]
+        lines = [line[TONE[1]]] if "tone" in further else []
+        channel = _AtRest(filled, EvenSpectrum(filled, runs.step, lines), *made)
+        fits: dict[Terms, GaussianFit] = {base: _fit(channel, base, {})}
+        try:
+            for terms in _sums(fits, base, further, kept):
+                end.ask()
+                fits[terms] = _fit(channel, terms, fits)
+        except deadline.TimeIsUp:
+            claims.append(Claim("noise.ended", why=end.why))
+        drawn, walk, probabilities = _drawn_sums(channel, fits, seed + k)
+        found.append(WeighedNoise(tuple(drawn), walk, probabilities, (), readings, runs, count))
+        law, values = drawn[0].law, {n: float(d[0]) for n, d in drawn[0].draws.items()}
+        if end.over:
+            break
+    return _pooled(found[-(IMPUTATIONS - 1) :])._replace(claims=tuple(claims))
 
 
-def _fitted_sums(
-    channel: _AtRest, fits: dict[Terms, Mode], base: Terms, further: Terms, kept: Terms
+def _pooled(parts: Sequence[WeighedNoise]) -> WeighedNoise:
+    """Return the mixture of what several imputations of lost readings say."""
+    mean = Counter[Terms]()
+    for one in parts:
+        mean.update({terms: p / len(parts) for terms, p in one.probabilities.items()})
+    drawn = sorted((n for one in parts for n in one.drawn), key=lambda n: -mean[n.terms])
+    bound = {"noise.walk": np.concatenate([one.walk.draws["noise.walk"] for one in parts])}
+    last, walk = parts[-1], parts[-1].walk._replace(draws=bound)
+    return last._replace(drawn=tuple(drawn), walk=walk, probabilities=dict(mean.most_common()))
+
+
+def _sums(
+    fits: Mapping[Terms, GaussianFit], base: Terms, further: Terms, kept: Terms
 ) -> Iterator[Terms]:
-    """Fit sums until none beside the most probable one is left; yield each.
+    """Yield the sums that are weighed beside the least one: of two slow terms at most, and any of `further`.
 
     Args:
-        channel: what is fitted.
-        fits: the least sum alone; the others are put there.
-        base: terms of that sum, which every sum has;
+        fits: of those before.
+        base: terms of the least sum, which every sum has;
         further: terms of neighbouring readings, or a tone, that may be there;
-        kept: and those of them that every sum has.
+        kept: and those of them that every other sum has; the best one is weighed without each of them at the end.
     """
-    among = (*ALONE, *further)
-    for term in among:
-        terms = _sorted((*base, *(() if term in further else kept), term))
-        fits[terms] = _fit(channel, terms)
-        yield terms
-    looked: Terms | None = None
-    while (best := max(fits, key=lambda t: _total(fits, t))) != looked:
-        looked = best
-        known = dict(zip(channel.law(best).parameters(), fits[best].v, strict=True))
-        for terms in _beside(best, among):
-            if terms not in fits:
-                fits[terms] = _fit(channel, terms, known)
-                yield terms
-    # What is correlated over a few readings looks like them too.
-    for term in kept:
-        if (without := tuple(t for t in best if t != term)) not in fits:
-            fits[without] = _fit(channel, without)
-            yield without
+    pairs = [p for p in itertools.combinations_with_replacement(SLOW, 2) if p not in NOT_TWICE]
+    brief = [
+        {*some, *kept}
+        for k in range(len(further) + 1)
+        for some in itertools.combinations(further, k)
+    ]
+    slow = [(), *((term,) for term in SLOW), *pairs]
+    sums = {_sorted((*base, *one, *b)) for one in slow for b in brief} - {base}
+    yield from sorted(sums, key=lambda terms: (len(terms), terms))
+    # What is correlated over a few readings looks like these terms too.
+    best = next(iter(_totals(fits)))
+    yield from {tuple(t for t in best if t != term) for term in kept} - {*fits}
 
 
 def _drawn_sums(
-    channel: _AtRest, fits: dict[Terms, Mode], seed: int
+    channel: _AtRest, fits: dict[Terms, GaussianFit], seed: int
 ) -> tuple[list[RestNoise], RestNoise, dict[Terms, float]]:
     """Draws of the probable sums, of the most probable one with a random walk, and the probability of each."""
-    sampled: dict[Terms, WeightedDraws] = {}
+    sampled = dict[Terms, tuple[np.ndarray, np.ndarray]]()  # and their weights
+
+    def sample(terms: Terms) -> float:
+        values = channel.log_density(terms)
+        v, weights, evidence = importance_draws(values, fits[terms], seed, DRAWS)
+        sampled[terms] = v, weights
+        return evidence
+
     while True:
-        order = sorted(fits, key=lambda t: -_total(fits, t))
-        totals = np.array([_total(fits, t) for t in order])
-        probabilities = dict(zip(order, softmax(totals).tolist(), strict=True))
-        least = DRAWN_SHARE * probabilities[order[0]]
-        probable = [t for t in order if probabilities[t] > least]
+        totals = _totals(fits)
+        shares = softmax(list(totals.values()))
+        probabilities = dict(zip(totals, shares.tolist(), strict=True))
+        probable = [t for t, share in probabilities.items() if share > DRAWN_SHARE * shares[0]]
         if not (fresh := [t for t in probable if t not in sampled]):
             break
         # By the weights of draws a sum whose posterior is bent has less evidence than by its curvature at the mode.
         for terms in fresh:
-            sampled[terms] = _sampled(channel, terms, fits[terms], seed, probabilities[terms])
-            fits[terms] = fits[terms]._replace(log_evidence=sampled[terms].log_evidence)
-    drawn = [_drawn(channel, t, sampled[t], seed, probabilities[t]) for t in probable]
+            fits[terms] = fits[terms]._replace(log_evidence=sample(terms))
+    drawn = [_drawn(channel, t, *sampled[t], seed, probabilities[t]) for t in probable]
     walk = drawn[0]
     if "walk" not in walk.terms:
         further = _sorted((*walk.terms, "walk"))
+        if further not in fits:
+            fits[further] = _fit(channel, further, fits)
         if further not in sampled:
-            fit = fits.get(further) or _fit(channel, further)
-            sampled[further] = _sampled(channel, further, fit, seed, FEWEST_SHARE)
-        walk = _drawn(channel, further, sampled[further], seed, FEWEST_SHARE)
+            sample(further)
+        walk = _drawn(channel, further, *sampled[further], seed, 1.0)
     return drawn, walk, probabilities
 
 
@@ -385,19 +396,6 @@ def _sorted(terms: Terms) -> Terms:
     return tuple(sorted(terms, key=list(TERMS).index))
 
 
-def _beside(terms: Terms, among: Terms) -> Iterator[Terms]:
-    """Sums of one term more; and where there are two slow terms, the most that there may be, with one exchanged.
-
-    Noise of neighbours is of the shortest times and says nothing of the slow terms: it does not count.
-    """
-    slow = [at for at, term in enumerate(terms) if term in ALONE]
-    shorter = [terms[:at] + terms[at + 1 :] for at in slow] if len(slow) > 1 else [terms]
-    for term in among:
-        for rest in shorter if term in ALONE else [terms]:
-            if term not in rest or term == "correlated":
-                yield _sorted((*rest, term))
-
-
 def _negative(output: Float[np.ndarray, "n"], runs: EvenRuns) -> float:
     """Return how surely neighbours are correlated negatively, as rounded angles are, in standard deviations.
 
@@ -443,19 +441,35 @@ def _line(output: Float[np.ndarray, "n"], runs: EvenRuns) -> tuple[float, dict[s
             best, tone = float(sigmas[k]), (size, float(at[k]) / length, float(length))
             found = dict(zip(TONE, tone, strict=True))
         length *= 2
+    if found:  # at the strongest place of the whole run's spectrum within that window's width
+        power = np.abs(np.fft.rfft((run - run.mean()) * np.hanning(len(run))))
+        low, high = (round((found[TONE[1]] + side / found[TONE[2]]) * len(run)) for side in (-1, 1))
+        found[TONE[1]] = (max(low, 1) + float(np.argmax(power[max(low, 1) : high]))) / len(run)
     return best, found
 
 
-def _total(fits: dict[Terms, Mode], terms: tuple[str, ...]) -> float:
-    """Log evidence and log prior: level noise, the first, has one half of it; other sums share the rest."""
-    others, level = max(1, len(fits) - 1), settings().prior_complete
-    share = level if terms == next(iter(fits)) else (1 - level) / others
-    return fits[terms].log_evidence + math.log(share)
+def _totals(fits: Mapping[Terms, GaussianFit]) -> dict[Terms, float]:
+    """Return log evidence and log prior of sums, the most probable first.
+
+    The least sum, the first, has one half of the prior; of the others those of one term more have half as much,
+    together.
+    """
+    (base, *others), level = fits, settings().prior_complete
+    counts = Counter(map(len, others))
+    share = {terms: 2.0 ** -len(terms) / counts[len(terms)] for terms in others}
+    prior = {base: level} | {t: (1 - level) * s / sum(share.values()) for t, s in share.items()}
+    totals = {terms: fit.log_evidence + math.log(prior[terms]) for terms, fit in fits.items()}
+    return dict(sorted(totals.items(), key=lambda item: -item[1]))
 
 
-def _channel(readings: Measurements, runs: EvenRuns) -> tuple[_AtRest, tuple[Claim, ...]]:
+def _columns(
+    readings: Measurements, runs: EvenRuns
+) -> tuple[list[Float[np.ndarray, "n r"]], float, list[Claim]]:
+    """Return the curve over temperature, if it moves, and the output of each run, NaN where a reading was lost;
+
+    with the standard deviation of neighbours, output unit, and what was done.
+    """
     output, claims = np.asarray(readings["output"], float), list[Claim]()
-    rows = [r for r in runs.rows if len(r) > 1]
     changes = _changes(output, runs)
     size = float(np.median(np.abs(changes - np.median(changes)))) * 1.4826 / math.sqrt(2)
     if not size > 0:
@@ -463,45 +477,55 @@ def _channel(readings: Measurements, runs: EvenRuns) -> tuple[_AtRest, tuple[Cla
             f"{readings.file}: more than half of the readings are equal to their neighbours, so the output is rounded "
             "more coarsely than its noise: record it with more digits"
         )
-    given = {"output": output - np.median(output)}
-    effects = [LEVEL]
+    columns = (output - np.median(output))[:, None]
     if readings.has("temperature") and float(np.ptp(readings["temperature"])) > STIRRED_DEGREES:
-        given["temperature"] = np.asarray(readings["temperature"], float)
-        effects.append(CURVE)
+        temperature = np.asarray(readings["temperature"], float)
+        place = 2 * (temperature - temperature.min()) / np.ptp(temperature) - 1
+        columns = np.column_stack([legvander(place, DEGREE)[:, 1:], columns])
         claims.append(Claim("noise.temperature", "temperature", degree=DEGREE))
     if runs.lost:
         claims.append(Claim("noise.lost", share=runs.lost))
-    total = sum(len(r) for r in rows)
-    count = 2 ** max(0, math.ceil(math.log2(total / BLOCK_MEANS_READINGS)))
-    blocks: list[np.ndarray] = []
-    if count > 1:
-        blocks = [r[: len(r) // count * count].reshape(-1, count) for r in rows if len(r) >= count]
-        rows = _stretches(rows, BLOCK_MEANS_READINGS // STRETCHES)
-        taken = {"readings": total, "means": sum(map(len, blocks)), "count": count}
-        claims.append(Claim("noise.blocks", **taken, stretches=len(rows), length=len(rows[0])))
-    parts = [*blocks, *(r[:, None] for r in rows)]
-    lengths = [len(part) for part in parts]
-    beside: dict[str, Any] = (
-        {UNCERTAINTY: np.concatenate([_of_lost(p, size) for p in parts])} if runs.lost else {}
-    )
-    columns: dict[str, Any] = {
-        n: np.concatenate([_means(v, part) for part in parts]) for n, v in given.items()
-    }
-    still = Measurements.from_arrays(
-        CHANNEL,
-        run=np.repeat([f"{k:06d}" for k in range(len(parts))], lengths),
-        time=runs.step * np.concatenate([np.arange(length) for length in lengths]),
-        **columns,
-        **beside,
-    )
-    reference = reference_of(still)
-    frame = build_frame(still, reference)
-    layout, _ = bind(Model(CHANNEL, tuple(effects), White()), still, reference=reference)
-    longest = runs.step * 2.0 ** math.ceil(math.log2(max(len(r) for r in runs.rows)))
-    variance, _ = overlapping(output, runs)
-    record = Record(CHANNEL, frame, np.asarray(frame["output"]))
-    own = (size, runs.step, longest, runs.factors * runs.step, variance)
-    return _AtRest(layout, record, count, sum(map(len, blocks)), *own), tuple(claims)
+    parts = [np.where((r < 0)[:, None], np.nan, columns[r]) for r in runs.rows if len(r) > 1]
+    return parts, size, claims
+
+
+def _filled(
+    columns: Float[np.ndarray, "n r"],
+    law: SumOfTerms,
+    values: Mapping[str, float],
+    step: float,
+    random: np.random.Generator,
+) -> Float[np.ndarray, "n r"]:
+    """Return a run whose lost readings are drawn from a noise law, given the others; its curve is interpolated.
+
+    With the precision Q = CᵀD⁻¹C, C the cosine transform and D the density in frequency (but for a run's ends), and m
+    the lost places, Q_mm·x_m = (CᵀD^(−½)·ε)_m − (Q·x)_m, where x is zero at m and ε standard normal, has their mean
+    and their covariance Q_mm⁻¹. The level is free: 1/D is taken as zero at frequency zero.
+
+    Source: G. Papandreou and A. Yuille, Advances in Neural Information Processing Systems 23 (2010) 1858.
+    """
+    lost, n = np.isnan(columns[:, -1]), len(columns)
+    if not lost.any():
+        return columns
+    from scipy.sparse.linalg import LinearOperator, cg  # a third of a second that most do without
+
+    places, (m,) = np.arange(n), np.nonzero(lost)
+    curve = [np.interp(places, places[~lost], one[~lost]) for one in columns.T[:-1]]
+    design = np.column_stack([np.ones(n), *curve])
+    mean = design @ np.linalg.lstsq(design[~lost], columns[~lost, -1], rcond=None)[0]
+    own = {name: np.array([[value]]) for name, value in values.items()}
+    terms = law.spectrum(own, step, eigenvalues(n))
+    density = own[WHITE] ** 2 + sum((term.symbol for term in terms), np.zeros((1, n)))
+    weight = np.append(0.0, 1 / density[0, 1:])
+
+    def precise(x: Float[np.ndarray, "n"]) -> Float[np.ndarray, "m"]:
+        return np.asarray(idct(weight * dct(x, norm="ortho"), norm="ortho"))[m]
+
+    q = LinearOperator((len(m), len(m)), lambda x: precise(np.bincount(m, x.ravel(), n)))
+    noise = np.where(lost, 0.0, columns[:, -1] - mean)
+    right = idct(np.sqrt(weight) * random.standard_normal(n), norm="ortho")[m] - precise(noise)
+    noise[m], _ = cg(q, right, rtol=1e-6)
+    return np.column_stack([*curve, mean + noise])
 
 
 def _means(values: Float[np.ndarray, "n"], part: Int[np.ndarray, "k c"]) -> np.ndarray:
@@ -510,120 +534,99 @@ def _means(values: Float[np.ndarray, "n"], part: Int[np.ndarray, "k c"]) -> np.n
     return np.where(there, values[part], 0.0).sum(axis=1) / np.maximum(there.sum(axis=1), 1)
 
 
-def _of_lost(part: Int[np.ndarray, "k c"], size: float) -> np.ndarray:
-    """Uncertainty, in each of the c readings of a mean, that says as much as that some are lost (k,).
-
-    A mean of n has c/n times the white variance of one of c. Where fewer than half are there it says nothing.
-    """
-    count, there = part.shape[1], np.sum(part >= 0, axis=1)
-    missing = count / np.maximum(there, 1) - 1
-    return size * np.where(2 * there < count, NOTHING, np.sqrt(missing))
-
-
-def _stretches(rows: Sequence[np.ndarray], length: int) -> list[np.ndarray]:
-    """Stretches of neighbours, evenly over the runs."""
-    each = max(1, STRETCHES // len(rows))
-    found = []
-    for r in sorted(rows, key=len, reverse=True)[:STRETCHES]:
-        size = min(length, len(r) // each)
-        starts = np.linspace(0, len(r) - size, each).astype(int)
-        found += [r[s : s + size] for s in starts]
-    return found
-
-
 # one sum -------------------------------------------------------------------------------------------------------------
 
 
-def _fit(channel: _AtRest, terms: Terms, known: Mapping[str, float] | None = None) -> Mode:
-    """The mode of a sum, levels and the curve integrated out, and its Laplace evidence.
+def _fit(channel: _AtRest, terms: Terms, fits: Mapping[Terms, GaussianFit]) -> GaussianFit:
+    """Return the mode of a sum and its Laplace evidence.
 
     Args:
+        channel: what is fitted.
         terms: of the sum.
-        known: coordinates at the mode of a part of it, by name: a search begins there and at the best start beside.
+        fits: of other sums: a search begins at the modes of those that have one term less, too.
     """
-    problem = channel.problem(terms)
-    priors = problem.noise.parameters()
+    priors, values = channel.law(terms).parameters(), channel.log_density(terms)
     starts = list(_starts(channel, terms, priors))
-    if known is not None:
-        least = starts[-1]  # further terms as small as any start has them
+    least = starts[-1]  # further terms as small as any start has them
+    for part in {terms[:i] + terms[i + 1 :] for i in range(len(terms))} & {*fits}:
+        known = dict(zip(channel.law(part).parameters(), fits[part].v, strict=True))
         starts.append(np.array([known.get(n, v) for n, v in zip(priors, least, strict=True)]))
-    order = np.argsort(-_density(problem).values(np.array(starts)))[:STARTS]
-    tries = list[Mode]()
-    for i in order:
-        deadline.current().ask()
-        tries.append(find_mode(problem, [starts[i]], curved=False, wanted_from=math.inf))
-    best = max(tries, key=lambda t: t.log_density)
-    best = find_mode(problem, [best.v], best.covariance, still=SETTLED, curved=False)
-    return with_fit(problem, best)
+    scale = np.ones(len(priors))
+    if "tone" in terms:  # a line is known to a part of its width
+        near = channel.line[TONE[1]] - np.array([0.1 / channel.line[TONE[2]], 0.0])
+        scale[list(priors).index(TONE[1])] = np.diff(priors[TONE[1]].coordinate(near))[0]
+    order = np.argsort(-values(np.array(starts)))[:STARTS]
+    return max((climb(values, starts[i], scale) for i in order), key=lambda fit: fit.log_density)
 
 
-def _starts(
-    channel: _AtRest, terms: tuple[str, ...], priors: dict[str, Any]
-) -> Iterator[np.ndarray]:
+def _starts(channel: _AtRest, terms: Terms, priors: dict[str, Any]) -> Iterator[np.ndarray]:
     """Coordinates, from the Allan curve: each term as large as the curve lets it be, times in several places."""
-    tau, allan, step, line = channel.tau, channel.allan, channel.step, channel.line
-    walk = math.sqrt(3 * allan[-1] / tau[-1])
+    tau, allan, step, line = channel.tau, channel.allan, channel.spectrum.step, channel.line
     sizes = {
-        "noise.walk": walk,
+        WHITE: math.sqrt(allan[0]),
+        "noise.walk": math.sqrt(3 * allan[-1] / tau[-1]),
         "noise.flicker": math.sqrt(float(np.min(allan)) / FLAT),
         "noise.quantisation": tau[0] * math.sqrt(allan[0] / 3),
         "noise.averaging": math.sqrt(allan[0]),
+        **line,
     }
-    if line:
-        sizes[TONE[0]] = line[TONE[0]]
-    places = [0.2, 0.5, 0.8]
-    alike, memories = terms.count("correlated"), (0.25, 2.0) if "tone" in terms else (1.0,)
-    several = itertools.combinations(places, alike) if alike else [()]
-    for shares, memory in itertools.product(several, memories):
-        times = [step * (channel.longest / step) ** share for share in shares]
-        amplitudes, held = dict(sizes), {WHITE: math.sqrt(allan[0])}
+    several = itertools.combinations([0.2, 0.5, 0.8], terms.count("correlated"))
+    memories = (0.25, 2.0, 100.0) if "tone" in terms else (1.0,)
+    for shares, memory, factor in itertools.product(several, memories, (1.0, 0.3)):
+        values, before = {n: v if n == WHITE else factor * v for n, v in sizes.items()}, step
         if line:
-            held |= {TONE[1]: line[TONE[1]] / step, TONE[2]: memory * line[TONE[2]] * step}
-        before = step
-        for k, time in enumerate(times, 1):
+            values[TONE[1]] = line[TONE[1]]
+            values[TONE[2]] = min(memory * line[TONE[2]], 0.7 * channel.longest)
+        for k, share in enumerate(shares, 1):
+            time = step * (channel.longest / step) ** share
             variance = 1.6 * float(np.interp(math.log(2 * time), np.log(tau), allan))
-            amplitudes[f"noise.correlated{k}.diffusion"] = math.sqrt(2 * variance / time)
-            held[f"noise.correlated{k}.time"] = time
+            values[f"noise.correlated{k}.diffusion"] = factor * math.sqrt(2 * variance / time)
+            values[f"noise.correlated{k}.time"] = time
             part = math.log(time / before) / math.log(channel.longest / before)
-            held[f"noise.correlated{k}.place"] = float(ndtri(np.clip(part, 5e-4, 1 - 5e-4)))
-            before = time
-        for factor in (1.0, 0.3):
-            values = held | {n: factor * amplitude for n, amplitude in amplitudes.items()}
-            yield np.array([float(p.coordinate(values[n])) for n, p in priors.items()])
+            values[f"noise.correlated{k}.place"], before = float(ndtri(part)), time
+        yield np.array([float(p.coordinate(values[n])) for n, p in priors.items()])
 
 
-def _density(problem: Problem) -> Density:
-    """Of the sum's coordinates, levels and the curve integrated out."""
-    nothing = np.zeros(len(problem.hypers))
-    return Density(problem, problem.start, flat_scales(problem, problem.start, nothing))
+def _line_size(y: Float[np.ndarray, "n"], turn: float) -> float:
+    """Return the root mean square of a line in a run, less what other noise has at its frequency, output unit.
 
-
-def _sampled(channel: _AtRest, terms: Terms, mode: Mode, seed: int, share: float) -> WeightedDraws:
-    """Draws by importance sampling, as in every fit, until their weights are sound or have been tried often enough.
+    Where its phase lasts as long as the record a line is one amplitude, of which a law knows the order of magnitude and
+    the readings all: with c the largest coefficient of the periodogram near its frequency, |c|²/2 is its mean square.
 
     Args:
-        share: of all draws; a sum of little probability has few of those that are kept.
+        y: output.
+        turn: about its frequency, cycles per reading.
     """
-    problem, share, found = channel.problem(terms), max(share, FEWEST_SHARE), None
-    for _ in range(ROUNDS):
-        found = weighted_draws(problem, mode, seed, math.ceil(DRAWS * share), ROUNDS, earlier=found)
-        weights, k_hat = smoothed(found.log_weight)
-        if not unevenness(weights, k_hat, enough=FEWEST_DRAWS * share):
-            break
-    assert found is not None
-    return found
+    n = len(y)
+    edges = np.linspace(0, n, min(LINE_BLOCKS, n) + 1).astype(int)
+    slow = np.add.reduceat((y - y.mean()) * np.exp(-2j * math.pi * turn * np.arange(n)), edges[:-1])
+    place = 0.5 * (edges[:-1] + edges[1:]) / n
+
+    def power(offset: float) -> float:
+        """Return the periodogram, so many cycles per run from the frequency."""
+        return float(2 * abs(slow @ np.exp(-2j * math.pi * offset * place)) ** 2 / n)
+
+    offset = 0.0
+    for width in (0.8, 0.1):
+        offset = max(offset + width * np.linspace(-1, 1, 9), key=power)
+    around = np.mean([power(offset + k) for k in (*BESIDE, *-BESIDE)])
+    return math.sqrt(max(power(offset) - float(around), 0.0) / n)
 
 
 def _drawn(
-    channel: _AtRest, terms: Terms, sampled: WeightedDraws, seed: int, share: float
+    channel: _AtRest, terms: Terms, v: np.ndarray, weights: np.ndarray, seed: int, share: float
 ) -> RestNoise:
-    """Parameters of equal probability, drawn anew by their weights.
-
-    Args:
-        share: of all draws that are kept.
-    """
-    weight, _ = smoothed(sampled.log_weight)
-    chosen = sampled.v[np.sort(resample(weight, max(1, round(share * KEPT)), seed))]
-    priors = channel.law(terms).parameters()
+    """Return parameters of equal probability, drawn anew by the weights of v; `share` of all draws that are kept."""
+    chosen, law = v[resample(weights, max(1, round(share * KEPT)), seed)], channel.law(terms)
+    priors = law.parameters()
     own = {n: np.asarray(p.value(chosen[:, i])) for i, (n, p) in enumerate(priors.items())}
-    return RestNoise(terms, own, channel.law(terms))
+    if "tone" in terms:
+        coherent = own[TONE[2]] > COHERENT_SHARE * channel.longest
+        if coherent.any():
+            turn = float(np.median(own[TONE[1]][coherent])) * channel.spectrum.step
+            run = max(channel.columns, key=len)[:, -1]
+            error = own[WHITE] / math.sqrt(len(run))
+            error = error * np.random.default_rng(seed).standard_normal(len(error))
+            size = np.abs(_line_size(run, turn) + error)
+            own[TONE[0]] = np.where(coherent, size, own[TONE[0]])
+    return RestNoise(terms, own, law)

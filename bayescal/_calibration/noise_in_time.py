@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Float
 from scipy.special import chdtr, chdtrc, chdtri
 
-from bayescal._calibration.calibration import Calibration
+from bayescal._calibration.fitted import Fitted
 from bayescal._core.errors import InputError
 from bayescal._core.formatting import number
 from bayescal._core.result_table import ResultTable, plain_table
@@ -103,7 +103,7 @@ class AllanCheck:
         }
 
 
-def allan_check(calibration: Calibration) -> AllanCheck | None:
+def allan_check(calibration: Fitted) -> AllanCheck | None:
     """The Allan deviation of a fit's residuals; None where readings are not evenly spaced in time, or too few."""
     linear, readings = calibration.linear, calibration.readings
     try:
@@ -135,11 +135,7 @@ def allan_check(calibration: Calibration) -> AllanCheck | None:
 
 
 def _drawn(
-    calibration: Calibration,
-    mode: dict[str, Any],
-    variance: float,
-    factors: np.ndarray,
-    step: float,
+    calibration: Fitted, mode: dict[str, Any], variance: float, factors: np.ndarray, step: float
 ) -> Float[np.ndarray, "d k"]:
     """Allan variances under the law's parameters drawn from the posterior, or at the mode.
 
@@ -176,7 +172,7 @@ def _apart(
 
 
 def _law_terms(
-    calibration: Calibration, mode: dict[str, Any], variance: float, step: float
+    calibration: Fitted, mode: dict[str, Any], variance: float, step: float
 ) -> tuple[AllanTerm, ...]:
     """N = √(σ²·Δ) of the white part, and K = q of correlated noise, with the posterior's standard deviations."""
 
@@ -196,7 +192,7 @@ def _law_terms(
     return tuple(found)
 
 
-def noise_floor(calibration: Calibration) -> float:
+def noise_floor(calibration: Fitted) -> float:
     """Noise that no model of smooth effects could remove, output unit.
 
     From each residual against the mean of its two neighbours (in time within a run; in temperature where there

@@ -152,11 +152,7 @@ def _of_new_groups(frame: Frame) -> Frame:
 
 
 def _predicted(
-    calibration: Calibration,
-    readings: Measurements,
-    frame: Frame,
-    same_record: bool,
-    draws: int,
+    calibration: Calibration, readings: Measurements, frame: Frame, same_record: bool, draws: int
 ) -> Prediction:
     """`predict` of a frame whose groups are known, or are not."""
     found = moments(calibration.problem_on(frame), calibration.draws(draws))

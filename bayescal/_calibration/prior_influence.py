@@ -15,7 +15,7 @@ import numpy as np
 from jaxtyping import Float
 
 from bayescal._calibration.calibration import Calibration
-from bayescal._calibration.guards import FREE_SIZES
+from bayescal._calibration.judgement import FREE_SIZES
 from bayescal._calibration.mixture import has_effect
 from bayescal._calibration.summary import CONCERNED_SHARE, WEAK_INFORMATION
 from bayescal._core.atomic_file import named_back

@@ -18,12 +18,7 @@ from typing import Any
 import numpy as np
 
 from bayescal._calibration.confounding import Confounder
-from bayescal._calibration.description import (
-    description,
-    identity,
-    model_from,
-    of_today,
-)
+from bayescal._calibration.description import description, identity, model_from, of_today
 from bayescal._calibration.fitted import Fitted
 from bayescal._core.atomic_file import (
     named_back,
@@ -89,18 +84,14 @@ def _mode_group(mode: Mode) -> Group:
     return {n: Variable(tuple(f"{n}_{i}" for i in range(a.ndim)), a) for n, a in parts.items()}
 
 
-def _saved_in(folder: Path) -> str:
-    """The calibrations in a folder, or in those of a unit's channels, by name."""
-    found = sorted([*folder.glob("*.nc"), *folder.glob("*/*.nc")])
-    return f", {' or '.join(map(str, found[:6]))}" if found else ""
-
-
 def load_calibration(
     path: Path, effects: Sequence[Effect] = (), instruments: Sequence[Instrument] = ()
 ) -> dict[str, Any]:
     """Read the fields of a calibration; see `bayescal.load`."""
     if path.is_dir():
-        raise InputError(f"{path} is a folder: give the calibration in it{_saved_in(path)}")
+        saved = sorted([*path.glob("*.nc"), *path.glob("*/*.nc")])
+        there = f", {' or '.join(map(str, saved[:6]))}" if saved else ""
+        raise InputError(f"{path} is a folder: give the calibration in it{there}")
     if not path.is_file():
         raise InputError(f"There is no file {path}: give a calibration saved by bayescal (…nc)")
     content = io.BytesIO(verified(path, "a saved calibration", AGAIN))
@@ -167,6 +158,7 @@ def _fields(
     if unknown := set(layout.promoted) - {b.name for b in layout.blocks}:
         raise ValueError(f"{', '.join(sorted(unknown))} is no coefficient of its model")
     verdict = Verdict.read(described["verdict"])
+    verdict = replace(verdict, against=_with_codes(verdict.against, described))
     joint = _draws_from(groups, layout, finite=verdict.ok)
     mode = _mode_from(groups, layout, finite=verdict.ok)
     confounded = tuple(Confounder(**one) for one in described.get("confounded", ()))
@@ -233,6 +225,11 @@ def _mode_from(groups: Groups, layout: Layout, finite: bool) -> Mode:
     return mode._replace(indefinite=mode.indefinite > 0)
 
 
+def _with_codes(said: Sequence[str], described: dict[str, Any]) -> tuple[str, ...]:
+    codes = described.get("flag_codes", {})
+    return tuple(Flag(words, *codes[words]) if words in codes else words for words in said)
+
+
 def _readings_from(groups: Groups, described: dict[str, Any]) -> Measurements:
     _arrays(groups, "observed_data", {"output": (None,)})
     both = {**groups["constant_data"], **groups["observed_data"]}
@@ -240,7 +237,6 @@ def _readings_from(groups: Groups, described: dict[str, Any]) -> Measurements:
     if len({len(v.values) for v in held.values()}) > 1:
         raise ValueError("its columns differ in length")
     sources = tuple(Source(**s) for s in described["sources"])
-    given, codes = described.get("nominal_scale"), described.get("flag_codes", {})
-    flags = tuple(Flag(f, *codes[f]) if f in codes else f for f in described["flags"])
+    given, flags = described.get("nominal_scale"), _with_codes(described["flags"], described)
     scale = given and NominalScale(**given)
     return Measurements.of_variables(held, sources=sources, flags=flags, scale=scale)

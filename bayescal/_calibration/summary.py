@@ -40,12 +40,7 @@ MOST_MEMBERS = 4  # of a group, that have a line each
 def unknowns_parts(
     calibration: Fitted, effects: Collection[str] | None = None
 ) -> list[str | ResultTable]:
-    """Unknowns with standard uncertainty and 95 % credible interval, and what is held.
-
-    Args:
-        calibration: a fit, or an average over structures.
-        effects: whose unknowns are shown, beside those of the noise; all if not given.
-    """
+    """Unknowns with standard uncertainty and 95 % credible interval, and what is held."""
     rows = unknown_rows(calibration, effects)
     head = [
         *("unknown", "mean ± standard uncertainty", "unit"),
@@ -80,12 +75,7 @@ def unknowns_parts(
 
 
 def if_there(row: dict[str, Any], times: float = 1.0) -> str:
-    """Return the value given that the effect is there, with the probability of that; empty where it is the same.
-
-    Args:
-        row: of `summary`.
-        times: of the standard uncertainty, that are stated.
-    """
+    """Return the value given that the effect is there, with the probability of that; empty where it is the same."""
     mean, sd = row["given"]["mean"], row["given"]["sd"]
     if with_error(mean, sd) == with_error(row["mean"], row["sd"]):
         return ""
@@ -256,13 +246,7 @@ def directions_data(calibration: Fitted) -> list[dict[str, str]]:
 def untold(
     linear: LinearModel, levels: Mapping[str, Sequence[str]], exactly: bool = True
 ) -> list[Claim]:
-    """`null_directions` of a structure about any point.
-
-    Args:
-        linear: the structure.
-        levels: names of the members of its groups.
-        exactly: whether combinations that change no reading at all are told apart from those that hardly do.
-    """
+    """`null_directions` of a structure about any point."""
     layout = linear.problem.layout
     if layout.size == 0:
         return []

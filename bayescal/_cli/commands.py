@@ -17,7 +17,7 @@ from dataclasses import replace
 from functools import partial
 from importlib.metadata import entry_points
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import bayescal as bc
 from bayescal._cli import options, request, saved
@@ -48,9 +48,6 @@ from bayescal._report.whole_folder import (
     folders_of,
     whole_folder,
 )
-
-if TYPE_CHECKING:
-    pass
 
 commands = Commands()
 PAIR_SELECTIONS = "bayescal.pair_selections"
@@ -282,17 +279,14 @@ def fit(
         from bayescal._cli.output import fit_data
 
         if calibration.verdict.ok:
-            calibration = calibration.with_verdict(against=(*map(str, calibration.conflicts),))
-        if folder is not None:
-            with whole_folder(folder, identity(calibration)) as hidden:
-                calibration.save(hidden / CALIBRATION)
+            calibration = calibration.with_verdict(against=calibration.conflicts)
         shown, verdict = fit_data(calibration) if json_ else calibration, calibration.verdict
         answered = Answer(shown, ok=verdict.reliable, why=verdict.why_not)
-        return (
-            answered
-            if folder is None
-            else replace(answered, written=lambda: f"{folder / CALIBRATION}")
-        )
+        if folder is None:
+            return answered
+        with whole_folder(folder, identity(calibration)) as hidden:
+            calibration.save(hidden / CALIBRATION)
+        return replace(answered, written=lambda: f"{folder / CALIBRATION}")
 
 
 @commands.example("bayescal check result/calibration.nc")
@@ -360,9 +354,11 @@ def compare(
     if len(set(names)) < 2:
         raise InputError("compare needs two structures or more: give --structure twice, or never")
     own = request.own_effects(choice, chosen, readings)
-    models = {name: request.structure_with(chosen, name, own) for name in names}
-    for model in models.values():
-        model.require(readings)
+    models = {}
+    for name in names:  # "line+bias.thermal_lag"
+        first, *added = (part.strip() for part in name.split("+"))
+        models[name] = request.compose(chosen, ModelOptions(structure=first, add=added), own)
+        models[name].require(readings)
     print_notes(readings.flags)
     constants, how = request.reference_of(reference, readings), request.method_named(method)
     fits, given = {}, {"seed": seed, "strict": False, "reference": constants}
@@ -466,10 +462,6 @@ def noise(
         made = folder is None or drawn(draw)
         if written and not json_:
             print(f"written: {', '.join(map(str, written))}")
-        doubts = [
-            f"{name}: {c}"
-            for name, one in found.items()
-            for c in one.claims
-            if c.severity != "note"
-        ]
+        claims = ((name, claim) for name, one in found.items() for claim in one.claims)
+        doubts = (f"{name}: {claim}" for name, claim in claims if claim.severity != "note")
         return Answer(None, doubt=" ".join(doubts), pictures=lambda: made)

@@ -35,25 +35,16 @@ def print_notes(notes: Iterable[str]) -> None:
 
 @dataclass(frozen=True)
 class Answer:
-    """What a command found: it is printed, in words or as data, and settles the exit status.
+    """What a command found: it is printed, in words or as data, and settles the exit status."""
 
-    Attributes:
-        shown: prints itself; plain data is printed as JSON; None where all is said.
-        data: for --json; what `shown.data()` gives if not given.
-        ok: whether the result may be used; where not, the status is 1.
-        why: what stands against it.
-        doubt: what is noted beside a result that may be used, and makes the status 1 too.
-        pictures: draws what is drawn once the result is printed; whether all could be.
-        written: says, once that is done, which files there are.
-    """
-
-    shown: Any
-    data: Any = None
-    ok: bool = True
-    why: str = ""
-    doubt: str = ""
+    shown: Any  # prints itself; plain data is printed as JSON; None where all is said
+    data: Any = None  # for --json; what `shown.data()` gives if not given
+    ok: bool = True  # whether the result may be used; where not, the status is 1
+    why: str = ""  # what stands against it
+    doubt: str = ""  # what is noted beside a result that may be used, and makes the status 1 too
+    # draws what is drawn once the result is printed; whether all could be
     pictures: Callable[[], bool] | None = None
-    written: Callable[[], str] | None = None
+    written: Callable[[], str] | None = None  # says, once that is done, which files there are
 
     def tell(self, json_: bool) -> bool:
         """Print it, and make what is drawn of it; whether that could be."""

@@ -33,18 +33,15 @@ def named_values(given: list[str] | None, option: str) -> dict[str, str]:
     Raises:
         InputError: one is not of that form, or a name has two values.
     """
-    for name, values in (found := said_values(given, option)).items():
+    found = said_values(given, option)
+    for name, values in found.items():
         if len(values) > 1:
             raise InputError(f"{option} says {name} twice, {' and '.join(values)}: say it once")
     return {name: values[0] for name, values in found.items()}
 
 
 def said_values(given: list[str] | None, option: str) -> dict[str, list[str]]:
-    """name=value options, every value of a name.
-
-    Raises:
-        InputError: one is not of that form.
-    """
+    """name=value options, every value of a name."""
     values = dict[str, list[str]]()
     for one in given or []:
         name, equals, value = (part.strip() for part in one.partition("="))

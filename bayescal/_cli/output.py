@@ -36,84 +36,56 @@ def instruments_listed(known: Mapping[str, Instrument]) -> tuple[str, dict[str, 
     """Installed instruments as text, and as data."""
     rows = [[name, unit_label(i.unit), i.title] for name, i in known.items()]
     text = str(plain_table(["instrument", "output", "measures"], rows, left=2, fold=40))
-    data = {
-        name: {
-            **{"title": i.title, "source": i.source, "unit": i.unit},
-            "columns": [column.name for column in i.columns],
-        }
+    return text, {
+        name: {**_about(i), "columns": [column.name for column in i.columns]}
         for name, i in known.items()
     }
-    return text, data
+
+
+def _about(one: Instrument) -> dict[str, Any]:
+    return {"title": one.title, "source": one.source, "unit": one.unit}
 
 
 def instrument_shown(one: Instrument) -> tuple[str, dict[str, Any]]:
     """What the files of an instrument hold, and the names of its effects, as text and as data."""
-    columns = [
-        {
-            "name": c.name,
-            "unit": c.unit,
-            "needed": c.required and c.default is None,
-            "meaning": c.meaning,
-        }
-        for c in one.columns
-    ]
-    rows = [
-        [
-            c["name"],
-            unit_label(c["unit"]) if c["unit"] else "label",
-            "needed" if c["needed"] else "optional",
-            c["meaning"],
-        ]
-        for c in columns
-    ]
-    effects = {
-        "baseline": [e.name for e in one.effects],
-        "candidates": [e.name for e in one.candidates],
-    }
+    columns, rows = [], []
+    for c in one.columns:
+        needed = c.required and c.default is None
+        own = {"name": c.name, "unit": c.unit, "needed": needed, "meaning": c.meaning}
+        columns.append(own)
+        unit = unit_label(c.unit) if c.unit else "label"
+        rows.append([c.name, unit, "needed" if needed else "optional", c.meaning])
+    baseline, candidates = ([e.name for e in of] for of in (one.effects, one.candidates))
     said = [
         f"{one.name}: {one.title}",
-        f"effects of the first model: {', '.join(effects['baseline'])}",
-        f"looked for beside them: {', '.join(effects['candidates'])}",
+        f"effects of the first model: {', '.join(baseline)}",
+        f"looked for beside them: {', '.join(candidates)}",
         f"what each of them is: bayescal effects --instrument {one.name}",
     ]
-    title, *rest = (textwrap.fill(line, WIDTH, subsequent_indent="  ") for line in said)
+    title, *rest = map(_filled, said)
     table = plain_table(["column", "unit", "", "meaning"], rows, left=4, fold=60)
-    data = {
-        "title": one.title,
-        "source": one.source,
-        "unit": one.unit,
-        "columns": columns,
-        **effects,
-    }
+    data = {**_about(one), "columns": columns, "baseline": baseline, "candidates": candidates}
     return "\n\n".join([title, str(table), "\n".join(rest)]), data
 
 
 def effects_listed(kinds: Mapping[str, Sequence[Effect]]) -> tuple[str, list[dict[str, Any]]]:
     """Effects as text, a table for each kind ("baseline", …), then the source of each; and as data."""
-    data = [
-        {
-            **{"name": e.name, "kind": kind, "equation": e.equation},
-            **{"size": e.coefficients[0].size, "unit": e.coefficients[0].unit},
-            **{"columns": list(e.columns), "source": e.source},
-        }
-        for kind, effects in kinds.items()
-        for e in effects
-    ]
-    parts, by_source = [], dict[str, list[str]]()
-    for kind in kinds:
+    data, parts, by_source = [], [], dict[str, list[str]]()
+    for kind, effects in kinds.items():
         rows = []
-        for e in (one for one in data if one["kind"] == kind):
-            size = f"{number(e['size'])} {unit_label(e['unit'])}".rstrip()
-            equation = e["equation"].replace(",  ", ",\n")
-            rows.append([e["name"], size, ", ".join(e["columns"]) or "–", equation])
-            by_source.setdefault(e["source"], []).append(e["name"])
+        for e in effects:
+            first = e.coefficients[0]
+            about = {"name": e.name, "kind": kind, "equation": e.equation, "size": first.size}
+            more = {"unit": first.unit, "columns": list(e.columns), "source": e.source}
+            data.append({**about, **more})
+            size = f"{number(first.size)} {unit_label(first.unit)}".rstrip()
+            equation = e.equation.replace(",  ", ",\n")
+            rows.append([e.name, size, ", ".join(e.columns) or "–", equation])
+            by_source.setdefault(e.source, []).append(e.name)
         if rows:
             head = [kind, "plausible size", "needs", "equation"]
             parts.append(str(plain_table(head, rows, left=3, fold=42)))
-    sources = (
-        textwrap.fill(f"{source}: {', '.join(names)}", WIDTH, subsequent_indent="  ")
-        for source, names in by_source.items()
-    )
+    sources = (_filled(f"{source}: {', '.join(names)}") for source, names in by_source.items())
     return "\n\n".join([*parts, "\n".join(["sources", *sources])]), data
 
 
@@ -137,12 +109,7 @@ def fit_data(calibration: Calibration) -> dict[str, Any]:
 
 
 def unexplained_text(calibration: Calibration, check: Check, own: Sequence[Effect] = ()) -> str:
-    """Columns that the residuals depend on and that no known effect uses, a sentence each.
-
-    Args:
-        calibration, check: a model and where it fails.
-        own: effects of the user's own, known too.
-    """
+    """Columns that the residuals depend on and that no known effect uses, a sentence each."""
     instrument = calibration.model.instrument
     known = (*instrument.known.values(), *calibration.model.effects, *own)
     used = {"run", "time", *(column for effect in known for column in effect.columns)}
@@ -157,7 +124,7 @@ def unexplained_text(calibration: Calibration, check: Check, own: Sequence[Effec
                 "found may only stand in for it. Write an effect of your own, and give it with "
                 "--effects."
             )
-    return "\n".join(textwrap.fill(line, WIDTH, subsequent_indent="  ") for line in lines)
+    return "\n".join(map(_filled, lines))
 
 
 def first_text(trail: SearchPath, verbose: bool = False) -> str:
@@ -171,11 +138,7 @@ def _headed(head: str, *parts: object) -> str:
 
 
 class ConsoleReporter:
-    """Follows a search: the first table at once, a line where the best so far changes or ten seconds have passed.
-
-    Attributes:
-        begun: whether the first table is printed, or is not to be.
-    """
+    """Follows a search: the first table at once, a line where the best so far changes or ten seconds have passed."""
 
     def __init__(self, begun: bool, verbose: bool = False) -> None:
         self.begun, self.verbose = begun, verbose
@@ -218,18 +181,14 @@ def loop_text(
     if final.discovery and (sets := final.discovery.equivalent):
         lines = [f"{one.of[0]} and {' + '.join(one.numbers['beside'])}" for one in sets]
         parts.append(_headed("WHAT THESE READINGS CANNOT TELL APART", *map(_filled, lines)))
-    parts += _candidates_of_steps(trail) if verbose else []
-    unexplained = unexplained_text(final.calibration, final.check, own)
-    parts += [unexplained] if unexplained else []
+    for i, step in enumerate(trail.steps if verbose else ()):
+        head = f"WHAT IS MISSING FROM STEP {i} ({step.title})"
+        parts.append(_headed(head, step.discovery or _not_asked(step)))
+    parts += [text] if (text := unexplained_text(final.calibration, final.check, own)) else []
     unknown = [e.name for e in final.calibration.model.effects if e.is_placeholder]
     for name in unknown if verbose else ():
-        draft = draft_effect(final.calibration, name)
-        parts.append(
-            _headed(
-                f"A FIRST DRAFT OF AN EFFECT IN PLACE OF {name} (edit it, give it with --effects)",
-                draft,
-            )
-        )
+        head = f"A FIRST DRAFT OF AN EFFECT IN PLACE OF {name} (edit it, give it with --effects)"
+        parts.append(_headed(head, draft_effect(final.calibration, name)))
     said = [] if verbose else _missing_lines(trail)
     said += [_filled(f"end: {trail.ending}")] if trail.ending else []
     parts.append(_headed("THE ERROR, STEP BY STEP", trail, *said))
@@ -248,12 +207,7 @@ def _filled(line: str) -> str:
 
 
 def coefficients_text(trail: SearchPath, verbose: bool = False) -> str:
-    """Coefficients as they leave, averaged over the structures; what is said of the most probable one.
-
-    Args:
-        trail: of a search.
-        verbose: with those that the most probable structure has not.
-    """
+    """Coefficients as they leave, averaged over the structures; those that the most probable one lacks if verbose."""
     final = trail.final.calibration
     shown = unknowns_parts(trail.calibration, None if verbose else final.model.names)
     return "\n".join([*map(str, shown), final.remarks])
@@ -263,16 +217,13 @@ def averaged_text(trail: SearchPath, verbose: bool = False) -> str:
     """The structures that are averaged over; empty where one has it all."""
     if trail.average is None:
         return ""
-    shares = [
-        (" + ".join(s.effects) or "nothing added", probability(s.probability)) for s in trail.shares
-    ]
+    each = [(" + ".join(s.effects) or "nothing added", s.probability) for s in trail.shares]
     if verbose:
-        return _headed("STRUCTURES", plain_table(["effects added", "probability"], shares, fold=60))
-    if len(shares) > SHOWN_STRUCTURES + 1:
-        more = sum(s.probability for s in trail.shares[SHOWN_STRUCTURES:])
-        others = f"{len(shares) - SHOWN_STRUCTURES} others"
-        shares[SHOWN_STRUCTURES:] = [(others, probability(more))]
-    named = ", ".join(f"{name} {share}" for name, share in shares)
+        rows = [(name, probability(p)) for name, p in each]
+        return _headed("STRUCTURES", plain_table(["effects added", "probability"], rows, fold=60))
+    if (more := len(each) - SHOWN_STRUCTURES) > 1:
+        each[SHOWN_STRUCTURES:] = [(f"{more} others", sum(p for _, p in each[SHOWN_STRUCTURES:]))]
+    named = ", ".join(f"{name} {probability(p)}" for name, p in each)
     return _filled(f"averaged over {named}; --structure best uses the first alone")
 
 
@@ -280,14 +231,6 @@ def channels_text(found: Channels) -> str:
     """`calibrate` of several channels: their table, and a paragraph for each."""
     said = (_filled(f"{name}: {trail.in_short}") for name, trail in found.trails.items())
     return "\n".join([f"{found}\n\nIN SHORT\n", *said])
-
-
-def _candidates_of_steps(trail: SearchPath) -> list[str]:
-    parts = []
-    for i, step in enumerate(trail.steps):
-        said = str(step.discovery or _not_asked(step))
-        parts.append(_headed(f"WHAT IS MISSING FROM STEP {i} ({step.title})", said))
-    return parts
 
 
 def _not_asked(step: Step) -> str:
@@ -317,17 +260,9 @@ def _missing_lines(trail: SearchPath) -> list[str]:
 
 
 def write_prediction(prediction: Prediction, readings: Measurements, path: Path) -> None:
-    """The readings with columns predicted, predicted_uncertainty and residual; and the correlated noise if asked for.
-
-    Raises:
-        InputError: the file type is not known or the folder is not there.
-    """
+    """Write the readings with columns predicted, predicted_uncertainty, residual, and correlated noise if asked for."""
     p = prediction
-    columns = {
-        "predicted": p.mean,
-        "predicted_uncertainty": p.sd,
-        "residual": p.residual,
-    }
+    columns = {"predicted": p.mean, "predicted_uncertainty": p.sd, "residual": p.residual}
     if p.correlated_noise is not None:
         columns["correlated_noise"] = p.correlated_noise
         columns["correlated_noise_uncertainty"] = p.correlated_noise_sd

@@ -163,18 +163,8 @@ def compose(instrument: Instrument, choice: ModelOptions, own: Sequence[Effect] 
     return model.fix(named_numbers(choice.fix, "--fix"))
 
 
-def structure_with(instrument: Instrument, text: str, own: Sequence[Effect]) -> Model:
-    """A structure with effects added to it: "line+bias.thermal_lag"."""
-    first, *added = (part.strip() for part in text.split("+"))
-    return compose(instrument, ModelOptions(structure=first, add=added), own)
-
-
 def law_named(name: str, model: Model, readings: Measurements) -> Noise:
-    """A noise law by its name: the model's own, or one of those that a search would weigh on these readings.
-
-    Raises:
-        InputError: there is none of that name; says which there are.
-    """
+    """A noise law by its name: the model's own, or one of those that a search would weigh on these readings."""
     from bayescal._model.frame import build_frame
     from bayescal._model.frame import reference_of as constants_of
     from bayescal._search.noise_laws import laws_over
@@ -239,11 +229,7 @@ def flags_of(readings: Mapping[str, Measurements]) -> list[str]:
 
 
 def each_device(readings: Mapping[str, Measurements]) -> dict[str, Measurements]:
-    """Split the readings of channels by device and by axis, where a file holds several.
-
-    Raises:
-        InputError: a device is named as a sensor whose output is in another unit.
-    """
+    """Split the readings of channels by device and by axis, where a file holds several."""
     from bayescal._data.header_rules import BEGINNINGS, plain
     from bayescal._data.unit_conversion import alike
 

@@ -75,35 +75,33 @@ class ExportRequest:
         return found
 
     def refuse_several(self) -> None:
-        """Refuse more than one calibration.
+        """Refuse more than one calibration, or none.
 
         Raises:
-            InputError: there are more, or none.
+            InputError: so it is.
         """
-        if len(self.paths) != 1 or self.axis or self.device_id:
+        named = ", and --axis or --device-id" * bool(self.axis or self.device_id)
+        if len(self.paths) != 1 or named:
             raise InputError(
-                f"a program is of one calibration, {len(self.paths)} were given"
-                + (", and --axis or --device-id" if self.axis or self.device_id else "")
-                + ": several, by axis, make parameters (--format px4-params or ardupilot-params)"
+                f"a program is of one calibration, {len(self.paths)} were given{named}: several, by axis, make "
+                "parameters (--format px4-params or ardupilot-params)"
             )
 
     def written(self, corrections: Sequence[Any]) -> Answer:
         """Corrections in one file, or as text; what that has no place for is said."""
         from bayescal._use import correction_files as files
 
-        first, *others = (getattr(one, "program", one) for one in corrections)
-        kind, format = files.kind_of(first), files.format_of(self.out, self.format_)
-        how = {"name": self.name, "others": others, "uncertainty": not self.without_uncertainty}
-        text = files.as_text(first, format, **how)
+        each = [getattr(one, "program", one) for one in corrections]
+        kind, format = files.kind_of(each[0]), files.format_of(self.out, self.format_)
+        how = {"name": self.name, "others": each[1:], "uncertainty": not self.without_uncertainty}
+        text = files.as_text(each[0], format, **how)
         if self.out is not None:
             text = f"written: {write_text(text, self.out)}"
-        named = {one.about_it()[0]: one for one in (first, *others)}
-        left = ((name, kind.left_out(one, format)) for name, one in named.items())
+        names = [one.about_it()[0] for one in each]
+        left = [(name, kind.left_out(one, format)) for name, one in zip(names, each, strict=True)]
         print_notes([f"{name}: {words}" for name, words in left if words])
         alone = isinstance(corrections[0], bc.Compensator)
-        judged = {
-            f"{name}:" * (not alone): one for name, one in zip(named, corrections, strict=True)
-        }
+        judged = {f"{n}:" * (not alone): one for n, one in zip(names, corrections, strict=True)}
         return Answer(text.removesuffix("\n"), **reliable(judged))
 
 
@@ -161,11 +159,7 @@ def compensator_from(path: Path, own: InUse) -> bc.Compensator:
 
 
 def correction_from(path: Path, own: InUse) -> bc.Compensator | CorrectionInUse:
-    """What corrects readings, of one output or of three axes: of a saved calibration, or exported as JSON.
-
-    Raises:
-        InputError: it cannot be loaded, or members are chosen of an export.
-    """
+    """What corrects readings, of one output or of three axes: of a saved calibration, or exported as JSON."""
     if path.suffix.lower() == ".json":
         from bayescal._use.compensation_program import CompensationProgram
         from bayescal._use.correction_files import load_correction
@@ -197,11 +191,7 @@ def of_units(paths: list[Path], file: str = "") -> list[Path]:
 
 
 def chapters_from(paths: list[Path], own: OwnParts) -> list[Chapter]:
-    """What a report is of: saved calibrations, and folders with the search that led to one.
-
-    Raises:
-        InputError: one of them cannot be loaded.
-    """
+    """What a report is of: saved calibrations, and folders with the search that led to one."""
     from bayescal._report.section import chapters, of_folder
 
     parts = _own(own)

@@ -2,19 +2,16 @@
 
 from __future__ import annotations
 
+from typing import Self
+
 
 class Flag(str):
-    """An input warning that something asks for; those that are for people alone are plain text.
-
-    Attributes:
-        code: what is said, such as "column.ignored"; empty in plain text.
-        of: names of the columns that it is of.
-    """
+    """Words with a `code`, such as "column.ignored", and the names that they are `of`; plain text for people alone."""
 
     code: str
     of: tuple[str, ...]
 
-    def __new__(cls, words: str, code: str = "", *of: str) -> Flag:
+    def __new__(cls, words: str, code: str = "", *of: str) -> Self:
         made = super().__new__(cls, words)
         made.code, made.of = code, of
         return made

@@ -20,7 +20,9 @@ from jaxtyping import Array, Float
 from scipy import special as on_host
 
 from bayescal._data.time_in_runs import EVEN_STEPS
+from bayescal._model import noise_spectrum
 from bayescal._model.noise_law import WHITE
+from bayescal._model.noise_spectrum import SpectralTerm
 from bayescal._model.prior import LogUniform, Normal, Positive, multiplied
 from bayescal._model.state_space import Block, exponential, pairs
 from bayescal._model.static import static
@@ -100,6 +102,16 @@ class NoiseTerm(abc.ABC):
     def variance(self, values: Values, bounds: Bounds) -> Any:
         """Of a reading, output unit squared."""
 
+    def spectrum(
+        self, values: Values, bounds: Bounds, step: float, lam: Float[np.ndarray, "j"]
+    ) -> list[SpectralTerm]:
+        """Return its covariance in frequency on readings a step apart; values are arrays (s, 1).
+
+        Raises:
+            NotImplementedError: it is not stationary, or nobody needs it yet.
+        """
+        raise NotImplementedError(f"{self.words} noise has no spectrum here")
+
     def fresh(self, values: Values, bounds: Bounds, step: float) -> Any:
         """About the variance of what is new in it a usual step after the reading before; in no harm if it is rough."""
         return self.variance(values, bounds)
@@ -151,9 +163,8 @@ class CorrelatedTerm(NoiseTerm):
         return "" if self.place else "K"
 
     def unit(self, name: str, output: str) -> str:
-        if name.endswith(".diffusion"):
-            return f"{output}/s^0.5"
-        return "s" if name.endswith(".time") else "1"
+        units = {self._name("diffusion"): f"{output}/s^0.5", self._name("time", 1): "s"}
+        return units.get(name, "1")
 
     def time(self, values: Values, bounds: Bounds) -> Any:
         """Its correlation time, s."""
@@ -173,6 +184,10 @@ class CorrelatedTerm(NoiseTerm):
 
     def block(self, values, bounds, h):
         return exponential(self.time(values, bounds), self.variance(values, bounds), h)
+
+    def spectrum(self, values, bounds, step, lam):
+        own = self.variance(values, bounds), self.time(values, bounds)
+        return [noise_spectrum.exponential(*own, step, lam)]
 
     def allan(self, values, bounds, m, step):
         time = self.time(values, bounds)
@@ -210,6 +225,10 @@ class WalkTerm(NoiseTerm):
     # record of one span a walk of the diffusion K, since K² = 2·σ²/τ.
     def block(self, values, bounds, h):
         return exponential(ENDLESS * bounds.longest, self.variance(values, bounds), h)
+
+    def spectrum(self, values, bounds, step, lam):
+        own = self.variance(values, bounds), ENDLESS * bounds.longest
+        return [noise_spectrum.exponential(*own, step, lam)]
 
     def allan(self, values, bounds, m, step):
         size = self.variance(values, bounds)
@@ -249,6 +268,10 @@ class FlickerTerm(NoiseTerm):
         times = self.times(bounds)
         return exponential(times, self._size(values) * jnp.ones(len(times)), h)
 
+    def spectrum(self, values, bounds, step, lam):
+        size = self._size(values)
+        return [noise_spectrum.exponential(size, t, step, lam) for t in self.times(bounds)]
+
     @property
     def output(self) -> Any:  # pyright: ignore[reportIncompatibleVariableOverride]
         return ...
@@ -276,7 +299,7 @@ class SmoothTerm(NoiseTerm):
         }
 
     def unit(self, name: str, output: str) -> str:
-        return "s" if name.endswith(".time") else output
+        return "s" if name == "noise.smooth.time" else output
 
     def variance(self, values, bounds):
         return values["noise.smooth"] ** 2
@@ -358,6 +381,12 @@ class ToneTerm(NoiseTerm):
         plain = exponential(values["noise.tone.time"], values["noise.tone"] ** 2, h)
         root = plain.root[:, :, None] * jnp.eye(2)
         return Block(plain.carry[:, :, None] * pairs(c, s, -s, c), root, plain.start * jnp.eye(2))
+
+    def spectrum(self, values, bounds, step, lam):
+        if bounds.column:
+            raise NotImplementedError("a tone whose frequency follows a column is not stationary")
+        own = (values[f"noise.tone{part}"] for part in (".time", ".frequency"))
+        return [noise_spectrum.tone(self.variance(values, bounds), *own, step, lam)]
 
     def allan(self, values, bounds, m, step):
         """Of a frequency that moves: the mean over the column's range."""
@@ -450,6 +479,10 @@ class RoundedAngleTerm(NoiseTerm):
     def block(self, values, bounds, h):
         return _of_errors(values["noise.quantisation"] / bounds.shortest, -1.0, h)
 
+    def spectrum(self, values, bounds, step, lam):
+        size = values["noise.quantisation"] / bounds.shortest
+        return [noise_spectrum.difference_of_errors(size, lam)]
+
     def allan(self, values, bounds, m, step):
         # IEEE 952: σ²(τ) = 3·Q²/τ², τ = m·step.
         return 3 * (values["noise.quantisation"] / (m * step)) ** 2
@@ -476,6 +509,9 @@ class AveragingTerm(NoiseTerm):
 
     def block(self, values, bounds, h):
         return _of_errors(0.5 * values["noise.averaging"], 1.0, h)
+
+    def spectrum(self, values, bounds, step, lam):
+        return [noise_spectrum.mean_of_errors(values["noise.averaging"], lam)]
 
     def allan(self, values, bounds, m, step):
         # A mean of m readings has (2m − 1)/2m² of s², and shares 1/4m² with the next.

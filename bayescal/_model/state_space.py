@@ -58,18 +58,6 @@ class States(NamedTuple):
     shown: Float[np.ndarray, "p"]
     last: Float[Array, "n p"] | None = None
 
-    @property
-    def apart(self) -> bool:
-        """Whether no state says anything of another's future, but of the last one's."""
-        return self.carry.ndim == 2
-
-    def dense(self) -> tuple[Float[Array, "n p p"], Float[Array, "n p p"]]:
-        """What is kept of all by all, and the covariance of what is new."""
-        carry, fresh = (
-            a if a.ndim == 3 else jax.vmap(jnp.diag)(a) for a in (self.carry, self.fresh)
-        )
-        return carry if self.last is None else carry.at[:, -1].add(self.last), fresh
-
 
 def joined(blocks: Sequence[Block], step: Float[Array, "n"]) -> tuple[Any, Any, Any]:
     """What is kept of all states; what is new in them, per independent standard normal number; and `States.last`.
@@ -287,55 +275,6 @@ def smoothed(
     rows = carry, last, fresh, left, means, gain, new, total
     _, (mean, variance) = jax.lax.scan(back, nothing, rows, reverse=True)
     return mean, jnp.maximum(variance, 0.0)
-
-
-def of_means(states: States, count: int, first: Float[Array, "n"]) -> States:
-    """States of the means of so many readings each, evenly spaced: exact, whatever the terms.
-
-    One state more is the sum of what readings have shown since their mean began; a mean shows it over their number.
-    Steps are taken together by squaring, which adds variances and subtracts none.
-
-    Args:
-        states: over one step, of two readings: a run's first, and one after another.
-        count: readings in each mean.
-        first: whether a run begins with a mean (n,).
-    """
-    size = len(states.shown)
-    one, fresh = states.dense()
-    shown = jnp.asarray(states.shown)
-    lift = jnp.concatenate([jnp.eye(size), shown[None]])  # the sum goes on with what is shown
-
-    # States beside the running sum S: S goes on as S + h·(A·x + new), which is one more row of a larger system.
-    def step(kept, new):
-        beside = jnp.zeros((size + 1, 1)).at[-1, 0].set(1.0)
-        return jnp.concatenate([lift @ kept, beside], 1), lift @ new @ lift.T
-
-    # (A, Q) applied twice is (A², A·Q·Aᵀ + Q): powers of two, and of these the steps that the number is made of.
-    def together(steps: int) -> tuple[Array, Array]:
-        whole, new = jnp.eye(size + 1), jnp.zeros((size + 1, size + 1))
-        power, own = step(one[1], fresh[1])
-        while steps:
-            if steps & 1:
-                whole, new = power @ whole, power @ new @ power.T + own
-            power, own = power @ power, power @ own @ power.T + own
-            steps >>= 1
-        return whole, new
-
-    started = lift @ fresh[0] @ lift.T
-    rest, of_rest = together(count - 1)
-    begun = rest @ started @ rest.T + of_rest
-    whole, new = together(count)
-    # A new mean begins with an empty sum: its column of the transition is taken out.
-    emptied = whole.at[:, -1].set(0.0)
-    begins, shows = first[:, None, None], np.append(np.zeros(size), 1 / count)
-    fresh = jnp.where(begins, begun, new)
-    # Powers of a diagonal are diagonal, and a chain of two has nothing left after two steps: the sum alone takes up
-    # what states had.
-    if states.apart:
-        of_each, sums = jnp.diag(emptied), emptied[-1]
-        carry, last = (jnp.where(first[:, None], 0.0, row) for row in (of_each, sums))
-        return States(carry, fresh, shows, last)
-    return States(jnp.where(begins, 0.0, emptied), fresh, shows)
 
 
 def _diagonal(blocks: list[Array]) -> Float[Array, "n p p"]:

@@ -24,6 +24,7 @@ from bayescal._model.independent_noise import (
     scattered_variance,
 )
 from bayescal._model.noise_law import WHITE, Noise, Parameters, offered, own_variance
+from bayescal._model.noise_spectrum import SpectralTerm
 from bayescal._model.noise_terms import TERMS, Bounds, CorrelatedTerm, NoiseTerm
 from bayescal._model.prior import HalfCauchy, Normal, Positive
 from bayescal._model.state_space import States, drawn, filtered, smoothed, states_of
@@ -105,6 +106,18 @@ class SumOfTerms(Noise, interface=True):
         return self.words or " + ".join(
             (white, *(f"{c} {w}" if c > 1 else w for w, c in counts.items()))
         )
+
+    def spectrum(
+        self, values: Parameters, step: float, lam: Float[np.ndarray, "j"]
+    ) -> list[SpectralTerm]:
+        """Return its correlated terms in frequency on readings a step apart; values are arrays (s, 1).
+
+        Raises:
+            NotImplementedError: it is not stationary.
+        """
+        if self.scatter:
+            raise NotImplementedError("noise whose scatter follows a column is not stationary")
+        return [t for p in self.parts for t in p.spectrum(values, self.bounds, step, lam)]
 
     def parameters(self) -> dict[str, Any]:
         found: dict[str, Any] = {WHITE: self.scale}

@@ -123,15 +123,21 @@ def residuals(
     entries = [e for e in found.entries if not e.by_group][:MOST_PANELS]
     if against is not None:
         entries = [e for e in found.entries if e.against == against]
-    columns = min(3, max(1, len(entries)))
-    rows = -(-len(entries) // columns) or 1
-    figure = new_figure(4.2 * columns, 3.0 * rows)
-    axes = figure.subplots(rows, columns, squeeze=False).ravel()
-    for ax in axes[len(entries) :]:
-        ax.set_visible(False)
+    figure, axes = _panels(len(entries), 3, 4.2, 3.0)
     for ax, entry in zip(axes, entries, strict=False):
         residual_panel(ax, calibration, found, entry)
     return figure
+
+
+def _panels(count: int, columns: int, width: float, height: float, more: float = 0.0) -> Any:
+    """An empty figure of so many panels, each of a size in inches, and their axes; what is left of a row is hidden."""
+    columns = min(columns, max(1, count))
+    rows = -(-count // columns) or 1
+    figure = new_figure(width * columns, height * rows + more)
+    axes = figure.subplots(rows, columns, squeeze=False).ravel()
+    for ax in axes[count:]:
+        ax.set_visible(False)
+    return figure, axes
 
 
 def residual_panel(
@@ -206,8 +212,11 @@ def trail(found: SearchPath | Mapping[str, Any], ax: Any = None) -> Figure:
             if np.isfinite(value):
                 at = value + 0.01 * largest
                 ax.text(at, y, number(value), va="center", fontsize=7.5, bbox=ON_GROUND)
-    for i, step in enumerate(steps):
-        title = f"{i}  {plain(step['title'])}{_fall(steps, i)}"
+    for i, (before, step) in enumerate(zip([{}, *steps], steps, strict=False)):
+        fall, was = "", before.get("rmse_fitted")
+        if was:
+            fall = f"   ({100 * (step['rmse_fitted'] / was - 1):+.0f} %)".replace("-", "−")
+        title = f"{i}  {plain(step['title'])}{fall}"
         ax.text(0.01 * largest, i - 0.03, title, va="bottom", bbox=ON_GROUND)
     floor = last["noise_floor"]
     ax.axvline(floor, color=RED, ls="--", lw=1.2, label=f"floor {number(floor)}")
@@ -223,23 +232,8 @@ def trail(found: SearchPath | Mapping[str, Any], ax: Any = None) -> Figure:
 def _legend_below(ax: Any, handles: list[Any], columns: int) -> None:
     """A legend below the axis' label, however tall the axes are."""
     below = ax.transAxes + ScaledTranslation(0, -BELOW, ax.figure.dpi_scale_trans)
-    ax.legend(
-        handles=handles,
-        frameon=False,
-        fontsize=8,
-        ncols=columns,
-        loc="upper center",
-        bbox_to_anchor=(0.5, 0),
-        bbox_transform=below,
-    )
-
-
-def _fall(steps: Sequence[Mapping[str, Any]], i: int) -> str:
-    """How much smaller the error as fitted is than one step before."""
-    now, before = steps[i]["rmse_fitted"], steps[i - 1]["rmse_fitted"]
-    if i == 0 or not before:
-        return ""
-    return f"   ({100 * (now / before - 1):+.0f} %)".replace("-", "−")
+    how = {"loc": "upper center", "bbox_to_anchor": (0.5, 0), "bbox_transform": below}
+    ax.legend(handles=handles, frameon=False, fontsize=8, ncols=columns, **how)
 
 
 def missing(found: Discovery | Mapping[str, Any], ax: Any = None) -> Figure:
@@ -249,21 +243,20 @@ def missing(found: Discovery | Mapping[str, Any], ax: Any = None) -> Figure:
         found: a discovery, or one entry of `missing` in result.json.
         ax: where to draw; a figure of its own if not given.
     """
-    everyone = (
-        [vars(c) for c in found.candidates] if isinstance(found, Discovery) else found["candidates"]
-    )
-    tested = [c for c in everyone if c["log_bayes_factor"] is not None]
-    ranked = sorted(
-        (c for c in tested if not is_quiet(c)),
-        key=lambda c: (c["kind"] == "finding", c["log_bayes_factor"]),
-    )
-    shown = ranked[-MOST_CANDIDATES:]
+    memory = isinstance(found, Discovery)
+    everyone = [vars(c) for c in found.candidates] if memory else found["candidates"]
+    tested = [c for c in everyone if c["log_bayes_factor"] is not None and not is_quiet(c)]
+    shown = sorted(tested, key=lambda c: (c["kind"] == "finding", c["log_bayes_factor"]))
+    shown = shown[-MOST_CANDIDATES:]
     ax = axes_of(ax, 5.6, 0.3 * len(shown) + 1.3)
     values = [c["log_bayes_factor"] for c in shown]
     colours = [KINDS.get(c["kind"] or "", BLUE) for c in shown]
     ax.barh([plain(c["effect"]) for c in shown], values, color=colours)
     ax.set_xscale("symlog", linthresh=5)
-    ax.set_xticks(_ticks(min([0.0, *values]), max([0.0, *values])))
+    low, high = min([0.0, *values]), max([0.0, *values])
+    powers = [10.0**k for k in range(1, 7)]  # on either side of zero
+    up = [p for p in powers if p <= high * 1.2] or [5.0]
+    ax.set_xticks([*(-p for p in powers[::-1] if -p >= low * 1.2), 0.0, *up])
     ax.minorticks_off()
     ax.xaxis.set_major_formatter(lambda value, _: f"{value:g}".replace("-", "−"))
     ax.axvline(0, color=GREY, lw=0.8)
@@ -277,34 +270,27 @@ def missing(found: Discovery | Mapping[str, Any], ax: Any = None) -> Figure:
     return ax.figure
 
 
-def _ticks(low: float, high: float) -> list[float]:
-    """Zero and powers of ten on either side."""
-    powers = [10.0**k for k in range(1, 7)]
-    up = [p for p in powers if p <= high * 1.2] or [5.0]
-    return [-p for p in powers[::-1] if -p >= low * 1.2] + [0.0, *up]
-
-
 def loop(found: SearchPath) -> Figure:
     """The loop in one picture: residuals before and after, what is missing, the error falling."""
     lower = max(3.7, 0.9 + 0.8 * len(found.steps))  # inch: four bars and a title for each step
     figure = new_figure(11.0, 3.7 + lower)
-    axes = figure.subplots(2, 2, height_ratios=(3.7, lower))
+    (upper, bars), (after, falls) = figure.subplots(2, 2, height_ratios=(3.7, lower))
     first, final = found.steps[0], found.final
     entry = next((e for e in first.check.entries if not e.by_group), None)
     if entry is not None:
         title = "1  where the first model fails"
-        residual_panel(axes[0, 0], first.calibration, first.check, entry, title)
-        after = next(e for e in final.check.entries if e.against == entry.against)
+        residual_panel(upper, first.calibration, first.check, entry, title)
+        last = next(e for e in final.check.entries if e.against == entry.against)
         title = "3  the same, with what was found"
-        residual_panel(axes[1, 0], final.calibration, final.check, after, title)
-        axes[1, 0].set_ylim(axes[0, 0].get_ylim())
+        residual_panel(after, final.calibration, final.check, last, title)
+        after.set_ylim(upper.get_ylim())
     if first.discovery is not None:
-        missing(first.discovery, axes[0, 1])
-    axes[0, 1].set_title(
+        missing(first.discovery, bars)
+    bars.set_title(
         "2  what is missing: each alone, beside the first model", fontsize=10, loc="left"
     )
-    trail(found, axes[1, 1])
-    axes[1, 1].set_title("4  the error falls", fontsize=10, loc="left")
+    trail(found, falls)
+    falls.set_title("4  the error falls", fontsize=10, loc="left")
     return figure
 
 
@@ -328,11 +314,7 @@ def coefficients(
         InputError: no such unknown, or none at all.
     """
     data = _chosen(calibration, names)
-    across, down = min(columns, len(data)), -(-len(data) // columns)
-    figure = new_figure(2.8 * across, 2.0 * down + 0.3)
-    panels = figure.subplots(down, across, squeeze=False).ravel()
-    for ax in panels[len(data) :]:
-        ax.set_visible(False)
+    figure, panels = _panels(len(data), columns, 2.8, 2.0, 0.3)
     for ax, (name, unknown) in zip(panels, data.items(), strict=False):
         draws = unknown.values.ravel()
         _density(ax, draws)
@@ -548,21 +530,20 @@ def allan(given: Check | Calibration | AllanDeviation) -> Figure:
             "there is no Allan deviation to draw: it needs runs of 30 readings or more, evenly spaced in time; "
             "bc.allan_deviation(readings) says what these lack"
         )
-    measured = found.measured if isinstance(found, AllanCheck) else found
     ax = new_figure(5.2, 3.6).subplots()
-    tau, deviation = measured.tau, measured.deviation
+    measured = found.measured if isinstance(found, AllanCheck) else found
     if isinstance(found, AllanCheck):
         seen = found.expected > 0
-        ax.fill_between(tau[seen], found.low[seen], found.high[seen], color=GREY, alpha=0.25, lw=0)
+        tau, low, high = measured.tau[seen], found.low[seen], found.high[seen]
+        ax.fill_between(tau, low, high, color=GREY, alpha=0.25, lw=0)
         label = f"noise law ({found.law_name}), 95 %"
-        ax.plot(tau[seen], found.expected[seen], "--", color=GREY, lw=1.2, label=label)
+        ax.plot(tau, found.expected[seen], "--", color=GREY, lw=1.2, label=label)
     what = "residuals" if isinstance(found, AllanCheck) else "readings"
     _measured(ax, measured, fmt="o-", lw=1.2, label=what)
-    if isinstance(found, AllanCheck) and found.apart is not None:
-        ax.plot(tau[found.apart], deviation[found.apart], "o", ms=7, color=RED, zorder=3)
-    return _labelled(
-        ax, measured.unit, [f"{t.symbol} = {t}" for t in measured.terms if t.value is not None]
-    )
+    if isinstance(found, AllanCheck) and (i := found.apart) is not None:
+        ax.plot(measured.tau[i], measured.deviation[i], "o", ms=7, color=RED, zorder=3)
+    told = [f"{t.symbol} = {t}" for t in measured.terms if t.value is not None]
+    return _labelled(ax, measured.unit, told)
 
 
 def noise(found: SensorNoise) -> Figure:
@@ -647,11 +628,7 @@ def sphere(calibration: Calibration) -> Figure:
 def residuals_on_sphere(
     calibration: Calibration,
 ) -> tuple[Float[np.ndarray, "n 3"], Float[np.ndarray, "n"]]:
-    """Directions of poses, by their outputs, and the residuals of their magnitudes in standard deviations.
-
-    Raises:
-        ModelError: as `sphere`.
-    """
+    """Directions of poses, by their outputs, and the residuals of their magnitudes in standard deviations."""
     vector, readings = calibration.model.instrument.vector, calibration.readings
     if vector is None or vector.acting is not None:
         raise ModelError(

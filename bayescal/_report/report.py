@@ -46,24 +46,14 @@ RESIDUAL_PANELS = 4  # of residuals
 
 @dataclass(frozen=True)
 class Picture:
-    """A figure of the page.
+    """A figure of the page."""
 
-    Attributes:
-        body: the figure as HTML.
-        caption: below it.
-    """
-
-    body: Markup
-    caption: str
+    body: Markup  # as HTML
+    caption: str  # below it
 
 
 class Pictures:
-    """Draws the pictures of one page, so that no two share an id.
-
-    Attributes:
-        refused: errors that are no fault of a picture.
-        failed: why pictures could not be drawn, which the page says in their place.
-    """
+    """Draws the pictures of one page, so that no two share an id."""
 
     def __init__(self, refused: tuple[type[Exception], ...] = ()) -> None:
         self.count, self.refused, self.failed = 0, (InputError, *refused), list[NotDrawn]()
@@ -81,25 +71,20 @@ class Pictures:
 
     def residuals(self, calibration: Calibration, found: Check, which: str) -> list[Picture]:
         """Residuals against the covariates, the worst first, a picture each."""
-        entries = [e for e in found.entries if not e.by_group][:RESIDUAL_PANELS]
-        unit = unit_label(found.unit)
-        pictures = []
-        for e in entries:
+        unit, pictures = unit_label(found.unit), []
+        for e in [e for e in found.entries if not e.by_group][:RESIDUAL_PANELS]:
             size = f"{e.worst.size:+.2g} {unit}".replace("-", "−")
             where = f"{number(e.worst.low, 4)} to {number(e.worst.high, 4)} {unit_label(e.worst.covariate_unit)}"
-            structure = (
-                f"the worst region, {where.strip()}, has a mean of {size}"
-                if e.log_bayes_factor > 0
-                else "no structure"
+            structure = "no structure"
+            if e.log_bayes_factor > 0:
+                structure = f"the worst region, {where.strip()}, has a mean of {size}"
+            picture = self.draw(
+                lambda e=e: _panel(calibration, found, e.against),
+                f"Residuals of {which} against {e.against}",
+                f"Residuals of {which} in {unit} against {e.against}: {structure}; log Bayes factor "
+                f"{e.log_bayes_factor:.1f}; noise {number(found.noise)} {unit}.",
             )
-            pictures.append(
-                self.draw(
-                    lambda e=e: _panel(calibration, found, e.against),
-                    f"Residuals of {which} against {e.against}",
-                    f"Residuals of {which} in {unit} against {e.against}: {structure}; log Bayes factor "
-                    f"{e.log_bayes_factor:.1f}; noise {number(found.noise)} {unit}.",
-                )
-            )
+            pictures.append(picture)
         return pictures
 
     def allan(self, found: Check, which: str) -> Picture | None:
@@ -137,6 +122,7 @@ class Pictures:
         )
 
     def missing(self, found: dict, title: str) -> Picture | None:
+        """The candidates of one step, where any was tested."""
         tested = [c for c in found["candidates"] if c["log_bayes_factor"] is not None]
         if not tested:
             return None
@@ -199,23 +185,16 @@ def as_svg(figure: Figure) -> str:
 
 
 def inline(svg: str, prefix: str, alt: str) -> Markup:
-    """An SVG as part of a page.
+    """An SVG, as Matplotlib writes it with labels escaped, as part of a page.
 
     Black becomes the colour of the page's text, fonts the page's, ids are prefixed, and all that names another place
     (document type, metadata) goes, and the comments, which repeat the labels.
-
-    Args:
-        svg: as Matplotlib writes it: labels are escaped.
-        prefix: of every id.
-        alt: what it shows, in words.
     """
     body = svg[svg.index("<svg") :]
     body = re.sub(r"<metadata>.*?</metadata>|<!--.*?-->", "", body, flags=re.DOTALL)
     body = re.sub(r"\bid=\"([^\"]+)\"", rf'id="{prefix}\1"', body)
-    body = re.sub(r"url\(#", f"url(#{prefix}", body)
-    body = re.sub(r"href=\"#", f'href="#{prefix}', body)
+    body = re.sub(r"(url\(|href=\")#", rf"\1#{prefix}", body)
     body = body.replace("#000000", "currentColor")
-    body = re.sub(r"font: ([\d.]+)px [^;\"]+", r"font-size: \1px", body)
     body = re.sub(r"font: (\w+ )?([\d.]+)px [^;\"]+", r"font-size: \2px", body)
     size = re.search(r'viewBox="0 0 ([\d.]+)', body)
     width = float(size[1]) * 4 / 3 if size else 600.0  # points to CSS pixels
@@ -326,6 +305,7 @@ def page(
         "lines": lambda text: Markup("<br>").join(text.split("\n")),
         "measured": report_text.measured,
     }
+    again = [report_text.in_output_unit(c, output_unit) if output_unit else None for c in found]
     return template("bayescal._report", "report.html.j2", filters, autoescape=True).render(
         title=title or "Calibration report",
         written=datetime.now(UTC).strftime("%Y-%m-%d %H:%M UTC"),
@@ -333,9 +313,7 @@ def page(
         k=report_text.K,
         before=before,
         output_unit=output_unit,
-        in_output_unit=[
-            report_text.in_output_unit(c, output_unit) if output_unit else None for c in found
-        ],
+        in_output_unit=again,
     )
 
 

@@ -5,7 +5,6 @@ The sentences are the result in one paragraph, how it came about, its use and li
 
 from __future__ import annotations
 
-import re
 from collections.abc import Callable, Iterator, Sequence
 from itertools import chain, pairwise
 from typing import Any
@@ -13,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from bayescal._calibration.calibration import Calibration
+from bayescal._calibration.check_result import Entry
 from bayescal._calibration.description import sources_of
 from bayescal._calibration.mixture import has_effect
 from bayescal._calibration.prior_influence import coefficients_not_measured
@@ -69,42 +69,32 @@ def ranges(calibration: Calibration) -> list[dict[str, Any]]:
     readings, model = calibration.readings, calibration.model
     used = {c for e in model.effects for c in e.columns} | {*model.noise.needs}
     used |= columns_read(model.instrument, calibration.frame)
-    use = model.instrument.use
-    about = {c.name: c.meaning for c in model.instrument.columns}
-    found = []
+    about, found = {c.name: c.meaning for c in model.instrument.columns}, []
+
+    def add(name: str, meaning: str, values: np.ndarray, unit: str, part: str) -> None:
+        low, high = float(np.nanmin(values)), float(np.nanmax(values))
+        ends = {"low": number(low, 4).replace("-", "−"), "high": number(high, 4).replace("-", "−")}
+        own = {"unit": unit_label(unit), "part": part, "constant": low == high}
+        found.append({"name": name, "meaning": meaning, **ends, **own})
+
+    parts = {"output": READ}
+    if model.instrument.use is not None:
+        acts = "the input, what the instrument is to measure"
+        parts = {model.instrument.use.stimulus: acts} | parts
     for name in readings.columns:
         unit = readings.unit(name)
         if unit is None or name in ("output_uncertainty", "temperature_point"):
             continue
-        values = readings[name]
-        part = "the model depends on it" if name in used else UNUSED
-        if name == "output":
-            part = READ
-        elif use is not None and name == use.stimulus:
-            part = "the input, what the instrument is to measure"
-        found.append(_range(name, about.get(name, ""), values, unit, part))
+        part = parts.get(name) or ("the model depends on it" if name in used else UNUSED)
+        add(name, about.get(name, ""), readings[name], unit, part)
     for name, values in calibration.frame.rates.items():
         rate = np.asarray(values) * 60
         if np.ptp(rate) > 0:
-            what = f"{name} rate", "speed of the change"
-            found.append(_range(*what, rate, "degC/min", FOLLOWS))
+            add(f"{name} rate", "speed of the change", rate, "degC/min", FOLLOWS)
     if readings.has("time"):
         span = np.asarray(calibration.frame.columns["elapsed"])
-        found.append(_range("elapsed", "time since the start of a run", span, "s", FOLLOWS))
+        add("elapsed", "time since the start of a run", span, "s", FOLLOWS)
     return found
-
-
-def _range(name: str, meaning: str, values: np.ndarray, unit: str, part: str) -> dict[str, Any]:
-    low, high = float(np.nanmin(values)), float(np.nanmax(values))
-    return {
-        "name": name,
-        "meaning": meaning,
-        "low": number(low, 4).replace("-", "−"),
-        "high": number(high, 4).replace("-", "−"),
-        "unit": unit_label(unit),
-        "part": part,
-        "constant": low == high,
-    }
 
 
 def ranges_table(rows: Sequence[dict[str, Any]]) -> ResultTable:
@@ -142,14 +132,12 @@ def coefficients(chapter: Chapter) -> ResultTable:
         given = if_there(r, K)
         note += f" (if it is there {given})" if given else ""
         note += f" (probability {probability(likely)})" * (likely < 1 and not given)
-        return {
-            **r,
-            "value": with_error(mean, K * sd),
-            "u": "held" if held else number(sd, 2),
-            "k2": "–" if held else interval(mean - K * sd, mean + K * sd, mean, sd),
-            "credible": "–" if held else interval(*r["interval95"], mean, sd),
-            "note": note,
-        }
+        u, k2, credible = "held", "–", "–"
+        if not held:
+            u, k2 = number(sd, 2), interval(mean - K * sd, mean + K * sd, mean, sd)
+            credible = interval(*r["interval95"], mean, sd)
+        own = {"u": u, "k2": k2, "credible": credible}
+        return {**r, "value": with_error(mean, K * sd), "note": note, **own}
 
     def line(name: str, value: str) -> dict[str, Any]:
         """What single coefficients mean nothing in: a curve, or the members of a large group."""
@@ -268,11 +256,9 @@ def _since(step: int | None) -> str:
 def _unknowns(effect: Effect) -> list[str]:
     found = []
     for i, c in enumerate(effect.coefficients):
-        prior = (
-            f"between-group standard deviation estimated, {_prior(c.group_sd)}"
-            if c.group_sd is not None
-            else _prior(c.prior)
-        )
+        prior = _prior(c.prior if c.group_sd is None else c.group_sd)
+        if c.group_sd is not None:
+            prior = f"between-group standard deviation estimated, {prior}"
         if effect.weights is not None:
             sizes = [effect.measure] if effect.measure else effect.weight_shapes
             prior = f"prior 0 ± a part of {' and '.join(f'{effect.name}.{s}' for s in sizes)}"
@@ -283,31 +269,27 @@ def _unknowns(effect: Effect) -> list[str]:
         found.append(f"{effect.coefficient_name(i)} [{unit_label(c.unit) or '1'}]: {prior}{per}")
     for s in effect.shapes:
         share = "between" if s.scale == "bounded" else "95 % between"
-        found.append(
-            f"{effect.shape_name(s)} [{unit_label(s.unit) or '1'}]: {share} {number(s.low)} and {number(s.high)}"
-        )
+        ends = f"{number(s.low)} and {number(s.high)}"
+        found.append(f"{effect.shape_name(s)} [{unit_label(s.unit) or '1'}]: {share} {ends}")
     return found
 
 
+PRIORS: dict[type, Callable[[Any], str]] = {
+    Normal: lambda p: f"prior {number(p.mean)} ± {number(p.sd)}",
+    HalfNormal: lambda p: f"half-normal prior of scale {number(p.scale)}",
+    HalfCauchy: lambda p: f"half-Cauchy prior of scale {number(p.scale)}",
+    LogNormal: lambda p: f"log-normal prior about {number(p.median)}",
+    LogUniform: lambda p: f"log-uniform prior from {number(p.low)} to {number(p.high)}",
+    Flat: lambda p: "flat prior",
+}
+
+
 def _prior(prior: Any) -> str:
-    words: dict[type, Callable[[Any], str]] = {
-        Normal: lambda p: f"prior {number(p.mean)} ± {number(p.sd)}",
-        HalfNormal: lambda p: f"half-normal prior of scale {number(p.scale)}",
-        HalfCauchy: lambda p: f"half-Cauchy prior of scale {number(p.scale)}",
-        LogNormal: lambda p: f"log-normal prior about {number(p.median)}",
-        LogUniform: lambda p: f"log-uniform prior from {number(p.low)} to {number(p.high)}",
-        Flat: lambda p: "flat prior",
-    }
-    return words.get(type(prior), repr)(prior)
+    return PRIORS.get(type(prior), repr)(prior)
 
 
 def output_factor(unit: str, of: str, scale: NominalScale | None) -> float:
-    """What one of the output's unit, in which a calibration keeps it, is in another; differences, all of them.
-
-    Args:
-        unit: asked for, of the output or of the raw one.
-        of: that the output is kept in.
-        scale: by which the raw output became the output; None where it did not.
+    """What one of the output's unit `of` is in another, of the output or, by the scale, of the raw one; differences.
 
     Raises:
         InputError: the unit is neither's.
@@ -374,36 +356,31 @@ def conclusion(chapter: Chapter) -> str:
 
 def _against(chapter: Chapter) -> Iterator[str]:
     gate = chapter.data["gate"]
-    reasons = [*chapter.data["verdict"]["reasons"], *[gate["reason"]] * (not gate["ok"])]
-    if reasons:
-        first = re.split(r"(?<=[.?]) ", reasons[0])[0]  # the rest stands at the gate
-        yield f"Not to be used as it is: {first}"
+    claims = [one["in_words"] for one in gate.get("claims", ())]
+    if reasons := [*claims, *chapter.data["verdict"]["reasons"]]:
+        yield f"Not to be used as it is: {reasons[0]}"  # the rest stands at the gate
 
 
 def _found(chapter: Chapter) -> str:
     """What the last model has more than the first; sizes are those that are signed for."""
-    c, steps = chapter.calibration, chapter.data["steps"]
-    latent = [set(m.get("latent", ())) for m in chapter.data["missing"]] or [set()]
-    first = set(steps[0]["effects"]) | latent[0] & latent[-1]
+    c, data = chapter.calibration, chapter.data
+    latent = [set(m.get("latent", ())) for m in data["missing"]] or [set()]
+    first = set(data["steps"][0]["effects"]) | latent[0] & latent[-1]
     added = [e for e in c.model.effects if e.name not in first]
     if not added:
-        search = chapter.data["search"] or {}
         weighed = "Nothing was found missing from"
-        if search.get("stopped"):
+        if (data["search"] or {}).get("stopped"):
             weighed = "When the search was ended, nothing had been found missing from"
-        if not chapter.data["missing"]:
+        if not data["missing"]:
             weighed = "Nothing was looked for beside"
         names = [n for n in c.model.names if n not in latent[-1]]
         model = f"{len(names)} effects" if len(names) > NAMED else ", ".join(names) or "no effect"
         return f"{weighed} the first model ({model})."
     by_subject: dict[str, list[str]] = {}
     for effect in added:
-        likely = _probability(chapter, effect)
-        how = (
-            ""
-            if likely is None or likely >= settings().found_probability
-            else f"probably ({likely:.2f}) "
-        )
+        likely, how = _probability(chapter, effect), ""
+        if likely is not None and likely < settings().found_probability:
+            how = f"probably ({likely:.2f}) "
         by_subject.setdefault(_subject(effect), []).append(how + _does(chapter.used, effect))
     sentences = (f"{subject} {listed(does)}." for subject, does in by_subject.items())
     return " ".join(s[0].upper() + s[1:] for s in sentences)
@@ -411,9 +388,9 @@ def _found(chapter: Chapter) -> str:
 
 def _probability(chapter: Chapter, effect: Effect) -> float | None:
     """That an effect is missing from the first model, alone or as one of several; None where that was not asked."""
-    first = (
-        chapter.data["missing"][0] if chapter.data["missing"] else {"candidates": [], "sets": []}
-    )
+    if not chapter.data["missing"]:
+        return None
+    first = chapter.data["missing"][0]
     if any(effect.family in one["effects"] for one in first["sets"]):
         return 1.0
     known = {c["effect"]: c["probability"] for c in first["candidates"]}
@@ -432,16 +409,14 @@ def _does(c: Calibration, effect: Effect) -> str:
     """What an effect makes of its subject, with its size."""
     kind = effect.kind
     if kind in ("line", "jump", "kink"):
-        step = float(np.ptp(c.linear.contribution(effect.name)))
-        size = f"{number(step, 2)} {unit_label(c.unit)}"
+        size = measured(float(np.ptp(c.linear.contribution(effect.name))), c.unit, 2)
         if kind == "line":
             return f"is proportional to {effect.covariate.replace('_', ' ')}, {size} over its range"
-        at = _at(c, effect, effect.covariate)
-        return (
-            f"has a step of {size} at {at}"
-            if kind == "jump"
-            else f"has a kink at {at}, of up to {size}"
-        )
+        low, high = range_of(c, effect.covariate)
+        share = float(c.samples(f"{effect.name}.place").mean())
+        at = place_of(c, effect.covariate, low + share * (high - low))
+        jump = f"has a step of {size} at {at}"
+        return jump if kind == "jump" else f"has a kink at {at}, of up to {size}"
     if kind == "cycle":
         return f"varies periodically in time by up to {_extent(c, effect)}"
     if effect.is_placeholder:
@@ -474,13 +449,6 @@ def _does(c: Calibration, effect: Effect) -> str:
     return words.get(kind, f"shows {effect.name} ({effect.equation or column}), {size}")
 
 
-def _at(c: Calibration, effect: Effect, column: str) -> str:
-    """Where a step or a kink is."""
-    low, high = range_of(c, column)
-    place = float(c.samples(f"{effect.name}.place").mean())
-    return place_of(c, column, low + place * (high - low))
-
-
 def _extent(c: Calibration, effect: Effect) -> str:
     *_, covariate, at = curve_extent(c, effect.name)
     return f"{_largest(c, effect.name)}, most at {place_of(c, covariate, at)}"
@@ -488,7 +456,7 @@ def _extent(c: Calibration, effect: Effect) -> str:
 
 def _largest(c: Calibration, name: str) -> str:
     """The largest value of a curve, output unit."""
-    return f"{number(abs(curve_extent(c, name)[1]), 2)} {unit_label(c.unit)}"
+    return measured(abs(curve_extent(c, name)[1]), c.unit, 2)
 
 
 def _size(c: Calibration, effect: Effect) -> str:
@@ -519,12 +487,9 @@ def _size(c: Calibration, effect: Effect) -> str:
 def _shape(c: Calibration, effect: Effect, name: str) -> str:
     shape = next(s for s in effect.shapes if s.name == name)
     fixed = dict(c.model.fixed).get(effect.shape_name(shape))
-    if fixed is not None:
-        return f"{number(fixed)} {unit_label(shape.unit)}".rstrip()
-    draws = c.samples(effect.shape_name(shape))
-    return (
-        f"{with_error(float(draws.mean()), float(draws.std()))} {unit_label(shape.unit)}".rstrip()
-    )
+    draws = None if fixed is not None else c.samples(effect.shape_name(shape))
+    said = number(fixed) if draws is None else with_error(float(draws.mean()), float(draws.std()))
+    return f"{said} {unit_label(shape.unit)}".rstrip()
 
 
 def _error(chapter: Chapter) -> str:
@@ -558,15 +523,11 @@ def _error(chapter: Chapter) -> str:
 
 def _left(chapter: Chapter) -> str:
     """What the residuals look like."""
-    c, step = chapter.calibration, chapter.data["steps"][-1]
-    depends = [
-        e.against for e in chapter.check.entries if e.log_bayes_factor > settings().strong_evidence
-    ]
-    if depends:
-        return f"The residuals still depend on {listed(depends[:3])}."
+    c, gate = chapter.calibration, chapter.data["gate"]
+    if depends := _depends(chapter):
+        return f"The residuals still depend on {listed([e.against for e in depends][:3])}."
     law = c.model.noise.looks_like or f"noise ({c.model.noise.in_words})"
-    noise = f"{number(step['rmse_fitted'], 2)} {unit_label(c.unit)}"
-    gate = chapter.data["gate"]
+    noise = measured(chapter.data["steps"][-1]["rmse_fitted"], c.unit, 2)
     first = next(iter(gate.get("claims", ())), {"code": ""})["code"]
     if first in ("noise.correlated", "noise.scatter", "noise.one_sided", "noise.tails"):
         return f"What is left, {noise} rms, is not the noise that the model takes it for."
@@ -575,41 +536,43 @@ def _left(chapter: Chapter) -> str:
     return f"What is left, {noise} rms, looks like {law}."
 
 
+def _depends(chapter: Chapter) -> list[Entry]:
+    """Return the covariates that the residuals of the last model depend on."""
+    strong = settings().strong_evidence
+    return [e for e in chapter.check.entries if e.log_bayes_factor > strong]
+
+
+def _last_candidates(chapter: Chapter) -> list[dict[str, Any]]:
+    return chapter.data["missing"][-1]["candidates"] if chapter.data["missing"] else []
+
+
 def _not_looked_at(chapter: Chapter) -> Iterator[str]:
     """Columns that were left out, and effects for which a column is lacking."""
     flags = (f for f in chapter.calibration.readings.flags if isinstance(f, Flag))
     if names := [name for f in flags if f.code == "column.ignored" for name in f.of]:
         yield f"Not looked at: {', '.join(names)}."
-    last = chapter.data["missing"][-1]["candidates"] if chapter.data["missing"] else []
-    if by_reason := not_tested(last):
+    if by_reason := not_tested(_last_candidates(chapter)):
         told = "; ".join(f"{listed(names)} ({reason})" for reason, names in by_reason.items())
         yield f"Not tested: {told}."
 
 
 def _not_decided(chapter: Chapter) -> Iterator[str]:
     """What these readings leave open between."""
-    open_: list[str] = []
-    in_model = set(chapter.calibration.model.names)
-    for missing in chapter.data["missing"]:
-        for one in missing["sets"]:
-            names = list(one["effects"])
-            if len(names) > 1 and in_model & set(names):
-                open_.append(" or ".join(names))
-    last = chapter.data["missing"][-1]["candidates"] if chapter.data["missing"] else []
-    leads = [c["effect"] for c in last if c["kind"] == "lead" and c["effect"] not in in_model]
-    open_ += [f"whether there is {name} as well" for name in leads]
-    confounders = chapter.calibration.confounders
-    open_ += [
-        f"how much of {listed(one.coefficients)} is {one.column}'s"
-        for one in confounders
-        if not one.step
-    ]
+    in_model, confounders = set(chapter.calibration.model.names), chapter.calibration.confounders
+    sets = [list(one["effects"]) for missing in chapter.data["missing"] for one in missing["sets"]]
+    open_ = [" or ".join(names) for names in sets if len(names) > 1 and in_model & set(names)]
+    leads = [c["effect"] for c in _last_candidates(chapter) if c["kind"] == "lead"]
+    open_ += [f"whether there is {name} as well" for name in leads if name not in in_model]
+    parts = [(one, listed(one.coefficients)) for one in confounders if not one.step]
+    open_ += [f"how much of {names} is {one.column}'s" for one, names in parts]
     open_ += [f"whether {one.column} was rounded or cut off" for one in confounders if one.step]
     if open_:
         yield f"Not decided: {'; '.join(dict.fromkeys(open_))}."
     if chapter.data["other_path"] is not None:
-        rival = chapter.data["other_path"]["in_words"].partition(". ")[0].rstrip(".")
-        yield f"Undecided: {rival[0].lower()}{rival[1:]}."
+        rival = chapter.data["other_path"]
+        what = f"noise law {rival['noise']}, with {' and '.join(rival['added']) or 'nothing'} added"
+        factor = f"log Bayes factor {rival['log_bayes_factor']:.1f}"
+        yield f"Undecided: {what}, is nearly as probable ({factor})."
 
 
 def listed(words: list[str], last: str = "and") -> str:
@@ -645,26 +608,22 @@ def use_and_limits(chapter: Chapter) -> tuple[list[str], list[str]]:
 
 def _limits(chapter: Chapter, rows: list[dict[str, Any]]) -> list[str]:
     use = chapter.calibration.model.instrument.use
+    stimulus, varied = use and use.stimulus, {r["name"] for r in rows if not r["constant"]}
     not_for = [
         "Outside these ranges: nothing was measured there, and nothing warns but the compensator."
     ]
     for r in rows:
-        if r["constant"] and r["name"] != "output" and (use is None or r["name"] != use.stimulus):
+        if r["constant"] and r["name"] not in ("output", stimulus):
             at = f"{r['low']} {r['unit']}".strip()
             not_for.append(
                 f"Under another {r['name']} than {at}, at which all readings were taken."
             )
-    if (
-        use is not None
-        and use.equation is None
-        and use.stimulus not in {r["name"] for r in rows if not r["constant"]}
-    ):
+    if use is not None and use.equation is None and stimulus not in varied:
         not_for.append(
-            f"To tell how the output follows {use.stimulus}: it was not varied, so the model's own equation stands "
+            f"To tell how the output follows {stimulus}: it was not varied, so the model's own equation stands "
             "untested."
         )
-    last = last_discovery(chapter)
-    candidates = last["candidates"] if last else []
+    candidates = (last_discovery(chapter) or {"candidates": []})["candidates"]
     blind = [c["effect"] for c in candidates if c["kind"] == "not visible" and not is_quiet(c)]
     not_for += [
         f"Where {listed(names, 'or')} matters: it was not tested ({reason})."
@@ -696,33 +655,31 @@ def ok(chapter: Chapter) -> bool:
 
 def unexplained(chapter: Chapter) -> list[str]:
     """What the last model leaves open, a sentence each."""
-    step, unit = chapter.data["steps"][-1], chapter.calibration.unit
+    data, unit = chapter.data, chapter.calibration.unit
+    step, first = data["steps"][-1], data["steps"][0]["holdout_rmse"]
     rms, new, noise = step["rmse_fitted"], step["rmse"], step["noise_floor"]
+    more = "nothing beyond the noise."
+    if rms > ABOVE_NOISE * noise:
+        more = f"about {measured((rms**2 - noise**2) ** 0.5, unit, 2)} rms is more than noise."
+    floor = measured(noise, unit, 3)
     said = [
-        f"rms error as fitted {measured(rms, unit, 3)} against a noise floor of {measured(noise, unit, 3)}: "
-        + (
-            f"about {measured((rms**2 - noise**2) ** 0.5, unit, 2)} rms is more than noise."
-            if rms > ABOVE_NOISE * noise
-            else "nothing beyond the noise."
-        )
+        f"rms error as fitted {measured(rms, unit, 3)} against a noise floor of {floor}: {more}"
     ]
     if new > ABOVE_NOISE * rms:
         said.append(
             f"A new run has an rms error of {measured(new, unit, 3)}: it brings a deviation of its own."
         )
     if step["holdout_rmse"] is not None:
-        first = chapter.data["steps"][0]["holdout_rmse"]
         said.append(
             f"Readings that no fit saw are predicted with an rms error of {measured(step['holdout_rmse'], unit, 3)} "
             f"(first model: {measured(first, unit, 3)})."
         )
-    for e in chapter.check.entries:
-        if e.log_bayes_factor > settings().strong_evidence:
-            size = f"{e.worst.size:+.2g} {unit_label(unit)}".replace("-", "−")
-            said.append(
-                f"The residuals still depend on {e.against} (up to {size}; log Bayes factor {e.log_bayes_factor:.1f})."
-            )
-    last, why = last_discovery(chapter), (chapter.data.get("search") or {}).get("ending")
+    for e in _depends(chapter):
+        size = f"{e.worst.size:+.2g} {unit_label(unit)}".replace("-", "−")
+        said.append(
+            f"The residuals still depend on {e.against} (up to {size}; log Bayes factor {e.log_bayes_factor:.1f})."
+        )
+    last, why = last_discovery(chapter), (data.get("search") or {}).get("ending")
     if last is None and not why:
         said.append("What is missing was not asked: the last fit did not converge.")
     elif last is not None:
@@ -732,19 +689,15 @@ def unexplained(chapter: Chapter) -> list[str]:
         )
         for kind in ("finding", "lead"):
             names = [c["effect"] for c in last["candidates"] if c["kind"] == kind]
-            if names:
-                said.append(f"{kind.capitalize()}, not in the model: {listed(names, 'or')}.")
-    if chapter.check.outliers:
-        said.append(
-            f"{len(chapter.check.outliers)} outlying readings (more than 4 standard deviations)."
-        )
-    if chapter.data["other_path"] is not None:
-        said.append(chapter.data["other_path"]["in_words"])
-    if why:
-        said.append(why)
-    if not chapter.data["gate"]["ok"]:
-        said.append(chapter.data["gate"]["reason"])
-    return said
+            said += (
+                [f"{kind.capitalize()}, not in the model: {listed(names, 'or')}."] if names else []
+            )
+    if outliers := len(chapter.check.outliers):
+        said.append(f"{outliers} outlying readings (more than 4 standard deviations).")
+    if data["other_path"] is not None:
+        said.append(data["other_path"]["in_words"])
+    gate = [] if data["gate"]["ok"] else [data["gate"]["reason"]]
+    return [*said, *filter(None, (why,)), *gate]
 
 
 def story(chapter: Chapter) -> list[str]:

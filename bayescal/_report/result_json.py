@@ -34,7 +34,7 @@ OF_NOISE = {
 }
 AVERAGED = ("mean", "sd", "interval95", "probability", "given")  # of an unknown, over structures
 FORMER = "bayescal.result/1"  # of 0.2.0, where `hyperparameters` were `spreads`
-PACKAGES = (
+PACKAGES = [
     "bayescal",
     "jax",
     "numpyro",
@@ -43,7 +43,7 @@ PACKAGES = (
     "arviz-stats",
     "numpy",
     "scipy",
-)
+]
 
 
 def result(trail: SearchPath) -> dict[str, Any]:
@@ -114,22 +114,19 @@ def search_data(trail: SearchPath) -> dict[str, Any] | None:
     search = trail.search
     if search is None:
         return None
+
+    def structure(s: Any) -> dict[str, Any]:
+        noise = {"noise": s.noise, "correlated_noise": Noise.correlates(s.noise)}
+        weight = {"log_evidence": s.log_evidence, "probability": s.probability}
+        return {"effects": list(s.effects), **noise, **weight}
+
     return {
         "weighed": search.weighed,
         "complete": search.complete,
         "stopped": search.stopped,
         "ending": trail.ending,
         "seconds": search.seconds,
-        "structures": [
-            {
-                "effects": list(s.effects),
-                "noise": s.noise,
-                "correlated_noise": Noise.correlates(s.noise),
-                "log_evidence": s.log_evidence,
-                "probability": s.probability,
-            }
-            for s in search.structures
-        ],
+        "structures": [structure(s) for s in search.structures],
         "averaged_over": [
             {"effects": list(s.effects), "probability": s.probability} for s in trail.shares
         ],
@@ -165,11 +162,8 @@ def hashes(readings: Measurements) -> str | list[str]:
 def _groups(readings: Measurements) -> dict[str, Any]:
     kind, members, _ = groups_of(readings)
     counted = {g: len(readings.groups(g)[0]) for g in GROUPS}
-    return {
-        **{k: n for k, n in counted.items() if n},
-        "left_out": kind,
-        "left_out_count": len(members),
-    }
+    several = {k: n for k, n in counted.items() if n}
+    return {**several, "left_out": kind, "left_out_count": len(members)}
 
 
 def step_data(step: Step) -> dict[str, Any]:
@@ -222,16 +216,17 @@ def missing_data(found: Discovery, step: int, check: Check) -> dict[str, Any]:
 
 
 def experiment_data(found: NextExperiment) -> dict[str, Any]:
+    def expected(e: Any) -> list[dict[str, Any]]:
+        each = e.expected.items()
+        return [{"truth": truth, "rival": rival, "value": value} for (truth, rival), value in each]
+
     return {
         "members": list(found.members),
         "experiments": [
             {
                 "name": e.name,
                 "least_expected_log_bayes_factor": e.worst,
-                "expected_log_bayes_factors": [
-                    {"truth": truth, "rival": rival, "value": value}
-                    for (truth, rival), value in e.expected.items()
-                ],
+                "expected_log_bayes_factors": expected(e),
             }
             for e in found.experiments
         ],

@@ -61,11 +61,7 @@ def searches_of(found: SearchPath | Channels) -> dict[str, SearchPath]:
 
 
 def write_results(found: SearchPath | Channels, folder: Path) -> None:
-    """Write what `save_search` does but for the pictures.
-
-    Raises:
-        InputError: as there.
-    """
+    """Write what `save_search` does but for the pictures."""
     folder = Path(folder)
     with whole_folder(folder) as hidden:
         for inner, trail in searches_of(found).items():

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -35,27 +36,17 @@ PNG = b"\x89PNG\r\n\x1a\n"
 
 @dataclass(frozen=True)
 class Foreword:
-    """A section that stands before all chapters.
+    """A section that stands before all chapters."""
 
-    Attributes:
-        name: its id in the page.
-        title: above it.
-        note: in small print below it.
-        verdict: what it comes to, in a box, with what it rests on; empty for none.
-        bad: whether that is against what is reported of.
-        why: what the verdict rests on.
-        lists: headings, with labels and texts below each.
-        table: with its caption.
-    """
-
-    name: str
-    title: str
-    note: str
-    verdict: str = ""
-    bad: bool = False
-    why: str = ""
+    name: str  # its id in the page
+    title: str  # above it
+    note: str  # in small print below it
+    verdict: str = ""  # what it comes to, in a box, with what it rests on; empty for none
+    bad: bool = False  # whether that is against what is reported of
+    why: str = ""  # what the verdict rests on
+    # headings, with labels and texts below each
     lists: tuple[tuple[str, list[tuple[str, str]]], ...] = ()
-    table: tuple[str, ResultTable] | None = None
+    table: tuple[str, ResultTable] | None = None  # with its caption
 
 
 class Foreworded(Protocol):
@@ -66,25 +57,18 @@ class Foreworded(Protocol):
 
 @dataclass(frozen=True)
 class Chapter:
-    """One set of readings.
+    """One set of readings."""
 
-    Attributes:
-        calibration: the last model's.
-        check: where it fails.
-        data: everything that was found, as in result.json.
-        first, first_check: where it began; None where only result.json tells of it.
-        picture: the loop as it was drawn at the time (PNG); None where the pictures can be drawn again.
-        folder: that it was read from; None for what was found in memory.
-        average: the last model's calibration averaged over structures; None where one has nearly all probability.
-    """
-
-    calibration: Calibration
-    check: Check
-    data: dict[str, Any]
+    calibration: Calibration  # the last model's
+    check: Check  # where it fails
+    data: dict[str, Any]  # everything that was found, as in result.json
+    # first, first_check: where it began; None where only result.json tells of it
     first: Calibration | None = None
     first_check: Check | None = None
+    # the loop as it was drawn at the time (PNG); None where the pictures can be drawn again
     picture: bytes | None = None
-    folder: Path | None = None
+    folder: Path | None = None  # that it was read from; None for what was found in memory
+    # the last model's calibration averaged over structures; None where one has nearly all probability
     average: Calibration | None = None
 
     @property
@@ -103,14 +87,10 @@ def chapters(given: Iterable[Any], effects: Iterable[Effect] = ()) -> list[Chapt
     Raises:
         InputError: nothing is given, or something else.
     """
-    own = tuple(effects)
-    several = [
-        g.calibration if isinstance(g, NotConverged) and g.calibration is not None else g
-        for g in given
-    ]
-    wrong = [
-        type(g).__name__ for g in several if not isinstance(g, Calibration | SearchPath | Chapter)
-    ]
+    own, known = tuple(effects), (Calibration, SearchPath, Chapter)
+    ended = ((g, g.calibration if isinstance(g, NotConverged) else None) for g in given)
+    several = [g if calibration is None else calibration for g, calibration in ended]
+    wrong = [type(g).__name__ for g in several if not isinstance(g, known)]
     if wrong or not several:
         raise InputError(
             f"a report is of calibrations or trails, not of {', '.join(wrong) or 'nothing'}: give what bc.fit, "
@@ -124,10 +104,8 @@ def chapters(given: Iterable[Any], effects: Iterable[Effect] = ()) -> list[Chapt
             waiting = []
         if isinstance(one, Calibration):
             waiting.append(one)
-        elif isinstance(one, SearchPath):
-            found.append(of_trail(one))
         elif one is not None:
-            found.append(one)
+            found.append(of_trail(one) if isinstance(one, SearchPath) else one)
     return found
 
 
@@ -161,16 +139,20 @@ def of_folder(
     refuse_mixed(folder)
     own = {"effects": tuple(effects), "instruments": tuple(instruments)}
     calibration = load(folder / CALIBRATION, **own)
-    _refuse_strangers(folder, data, calibration)
-    picture = folder / PICTURE
-    drawn = picture.read_bytes() if picture.is_file() else b""
+    fitted, told, listed = identity(calibration), data.get("calibration"), files_of(folder)
+    if not {RESULT, CALIBRATION} <= listed.keys() and told != fitted:  # one manifest is of one run
+        raise InputError(
+            f"{RESULT} and {CALIBRATION} in {folder} are of different fits: identity {told} and {fitted}. Calibrate "
+            f"again, or give {CALIBRATION} alone"
+        )
+    drawn = (folder / PICTURE).read_bytes() if (folder / PICTURE).is_file() else b""
     return Chapter(
         calibration,
         check(calibration),
         data,
         picture=drawn if drawn.startswith(PNG) else None,
         folder=folder,
-        average=load(folder / AVERAGED, **own) if AVERAGED in files_of(folder) else None,
+        average=load(folder / AVERAGED, **own) if AVERAGED in listed else None,
     )
 
 
@@ -195,50 +177,29 @@ def _read_result(path: Path) -> dict[str, Any]:
     return data
 
 
-def _refuse_strangers(folder: Path, data: dict[str, Any], calibration: Calibration) -> None:
-    """Refuse a result and a calibration of two different runs; those that one manifest lists are of one."""
-    if {RESULT, CALIBRATION} <= files_of(folder).keys():
-        return
-    own, told = identity(calibration), data.get("calibration")
-    if told != own:
-        raise InputError(
-            f"{RESULT} and {CALIBRATION} in {folder} are of different fits: identity {told} and {own}. Calibrate "
-            f"again, or give {CALIBRATION} alone"
-        )
-
-
 def trail_of(calibrations: list[Calibration], effects: tuple[Effect, ...] = ()) -> SearchPath:
     """The trail of calibrations of the same readings, each checked and asked what it lacks.
 
     An effect of the user's own that one of them has is a candidate for the others.
     """
+    catalogue = calibrations[0].model.instrument.known
     used = {e.name: e for c in calibrations for e in c.model.effects}
-    instrument = calibrations[0].model.instrument
-    catalogue = instrument.known
-    own = [e for n, e in used.items() if n not in catalogue]
-    steps = [
-        replace(
-            step_of(c),
-            discovery=discover(c, effects=(*own, *effects)) if c.verdict.ok else None,
-        )
-        for c in calibrations
-    ]
+    own = (*(e for n, e in used.items() if n not in catalogue), *effects)
+    asked = [discover(c, effects=own) if c.verdict.ok else None for c in calibrations]
+    steps = [replace(step_of(c), discovery=d) for c, d in zip(calibrations, asked, strict=True)]
     return SearchPath(tuple(steps), gate(steps[-1:]), None)
 
 
 def _titles(calibrations: list[Calibration]) -> list[str]:
     """Each model by what it has more and less than the one before."""
-    titles = []
-    for i, c in enumerate(calibrations):
-        own, before = c.model.names, calibrations[i - 1].model.names if i else None
-        if before is None:
-            baseline = set(own) == {e.name for e in c.model.instrument.effects}
-            titles.append("baseline" if baseline else ", ".join(own))
-            continue
-        more = [f"+ {n}" for n in own if n not in before]
-        less = [f"− {n}" for n in before if n not in own]
-        law = c.model.noise.in_words
-        noise = [] if law == calibrations[i - 1].model.noise.in_words else [f"noise: {law}"]
+    first = calibrations[0].model
+    baseline = set(first.names) == {e.name for e in first.instrument.effects}
+    titles = ["baseline" if baseline else ", ".join(first.names)]
+    for before, own in pairwise(c.model for c in calibrations):
+        more = [f"+ {n}" for n in own.names if n not in before.names]
+        less = [f"− {n}" for n in before.names if n not in own.names]
+        law = own.noise.in_words
+        noise = [] if law == before.noise.in_words else [f"noise: {law}"]
         titles.append(" ".join([*more, *less, *noise]) or "the same effects")
     return titles
 

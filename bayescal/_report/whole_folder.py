@@ -55,11 +55,7 @@ def folders_of(names: Iterable[str]) -> dict[str, str]:
 
 
 def channel_folders(folder: Path) -> list[str]:
-    """Names of the folders of a unit's channels, in the one that its results are in.
-
-    Raises:
-        InputError: its channels.json cannot be read.
-    """
+    """Names of the folders of a unit's channels, in the one that its results are in."""
     listed = folder / CHANNELS
     try:
         names = [c["folder"] for c in read_json(listed)["channels"].values()]

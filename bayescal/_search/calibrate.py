@@ -16,9 +16,15 @@ import numpy as np
 from bayescal._calibration.calibration import Calibration
 from bayescal._calibration.check import check
 from bayescal._calibration.fit import fit
-from bayescal._calibration.guards import PRIOR, following_members, too_different
 from bayescal._calibration.holdout_contradiction import HoldoutTest
-from bayescal._calibration.judgement import noiseless, wrong_question
+from bayescal._calibration.judgement import (
+    GROUPS,
+    PRIOR,
+    Subject,
+    claims,
+    noiseless,
+    wrong_question,
+)
 from bayescal._calibration.leave_group_out import leave_one_group_out, scheme
 from bayescal._calibration.noise_in_time import noise_floor
 from bayescal._calibration.predict import predict
@@ -295,13 +301,7 @@ class Loop:
     def averaged(
         self, steps: Sequence[Step], goal: Structure, search: Search | None = None
     ) -> SearchPath:
-        """Judge the last of some steps, and average it over the structures that were weighed.
-
-        Args:
-            steps: on the way to a structure, each with what is missing from it.
-            goal: that structure.
-            search: how the search stood at its end; None: as it stands.
-        """
+        """Judge the last of some steps, and average it over the structures that were weighed."""
         assert self.library is not None
         structures, end, steps = self.library.structures, deadline.current(), [*steps]
         if (last := steps[-1].discovery) is not None:
@@ -431,16 +431,9 @@ class Loop:
 
 
 def step_of(
-    calibration: Calibration,
-    holdout: Measurements | None = None,
-    accepted: Collection[str] = (),
+    calibration: Calibration, holdout: Measurements | None = None, accepted: Collection[str] = ()
 ) -> Step:
     """A fit as a step: checked, with its errors; what is missing from it is not asked yet.
-
-    Args:
-        calibration: the fit.
-        holdout: hold-out data.
-        accepted: coefficients or effects that may contradict their priors.
 
     Raises:
         InputError: the readings show no noise.
@@ -463,10 +456,7 @@ def step_of(
         check=checked,
         discovery=None,
         against=wrong_question(calibration, floor, accepted),
-        different=(
-            *too_different(calibration, accepted),
-            *following_members(calibration, accepted),
-        ),
+        different=tuple(claims(GROUPS, Subject(calibration, accepted))),
     )
 
 

@@ -10,7 +10,7 @@ import numpy as np
 from scipy.special import chdtrc, logsumexp, ndtri
 
 from bayescal._calibration.claim import Claim
-from bayescal._calibration.guards import off_scale
+from bayescal._calibration.judgement import off_scale
 from bayescal._core.null_space import UNDECIDED_SHARE
 from bayescal._core.settings import settings
 from bayescal._inference.density import Density
@@ -116,18 +116,9 @@ def judge(
     with_it: Weighed | None,
     form: str,
 ) -> Candidate:
-    """One candidate on its own.
-
-    Args:
-        library: of all candidates.
-        name: under which it is reported.
-        points: its scores, the most probable first.
-        at: the structure that it is missing from.
-        with_it: the same with it, refitted; None where it was not.
-        form: the most probable one.
-    """
+    """One candidate on its own."""
     top, several = points[0], len(library.structures.forms[name]) > 1
-    effect = library.structures.candidates[top.effect]
+    effect, before = library.structures.candidates[top.effect], float(np.trace(top.products))
     found = Candidate(
         effect=name,
         form=form if several else "",
@@ -135,7 +126,7 @@ def judge(
         z=_z(top, library.grouped(top.effect)),
         unit=effect.coefficients[0].unit,
         shape={**top.point.shapes, **top.size.scales},
-        visibility=_visibility(top),
+        visibility=float(np.trace(top.information)) / before if before > 0 else 0.0,
         minimum_detectable=_minimum_detectable(library, top),
         role=effect.role,
     )
@@ -243,11 +234,6 @@ def _z(point: ScoredPoint, group: bool) -> float:
     return float(-ndtri(max(chdtrc(keep.sum(), square), 1e-300)))
 
 
-def _visibility(point: ScoredPoint) -> float:
-    before = float(np.trace(point.products))
-    return float(np.trace(point.information)) / before if before > 0 else 0.0
-
-
 def _minimum_detectable(library: Library, point: ScoredPoint) -> float | None:
     """Size found with 80 % power: the log Bayes factor reaches what a finding needs under its prior odds."""
     found, group = settings().found_probability, library.grouped(point.effect)
@@ -324,10 +310,7 @@ def kind_of(candidate: Candidate, found: bool, plausible: float) -> Candidate:
         return candidate  # to be seen well enough, and explained by what was found
     # Visible means: a plausible size would be found. Where nuisances take all but a hundredth, what is left hangs on
     # their exact form, and the plausible size must be enough by itself.
-    least, hidden = (
-        candidate.minimum_detectable,
-        (candidate.visibility or 0.0) < UNDECIDED_SHARE,
-    )
+    least, hidden = (candidate.minimum_detectable, (candidate.visibility or 0.0) < UNDECIDED_SHARE)
     most = plausible * (1.0 if hidden else DETECTABLE_SIZES)
     if least is None or least > most:
         return replace(candidate, kind="not visible", reason="not detectable in this experiment")

@@ -53,7 +53,12 @@ class Channels(Printed):
 
     def _parts(self) -> list[str | ResultTable]:
         noise = ["noise", *(t.final.calibration.model.noise.law for t in self.trails.values())]
-        rows = [*self._errors(), *map(self._effect, self.effects), noise]
+        rows = self._errors()
+        for name in self.effects:
+            sizes = (_size(trail, name) for trail in self.trails.values())
+            cells = ("–" if mean is None else with_error(mean, sd) for mean, sd in sizes)
+            rows.append([name, *cells])
+        rows.append(noise)
         parts: list[str | ResultTable] = [plain_table(["", *self.trails], rows)]
         parts += [_shared_text(s) for s in self.shared if s.probability > 0.5]
         # Of a search that ended early; one that could not begin is not reliable, which is said.
@@ -91,13 +96,6 @@ class Channels(Printed):
             columns["held out, last"] = columns["held out"]
         rows = [[name, *map(number, columns[name])] for name in (*shown, "noise floor")]
         return [["unit", *map(unit_label, columns["unit"])], *rows]
-
-    def _effect(self, name: str) -> list[str]:
-        cells = []
-        for trail in self.trails.values():
-            mean, sd = _size(trail, name)
-            cells.append("–" if mean is None else with_error(mean, sd))
-        return [name, *cells]
 
 
 def _size(trail: SearchPath, name: str) -> tuple[float | None, float]:

@@ -6,7 +6,7 @@ lost in the noise, coefficients that no readings could tell apart.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -15,7 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from bayescal._calibration.fit import fit
-from bayescal._calibration.guards import off_scale
+from bayescal._calibration.judgement import off_scale
 from bayescal._calibration.summary import null_directions
 from bayescal._core.errors import BayescalError, ModelError
 from bayescal._core.formatting import number, with_error
@@ -32,12 +32,8 @@ from bayescal._model.model import Model, testable
 from bayescal._model.parameters import bind
 from bayescal._search.own_files import in_one_line
 
-BACK_SD = (
-    4.0  # standard deviations from its true value, beyond which a coefficient has not come back
-)
-IDENTIFIABLE_CONTRACTION = (
-    0.6  # below which it is not identifiable; two that are one have a half each
-)
+BACK_SD = 4.0  # from its true value, beyond which a coefficient has not come back
+IDENTIFIABLE_CONTRACTION = 0.6  # below it is not identifiable; two that are one have a half each
 RUNS, ROWS = 4, 60  # of the readings that are made up, where the instrument has no simulator
 SPANS = 5.0  # times the longest median time of an effect, that a run lasts at the least
 
@@ -92,11 +88,15 @@ class InstrumentCheck(Printed):
 
     def _parts(self) -> list[str | ResultTable]:
         unit = unit_label(self.unit)
+
+        def came_back(row: Mapping[str, Any]) -> str:
+            return "–" if row["mean"] is None else with_error(row["mean"], row["sd"] or 0.0)
+
         columns = (
             TableColumn("unknown", "name"),
             TableColumn("adds at most", "adds", number, unit or "1"),
             TableColumn("simulated", "truth", number),
-            TableColumn("came back", lambda r: (r["mean"], r["sd"]), _with_error),
+            TableColumn("came back", came_back),
             TableColumn("unit", "unit", unit_label),
             TableColumn("remark", "remark"),
         )
@@ -116,11 +116,6 @@ class InstrumentCheck(Printed):
     def data(self) -> dict[str, Any]:
         """As JSON."""
         return {**vars(self), "rows": [vars(row) for row in self.rows], "ok": self.ok}
-
-
-def _with_error(found: tuple[float | None, float | None]) -> str:
-    mean, sd = found
-    return "–" if mean is None else with_error(mean, sd or 0.0)
 
 
 def check_instrument(
@@ -231,9 +226,8 @@ def _recover(
     random, signs = np.random.default_rng(seed + 1), np.ones(layout.size)
     for n, b in enumerate(layout.x_blocks):
         alone = b.coefficient.per is None
-        signs[b.start : b.start + b.size] = (
-            1 - 2 * (n % 2) if alone else random.standard_normal(b.size)
-        )
+        own = 1 - 2 * (n % 2) if alone else random.standard_normal(b.size)
+        signs[b.start : b.start + b.size] = own
     x = forward.prior_mean(layout) + forward.prior_sd(layout, hyper) * signs
     jacobian = np.asarray(forward.linearise(layout, frame, x, hyper).jacobian)
     # The second of two: a seed stands for the readings that it always gave.
@@ -257,9 +251,7 @@ def _recover(
     how: dict[str, Any] = {"seed": seed, "reference": reference, "strict": False}
     fitted = fit(model, readings.with_column("output", output), LeastSquares(draws=300), **how)
 
-    def note(
-        name: str, unit: str, adds: Any, truth: Any, draws: np.ndarray, remark: str = ""
-    ) -> None:
+    def note(name: str, unit: str, adds: Any, truth: Any, draws: Any, remark: str = "") -> None:
         mean, sd = float(draws.mean()), float(draws.std())
         found.rows.append(Recovery(kind, name, unit, adds, truth, mean, sd, remark))
 
@@ -275,36 +267,23 @@ def _recover(
                 "allowed=(…)? Can the condition that it asks for occur?"
             )
         else:
-            found.errors += map(str, off_scale(b.effect, adds, found.noise, found.unit))
-        if c.per is None:
-            truth, remark = float(x[b.start]), "its basis is zero" if zero else ""
-            if (
-                not zero
-                and not c.flat
-                and 1 - (draws.std() / c.size) ** 2 < IDENTIFIABLE_CONTRACTION
-            ):
-                remark = "not identifiable here"
-            elif not zero and abs(draws.mean() - truth) > BACK_SD * draws.std():
-                remark, came = (
-                    "did not come back",
-                    with_error(float(draws.mean()), float(draws.std())),
-                )
-                found.errors.append(
-                    f"{b.name} did not come back: {number(truth)} simulated, {came} found"
-                )
-            note(b.name, c.unit, adds, truth, draws, remark)
-        else:
+            found.errors += off_scale(b.effect, adds, found.noise, found.unit)
+        if c.per is not None:
             spread = b.group_sd_name if c.group_sd is not None else None
             draws = fitted.samples(spread) if spread else draws.std(axis=1)
             truth = float(np.std(x[at] - c.mean)) if b.size > 1 else None
-            note(
-                spread or f"{b.name}, one a {c.per}",
-                c.unit,
-                adds,
-                truth,
-                draws,
-                f"{b.size} of them",
-            )
+            name = spread or f"{b.name}, one a {c.per}"
+            note(name, c.unit, adds, truth, draws, f"{b.size} of them")
+            continue
+        truth, mean, sd = float(x[b.start]), float(draws.mean()), float(draws.std())
+        remark = "its basis is zero" if zero else ""
+        if not (zero or c.flat) and 1 - (sd / c.size) ** 2 < IDENTIFIABLE_CONTRACTION:
+            remark = "not identifiable here"
+        elif not zero and abs(mean - truth) > BACK_SD * sd:
+            remark = "did not come back"
+            came = f"{number(truth)} simulated, {with_error(mean, sd)} found"
+            found.errors.append(f"{b.name} {remark}: {came}")
+        note(b.name, c.unit, adds, truth, draws, remark)
     for effect in (e for e in model.effects if e.name in mine):
         for shape in effect.shapes:
             name, truth = effect.shape_name(shape), float(shape.prior.value(0.0))

@@ -125,7 +125,7 @@ class Discovery(Printed):
 
     def _parts(self) -> list[str | ResultTable]:
         """What is missing, and every candidate, the most probable first."""
-        lines: list[str | ResultTable] = [_folded(str(one)) for one in self.equivalent]
+        lines: list[str | ResultTable] = [_folded(one) for one in self.equivalent]
         lines += _findings(self)
         if self.noise:
             shown = [n for n in self.noise if n.probability >= SHOWN_PROBABILITY]
@@ -264,12 +264,6 @@ def with_causes(
 ) -> Measurements:
     """The readings, in which nothing depends on the columns to ignore, and on no other one than given, if any is.
 
-    Args:
-        readings: as read, where other channels of the unit are no causes.
-        instrument: whose columns may be causes in any case.
-        ignore: columns that are none.
-        covariates: further columns that may be; None for all that were read as such.
-
     Raises:
         InputError: there is no such column, or one is both.
     """
@@ -342,7 +336,9 @@ def discovery_at(
             probability=posterior.inclusion(name),
             indistinguishable_from=tuple(sorted(near)),
         )
-        plausible = _plausible(structures.candidates[points[name][0].effect])
+        effect = structures.candidates[points[name][0].effect]
+        sizes = (s.high for s in effect.shapes if s.name == effect.measure)
+        plausible = next(sizes, effect.coefficients[0].size)
         judged.append(kind_of(candidate, name in in_sets, plausible))
     alone = structures.unscored if scored else structures.candidates
     for name in sorted(posterior.families(alone) - had):
@@ -365,6 +361,8 @@ def discovery_at(
     first = list(found[0].effects) if found else []
     leads = [c.effect for c in ranked if c.kind == "lead"] if len(first) < 2 else []
     rivals = list(dict.fromkeys(first + leads))[:RIVALS]
+    laws = {"": structures.base.noise, **structures.laws} if structures.laws else {}
+    each = [LawProbability(n.name, n.in_words, posterior.noise(k)) for k, n in laws.items()]
     return Discovery(
         nothing_missing=posterior.complete(structures, (c.effect for c in judged if c.unseen))
         if stated
@@ -379,26 +377,11 @@ def discovery_at(
         candidates=(*ranked, *shut),
         best=tuple(best),
         rivals=tuple(structures.candidates[posterior.form(n)] for n in rivals),
-        noise=tuple(_laws(structures, posterior)),
+        noise=tuple(sorted(each, key=lambda law: -law.probability)),
         stopped=stopped,
         unstated="" if stated else ENDED,
         off_scale=too_small_or_large(library, points, here),
     )
-
-
-def _laws(structures: Structures, posterior: Posterior) -> list[LawProbability]:
-    """The laws that were weighed, the most probable first; none where there was no choice."""
-    if not structures.laws:
-        return []
-    laws = {"": structures.base.noise, **structures.laws}
-    each = [LawProbability(n.name, n.in_words, posterior.noise(k)) for k, n in laws.items()]
-    return sorted(each, key=lambda law: -law.probability)
-
-
-def _plausible(effect: Effect) -> float:
-    """The size that an effect plausibly has, in the unit in which it is reported."""
-    amplitude = next((s for s in effect.shapes if s.name == effect.measure), None)
-    return effect.coefficients[0].size if amplitude is None else amplitude.high
 
 
 def _findings(found: Discovery) -> list[str]:

@@ -25,7 +25,6 @@ from bayescal._inference.gaussian import column_scale
 from bayescal._inference.linear_model import RANK, LinearModel, about_priors
 from bayescal._inference.problem import Problem
 from bayescal._inference.record import record_of
-from bayescal._model.effect import Effect
 from bayescal._model.frame import reference_of
 from bayescal._model.model import testable
 from bayescal._model.parameters import bind
@@ -54,10 +53,6 @@ def with_spans(structures: Structures, floor: float) -> Structures:
     """Structures that know which candidates these readings cannot tell from the base's effects, or from one another.
 
     Candidates with shapes, and of groups, are left to evidence, which sums over them.
-
-    Args:
-        structures: candidates beside a base.
-        floor: standard deviation of neighbouring readings about each other, output unit.
     """
     structures = replace(structures, floor=min(floor, _left_by_all(structures)))
     line, columns = _columns(structures)
@@ -117,7 +112,9 @@ def _columns(structures: Structures) -> tuple[LinearModel, dict[str, _Columns]]:
     of_all = _beside(of_groups(white[:, ~random]))
     library, found = Library(structures), dict[str, _Columns]()
     for name, (point, *others) in library.points.items():
-        if not others and _has_fixed_columns(structures.candidates[name]):
+        effect = structures.candidates[name]
+        per_member = any(c.group_sd for c in effect.coefficients)
+        if not (others or per_member or effect.frees) and has_size(effect):
             columns = library.columns(line.slopes, [point], {}) * library.sizes[name][0].sd
             whole = line.whiten(columns)
             beside = of_groups(math.sqrt(every) * whole[::every])
@@ -131,11 +128,6 @@ def _beside(columns: Float[np.ndarray, "n q"]) -> Callable[[Array], Array]:
     axes, sizes, _ = np.linalg.svd(columns, full_matrices=False)
     lost = axes * (1 - 1 / np.sqrt(1 + sizes**2))
     return lambda white: white - lost @ (axes.T @ white)
-
-
-def _has_fixed_columns(effect: Effect) -> bool:
-    of_groups = any(c.group_sd for c in effect.coefficients)
-    return has_size(effect) and not of_groups and not effect.frees
 
 
 def _coefficients(line: LinearModel, columns: Float[np.ndarray, "n k"]) -> tuple[str, ...]:

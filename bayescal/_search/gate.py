@@ -1,46 +1,43 @@
-"""The gate: whether the last model is to be used. It asks everything that the fits and checks know."""
+"""The gate: whether the last model is to be used. It asks everything that the fits and checks know.
+
+Its own checks are of all steps, the last one judged; they stand with their limits in the tables at the end.
+"""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from bayescal._calibration.claim import Claim, as_kept, distinct
+from bayescal._calibration.claim import Claim, as_claim
 from bayescal._calibration.judgement import (
     CORRELATED_SD,
-    of_noise,
+    LEFT_OUT,
+    THERMOMETERS,
+    AcceptanceCheck,
+    Subject,
+    claims,
     of_runs,
-    of_thermometers,
     only_between_runs,
-    surprising,
+    residual_claims,
 )
 from bayescal._calibration.leave_group_out import FEW_IN_GROUP, scheme
 from bayescal._core.settings import settings
 from bayescal._search.search_path import WORSE_RATIO, Gate, Step
 from bayescal._search.taken_over import TakenOver, said_of_profiles, taken_over
 
-# Probability that the model is complete, below which it is not to be used as it is.
-UNLIKELY_COMPLETE = 0.05
-# Times the scatter that a model expects of hold-out data, beyond which they are of something else.
-EXPECTED_SCATTER_RATIO = 2.0
-# Share of the steps of an input to a value that come from one value, above which it goes through its values in one
-# order: of ten such steps one may be another.
-IN_ORDER_SHARE = 0.9
-
-
 WORSE = "step.predicts_worse"
 
 
 def gate(steps: Sequence[Step]) -> Gate:
-    """Whether the last model is to be used and its probabilities believed; if not, every reason."""
+    """Return whether the last model is to be used and its probabilities believed; if not, every reason."""
     return _gate(steps, against(steps))
 
 
 def _gate(steps: Sequence[Step], reasons: Sequence[Claim]) -> Gate:
     if reasons:
-        return Gate(False, " ".join(map(str, reasons)), tuple(reasons))
+        return Gate(False, " ".join(reasons), tuple(reasons))
     # Of fewer readings no correlation reaches that many standard deviations.
     if len(steps[-1].calibration.readings) < int(CORRELATED_SD**2) + 1:
         return Gate(True, "converged; too few readings to see whether neighbours are correlated")
@@ -48,35 +45,26 @@ def _gate(steps: Sequence[Step], reasons: Sequence[Claim]) -> Gate:
 
 
 def against(steps: Sequence[Step]) -> tuple[Claim, ...]:
-    """Why the last model is not to be used; what was found against it earlier among it."""
+    """Return why the last model is not to be used; what was found against it earlier among it."""
     last = steps[-1]
-    found = last.against or [
-        *last.different,
-        *of_noise(last.calibration, last.check, last.doubts, _may_be_missing(last)),
-        *_undecided(last),
-        *_equivalent(last, "doubt"),
-        *of_thermometers(last.calibration, steps[0].calibration.model),
-        *_taken_over(steps),
-        *_against_the_steps_before(steps),
-    ]
-    earlier = map(as_kept, last.calibration.verdict.against)
-    found = distinct([*_freed(steps), *found])
-    said = {*map(str, found)}
-    return (*(one for one in distinct(earlier) if str(one) not in said), *found)
+    found = dict.fromkeys([*freed(steps), *(last.against or _claims_of_last(steps))])
+    earlier = (w for w in last.calibration.verdict.against if w not in found)
+    return (*dict.fromkeys(map(as_claim, earlier)), *found)
+
+
+def _claims_of_last(steps: Sequence[Step]) -> list[Claim]:
+    last, first = steps[-1], steps[0].calibration.model
+    judged = {"check": last.check, "left_out": last.left_out, "doubts": last.doubts}
+    subject = Subject(last.calibration, **judged, first=first, missing=_may_be_missing(last))
+    found = [*last.different, *residual_claims(subject), *claims(OPEN, steps)]
+    found += [*claims(THERMOMETERS, subject), *claims(WORSENED, steps)]
+    return [*found, *claims(LEFT_OUT, subject), *claims(NEW_READINGS, steps)]
 
 
 def judged(steps: Sequence[Step]) -> tuple[tuple[Step, ...], Gate]:
-    """Steps whose last calibration knows what stands against it, wherever it is taken; and the gate."""
+    """Return steps whose last calibration knows what stands against it, wherever it is taken; and the gate."""
     reasons, last = against(steps), steps[-1]
-    notes = [
-        *said_of_profiles(last.calibration),
-        *_confounded(steps),
-        *_not_decidable(steps),
-        *_equivalent(last, "note"),
-        *_levels(last),
-        *in_one_order(last),
-    ]
-    if notes:
+    if notes := claims(NOTES, steps):
         last = last.noted(notes)
         steps = (*steps[:-1], last)
     if last.calibration.verdict.ok:
@@ -84,18 +72,22 @@ def judged(steps: Sequence[Step]) -> tuple[tuple[Step, ...], Gate]:
     return tuple(steps), _gate(steps, reasons)
 
 
-def _freed(steps: Sequence[Step]) -> list[Claim]:
+def freed(steps: Sequence[Step]) -> Iterator[Claim]:
     """What stands against a model in which a coefficient is free of its stated value."""
-    free = [e.frees for e in steps[-1].calibration.model.effects if e.frees]
-    concerned = [one for one in steps[0].against if not set(one.of).isdisjoint(free)]
-    return [Claim("value.freed", *free), *concerned] if free else []
+    if free := [e.frees for e in steps[-1].calibration.model.effects if e.frees]:
+        yield Claim("value.freed", *free)
+        yield from (one for one in steps[0].against if not set(one.of).isdisjoint(free))
 
 
-def _confounded(steps: Sequence[Step]) -> list[Claim]:
+def confounded(steps: Sequence[Step]) -> Iterator[Claim]:
     """What the last model holds that these readings hardly tell from a term of the first."""
-    if not steps[-1].calibration.verdict.ok:
-        return []
-    return [one.claim for one in _followed(steps) if one.measured and one.confounded]
+    if steps[-1].calibration.verdict.ok:
+        yield from (one.claim for one in _followed(steps) if one.measured and one.confounded)
+
+
+def replaced(steps: Sequence[Step]) -> list[Claim]:
+    """The term of the first model that something else stands for in the last, the one that moved the most."""
+    return [one.claim for one in _followed(steps) if not one.measured][:1]
 
 
 def _followed(steps: Sequence[Step]) -> list[TakenOver]:
@@ -110,7 +102,7 @@ def _followed(steps: Sequence[Step]) -> list[TakenOver]:
     return sorted(found, key=lambda one: -one.moved)
 
 
-def _not_decidable(steps: Sequence[Step]) -> list[Claim]:
+def sensor_or_thermometer(steps: Sequence[Step]) -> Iterator[Claim]:
     """What the last model holds that a thermometer or a logger would make as well.
 
     A thermometer that is late by τ, alike in every run, turns c·T into c·T − c·τ·dT/dt, and so does an output that is
@@ -126,40 +118,36 @@ def _not_decidable(steps: Sequence[Step]) -> list[Claim]:
         if e.along == "elapsed"
         or ("time" in e.columns and (e.name not in had or not set(warm).isdisjoint(e.columns)))
     ]
-    if not (warm and in_time):
-        return []
-    return [Claim("thermometer.or_sensor", *in_time, columns=tuple(warm))]
+    if warm and in_time:
+        yield Claim("thermometer.or_sensor", *in_time, columns=tuple(warm))
 
 
-def _equivalent(step: Step, severity: str) -> list[Claim]:
+def equivalent(steps: Sequence[Step], severity: str) -> list[Claim]:
     """Effects of the last model that these readings cannot tell apart."""
-    said = step.discovery.equivalent if step.discovery else ()
+    said = steps[-1].discovery.equivalent if steps[-1].discovery else ()
     return [one for one in said if one.severity == severity and "cure" in one.numbers]
 
 
-def _levels(step: Step) -> list[Claim]:
+def two_levels(steps: Sequence[Step]) -> Iterator[Claim]:
     """That coefficients are of the mean of two levels, where the output steps within the record."""
-    calibration = step.calibration
+    calibration = steps[-1].calibration
     jumps = (e for e in calibration.model.effects if e.kind == "jump" and e.covariate == "time")
-    if (jump := next(jumps, None)) is None:
-        return []
-    name = jump.name
-    readings, added = calibration.readings, calibration.linear.contribution(name)
-    order = np.argsort(readings["time"], kind="stable")
-    at = float(readings["time"][order][1 + int(np.argmax(np.abs(np.diff(added[order]))))])
-    apart = float(np.ptp(added))
-    return [Claim("level.which", name, apart=apart, unit=calibration.unit, at=at)]
+    if (jump := next(jumps, None)) is not None:
+        time, added = calibration.readings["time"], calibration.linear.contribution(jump.name)
+        order = np.argsort(time, kind="stable")
+        at = float(time[order][1 + int(np.argmax(np.abs(np.diff(added[order]))))])
+        told = {"apart": float(np.ptp(added)), "unit": calibration.unit, "at": at}
+        yield Claim("level.which", jump.name, **told)
 
 
-def in_one_order(step: Step) -> list[Claim]:
+def in_one_order(steps: Sequence[Step], share: float) -> Iterator[Claim]:
     """What has no name and follows an input that always comes from the same value before it.
 
     An output that is late or smoothed holds a part of the reading before. Where that was always at the same value of
     the input, this is a function of the input.
     """
-    calibration = step.calibration
+    calibration = steps[-1].calibration
     readings, (order, since) = calibration.readings, calibration.problem.record.in_time
-    found = []
     for effect in (e for e in calibration.model.effects if e.is_placeholder):
         column = effect.along or ""
         if not readings.has(column) or readings.unit(column) == "degC" or column == "time":
@@ -171,14 +159,8 @@ def in_one_order(step: Step) -> list[Claim]:
         np.add.at(pairs, (here[moved], before[moved]), 1)
         visits = pairs.sum(axis=1)
         again = visits >= FEW_IN_GROUP
-        if again.any() and pairs[again].max(axis=1).sum() > IN_ORDER_SHARE * visits[again].sum():
-            found.append(Claim("input.one_order", effect.name, column=column))
-    return found
-
-
-def _taken_over(steps: Sequence[Step]) -> list[Claim]:
-    """Terms of the first model that something else stands for in the last, the one that moved the most alone."""
-    return [one.claim for one in _followed(steps) if not one.measured][:1]
+        if again.any() and pairs[again].max(axis=1).sum() > share * visits[again].sum():
+            yield Claim("input.one_order", effect.name, column=column)
 
 
 def _may_be_missing(step: Step) -> dict[str, str]:
@@ -190,61 +172,56 @@ def _may_be_missing(step: Step) -> dict[str, str]:
     return {"cure": "nothing"}
 
 
-def _undecided(step: Step) -> list[Claim]:
+def undecided(steps: Sequence[Step], complete: float) -> Iterator[Claim]:
     """Something is missing, and the readings do not say what: neither an effect nor one of several."""
-    found = step.discovery
+    found = steps[-1].discovery
     if found is None or found.nothing_missing is None or found.sets or found.unnamed:
-        return []
-    if found.nothing_missing >= UNLIKELY_COMPLETE:
-        return []
-    leads = [c for c in found.candidates if c.probability is not None][:3]
-    named = tuple(f"{c.effect} ({c.probability:.2f})" for c in leads)
-    told = {"complete": found.nothing_missing, "named": named}
-    return [Claim("complete.undecided", *(c.effect for c in leads), **told)]
+        return
+    if found.nothing_missing < complete:
+        leads = [c for c in found.candidates if c.probability is not None][:3]
+        told = {"named": tuple(f"{c.effect} ({c.probability:.2f})" for c in leads)}
+        names = (c.effect for c in leads)
+        yield Claim("complete.undecided", *names, complete=found.nothing_missing, **told)
 
 
-def _against_the_steps_before(steps: Sequence[Step]) -> list[Claim]:
+def worsened(steps: Sequence[Step], ratio: float) -> Iterator[Claim]:
     """What an added effect made worse: the error as fitted, leave-one-group-out, of the hold-out data."""
-    reasons, unit = [], steps[-1].calibration.unit
     *earlier, last = steps
+    unit, out = last.calibration.unit, last.left_out
     # Under another noise law readings weigh differently, and correlated noise takes up what an effect explained: their
     # plain error may well be larger.
     noise = last.calibration.model.noise
     alike = [s for s in earlier if s.calibration.model.noise == noise and noise.independent]
     before = min((s.rmse_fitted for s in alike), default=math.inf)
-    if last.added is not None and last.rmse_fitted > WORSE_RATIO * before:
+    if last.added is not None and last.rmse_fitted > ratio * before:
         errors = {"then": before, "now": last.rmse_fitted, "unit": unit}
-        reasons.append(Claim("step.raises_error", last.added, step=last.title, **errors))
-    if last.left_out and (best := left_out_better(last, earlier)) and best.left_out:
-        group = last.left_out.group
-        what = f"each {group} from the others ({scheme(group)})"
-        errors = {"then": best.left_out.rmse, "now": last.left_out.rmse, "unit": unit}
-        reasons.append(Claim(WORSE, group, what=what, step=best.title, **errors))
+        yield Claim("step.raises_error", last.added, step=last.title, **errors)
+    if out and (best := left_out_better(last, earlier)) and best.left_out:
+        what = f"each {out.group} from the others ({scheme(out.group)})"
+        errors = {"then": best.left_out.rmse, "now": out.rmse, "unit": unit}
+        yield Claim(WORSE, out.group, what=what, step=best.title, **errors)
     if (best := holdout_better(last, earlier)) and best.holdout_rmse and last.holdout_rmse:
         errors = {"then": best.holdout_rmse, "now": last.holdout_rmse, "unit": unit}
-        reasons.append(Claim(WORSE, what="the hold-out data", step=best.title, **errors))
-    return [*reasons, *surprising(last.left_out), *_runs_apart(last), *_contradicted(last)]
+        yield Claim(WORSE, what="the hold-out data", step=best.title, **errors)
 
 
-def _runs_apart(step: Step) -> list[Claim]:
+def runs_unlike(steps: Sequence[Step]) -> Iterator[Claim]:
     """Runs that stand apart, each predicted from the others, all along, by what the model has no name for.
 
     The state in which a run begins, a noise that wanders or a step between runs takes up any such difference. A
     deviation from run to run is a name for it, with a spread that a new run is predicted with.
     """
-    out, calibration = step.left_out, step.calibration
-    if out is None or out.group != "run" or not np.isfinite(out.residual).all():
-        return []
+    out, calibration = steps[-1].left_out, steps[-1].calibration
     own = (b.coefficient for b in calibration.layout.blocks)
-    if any(c.group_sd and not c.initial for c in own):
-        return []
+    if out is None or out.group != "run" or not np.isfinite(out.residual).all():
+        return
     means, within = of_runs(calibration, out.residual)
-    if not only_between_runs(out.residual, within):
-        return []
-    # A run is predicted from the mean of the others, from which it is further off than from the mean of all.
-    apart = float(np.ptp(means)) * (1 - 1 / out.count)
-    sizes = {"apart": apart, "within": float(np.sqrt(np.mean(within**2)))}
-    return [Claim("runs.unlike", **sizes, unit=calibration.unit)]
+    named = any(c.group_sd and not c.initial for c in own)
+    if not named and only_between_runs(out.residual, within):
+        # A run is predicted from the mean of the others, from which it is further off than from the mean of all.
+        apart = float(np.ptp(means)) * (1 - 1 / out.count)
+        sizes = {"apart": apart, "within": float(np.sqrt(np.mean(within**2)))}
+        yield Claim("runs.unlike", **sizes, unit=calibration.unit)
 
 
 def left_out_better(last: Step, earlier: Sequence[Step]) -> Step | None:
@@ -280,17 +257,42 @@ def holdout_better(last: Step, earlier: Sequence[Step]) -> Step | None:
     return best if last.holdout_test.worse_than(best.holdout_test) < settings().holdout_p else None
 
 
-def _contradicted(step: Step) -> list[Claim]:
+def contradicted(steps: Sequence[Step], ratio: float, scatter: float) -> Iterator[Claim]:
     """What hold-out data say against the last model itself, whatever came before."""
-    error = step.holdout_rmse
-    if step.holdout_test is None or error is None:
-        return []
-    found = step.holdout_test.against
-    if found.p < settings().holdout_p and found.share > WORSE_RATIO:
+    test, error = steps[-1].holdout_test, steps[-1].holdout_rmse
+    if test is None or error is None:
+        return
+    found = test.against
+    if found.p < settings().holdout_p and found.share > ratio:
         before = f", {found.most} before all" if found.most else ""
         told = {"error": float(error), "other": float(error / found.share), "p": found.p}
-        told |= {"before": before, "unit": step.calibration.unit}
-        return [Claim("holdout.contradicts", **told)]
-    if found.scatter > EXPECTED_SCATTER_RATIO:
-        return [Claim("holdout.scatters", scatter=found.scatter)]
-    return []
+        unit = steps[-1].calibration.unit
+        yield Claim("holdout.contradicts", **told, before=before, unit=unit)
+    elif found.scatter > scatter:
+        yield Claim("holdout.scatters", scatter=found.scatter)
+
+
+A = AcceptanceCheck
+OPEN = (
+    # Probability that the model is complete, below which it is not to be used as it is.
+    A("complete.undecided", undecided, {"complete": 0.05}),
+    A("equivalent.undecided", lambda steps: equivalent(steps, "doubt")),
+)
+WORSENED = (
+    A("term.replaced term.replaceable", replaced),
+    A(f"step.raises_error {WORSE}", worsened, {"ratio": WORSE_RATIO}),
+)
+NEW_READINGS = (
+    A("runs.unlike", runs_unlike),
+    # Times the scatter that a model expects of hold-out data, beyond which they are of something else.
+    A("holdout.contradicts holdout.scatters", contradicted, {"ratio": WORSE_RATIO, "scatter": 2.0}),
+)
+NOTES = (
+    A("profile.one", lambda steps: said_of_profiles(steps[-1].calibration)),
+    A("term.confounded", confounded),
+    A("thermometer.or_sensor", sensor_or_thermometer),
+    A("equivalent.latent", lambda steps: equivalent(steps, "note")),
+    A("level.which", two_levels),
+    # Share of the steps of an input to a value that come from one value: of ten such steps one may be another.
+    A("input.one_order", in_one_order, {"share": 0.9}),
+)

@@ -134,19 +134,12 @@ def next_experiment(
             e.name: fit(calibration.model + e, calibration.readings, method, **how) for e in chosen
         }
     with stage("expecting the outcome of each experiment"):
-        found = [Experiment(n, _expected(fits, r), r) for n, r in plans.items()]
+        found = list[Experiment]()
+        for name, readings in plans.items():
+            own = {n: outlook(c, readings) for n, c in fits.items()}
+            factors = {pair: divergence(*(own[n] for n in pair)) for pair in permutations(fits, 2)}
+            found.append(Experiment(name, factors, readings))
     return NextExperiment(tuple(fits), tuple(sorted(found, key=lambda e: -e.worst)))
-
-
-def _expected(
-    fits: Mapping[str, Calibration], readings: Measurements
-) -> dict[tuple[str, str], float]:
-    """Expected log Bayes factors, truth against rival, in nats."""
-    outlooks = {name: outlook(c, readings) for name, c in fits.items()}
-    return {
-        (truth, rival): divergence(outlooks[truth], outlooks[rival])
-        for truth, rival in permutations(fits, 2)
-    }
 
 
 @dataclass(frozen=True)
@@ -168,33 +161,12 @@ def divergence(truth: Outlook, rival: Outlook) -> float:
     return float(0.5 * (np.sum(own**2) + gap @ gap - gap.size) - logs)
 
 
-def outlook(calibration: Calibration, readings: Measurements) -> Outlook:
-    """What a fitted model expects of a campaign.
-
-    Args:
-        calibration: the fit.
-        readings: the campaign's plan; of more than `MOST_READINGS` readings, as many evenly spread.
-    """
-    means, noise = expected_readings(calibration, readings, DRAWS)
-    # Signal by draws, noise in closed form: a covariance from draws alone would have the rank of their number.
-    centred = means - means.mean(axis=0)
-    return Outlook(means.mean(axis=0), centred.T @ centred / len(means) + noise)
-
-
 @on_one_thread
-def expected_readings(
-    calibration: Calibration, readings: Measurements, draws: int
-) -> tuple[np.ndarray, np.ndarray]:
-    """What a fitted model expects of a campaign: means of draws (d, n), covariance of the rest (n, n).
+def outlook(calibration: Calibration, readings: Measurements) -> Outlook:
+    """Return what a fitted model expects of a campaign, or of `MOST_READINGS` of its readings, evenly spread.
 
-    Args:
-        calibration: the fit.
-        readings: the campaign's plan.
-        draws: of the posterior.
-
-    Returns:
-        Expected outputs of each draw, members of groups new; and what single readings add to that: noise, the
-        deviations of new members.
+    Expected outputs by draws of the posterior, members of groups new; noise and the deviations of new members in closed
+    form: a covariance from draws alone would have the rank of their number.
     """
     calibration.model.require(readings)
     readings = readings.select(np.arange(0, len(readings), -(-len(readings) // MOST_READINGS)))
@@ -204,9 +176,10 @@ def expected_readings(
     codes = {group: np.asarray(own) for group, own in frame.codes.items()}
     unseen = replace(frame, codes={group: np.full_like(own, -1) for group, own in codes.items()})
     problem = calibration.problem_on(unseen)
-    record, (x, v) = problem.record, calibration.draws(draws)
+    record, (x, v) = problem.record, calibration.draws(DRAWS)
     parts = np.array_split(np.arange(len(x)), -(-len(x) // DRAWS_TOGETHER))
-    means = [problem.expected(x[p], problem.hyper(v[p].T)) for p in parts]
+    means = np.concatenate([problem.expected(x[p], problem.hyper(v[p].T)) for p in parts])
+    centred = means - means.mean(axis=0)
     # The rest at the middle of the draws. Whitening the unit matrix gives L⁻¹; Σ = (L⁻ᵀL⁻¹)⁻¹, whatever the law.
     hyper = problem.hyper(np.median(v, axis=0))
     white = whitening(problem.noise, hyper, record)(np.eye(record.size))
@@ -223,4 +196,4 @@ def expected_readings(
         member = codes[str(t.known.per)]
         same = (member[:, None] == member) & (member[:, None] >= 0)
         covariance += same * np.outer(column, column)
-    return np.concatenate(means), covariance
+    return Outlook(means.mean(axis=0), centred.T @ centred / len(means) + covariance)

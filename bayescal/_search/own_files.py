@@ -27,11 +27,6 @@ _RAN: dict[tuple[str, str], ModuleType] = {}  # by path and SHA-256
 def refuse_unnamed(files: Iterable[str], named: Iterable[str | Path], by: str | Path) -> None:
     """Refuse Python files that data name, where neither the user nor this process has named them before.
 
-    Args:
-        files: that would be run.
-        named: by the user, who knows what is in them.
-        by: what names the files, for the message.
-
     Raises:
         InputError: one of them is not named; says which, with its SHA-256.
     """

@@ -92,10 +92,6 @@ class Posterior:
         A description that carries more than a small part stands for something that has no name here: a structure with
         one is not complete, also where the description is among the given, or the noise. One that does not counts for
         nothing.
-
-        Args:
-            structures: that were weighed.
-            unseen: effects of which the readings say nothing: of these it is not asked.
         """
         given = Structure(self.given)
         rest = structures.reported(given) | self.families({*unseen, *structures.latent(given)})
@@ -132,10 +128,6 @@ class Posterior:
                     mass[n] = mass.get(n, 0.0) + probability
         return max(mass, key=lambda n: mass[n], default=name)
 
-    def _share(self, name: str) -> float:
-        """Probability of the structures that have an effect themselves."""
-        return self._of_any([name in self.families(s.effects) for s in self.structures])
-
     def _of_any(self, inside: Sequence[bool]) -> float:
         return float(min(1.0, self.probability[np.array(inside, dtype=bool)].sum()))
 
@@ -157,7 +149,9 @@ class Posterior:
                     break
                 members.append(further)
             if self.inclusion(*members) >= settings().found_probability:
-                order = sorted(members, key=lambda n: -self._share(n))
+                own = [self.families(s.effects) for s in self.structures]
+                share = {n: self._of_any([n in there for there in own]) for n in members}
+                order = sorted(members, key=lambda n: -share[n])
                 found.append(Found(tuple(order), self.inclusion(*members)))
         return tuple(sorted(found, key=lambda f: (-self.inclusion(f.effects[0]), len(f.effects))))
 

@@ -9,7 +9,6 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any
 
 import numpy as np
 from jaxtyping import Float
@@ -17,7 +16,6 @@ from jaxtyping import Float
 from bayescal._calibration.calibration import Calibration
 from bayescal._core.errors import ModelError
 from bayescal._core.formatting import number, with_error
-from bayescal._core.result_table import Printed
 from bayescal._data.unit_conversion import unit_label
 from bayescal._inference.laplace import find_mode
 from bayescal._inference.least_squares import solution_on
@@ -29,8 +27,8 @@ from bayescal._model.parameters import bind
 from bayescal._search.discover import placeholders
 
 
-@dataclass(frozen=True, repr=False)
-class Preview(Printed):
+@dataclass(frozen=True)
+class Preview:
     """One effect as the readings would have it, were it added to a fitted model.
 
     Attributes:
@@ -57,48 +55,22 @@ class Preview(Printed):
     unit: str = ""
     shape: dict[str, float] = field(default_factory=dict)
 
-    def _parts(self) -> list[str]:
+    def __str__(self) -> str:
         unit = unit_label(self.output_unit)
         error = f"{number(self.rms_before)} to {number(self.rms)} {unit} rms"
         factor = self.log_bayes_factor
         evidence = "" if factor is None else f", log Bayes factor {factor:z.1f}"
         if self.size is None or self.size_sd is None:
-            return [f"residuals from {error}{evidence}"]
+            return f"residuals from {error}{evidence}"
         size = f"{with_error(self.size, self.size_sd)} {unit_label(self.unit)}".rstrip()
-        return [f"{self.effect} would be {size}: residuals from {error}{evidence}"]
-
-    def _brief(self) -> str:
-        return str(self)
-
-    def _columns(self) -> dict[str, list[Any]]:
-        names = ("effect", "size", "size_sd", "unit", "rms", "rms_before", "log_bayes_factor")
-        return {name: [getattr(self, name)] for name in names}
-
-
-def preview(calibration: Calibration, effect: Effect | str | Model) -> Preview:
-    """What an effect would add to a fitted model, and the error that would be left.
-
-    It is a fit of `model + effect` by least squares, so the numbers are those of that fit; under a noise law of which
-    least squares only uses the variance (see `LeastSquares`) they are as approximate as it is. An unknown dependence is
-    taken at its marginal mode, which the last rounds of least squares would move by a small part of its uncertainty.
-
-    Args:
-        calibration: a fit.
-        effect: not in its model; one of the instrument's by canonical name, "unknown(covariate)", or one of your own.
-            Or another model of the same readings, such as `calibration.model - "bias.run"`.
-
-    Raises:
-        ModelError: it is in the model already, its name is unknown, or the readings cannot test it.
-    """
-    if isinstance(effect, Model):
-        return Previews(calibration, ()).of_model(effect)
-    model = calibration.model
-    chosen = model.instrument.effect(effect) if isinstance(effect, str) else effect
-    return Previews(calibration, (chosen,)).of(chosen)
+        return f"{self.effect} would be {size}: residuals from {error}{evidence}"
 
 
 class Previews:
-    """Previews of several effects over one calibration: columns are computed once, and each preview is kept."""
+    """Previews of several effects over one calibration: columns are computed once, and each preview is kept.
+
+    Of the instrument's effects, an unknown dependence on each column and the user's own, or of those given alone.
+    """
 
     def __init__(
         self,
@@ -106,37 +78,32 @@ class Previews:
         effects: Sequence[Effect] | None = None,
         own: Sequence[Effect] = (),
     ) -> None:
-        """Args:
-        calibration: a fit.
-        effects: that may be asked for; if not given, the instrument's and an unknown dependence on each column.
-        own: further ones of the user's own.
-        """
         model, readings = calibration.model, calibration.readings
         if effects is None:
             instrument = model.instrument
             effects = (*instrument.candidates, *instrument.effects, *placeholders(model, readings))
-        effects = (*effects, *own)
+        every = (*effects, *own)
         self.calibration = calibration
-        self.effects = {e.name: e for e in effects if testable(e, readings) is None}
+        self.effects = {e.name: e for e in every if testable(e, readings) is None}
         self.record = calibration.problem.record.beside()
         self.record.show((*self.effects.values(), *model.effects))
         self._made: dict[str, tuple[Effect, Preview]] = {}
 
     def of(self, effect: Effect | str) -> Preview:
-        """The preview of one effect.
+        """Return the preview of one effect: the numbers of a fit of `model + effect` by least squares.
+
+        Under a noise law of which least squares only uses the variance they are as approximate as it is. An unknown
+        dependence is taken at its marginal mode, which the last rounds of least squares would move by a small part of
+        its uncertainty.
 
         Raises:
-            ModelError: as `preview`.
+            ModelError: it is in the model already, its name is unknown, or the readings cannot test it.
         """
         if isinstance(effect, str):
             effect = self.effects.get(effect) or self.calibration.model.instrument.effect(effect)
         chosen, made = self._made.get(effect.name, (None, None))
-        if made is None or chosen != effect:
-            made = self._previewed(effect)
-            self._made[effect.name] = effect, made
-        return made
-
-    def _previewed(self, effect: Effect) -> Preview:
+        if made is not None and chosen == effect:
+            return made
         model = self.calibration.model + effect
         if (reason := testable(effect, self.calibration.readings)) is not None:
             raise ModelError(
@@ -145,13 +112,11 @@ class Previews:
         line, covariance, evidence = self._fitted(model, refined=not effect.is_placeholder)
         size, size_sd = _size(effect, line, covariance)
         hyper = line.problem.hyper(line.mode.v)
-        return replace(
-            self._compared(effect.name, line, evidence),
-            size=size,
-            size_sd=size_sd,
-            unit=effect.coefficients[0].unit,
-            shape={s.name: float(hyper[effect.shape_name(s)]) for s in effect.column_shapes},
-        )
+        shape = {s.name: float(hyper[effect.shape_name(s)]) for s in effect.column_shapes}
+        told = {"size": size, "size_sd": size_sd, "unit": effect.coefficients[0].unit}
+        made = replace(self._compared(effect.name, line, evidence), **told, shape=shape)
+        self._made[effect.name] = effect, made
+        return made
 
     def of_model(self, model: Model) -> Preview:
         """What another model of the same readings would do.

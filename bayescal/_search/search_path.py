@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING, Any
 from bayescal._calibration.calibration import Calibration
 from bayescal._calibration.check_result import Check
 from bayescal._calibration.claim import Claim
-from bayescal._calibration.guards import doubts_of_the_mode
 from bayescal._calibration.holdout_contradiction import HoldoutTest
+from bayescal._calibration.judgement import doubts_of_the_mode
 from bayescal._calibration.leave_group_out import LeaveOneGroupOut, scheme
 from bayescal._core.formatting import number, probability
 from bayescal._core.result_table import Printed, ResultTable, TableColumn
@@ -67,13 +67,14 @@ class Step:
     against: tuple[Claim, ...] = ()
     different: tuple[Claim, ...] = ()
 
-    def judged(self, against: Sequence[Claim | str]) -> Step:
+    def judged(self, against: Sequence[str]) -> Step:
         """The same, whose calibration knows why it is not to be used."""
-        return replace(self, calibration=self.calibration.judged(against))
+        told = {"against": tuple(against), "checked": True}
+        return replace(self, calibration=self.calibration.with_verdict(**told))
 
-    def noted(self, notes: Sequence[Claim | str]) -> Step:
+    def noted(self, notes: Sequence[str]) -> Step:
         """The same, whose calibration says this beside how it was fitted."""
-        said = (*dict.fromkeys((*self.calibration.verdict.notes, *map(str, notes))),)
+        said = (*dict.fromkeys((*self.calibration.verdict.notes, *notes)),)
         return replace(self, calibration=self.calibration.with_verdict(notes=said))
 
     @cached_property
@@ -86,16 +87,12 @@ class Step:
         """The step in a few words."""
         return self.changed or "baseline" if self.added is None else f"+ {self.added}"
 
-    def raises_holdout(self, before: Step) -> bool:
-        """Whether its hold-out error is more than a twentieth above that of the step before."""
-        return rises(self.holdout_rmse, before.holdout_rmse)
-
     def row(self, before: Step | None) -> dict[str, Any]:
         """What a table of steps has of it: its errors, whether the one held out rises, evidence, P(complete)."""
         evidence, found = self.calibration.log_evidence, self.discovery
         return {
             **self.errors(),
-            "rises": before is not None and self.raises_holdout(before),
+            "rises": before is not None and rises(self.holdout_rmse, before.holdout_rmse),
             "log_evidence": evidence and {"value": evidence[0], "se": evidence[1]},
             "nothing_missing": found and found.nothing_missing,
         }

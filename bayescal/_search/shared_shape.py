@@ -10,7 +10,6 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
@@ -110,16 +109,12 @@ class SharedShape:
         says = {name: np.interp(v, one.v, one.log_ratio) for name, one in said.items()}
         return cls(effect, shape, v, prior, says)
 
-    @cached_property
-    def _log_mass(self) -> Float[np.ndarray, "k"]:
-        return log_mass(self.v)
-
     def _joint(self, names: Iterable[str]) -> Float[np.ndarray, "shares k"]:
         """Log prior mass of share and shape times what these channels say, where the unit has the effect."""
         # A channel shows the effect with probability s, the share: it says (1 − s)·1 + s·ratio(v). Channels multiply,
         # since given v and s they are independent.
         shown = (np.logaddexp(np.log1p(-SHARES), np.log(SHARES) + self.says[n]) for n in names)
-        return self._log_mass - math.log(SHARES.size) + sum(shown) + math.log(self.prior)
+        return log_mass(self.v) - math.log(SHARES.size) + sum(shown) + math.log(self.prior)
 
     def from_others(self, channel: str) -> FromOthers:
         """What all but one channel say of the effect there."""
@@ -172,16 +167,13 @@ def log_mass(v: Float[np.ndarray, "k"], mean: float = 0.0, sd: float = 1.0) -> n
 
 
 def said(structures: Structures, name: str, shape: Shape) -> ShapeEvidence:
-    """What a channel says of a shape by the structures weighed of it.
-
-    Args:
-        structures: of the channel.
-        name: of the effect.
-        shape: as the instrument states it; the structures may hold it with another range.
-    """
+    """What a channel says of a shape by the structures weighed of it."""
     own = structures.candidates[name].shared_shape
     assert own is not None
-    holding, without = (_best(structures, name, holds=h) for h in (True, False))
+    known = [w for w in structures.visited.values() if math.isfinite(w.total)]
+    known.sort(key=lambda w: -w.total)
+    holding = [w for w in known if name in w.structure.effects][:ASKED_STRUCTURES]
+    without = [w for w in known if name not in w.structure.effects][:ASKED_STRUCTURES]
     v = _grid(shape, own, holding[:1], f"{name}.{shape.name}")
     u = np.array([own.prior.coordinate(float(shape.prior.value(x))) for x in v])
     fine = Library(structures, {name: u[:, None]})
@@ -219,13 +211,6 @@ def _apart(v: Float[np.ndarray, "k"]) -> Float[np.ndarray, "k"]:
     """Sorted, within reach, none twice."""
     v = np.sort(v[np.abs(v) <= REACH])
     return v[np.insert(np.diff(v) > 1e-6, 0, True)]
-
-
-def _best(structures: Structures, name: str, *, holds: bool) -> list[Weighed]:
-    """The most probable structures that hold an effect, or do not."""
-    weighed = (w for s, w in structures.visited.items() if (name in s.effects) == holds)
-    known = [w for w in weighed if math.isfinite(w.total)]
-    return sorted(known, key=lambda w: -w.total)[:ASKED_STRUCTURES]
 
 
 def _gains(fine: Library, at: Weighed, name: str) -> Float[np.ndarray, "k"]:

@@ -54,14 +54,7 @@ _Values = dict[str, np.ndarray]  # draws of each unknown by name, (s,) or (s, me
 def averaged(
     last: Calibration, structures: Structures, noise: str, seed: int
 ) -> tuple[Calibration, tuple[StructureShare, ...]]:
-    """The last model's calibration averaged over the structures, and what each has of it.
-
-    Args:
-        last: calibration of the structure that is shown.
-        structures: that were weighed.
-        noise: law of the last model, under which all are drawn.
-        seed: of every random number.
-    """
+    """The last model's calibration averaged over the structures, and what each has of it."""
     shares = shares_of(structures, noise)
     own = frozenset(last.model.names) - frozenset(structures.base.names)
     if len(shares) < 2:
@@ -97,12 +90,6 @@ def with_latent(
 
     Draws that lack them are those of the others given that they are zero. Linear in them, the others then stand where
     they are to be given what they are; all of one span have the prior of a size that nobody knows.
-
-    Args:
-        last: of the structure.
-        used: its average over structures, or itself.
-        structures: that were weighed.
-        at: which.
     """
     latent, spanning = structures.latent(at), structures.spans.spanning(at.effects)
     if not latent:

@@ -104,12 +104,7 @@ class TakenOver(NamedTuple):
 def taken_over(
     first: Calibration, last: Calibration, latent: Collection[str] = ()
 ) -> list[TakenOver]:
-    """Terms of the first model that what was added may stand for, the one that moved the most first.
-
-    Args:
-        first, last: fits of the same readings, the second with effects added.
-        latent: effects that were not.
-    """
+    """Terms of the first model that what was added may stand for, the one that moved the most first."""
     had = {e.name for e in first.model.effects}.union(latent)
     added = [e for e in last.model.effects if e.name not in had]
     found: list[TakenOver] = []
@@ -161,17 +156,12 @@ def repeated(readings: Measurements, column: str) -> bool:
     """Whether a temperature is the same function of the time within a run in all runs, two or more."""
     if not (readings.has("time") and readings.has(column)):
         return False
-    names, codes = run_codes(readings)
-    if len(names) < 2:
+    if len(run_codes(readings)[0]) < 2:
         return False
-    runs = []
-    for code in range(len(names)):
-        rows = np.flatnonzero(codes == code)
-        rows = rows[np.argsort(readings["time"][rows], kind="stable")]
-        time = readings["time"][rows]
-        runs.append((time - time[0], readings[column][rows]))
-    first, known = runs[0]
-    for time, values in runs[1:]:
+    clock, values_of = readings["time"], readings[column]
+    each = ((clock[rows] - clock[rows[0]], values_of[rows]) for rows in _rows_of_runs(readings))
+    (first, known), *others = each
+    for time, values in others:
         inside = time <= first[-1]
         if inside.sum() < 3 or np.ptp(values[inside]) == 0:
             return False
@@ -179,6 +169,12 @@ def repeated(readings: Measurements, column: str) -> bool:
         if np.ptp(other) == 0 or np.corrcoef(other, values[inside])[0, 1] < ALIKE_CORRELATION:
             return False
     return True
+
+
+def _rows_of_runs(readings: Measurements) -> list[np.ndarray]:
+    """Rows of each run, in the order of time."""
+    (names, codes), order = run_codes(readings), np.argsort(readings["time"], kind="stable")
+    return [order[codes[order] == code] for code in range(len(names))]
 
 
 def said_of_profiles(calibration: Calibration) -> list[Claim]:
@@ -226,9 +222,3 @@ def another_run(calibration: Calibration, columns: Sequence[str]) -> str:
         f"One run of another profile would tell: from {number(ends[0], 3)} to {number(ends[1], 3)} °C and back, "
         f"{ramp}{dwell}."
     )
-
-
-def _rows_of_runs(readings: Measurements) -> list[np.ndarray]:
-    names, codes = run_codes(readings)
-    order = np.argsort(readings["time"], kind="stable")
-    return [order[codes[order] == code] for code in range(len(names))]

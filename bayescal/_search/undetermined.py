@@ -130,7 +130,7 @@ def undetermined(model: Model, readings: Measurements) -> Undetermined:
     count = len(readings) // (3 if readings.has(ACROSS[0]) and not in_moves else 1)
     directions = null_vectors(planned, exactly=False)[1] if layout.size else []
     said = untold(planned, levels, exactly=False)[: len(directions)]  # of a rig's own errors none
-    found = tuple(map(str, said))
+    found = tuple(said)
     if vector is None or not directions or in_moves:
         return Undetermined(count, found)
     poses, rows = _candidates(model, vector, readings)

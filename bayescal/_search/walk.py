@@ -103,10 +103,13 @@ def walk(library: Library, max_effects: int, given: Structure | None = None) -> 
             if fresh := _next(structures, looked[among], among):
                 looked[among].add(fresh.structure)
                 yield from _look_around(library, fresh, max_effects, among)
-            elif among is physics or not (
-                (yield from _refine_forms(structures)) or (yield from _refine(structures))
-            ):
+            elif among is physics:
                 break
+            else:
+                before = len(structures.visited)
+                yield from _weigh_forms(structures, structures.best, finer=True)
+                if len(structures.visited) == before and not (yield from _refine(structures)):
+                    break
 
 
 @on_one_thread
@@ -231,10 +234,7 @@ def _look_around(library: Library, at: Weighed, max_effects: int, among: Scope) 
 
 
 def _weigh_forms(
-    structures: Structures,
-    at: Weighed,
-    but: Collection[str] = (),
-    finer: bool = False,
+    structures: Structures, at: Weighed, but: Collection[str] = (), finer: bool = False
 ) -> Generator[Weighed, None, set[str]]:
     """Weigh a structure with the forms of its effects that no score tells of, each in place of the one that it has.
 
@@ -255,33 +255,23 @@ def _weigh_forms(
     for name in sorted(at.structure.effects):
         for to in structures.other_forms(at.structure, name):
             (other,) = to.effects - at.structure.effects
-            several = len(structures.candidates[other].column_shapes) > 1
+            shapes = structures.candidates[other].column_shapes
+            several = len(shapes) > 1
             asked = structures.moves_a_column(other) and several == finer and other not in but
             if asked:
-                hint = _in_other_form(structures, at, name, other)
+                # Its shapes may be where those of the same name are in the form that the structure has.
+                places = at.problem.layout.index_in_phi
+                alike = {f"{other}.{s.name}": f"{name}.{s.name}" for s in shapes}
+                hint = {n: float(at.mode.v[places[o]]) for n, o in alike.items() if o in places}
                 yield (found := structures.weigh(to, at, [hint]))
                 if not found.total > at.total - OTHER_LAW_NATS:
                     lost.add(other)
     return lost
 
 
-def _in_other_form(structures: Structures, at: Weighed, name: str, other: str) -> dict[str, float]:
-    """Where a form's shapes may be: where those of the same name are in the form that a structure has."""
-    places, shapes = at.problem.layout.index_in_phi, structures.candidates[other].column_shapes
-    alike = {f"{other}.{s.name}": f"{name}.{s.name}" for s in shapes}
-    return {n: float(at.mode.v[places[own]]) for n, own in alike.items() if own in places}
-
-
 def correlated_laws(structures: Structures) -> list[str]:
     """Names of the further laws under which readings are correlated: nothing but a refit tells of these."""
     return [n for n, law in structures.laws.items() if not law.independent and not law.refines]
-
-
-def _refine_forms(structures: Structures) -> Generator[Weighed, None, bool]:
-    """Weigh forms of several shapes in the best structure's effects; whether any was left to weigh."""
-    before = len(structures.visited)
-    yield from _weigh_forms(structures, structures.best, finer=True)
-    return len(structures.visited) > before
 
 
 def _refine(structures: Structures) -> Generator[Weighed, None, bool]:

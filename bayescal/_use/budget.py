@@ -19,7 +19,6 @@ from typing import Any
 import numpy as np
 
 from bayescal._calibration.calibration import Calibration
-from bayescal._calibration.confounding import Confounder
 from bayescal._calibration.mixture import likeliest, without
 from bayescal._calibration.prior_influence import (
     not_measured,
@@ -40,7 +39,6 @@ from bayescal._use.compensation_program import PAST, bias_only, clock_note
 from bayescal._use.compensator import Compensator, compensator
 from bayescal._use.operating_equation import (
     ALL_DRAWS,
-    AtPoint,
     OperatingEquation,
     posterior_moments,
 )
@@ -59,23 +57,15 @@ FEWEST_GROUPS_FOR_NORMAL = 10
 
 @dataclass(frozen=True)
 class Contribution:
-    """One coefficient's part.
+    """One coefficient's part."""
 
-    Attributes:
-        name, unit: of the coefficient, as reported.
-        value, uncertainty: posterior mean and standard uncertainty, in that unit.
-        sensitivity: ∂value/∂coefficient, stimulus unit per reported unit.
-        contribution: |sensitivity|·uncertainty, stimulus unit.
-        share: of the variance, correlations included.
-    """
-
-    name: str
+    name: str  # name, unit: of the coefficient, as reported
     unit: str
-    value: float
+    value: float  # value, uncertainty: posterior mean and standard uncertainty, in that unit
     uncertainty: float
-    sensitivity: float
-    contribution: float
-    share: float
+    sensitivity: float  # ∂value/∂coefficient, stimulus unit per reported unit
+    contribution: float  # |sensitivity|·uncertainty, stimulus unit
+    share: float  # of the variance, correlations included
 
 
 @dataclass(frozen=True)
@@ -163,7 +153,27 @@ class Budget(Printed):
         return {**as_json(self), **more}
 
     def _parts(self) -> list[str | ResultTable]:
-        return budget_parts(self.shown())
+        shown = self.shown()
+        unit, (by_coefficient, by_source) = unit_label(shown.unit), shown.tables()
+        seen = [c for c in shown.coefficients if abs(c.share) >= LEAST_VARIANCE_SHARE]
+        left = len(shown.coefficients) - len(seen)
+        hidden = f" {left} coefficients below {LEAST_VARIANCE_SHARE:.2%} are not shown." * (
+            left > 0
+        )
+        sizes = shown.uncertainty, shown.noise, shown.expanded_reading / shown.k
+        combined, noise, both = (f"{number(size)} {unit}" for size in sizes)
+        parts = [
+            f"Uncertainty budget of {shown.stimulus} at {shown.place}",
+            replace(by_coefficient, rows=seen),
+            "Shares count correlations and add up to 100 %; a negative share reduces the variance."
+            + hidden,
+            by_source,
+            f"Combined standard uncertainty {combined}; with the noise of one reading ({noise}): {both}.",
+            f"Expanded uncertainty (k = {shown.k:g}): {number(shown.expanded)} {unit}; with the noise of one reading: "
+            f"{number(shown.expanded_reading)} {unit}.",
+            textwrap.fill(" ".join(shown.notes), WIDTH),
+        ]
+        return [line for part in parts for line in (part, "")][:-1]
 
     def _brief(self) -> str:
         shown = self.shown()
@@ -178,26 +188,23 @@ class Budget(Printed):
     @property
     def place(self) -> str:
         """The operating point, in words."""
-        at = self.at.items()
-        return ", ".join(
-            f"{n} = {number(v, 4)} {unit_label(self.at_units[n])}".strip() for n, v in at
-        )
+        units = {n: unit_label(unit) for n, unit in self.at_units.items()}
+        return ", ".join(f"{n} = {number(v, 4)} {units[n]}".strip() for n, v in self.at.items())
 
     def tables(self) -> tuple[ResultTable, ResultTable]:
         """By coefficient, and by where it comes from."""
+        size = f"contribution {unit_label(self.unit)}".strip()
         tail = (
-            TableColumn(
-                f"contribution {unit_label(self.unit)}".strip(),
-                lambda one: number(one.contribution),
-            ),
+            TableColumn(size, lambda one: number(one.contribution)),
             TableColumn("share", lambda one: f"{100 * one.share:z.1f} %"),
         )
+
+        def estimate(c: Contribution) -> str:
+            return f"{with_error(c.value, c.uncertainty)} {unit_label(c.unit)}".strip()
+
         by_coefficient = (
             TableColumn("coefficient", lambda c: c.name),
-            TableColumn(
-                "estimate",
-                lambda c: f"{with_error(c.value, c.uncertainty)} {unit_label(c.unit)}".strip(),
-            ),
+            TableColumn("estimate", estimate),
             TableColumn("sensitivity", lambda c: number(c.sensitivity)),
             *tail,
         )
@@ -207,28 +214,6 @@ class Budget(Printed):
             *tail,
         )
         return ResultTable(by_coefficient, self.coefficients), ResultTable(by_source, self.sources)
-
-
-def budget_parts(found: Budget) -> list[str | ResultTable]:
-    """Both tables of an uncertainty budget; k and the kind of each interval said."""
-    unit = unit_label(found.unit)
-    by_coefficient, by_source = found.tables()
-    seen = [c for c in found.coefficients if abs(c.share) >= LEAST_VARIANCE_SHARE]
-    left = len(found.coefficients) - len(seen)
-    hidden = f" {left} coefficients below {LEAST_VARIANCE_SHARE:.2%} are not shown." if left else ""
-    parts = [
-        f"Uncertainty budget of {found.stimulus} at {found.place}",
-        replace(by_coefficient, rows=seen),
-        "Shares count correlations and add up to 100 %; a negative share reduces the variance."
-        + hidden,
-        by_source,
-        f"Combined standard uncertainty {number(found.uncertainty)} {unit}; with the noise of one reading "
-        f"({number(found.noise)} {unit}): {number(found.expanded_reading / found.k)} {unit}.",
-        f"Expanded uncertainty (k = {found.k:g}): {number(found.expanded)} {unit}; with the noise of one reading: "
-        f"{number(found.expanded_reading)} {unit}.",
-        textwrap.fill(" ".join(found.notes), WIDTH),
-    ]
-    return [line for part in parts for line in (part, "")][:-1]
 
 
 def budget(
@@ -255,27 +240,31 @@ def budget(
     if not (np.isfinite(k) and k > 0):
         raise InputError(f"k = {k}: a coverage factor is a positive number, such as 2")
     point = _operating_point(chosen, dict(at or {}))
-    found, gradient = _slopes(chosen, point)
+    expected, slope, gradient = _slopes(chosen, point)
     covariance = chosen._moments.covariance
     variance = float(gradient @ covariance @ gradient)
-    every = posterior_moments(
-        chosen._equation, chosen._calibration, ALL_DRAWS, chosen._calibration.seed
-    )
+    every = posterior_moments(chosen._equation, chosen._calibration, ALL_DRAWS)
     places = {name: np.array([value]) for name, value in point.items()}
-    noise = float(chosen.noise_variance(places)[0]) ** 0.5 / abs(found.slope)
     untold = not_measured(chosen._calibration, (every.draws @ gradient)[:, None])
     said = () if untold is None else (f"Most of it is prior: {untold}. {untold.cure}.",)
+    sd = np.sqrt(np.diag(covariance))
+    share = gradient * (covariance @ gradient) / (variance or np.inf)
+    numbers = (chosen._moments.mean, sd, gradient, np.abs(gradient) * sd, share)
+    unknowns = chosen._equation.unknowns()
     return Budget(
         stimulus=chosen.stimulus,
         unit=chosen.unit,
         at=point,
         at_units={chosen.stimulus: chosen.unit, **{i.name: i.unit for i in chosen.inputs}},
-        reading=found.expected,
-        output_unit=chosen.output_unit,
+        reading=expected,
+        output_unit=chosen.about.output_unit,
         uncertainty=variance**0.5,
-        noise=noise,
+        noise=float(chosen.noise_variance(places)[0]) ** 0.5 / abs(slope),
         k=float(k),
-        coefficients=_by_coefficient(chosen, gradient, variance),
+        coefficients=tuple(
+            Contribution(u.name, u.unit, *map(float, own))
+            for u, *own in zip(unknowns, *numbers, strict=True)
+        ),
         sources=_by_source(chosen, point, gradient, variance),
         covariance=covariance,
         notes=(*said, *_beyond(chosen, point), *notes_on(chosen)),
@@ -283,43 +272,22 @@ def budget(
 
 
 def _operating_point(chosen: Compensator, at: dict[str, float]) -> dict[str, float]:
-    inputs = [i.name for i in chosen.inputs if i.kind != "lag slope"]
+    names = [chosen.stimulus, *(i.name for i in chosen.inputs if i.kind != "lag slope")]
     for name, value in at.items():
-        if name != chosen.stimulus and name not in inputs:
+        if name not in names:
             raise InputError(
-                f"{name!r} plays no part in this compensation; what does: "
-                f"{', '.join([chosen.stimulus, *inputs])}"
+                f"{name!r} plays no part in this compensation; what does: {', '.join(names)}"
             )
         if not np.isfinite(value):
             raise InputError(f"{name} = {value}: give a finite number")
-    middle = {n: v for n, v in chosen.middle.items() if n in (chosen.stimulus, *inputs)}
+    middle = {n: v for n, v in chosen.middle.items() if n in names}
     return {**middle, **{n: float(v) for n, v in at.items()}}
 
 
-def _by_coefficient(
-    chosen: Compensator, gradient: np.ndarray, variance: float
-) -> tuple[Contribution, ...]:
-    moments = chosen._moments
-    sd = np.sqrt(np.diag(moments.covariance))
-    share = gradient * (moments.covariance @ gradient) / (variance or np.inf)
-    return tuple(
-        Contribution(
-            name=unknown.name,
-            unit=unknown.unit,
-            value=float(moments.mean[i]),
-            uncertainty=float(sd[i]),
-            sensitivity=float(gradient[i]),
-            contribution=float(abs(gradient[i]) * sd[i]),
-            share=float(share[i]),
-        )
-        for i, unknown in enumerate(chosen._equation.unknowns())
-    )
-
-
-def _slopes(chosen: Compensator, point: Mapping[str, float]) -> tuple[AtPoint, np.ndarray]:
-    """The equation at a point, and ∂value/∂θ there."""
-    found = chosen._equation.at_point(chosen._moments.mean, point)
-    return found, 0.0 - found.gradient / found.slope
+def _slopes(chosen: Compensator, point: Mapping[str, float]) -> tuple[float, float, np.ndarray]:
+    """Expected output and its slope at a point, and ∂value/∂θ there."""
+    expected, slope, gradient = chosen._equation.at_point(chosen._moments.mean, point)
+    return expected, slope, 0.0 - gradient / slope
 
 
 def _by_source(
@@ -331,45 +299,38 @@ def _by_source(
     if unlikely:
         members = dict(chosen._equation.members)
         chosen = compensator(without(chosen._calibration, unlikely), members=members)
-        _, gradient = _slopes(chosen, point)
+        *_, gradient = _slopes(chosen, point)
         total = float(gradient @ chosen._moments.covariance @ gradient)
+    calibration, unknowns = chosen._calibration, chosen._equation.unknowns()
     slopes, learned = dict[str, float](), _learned_group_sds(chosen._equation)
-    for i, unknown in enumerate(chosen._equation.unknowns()):
+    for i, unknown in enumerate(unknowns):
         if unknown.kind == "new":
             kind = "A" if unknown.key in learned else "B"
             parts[unknown.name, kind] = gradient[i] ** 2 * chosen._moments.covariance[i, i]
         else:
             slopes[unknown.name] = float(gradient[i])
-    split = variance_by_origin(chosen._calibration, slopes)
+    split = variance_by_origin(calibration, slopes)
     if split is not None:
         parts[READINGS, "A"] = split.readings
         parts |= {(f"prior of {name}", "B"): value for name, value in split.priors.items()}
-    for one in chosen._calibration.confounders:
-        moved = _moved_by(chosen, one, gradient)
+    known = calibration.unknowns
+    for one in calibration.confounders:
+        moved = 0.0  # by a standard deviation of the column's effect
+        for slope, u in zip(gradient, unknowns, strict=True):
+            if u.kind == "coefficient" and (own := one.shares.get(u.key)):
+                moved += float(slope) * own[known.index[u.name] - known.by_key[u.key].start]
         parts[f"{one.of_column}, not told from the model's own", "B"] = moved**2
-    rest = {REST: total - sum(parts.values())}
-    if unlikely:
-        rest[STRUCTURES] = variance - total
-    rows = [
-        _share(name, kind, value, variance)
-        for (name, kind), value in sorted(parts.items(), key=lambda p: -p[1])
-    ]
-    return (*rows, *(_share(name, "", value, variance) for name, value in rest.items()))
-
-
-def _moved_by(chosen: Compensator, one: Confounder, gradient: np.ndarray) -> float:
-    """What a standard deviation of a column's effect moves the value by."""
-    unknowns, total = chosen._calibration.unknowns, 0.0
-    for slope, unknown in zip(gradient, chosen._equation.unknowns(), strict=True):
-        if unknown.kind == "coefficient" and (own := one.shares.get(unknown.key)):
-            first = unknowns.by_key[unknown.key].start
-            total += float(slope) * own[unknowns.index[unknown.name] - first]
-    return total
-
-
-def _share(name: str, kind: str, value: float, variance: float) -> SourceShare:
-    share = value / variance if variance > 0 else 0.0
-    return SourceShare(name, kind, float(np.sign(value) * abs(value) ** 0.5), share)
+    rows = sorted(parts.items(), key=lambda p: -p[1])
+    rows += [((REST, ""), total - sum(parts.values()))]
+    rows += [((STRUCTURES, ""), variance - total)] * bool(unlikely)
+    return tuple(
+        SourceShare(
+            *named,
+            contribution=float(np.sign(value) * abs(value) ** 0.5),
+            share=value / variance if variance > 0 else 0.0,
+        )
+        for named, value in rows
+    )
 
 
 def _learned_group_sds(equation: OperatingEquation) -> set[str]:

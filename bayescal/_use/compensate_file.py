@@ -32,7 +32,7 @@ from bayescal._tables.csv_reader import CsvLines, csv_parts
 from bayescal._tables.open_table import MAX_BYTES, TEXT, check_files, open_table
 from bayescal._tables.parquet_netcdf import parquet_parts
 from bayescal._tables.raw_table import Header, Objections, Table, bytes_text, load_whole
-from bayescal._use.compensator import Compensated, Compensator, Method
+from bayescal._use.compensator import Compensator, Method
 
 KEPT = (*TEXT, ".parquet", ".nc")  # in which a file can be written as it was
 AS_CSV = (".xlsx", ".mat")
@@ -41,25 +41,16 @@ ROWS = 200_000  # compensated at a time
 
 @dataclass
 class CompensationSummary:
-    """What was done.
+    """What was done."""
 
-    Attributes:
-        file: written.
-        columns: names of the two columns added.
-        rows: compensated.
-        outside: name → readings outside its calibrated range.
-        unsolved: readings for which the equation has no solution; their value is NaN.
-        missing: rows without a reading, or without an input; their value is empty.
-        flags: input warnings, each a sentence.
-    """
-
-    file: Path
-    columns: tuple[str, str]
-    rows: int = 0
+    file: Path  # written
+    columns: tuple[str, str]  # names of the two columns added
+    rows: int = 0  # compensated
+    # name → readings outside its calibrated range
     outside: dict[str, int] = field(default_factory=dict)
-    unsolved: int = 0
-    missing: int = 0
-    flags: tuple[str, ...] = ()
+    unsolved: int = 0  # readings for which the equation has no solution; their value is NaN
+    missing: int = 0  # rows without a reading, or without an input; their value is empty
+    flags: tuple[str, ...] = ()  # input warnings, each a sentence
 
 
 @dataclass
@@ -72,19 +63,20 @@ class _FileCompensation:
     noise: bool
     expected: ExpectedColumns
     done: CompensationSummary
-    all: Compensated | None = None  # of rows that could not be taken by themselves
+    all: np.ndarray | None = (
+        None  # value and uncertainty of rows that could not be taken by themselves (2, n)
+    )
     start: int = 0  # of the next rows among them
 
-    def rows(self, table: Table) -> tuple[np.ndarray, np.ndarray]:
-        """Value and uncertainty of the next rows of the file, which are in `table`."""
+    def rows(self, table: Table) -> np.ndarray:
+        """Value and uncertainty of the next rows of the file, which are in `table` (2, n)."""
         if self.all is None:
             converted = convert_columns(table, self.expected, self.options)
             self.done.flags = self.done.flags or tuple(converted.flags)
-            found = self._compensated(table, converted)
-            return found.value, found.uncertainty
+            return self._compensated(table, converted)
         rows = slice(self.start, self.start + table.rows)
         self.start += table.rows
-        return self.all.value[rows], self.all.uncertainty[rows]
+        return self.all[:, rows]
 
     def whole(self, table: Table) -> None:
         """Compensate all rows of a table beforehand, the past of each counting."""
@@ -101,11 +93,7 @@ class _FileCompensation:
         self.all = self._compensated(table, converted)
 
     def _refuse_another_clock(self, readings: Measurements) -> None:
-        """Refuse times without dates that fall among those of the calibration: a device is not read twice at one time.
-
-        Raises:
-            InputError: they do, the file is none of those that were fitted, and the correction changes with the date.
-        """
+        """Refuse times without dates that fall among those of the calibration: no device is read twice at one time."""
         used = self.compensator
         undated = readings.since is None and used.epoch is None and not self.options.begin
         if not (used.dated and undated) or {s.sha256 for s in readings.sources} & used.fitted:
@@ -120,23 +108,21 @@ class _FileCompensation:
                 "calibration: --begin '9 days'; or --begin '0 s' where time counts from the start of each run"
             )
 
-    def _compensated(self, table: Table, converted: ConvertedColumns) -> Compensated:
-        readings = Measurements(
-            converted.values, converted.units, (Source(table.file, table.sha256, table.rows),)
-        )
+    def _compensated(self, table: Table, converted: ConvertedColumns) -> np.ndarray:
+        source, done = Source(table.file, table.sha256, table.rows), self.done
+        readings = Measurements(converted.values, converted.units, (source,))
         readings = replace(readings, since=converted.origin)
         self._refuse_another_clock(readings)
         found = self.compensator(readings, noise=self.noise, method=self.method, warn=False)
-        self.done.rows += table.rows
-        self.done.unsolved += int(np.isnan(found.value).sum())
+        done.rows += table.rows
+        done.unsolved += int(np.isnan(found.value).sum())
         for name, mask in found.outside.items():
-            self.done.outside[name] = self.done.outside.get(name, 0) + int(mask.sum())
-        if converted.kept is None:
-            return found
-        self.done.missing += table.rows - len(converted.kept)
-        value, uncertainty = np.full((2, table.rows), np.nan)
-        value[converted.kept], uncertainty[converted.kept] = found.value, found.uncertainty
-        return replace(found, value=value, uncertainty=uncertainty)
+            done.outside[name] = done.outside.get(name, 0) + int(mask.sum())
+        kept = slice(None) if converted.kept is None else converted.kept
+        done.missing += table.rows - len(found.value)
+        both = np.full((2, table.rows), np.nan)
+        both[:, kept] = found.value, found.uncertainty
+        return both
 
 
 def compensate_file(
@@ -180,12 +166,9 @@ def compensate_file(
             why = f"{path.name!r} can only be written as text: name a file .csv"
         raise InputError(f"{out.name!r}: {why}")
     expected = _expected(compensator)
-    for name in (
-        "ignore",
-        "local_field",
-    ):  # nothing is left out of the file, and nothing calibrated
-        how.pop(name, None)
-    given = {name: value for name, value in how.items() if value is not None}
+    # Nothing is left out of the file, and nothing calibrated.
+    unused = ("ignore", "local_field")
+    given = {n: value for n, value in how.items() if value is not None and n not in unused}
     if compensator.calibration is not None:
         given["remembered"] = compensator.calibration.readings.sources
     given["epoch"] = compensator.epoch
@@ -208,11 +191,7 @@ def compensate_file(
 
 
 def _expected(compensator: Compensator) -> ExpectedColumns:
-    if compensator.calibration is not None:
-        instrument = compensator.calibration.model.instrument
-        scale = compensator.calibration.readings.scale or instrument.nominal_scale
-        return ExpectedColumns(instrument.name, compensator.columns, scale)
-    about = compensator.program.about
+    about = compensator.about
     scale = NominalScale(*about.raw) if about.raw else None
     return ExpectedColumns(about.instrument, compensator.columns, scale)
 
@@ -249,7 +228,7 @@ def _csv(job: _FileCompensation, path: Path, partial: Path, table: Table, raw: s
                 target.write(_longer(part.lines[0], added, part))
                 target.writelines(_longer(line, ["", ""], part) for line in part.behind)
                 continue
-            rows = iter(np.column_stack(job.rows(part.table)).tolist())
+            rows = iter(job.rows(part.table).T.tolist())
             for line in part.lines:
                 if not line.strip():
                     target.write(line)

@@ -23,8 +23,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from bayescal._calibration.calibration import Calibration
-from bayescal._calibration.description import identity, sources_of
-from bayescal._calibration.judgement import why_not
+from bayescal._calibration.description import sources_of
 from bayescal._calibration.mixture import inclusion
 from bayescal._core.as_json import as_json
 from bayescal._core.errors import InputError, ModelError
@@ -37,7 +36,7 @@ from bayescal._data.time_in_runs import RATE_WINDOW, rate_window
 from bayescal._data.unit_conversion import unit_label
 from bayescal._model.frame import Frame, build_frame, held_name
 from bayescal._tables.cells import date_text
-from bayescal._use.correction import NOT_RELIABLE, CorrectionInUse, kept_why
+from bayescal._use.correction import NOT_RELIABLE, CorrectionInUse
 from bayescal._use.expression_graph import Graph, NotExportable, trace
 from bayescal._use.operating_equation import (
     Folded,
@@ -59,32 +58,24 @@ class OutsideCalibration(UserWarning):
 
 @dataclass(frozen=True)
 class Input:
-    """A covariate that compensation needs.
+    """A covariate that compensation needs."""
 
-    Attributes:
-        name, unit, meaning: for people and firmware.
-        kind: "column"; or what is made of a record: "rate", "lag", "lag slope" (its change by its time constant,
-            which carries the uncertainty of that; 0 leaves it out), "elapsed".
-        column: the column that it is, or is made of.
-        tau: time constant of a lag, s; of a rate, the time whose slope it is.
-        silence: of a lag, the time without a reading beyond which the column counts as having changed at its beginning,
-            s; None where it counts as linear always, as exports before 0.3.0 have it.
-        held: of a lag, whether the column stands from each reading to the next.
-        low, high: range in the calibration, in `unit`.
-        settled: of a time, whether what follows it has died out by `high`: later is no extrapolation.
-    """
-
-    name: str
+    name: str  # name, unit, meaning: for people and firmware
     unit: str
     meaning: str
+    # "column"; or what is made of a record: "rate", "lag", "lag slope" (its change by its time constant, which
+    # carries the uncertainty of that; 0 leaves it out), "elapsed"
     kind: str
-    column: str
-    low: float
+    column: str  # the column that it is, or is made of
+    low: float  # low, high: range in the calibration, in `unit`
     high: float
-    tau: float | None = None
+    tau: float | None = None  # time constant of a lag, s; of a rate, the time whose slope it is
+    # of a lag, the time without a reading beyond which the column counts as having changed at its beginning, s;
+    # None where it counts as linear always, as exports before 0.3.0 have it
     silence: float | None = None
+    # of a time, whether what follows it has died out by `high`: later is no extrapolation
     settled: bool = False
-    held: bool = False
+    held: bool = False  # of a lag, whether the column stands from each reading to the next
 
     @property
     def end(self) -> float:
@@ -99,51 +90,70 @@ class Input:
         return 0.5 * (self.low + self.high) if self.kind in ("column", "elapsed") else 0.0
 
 
-def input_of(
-    calibration: Calibration, equation: OperatingEquation, name: str, values: np.ndarray
-) -> Input:
-    """One input of the equation, as people and firmware are told of it; `values` are those of the fit."""
-    described = partial(Input, name, low=float(values.min()), high=float(values.max()))
-    silence = float(calibration.frame.silence)
-    for lag in equation.lags:
-        held = bool(calibration.reference.get(held_name(lag.column), 0.0))
-        of_lag = partial(
-            described, column=lag.column, tau=lag.tau, silence=None if held else silence, held=held
-        )
-        if lag.name == name:
-            change = f"expm1(-x)/x*(change of {lag.column})"
-            change = f"exp(-x)*L - (change of {lag.column})" if held else f"exp(-x)*L + {change}"
-            beyond = f", or exp(-x)*(L - change) where dt is longer than {silence:g} s" * (not held)
-            meaning = (
-                f"lag of {lag.column} behind the thermometer, L, 0 at the start; dt after the last reading, "
-                f"x = dt/{lag.tau!r} s: L = {change}{beyond}"
-            )
-            return of_lag(unit="delta_degC", meaning=meaning, kind="lag")
-        if name == lag.slope:
-            change = f" + (exp(-x) + expm1(-x)/x)*(change of {lag.column})/{lag.tau!r}"
-            beyond = f", or exp(-x)*(M + x*(L - change)/{lag.tau!r}) where dt is longer than {silence:g} s"
-            meaning = (
-                f"change of {lag.name} by its time {lag.tau!r} s, which carries the uncertainty of that (0 leaves it "
-                f"out): M, 0 at the start; with L before the reading and x as for {lag.name}, "
-                f"M = exp(-x)*(M + x*L/{lag.tau!r}){(change + beyond) * (not held)}"
-            )
-            return of_lag(unit="delta_degC/s", meaning=meaning, kind="lag slope")
-    if name not in equation.known:
-        column = name.removesuffix("_rate")
-        meaning = (
-            f"rate of {column}: least-squares slope over the last {RATE_WINDOW:g} s (or the last two "
-            "readings, if these are further apart), 0 at the start"
-        )
-        steps = np.asarray(calibration.frame.step)
-        window = rate_window(steps)
-        return described(unit="degC/s", meaning=meaning, kind="rate", column=column, tau=window)
-    if name == "elapsed":
-        meaning = "time since the start (of the run, of power)"
-        return described(unit="s", meaning=meaning, kind="elapsed", column="time")
+def inputs_in_use(
+    calibration: Calibration, equation: OperatingEquation, values: Mapping[str, np.ndarray]
+) -> list[Input]:
+    """Inputs of the equation, as people and firmware are told of them; `values` are those of the fit, by name."""
+    described = {
+        name: partial(Input, name, low=float(values[name].min()), high=float(values[name].max()))
+        for name in equation.inputs
+        if name in values
+    }
+    found, meanings = dict[str, Input](), _meanings_of_lags(calibration, equation)
     own = {c.name: c.meaning for c in calibration.model.instrument.columns}
-    meaning = clock_words(calibration) if name == "time" else own.get(name, "")
-    unit = calibration.readings.unit(name) or "1"
-    return described(unit=unit, meaning=meaning, kind="column", column=name)
+    for name, make in described.items():
+        if name in meanings:
+            found[name] = make(**meanings[name])
+        elif name not in equation.known:
+            column = name.removesuffix("_rate")
+            meaning = (
+                f"rate of {column}: least-squares slope over the last {RATE_WINDOW:g} s (or the last two "
+                "readings, if these are further apart), 0 at the start"
+            )
+            window = rate_window(np.asarray(calibration.frame.step))
+            found[name] = make("degC/s", meaning, "rate", column, tau=window)
+        elif name == "elapsed":
+            meaning = "time since the start (of the run, of power)"
+            found[name] = make("s", meaning, "elapsed", "time")
+        else:
+            meaning = clock_words(calibration) if name == "time" else own.get(name, "")
+            unit = calibration.readings.unit(name) or "1"
+            found[name] = make(unit, meaning, "column", name)
+    return [*found.values()]
+
+
+def _meanings_of_lags(
+    calibration: Calibration, equation: OperatingEquation
+) -> dict[str, dict[str, Any]]:
+    """Fields of the inputs that carry lags and their slopes, by name."""
+    silence, found = float(calibration.frame.silence), dict[str, dict[str, Any]]()
+    for lag in equation.lags:
+        tau, column = repr(lag.tau), lag.column
+        held = bool(calibration.reference.get(held_name(column), 0.0))
+        of = {"column": column, "tau": lag.tau, "silence": None if held else silence, "held": held}
+        late = f"where dt is longer than {silence:g} s"
+        change = f"exp(-x)*L + expm1(-x)/x*(change of {column}), or exp(-x)*(L - change) {late}"
+        change = f"exp(-x)*L - (change of {column})" if held else change
+        meaning = (
+            f"lag of {column} behind the thermometer, L, 0 at the start; dt after the last reading, "
+            f"x = dt/{tau} s: L = {change}"
+        )
+        found[lag.name] = {"unit": "delta_degC", "meaning": meaning, "kind": "lag", **of}
+        if lag.slope:
+            change = f" + (exp(-x) + expm1(-x)/x)*(change of {column})/{tau}"
+            change += f", or exp(-x)*(M + x*(L - change)/{tau}) {late}"
+            meaning = (
+                f"change of {lag.name} by its time {tau} s, which carries the uncertainty of that (0 leaves it "
+                f"out): M, 0 at the start; with L before the reading and x as for {lag.name}, "
+                f"M = exp(-x)*(M + x*L/{tau}){change * (not held)}"
+            )
+            found[lag.slope] = {
+                "unit": "delta_degC/s",
+                "meaning": meaning,
+                "kind": "lag slope",
+                **of,
+            }
+    return found
 
 
 def inputs_at_fit(calibration: Calibration, equation: OperatingEquation) -> dict[str, np.ndarray]:
@@ -187,7 +197,12 @@ def gathered(
         columns = {n: readings[n] for n in readings.columns if readings.unit(n)} | columns
     if "output" not in columns:
         raise InputError("the column 'output' is missing: give the readings to compensate")
-    given = _of_one_length(columns)
+    arrays = {n: np.atleast_1d(np.asarray(v, dtype=float)) for n, v in columns.items()}
+    try:
+        given = dict(zip(arrays, np.broadcast_arrays(*arrays.values()), strict=True))
+    except ValueError:
+        shapes = ", ".join(f"{n} {a.shape}" for n, a in arrays.items())
+        raise InputError(f"columns must be vectors of one length, these are: {shapes}") from None
     for i in inputs:  # a lag that is given, and not its slope, is taken as it is
         if i.kind == "lag slope" and i.name.removesuffix("_by_tau") in given:
             given.setdefault(i.name, np.zeros_like(given["output"]))
@@ -212,16 +227,6 @@ def _since(values: ArrayLike, epoch: float | None) -> ArrayLike:
     if epoch is None:
         raise InputError("dates are given, and the calibration's times have none: give seconds")
     return array.astype("datetime64[us]").astype(np.int64) * 1e-6 - epoch
-
-
-def _of_one_length(columns: Mapping[str, ArrayLike]) -> dict[str, np.ndarray]:
-    arrays = {n: np.atleast_1d(np.asarray(v, dtype=float)) for n, v in columns.items()}
-    try:
-        shape = np.broadcast_shapes(*(a.shape for a in arrays.values()))
-    except ValueError:
-        shapes = ", ".join(f"{n} {a.shape}" for n, a in arrays.items())
-        raise InputError(f"columns must be vectors of one length, these are: {shapes}") from None
-    return {n: np.broadcast_to(a, shape) for n, a in arrays.items()}
 
 
 def _record(
@@ -272,15 +277,12 @@ def outside(
 def warn_outside(
     masks: Mapping[str, np.ndarray], calibrated: Mapping[str, tuple[float, float, str]]
 ) -> None:
-    """Warn the caller's caller of readings outside their range.
-
-    Args:
-        masks: where they are outside, of `outside`.
-        calibrated: lowest and highest value and unit, for those that have a range of their own.
-    """
+    """Warn the caller's caller of readings outside their range."""
+    spans = {
+        n: f" (calibrated: {a:.6g} to {b:.6g} {unit})" for n, (a, b, unit) in calibrated.items()
+    }
     parts = [
-        f"{name} in {int(mask.sum())} of {len(mask)} readings"
-        + (_calibrated(*calibrated[name]) if name in calibrated else "")
+        f"{name} in {int(mask.sum())} of {len(mask)} readings{spans.get(name, '')}"
         for name, mask in masks.items()
     ]
     warnings.warn(
@@ -291,50 +293,31 @@ def warn_outside(
     )
 
 
-def _calibrated(low: float, high: float, unit: str) -> str:
-    return f" (calibrated: {low:.6g} to {high:.6g} {unit})"
-
-
 @dataclass(frozen=True)
 class Provenance:
-    """Where an export comes from and what may be done with it.
+    """Where an export comes from and what may be done with it."""
 
-    Attributes:
-        instrument: its name; title: one line.
-        stimulus, unit: what is compensated for; output_unit: of the reading.
-        effects: (name, equation) of those that act.
-        reference: constants of the bases, such as T0.
-        sources: (file, sha256) of the readings.
-        raw: how a raw output becomes the reading: unit, gain, offset; None if it is the reading.
-        notes: what to know, each a sentence.
-        made_by: program and version.
-        calibration: its identity; empty in exports that do not state one.
-        epoch: seconds since 1970 at time zero; None where the calibration's times have no dates.
-        why_not: why the result is not to be used, which is among the notes too; empty where it may be.
-    """
-
-    instrument: str
+    instrument: str  # its name; title: one line
     title: str
-    stimulus: str
+    stimulus: str  # stimulus, unit: what is compensated for; output_unit: of the reading
     unit: str
     output_unit: str
-    effects: tuple[tuple[str, str], ...]
-    reference: dict[str, float]
-    sources: tuple[tuple[str, str], ...]
+    effects: tuple[tuple[str, str], ...]  # (name, equation) of those that act
+    reference: dict[str, float]  # constants of the bases, such as T0
+    sources: tuple[tuple[str, str], ...]  # (file, sha256) of the readings
+    # how a raw output becomes the reading: unit, gain, offset; None if it is the reading
     raw: tuple[str, float, float] | None
-    notes: tuple[str, ...]
-    made_by: str
-    calibration: str = ""
+    notes: tuple[str, ...]  # what to know, each a sentence
+    made_by: str  # program and version
+    calibration: str = ""  # its identity; empty in exports that do not state one
+    # why the result is not to be used, which is among the notes too; empty where it may be
     why_not: str = ""
+    # seconds since 1970 at time zero; None where the calibration's times have no dates
     epoch: float | None = None
 
 
-def provenance_of(
-    calibration: Calibration,
-    equation: OperatingEquation,
-    stimulus_range: tuple[float, float] | None,
-) -> Provenance:
-    """What an export says of itself."""
+def provenance_of(calibration: Calibration, equation: OperatingEquation) -> Provenance:
+    """What an export says of itself, but for its notes and what stands against using it."""
     instrument, use = calibration.model.instrument, equation.use
     acting = dict.fromkeys(b.effect for b in equation.blocks)
     scale = calibration.readings.scale or instrument.nominal_scale
@@ -343,8 +326,6 @@ def provenance_of(
         for k, v in calibration.reference.items()
         if not isinstance(v, dict) and not k.endswith(("_low", "_high", "_held"))
     } | calibration.hold_at
-    said = why_not(calibration)
-    unreliable = (f"{NOT_RELIABLE}{said}",) if said else ()
     return Provenance(
         instrument=instrument.name,
         title=instrument.title,
@@ -355,10 +336,8 @@ def provenance_of(
         reference=reference,
         sources=tuple((s.file, s.sha256) for s in sources_of(calibration.readings)),
         raw=(scale.unit, scale.gain, scale.offset) if scale else None,
-        notes=(*notes_on_use(calibration, equation, stimulus_range), *unreliable),
+        notes=(),
         made_by=f"bayescal {__version__}",
-        calibration=identity(calibration),
-        why_not=said,
         epoch=calibration.readings.since,
     )
 
@@ -469,7 +448,7 @@ class SavedEquation:
     operations: list[list[str | bool | int | float]]
     expected: int
     slope: int
-    gradient: list[int]
+    gradient: tuple[int, ...]
     noise: int | None = None
 
 
@@ -491,25 +470,17 @@ class SavedProgram:
 
 @dataclass(frozen=True, eq=False)
 class CompensationProgram(CorrectionInUse):
-    """A compensation by mean and covariance, to first order.
+    """A compensation by mean and covariance, to first order."""
 
-    Attributes:
-        about: what it is.
-        inputs: covariates needed, beside the reading.
-        stimulus_range: in the calibration; None where the stimulus was not varied or not a column.
-        unknowns: whose covariance (p, p) it is, in reported units.
-        covariance: their posterior covariance.
-        affine: whether the equation is a straight line in the stimulus.
-        graph, expected, slope, gradient, noise: the equation, and its nodes; `noise` is the variance of one reading,
-            output unit squared.
-    """
-
-    about: Provenance
-    inputs: tuple[Input, ...]
+    about: Provenance  # what it is
+    inputs: tuple[Input, ...]  # covariates needed, beside the reading
+    # in the calibration; None where the stimulus was not varied or not a column
     stimulus_range: tuple[float, float] | None
-    unknowns: tuple[ProgramUnknown, ...]
-    covariance: np.ndarray
-    affine: bool
+    unknowns: tuple[ProgramUnknown, ...]  # whose covariance (p, p) it is, in reported units
+    covariance: np.ndarray  # their posterior covariance
+    affine: bool  # whether the equation is a straight line in the stimulus
+    # graph, expected, slope, gradient, noise: the equation, and its nodes; `noise` is the variance of one
+    # reading, output unit squared
     graph: Graph
     expected: int
     slope: int
@@ -518,6 +489,11 @@ class CompensationProgram(CorrectionInUse):
 
     def about_it(self) -> tuple[str, tuple[str, ...], str]:
         return self.about.instrument, self.about.notes, self.about.why_not
+
+    @property
+    def notes_on_use(self) -> tuple[str, ...]:
+        """What to know but what stands against using it."""
+        return self.about.notes[:-1] if self.why_not else self.about.notes
 
     @property
     def stimulus_limits(self) -> tuple[float, float] | None:
@@ -538,11 +514,7 @@ class CompensationProgram(CorrectionInUse):
     def run(
         self, output: np.ndarray, inputs: Mapping[str, np.ndarray], kind: Any = np.float64
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Stimulus, its standard uncertainty without noise, and |d stimulus/d output|, (n,) each.
-
-        Raises:
-            InputError: an input is missing.
-        """
+        """Stimulus, its standard uncertainty without noise, and |d stimulus/d output|, (n,) each."""
         target = np.asarray(output, kind)
         given = {i.name: np.asarray(inputs[i.name], kind) for i in self.inputs if i.name in inputs}
 
@@ -612,20 +584,20 @@ def from_data(data: Any, file: str) -> CompensationProgram:
         saved = as_type(data, SavedProgram)
         equation, graph = saved.equation, Graph.from_data(saved.equation.operations)
         noise = equation.noise if saved.noise is None else graph.constant(saved.noise**2)
+        for place in (equation.expected, equation.slope, *equation.gradient, noise):
+            if type(place) is not int or not 0 <= place < len(graph.nodes):
+                raise ValueError(f"{place!r} is no operation of it")
+        rows, own = len(saved.covariance), ("inputs", "stimulus_range", "unknowns", "affine")
+        about = saved.about
+        if "why_not" not in data["about"]:  # of 0.2, which said it in a note alone
+            said = (n.removeprefix(NOT_RELIABLE) for n in about.notes if n.startswith(NOT_RELIABLE))
+            about = replace(about, why_not=next(said, ""))
         program = CompensationProgram(
-            about=replace(saved.about, why_not=kept_why(data["about"])),
-            inputs=saved.inputs,
-            stimulus_range=saved.stimulus_range,
-            unknowns=saved.unknowns,
-            covariance=np.array(saved.covariance, dtype=float).reshape(
-                len(saved.covariance), len(saved.unknowns)
-            ),
-            affine=saved.affine,
-            graph=graph,
-            expected=_place(equation.expected, graph),
-            slope=_place(equation.slope, graph),
-            gradient=tuple(_place(p, graph) for p in equation.gradient),
-            noise=_place(noise, graph),
+            about=about,
+            covariance=np.array(saved.covariance, float).reshape(rows, len(saved.unknowns)),
+            **{name: getattr(saved, name) for name in own},
+            **{n: getattr(equation, n) for n in ("expected", "slope", "gradient")},
+            **{"graph": graph, "noise": noise},
         )
         _refuse_torn(program)
     except (InputError, ValueError) as error:
@@ -649,12 +621,6 @@ def _refuse_torn(program: CompensationProgram) -> None:
             raise ValueError(f"its input {i.name!r} is of the kind {i.kind!r}, tau = {i.tau!r}")
     if program.about.raw and not program.about.raw[1]:
         raise ValueError("about.raw has a gain of zero")
-
-
-def _place(value: Any, graph: Graph) -> int:
-    if type(value) is not int or not 0 <= value < len(graph.nodes):
-        raise ValueError(f"{value!r} is no operation of it")
-    return value
 
 
 def program_of(
@@ -710,18 +676,19 @@ def program_of(
 def _with_derivatives(equation: OperatingEquation, theta: Scalars) -> Callable[..., Any]:
     """A function of stimulus and inputs: expected output, its slope, its gradient by each unknown."""
 
-    def at(s, given, theta):
-        return equation.point(theta, s, given)
-
     def expected_slope_gradient(s, given):
         # Forward, because the reverse of a slice is a padding, for which there is no scalar operation.
-        one = jnp.ones(())
-        expected, slope = jax.jvp(lambda s: at(s, given, theta), (s,), (one,))
-        gradient = [
-            jax.jvp(lambda v, key=key: at(s, given, {**theta, key: v}), (value,), (one,))[1]
-            for key, value in theta.items()
-        ]
-        return expected, slope, gradient
+        def along(key, value):
+            of = {STIMULUS: s, **theta}
+
+            def at(v):
+                moved = {**of, key: v}
+                return equation.point({k: moved[k] for k in theta}, moved[STIMULUS], given)
+
+            return jax.jvp(at, (value,), (jnp.ones(()),))
+
+        expected, slope = along(STIMULUS, s)
+        return expected, slope, [along(key, value)[1] for key, value in theta.items()]
 
     return expected_slope_gradient
 

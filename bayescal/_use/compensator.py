@@ -1,7 +1,4 @@
-"""Compensation: from a reading and its covariates back to the stimulus, with standard uncertainty.
-
-From posterior draws, or by first-order propagation of mean and covariance (what firmware does).
-"""
+"""Compensation: from a reading back to the stimulus, by posterior draws or, as firmware does, to first order."""
 
 from __future__ import annotations
 
@@ -15,9 +12,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from bayescal._calibration.calibration import Calibration
-from bayescal._calibration.description import sources_of
-from bayescal._calibration.judgement import why_not
+from bayescal._calibration.description import identity
 from bayescal._calibration.mixture import usual_columns
+from bayescal._calibration.why_not import why_not
 from bayescal._core.atomic_file import write_text
 from bayescal._core.errors import InputError
 from bayescal._data.column import UNCERTAINTY, Column
@@ -28,9 +25,10 @@ from bayescal._use.compensation_program import (
     PAST,
     CompensationProgram,
     Input,
+    Provenance,
     gathered,
-    input_of,
     inputs_at_fit,
+    inputs_in_use,
     limits,
     notes_on_use,
     outside,
@@ -38,6 +36,7 @@ from bayescal._use.compensation_program import (
     provenance_of,
     warn_outside,
 )
+from bayescal._use.correction import NOT_RELIABLE
 from bayescal._use.correction_files import as_text, format_of, kind_of, load_correction
 from bayescal._use.operating_equation import (
     NoiseInUse,
@@ -145,15 +144,22 @@ class Compensator:
             warn_outside(masks, self.calibrated)
         return Compensated(value, np.sqrt(variance), self.unit, masks)
 
+    @cached_property
+    def about(self) -> Provenance:
+        """What it is of; of a fitted one without its notes, and without what stands against using it."""
+        return (
+            self.loaded.about if self.loaded else provenance_of(self._calibration, self._equation)
+        )
+
     @property
     def stimulus(self) -> str:
         """Name of what is compensated for."""
-        return self.loaded.about.stimulus if self.loaded else self._equation.use.stimulus
+        return self.about.stimulus
 
     @property
     def unit(self) -> str:
         """Its fixed unit."""
-        return self.loaded.about.unit if self.loaded else self._equation.use.unit
+        return self.about.unit
 
     @property
     def notes(self) -> tuple[str, ...]:
@@ -170,14 +176,12 @@ class Compensator:
     @property
     def epoch(self) -> float | None:
         """Seconds since 1970 at time zero; None where the times of the calibration have no dates."""
-        return self.loaded.about.epoch if self.loaded else self._calibration.readings.since
+        return self.about.epoch
 
     @property
     def fitted(self) -> set[str]:
         """SHA-256 of the files of the calibration."""
-        if self.loaded:
-            return {sha for _, sha in self.loaded.about.sources}
-        return {source.sha256 for source in sources_of(self._calibration.readings)}
+        return {sha for _, sha in self.about.sources}
 
     @property
     def dated(self) -> str:
@@ -185,10 +189,6 @@ class Compensator:
         if all(i.name != "time" for i in self.inputs):
             return ""
         return "the correction" if self.loaded else ", ".join(self._calibration.dated) or "it"
-
-    @property
-    def output_unit(self) -> str:
-        return self.loaded.about.output_unit if self.loaded else self._calibration.unit
 
     def noise_variance(self, places: Mapping[str, np.ndarray]) -> np.ndarray:
         """Return the variance of one reading's noise by the noise law, output unit squared, (n,).
@@ -205,12 +205,7 @@ class Compensator:
         """Covariates that are needed, with their calibrated ranges."""
         if self.loaded:
             return self.loaded.inputs
-        values = self._inputs_at_fit
-        found = [
-            input_of(self._calibration, self._equation, name, values[name])
-            for name in self._equation.inputs
-            if name in values
-        ]
+        found = inputs_in_use(self._calibration, self._equation, self._inputs_at_fit)
         settled = {i.name for i in found if i.kind == "elapsed" and self._settles(i, found)}
         return tuple(replace(i, settled=i.name in settled) for i in found)
 
@@ -220,21 +215,16 @@ class Compensator:
         nor the noise by a tenth of itself.
         """
         late = time.high + (time.high - time.low) * np.r_[0.0, -0.25, 2.0 ** np.arange(-4, 31)]
+        (low, high), moments = self.stimulus_range or (0.0, 0.0), self._moments
         for share in (0.0, 0.5, 1.0):
-            ends = self.stimulus_range or (0.0, 0.0)
-            stimulus = np.full(len(late), ends[0] + share * (ends[1] - ends[0]))
+            stimulus = np.full(len(late), low + share * (high - low))
             given = {i.name: i.low + share * (i.high - i.low) + 0.0 * late for i in inputs}
-            unused = dict.fromkeys(self._equation.names, 0.0 * late)
+            given = {**dict.fromkeys(self._equation.names, 0.0 * late), **given, time.name: late}
             expected, uncertainty = operating_equation.expected_first_order(
-                self._equation,
-                self._moments.mean,
-                self._moments.covariance,
-                stimulus,
-                {**unused, **given, time.name: late},
+                self._equation, moments.mean, moments.covariance, stimulus, given
             )
             moves = np.abs(np.array([expected - expected[0], uncertainty - uncertainty[0]]))
-            places = {self.stimulus: stimulus, **given, time.name: late}
-            scatter = np.sqrt(self.noise_variance(places))
+            scatter = np.sqrt(self.noise_variance({self.stimulus: stimulus, **given}))
             if np.any(moves > SETTLED * uncertainty[0]) or np.ptp(scatter) > SETTLED * scatter[0]:
                 return False
         return True
@@ -269,7 +259,7 @@ class Compensator:
         own = () if self.loaded else self._calibration.model.instrument.columns
         said = {c.name: replace(c, required=True) for c in own}
         return (
-            Column("output", self.output_unit, "reading"),
+            Column("output", self.about.output_unit, "reading"),
             Column("run", None, required=False),
             *(said[name] if name in said else Column(name, units[name]) for name in needed),
         )
@@ -283,13 +273,16 @@ class Compensator:
         """
         if self.loaded:
             return self.loaded
+        said = self.why_not
+        notes = (*self.notes, *(f"{NOT_RELIABLE}{one}" for one in (said,) if one))
+        named = {"calibration": identity(self._calibration), "why_not": said, "notes": notes}
         return program_of(
             self._equation,
             self._moments,
             self.inputs,
             stimulus_range=self.stimulus_range,
             noise=self._noise,
-            about=provenance_of(self._calibration, self._equation, self.stimulus_range),
+            about=replace(self.about, **named),
         )
 
     def export(
@@ -327,9 +320,7 @@ class Compensator:
 
     @cached_property
     def _moments(self) -> PosteriorMoments:
-        return posterior_moments(
-            self._equation, self._calibration, self.draws, self._calibration.seed
-        )
+        return posterior_moments(self._equation, self._calibration, self.draws)
 
     @cached_property
     def _noise(self) -> NoiseInUse:

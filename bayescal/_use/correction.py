@@ -25,46 +25,22 @@ class CorrectionInUse(ABC):
         """Why the result is not to be used, in words; empty where it may be."""
         return self.about_it()[2]
 
-    @property
-    def notes_on_use(self) -> tuple[str, ...]:
-        """What to know but what stands against using it."""
-        _, notes, why_not = self.about_it()
-        return tuple(note for note in notes if note != f"{NOT_RELIABLE}{why_not}")
-
 
 Writer = Callable[[Mapping[str, Any], bool], str]
 """Writes corrections by the names of their sensors, with or without uncertainty."""
 
 
 class CorrectionKind(NamedTuple):
-    """A kind of corrections: how they are told, written, read back and made.
+    """A kind of corrections: how they are told, written, read back and made."""
 
-    Attributes:
-        of: their class.
-        axes: what they are of, in words, such as "three axes".
-        writers: by format.
-        suffixes: formats by the suffix of a file.
-        together: formats that hold several.
-        is_data: whether JSON is one of them.
-        read: one from JSON and the name of its file, for messages; `InputError` if it is damaged.
-        loader: the public function that does.
-        left_out: what a format has no place for, in a sentence; empty for nothing.
-    """
-
-    of: type[CorrectionInUse]
-    axes: str
-    writers: Mapping[str, Writer]
-    suffixes: Mapping[str, str]
-    is_data: Callable[[Mapping[str, Any]], bool]
+    of: type[CorrectionInUse]  # their class
+    axes: str  # what they are of, in words, such as "three axes"
+    writers: Mapping[str, Writer]  # by format
+    suffixes: Mapping[str, str]  # formats by the suffix of a file
+    is_data: Callable[[Mapping[str, Any]], bool]  # whether JSON is one of them
+    # one from JSON and the name of its file, for messages; `InputError` if it is damaged
     read: Callable[[Any, str], CorrectionInUse]
-    loader: str
-    together: tuple[str, ...] = ()
+    loader: str  # the public function that does
+    together: tuple[str, ...] = ()  # formats that hold several
+    # what a format has no place for, in a sentence; empty for nothing
     left_out: Callable[[Any, str], str] = lambda correction, format: ""
-
-
-def kept_why(data: Mapping[str, Any]) -> str:
-    """Why a result is not to be used, of a correction's JSON: `why_not`, or the note that older files mark."""
-    marked = (
-        n[len(NOT_RELIABLE) :] for n in data["notes"] if n[: len(NOT_RELIABLE)] == NOT_RELIABLE
-    )
-    return data["why_not"] if "why_not" in data else next(marked, "")

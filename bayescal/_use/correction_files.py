@@ -2,7 +2,7 @@
 
 What kinds of corrections there are beside those of one output, annexes say (`_core/annex.py`). Everything in a C
 header carries the name of its sensor, so that those of several go into one program. Two of one name are refused by the
-compiler (`export_template.py`).
+compiler (`program_text.py`).
 """
 
 from __future__ import annotations
@@ -34,21 +34,17 @@ def in_form(write: Callable[..., str], *how: Any) -> Writer:
 
 
 def _program(language: Language) -> Writer:
-    return lambda named, uncertainty: "".join(
-        program_text(program, language, name, uncertainty) for name, program in named.items()
-    )
+    def write(named: Mapping[str, Any], uncertainty: bool) -> str:
+        return "".join(program_text(one, language, n, uncertainty) for n, one in named.items())
+
+    return write
 
 
-FORMATS = {".json": "json", ".h": "c", ".py": "python"}
-OF_ONE_OUTPUT: dict[str, Writer] = {
-    "json": as_data,
-    **{name: _program(language) for name, language in LANGUAGES.items()},
-}
 ONE_OUTPUT = CorrectionKind(
     of=CompensationProgram,
     axes="one output",
-    writers=OF_ONE_OUTPUT,
-    suffixes=FORMATS,
+    writers={"json": as_data, **{name: _program(one) for name, one in LANGUAGES.items()}},
+    suffixes={".json": "json", ".h": "c", ".py": "python"},
     is_data=lambda data: data.get("schema") == SCHEMA,
     read=from_data,
     loader="load_compensator",
@@ -63,11 +59,7 @@ def kinds() -> Iterator[CorrectionKind]:
 
 
 def kind_of(correction: CorrectionInUse) -> CorrectionKind:
-    """That of a correction.
-
-    Raises:
-        InputError: it is of an annex whose entry point is not installed.
-    """
+    """That of a correction."""
     for kind in kinds():
         if isinstance(correction, kind.of):
             return kind

@@ -12,6 +12,7 @@ effect of the user's own is exported like any other, as long as it is made of op
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
@@ -138,36 +139,29 @@ class Graph:
         return simpler if simpler is not None else self.put(GraphNode(op, args))
 
     def _simpler(self, op: str, args: tuple[int, ...], values: list[Any]) -> int | None:
-        if op == "add":
-            if values[0] == 0:
-                return args[1]
-            if values[1] == 0:
-                return args[0]
-            if self.nodes[args[1]].op == "neg":
-                return self.apply("sub", args[0], self.nodes[args[1]].args[0])
-        if op == "sub":
-            if values[1] == 0:
-                return args[0]
-            if values[0] == 0:
-                return self.apply("neg", args[1])
-        if op in ("mul", "and") and any(v is not None and not v for v in values):
-            return self.constant(0.0 if op == "mul" else False)
-        if op == "mul" and 1 in values:
-            return args[1] if values[0] == 1 else args[0]
-        if op == "mul" and -1 in values:
-            return self.apply("neg", args[1] if values[0] == -1 else args[0])
-        if op == "div":
-            if values[0] == 0:
-                return args[0]
-            if values[1] in (1, -1):
-                return args[0] if values[1] == 1 else self.apply("neg", args[0])
-        if op == "neg" and self.nodes[args[0]].op == "neg":
-            return self.nodes[args[0]].args[0]
         if op == "select":
             if values[0] is not None:
                 return args[1] if values[0] else args[2]
-            if args[1] == args[2]:
-                return args[1]
+            return args[1] if args[1] == args[2] else None
+        first, second = args[0], args[-1]
+        zero = [v is not None and v == 0 for v in values]
+        inner = self.nodes[second]
+        if op == "neg":
+            return inner.args[0] if inner.op == "neg" else None
+        if op in ("add", "sub") and zero[-1]:
+            return first
+        if op in ("add", "sub") and zero[0]:
+            return second if op == "add" else self.apply("neg", second)
+        if op == "add" and inner.op == "neg":
+            return self.apply("sub", first, inner.args[0])
+        if op in ("mul", "and") and any(zero):
+            return self.constant(0.0 if op == "mul" else False)
+        if op == "div" and zero[0]:
+            return first
+        for sign in (1, -1):  # as a factor, or what is divided by
+            if (op in ("mul", "div") and values[1] == sign) or (op == "mul" and values[0] == sign):
+                other = second if op == "mul" and values[0] == sign else first
+                return other if sign == 1 else self.apply("neg", other)
         return None
 
     def needed(self, outputs: Sequence[int]) -> list[int]:
@@ -204,14 +198,10 @@ class Graph:
                         raise InputError(f"the input {node.value!r} is missing")
                     values[place] = inputs[str(node.value)]
                 else:
-                    found = OPERATIONS[node.op].compute(*(values[a] for a in node.args))
-                    if (
-                        not OPERATIONS[node.op].boolean
-                        and found.dtype != kind
-                        and found.dtype != bool
-                    ):
-                        found = found.astype(kind)
-                    values[place] = found
+                    operation = OPERATIONS[node.op]
+                    found = operation.compute(*(values[a] for a in node.args))
+                    own = operation.boolean or found.dtype in (kind, bool)
+                    values[place] = found if own else found.astype(kind)
         return [values[o] for o in outputs]
 
     def part(self, outputs: Sequence[int]) -> tuple[Graph, list[int]]:
@@ -240,20 +230,19 @@ class Graph:
         """
         graph = cls()
         for place, row in enumerate(data if isinstance(data, list) else [None]):
-            if not isinstance(row, list) or not row or not isinstance(row[0], str):
-                raise InputError(f"its operation {place} is none: {str(row)[:60]}")
-            op, rest = str(row[0]), list(row[1:])
-            if op == "const" and rest in (["nan"], ["inf"], ["-inf"]):
-                made = GraphNode(op, value=float(rest[0]))
-            elif op == "const" and len(rest) == 1 and isinstance(rest[0], int | float):
-                made = GraphNode(op, value=rest[0] if isinstance(rest[0], bool) else float(rest[0]))
-            elif op == "input" and len(rest) == 1 and isinstance(rest[0], str):
-                made = GraphNode(op, value=rest[0])
-            elif op in OPERATIONS and all(type(a) is int and 0 <= a < place for a in rest):
-                count = OPERATIONS[op].c.count
-                arity = max(i + 1 for i in range(3) if count(f"{{{i}}}"))
-                if len(rest) != arity:
-                    raise InputError(f"its operation {place}, {op!r}, has {len(rest)} arguments")
+            parts: list[Any] = row if isinstance(row, list) and row else [None]
+            op, *rest = parts
+            value = rest[0] if len(rest) == 1 else None
+            if op == "const" and (
+                isinstance(value, int | float) or value in ("nan", "inf", "-inf")
+            ):
+                made = GraphNode(op, value=value if isinstance(value, bool) else float(value))
+            elif op == "input" and isinstance(value, str):
+                made = GraphNode(op, value=value)
+            elif isinstance(op, str) and op in OPERATIONS:
+                arity = len(set(re.findall(r"{\d}", OPERATIONS[op].c)))
+                if len(rest) != arity or not all(type(a) is int and 0 <= a < place for a in rest):
+                    raise InputError(f"its operation {place}, {op!r}, cannot take {str(rest)[:60]}")
                 made = GraphNode(op, tuple(rest))
             else:
                 raise InputError(f"its operation {place} is not known here: {str(row)[:60]}")
@@ -354,7 +343,7 @@ def _apply(graph: Graph, equation: Any, arguments: list[np.ndarray]) -> list[np.
         return _moved(equation, arguments, constants)
     if name in SAME:
         return [_elementwise(partial(graph.apply, SAME[name]), *arguments)]
-    made = _others(graph, name, parameters, arguments, equation)
+    made = _others(graph, name, parameters, arguments)
     if made is None:
         raise NotExportable(f"the operation {name!r} has no form in C or plain Python here")
     return [made]
@@ -363,9 +352,7 @@ def _apply(graph: Graph, equation: Any, arguments: list[np.ndarray]) -> list[np.
 def _numbers(graph: Graph, array: np.ndarray, aval: Any) -> np.ndarray | None:
     """The numbers of an array of constants; None if one element is none."""
     flat = [graph.value(p) for p in array.reshape(-1)]
-    if any(v is None for v in flat):
-        return None
-    return np.array(flat).reshape(array.shape).astype(aval.dtype)
+    return None if None in flat else np.array(flat).reshape(array.shape).astype(aval.dtype)
 
 
 def _moved(
@@ -395,11 +382,11 @@ def _moved(
     ]
 
 
-def _others(graph: Graph, name: str, parameters: Any, arguments: list[np.ndarray], equation: Any):
+def _others(graph: Graph, name: str, parameters: Any, arguments: list[np.ndarray]):
     """Operations made of several of ours; None if there is no such thing."""
     apply, first = graph.apply, arguments[0]
     one = graph.constant(1.0)
-    each: dict[str, Callable[[int], int]] = {
+    each: dict[str, Callable[..., int]] = {
         "square": lambda x: apply("mul", x, x),
         "one_minus_square": lambda x: apply("sub", one, apply("mul", x, x)),  # JAX 0.12
         "integer_pow": lambda x: _power(graph, x, parameters["y"]),
@@ -408,28 +395,22 @@ def _others(graph: Graph, name: str, parameters: Any, arguments: list[np.ndarray
         "exp2": lambda x: apply("pow", graph.constant(2.0), x),
         "stop_gradient": lambda x: x,
         "reduce_precision": lambda x: x,
+        "clamp": lambda a, x, b: apply("min", apply("max", x, a), b),
     }
+    if name == "select_n" and len(arguments) == 3:
+        return _elementwise(lambda p, no, yes: apply("select", p, yes, no), *arguments)
     if name in each:
-        return _elementwise(each[name], first)
+        return _elementwise(each[name], *arguments)
     if name == "convert_element_type":
         return _converted(graph, first, np.dtype(parameters["new_dtype"]))
-    if name == "select_n":
-        predicate, *cases = arguments
-        if len(cases) == 2:
-            return _elementwise(lambda p, no, yes: apply("select", p, yes, no), predicate, *cases)
-    if name == "clamp":
-        return _elementwise(lambda a, x, b: apply("min", apply("max", x, a), b), *arguments)
-    reductions = {
-        "reduce_sum": "add",
-        "reduce_max": "max",
-        "reduce_min": "min",
-        "reduce_prod": "mul",
-    }
-    if name in reductions:
-        return _reduced(graph, reductions[name], first, parameters["axes"])
+    if name in REDUCTIONS:
+        return _reduced(graph, REDUCTIONS[name], first, parameters["axes"])
     if name == "dot_general":
         return _dot(graph, arguments, parameters["dimension_numbers"])
     return None
+
+
+REDUCTIONS = {"reduce_sum": "add", "reduce_max": "max", "reduce_min": "min", "reduce_prod": "mul"}
 
 
 def _power(graph: Graph, x: int, exponent: int) -> int:
@@ -481,29 +462,18 @@ def _dot(graph: Graph, arguments: list[np.ndarray], numbers: Any) -> np.ndarray:
 
 @dataclass(frozen=True)
 class Language:
-    """A language that exports are written in.
+    """A language that exports are written in."""
 
-    Attributes:
-        name: its form in the table of operations.
-        cast: before a constant.
-        nan, infinity: constants of these.
-        truths: what is false, and what is true.
-        statement: of a name and an expression; the same of one that is true or false.
-        input: an input as it is written, of its field.
-        template: file beside this one that writes the program.
-        words: text within a comment.
-    """
-
-    name: Literal["c", "python"]
-    cast: str
-    nan: str
+    name: Literal["c", "python"]  # its form in the table of operations
+    cast: str  # before a constant
+    nan: str  # nan, infinity: constants of these
     infinity: str
-    truths: tuple[str, str]
-    statement: str
+    truths: tuple[str, str]  # what is false, and what is true
+    statement: str  # of a name and an expression; the same of one that is true or false
     statement_boolean: str
-    input: str = "{}"
-    template: str = ""
-    words: Callable[[Any], str] = str
+    input: str = "{}"  # an input as it is written, of its field
+    template: str = ""  # file beside this one that writes the program
+    words: Callable[[Any], str] = str  # text within a comment
 
     def number(self, value: float | bool) -> str:
         """A constant, as an operand."""
@@ -533,13 +503,7 @@ LANGUAGES = {"c": C, "python": PYTHON}
 def statements(
     graph: Graph, outputs: Sequence[int], names: Mapping[str, str], language: Language
 ) -> tuple[list[str], list[str]]:
-    """Statements, one for each operation, and the expressions of the outputs.
-
-    Args:
-        graph, outputs: what is written.
-        names: of the inputs, as the language writes them.
-        language: to write.
-    """
+    """Statements, one for each operation, and the expressions of the outputs."""
     text, written = dict[int, str](), list[str]()
     for place in graph.needed(outputs):
         node = graph.nodes[place]

@@ -43,21 +43,13 @@ Scalars = dict[str, Float[Array, ""]]
 
 
 class Lag(NamedTuple):
-    """One T̃ − T that the equation asks for.
+    """One T̃ − T that the equation asks for."""
 
-    Attributes:
-        column: the temperature that is lagged.
-        tau: time constant, s, at the posterior mean.
-        shape: name of the unknown that tau is a multiple of; None for a constant.
-        name: of the input that carries it.
-        multiple: τ over that unknown.
-    """
-
-    column: str
-    tau: float
-    shape: str | None
-    name: str
-    multiple: float = 1.0
+    column: str  # the temperature that is lagged
+    tau: float  # time constant, s, at the posterior mean
+    shape: str | None  # name of the unknown that tau is a multiple of; None for a constant
+    name: str  # of the input that carries it
+    multiple: float = 1.0  # τ over that unknown
 
     @property
     def slope(self) -> str | None:
@@ -78,41 +70,21 @@ class OneReading(Frame):
         return self.lags[place] if place < len(self.lags) else jnp.zeros(self.size)
 
 
-class AtPoint(NamedTuple):
-    """The equation at one operating point: expected output, its slope by the stimulus, its gradient by θ."""
-
-    expected: float
-    slope: float
-    gradient: np.ndarray
-
-
 class UnknownInUse(NamedTuple):
-    """One unknown that acts in use.
+    """One unknown that acts in use."""
 
-    Attributes:
-        name: of the coefficient or shape; "(new run)" beside it for a deviation not measured.
-        key: under which the equation finds it.
-        unit: in which it is reported.
-        kind: "coefficient", "shape", "new" for one drawn anew in use, "folded" for what folded effects come to.
-    """
-
-    name: str
-    key: str
-    unit: str
-    kind: str
+    name: str  # of the coefficient or shape; "(new run)" beside it for a deviation not measured
+    key: str  # under which the equation finds it
+    unit: str  # in which it is reported
+    kind: str  # "coefficient", "shape", "new" for one drawn anew in use, "folded" for what folded effects come to
 
 
 class Folded(NamedTuple):
-    """Effects that stand in the equation as what they come to at one place: an unknown for each slot.
+    """Effects that stand in the equation as what they come to at one place: an unknown for each slot."""
 
-    Attributes:
-        effects: by name.
-        slots: (slot, unit) that they act on.
-        at: (name, value, unit) of the stimulus and every input there.
-    """
-
-    effects: tuple[str, ...]
-    slots: tuple[tuple[str, str], ...]
+    effects: tuple[str, ...]  # by name
+    slots: tuple[tuple[str, str], ...]  # (slot, unit) that they act on
+    # (name, value, unit) of the stimulus and every input there
     at: tuple[tuple[str, float, str], ...]
 
     @property
@@ -126,26 +98,18 @@ class Folded(NamedTuple):
 
 
 class OperatingEquation(eqx.Module):
-    """The measurement equation of a bound model for one reading in use, and its inverse.
+    """The measurement equation of a bound model for one reading in use, and its inverse."""
 
-    Attributes:
-        reference: constants of the bases.
-        layout: the model, with one member of every group: that which is in use.
-        members: (group, member) chosen by name, such as ("device", "A17"); others are new.
-        known: numeric columns of the readings of the fit.
-        rated: temperatures whose rates could be inputs.
-        lags: what the equation asks of the past.
-        asked: which of them, in the order in which bases ask; one may be asked for by several.
-        folded: effects that it does not hold; None where it holds all.
-    """
-
-    reference: Scalars
-    layout: Layout
+    reference: Scalars  # constants of the bases
+    layout: Layout  # the model, with one member of every group: that which is in use
+    # (group, member) chosen by name, such as ("device", "A17"); others are new
     members: tuple[tuple[str, str], ...] = eqx.field(static=True)
-    known: tuple[str, ...] = eqx.field(static=True)
-    rated: tuple[str, ...] = eqx.field(static=True)
-    lags: tuple[Lag, ...] = eqx.field(static=True, default=())
+    known: tuple[str, ...] = eqx.field(static=True)  # numeric columns of the readings of the fit
+    rated: tuple[str, ...] = eqx.field(static=True)  # temperatures whose rates could be inputs
+    lags: tuple[Lag, ...] = eqx.field(static=True, default=())  # what the equation asks of the past
+    # which of them, in the order in which bases ask; one may be asked for by several
     asked: tuple[int, ...] = eqx.field(static=True, default=())
+    # effects that it does not hold; None where it holds all
     folded: Folded | None = eqx.field(static=True, default=None)
 
     @property
@@ -197,22 +161,16 @@ class OperatingEquation(eqx.Module):
     @cached_property
     def inputs(self) -> tuple[str, ...]:
         """Inputs that the output, or its noise, depends on."""
-        theta, inputs = self.ones()
-        law = dict.fromkeys(self.layout.model.noise.parameters(), jnp.ones(()))
-
-        def value(inputs: Scalars) -> tuple[Array, Array]:
-            one = jnp.ones(())
-            return self.point(theta, one, inputs), self.noise_variance(law, one, inputs)
-
-        keep = live(value, inputs)
+        (theta, inputs), one = self.ones(), jnp.ones(())
+        law = dict.fromkeys(self.layout.model.noise.parameters(), one)
+        keep = live(lambda i: (self.point(theta, one, i), self.noise_variance(law, one, i)), inputs)
         return tuple(n for n, k in zip(sorted(inputs), keep, strict=True) if k)
 
     @cached_property
     def affine(self) -> bool:
         """Whether the output is a straight line in the stimulus, by its traced derivative."""
         theta, inputs = self.ones()
-        slope = jax.grad(lambda s: self.point(theta, s, inputs))
-        return not live(slope, jnp.ones(()))[0]
+        return not live(jax.grad(lambda s: self.point(theta, s, inputs)), jnp.ones(()))[0]
 
     def ones(self) -> tuple[Scalars, Scalars]:
         """θ by key, and the inputs by name, to trace the equation with."""
@@ -223,45 +181,45 @@ class OperatingEquation(eqx.Module):
         """θ by key."""
         return {u.key: theta[i] for i, u in enumerate(self.unknowns())}
 
-    def point(self, theta: Scalars, stimulus: Float[Array, ""], inputs: Scalars):
-        """Expected output of one reading, output unit.
+    def point(
+        self, theta: Scalars, stimulus: Float[Array, ""], inputs: Scalars, slot: str | None = None
+    ) -> Float[Array, ""]:
+        """Return the expected output of one reading, output unit, or what one slot comes to, in the slot's unit.
 
         Args:
             theta: unknowns by their key, in reported units.
             stimulus: in its unit.
             inputs: by name, in fixed units.
+            slot: by name; None for the output.
         """
-        frame = self.one_reading(stimulus, self._with_moved_lags(theta, inputs))
-        slots, corrected = self._composed(theta, frame)
-        if self.use.equation is None:
+        moved = dict(inputs)  # each lag, given at the mean of its τ, at the τ of θ, to first order
+        for lag in self.lags:
+            if lag.shape is not None and lag.slope in inputs:
+                away = lag.multiple * theta[lag.shape] - lag.tau
+                moved[lag.name] = inputs[lag.name] + inputs[lag.slope] * away
+        slots, corrected = self._composed(theta, self.one_reading(stimulus, moved))
+        if slot is not None:
+            found = slots[slot]
+        elif self.use.equation is None:
             found = self.layout.model.instrument.response(slots, corrected)
         else:
             found = self.use.equation(jnp.reshape(stimulus, (1,)), slots, corrected)
         return jnp.reshape(found, ())
 
-    def slot(
-        self, name: str, theta: Scalars, stimulus: Float[Array, ""], inputs: Scalars
-    ) -> Float[Array, ""]:
-        """What one slot comes to in one reading, in the slot's unit; the other arguments are those of `point`."""
-        frame = self.one_reading(stimulus, self._with_moved_lags(theta, inputs))
-        return jnp.reshape(self._composed(theta, frame)[0][name], ())
-
     def noise_variance(
         self, law: Scalars, stimulus: Float[Array, ""], inputs: Scalars
     ) -> Float[Array, ""]:
-        """Return the variance of one reading's noise by the noise law, output unit squared.
+        """Return the variance of one reading's noise by the noise law, whose parameters are `law`, output unit squared.
 
         What is known of the uncertainty of a single reading is not in it.
-
-        Args:
-            law: parameters of the noise law by name.
-            stimulus, inputs: as of `point`.
         """
         frame = self.one_reading(stimulus, inputs)
         return jnp.reshape(self.layout.model.noise.variance(law, frame), ())
 
-    def at_point(self, mean: np.ndarray, point: Mapping[str, float]) -> AtPoint:
-        """The equation with its derivatives at θ = `mean` and one operating point: stimulus and inputs by name.
+    def at_point(
+        self, mean: np.ndarray, point: Mapping[str, float]
+    ) -> tuple[float, float, np.ndarray]:
+        """Return expected output, slope by the stimulus and gradient by θ at θ = `mean` and an operating point.
 
         Inputs that are not in `point` are zero, since the equation makes no use of them.
         """
@@ -270,20 +228,7 @@ class OperatingEquation(eqx.Module):
         value, (gradient, slope) = jax.value_and_grad(
             lambda theta, s: self.point(self.named(theta), s, inputs), argnums=(0, 1)
         )(*at)
-        return AtPoint(float(value), float(slope), np.asarray(gradient))
-
-    def inverted(self, theta: Scalars, output: Float[Array, ""], inputs: Scalars):
-        """The stimulus of a reading, and the slope of the output by it; NaN where there is none."""
-        return settled(lambda s: self.point(theta, s, inputs), output, self.affine)
-
-    def _with_moved_lags(self, theta: Scalars, inputs: Scalars) -> Scalars:
-        """The inputs with each lag, given at the mean of its τ, at the τ of θ, to first order."""
-        moved = dict(inputs)
-        for lag in self.lags:
-            if lag.shape is not None and lag.slope in inputs:
-                away = lag.multiple * theta[lag.shape] - lag.tau
-                moved[lag.name] = inputs[lag.name] + inputs[lag.slope] * away
-        return moved
+        return float(value), float(slope), np.asarray(gradient)
 
     def one_reading(self, stimulus: Float[Array, ""], inputs: Scalars) -> OneReading:
         """One reading as bases see it; arguments as of `point`."""
@@ -377,14 +322,7 @@ def folded(
     effects: Collection[str],
     at: Sequence[tuple[str, float, str]],
 ) -> OperatingEquation:
-    """An equation without some effects, each slot with what these come to at one place.
-
-    Args:
-        equation: that holds them.
-        calibration: that it is of.
-        effects: their names.
-        at: stimulus and every input: name, value, unit.
-    """
+    """An equation without some effects, each slot with what these come to at one place."""
     model = equation.layout.model
     kept = replace(model, effects=tuple(e for e in model.effects if e.name not in effects))
     acting = {b.slot for b in equation.blocks if b.effect.name in effects}
@@ -419,17 +357,14 @@ def _with_lags_of(found: OperatingEquation, calibration: Calibration) -> Operati
 
 def _theta(equation: OperatingEquation, calibration: Calibration) -> dict[str, Array]:
     """Posterior means of the unknowns in use, by their key; of a new member, that of its prior."""
-    blocks = {b.name: b for b in equation.blocks}
-    return {
-        u.key: jnp.asarray(
-            float(blocks[u.key].coefficient.mean)
-            if u.kind == "new"
-            else 0.0
-            if u.kind == "folded"
-            else calibration.samples(u.name).mean()
-        )
-        for u in equation.unknowns()
-    }
+    prior = {b.name: float(b.coefficient.mean) for b in equation.blocks}
+
+    def mean(u: UnknownInUse) -> float:
+        if u.kind in ("new", "folded"):
+            return prior.get(u.key, 0.0)
+        return calibration.samples(u.name).mean()
+
+    return {u.key: jnp.asarray(mean(u)) for u in equation.unknowns()}
 
 
 ALL_DRAWS = 10**9  # draws: every one there is
@@ -444,7 +379,7 @@ class PosteriorMoments(NamedTuple):
 
 
 def posterior_moments(
-    equation: OperatingEquation, calibration: Calibration, draws: int, seed: int = 0
+    equation: OperatingEquation, calibration: Calibration, draws: int
 ) -> PosteriorMoments:
     """Draws of θ, at most `draws` of them evenly thinned; mean and covariance from all, which coefficients' draws have.
 
@@ -452,12 +387,17 @@ def posterior_moments(
     covariance, so that what is computed from draws and from moments agrees.
     """
     unknowns, blocks = equation.unknowns(), {b.name: b for b in equation.blocks}
-    total, random = len(calibration.draws().x), np.random.default_rng(seed)
+    total, random = len(calibration.draws().x), np.random.default_rng(calibration.seed)
     step = max(1, -(-total // draws))
     values, mean = np.zeros((total, len(unknowns))), np.zeros(len(unknowns))
     new = [i for i, u in enumerate(unknowns) if u.kind == "new"]
-    left = equation.folded
-    at_one_place = {} if left is None else _of_folded(equation, left, calibration, seed)
+    at_one_place = dict[str, np.ndarray]()
+    if (left := equation.folded) is not None:
+        stimulus, inputs = left.values[equation.use.stimulus], left.values
+        at = np.full(1, stimulus), {n: np.full(1, v) for n, v in inputs.items()}
+        for slot, _ in left.slots:
+            added = _added_by_folded(equation, left, calibration, ALL_DRAWS, *at, slot)
+            at_one_place[left.name(slot)] = added[:, 0]
     for i, u in ((i, u) for i, u in enumerate(unknowns) if i not in new):
         known = u.key in at_one_place
         values[:, i] = at_one_place[u.key] if known else calibration.samples(u.name)
@@ -469,40 +409,31 @@ def posterior_moments(
         spread = _spread(calibration, block) * has_effect(calibration, block.effect.name)
         mean[i], covariance[i, i] = block.coefficient.mean, float(np.mean(spread**2))
         thin[:, i] = mean[i] + _independent(thin - mean, spread[::step], covariance[i, i], random)
-    linear = [
-        i for i, u in enumerate(unknowns) if u.kind != "shape"
-    ]  # a shape moved so may leave its range
+    # A shape moved so may leave its range.
+    linear = [i for i, u in enumerate(unknowns) if u.kind != "shape"]
     if step > 1:
         own = mean[linear], covariance[np.ix_(linear, linear)]
         thin[:, linear] = _with_moments(thin[:, linear], *own)
     return PosteriorMoments(thin, mean, covariance)
 
 
-def _with_and_without(
-    equation: OperatingEquation, folded: Folded, calibration: Calibration, draws: int, seed: int
-) -> tuple[OperatingEquation, Array, Array]:
-    """The equation that holds the folded effects too, with draws of its θ, and the same without these, (d, p)."""
+def _added_by_folded(
+    equation: OperatingEquation,
+    left: Folded,
+    calibration: Calibration,
+    draws: int,
+    stimulus: Float[np.ndarray, "n"],
+    inputs: Mapping[str, Float[np.ndarray, "n"]],
+    slot: str | None = None,
+) -> Float[np.ndarray, "d n"]:
+    """Return what the folded effects add to the output, or to a slot, at places, over draws."""
     whole = equation_in_use(calibration, dict(equation.members))
-    theirs = {b.name for b in whole.blocks if b.effect.name in folded.effects}
-    theta = posterior_moments(whole, calibration, draws, seed).draws
-    kept = [u.key not in theirs for u in whole.unknowns()]
-    return whole, jnp.asarray(theta), jnp.asarray(theta * kept)
-
-
-def _of_folded(
-    equation: OperatingEquation, left: Folded, calibration: Calibration, seed: int
-) -> dict[str, np.ndarray]:
-    """Draws of what the folded effects come to at their place, (d,), by the key of their unknown."""
-    whole, *both = _with_and_without(equation, left, calibration, ALL_DRAWS, seed)
-    at, found = left.values, dict[str, np.ndarray]()
-    inputs = {name: jnp.full(1, at.get(name, 0.0)) for name in whole.names}
-    stimulus = jnp.full(1, at[equation.use.stimulus])
-    for slot, _ in left.slots:
-        with_them, without = (
-            slots_over_draws(whole, slot, theta, stimulus, inputs) for theta in both
-        )
-        found[left.name(slot)] = np.asarray(with_them - without)[:, 0]
-    return found
+    theirs = {b.name for b in whole.blocks if b.effect.name in left.effects}
+    theta = posterior_moments(whole, calibration, draws).draws
+    kept = np.array([u.key not in theirs for u in whole.unknowns()])
+    at = _places(whole, {whole.use.stimulus: stimulus, **inputs})
+    each = (points_over_draws(whole, jnp.asarray(t), *at, slot) for t in (theta, theta * kept))
+    return np.asarray(np.subtract(*each))
 
 
 # Draws, and readings, over which the size of what is left out is known well enough.
@@ -515,24 +446,24 @@ def left_out(
     calibration: Calibration,
     inputs: Mapping[str, np.ndarray],
 ) -> float:
-    """What the folded effects make of the output elsewhere than at their place: rms over draws and readings, its unit.
+    """Return what the folded effects make of the output elsewhere than at their place, rms over draws and readings.
 
-    Args:
-        equation, left: an equation, and the effects folded in it.
-        calibration: that it is of.
-        inputs: of the equation that holds them, at the readings of the calibration.
+    `inputs` are those of the equation that holds them, at the readings of the calibration.
     """
-    whole, *both = _with_and_without(equation, left, calibration, SIZE_DRAWS, calibration.seed)
     rows = slice(None, None, -(-len(calibration.readings) // SIZE_DRAWS))
+    acting, own = _stimulus(equation, calibration)[rows], {n: v[rows] for n, v in inputs.items()}
+    there = {n: np.full(len(v), left.values.get(n, 0.0)) for n, v in own.items()}
+    elsewhere, at_place = (
+        _added_by_folded(equation, left, calibration, SIZE_DRAWS, acting, one)
+        for one in (own, there)
+    )
+    return float(np.sqrt(np.mean((elsewhere - at_place) ** 2)))
+
+
+def _stimulus(equation: OperatingEquation, calibration: Calibration) -> Float[np.ndarray, "n"]:
+    """Return the stimulus of each reading of the fit; zero where it is no column."""
     readings, name = calibration.readings, equation.use.stimulus
-    acting = readings[name] if readings.has(name) else np.zeros(len(readings))
-    there = {n: np.full(len(v), left.values.get(n, 0.0)) for n, v in inputs.items()}
-    added = []
-    for one in (inputs, there):
-        at = jnp.asarray(acting[rows]), {n: jnp.asarray(v[rows]) for n, v in one.items()}
-        with_them, without = (points_over_draws(whole, t, *at) for t in both)
-        added.append(np.asarray(with_them - without))
-    return float(np.sqrt(np.mean((added[0] - added[1]) ** 2)))
+    return readings[name] if readings.has(name) else np.zeros(len(readings))
 
 
 def _independent(
@@ -543,9 +474,8 @@ def _independent(
 ) -> Float[np.ndarray, "d"]:
     """Draws of mean zero, of a standard deviation each and a variance of all, that are correlated with no others."""
     size = others.std(axis=0)
-    others = (others[:, size > 0] / size[size > 0])[
-        :, : len(spread) // 2
-    ]  # of a handful of draws few
+    others = others[:, size > 0] / size[size > 0]
+    others = others[:, : len(spread) // 2]  # of a handful of draws few
     beside = spread[:, None] * np.column_stack([np.ones(len(spread)), others])
     normal = random.standard_normal(len(spread))
     drawn = spread * (normal - beside @ np.linalg.lstsq(beside, normal, rcond=None)[0])
@@ -617,13 +547,9 @@ def first_order(equation: OperatingEquation, theta, covariance, output, inputs, 
 @compiled
 def expected_first_order(equation: OperatingEquation, theta, covariance, stimulus, inputs):
     """Expected output at each place, and its standard uncertainty from the calibration, (n,) each."""
-
-    def expected(theta):
-        return _points(equation, theta, stimulus, inputs)
-
-    gradient = jax.jacfwd(expected)(theta)
+    gradient = jax.jacfwd(lambda theta: _points(equation, theta, stimulus, inputs))(theta)
     variance = jnp.einsum("ni,ij,nj->n", gradient, covariance, gradient)
-    return expected(theta), jnp.sqrt(jnp.maximum(variance, 0.0))
+    return _points(equation, theta, stimulus, inputs), jnp.sqrt(jnp.maximum(variance, 0.0))
 
 
 @compiled
@@ -643,31 +569,24 @@ def errors_over_draws(equation: OperatingEquation, theta, mean, stimulus, inputs
 
 
 @compiled
-def slots_over_draws(equation: OperatingEquation, name: str, theta, stimulus, inputs):
-    """What a slot comes to at each place, for draws of θ, (d, n)."""
-
-    def values(one):
-        named = equation.named(one)
-        return jax.vmap(lambda s, i: equation.slot(name, named, s, i))(stimulus, inputs)
-
-    return jax.vmap(values)(theta)
+def points_over_draws(equation: OperatingEquation, theta, stimulus, inputs, slot=None):
+    """The expected output, or what a slot comes to, at each place, for draws of θ, (d, n)."""
+    return jax.vmap(lambda one: _points(equation, one, stimulus, inputs, slot))(theta)
 
 
-@compiled
-def points_over_draws(equation: OperatingEquation, theta, stimulus, inputs):
-    """The expected output at each place, for draws of θ, (d, n)."""
-    return jax.vmap(lambda one: _points(equation, one, stimulus, inputs))(theta)
-
-
-def _points(equation: OperatingEquation, theta, stimulus, inputs):
+def _points(equation: OperatingEquation, theta, stimulus, inputs, slot=None):
     named = equation.named(theta)
-    return jax.vmap(lambda s, i: equation.point(named, s, i))(stimulus, inputs)
+    return jax.vmap(lambda s, i: equation.point(named, s, i, slot))(stimulus, inputs)
 
 
 def _inverted(equation: OperatingEquation, theta, output, inputs: Scalars, record: Frame | None):
-    """Stimulus and the slope of the output by it, reading by reading; lags of the record for the times in θ."""
+    """Stimulus and the slope of the output by it, reading by reading, NaN where there is none; lags of the record."""
     named, own = equation.named(theta), _with_lags(equation, theta, inputs, record)
-    return jax.vmap(lambda y, i: equation.inverted(named, y, i))(output, own)
+
+    def one(y, i):
+        return settled(lambda s: equation.point(named, s, i), y, equation.affine)
+
+    return jax.vmap(one)(output, own)
 
 
 def _with_lags(
@@ -704,31 +623,25 @@ def solved(
     """
     lags = [] if record is None else [lag.name for lag in equation.lags]
     output = jnp.asarray(given["output"])
-    unused = jnp.zeros(len(given["output"]))
     inputs = {
-        name: jnp.asarray(given[name]) if name in equation.inputs else unused
-        for name in equation.names
-        if name not in lags
+        n: jnp.asarray(given[n]) if n in equation.inputs else jnp.zeros(len(output))
+        for n in equation.names
+        if n not in lags
     }
     if by_draws:
         found = over_draws(equation, jnp.asarray(moments.draws), output, inputs, record)
     else:
         mean, covariance = jnp.asarray(moments.mean), jnp.asarray(moments.covariance)
         found = first_order(equation, mean, covariance, output, inputs, record)
-    value, variance, inclination = (np.asarray(f) for f in found)
+    value, variance, inclination = map(np.asarray, found)
     return value, variance, inclination
 
 
 class NoiseInUse(NamedTuple):
-    """What the posterior says of the noise law in use.
+    """What the posterior says of the noise law in use."""
 
-    Attributes:
-        law: its parameters by name, at the posterior mean of their coordinates.
-        level: posterior mean of the variance over the readings of the fit, over the variance by `law` there.
-    """
-
-    law: dict[str, Any]
-    level: float
+    law: dict[str, Any]  # its parameters by name, at the posterior mean of their coordinates
+    level: float  # posterior mean of the variance over the readings of the fit, over the variance by `law` there
 
 
 NOISE_READINGS, NOISE_DRAWS = 200, 2000  # over which the level of the noise is averaged
@@ -740,10 +653,9 @@ def noise_in_use(
 ) -> NoiseInUse:
     """Return the noise law of a calibration as it is used; `inputs` are those of the readings of the fit, (n,) each."""
     layout, (_, v) = calibration.layout, calibration.draws(NOISE_DRAWS)
-    readings, name = calibration.readings, equation.use.stimulus
-    acting = readings[name] if readings.has(name) else np.zeros(len(readings))
-    rows = slice(None, None, -(-len(readings) // NOISE_READINGS))
-    places = _places(equation, {name: acting[rows], **{n: x[rows] for n, x in inputs.items()}})
+    rows = slice(None, None, -(-len(calibration.readings) // NOISE_READINGS))
+    acting = {equation.use.stimulus: _stimulus(equation, calibration)}
+    places = _places(equation, {n: x[rows] for n, x in (acting | dict(inputs)).items()})
     law = forward.hyper_values(layout, jnp.asarray(v.mean(axis=0)))
     each = jax.vmap(lambda v: forward.hyper_values(layout, v))(jnp.asarray(v))
     over_draws = jax.vmap(lambda law: jnp.mean(_over_places(equation, law, *places)))(each)

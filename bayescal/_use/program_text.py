@@ -1,12 +1,14 @@
-"""A compensation program as text, by templates: C99 or Python."""
+"""A compensation program as text, by templates: C99 or Python; and what the templates of exports begin with."""
 
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
+import zlib
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from typing import Any
 
+from bayescal._core import templates
 from bayescal._core.quoting import identifier, number_text, python_string
 from bayescal._data.time_in_runs import RATE_WINDOW, SILENCE_WINDOWS
 from bayescal._use.compensation_program import (
@@ -14,8 +16,8 @@ from bayescal._use.compensation_program import (
     STEPS,
     STIMULUS,
     CompensationProgram,
+    Input,
 )
-from bayescal._use.export_template import code_template, include_guard
 from bayescal._use.expression_graph import Language, statements
 
 # Names that the templates give themselves.
@@ -27,8 +29,7 @@ def program_text(
     program: CompensationProgram, language: Language, name: str, uncertainty: bool
 ) -> str:
     """The C99 header or the Python module, from its template."""
-    uncertain = (program.noise, *program.gradient) if uncertainty else ()
-    outputs = (program.expected, program.slope), uncertain
+    outputs = (program.expected, program.slope), (program.noise, *program.gradient) * uncertainty
     if not uncertainty:  # nor what only the uncertainty depends on
         needed = program.graph.inputs(outputs[0])
         program = replace(program, inputs=tuple(i for i in program.inputs if i.name in needed))
@@ -41,16 +42,15 @@ def program_text(
     factor = [number_text(lower[i, j]) for i in range(len(lower)) for j in range(i + 1)]
     expected, gradient = (statements(program.graph, one, names, language) for one in outputs)
     used = [program.graph.inputs(one) for one in outputs]
-    record = _record(program, fields)
-    words = language.words
-    return code_template(language.template, {"comment": words, "quoted": python_string}).render(
+    filters = {"comment": language.words, "quoted": python_string}
+    return code_template(language.template, filters).render(
         p=program,
         about=program.about,
         name=name,
         guard=include_guard(name, expected, gradient, factor, program.inputs, uncertainty),
         uncertainty=uncertainty,
         fields=fields,
-        record=record,
+        record=_record(program, fields),
         expected=expected,
         gradient=gradient,
         factor=factor,
@@ -62,34 +62,59 @@ def program_text(
 
 def _record(program: CompensationProgram, fields: Mapping[str, str]) -> dict[str, Any]:
     """What a record is corrected by, reading by reading: fields of its columns, and of what is made of their past."""
-    past = [i for i in program.inputs if i.kind != "column"]
-    columns = {i.column: fields[i.name] for i in program.inputs if i.kind == "column"}
-    units = {i.column: i.unit for i in program.inputs if i.kind == "column"}
-    for i in past:
-        if i.kind in PAST and i.column not in columns:
-            taken = {*_OWN_WORDS, *fields.values(), *columns.values()}
-            columns[i.column], units[i.column] = identifier(i.column, taken), "degC"
-    lags = {(i.column, i.tau): fields[i.name] for i in past if i.kind == "lag"}
-    rates = [i for i in past if i.kind == "rate"]
-    window = max((i.tau or RATE_WINDOW for i in rates), default=0.0)
+    now = [i for i in program.inputs if i.kind == "column"]
+    of: dict[str, list[Input]] = {
+        kind: [i for i in program.inputs if i.kind == kind] for kind in (*PAST, "elapsed")
+    }
+    columns = {i.column: (fields[i.name], i.unit) for i in now}
+    for i in (i for i in program.inputs if i.kind in PAST and i.column not in columns):
+        taken = {*_OWN_WORDS, *fields.values(), *(own for own, _ in columns.values())}
+        columns.setdefault(i.column, (identifier(i.column, taken), "degC"))
+
+    def both(i: Input) -> tuple[str, str]:
+        return columns[i.column][0], fields[i.name]
+
+    lags = {(i.column, i.tau): fields[i.name] for i in of["lag"]}
+    slopes = [(i, lags[i.column, i.tau]) for i in of["lag slope"]]
+    window = max((i.tau or RATE_WINDOW for i in of["rate"]), default=0.0)
     return {
-        "past": bool(past),
+        "past": len(now) < len(program.inputs),
         "dated": "time" in columns,
-        "columns": [(columns[name], units[name]) for name in columns],
-        "same": [(columns[i.column], fields[i.name]) for i in program.inputs if i.kind == "column"],
-        "lags": [
-            (columns[i.column], fields[i.name], i.tau, i.silence, i.held)
-            for i in past
-            if i.kind == "lag"
-        ],
-        "slopes": [
-            (columns[i.column], fields[i.name], i.tau, i.silence, i.held, lags[i.column, i.tau])
-            for i in past
-            if i.kind == "lag slope"
-        ],
-        "last": sorted({columns[i.column] for i in past if i.kind.startswith("lag")}),
-        "rates": [(columns[i.column], fields[i.name]) for i in rates],
-        "elapsed": [fields[i.name] for i in past if i.kind == "elapsed"],
+        "columns": [*columns.values()],
+        "same": [both(i) for i in now],
+        "lags": [(*both(i), i.tau, i.silence, i.held) for i in of["lag"]],
+        "slopes": [(*both(i), i.tau, i.silence, i.held, lag) for i, lag in slopes],
+        "last": sorted({columns[i.column][0] for i in (*of["lag"], *of["lag slope"])}),
+        "rates": [both(i) for i in of["rate"]],
+        "elapsed": [fields[i.name] for i in of["elapsed"]],
         "window": window * (1 + 1e-9),  # as the rate of a record has it
         "silence": SILENCE_WINDOWS * window,
     }
+
+
+def code_template(
+    file: str,
+    filters: Mapping[str, Callable[..., Any]],
+    package: str = "bayescal._use",
+) -> Any:
+    """A template of a package, in which `number` writes a number with all its digits."""
+    filters = {"number": number_text, **filters}
+    return templates.template(package, file, filters, keep_trailing_newline=True)
+
+
+def include_guard(name: str, *computed: Any) -> str:
+    """The first lines of a header: it is taken once, and not at all where another of its name was.
+
+    Else the second of two would be passed over without a word, and its sensor be corrected by the first.
+
+    Args:
+        name: of the sensor.
+        computed: what the header computes, whose checksum is the guard's value.
+    """
+    stamp = f"0x{zlib.crc32(repr(computed).encode()):08x}UL"
+    guard = f"BAYESCAL_{name.upper()}_H"
+    return (
+        f"#if defined({guard}) && {guard} != {stamp}\n"
+        f"#error two sensors are called {name}: export one of them with another name\n"
+        f"#endif\n#ifndef {guard}\n#define {guard} {stamp}"
+    )

@@ -70,7 +70,7 @@ def test_rounding_of_an_angle_is_quantisation_noise() -> None:
 
 @pytest.mark.slow
 def test_a_line_is_a_tone_and_no_density() -> None:
-    readings, frequency = still(12, n=3000, walk=0.0), 2.31  # Hz
+    readings, frequency = still(14, n=3000, walk=0.0), 2.31  # Hz
     line = 0.004 * math.sqrt(2) * np.cos(2 * math.pi * frequency * readings["time"])
     found = bc.noise(readings.with_column("output", readings["output"] + line))
     assert found.law == "white + tone"
@@ -99,7 +99,65 @@ def test_a_dependence_on_temperature_is_no_noise() -> None:
     assert bc.noise(data).law == "white"
 
 
-def test_lost_readings_are_missing_ones_of_the_filter() -> None:
+def records(count: int) -> np.ndarray:
+    """Whether the intervals of N and K hold the truth, of white noise and a walk; and of B, beside flicker noise."""
+    held, n, size = [], 10_000, 7e-4
+    frequency = np.fft.rfftfreq(2 * n)[1:]
+    for seed in range(count):
+        random = np.random.default_rng([31, seed])
+        walking = bc.noise(still(1000 + seed, n=n))
+        drawn = random.standard_normal((len(frequency), 2)) @ [1, 1j]
+        shape = np.append(0.0, size * drawn * np.sqrt(n / (2 * np.pi * frequency)))
+        flicker = np.fft.irfft(shape, 2 * n)[:n]  # of the spectrum B²/(2πf), IEEE 952
+        data = still(2000 + seed, n=n, walk=0.0)
+        flickering = bc.noise(data.with_column("output", data["output"] + flicker))
+        pairs = (
+            (walking, "N", 60 * N),
+            (walking, "K", 3600 * 60 * K),
+            (flickering, "B", 3600 * size),
+        )
+        found = [(next((f for f in r.figures if f.symbol == s), None), t) for r, s, t in pairs]
+        held.append([np.nan if f is None or f.bound else f.low < t < f.high for f, t in found])
+    return np.array(held)
+
+
+@pytest.mark.parametrize("count", [4, pytest.param(60, marks=pytest.mark.slow)])
+def test_intervals_hold_the_truth(count) -> None:
+    held = records(count)
+    assert np.mean(np.isnan(held)) < 0.2
+    share = np.nanmean(held, axis=0)
+    assert (share >= 0.95 - 3 * math.sqrt(0.95 * 0.05 / count)).all()
+
+
+@pytest.mark.slow
+def test_figures_are_those_of_the_filter() -> None:
+    """White noise and a walk under the same priors, fitted by the Kalman filter."""
+    data = still(5)
+    found = bc.noise(data)
+    changes = np.diff(data["output"])
+    scale = bc.HalfCauchy(1.4826 * float(np.median(np.abs(changes))) / math.sqrt(2))
+    law = bc.SummedNoise(STEP, STEP * 8192, ("walk",), scale, scale)
+    fit = bc.fit(GYRO.baseline().with_noise(law), data, strict=False)
+    posterior = fit.tree["posterior"]
+    for name, own, unit in (
+        ("N", "noise.white", 60 * math.sqrt(STEP)),
+        ("K", "noise.walk", 3600 * 60),
+    ):
+        values = unit * posterior[own].values
+        one = symbol(found, name)
+        assert one.value == pytest.approx(float(np.median(values)), rel=0.01)
+
+
+@pytest.mark.slow
+def test_endless_line_has_its_root_mean_square() -> None:
+    data, size = still(13, n=20_000), 0.004
+    line = size * math.sqrt(2) * np.cos(2 * math.pi * 2.31 * data["time"])
+    found = bc.noise(data.with_column("output", data["output"] + line))
+    (tone,) = (f for f in found.figures if f.name == "tone, size")
+    assert tone.low < 3600 * size < tone.high < 1.1 * tone.low
+
+
+def test_lost_readings_are_drawn_from_the_law() -> None:
     data, random = still(6, n=2000), np.random.default_rng(5)
     lost = random.random(2000) < 0.05
     lost[900:940] = True  # and a pause

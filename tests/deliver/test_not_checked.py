@@ -66,7 +66,7 @@ def test_what_passes_its_check_decides_and_keeps_its_identity() -> None:
 
 def test_a_calibration_that_was_checked_is_not_checked_again(fit, tmp_path) -> None:
     """What `calibrate` has judged, with conflicts that the user accepts, stays judged when it is loaded."""
-    passed = fit.judged(())
+    passed = fit.with_verdict(checked=True)
     again = bc.load(passed.save(tmp_path / "calibration.nc"))
     assert bc.decide(again, LIMIT).conforms
     assert not bc.decide(replace(fit), LIMIT).conforms

@@ -89,7 +89,7 @@ BEHIND = {
         _search.gate: judged
         _search.noise_laws: laws_over
         _search.own_files: in_a_file refuse_unnamed user_effects
-        _search.preview: Previews
+        _search.preview: Preview Previews
         _search.search_path: Step steps_table
         _search.structures: SIZE_FACTORS Structure
         _tables.cells: ORDERS

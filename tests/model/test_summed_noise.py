@@ -13,8 +13,8 @@ import pytest
 from scipy import stats
 
 import bayescal as bc
+from bayescal._inference.noise_nodes import EvenSpectrum
 from bayescal._model.noise_terms import ENDLESS, FASTEST, RUNGS
-from bayescal._model.state_space import filtered, of_means
 from bayescal_models import still_sensor
 from tests.support.inside import frame_of
 from tests.support.tiers import slow_but
@@ -345,29 +345,31 @@ def test_ornstein_uhlenbeck_noise_is_the_sum_of_one_term(rng) -> None:
     assert alone.coefficients_in_time == {"noise.diffusion": "K"}
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(
     "terms",
     [
-        ("walk", "flicker"),
-        ("smooth", "tone"),
-        ("correlated", "averaging"),
+        *(s for s in SUMS if "smooth" not in s),
         ("quantisation",),
+        ("correlated", "averaging"),
         ("tone", "averaging"),
     ],
     ids=name_of,
 )
-def test_means_are_whitened_by_their_dense_covariance(terms, rng) -> None:
-    law, count, runs = law_of(terms), 5, (4, 3)
-    time = STEP * np.arange(count * sum(runs)) + np.repeat([0.0, 500.0], count * np.array(runs))
-    within = np.repeat([0, 1], count * np.array(runs))
-    dense = (within[:, None] == within) * slow_covariance(terms, time[:, None] - time)
+def test_products_in_frequency_give_the_restricted_likelihood(terms, rng) -> None:
+    """Two runs of one length and one of another, longer than single nodes reach; a column and levels taken out."""
+    lengths, law = (130, 130, 310), law_of(terms)
+    time = STEP * np.concatenate([np.arange(n) for n in lengths])
+    run = np.repeat(np.arange(3), lengths)
+    dense = (run[:, None] == run) * slow_covariance(terms, time[:, None] - time)
     dense += VALUES["noise.white"] ** 2 * np.eye(time.size)
-    average = np.kron(np.eye(sum(runs)), np.full(count, 1 / count))
-    columns = rng.standard_normal((sum(runs), 2))
-    exact = np.linalg.solve(np.linalg.cholesky(average @ dense @ average.T), columns)
-    first = jnp.asarray(np.isin(np.arange(sum(runs)), (0, runs[0])))
-    states = of_means(law.states(in_jax(law), jnp.array([-1.0, STEP])), count, first)
-    white = jnp.full(sum(runs), VALUES["noise.white"] ** 2 / count)
-    found, _ = filtered(states, white, jnp.asarray(columns))
-    np.testing.assert_allclose(found, exact, rtol=1e-9, atol=1e-9)
+    columns = np.column_stack([np.exp(-time / 40), rng.standard_normal(time.size).cumsum()])
+    levels = (run[:, None] == np.arange(3)) / np.sqrt(lengths)
+    whole = np.column_stack([levels, columns])
+    gram = whole.T @ np.linalg.solve(dense, whole)
+    known = gram[:-1, :-1]
+    rss = gram[-1, -1] - gram[-1, :-1] @ np.linalg.solve(known, gram[:-1, -1])
+    expected = -0.5 * (np.linalg.slogdet(dense)[1] + np.linalg.slogdet(known)[1] + rss)
+    parts = [columns[run == k] for k in range(3)]
+    nodes = EvenSpectrum(parts, STEP, [VALUES["noise.tone.frequency"]])
+    values = {name: np.full(2, VALUES[name]) for name in law.parameters()}
+    assert nodes.log_likelihood(law, values) == pytest.approx(expected, rel=1e-7)

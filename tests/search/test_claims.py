@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import pickle
 import string
 from pathlib import Path
 
 import pytest
 
-from bayescal._calibration.claim import Claim, as_kept, distinct
+from bayescal._calibration.claim import Claim, as_claim
 from bayescal._calibration.claim_words import WORDS, Words
 
 PAGE = Path(__file__).with_name("claims.txt")
@@ -49,18 +50,12 @@ def test_a_severity_is_one_of_three(words: Words) -> None:
 
 
 def test_equal_claims_count_once_and_those_of_a_saved_calibration_too() -> None:
-    one, other = (
-        Claim("prior.widened", "x", contraction=-2.0),
-        Claim("prior.widened", "x", contraction=-3.0),
-    )
+    one, other = (Claim("prior.widened", "x", contraction=c) for c in (-2.0, -3.0))
     assert one == Claim("prior.widened", "x", contraction=-2.0) != other
-    assert distinct([one, other, one, as_kept(str(other))]) == (one, other)
-    assert one.data() == {
-        "code": "prior.widened",
-        "of": ["x"],
-        "severity": "stop",
-        "in_words": str(one),
-    }
+    assert {one, other, as_claim(one), as_claim(str(other))} == {one, other}
+    assert pickle.loads(pickle.dumps(one)).numbers == one.numbers
+    told = {"code": "prior.widened", "of": ["x"], "severity": "stop"}
+    assert one.data() == {**told, "in_words": str(one)}
 
 
 if __name__ == "__main__":

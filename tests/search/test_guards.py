@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 
 import bayescal as bc
-from bayescal._calibration import guards
+from bayescal._calibration import judgement
 from bayescal._calibration.claim import Claim
-from bayescal._calibration.guards import conflicts
+from bayescal._calibration.judgement import CONFLICTS, GROUPS, Subject, claims
 from bayescal._calibration.leave_group_out import leave_one_group_out
 from bayescal._search.gate import gate, in_one_order
 from bayescal.effects import deviation
@@ -40,8 +40,8 @@ def runs() -> bc.Calibration:
 
 
 def test_an_ordinary_fit_trips_none(line: bc.Calibration, runs: bc.Calibration) -> None:
-    assert conflicts(line) == []
-    assert conflicts(runs) == []
+    assert claims(CONFLICTS, Subject(line)) == []
+    assert claims(CONFLICTS, Subject(runs)) == []
 
 
 def write_off(path) -> Any:
@@ -69,11 +69,11 @@ def told_of(
     line: bc.Calibration, monkeypatch: pytest.MonkeyPatch, coefficient: bool = False, **row: Any
 ) -> list[Claim]:
     """Conflicts of a fit whose summary has one spread more, or one coefficient."""
-    coefficients, spreads = guards.summary(line)
+    coefficients, spreads = judgement.summary(line)
     more = [{**ROW, **row}]
     both = ([*coefficients, *more], spreads) if coefficient else (coefficients, [*spreads, *more])
-    monkeypatch.setattr(guards, "summary", lambda _: both)
-    return conflicts(line)
+    monkeypatch.setattr(judgement, "summary", lambda _: both)
+    return claims(CONFLICTS, Subject(line))
 
 
 @pytest.mark.parametrize(("sign", "count"), [(1.0, 0), (-1.0, 1)])
@@ -88,12 +88,14 @@ def test_runs_that_differ_by_far_more_than_is_plausible(
     readings = bc.Measurements.from_arrays(INSTRUMENT, **columns, output=output)
     between = deviation("bias", "run", 0.3, "deg/s", source="ours")
     found = bc.fit(runs.model + between, readings, bc.LeastSquares(draws=200), strict=False)
-    told = guards.too_different(found)
+    told = claims(GROUPS, Subject(found))
     assert len(told) == count
     assert all(said.numbers["member"].startswith("bias.run(") for said in told)
     assert set(told) <= set(found.conflicts)
-    assert guards.too_different(found, ["bias.run"]) == []
-    assert not set(told) & set(conflicts(found)), "what is missing may be what they differ by"
+    assert claims(GROUPS, Subject(found, ["bias.run"])) == []
+    assert not set(told) & set(claims(CONFLICTS, Subject(found))), (
+        "what is missing may be what they differ by"
+    )
 
 
 @pytest.mark.parametrize(("shuffled", "count"), [(False, 1), (True, 0)])
@@ -105,7 +107,7 @@ def test_a_function_of_an_input_that_has_one_order(shuffled: bool, count: int) -
         given = given.with_column("position_angle", np.random.default_rng(1).permutation(angle))
     model = ng_accelerometer.INSTRUMENT.baseline() + "unknown(position_angle)"
     found = bc.fit(model, given, bc.LeastSquares(draws=200), strict=False)
-    told = in_one_order(cast(Any, SimpleNamespace(calibration=found)))
+    told = [*in_one_order([cast(Any, SimpleNamespace(calibration=found))], 0.9)]
     assert len(told) == count
     assert all((t.code, t.of) == ("input.one_order", ("unknown(position_angle)",)) for t in told)
 
@@ -121,12 +123,12 @@ def test_members_that_follow_the_column_that_their_readings_deny() -> None:
     told = []
     for readings in (given, given.with_column("temperature", warm)):
         found = bc.fit(model, readings, bc.LeastSquares(draws=200), strict=False)
-        told.append(guards.following_members(found))
+        told.append(claims(GROUPS, Subject(found)))
     assert told[0] == []
     said = told[1][0]
     assert (said.code, said.of) == ("group.follows_column", ("bias.cell", "bias.temperature"))
     assert said in found.conflicts
-    assert guards.following_members(found, ["bias.cell", "scale.cell"]) == []
+    assert claims(GROUPS, Subject(found, ["bias.cell", "scale.cell"])) == []
 
 
 @pytest.mark.filterwarnings("ignore::RuntimeWarning")  # of overflow, on the way to no noise
@@ -209,9 +211,9 @@ def test_outliers_on_one_side_shut_the_gate(line) -> None:
 
 
 def test_a_fit_without_a_definite_curvature_shuts_the_gate(line) -> None:
-    assert guards.doubts_of_the_mode(line) == []
+    assert judgement.doubts_of_the_mode(line) == []
     mended = replace(line, mode=line.mode._replace(indefinite=True))
-    (reason,) = guards.doubts_of_the_mode(mended)
+    (reason,) = judgement.doubts_of_the_mode(mended)
     assert reason.code == "mode.indefinite"
     assert not gate(steps(line, {}, {"doubts": (reason,)})).ok
 

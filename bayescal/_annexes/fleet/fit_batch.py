@@ -315,7 +315,7 @@ def _fit(run: _Run, population: AskedPopulation) -> BatchResult:
         compared = replace(run, request=again).fitted().fits.result(common)
     return replace(
         pooled(result, named, options.seed) if named else result,
-        odd=odd_devices(pads.dataset(compared.rows()), result.facts),
+        odd=odd_devices(pads.dataset(compared.rows()), result.facts, common.noise.parameters()),
         checked=len(structures),
         missing=fitted.missing,
         effects=effects,

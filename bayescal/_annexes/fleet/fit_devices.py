@@ -590,7 +590,7 @@ class Fits:
         held = np.ptp(table, axis=0) == 0
         covariance[held], covariance[:, held] = np.nan, np.nan
         self._keep([name], found.unknowns, table.mean(axis=0)[None], covariance[None])
-        if why := " ".join(map(str, self._against(found))):
+        if why := " ".join(self._against(found)):
             self.reasons[name] = why
 
     @staticmethod

@@ -19,6 +19,7 @@ Bull. 2 (1946) 110; E. B. Wilson and M. M. Hilferty, Proc. Natl. Acad. Sci. 17 (
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from typing import NamedTuple
 
 import numpy as np
@@ -34,18 +35,18 @@ from bayescal.workshop import number, unit_label
 FAMILY_WISE_ERROR = 0.01
 FEWEST_DEVICES = 4  # devices, of fewer none is compared
 ROUNDS = 50  # until nothing changes, at most
-NOISE = "noise."  # what begins so is a standard deviation
 SAME_TEMPERATURE = 1.0  # °C, standard deviation of reference temperatures that are no different
 
 
-def odd_devices(results: pads.Dataset, facts: pd.DataFrame) -> dict[str, list[str]]:
+def odd_devices(
+    results: pads.Dataset, facts: pd.DataFrame, of_noise: Collection[str]
+) -> dict[str, list[str]]:
     """Return the devices of which a quantity is not like the others', and what is said of each.
-
-    One unknown is read after the other, for a process may not hold all.
 
     Args:
         results: rows of `device`, `coefficient`, `mean`, `sd`, `unit` and `ok`, of one model.
         facts: one row a device, by its name: how many readings it has, and its reference temperature T0, °C.
+        of_noise: names of the coefficients that are standard deviations of the noise.
     """
     good = pads.field("ok")
     facts = facts.loc[results.to_table(["device"], filter=good)["device"].unique().to_pylist()]
@@ -69,15 +70,14 @@ def odd_devices(results: pads.Dataset, facts: pd.DataFrame) -> dict[str, list[st
         readings = facts["readings"].loc[devices].fillna(0).to_numpy()
         variance, power = own["sd"].fillna(0.0).to_numpy() ** 2, 1.0
         freedom = np.maximum(readings - len(names) + 1, 1.0)
-        if name.startswith(NOISE):
+        if name in of_noise:
             power, mean = 2 / 3, np.abs(mean)
             variance, freedom = np.median(mean) ** (2 * power) * 2 / (9 * freedom), np.inf
         p, middle = predicted(mean**power if power < 1 else mean, variance, freedom, least)
         usual = number(abs(middle) ** (1 / power) if power < 1 else middle)
         for i in np.flatnonzero(p < least).tolist():
-            said = (
-                f"{name} {number(mean[i])}, of the others {usual} {unit_label(own['unit'].iloc[0])}"
-            )
+            said = f"{name} {number(mean[i])}, of the others {usual} "
+            said += unit_label(own["unit"].iloc[0])
             odd.setdefault(str(devices[i]), []).append(said.rstrip())
     return odd
 

@@ -35,22 +35,14 @@ ORDER = 3  # of the temperature, the highest that an autopilot takes
 
 @dataclass(frozen=True)
 class AtRest:
-    """Readings of a calibration as its posterior mean says they would be at rest.
+    """Readings of a calibration as its posterior mean says they would be at rest."""
 
-    Attributes:
-        temperature: °C, (n,).
-        offset: of the reading, in `unit`, (n,).
-        unit: "rad/s" or "m/s^2".
-        noise: standard deviation of one reading, in `unit`.
-        uncertainty: root mean square over the readings of the standard uncertainty of `offset`, in `unit`.
-        scale: smallest and largest scale factor there, less one; zeros where none was calibrated.
-    """
-
-    temperature: np.ndarray
-    offset: np.ndarray
-    unit: str
-    noise: float
-    uncertainty: float
+    temperature: np.ndarray  # °C, (n,)
+    offset: np.ndarray  # of the reading, in `unit`, (n,)
+    unit: str  # "rad/s" or "m/s^2"
+    noise: float  # standard deviation of one reading, in `unit`
+    uncertainty: float  # root mean square over the readings of the standard uncertainty of `offset`, in `unit`
+    # smallest and largest scale factor there, less one; zeros where none was calibrated
     scale: tuple[float, float]
 
     @property
@@ -64,23 +56,15 @@ class AtRest:
 
 @dataclass(frozen=True)
 class ThermalPolynomial:
-    """One axis as firmware has it; single precision, as firmware stores it.
+    """One axis as firmware has it; single precision, as firmware stores it."""
 
-    Attributes:
-        coefficients: c0 … c3, in `unit`/°C^k.
-        reference: T_ref, °C.
-        low, high: the temperatures between which it holds; firmware stops there, °C.
-        rms, largest: of what it leaves out of the calibration, over its readings in that range, in `unit`.
-        of: what it was projected from.
-    """
-
-    coefficients: tuple[float, float, float, float]
-    reference: float
-    low: float
+    coefficients: tuple[float, float, float, float]  # c0 … c3, in `unit`/°C^k
+    reference: float  # T_ref, °C
+    low: float  # low, high: the temperatures between which it holds; firmware stops there, °C
     high: float
-    rms: float
+    rms: float  # rms, largest: of what it leaves out of the calibration, over its readings in that range, in `unit`
     largest: float
-    of: AtRest
+    of: AtRest  # what it was projected from
 
     @property
     def unit(self) -> str:
@@ -155,27 +139,17 @@ Values = dict[str, float | int]
 
 
 class Autopilot(NamedTuple):
-    """A firmware.
+    """A firmware."""
 
-    Attributes:
-        title: of it.
-        sensors: how many of a kind it has parameters for.
-        together: what has one range of temperatures: the key of an axis.
-        reference: T_ref of a range (low, high), °C.
-        values: the parameters, from the polynomials and the device of each ("gyro", 0).
-        line: of a parameter file.
-        head: its first lines.
-        afterwards: what to do once it is loaded.
-    """
-
-    title: str
-    sensors: int
-    together: Callable[[Axis], tuple]
-    reference: Callable[[float, float], float]
+    title: str  # of it
+    sensors: int  # how many of a kind it has parameters for
+    together: Callable[[Axis], tuple]  # what has one range of temperatures: the key of an axis
+    reference: Callable[[float, float], float]  # T_ref of a range (low, high), °C
+    # the parameters, from the polynomials and the device of each ("gyro", 0)
     values: Callable[[Polynomials, Mapping[tuple[str, int], int]], Values]
-    line: Callable[[str, float | int], str]
-    head: tuple[str, ...]
-    afterwards: str
+    line: Callable[[str, float | int], str]  # of a parameter file
+    head: tuple[str, ...]  # its first lines
+    afterwards: str  # what to do once it is loaded
 
     def text(self, said: Iterable[str], values: Values) -> str:
         """A parameter file, with what is said of it in comments."""

@@ -130,14 +130,7 @@ def _rotated(
     by_terms: Float[np.ndarray, "3 q"],
     beside: Float[np.ndarray, "3 3"],
 ) -> tuple[VectorCorrection, Float[np.ndarray, "q 3"]]:
-    """In other axes, and what a turn of these moves its terms by.
-
-    Args:
-        field: in its own axes.
-        turn: from these to the others.
-        by_terms: what error of a term turns them by.
-        beside: covariance of what other errors turn them by, rad².
-    """
+    """In other axes, and what a turn of these moves its terms by."""
     k, p = field.terms.shape
     rotate = np.eye(p)
     rotate[3:12, 3:12] = np.kron(np.eye(3), turn)

@@ -199,11 +199,7 @@ def _answer(
 
 
 def _three(given: str | None) -> dict[str, str]:
-    """Of three outputs, their columns in a file.
-
-    Raises:
-        InputError: these are not three.
-    """
+    """Of three outputs, their columns in a file."""
     names = names_in(given)
     if len(names) not in (0, 3):
         raise InputError(f"{given!r} names {len(names)} columns: give three, as ax,ay,az")
@@ -290,11 +286,7 @@ def _write(folder: Path, trail: Any, correction: Any, readings: Any, sensor: str
 
 
 def _draw(trails: Mapping[str, Any], folder: Path) -> bool:
-    """Pictures and reports of three axes, in the folders of their results in this one, and a report of all.
-
-    Returns:
-        Whether all could be made; what could not is said.
-    """
+    """Pictures and reports of three axes, in the folders of their results in this one, and a report of all."""
     from bayescal.workshop import draw_search
 
     made = [drawn(draw_search, trails, folder)]
@@ -326,21 +318,14 @@ def parameters(asked: ExportRequest) -> Answer:
 def by_axis(
     given: Sequence[tuple[Path, bc.Compensator]], named: list[str] | None, own: InUse
 ) -> dict[str, bc.Compensator]:
-    """Calibrations by their axis: as their readings name it, or as the user does.
-
-    Raises:
-        InputError: an axis is not known, or is given twice.
-    """
+    """Calibrations by their axis: as their readings name it, or as the user does."""
     from bayescal._annexes.imu.firmware_parameters import axis_of
 
     found, files = dict[str, bc.Compensator](), dict[str, Path]()
-    given_names = [(None, path, one) for path, one in given]
-    for name, file in (
-        pair for one in named or [] for pair in named_values([one], "--axis").items()
-    ):
-        given_names.append((name, Path(file), compensator_from(Path(file), own)))
-    for name, path, chosen in given_names:
-        name = name or (axis_of(chosen.calibration) if chosen.calibration else None)
+    every = [(axis_of(c.calibration) if c.calibration else None, p, c) for p, c in given]
+    pairs = (pair for one in named or [] for pair in named_values([one], "--axis").items())
+    every += [(name, Path(p), compensator_from(Path(p), own)) for name, p in pairs]
+    for name, path, chosen in every:
         if name is None:
             raise InputError(
                 f"{path}: its readings do not say of which axis it is: --axis gyro_x={path} in its place"
@@ -355,11 +340,7 @@ def by_axis(
 
 
 def device_numbers(given: list[str] | None) -> dict[str, int]:
-    """--device-id as `firmware_parameters` takes it.
-
-    Raises:
-        InputError: one is no number.
-    """
+    """--device-id as `firmware_parameters` takes it."""
     said = named_values(given, "--device-id")
     for name, value in said.items():
         if not value.isdecimal():
@@ -382,7 +363,7 @@ def _exports() -> dict[str, Callable[[ExportRequest], Answer]]:
 def _result(calibration: bc.Calibration, average: bc.Calibration | None) -> dict[str, Any]:
     if calibration.model.instrument.vector is None:
         return {"vector": None}
-    from bayescal._annexes.imu.vector_result import vector_data
+    from bayescal._annexes.imu.vector_text import vector_data
 
     return {"vector": vector_data(calibration, average)}
 
@@ -390,10 +371,10 @@ def _result(calibration: bc.Calibration, average: bc.Calibration | None) -> dict
 def _coefficient_tables(data: Mapping[str, Any]) -> list[tuple[str, Any]]:
     if not data.get("vector"):
         return []
-    from bayescal._annexes.imu.vector_result import CAPTION, matrix_table
+    from bayescal._annexes.imu.vector_text import CAPTION, matrix_table
 
     table = matrix_table(data)
-    return [(CAPTION, table)] if table is not None else []
+    return [] if table is None else [(CAPTION, table)]
 
 
 ANNEX = {

@@ -48,17 +48,15 @@ def kalibr_yaml(
         raise InputError(f"channels of one unit have one rate, not steps of {steps} s")
     kinds = {name: _kind(name, noise.unit) for name, noise in channels.items()}
     lines = [
-        "# Noise of an inertial measurement unit at rest, for Kalibr. Continuous time, SI units."
-    ]
-    lines += [
-        f"# Every number is the {quantile:.0%} quantile of its posterior, of the noisiest axis."
+        "# Noise of an inertial measurement unit at rest, for Kalibr. Continuous time, SI units.",
+        f"# Every number is the {quantile:.0%} quantile of its posterior, of the noisiest axis.",
     ]
     for name, noise in channels.items():
-        lines += [f"# {c_comment(name)}: {noise.law}. {_left_out(noise)}"]
+        lines.append(f"# {c_comment(name)}: {noise.law}. {_left_out(noise)}")
         for n in (figure for figure in noise.figures if figure.symbol == "N"):
             middle, low, high = (f"{value:.4e}" for value in n.si)
-            seen = f"{middle} {n.si_unit} ({low} to {high})" if not n.bound else "not seen"
-            lines += [f"#   N: {seen}"]
+            seen = "not seen" if n.bound else f"{middle} {n.si_unit} ({low} to {high})"
+            lines.append(f"#   N: {seen}")
     for kind, unit in KINDS.items():
         own = [noise for name, noise in channels.items() if kinds[name] == kind]
         lines.append(f"# {kind}, {unit}")
@@ -69,8 +67,8 @@ def kalibr_yaml(
         density, walk = (max(column) for column in zip(*pairs, strict=True))
         lines.append(f"{kind}_noise_density: {density:.4e}")
         lines.append(f"{kind}_random_walk: {walk:.4e}")
-    lines += [f"rostopic: {topic}", f"update_rate: {1 / min(steps.values()):.6g}"]
-    return "\n".join(lines) + "\n"
+    rate = 1 / min(steps.values())
+    return "\n".join([*lines, f"rostopic: {topic}", f"update_rate: {rate:.6g}", ""])
 
 
 def _left_out(noise: SensorNoise) -> str:

@@ -253,6 +253,10 @@ def _readings(
     moved = _between(log, windows, pull, _forces(pull, correction))
     most = max(1, int(MOST_LEFT_OUT * len(moved.rate)))
     here, aside = session.nominal[:OWN], _Aside((), ())
+
+    def refused(why: str) -> InputError:
+        return InputError(_other_axes(moved, felt, session.nominal) or why)
+
     at = _closure(moved, felt, here)
     for _ in range(SWEEPS):
         line = _Line.of(session, at, here, aside)
@@ -275,25 +279,22 @@ def _readings(
             break
         aside = further
         if len(aside.moves) > most:
-            why = (
+            raise refused(
                 f"more than {most} of {len(moved.rate)} moves disagree with each other by more than they scatter. Were "
                 "samples lost, is a rate beyond the gyroscopes' range, or did accelerometers and gyroscopes not turn "
                 "together?"
             )
-            raise InputError(_other_axes(moved, felt, session.nominal) or why)
     if not np.max(np.abs(here - session.nominal[:OWN])[3:]) < FARTHEST:
-        why = (
+        raise refused(
             f"{ASTRAY}. Check the unit of the gyroscopes, that their axes are those of the accelerometers, and that no "
             "rate is beyond their range"
         )
-        raise InputError(_other_axes(moved, felt, session.nominal) or why)
     if size >= SETTLED:
-        why = (
+        raise refused(
             f"the integration over the moves did not settle: a further sweep would move an estimate by {size:.2g} "
             "standard uncertainties. Turn the unit less between two poses, about all three axes, and hold it still for "
             "longer; see that no rate is beyond the gyroscopes' range"
         )
-        raise InputError(_other_axes(moved, felt, session.nominal) or why)
     return line.rows(found), line.words(found, aside)
 
 
@@ -437,18 +438,17 @@ class _Line(NamedTuple):
         rates = self.session.at_rest - found.mean[:3]
         rate = np.rad2deg(np.linalg.norm(rates - rates.mean(axis=0), axis=1))
         still = float(np.median(np.delete(rate, aside.poses)))
-        return [
-            *(
-                f"the pose from {number(windows[k, 0], 5)} to {number(windows[k, 1], 5)} s, in which the outputs stand "
-                f"{number(rate[k], 2)} deg/s off (others {number(still, 2)})"
-                for k in sorted(aside.poses)
-            ),
-            *(
-                f"the move from {number(windows[k, 1], 5)} to {number(windows[k + 1, 0], 5)} s, which leaves "
-                f"{number(angle[k], 2)} deg over (others {number(usual, 2)})"
-                for k in sorted(aside.moves)
-            ),
-        ]
+        poses = (
+            f"the pose from {number(windows[k, 0], 5)} to {number(windows[k, 1], 5)} s, in which the outputs stand "
+            f"{number(rate[k], 2)} deg/s off (others {number(still, 2)})"
+            for k in sorted(aside.poses)
+        )
+        moves = (
+            f"the move from {number(windows[k, 1], 5)} to {number(windows[k + 1, 0], 5)} s, which leaves "
+            f"{number(angle[k], 2)} deg over (others {number(usual, 2)})"
+            for k in sorted(aside.moves)
+        )
+        return [*poses, *moves]
 
     def rows(self, found: _Found) -> _Rows:
         """Innovations, one after the other."""

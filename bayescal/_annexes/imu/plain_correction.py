@@ -49,21 +49,14 @@ class LeftOut:
 
 @dataclass(frozen=True)
 class PlainCorrection:
-    """Offset, matrix and what acts beside, without temperature and higher orders.
+    """Offset, matrix and what acts beside, without temperature and higher orders."""
 
-    Attributes:
-        terms: offset (3), matrix by rows (9), what acts beside by rows (9) or none (p).
-        covariance: of them (p, p).
-        left: what has no place in it.
-        over: of what that is a mean, in words.
-        unit: of the outputs.
-    """
-
+    # offset (3), matrix by rows (9), what acts beside by rows (9) or none (p)
     terms: Float[np.ndarray, "p"]
-    covariance: Float[np.ndarray, "p p"]
-    left: tuple[LeftOut, ...]
-    over: str
-    unit: str
+    covariance: Float[np.ndarray, "p p"]  # of them (p, p)
+    left: tuple[LeftOut, ...]  # what has no place in it
+    over: str  # of what that is a mean, in words
+    unit: str  # of the outputs
 
     @property
     def offset(self) -> Float[np.ndarray, "3"]:

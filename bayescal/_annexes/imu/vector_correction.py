@@ -37,17 +37,11 @@ NEWTON_STEPS = 4  # steps of the inverse: each squares the error
 
 
 class TermSlopes(NamedTuple):
-    """What corrected vectors fall by where a term of their correction rises: `powers` times `each`.
+    """What corrected vectors fall by where a term of their correction rises: `powers` times `each`."""
 
-    Attributes:
-        correction: whose terms.
-        powers: of T − T0 (n, k).
-        each: by the terms at its temperature (n, 3, p).
-    """
-
-    correction: VectorCorrection
-    powers: Float[np.ndarray, "n k"]
-    each: Float[np.ndarray, "n 3 p"]
+    correction: VectorCorrection  # whose terms
+    powers: Float[np.ndarray, "n k"]  # of T − T0 (n, k)
+    each: Float[np.ndarray, "n 3 p"]  # by the terms at its temperature (n, 3, p)
 
     def along(self, slope: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n q"]:
         """Of a quantity with this slope by the vector."""
@@ -349,14 +343,12 @@ class VectorCorrection(CorrectionInUse):
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
         """f̂ (n, 3), H⁻¹ (n, 3, 3), slopes of f̂ by the terms at its temperature (n, 3, p), temperatures (n,)."""
         if isinstance(outputs, Measurements):
-            if self.beside and beside is None and outputs.has(self.beside[0]):
-                beside = np.stack([outputs[name] for name in self.beside], axis=1)
-            temperature = (
-                outputs["temperature"]
-                if temperature is None and outputs.has("temperature")
-                else temperature
-            )
-            outputs = np.stack([outputs[name] for name in self.outputs], axis=1)
+            readings = outputs
+            if self.beside and beside is None and readings.has(self.beside[0]):
+                beside = np.stack([readings[name] for name in self.beside], axis=1)
+            if temperature is None and readings.has("temperature"):
+                temperature = readings["temperature"]
+            outputs = np.stack([readings[name] for name in self.outputs], axis=1)
         y = np.atleast_2d(np.asarray(outputs, dtype=float))
         if y.ndim != 2 or y.shape[1] != 3:
             raise InputError(
@@ -364,9 +356,8 @@ class VectorCorrection(CorrectionInUse):
             )
         if temperature is None and len(self.terms) > 1:
             raise InputError("the correction depends on the temperature: give temperature=… in °C")
-        warm = np.broadcast_to(
-            self.assumed if temperature is None else np.asarray(temperature, float), len(y)
-        )
+        given = self.assumed if temperature is None else np.asarray(temperature, float)
+        warm = np.broadcast_to(given, len(y))
         if self.beside and beside is None:
             raise InputError(
                 f"the correction depends on {', '.join(self.beside)}: give beside=… (n, 3), as calibrated"
@@ -410,17 +401,10 @@ def terms_table(rows: Sequence[TermRow]) -> ResultTable:
 def term_rows(
     terms: ArrayLike, uncertainty: ArrayLike, unit: str, beside: Sequence[str]
 ) -> list[TermRow]:
-    """The terms that are not nothing.
-
-    Args:
-        terms, uncertainty: as a correction holds them (k, p).
-        unit: of the outputs.
-        beside: columns of what acts beside, whose terms are for a unit of each.
-    """
+    """The terms that are not nothing."""
     axes, terms = "xyz", np.asarray(terms, float)
-    names = [(f"offset {a}", unit) for a in axes] + [
-        (f"matrix {a}{b}", "1") for a in axes for b in axes
-    ]
+    names = [(f"offset {a}", unit) for a in axes]
+    names += [(f"matrix {a}{b}", "1") for a in axes for b in axes]
     own = terms.shape[1] - 9 * bool(beside)
     if own > 12:
         pairs = [axes[i] + axes[j] for i, j in PAIRS]
@@ -428,15 +412,16 @@ def term_rows(
     if own > 30:
         names += [(f"cube {a}", f"1/({unit})^2") for a in axes]
     names += [(f"{g} on {a}", unit) for a in axes for g in beside]
-    found = []
-    for power, (values, sds) in enumerate(zip(terms, np.asarray(uncertainty, float), strict=True)):
-        per = ("", "/degC", "/degC^2", "/degC^3")[power]
-        found += [
-            TermRow(name, power, float(value), float(sd), f"{own_unit}{per}")
-            for (name, own_unit), value, sd in zip(names, values, sds, strict=True)
-            if value or sd
-        ]
-    return found
+    rows = zip(range(4), terms, np.asarray(uncertainty, float), strict=False)
+    return [
+        TermRow(name, power, float(value), float(sd), f"{its}{PER_DEGREE[power]}")
+        for power, values, sds in rows
+        for (name, its), value, sd in zip(names, values, sds, strict=True)
+        if value or sd
+    ]
+
+
+PER_DEGREE = ("", "/degC", "/degC^2", "/degC^3")
 
 
 def slopes_by_terms(

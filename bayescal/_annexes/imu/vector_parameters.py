@@ -22,7 +22,7 @@ Each gets the nearest of its form, and says what that leaves out.
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -42,29 +42,20 @@ from bayescal.workshop import (
 )
 
 NOTHING = "Nothing is left out."
+KINDS = {"rad/s": "gyroscope", "m/s^2": "accelerometer"}
 
 
 def kalibr_yaml_of(correction: VectorCorrection, *others: VectorCorrection) -> str:
     """The intrinsics as Kalibr and OpenVINS state them, in m/s² or rad/s where the unit is one of these.
 
-    Args:
-        correction: of accelerometers or of gyroscopes.
-        others: in the same body axes, such as gyroscopes by moves between poses of these accelerometers. Kalibr's axes
-            are then those of the first.
+    Others are in the same body axes, such as gyroscopes by moves between poses of these accelerometers: Kalibr's axes
+    are then those of the first.
     """
-    every = (correction, *others)
-    notes = dict.fromkeys(note for c in every for note in c.notes)
+    notes = dict.fromkeys(note for c in (correction, *others) for note in c.notes)
     frame = _split(_in_kalibr(correction).matrix)[1]
-    return "\n".join(
-        [
-            f"# Intrinsics of three axes, made by bayescal {__version__}",
-            *(f"# {c_comment(note)}" for note in notes),
-            "imu0:",
-            *_intrinsics(correction, np.eye(3)),
-            *(line for one in others for line in _intrinsics(one, frame)),
-            "",
-        ]
-    )
+    lines = [*_intrinsics(correction, np.eye(3))]
+    lines += [line for one in others for line in _intrinsics(one, frame)]
+    return _yaml("Intrinsics of three axes, made", notes, ["imu0:", *lines])
 
 
 def openvins_yaml_of(correction: VectorCorrection, *others: VectorCorrection) -> str:
@@ -79,20 +70,22 @@ def openvins_yaml_of(correction: VectorCorrection, *others: VectorCorrection) ->
     held["Tg"] = np.zeros((3, 3))
     for kind, one in every.items():
         held |= _openvins(one)
-        bias, unit = _in_kalibr(one).offset * si_of(one.unit)[0], si_of(one.unit)[1]
-        notes += [f"{kind}: {_in_kalibr(one).said or NOTHING}"]
-        notes += [f"bias of the {kind}, which OpenVINS estimates: {_list(bias)} {unit}"]
-    return "\n".join(
-        [
-            "%YAML:1.0",
-            f"# Intrinsics of an inertial unit, made by bayescal {__version__}",
-            *(f"# {c_comment(note)}" for note in notes),
-            "imu0:",
-            *("  T_i_b:", *_rows(np.eye(4)), "  time_offset: 0.0", '  model: "kalibr"'),
-            *(line for name, matrix in held.items() for line in (f"  {name}:", *_rows(matrix))),
-            "",
-        ]
-    )
+        plain, (factor, unit) = _in_kalibr(one), si_of(one.unit)
+        bias = _list(plain.offset * factor)
+        notes += [f"{kind}: {plain.said or NOTHING}"]
+        notes += [f"bias of the {kind}, which OpenVINS estimates: {bias} {unit}"]
+    fixed = ["  T_i_b:", *_rows(np.eye(4)), "  time_offset: 0.0", '  model: "kalibr"']
+    lines = ["imu0:", *fixed, *_matrices(held)]
+    return "%YAML:1.0\n" + _yaml("Intrinsics of an inertial unit, made", notes, lines)
+
+
+def _yaml(title: str, notes: Iterable[str], lines: Iterable[str]) -> str:
+    said = (f"# {c_comment(note)}" for note in notes)
+    return "\n".join([f"# {title} by bayescal {__version__}", *said, *lines, ""])
+
+
+def _matrices(named: Mapping[str, np.ndarray]) -> list[str]:
+    return [line for name, matrix in named.items() for line in (f"  {name}:", *_rows(matrix))]
 
 
 def _openvins(correction: VectorCorrection) -> dict[str, np.ndarray]:
@@ -109,11 +102,7 @@ def _openvins(correction: VectorCorrection) -> dict[str, np.ndarray]:
 
 
 def realsense_json_of(correction: VectorCorrection, *others: VectorCorrection) -> str:
-    """calibration.json of librealsense; what is not given is left as it is measured.
-
-    Raises:
-        InputError: a correction is neither of accelerometers nor of gyroscopes.
-    """
+    """calibration.json of librealsense; what is not given is left as it is measured."""
     every = _inertial("realsense", (correction, *others))
     as_measured = {"scale_and_alignment": np.eye(3).ravel().tolist(), "bias": [0.0, 0.0, 0.0]}
     imu: dict[str, Any] = dict.fromkeys(("accelerometer", "gyroscope"), as_measured)
@@ -126,17 +115,12 @@ def realsense_json_of(correction: VectorCorrection, *others: VectorCorrection) -
 
 
 def ros_yaml_of(correction: VectorCorrection) -> str:
-    """imu_calib.yaml of ROS' imu_calib, of accelerometers.
-
-    Raises:
-        InputError: of something else.
-    """
+    """imu_calib.yaml of ROS' imu_calib, of accelerometers."""
     if "accelerometer" not in _inertial("ros", (correction,)):
         raise InputError("ros: imu_calib corrects accelerometers, and these are gyroscopes")
     back, bias = _after(correction)
     notes = (correction.calibrated_at, *correction.notes, _plain(correction).said or NOTHING)
-    lines = [f"# Made by bayescal {__version__}", *(f"# {c_comment(note)}" for note in notes)]
-    return "\n".join([*lines, f"SM: {_list(back.ravel())}", f"bias: {_list(bias)}", ""])
+    return _yaml("Made", notes, [f"SM: {_list(back.ravel())}", f"bias: {_list(bias)}"])
 
 
 def _plain(correction: VectorCorrection) -> PlainCorrection:
@@ -151,13 +135,8 @@ def _after(correction: VectorCorrection) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _inertial(format: str, every: Sequence[VectorCorrection]) -> dict[str, VectorCorrection]:
-    """Triads by what they are of, "accelerometer" or "gyroscope".
-
-    Raises:
-        InputError: one is of neither.
-    """
-    kinds = {"rad/s": "gyroscope", "m/s^2": "accelerometer"}
-    found = {kinds.get(si_of(c.unit)[1], ""): c for c in every}
+    """Triads by what they are of, "accelerometer" or "gyroscope"."""
+    found = {KINDS.get(si_of(c.unit)[1], ""): c for c in every}
     if "" in found:
         raise InputError(
             f"{format} holds accelerometers and gyroscopes, and these outputs are in [{found[''].unit}]"
@@ -178,11 +157,10 @@ def _split(matrix: Float[np.ndarray, "3 3"]) -> tuple[np.ndarray, np.ndarray]:
 def _intrinsics(correction: VectorCorrection, frame: np.ndarray) -> list[str]:
     """Lines of one triad; `frame` rotates the body axes of the calibration to Kalibr's."""
     factor, unit = si_of(correction.unit)
-    turns, plain = unit == "rad/s", _in_kalibr(correction)
+    plain, kind = _in_kalibr(correction), KINDS.get(unit)
     lower, turn = _split(plain.matrix)
-    name = {"rad/s": "gyroscopes", "m/s^2": "accelerometers"}.get(unit)
     lines = [
-        f"  {name or identifier(correction.instrument)}:",
+        f"  {f'{kind}s' if kind else identifier(correction.instrument)}:",
         f"    # {c_comment(correction.calibrated_at)}",
         f"    # {c_comment(plain.said or NOTHING)}",
         "    # Kalibr, scale-misalignment: measured = M*f + bias, M lower triangular, x axis of the body = sensor x",
@@ -191,7 +169,7 @@ def _intrinsics(correction: VectorCorrection, frame: np.ndarray) -> list[str]:
         "    # from the body axes of this calibration to those: f_kalibr = R*f"
         if np.array_equal(frame, np.eye(3))
         else "    # from the axes of the first M to those of this one",
-        f"    {'C_gyro_i' if turns else 'R'}:",
+        f"    {'C_gyro_i' if kind == 'gyroscope' else 'R'}:",
         *_rows(turn @ frame.T),
         f"    # bias, {c_comment(unit)}, and its standard uncertainty",
         f"    bias: {_list(plain.offset * factor)}",
@@ -202,68 +180,73 @@ def _intrinsics(correction: VectorCorrection, frame: np.ndarray) -> list[str]:
         "    matrix_uncertainty:",
         *_rows(plain.uncertainty[3:12].reshape(3, 3)),
     ]
-    if name is None:
+    if kind is None:
         return lines
     held = _openvins(correction)
-    if turns and correction.beside:
+    if kind == "gyroscope" and correction.beside:
         lines += ["    # sensitivity to specific force in the axes of M, rad/s per m/s^2", "    A:"]
         lines += _rows(held["Tg"] @ turn.T)
-    return [
-        *lines,
-        "  # OpenVINS: measured = T*R*f + bias, of gyroscopes + Tg*a, in the body axes of this calibration",
-        *(line for name, matrix in held.items() for line in (f"  {name}:", *_rows(matrix))),
-    ]
+    said = "OpenVINS: measured = T*R*f + bias, of gyroscopes + Tg*a, in the body axes of this calibration"
+    return [*lines, f"  # {said}", *_matrices(held)]
+
+
+# Of the first sensor of a kind: offset, scale, and what stands beside the diagonal, each for an axis.
+PARAMETERS = {
+    "px4-params": {
+        "accelerometer": ("CAL_ACC0_{}OFF", "CAL_ACC0_{}SCALE"),
+        "gyroscope": ("CAL_GYRO0_{}OFF",),
+        "magnetometer": ("CAL_MAG0_{}OFF", "CAL_MAG0_{}SCALE", "CAL_MAG0_{}ODIAG"),
+    },
+    "ardupilot-params": {
+        "accelerometer": ("INS_ACCOFFS_{}", "INS_ACCSCAL_{}"),
+        "gyroscope": ("INS_GYROFFS_{}",),
+        "magnetometer": ("COMPASS_OFS_{}", "COMPASS_DIA_{}", "COMPASS_ODI_{}"),
+    },
+}
 
 
 def autopilot_parameters(
     correction: VectorCorrection, autopilot: str
 ) -> tuple[dict[str, float], str]:
-    """Parameters of PX4 ("px4-params") or ArduPilot ("ardupilot-params"), of its first sensor, by name; what they lack.
-
-    Raises:
-        InputError: another autopilot, or a quantity that it has no such parameters for.
-    """
-    if autopilot not in AUTOPILOTS:
-        raise InputError(f"format {autopilot!r} is not one of {', '.join(AUTOPILOTS)}")
-    px4 = autopilot == "px4-params"
-    if same_dimension(correction.unit, "g") or same_dimension(correction.unit, "m/s^2"):
+    """Return parameters of an autopilot by name, of its first sensor, and what they leave out, in a sentence."""
+    if autopilot not in PARAMETERS:
+        raise InputError(f"format {autopilot!r} is not one of {', '.join(PARAMETERS)}")
+    factor, unit = si_of(correction.unit)
+    kind = "magnetometer" if same_dimension(unit, "uT") else KINDS.get(unit, "")
+    if kind == "accelerometer":
         plain = plain_correction(correction, "diagonal", beside=False)
-        factor, _ = si_of(correction.unit)
-        off = "CAL_ACC0_{}OFF" if px4 else "INS_ACCOFFS_{}"
-        scale = "CAL_ACC0_{}SCALE" if px4 else "INS_ACCSCAL_{}"
-        found = {off.format(a): plain.offset[i] * factor for i, a in enumerate("XYZ")}
-        found |= {scale.format(a): 1 / plain.matrix[i, i] for i, a in enumerate("XYZ")}
-        return found, plain.said
-    if same_dimension(correction.unit, "rad/s"):
+        values, said = (plain.offset * factor, 1 / np.diag(plain.matrix)), plain.said
+    elif kind == "gyroscope":
         plain = plain_correction(correction, "none", beside=False)
-        factor, _ = si_of(correction.unit)
-        off = "CAL_GYRO0_{}OFF" if px4 else "INS_GYROFFS_{}"
-        return {off.format(a): plain.offset[i] * factor for i, a in enumerate("XYZ")}, plain.said
-    if same_dimension(correction.unit, "uT"):
-        from scipy.spatial.transform import Rotation  # loads a tenth of a second of SciPy
+        values, said = (plain.offset * factor,), plain.said
+    elif kind:
+        values, said = _symmetric(correction, -1e3 if autopilot == "ardupilot-params" else 1.0)
+    else:
+        raise InputError(
+            f"{autopilot}: there are parameters for accelerometers, gyroscopes and magnetometers, and these outputs "
+            f"are in [{correction.unit}]"
+        )
+    named = zip(PARAMETERS[autopilot][kind], values, strict=True)
+    return {n.format(a): v for n, own in named for a, v in zip("XYZ", own, strict=True)}, said
 
-        plain = plain_correction(correction, beside=False)
-        back = np.linalg.inv(plain.matrix)
-        values, vectors = np.linalg.eigh(back.T @ back)
-        symmetric = (vectors * np.sqrt(values)) @ vectors.T
-        turn = back @ np.linalg.inv(symmetric)
-        hand = np.sign(np.linalg.det(turn))
-        angle = np.degrees(Rotation.from_matrix(hand * turn).magnitude())
-        kept = f"{'' if hand > 0 else 'a reflection and '}a rotation of {angle:.2g}°"
-        said = f"{plain.said} The axes keep {kept} to those of this calibration.".lstrip()
-        gauss = np.asarray(convert(plain.offset, correction.unit, "gauss"))
-        beside = dict(zip("XYZ", (symmetric[0, 1], symmetric[0, 2], symmetric[1, 2]), strict=True))
-        if px4:
-            found = {f"CAL_MAG0_{a}OFF": gauss[i] for i, a in enumerate("XYZ")}
-            found |= {f"CAL_MAG0_{a}SCALE": symmetric[i, i] for i, a in enumerate("XYZ")}
-            return found | {f"CAL_MAG0_{a}ODIAG": v for a, v in beside.items()}, said
-        found = {f"COMPASS_OFS_{a}": -1e3 * gauss[i] for i, a in enumerate("XYZ")}
-        found |= {f"COMPASS_DIA_{a}": symmetric[i, i] for i, a in enumerate("XYZ")}
-        return found | {f"COMPASS_ODI_{a}": v for a, v in beside.items()}, said
-    raise InputError(
-        f"{autopilot}: there are parameters for accelerometers, gyroscopes and magnetometers, and these outputs are in "
-        f"[{correction.unit}]"
-    )
+
+def _symmetric(
+    correction: VectorCorrection, per_gauss: float
+) -> tuple[tuple[np.ndarray, np.ndarray, np.ndarray], str]:
+    """Offset, diagonal of the symmetric matrix of magnetometers and what stands beside it; what that leaves out."""
+    from scipy.spatial.transform import Rotation  # loads a tenth of a second of SciPy
+
+    plain = plain_correction(correction, beside=False)
+    back = np.linalg.inv(plain.matrix)
+    values, vectors = np.linalg.eigh(back.T @ back)
+    symmetric = (vectors * np.sqrt(values)) @ vectors.T
+    turn = back @ np.linalg.inv(symmetric)
+    hand = np.sign(np.linalg.det(turn))
+    angle = np.degrees(Rotation.from_matrix(hand * turn).magnitude())
+    kept = f"{'' if hand > 0 else 'a reflection and '}a rotation of {angle:.2g}°"
+    said = f"{plain.said} The axes keep {kept} to those of this calibration.".lstrip()
+    offset = per_gauss * np.asarray(convert(plain.offset, correction.unit, "gauss"))
+    return (offset, np.diag(symmetric), symmetric[[0, 0, 1], [1, 2, 2]]), said
 
 
 def left_out(correction: VectorCorrection, format: str) -> str:

@@ -1,4 +1,4 @@
-"""A correction of three axes as JSON, which is read back, and by templates as C99 and Python: these hold all of it."""
+"""A correction of three axes as JSON, which is read back, as C99 and Python by templates, and in a result."""
 
 from __future__ import annotations
 
@@ -8,15 +8,21 @@ from typing import Any
 
 import numpy as np
 
-from bayescal import InputError
-from bayescal._annexes.imu.vector_correction import NEWTON_STEPS, SIZES, VectorCorrection
+from bayescal import Calibration, InputError, ModelError
+from bayescal._annexes.imu.vector_correction import (
+    NEWTON_STEPS,
+    SIZES,
+    VectorCorrection,
+    term_rows,
+    terms_table,
+)
 from bayescal._use.compensation_program import AGAIN
 from bayescal.workshop import (
+    ResultTable,
     as_type,
     c_comment,
     code_template,
     include_guard,
-    kept_why,
     python_words,
 )
 
@@ -48,63 +54,53 @@ class SavedCorrection:
 
 
 def vector_from_data(found: Any, file: str) -> VectorCorrection:
-    """A correction of three axes from JSON.
-
-    Raises:
-        InputError: it is none, or damaged.
-    """
+    """A correction of three axes from JSON."""
     try:
         saved = as_type(found, SavedCorrection)
-        terms, covariance = (np.array(a, dtype=float) for a in (saved.terms, saved.covariance))
+        terms, covariance = np.array(saved.terms, float), np.array(saved.covariance, float)
         shared = saved.covariance_with_axes_of
-        shared = None if shared is None else np.array(shared, dtype=float)
         fits = terms.ndim == 2 and terms.shape[1] - 9 * bool(saved.beside) in SIZES
         if not fits or covariance.shape != 2 * (terms.size,):
             shapes = f"{terms.shape} with a covariance of shape {covariance.shape}"
             raise ValueError(f"terms of shape {shapes}")
+        shared = None if shared is None else np.array(shared, float)
     except ValueError as error:
         raise InputError(f"{file} is damaged: {error}. {AGAIN}") from None
     low, high = saved.temperatures_degC or (None, None)
+    same = ("outputs", "unit", "noise", "notes", "beside", "instrument", "reach", "axes_of")
     return VectorCorrection(
-        outputs=saved.outputs,
-        unit=saved.unit,
         reference=saved.reference_degC,
         low=low,
         high=high,
         terms=terms,
         covariance=covariance,
-        noise=saved.noise,
-        notes=saved.notes,
         source=saved.calibration,
-        beside=saved.beside,
-        instrument=saved.instrument,
-        reach=saved.reach,
-        axes_of=saved.axes_of,
         shared=shared,
-        against=kept_why(found),
+        against=saved.why_not,
+        **{name: getattr(saved, name) for name in same},
     )
 
 
 def headers(named: Mapping[str, VectorCorrection], uncertainty: bool) -> str:
     """Corrections as C99, one after the other."""
-    return "\n".join(_header(name, c, uncertainty) for name, c in named.items())
+    template = code_template("vector.h.jinja", {"comment": c_comment}, package=PACKAGE)
 
+    def header(name: str, c: VectorCorrection) -> str:
+        held = (c.terms.tolist(), c.covariance.tolist(), c.reference, c.low, c.high, uncertainty)
+        return template.render(
+            c=c,
+            name=name,
+            guard=include_guard(name, *held),
+            uncertainty=uncertainty,
+            recorded=c.low is not None,
+            thermal=len(c.terms) > 1,
+            # Twelve numbers, and no equation to solve.
+            plain=not uncertainty and c.terms.shape == (1, 12),
+            inverse=np.linalg.inv(c.matrix).tolist(),
+            newton=1 if c.order == 1 else NEWTON_STEPS,
+        )
 
-def _header(name: str, c: VectorCorrection, uncertainty: bool) -> str:
-    return code_template("vector.h.jinja", {"comment": c_comment}, package=PACKAGE).render(
-        c=c,
-        name=name,
-        guard=include_guard(
-            name, c.terms.tolist(), c.covariance.tolist(), c.reference, c.low, c.high, uncertainty
-        ),
-        uncertainty=uncertainty,
-        recorded=c.low is not None,
-        thermal=len(c.terms) > 1,
-        # Twelve numbers, and no equation to solve.
-        plain=not uncertainty and c.terms.shape == (1, 12),
-        inverse=np.linalg.inv(c.matrix).tolist(),
-        newton=1 if c.order == 1 else NEWTON_STEPS,
-    )
+    return "\n".join(header(name, c) for name, c in named.items())
 
 
 def module(named: Mapping[str, VectorCorrection], uncertainty: bool) -> str:
@@ -118,4 +114,36 @@ def module(named: Mapping[str, VectorCorrection], uncertainty: bool) -> str:
         data={n: repr(one) for n, one in held.items()},
         uncertainty=uncertainty,
         newton=NEWTON_STEPS,
+    )
+
+
+CAPTION = "Three axes: outputs = offset + matrix · what acts, each a polynomial of T − T0; ± one standard uncertainty"
+
+
+def vector_data(
+    calibration: Calibration, average: Calibration | None = None
+) -> dict[str, Any] | None:
+    """Offset and 3 × 3 matrix over temperature, with standard uncertainties, of three axes; None of one output."""
+    if calibration.model.instrument.vector is None:
+        return None
+    from bayescal._annexes.imu.vector_series import vector_correction  # loads JAX
+
+    averaged = None if average is None else vector_data(average)
+    try:
+        correction = vector_correction(calibration)
+    except ModelError as error:
+        return {"unavailable": str(error), "averaged": averaged}
+    whole = {k: v for k, v in correction.data().items() if k != "made_by"}
+    return {**whole, "uncertainty": correction.uncertainty.tolist(), "averaged": averaged}
+
+
+def matrix_table(data: Mapping[str, Any]) -> ResultTable | None:
+    """Of three axes, terms of the correction at T0 and by temperature, each ± u; None of one output."""
+    found = data.get("vector")
+    if found and "terms" in (averaged := found.get("averaged") or {}):
+        found = averaged
+    if not found or "terms" not in found:
+        return None
+    return terms_table(
+        term_rows(found["terms"], found["uncertainty"], found["unit"], found["beside"])
     )

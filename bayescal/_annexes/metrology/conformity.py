@@ -459,7 +459,7 @@ class QuantityInUse(LimitedQuantity):
         theta, inputs = equation.ones()
 
         def value(s, inputs):
-            return equation.slot(self.limit.quantity, theta, s, inputs)
+            return equation.point(theta, s, inputs, self.limit.quantity)
 
         live = operating_equation.live(value, jnp.ones(()), inputs)
         names = (self.chosen.stimulus, *sorted(inputs))
@@ -479,7 +479,7 @@ class QuantityInUse(LimitedQuantity):
         stimulus, draws = jnp.asarray(places[chosen.stimulus]), jnp.asarray(moments.draws)
         if not self.is_error:
             name = self.limit.quantity
-            found = operating_equation.slots_over_draws(equation, name, draws, stimulus, inputs)
+            found = operating_equation.points_over_draws(equation, draws, stimulus, inputs, name)
             return DrawnQuantity(np.asarray(found), zero)
         mean = jnp.asarray(moments.mean)
         found, inclination = operating_equation.errors_over_draws(

@@ -30,7 +30,6 @@ from bayescal import (
     ModelError,
     Noise,
     NotDrawn,
-    Preview,
     SearchPath,
     budget,
     compare,
@@ -53,7 +52,7 @@ from bayescal._search.discover import SEARCH, missing
 from bayescal._search.gate import judged
 from bayescal._search.noise_laws import laws_over
 from bayescal._search.own_files import refuse_unnamed, user_effects
-from bayescal._search.preview import Previews
+from bayescal._search.preview import Preview, Previews
 from bayescal._search.search_path import Step
 from bayescal._search.structures import SIZE_FACTORS, Structure
 from bayescal._use import correction_files
@@ -133,8 +132,8 @@ def _as_searched(effect: Effect, known: Effect) -> bool:
 
 SUFFIXES = {
     format: suffix
-    for suffix, format in correction_files.FORMATS.items()
-    if format in correction_files.OF_ONE_OUTPUT
+    for suffix, format in correction_files.ONE_OUTPUT.suffixes.items()
+    if format in correction_files.ONE_OUTPUT.writers
 }
 FORMATS = (*SUFFIXES, *AUTOPILOTS)
 
@@ -335,14 +334,14 @@ class Session:
         return {first.model.noise.name: first.model.noise, **laws_over(first.model, first.frame)}
 
     def preview(self, wanted: str | Effect) -> Preview:
-        """What adding an effect to the current state would do: `bc.preview`, whose refusals it has; kept."""
+        """What adding an effect to the current state would do: see `Previews.of`; kept."""
         if isinstance(wanted, str):
             wanted = self._named().get(wanted, wanted)
         with self._beside:
             return self._previews_of(self.current).of(wanted)
 
     def consequences(self, kind: str, *arguments: Any) -> Preview:
-        """What `act` would do, before it is done: `bc.preview` of the model that would come of it."""
+        """What `act` would do, before it is done: `Previews.of_model` of the model that would come of it."""
         if kind == "add":
             return self.preview(*arguments)
         state = self.current
@@ -400,7 +399,7 @@ class Session:
         """
         begin = self.current
         if begin.step.against and not self._loop.freed(begin.step):
-            raise ModelError(f"nothing is looked for: {' '.join(map(str, begin.step.against))}")
+            raise ModelError(f"nothing is looked for: {' '.join(begin.step.against)}")
         self._followers.append(follow)
         try:
             with self._in_time():

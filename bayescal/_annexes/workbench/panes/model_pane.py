@@ -67,7 +67,7 @@ class ModelPane(Pane):
         self.equation.object = equation_in_words(calibration.model)
         self.effects.rows = effect_rows(calibration)
         self.noise.rows = noise_rows(state)
-        lines = [str(one) for one in null_directions(calibration)]
+        lines = [*null_directions(calibration)]
         lines += [f"conflict: {w}" for w in calibration.conflicts]
         said = [*(f"not measured: {w}" for w in lines[:3]), str(calibration.verdict)]
         self.verdict.object = "\n".join(said)
