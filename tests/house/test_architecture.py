@@ -267,11 +267,11 @@ CEILINGS = {
     "bayescal/_annexes/imu": 3_171,
     "bayescal/_annexes/metrology": 1_812,
     "bayescal/_annexes/workbench": 4_434,
-    "models": 9_924,
-    "tests": 26_605,
+    "models": 9_768,
+    "tests": 26_533,
     "benchmarks": 10_894,
 }
-WORDS = 54_246  # of docs/, README.md and CHANGELOG.md together
+WORDS = 54_247  # of docs/, README.md and CHANGELOG.md together
 
 
 @pytest.mark.parametrize("part", CEILINGS)
