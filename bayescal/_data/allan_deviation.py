@@ -56,12 +56,9 @@ class Habit(NamedTuple):
 
 @dataclass(frozen=True)
 class AllanTerm:
-    """One term of an Allan curve.
+    """One term (N, B or K) of an Allan curve, in the unit of data sheets, with the name of IEEE 952 and 1293.
 
     Attributes:
-        symbol: N, B or K.
-        name: as IEEE 952 and 1293 call it.
-        unit: of data sheets.
         value: None where the curve of this record has no such slope.
         uncertainty: standard uncertainty of the value.
     """
@@ -78,52 +75,38 @@ class AllanTerm:
         return f"{with_error(self.value, self.uncertainty)} {unit_label(self.unit)}".strip()
 
 
+WALKS = ("velocity random walk", "bias instability", "acceleration random walk")
+
+
 def habit(unit: str) -> Habit:
-    """Names and units of the terms for an output in `unit`.
+    """Return names and units of the terms for an output in `unit`.
 
     Noise densities are of the spectrum on both sides of zero frequency, as in IEEE 952, so that N per √Hz is N·√s;
     a data sheet with a one-sided spectrum prints √2 times as much.
     """
-    powers = dict(parse(unit or "1").powers)
+    own, powers = unit or "1", dict(parse(unit or "1").powers)
     if powers == {"rad": 1, "s": -1}:
         names = ("angle random walk", "bias instability", "rate random walk")
         return Habit(names, ("deg/h^0.5", "deg/h", "deg/h/h^0.5"), "arcsec")
-    walks = ("velocity random walk", "bias instability", "acceleration random walk")
     if powers == {"ug": 1}:
-        return Habit(walks, ("ug/Hz^0.5", "ug", "ug/h^0.5"), "ug*s")
+        return Habit(WALKS, ("ug/Hz^0.5", "ug", "ug/h^0.5"), "ug*s")
     if powers == {"m": 1, "s": -2}:
-        return Habit(walks, ("m/s/h^0.5", "m/s^2", "m/s^2/h^0.5"), "m/s")
-    own = unit or "1"
+        return Habit(WALKS, ("m/s/h^0.5", "m/s^2", "m/s^2/h^0.5"), "m/s")
     names = ("white noise", "bias instability", "random walk")
     return Habit(names, (f"{own}/Hz^0.5", own, f"{own}/s^0.5"), f"{own}*s")
 
 
 def term(symbol: str, unit: str, value: float | None, uncertainty: float | None) -> AllanTerm:
-    """A term in its data-sheet unit.
-
-    Args:
-        symbol: N, B or K.
-        unit: of the output.
-        value, uncertainty: in that unit times √s (N), as it is (B), or per √s (K); None where not seen.
-    """
-    i, names = SYMBOLS.index(symbol), habit(unit)
-    if value is None or uncertainty is None:
-        return AllanTerm(symbol, names.names[i], names.units[i])
+    """Return a term in its data-sheet unit; values in the output's unit times √s (N), as it is (B), per √s (K)."""
+    i, known = SYMBOLS.index(symbol), habit(unit)
     # Both in base units, of which the second is one and the hertz its inverse.
-    factor = parse(unit or "1").factor / parse(names.units[i]).factor
-    return AllanTerm(symbol, names.names[i], names.units[i], value * factor, uncertainty * factor)
+    factor = parse(unit or "1").factor / parse(known.units[i]).factor
+    scaled = (None if v is None else v * factor for v in (value, uncertainty))
+    return AllanTerm(symbol, known.names[i], known.units[i], *scaled)
 
 
 class Curve(NamedTuple):
-    """An Allan curve.
-
-    Attributes:
-        factors: readings averaged, each twice the one before.
-        step: between readings, s.
-        readings: of the longest run.
-        variance: Allan variances, output unit squared.
-        edf: their equivalent degrees of freedom.
-    """
+    """An Allan curve: factors averaged, step (s), readings of the longest run, variances (output unit²) and edf."""
 
     factors: Float[np.ndarray, "k"]
     step: float
@@ -139,38 +122,30 @@ class _Stretch(NamedTuple):
 
 
 def _stretches(curve: Curve) -> dict[str, _Stretch]:
-    """Where the curve has the slope of each term, if anywhere."""
+    """Find where the curve has the slope of each term, if anywhere."""
     octaves, height = np.log2(curve.factors), 0.5 * np.log2(curve.variance)
     error = 1 / (np.log(2) * np.sqrt(2 * curve.edf))
     lowest = int(np.argmin(height))
     found: dict[str, _Stretch] = {}
     for symbol in ("K", "B", "N"):
-        fitting = [
-            s
-            for i, j in combinations(range(len(octaves)), 2)
-            if (s := _sloping(SLOPES[symbol], i, j, octaves, height, error)) is not None
+        fitting = []
+        for i, j in combinations(range(len(octaves)), 2):
             # The flat part is the lowest; and what falls again after a rise is no white noise of single readings.
-            and (symbol != "B" or i <= lowest <= j)
-            and (symbol != "N" or "K" not in found or i < found["K"].first)
-        ]
+            late = symbol == "N" and "K" in found and i >= found["K"].first
+            if late or (symbol == "B" and not i <= lowest <= j):
+                continue
+            x, y, e = (a[i : j + 1] for a in (octaves, height, error))
+            centred = x - np.average(x, weights=e**-2)
+            uncertainty = float(np.sum((centred / e) ** 2)) ** -0.5
+            slope = float(np.sum(centred * y / e**2)) * uncertainty**2
+            bend = y - np.average(y, weights=e**-2) - slope * centred
+            straight = _described(float(np.sum((bend / e) ** 2)), j - i - 1)
+            off = abs(slope - SLOPES[symbol]) + ALLAN_COVERAGE * uncertainty
+            if straight and off < ALLAN_SLOPE:  # nearer to this than to another noise's
+                fitting.append(_Stretch(i, j, uncertainty))
         if fitting:
             found[symbol] = min(fitting, key=lambda s: s.uncertainty)
     return found
-
-
-def _sloping(
-    slope: float, first: int, last: int, octaves: np.ndarray, height: np.ndarray, error: np.ndarray
-) -> _Stretch | None:
-    """The stretch, if it is straight, and its slope with its uncertainty nearer to this than to another noise's."""
-    x, y, e = (a[first : last + 1] for a in (octaves, height, error))
-    centred = x - np.average(x, weights=e**-2)
-    uncertainty = float(np.sum((centred / e) ** 2)) ** -0.5
-    found = float(np.sum(centred * y / e**2)) * uncertainty**2
-    bend = y - np.average(y, weights=e**-2) - found * centred
-    straight = _described(float(np.sum((bend / e) ** 2)), last - first - 1)
-    if straight and abs(found - slope) + ALLAN_COVERAGE * uncertainty < ALLAN_SLOPE:
-        return _Stretch(first, last, uncertainty)
-    return None
 
 
 def _described(misfit: float, spare: int) -> bool:
@@ -257,17 +232,17 @@ class EvenRuns(NamedTuple):
     step: float
 
     def of(self, values: Float[np.ndarray, "n"]) -> list[Float[np.ndarray, "k"]]:
-        """Values of the readings of each run in the order of time, NaN where one was lost."""
+        """Return values of the readings of each run in the order of time, NaN where one was lost."""
         return [np.where(rows < 0, np.nan, values[rows]) for rows in self.rows]
+
+    @property
+    def lengths(self) -> tuple[int, ...]:
+        return tuple(len(r) for r in self.rows)
 
     @property
     def lost(self) -> float:
         """Share of the places without a reading."""
         return sum(int(np.sum(r < 0)) for r in self.rows) / sum(self.lengths)
-
-    @property
-    def lengths(self) -> tuple[int, ...]:
-        return tuple(len(r) for r in self.rows)
 
     @property
     def factors(self) -> Float[np.ndarray, "k"]:
@@ -277,15 +252,13 @@ class EvenRuns(NamedTuple):
 
 @dataclass(frozen=True)
 class AllanDeviation:
-    """Allan deviation of a record.
+    """Allan deviation of a record, in the unit of the output.
 
     Attributes:
-        unit: of the output.
         step: between readings, s.
         runs: that were combined, weighted by their numbers of differences.
         tau: averaging times (k,), s.
-        deviation: (k,), output unit.
-        low, high: ends of its 95 % confidence interval (k,), output unit.
+        deviation, low, high: (k,), and the ends of its 95 % confidence interval.
         differences: of neighbouring averages (k,).
         edf: equivalent degrees of freedom (k,) of the squared deviation, by Greenhall & Riley (2003).
         terms: N, B and K in the units of data sheets.
@@ -316,14 +289,10 @@ class AllanDeviation:
 def allan_deviation(
     readings: Measurements, values: Float[np.ndarray, "n"] | None = None
 ) -> AllanDeviation:
-    """Overlapping Allan deviation of the output, or of other values of the same readings, such as residuals.
+    """Compute the overlapping Allan deviation of the output, or of `values` (n,) in its unit, such as residuals.
 
     Averaging times are octaves from one step to a quarter of the longest run. Each run is taken by itself, and the
     runs are combined by their numbers of differences.
-
-    Args:
-        readings: with a column `time`, evenly spaced within each run.
-        values: in the place of the output, in its unit (n,).
 
     Raises:
         InputError: no column `time`, no run of 30 readings, or steps that differ by more than 5 %.
@@ -335,11 +304,7 @@ def allan_deviation(
 def of_runs(
     readings: Measurements, values: Float[np.ndarray, "n"], runs: EvenRuns
 ) -> AllanDeviation:
-    """The same, of runs that are known to be even.
-
-    Raises:
-        InputError: the values do not change.
-    """
+    """Compute the Allan deviation of runs that are known to be even; raise InputError where values do not change."""
     factors, unit = runs.factors, readings.unit("output") or ""
     variance, differences = overlapping(values, runs)
     if not np.all(variance > 0):
@@ -438,14 +403,10 @@ def _grid(time: np.ndarray, rows: Sequence[np.ndarray], usual: float) -> float |
 def overlapping(
     values: Float[np.ndarray, "n"] | Float[np.ndarray, "n q"], runs: EvenRuns
 ) -> tuple[Float[np.ndarray, "k"], Float[np.ndarray, "k"]]:
-    """Allan variances of all runs together, and how many differences each is the mean of; of several columns their sum.
+    """Return Allan variances of all runs together (of several columns their sum), and their numbers of differences.
 
     Where readings were lost, averages are of those that are there, half of their number at least, and their differences
     are taken down to what white noise of all would have: a random walk comes out lower, by the lost share at most.
-
-    Args:
-        values: of the readings.
-        runs: of these.
     """
     squares, count = np.zeros(len(runs.factors)), np.zeros(len(runs.factors))
     for rows in runs.rows:
@@ -478,7 +439,7 @@ def noise_types(variance: Float[np.ndarray, "k"]) -> Float[np.ndarray, "k"]:
 
 
 def degrees_of_freedom(runs: EvenRuns, types: Float[np.ndarray, "k"]) -> Float[np.ndarray, "k"]:
-    """Equivalent degrees of freedom of the runs together, of each run by Greenhall & Riley (2003); less the share lost.
+    """Return equivalent degrees of freedom of the runs together, by Greenhall & Riley (2003); less the share lost.
 
     A mean of estimates of the variance 2·v²/eᵢ with weights wᵢ has the variance 2·v²·Σ wᵢ²/eᵢ.
     """

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from contextlib import suppress
 
 import numpy as np
 
@@ -18,22 +19,16 @@ SET_JUMPS_SHARE = 0.1
 
 
 def duration(text: str | float) -> float:
-    """A time such as "1 s", "0.5s", "2 min", or a number of seconds, in seconds.
-
-    Raises:
-        InputError: it is none, or not positive and finite.
-    """
-    try:
+    """Parse a time such as "1 s", "0.5s", "2 min", or a number of seconds, in s; raise InputError for none above 0."""
+    with suppress(InputError):
         number, unit = quantity(f"{text} s" if isinstance(text, int | float) else text)
         seconds = float(convert(number, unit, "s"))
-    except InputError:
-        seconds = np.nan
-    if not (np.isfinite(seconds) and seconds > 0):
-        raise InputError(
-            f"{text!r} is no time to average over: write a positive number with a unit of time, "
-            "such as '1 s', '0.5 s' or '2 min'"
-        )
-    return seconds
+        if np.isfinite(seconds) and seconds > 0:
+            return seconds
+    raise InputError(
+        f"{text!r} is no time to average over: write a positive number with a unit of time, such as '1 s', '0.5 s' or "
+        "'2 min'"
+    )
 
 
 def average(
@@ -43,18 +38,10 @@ def average(
     step: str | float,
     names: str,
 ) -> tuple[dict[str, np.ndarray], dict[str, str | None], str]:
-    """Means over times that follow each other, of readings whose labels all agree.
-
-    Args:
-        columns: readings, numbers and labels.
-        units: of the numbers; None for labels.
-        output: name of the output column.
-        step: to average over, "1 s" or a number of seconds.
-        names: the files, for messages.
+    """Average readings whose labels all agree over times that follow each other, `step` (such as "1 s", or s) long.
 
     Returns:
-        Means of numbers and labels as they were, in the order of time within runs; their units; and how many readings
-        became how many means, and the noise of either, as a flag.
+        Means of numbers and labels as they were, in the order of time within runs; their units; and a flag.
 
     Raises:
         InputError: no such time, no column `time`, or each reading its own mean, or one mean of all.
@@ -90,7 +77,12 @@ def average(
     row = np.lexsort((means["time"], runs))
     found = {name: values[row] for name, values in means.items()}
     own = units.get(output)
-    flag = f"{names}: {time.size} readings averaged over {seconds:g} s, to {_averaging_note(counts, noise, own)}"
+    low, high = int(counts.min()), int(counts.max())
+    each = str(high) if low == high else f"{low} to {high}"
+    flag = f"{names}: {time.size} readings averaged over {seconds:g} s, to {counts.size} means of {each}"
+    if noise:
+        alone = f"{noise:.3g} {unit_label(own or '')}".rstrip()
+        flag += f"; noise.white is that of a mean of {high}, {alone} that of one"
     return found, {UNCERTAINTY: own, **units}, flag
 
 
@@ -99,26 +91,15 @@ def _refuse_useless(
 ) -> None:
     """Refuse a time that averages nothing, or everything."""
     if counts.size == 1:
-        raise InputError(
-            f"{names}: a mean over {seconds:g} s is one of all {time.size} readings: give a shorter time"
-        )
+        said = f"a mean over {seconds:g} s is one of all {time.size} readings: give a shorter time"
+        raise InputError(f"{names}: {said}")
     if counts.max() == 1:
         usual = float(np.median(np.diff(time)[same[1:]])) if same.any() else np.inf
-        apart = f" (they are {usual:.3g} s apart)" if np.isfinite(usual) else ""
+        apart = f" (they are {usual:.3g} s apart)" * bool(np.isfinite(usual))
         raise InputError(
-            f"{names}: nothing to average, as no two readings with the same labels and settings lie "
-            f"within {seconds:g} s{apart}: give a longer time, or do not average"
+            f"{names}: nothing to average, as no two readings with the same labels and settings lie within "
+            f"{seconds:g} s{apart}: give a longer time, or do not average"
         )
-
-
-def _averaging_note(counts: np.ndarray, noise: float, unit: str | None) -> str:
-    """How many means there are, and what noise they have."""
-    low, high = int(counts.min()), int(counts.max())
-    means = f"{counts.size} means of {high if low == high else f'{low} to {high}'}"
-    alone = f"{noise:.3g} {unit_label(unit or '')}".rstrip()
-    return (
-        f"{means}; noise.white is that of a mean of {high}, {alone} that of one" if noise else means
-    )
 
 
 def _bins(time: np.ndarray, same: np.ndarray, seconds: float) -> np.ndarray:

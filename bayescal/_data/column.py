@@ -29,19 +29,17 @@ class Column:
 
     Attributes:
         name: ours; files may call it otherwise (`columns=`).
-        unit: fixed unit inside the library; None for a text label (run, device, axis, group,
-            direction); "any" for a channel that may be anything, kept in the fixed unit of what the
-            file has (µg, °/s, rad, °C; ppm, ppb and % as they are; else base units).
+        unit: fixed unit inside the library; None for a text label (run, device, axis, group, direction); "any" for a
+            channel that may be anything, kept in the fixed unit of what the file has (µg, °/s, rad, °C; ppm, ppb and
+            % as they are; else base units).
         meaning: one line for people.
         required: whether a file without it is refused.
-        default: value of every reading where the file lacks the column, in `unit`; None leaves it
-            out.
-        low: least plausible value, in `unit`; what lies below is refused.
-        high: greatest plausible value, in `unit`.
+        default: value, in `unit`, of every reading where the file lacks the column; None leaves it out.
+        low, high: least and greatest plausible value, in `unit`; what lies beyond is refused.
         allowed: the labels that are known; empty allows any.
         also: further names under which files hold it.
-        known: standard uncertainties of a reading that are known before any fit, in `unit`, by
-            name, such as that of a converter's step.
+        known: standard uncertainties of a reading that are known before any fit, in `unit`, by name, such as that of
+            a converter's step.
     """
 
     name: str
@@ -56,36 +54,27 @@ class Column:
     known: tuple[tuple[str, float], ...] = ()
 
     def __post_init__(self) -> None:
-        """Refuse a column that contradicts itself.
-
-        Raises:
-            InputError: the name is taken or empty, labels are allowed of a number, limits are set
-                on a label or the wrong way round, any unit has a default, an uncertainty has no unit
-                or is not positive.
-        """
+        """Raise InputError where the column contradicts itself."""
         if not self.name.strip() or self.name in TAKEN:
             raise InputError(f"a column cannot be called {self.name!r}: choose a name of its own")
-        if self.unit is not None and self.allowed:
-            raise InputError(
-                f"column {self.name!r} is a number in {self.unit}: it has no allowed labels"
-            )
-        if self.unit is None and not (self.low is None and self.high is None):
-            raise InputError(f"column {self.name!r} is a label: it has no low and high")
-        if self.unit == ANY and self.default is not None:
-            raise InputError(
-                f"column {self.name!r} may be in any unit: its default {self.default!r} has none"
-            )
-        if self.known and self.unit in (None, ANY):
-            raise InputError(
-                f"column {self.name!r} has no unit that known uncertainties could have"
-            )
-        for name, value in self.known:
-            if not (math.isfinite(value) and value > 0):
-                raise InputError(f"column {self.name!r}: {name} {value} must be a positive number")
-        if self.low is not None and self.high is not None and not self.low < self.high:
-            raise InputError(
-                f"column {self.name!r}: low {self.low:g} is not below high {self.high:g}"
-            )
+        low, high, unit = self.low, self.high, self.unit
+        faults = {
+            f" is a number in {unit}: it has no allowed labels": unit is not None and self.allowed,
+            " is a label: it has no low and high": unit is None and (low, high) != (None, None),
+            f" may be in any unit: its default {self.default!r} has none": unit == ANY
+            and self.default is not None,
+            " has no unit that known uncertainties could have": self.known and unit in (None, ANY),
+            **{
+                f": {name} {value} must be a positive number": not (
+                    math.isfinite(value) and value > 0
+                )
+                for name, value in self.known
+            },
+        }
+        if low is not None and high is not None:
+            faults[f": low {low:g} is not below high {high:g}"] = not low < high
+        for fault in (text for text, holds in faults.items() if holds):
+            raise InputError(f"column {self.name!r}{fault}")
 
     @property
     def example(self) -> str | None:
@@ -110,11 +99,7 @@ class NominalScale:
     by_gravity: bool = False
 
     def __post_init__(self) -> None:
-        """Refuse a scale that nothing can be divided by.
-
-        Raises:
-            InputError: gain zero or not finite, offset not finite.
-        """
+        """Raise InputError for a gain of zero, or numbers that are not finite."""
         if not (math.isfinite(self.gain) and self.gain != 0 and math.isfinite(self.offset)):
             raise InputError(
                 f"nominal scale {self.gain:g} {self.unit} with offset {self.offset:g}: the gain "
@@ -122,19 +107,16 @@ class NominalScale:
             )
 
     def apply(self, raw: ArrayLike, *, difference: bool = False) -> np.ndarray:
-        """Raw outputs in `unit` as outputs; a difference, an uncertainty, has no offset or sign."""
+        """Convert raw outputs in `unit` to outputs; a difference, an uncertainty, has no offset or sign."""
         raw = np.asarray(raw, dtype=np.float64)
         return raw / abs(self.gain) if difference else (raw - self.offset) / self.gain
 
 
 @dataclass(frozen=True)
 class Source:
-    """A file that readings came from.
+    """A file that readings came from: its name, the digest of its bytes, and how it was read.
 
     Attributes:
-        file: its name.
-        sha256: of its bytes, hexadecimal.
-        rows: readings in it.
         output: its column that was read as the output, where the user chose one; else empty.
         columns: our name → its header, of the columns that the user named.
         units: its header → unit, of those whose unit the user said.
@@ -154,8 +136,7 @@ class ConvertedColumns:
 
     Attributes:
         tables: the files, with the rows that were kept.
-        values: name → one entry per reading.
-        units: name → unit; None for labels.
+        values, units: name → one entry per reading, and its unit; None for labels.
         flags: what was odd.
         filled: names of columns that hold a default.
         missing: name → indices of the readings that are missing there.

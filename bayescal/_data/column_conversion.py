@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import re
 import unicodedata
-from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -14,6 +14,7 @@ from bayescal._core.flag import Flag
 from bayescal._data.column import (
     ASSUMED_GRAVITY,
     MAY_BE_EMPTY,
+    UNCERTAINTY,
     Column,
     ConvertedColumns,
     overloads,
@@ -50,7 +51,7 @@ from bayescal._data.unit_conversion import (
     same_dimension,
     unit_in,
 )
-from bayescal._tables.cells import EXAMPLE, Cells, date_text, from_first, unit_of_counts
+from bayescal._tables.cells import EXAMPLE, MOST_BAD, Cells, date_text, from_first, unit_of_counts
 from bayescal._tables.raw_table import Header, Objection, Objections, Table, load_whole, option
 
 _EMPTY = "holds no number (empty, NaN, - or the like)"
@@ -73,21 +74,10 @@ def convert_columns(
     options: ReadOptions,
     problems: Objections | None = None,
 ) -> ConvertedColumns:
-    """Check a file's columns and convert them.
+    """Convert a file's columns to the instrument's units, in its order, then what else was kept.
 
-    Args:
-        table: the file.
-        instrument: whose columns are expected.
-        options: renamings, units, gravity, scale, and what becomes of missing readings.
-        problems: to add to; the columns without any are converted all the same.
-
-    Returns:
-        Columns in the instrument's units, in its order, then what else was kept; of the rows without a missing
-        reading, where such rows are dropped.
-
-    Raises:
-        InputError: a column, a unit or a cell cannot be used, and there are no `problems` to add to; the message
-            names file, row and column.
+    What is wrong is added to `problems`, and the columns without any are converted all the same; where there are none
+    to add to, InputError is raised. Rows with a missing reading are dropped where the options say so.
     """
     own = Objections() if problems is None else problems
     before = len(own)
@@ -114,11 +104,13 @@ def _converted(
     positions |= {name: position for name, (position, _) in offered.items()}
     if not table.readable:
         found = {}
-    day = _day_position(table, positions) if "time" in found else None
     wanted = {positions[n]: c.unit is not None for n, c in found.items()}
-    cells = load_whole(table, wanted if day is None else {**wanted, day: True})
-    if day is not None:
-        cells[positions["time"]] = cells[positions["time"]].on_days(cells[day], options.date_order)
+    days = [i for i, h in enumerate(table.headers) if plain(h.name) in DAYS and not h.unit]
+    days = [i for i in days if "time" in found and i != positions["time"]]  # beside times of day
+    cells = load_whole(table, wanted | dict.fromkeys(days, True) if len(days) == 1 else wanted)
+    if len(days) == 1:
+        times = cells[positions["time"]]
+        cells[positions["time"]] = times.on_days(cells[days[0]], options.date_order)
 
     def reader(name: str) -> ColumnReader:
         header = offered[name][1] if name in offered else file.header(name)
@@ -165,13 +157,6 @@ def _converted(
     return converted
 
 
-def _day_position(table: Table, positions: Mapping[str, int]) -> int | None:
-    """Where a column of days stands beside one of times of day."""
-    named = (i for i, h in enumerate(table.headers) if plain(h.name) in DAYS and not h.unit)
-    found = [i for i in named if i != positions["time"]]
-    return found[0] if len(found) == 1 else None
-
-
 def _drop(table: Table, converted: ConvertedColumns, problems: Objections) -> None:
     """Leave the rows out in which a reading is missing, and say so; a problem if none would be left."""
     missing = converted.missing
@@ -192,9 +177,8 @@ def _drop(table: Table, converted: ConvertedColumns, problems: Objections) -> No
 def _rows(table: Table, rows: np.ndarray) -> str:
     """Rows, the first few by number."""
     first = ", ".join(table.place(int(i)).removeprefix("row ") for i in rows[:3])
-    if len(rows) == 1:
-        return f"row {first}"
-    return f"{len(rows)} rows ({first}{' …' * (len(rows) > 3)})"
+    more = " …" * (len(rows) > 3)
+    return f"row {first}" if len(rows) == 1 else f"{len(rows)} rows ({first}{more})"
 
 
 @dataclass(frozen=True)
@@ -240,17 +224,16 @@ class ColumnReader:
             self.converted.units[self.column.name] = self.column.unit
 
     def read_if_sound(self, cells: Cells) -> None:
-        """A column that no instrument asked for: left out, with a flag, unless every cell is a number."""
+        """Read a column that no instrument asked for, or leave it out with a flag unless every cell is a number."""
         name, fixed, gravity = self.column.name, self.column.unit, self.file.options.gravity
         unit = unit_of(self.header, name, self.file.options)
-        assert unit is not None and fixed is not None  # `extra_columns` keeps no other
+        assert unit is not None and fixed is not None  # `further_columns` keeps no other
         values = convert(cells.values, unit, fixed, local_gravity=gravity)
         unusable = np.union1d(np.flatnonzero(self._not_finite(values)), overloads(cells.values))
         if cells.bad or unusable.size or cells.dates:
             index = next(iter(cells.bad), int(unusable[0]) if unusable.size else 0)
-            seen = (
-                f"reads {cells.bad[index]!r}" if cells.bad else _reading(float(cells.values[index]))
-            )
+            text = cells.bad.get(index)
+            seen = f"reads {text!r}" if cells.bad else _reading(float(cells.values[index]))
             self._flag(f"ignored: {self.file.table.place(index)} {seen}")
             return
         if needs_gravity(unit, fixed):
@@ -261,6 +244,9 @@ class ColumnReader:
     def _is_time(self) -> bool:
         return self.column.name == "time" and self.column.unit == "s"
 
+    def _problem(self, came: str, *about: str, **more: Any) -> None:
+        self.file.problem(self.header.raw, came, *about, **more)
+
     def _flag(self, said: str) -> None:
         self.converted.flags.append(f"{self.file.table.file}: column {self.header.raw!r} {said}")
 
@@ -270,7 +256,7 @@ class ColumnReader:
         self.converted.missing[self.column.name] = np.union1d(earlier, rows)
         if self.file.options.missing == "refuse":
             cure, given = "Fill it in, or drop such rows", option("--missing", "drop")
-            self.file.problem(self.header.raw, came, expected, cure, given, rows=rows)
+            self._problem(came, expected, cure, given, rows=rows)
 
     def _without(self, raw: np.ndarray, rows: np.ndarray, said: str) -> np.ndarray:
         """Numbers without those that stand for a missing reading."""
@@ -283,10 +269,8 @@ class ColumnReader:
 
     def _unwrapped(self, raw: np.ndarray, unit: str | None) -> np.ndarray:
         """Undo a counter's wraps, or a sign that was lost, where the user says so."""
-        names = (self.header.raw, self.header.name, self.column.name)
-        said = next(
-            (self.file.options.unwrap[n] for n in names if n in self.file.options.unwrap), None
-        )
+        given = self.file.options.unwrap
+        said = next((given[n] for n in self._names if n in given), None)
         if said is None or unit is None:
             return raw
         warm = same_dimension(unit, "degC")
@@ -318,9 +302,8 @@ class ColumnReader:
         since = self.converted.origin
         if since is not None and since > _EARLIEST_1904 and not cells.dates:
             self.converted.origin = since - _SINCE_1904
-            self._flag(
-                f"taken as since 1904 (LabVIEW): since 1970 it would begin {date_text(since)[:10]}"
-            )
+            begin = date_text(since)[:10]
+            self._flag(f"taken as since 1904 (LabVIEW): since 1970 it would begin {begin}")
 
     def _from_begin(self, values: np.ndarray) -> np.ndarray:
         """Count times from when the first reading was taken, where the user says that."""
@@ -336,76 +319,60 @@ class ColumnReader:
         return values - np.nanmin(values) + (0.0 if dated else begin)
 
     def _note_mass(self, raw: np.ndarray, unit: str | None) -> None:
-        """Ask about a g that is hardly that of gravity, where the instrument takes whatever unit there is."""
-        anything = any(
-            c.name == self.column.name and c.unit == ANY for c in self.file.instrument.columns
-        )
-        said = {
-            self.header.raw,
-            self.header.name,
-            self.column.name,
-        } & self.file.options.units.keys()
-        if unit is None or not anything or said:
+        """Note a g that is hardly that of gravity, where the instrument takes whatever unit there is."""
+        anything = {c.name for c in self.file.instrument.columns if c.unit == ANY}
+        said = self.file.options.units.keys() & {*self._names}
+        if unit is None or self.column.name not in anything or said:
             return
-        powers, known = parse(unit).powers, abs(raw[np.isfinite(raw)])
-        far = (
-            powers == {"ug": 1}
-            and known.size
-            and np.median(convert(known, unit, "g")) > _MOST_AT_REST
-        )
+        powers, known = parse(unit).powers, raw[np.isfinite(raw)]
+        far = powers == {"ug": 1} and known.size
+        far = far and np.median(convert(abs(known), unit, "g")) > _MOST_AT_REST
         if far or (powers.get("ug") == 1 and powers.get("m") == -3):
             mass = re.sub(r"\b([mu]?)g\b", r"\1gram", unit)
-            came = f"reads {raw[np.isfinite(raw)][0]:.4g} {pretty(unit)}, and g is gravity here: hardly an acceleration"
+            came = f"reads {known[0]:.4g} {pretty(unit)}, and g is gravity here: hardly an acceleration"
             cure = f"Is it a mass? Its unit is {mass}; if it is gravity, say so: "
             cure += option("--unit", f"{self.header.raw}={unit}")
-            self.file.problem(
-                self.header.raw,
-                came,
-                cure=cure,
-                option=option("--unit", f"{self.header.raw}={mass}"),
-            )
+            asked = option("--unit", f"{self.header.raw}={mass}")
+            self._problem(came, cure=cure, option=asked)
 
     def _note_unsigned(self, raw: np.ndarray) -> None:
         """Note signed counts that were written as unsigned: at both ends of the bits, and never between."""
         known = raw[np.isfinite(raw)]
         if self.column.name != output_name(self.file.instrument) or not known.size:
             return
-        high = float(known.max())
+        low, high = float(known.min()), float(known.max())
         bits = next((b for b in (12, 16, 20, 24, 32) if high < 2.0**b), 0)
         ends = 2.0**bits / 16
-        near = (known < ends) | (known >= 2.0**bits - ends)
-        if (
-            not bits
-            or known.min() < 0
-            or not near.all()
-            or (known < ends).all()
-            or high < ends * 15
-        ):
+        first, last = known < ends, known >= 2.0**bits - ends
+        if not bits or low < 0 or high < ends * 15 or first.all() or not (first | last).all():
             return
-        if (known == np.round(known)).all() and np.count_nonzero(known < ends) > 1:
+        if (known == np.round(known)).all() and np.count_nonzero(first) > 1:
             came = f"holds whole numbers near 0 and near 2^{bits}, and none between: signed counts read as unsigned"
             asked = option("--unwrap", f"{self.header.raw}=2^{bits}")
-            self.file.problem(self.header.raw, came, cure="Undo it, if that is so", option=asked)
+            self._problem(came, cure="Undo it, if that is so", option=asked)
 
     def _labels(self, labels: np.ndarray) -> None:
         if not self.column.required and (labels == "").all():
             self._flag("is empty and was left out")
             return
-        empty = np.flatnonzero(labels == "")
+        empty, allowed = np.flatnonzero(labels == ""), self.column.allowed
         if empty.size:
             self._missing(empty, "is empty", "a label")
         before = len(self.file.problems)
         for label in dict.fromkeys(labels.tolist()):
+            came, expected, cure = f"reads {label!r}, ", "", "Remove it"
             if any(unicodedata.category(character) in ("Cc", "Cs") for character in label):
-                came, expected = f"reads {label!r}, which holds a control character", ""
-                cure = "Remove it"
-            elif label and self.column.allowed and label not in self.column.allowed:
-                came, cure = f"reads {label!r}, an unknown label", "Correct it"
-                expected = f"one of {', '.join(self.column.allowed)}"
+                came += "which holds a control character"
+            elif label and allowed and label not in allowed:
+                came, expected, cure = (
+                    f"{came}an unknown label",
+                    f"one of {', '.join(allowed)}",
+                    "Correct it",
+                )
             else:
                 continue
             rows = np.flatnonzero(labels == label)
-            self.file.problem(self.header.raw, came, expected, cure, rows=rows)
+            self._problem(came, expected, cure, rows=rows)
         if len(self.file.problems) == before:
             self.converted.values[self.column.name] = labels
             self.converted.units[self.column.name] = None
@@ -416,18 +383,18 @@ class ColumnReader:
             return cells
         dates, fitting = cells.in_order(self.file.options.date_order), cells.fitting_orders
         if dates.orders:
-            came = "leave open which number is the day, or whether they are times"
-            came = came if fitting else "are not all dates in one order of month, day and year"
+            came = "its dates are not all dates in one order of month, day and year"
+            if fitting:
+                came = "its dates leave open which number is the day, or whether they are times"
             orders = fitting or [n for n, v in cells.orders.items() if not np.isnan(v).all()]
             firsts = {n: date_text(float(np.nanmin(cells.orders[n]))).split() for n in orders}
-            begin = (f"{n} if it begins {first[n == 'hms']}" for n, first in firsts.items())
-            self.file.problem(
-                self.header.raw,
-                f"its dates {came}",
+            begin = ", ".join(f"{n} if it begins {f[n == 'hms']}" for n, f in firsts.items())
+            expected, cure = (
                 "a day above 12 in one of them, or the year first",
-                f"Say in which order they are: {', '.join(begin)}",
-                option=option("--date-order", orders[0]),
+                f"Say in which order they are: {begin}",
             )
+            asked = option("--date-order", orders[0])
+            self._problem(came, expected, cure, asked)
         return dates
 
     def _as_numbers(self, cells: Cells) -> Cells:
@@ -435,7 +402,7 @@ class ColumnReader:
         if not cells.dates or self._is_time:
             return cells
         there = np.flatnonzero(~np.isnan(cells.values))
-        dates = {int(i): date_text(float(cells.values[i])) for i in there[:1000]}
+        dates = {int(i): date_text(float(cells.values[i])) for i in there[:MOST_BAD]}
         return Cells(np.full(len(cells.values), np.nan), {**dates, **cells.bad})
 
     def _unit(self, cells: Cells) -> str | None:
@@ -450,26 +417,31 @@ class ColumnReader:
         if unit is None and self._is_time and cells.bad and np.isnan(cells.values).all():
             return None  # dates of another form, which are said as such
         if unit is None:
-            unit, name = self.column.example, self.header.name
-            cure = (
-                f"UNIT is what its numbers are in, such as {unit}; in a header, '{name} [{unit}]'"
-            )
-            self.file.problem(self.header.raw, "the header has no unit", "one", cure, asked)
+            own = self.column.example
+            cure = f"UNIT is what its numbers are in, such as {own}; in a header, '{self.header.name} [{own}]'"
+            self._problem("the header has no unit", "one", cure, asked)
             return None
         if self.column.unit not in (None, ANY):
             unit = unit_in(unit, (self.column.unit,)) or unit
         try:
             parse(unit)
         except InputError as error:
-            where = f"{self.file.table.file!r}, column {self.header.raw!r}"
-            sentence = f"{where}: {error}. Correct the header, or say the unit"
+            sentence = f"{self._where}: {error}. Correct the header, or say the unit"
             near = "".join(re.findall(r"\(([^()]*meant\?)\)", str(error))[:1])
             came, expected = f"the unit [{unit}]", "a unit known here"
-            self.file.problem(self.header.raw, came, expected, near, asked, sentence=sentence)
+            self._problem(came, expected, near, asked, sentence=sentence)
             return None
         if self.header.unit and unit != self.header.unit:
             self._flag(f"taken as [{unit}], as --unit says")
         return unit
+
+    @property
+    def _names(self) -> tuple[str, str, str]:
+        return self.header.raw, self.header.name, self.column.name
+
+    @property
+    def _where(self) -> str:
+        return f"{self.file.table.file!r}, column {self.header.raw!r}"
 
     def _note_text(self, cells: Cells, unit: str | None) -> None:
         """Note the cells that hold text."""
@@ -485,13 +457,17 @@ class ColumnReader:
         came = ", ".join(repr(text[:60]) for text in texts[:_TEXTS]) + " …" * (len(texts) > _TEXTS)
         if cells.bad:
             rows = sorted(cells.bad)
-            self.file.problem(self.header.raw, f"reads {came}", expected, hint, rows=rows)
+            self._problem(f"reads {came}", expected, hint, rows=rows)
 
     def _convert(self, values: np.ndarray, unit: str) -> np.ndarray | None:
         """Numbers in `unit` in the column's, or by the nominal scale; None, and a problem, if neither can be."""
         target, gravity = self.column.unit or "1", self.file.options.gravity
-        difference = self.column.name == "output_uncertainty"
-        scale = self.file.options.nominal_scale or self.file.instrument.nominal_scale
+        own = self.file.options.nominal_scale
+        difference, asked = (
+            self.column.name == UNCERTAINTY,
+            option("--unit", f"{self.header.raw}=UNIT"),
+        )
+        scale = own or self.file.instrument.nominal_scale
         if same_dimension(unit, target):
             if needs_gravity(unit, target):
                 self.converted.by_gravity.add(self.column.name)
@@ -502,21 +478,18 @@ class ColumnReader:
                 if (absolute := _above_zero(values, unit, target)) is not None:
                     self._flag(f"[{unit}] taken as temperatures above absolute zero")
                     return absolute
-                where = f"{self.file.table.file!r}, column {self.header.raw!r}"
-                asked = option("--unit", f"{self.header.raw}=UNIT")
-                said = f"{where}: {error}"
-                self.file.problem(self.header.raw, str(error), option=asked, sentence=said)
+                said = f"{self._where}: {error}"
+                self._problem(str(error), option=asked, sentence=said)
                 return None
         raw_output = self.column.name == output_name(self.file.instrument) or difference
         if raw_output and scale is not None and same_dimension(unit, scale.unit):
             shifted = scale.offset and not difference
             reading = f"(reading − {scale.offset:g})" if shifted else "reading"
-            own = self.file.options.nominal_scale is None
-            of = f" of {self.file.instrument.name}" * own
-            other = " (another sensor's: --nominal-scale and --nominal-zero)" * own
+            of = "" if own else f" of {self.file.instrument.name}"
+            other = "" if own else " (another sensor's: --nominal-scale and --nominal-zero)"
             self._flag(
-                f"turned into {pretty(target)} by the nominal scale{of}: "
-                f"{reading}/{scale.gain:g}, reading in {pretty(scale.unit)}{other}"
+                f"turned into {pretty(target)} by the nominal scale{of}: {reading}/{scale.gain:g}, reading in "
+                f"{pretty(scale.unit)}{other}"
             )
             if scale.by_gravity:
                 self.converted.by_gravity.add(self.column.name)
@@ -530,8 +503,7 @@ class ColumnReader:
         hint = f" Or say how many {unit} one {target} is, such as {how}" * raw_output
         cure = f"Correct the header, or give the unit that is meant.{hint}"
         came, expected = f"its unit is [{unit}]", f"one that converts to {target}{also}"
-        asked = option("--unit", f"{self.header.raw}=UNIT")
-        self.file.problem(self.header.raw, came, expected, cure, asked)
+        self._problem(came, expected, cure, asked)
         return None
 
     def _not_finite(self, values: np.ndarray) -> np.ndarray:
@@ -544,15 +516,14 @@ class ColumnReader:
         """Note what is empty as missing, and what is infinite as wrong."""
         expected = _number_in(unit)
         wrong = np.setdiff1d(np.flatnonzero(self._not_finite(values)), list(noted))
-        empty = wrong[np.isnan(raw[wrong])]
-        if empty.size and len(noted) < 1000:
-            self._missing(empty, _EMPTY, expected)
-        infinite = wrong[~np.isnan(raw[wrong])]
-        if infinite.size:
+        none = np.isnan(raw[wrong])
+        if none.any() and len(noted) < MOST_BAD:
+            self._missing(wrong[none], _EMPTY, expected)
+        if (infinite := wrong[~none]).size:
             first = float(raw[infinite[0]])
-            came = _reading(first) + (", too large" if np.isfinite(first) else "")
+            came = _reading(first) + ", too large" * bool(np.isfinite(first))
             cure = "Fill it in, or remove the row"
-            self.file.problem(self.header.raw, came, expected, cure, rows=infinite)
+            self._problem(came, expected, cure, rows=infinite)
 
     def _note_implausible(self, raw: np.ndarray, values: np.ndarray, unit: str) -> None:
         low = -np.inf if self.column.low is None else self.column.low
@@ -560,23 +531,30 @@ class ColumnReader:
         wrong = (values < low) | (values > high)
         if not wrong.any():
             return
-        index, shown = int(np.argmax(wrong)), pretty(self.column.unit or "1")
+        index, target = int(np.argmax(wrong)), self.column.unit or "1"
         limits = f"at least {low:g}" if high == np.inf else f"at most {high:g}"
         limits = f"{low:g} … {high:g}" if low > -np.inf and high < np.inf else limits
-        same = pretty(unit) == shown
-        internal = "" if same else f", that is {values[index]:.6g} {shown}"
+        shown = pretty(target)
+        internal = f", that is {values[index]:.6g} {shown}" * (pretty(unit) != shown)
+
+        def plausible(other: str) -> bool:
+            if other == unit or not same_dimension(other, target):
+                return False
+            own = convert(raw, other, target, local_gravity=self.file.options.gravity)
+            return bool(np.all(np.isnan(own) | ((own >= low) & (own <= high))))
+
         likely = _LIKELY_UNITS if wrong.mean() >= 0.5 else ()  # a single slip says nothing of units
-        better = [u for u in likely if u != unit and self._plausible_in(u, raw, low, high)]
+        better = next(filter(plausible, likely), None)
         came = f"reads {raw[index]:.6g} {pretty(unit)}{internal}; plausible is {limits} {shown}"
         cure, given = "Check the unit and the number", ""
         if better:
-            cure = f"Are the numbers in {better[0]}? Then write '{self.header.name} [{better[0]}]'"
-            given = option("--unit", f"{self.header.raw}={better[0]}")
-        elif self.column.unit == "degC" and (period := self._period(values, low, high)):
+            cure = f"Are the numbers in {better}? Then write '{self.header.name} [{better}]'"
+            given = option("--unit", f"{self.header.raw}={better}")
+        elif target == "degC" and (period := self._period(values, low, high)):
             came = f"{came}; a counter of {period:g} °C that began anew"
             cure, given = "Undo it, if that is so", unwrap_option(self.header.raw, period)
         rows = np.flatnonzero(wrong)
-        self.file.problem(self.header.raw, came, "", cure, given, rows=rows)
+        self._problem(came, "", cure, given, rows=rows)
 
     def _period(self, values: np.ndarray, low: float, high: float) -> float | None:
         """The period, °C, of a counter without whose wraps all temperatures are plausible; None where there is none."""
@@ -590,13 +568,6 @@ class ColumnReader:
             if low < undone.min() and undone.max() < high:
                 return period
         return None
-
-    def _plausible_in(self, unit: str, raw: np.ndarray, low: float, high: float) -> bool:
-        target = self.column.unit or "1"
-        if not same_dimension(unit, target):
-            return False
-        values = convert(raw, unit, target, local_gravity=self.file.options.gravity)
-        return bool(np.all(np.isnan(values) | ((values >= low) & (values <= high))))
 
 
 def _number_in(unit: str | None) -> str:

@@ -13,16 +13,13 @@ ROOM = 20.0  # °C, near which a record begins where its counter leaves open whi
 # What a thermometer's counter of some bits holds, °C: in whole degrees and parts of them by two, and in decimals.
 PERIODS = sorted({2.0**bits * size for bits in range(4, 21) for size in (1.0, 0.1, 0.01, 0.001)})
 LEAST_PERIOD = 50.0  # °C; steps of less are other faults'
-SIGNED = (
-    128.0,
-    256.0,
-)  # °C, of counters that may go on from their largest value at the smallest: ±64, ±128
+# °C, of counters that may go on from their largest value at the smallest: ±64, ±128
+SIGNED = (128.0, 256.0)
 PART = 0.25  # of a period, that a column may change by at the most where a change tells that it began anew
 LEAST_LEVELS = 3  # values beyond a wrap; fewer are an error value
 USUAL_SHARE = 0.9  # of a column's changes
-BETTER_RATIO = (
-    4.0  # of residual sums of squares, from which an output denies a column's absolute values
-)
+# Of residual sums of squares, from which an output denies a column's absolute values.
+BETTER_RATIO = 4.0
 
 
 def unwrap_option(column: str, period: float) -> str:
@@ -31,16 +28,10 @@ def unwrap_option(column: str, period: float) -> str:
 
 
 def unwrap(values: np.ndarray, codes: np.ndarray, period: float, start: float) -> np.ndarray:
-    """Return a column as of a counter that went on, (n,).
+    """Return a column, in the order of the file (n,), as of a counter that went on, whose `codes` are its records.
 
-    In a record it goes on from one reading to the next. The first record begins near `start`; the mean of a later one
-    is as near as may be to that of the first.
-
-    Args:
-        values: of the column, in the order of the file (n,).
-        codes: of the record of each (n,).
-        period: what the counter held when it began anew.
-        start: where a column begins, such as 20 °C or 0.
+    In a record it goes on from one reading to the next. The first record begins near `start` (20 °C, or 0); the mean of
+    a later one is as near as may be to that of the first. The counter begins anew at `period`.
     """
     found, middle = values.copy(), None
     for code in np.unique(codes):
@@ -79,11 +70,7 @@ def wrap_period(values: np.ndarray, codes: np.ndarray, allowed: np.ndarray) -> f
 
     Within a record each change by more than half of it is one of a period, to what the column may change by; all values
     lie in one period, from 0 or (of signed bytes) about 0; and those beyond the others are more than an error value.
-
-    Args:
-        values: °C, in the order of the file (n,).
-        codes: of the record of each (n,).
-        allowed: what the column may change by from each reading to the next (n − 1,).
+    `values` in °C and `codes` of their records are (n,), `allowed` changes from each reading to the next (n − 1,).
     """
     low, high = float(values.min()), float(values.max())
     change = np.where(np.diff(codes) == 0, np.abs(np.diff(values)), 0.0)
@@ -106,19 +93,13 @@ def lost_its_sign(
     output: np.ndarray,
     others: Sequence[np.ndarray],
 ) -> bool:
-    """Whether an output follows a column's values with their sign restored far more closely than the values.
+    """Return whether an output follows a column's values with their sign restored far more closely than the values.
 
-    Args:
-        values: °C, in the order of the file (n,).
-        codes: of the record of each (n,).
-        allowed: what the column may change by from each reading to the next (n − 1,).
-        output: of the readings (n,).
-        others: further columns that the output may depend on, (n,) each.
+    Arguments as `wrap_period`; `output` (n,), and `others`: further columns that it may depend on, (n,) each.
     """
     signed = restore_sign(values, codes)
-    leaps = (np.abs(np.diff(signed)) > 2.0 * allowed) & (
-        np.diff(codes) == 0
-    )  # at a zero by both sides
+    # at a zero by both sides
+    leaps = (np.abs(np.diff(signed)) > 2.0 * allowed) & (np.diff(codes) == 0)
     if values.min() < 0 or not (signed < 0).any() or leaps.any():
         return False
     left = []

@@ -1,16 +1,18 @@
 """Checks of a whole data set: what makes it unusable, and what its owner should know of.
 
-Refused: one temperature only, time running backwards, a thermometer whose counter wrapped. Flagged: repeated rows (with
-a time they are dropped), a saturated output, a constant column, an output of an absurd size, a time of too few digits,
-runs of one reading each, and what `thermometer_checks` finds.
+Refused: one temperature only, time running backwards, a thermometer whose counter wrapped. Flagged: what the list
+`CHECKS` finds. Thresholds stand above the check that they are of; what they are set against ("good records") are the
+campaigns that the six instruments simulate, as they are, rounded as displays do, and noisy.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 
 from bayescal._core.errors import InputError
 from bayescal._core.settings import settings
@@ -31,97 +33,15 @@ from bayescal._data.records import (
     record_codes,
     runs_of,
 )
-from bayescal._data.thermometer_checks import REPEATED_SHARE, STUCK_RATIO, allowed_changes, oddities
+from bayescal._data.thermometer_checks import (
+    REPEATED_SHARE,
+    STUCK_RATIO,
+    Oddity,
+    allowed_changes,
+    oddities,
+)
 from bayescal._data.unit_conversion import base_unit, convert, unit_label
 from bayescal._tables.raw_table import Objection, Objections, Table, option
-
-# What a record may not be, and what of it is no reading of the sensor. "Good records" are the campaigns that the six
-# instruments simulate, as they are, rounded as displays do, and noisy (tests/readings/test_thermometers.py).
-
-# Standard deviations within runs, that the temperatures of runs are apart at the least where each has one of its own:
-# a slope within runs then has a hundredth of the information.
-PLATEAU_SD = 10.0
-# Readings at the very end of an output's range, below which that may be chance.
-CLIPPED_READINGS = 5
-CLIPPED_SHARE = 0.01  # the same as a share of all readings, in a long record
-# Share of the range, between an end and the next level, beyond which the end is a set-up of its own, such as one
-# position.
-CLIPPED_GAP = 0.1
-# Times the readings at the next level, below which an end is that of a rounded output.
-CLIPPED_RATIO = 3.0
-STUCK_READINGS = 8  # readings in a row without a change, below which that may be chance
-STUCK_SHARE = 0.5  # of a record, from which a stretch is no plateau of a rounded thermometer
-# Share of all readings that distinct values are at most where values occur again by rounding.
-ROUNDED_SHARE = 0.5
-# Share of a record's outputs that are those of another, number for number: far beyond chance, and half of it is a copy.
-COPIED_SHARE = 0.5
-# Of a step, by which values on a grid may be off it; numbers are written with two digits more.
-OFF_GRID_STEPS = 0.01
-# Share of the readings that have the time of the one before, from which a clock is too coarse or has too few digits:
-# most changes are lost.
-SAME_TICK_SHARE = 0.5
-COUNTED_RUNS = 8  # runs of one reading each, below which that may be the plan of a test
-# Of readings at even distances in the file that lie apart: robust standard deviations beyond which one does, fewest of
-# them, the distances, and the share of the places at such a distance that they hold. Of so many rows, at most.
-PERIODIC_SD, PERIODIC_READINGS, PERIODIC_ROWS, PERIODIC_SHARE, PERIODIC_LOOKED = (
-    8.0,
-    6,
-    (4, 200),
-    0.8,
-    20_000,
-)
-# Unit, least and largest range of an output that any sensor resolves and measures. Least: a superconducting gravimeter
-# resolves 1e-12 m/s², a large ring laser 1e-13 rad/s, an interferometer on a lever 1e-12 rad. Most: gauges of impacts
-# end at 2e6 m/s², rotors of any kind at 1e5 rad/s, and an angle beyond 1e4 rad has been counted in turns.
-OUTPUT_RANGES = (
-    ("m/s^2", 1e-12, 1e7),
-    ("rad/s", 1e-13, 1e5),
-    ("rad", 1e-12, 1e4),
-)
-
-# What clocks hold when they begin anew: counters of 32, 24 and 16 bits, a GPS week, a day.
-PERIODS = {
-    **{
-        f"2^{bits}{unit}": 2.0**bits * size
-        for bits in (32, 24, 16)
-        for unit, size in (("ns", 1e-9), ("us", 1e-6), ("ms", 1e-3))
-    },
-    "604800s": 604_800.0,
-    "86400s": 86_400.0,
-}
-# Within a run: a pause that no test makes, s (ten years); a clock was set there.
-CLOCK_SET = 3.2e8
-# Usual steps that such a pause is at the least: yearly readings have not paused.
-CLOCK_SET_STEPS = 1e4
-
-
-def rounding_step(values: np.ndarray) -> float:
-    """Return the step that a column is rounded to where rounding makes values occur again, in its unit; else 0."""
-    return resolution(values) if len(np.unique(values)) <= ROUNDED_SHARE * len(values) else 0.0
-
-
-def resolution(values: np.ndarray, fewest: int = 3) -> float:
-    """Return the step of the grid on which all values of a column lie, in its unit; 0 where there is none.
-
-    Found by Euclid's algorithm: what a step leaves of the gaps between values is the next one.
-
-    Args:
-        values: of the column (n,).
-        fewest: different values, of fewer of which nothing is said.
-    """
-    levels = np.unique(values)
-    if len(levels) < max(fewest, 2):
-        return 0.0
-    gaps = np.diff(levels)
-    gaps = gaps[gaps > OFF_GRID_STEPS * np.median(gaps)]
-    step, digits = float(gaps.min()), 1e3 * np.spacing(np.max(np.abs(levels)))
-    while step > digits:
-        off = np.abs((levels - levels[0]) / step - np.round((levels - levels[0]) / step))
-        if np.all(off < OFF_GRID_STEPS):
-            return step
-        step = float(step * off[off >= OFF_GRID_STEPS].min())
-    return 0.0
-
 
 Where = Callable[[int], str]  # index of a reading → "row 12 of 'tilt.csv'"
 
@@ -129,13 +49,10 @@ Where = Callable[[int], str]  # index of a reading → "row 12 of 'tilt.csv'"
 def problems_of_whole(
     converted: ConvertedColumns, instrument: Any, one_temperature: bool
 ) -> Objections:
-    """What is wrong with readings as a whole: one temperature only, time that runs backwards.
+    """Return what is wrong with readings as a whole: one temperature only, time that runs backwards.
 
-    Args:
-        converted: their columns.
-        instrument: whose readings they are. Where it says which effects its baseline has, and none of them needs the
-            temperature to change, it need not.
-        one_temperature: accept one temperature all the same.
+    The temperature need not change where `one_temperature` accepts it, or where the instrument says which effects its
+    baseline has, and none of them needs that.
     """
     problems, files = Objections(), [table.file for table in converted.tables]
     effects = getattr(instrument, "effects", None)
@@ -150,30 +67,8 @@ def problems_of_whole(
     return problems
 
 
-def _wrapped(converted: ConvertedColumns, output: str) -> Iterator[Objection]:
-    """Find thermometers whose counter began anew, or whose sign was lost, each with the option that undoes it."""
-    columns, units, where = converted.values, converted.units, row_namer(converted.tables)
-    warm = [n for n in columns if units[n] == "degC" and n != MAY_BE_EMPTY]
-    others = [v for n, v in columns.items() if units[n] and n not in (*warm, "time", output)]
-    for name in warm if "time" in columns else ():
-        values, codes = columns[name], record_codes(columns)
-        allowed = allowed_changes(columns, values)
-        row = 1 + int(np.argmax(np.abs(np.diff(values, append=values[-1]))))
-        place, _, file = where(min(row, len(values) - 1)).partition(" of ")
-        if period := wrap_period(values, codes, allowed):
-            came = f"leaps by {period:g} °C, as a counter that began anew"
-            undo = unwrap_option(name, period)
-        elif output in columns and lost_its_sign(values, codes, allowed, columns[output], others):
-            came = "turns round at 0 °C where the output goes on: its sign was lost"
-            undo = option("--unwrap", f"{name}={SIGN}")
-        else:
-            continue
-        cure = "Undo it, if that is so"
-        yield Objection(file.strip("'"), came, cure=cure, option=undo, column=name, places=(place,))
-
-
 def row_namer(tables: Sequence[Table]) -> Where:
-    """What names the file and row of a reading, of several tables one after the other."""
+    """Return what names the file and row of a reading, of several tables one after the other."""
     ends = np.cumsum([table.rows for table in tables])
 
     def where(index: int) -> str:
@@ -184,16 +79,38 @@ def row_namer(tables: Sequence[Table]) -> Where:
     return where
 
 
+def _objection(
+    where: Where, rows: Sequence[int], column: str, came: str, cure: str, option: str = ""
+) -> Objection:
+    """An objection to rows, of which the first names the file."""
+    places = [where(int(row)).partition(" of ") for row in rows]
+    file = places[0][2].strip("'")
+    return Objection(file, came, "", cure, option, column, places=tuple(p[0] for p in places))
+
+
+def _wrapped(converted: ConvertedColumns, output: str) -> Iterator[Objection]:
+    """Find thermometers whose counter began anew, or whose sign was lost, each with the option that undoes it."""
+    columns, units, where = converted.values, converted.units, row_namer(converted.tables)
+    warm = [n for n in columns if units[n] == "degC" and n != MAY_BE_EMPTY]
+    others = [v for n, v in columns.items() if units[n] and n not in (*warm, "time", output)]
+    for name in warm if "time" in columns else ():
+        values, codes = columns[name], record_codes(columns)
+        allowed = allowed_changes(columns, values)
+        row = 1 + int(np.argmax(np.abs(np.diff(values, append=values[-1]))))
+        if period := wrap_period(values, codes, allowed):
+            came = f"leaps by {period:g} °C, as a counter that began anew"
+            undo = unwrap_option(name, period)
+        elif output in columns and lost_its_sign(values, codes, allowed, columns[output], others):
+            came = "turns round at 0 °C where the output goes on: its sign was lost"
+            undo = option("--unwrap", f"{name}={SIGN}")
+        else:
+            continue
+        rows = [min(row, len(values) - 1)]
+        yield _objection(where, rows, name, came, "Undo it, if that is so", undo)
+
+
 def refuse_one_temperature(columns: Columns, names: str) -> None:
-    """Refuse readings that hold one temperature only.
-
-    Args:
-        columns: readings; `temperature` in °C.
-        names: the files, for the message.
-
-    Raises:
-        InputError: the temperatures span less than `Settings.temperature_span`.
-    """
+    """Raise InputError where temperatures, °C, span less than `Settings.temperature_span`."""
     temperature = columns["temperature"]
     low, high = float(temperature.min()), float(temperature.max())
     if high - low < settings().temperature_span:
@@ -208,176 +125,197 @@ def refuse_one_temperature(columns: Columns, names: str) -> None:
         raise InputError(said, (problem,))
 
 
+# What clocks hold when they begin anew, s: counters of 32, 24 and 16 bits, a GPS week, a day.
+PERIODS = {
+    f"2^{bits}{unit}": 2.0**bits * size
+    for bits in (32, 24, 16)
+    for unit, size in (("ns", 1e-9), ("us", 1e-6), ("ms", 1e-3))
+} | {"604800s": 604_800.0, "86400s": 86_400.0}
+# Within a run: a pause that no test makes, s (ten years); a clock was set there.
+CLOCK_SET = 3.2e8
+# Usual steps that such a pause is at the least: yearly readings have not paused.
+CLOCK_SET_STEPS = 1e4
+
+
 def refuse_backward_time(columns: Columns, where: Where) -> None:
-    """Refuse time that runs backwards within a run of a device and axis.
+    """Raise InputError where time, s, runs backwards, or leaps by years, within a run of a device and axis.
 
-    Args:
-        columns: readings; `time` in s.
-        where: names a reading's file and row.
-
-    Raises:
-        InputError: it does, and where.
+    `where` names a reading's file and row.
     """
     if "time" not in columns:
         return
-    time = columns["time"]
     record = record_codes(columns)
     order = np.argsort(record, kind="stable")
-    inner, step = np.diff(record[order]) == 0, np.diff(time[order])
-    _refuse_clock_set(columns, order, inner, where)
-    back = (step < 0) & inner
-    if back.any():
-        usual = float(np.median(step[inner & (step > 0)])) if (inner & (step > 0)).any() else 0.0
-        period = next(
-            (
-                name
-                for name, size in PERIODS.items()
-                if np.all((step[back] + size > 0) & (step[back] + size <= PAUSE_STEPS * usual))
-            ),
-            "",
+    time = columns["time"][order]
+    step = np.where(np.diff(record[order]) == 0, np.diff(time), np.nan)  # within a record
+    size = abs(step[step != 0])
+    usual = float(np.nanmedian(size)) if np.isfinite(size).any() else 0.0
+    far = abs(step) > max(CLOCK_SET, CLOCK_SET_STEPS * usual)
+    cure = "Put the rows in the order in which they were taken, or give each record its own label in a column 'run'"
+    if far.any():
+        at, undo = int(np.argmax(far)), ""
+        rows = order[1:][[at]]
+        came = f"leaps by {step[at] / 3.156e7:.3g} years from {where(int(order[at]))} on, within one run"
+        came += ": the clock was set there"
+        cure = (
+            "Correct the times, or give what stands before and behind it labels of their own in a column 'run' (where "
+            "no time is needed, leave it out: --ignore time)"
         )
-        later = order[1:][back]
-        index = int(later.min())
+    elif (back := step < 0).any():
+        usual = float(np.median(step[step > 0])) if (step > 0).any() else 0.0
+
+        def wraps(period: float) -> bool:
+            after = step[back] + period
+            return bool(np.all((after > 0) & (after <= PAUSE_STEPS * usual)))
+
+        rows = np.sort(order[1:][back])
+        index = int(rows[0])
         before = int(order[np.flatnonzero(order == index)[0] - 1])
         labels = [f"{n} {columns[n][index]!s}" for n in ("run", "device", "axis") if n in columns]
-        inside = f" within {', '.join(labels)}" if labels else ""
-        cure = "Put the rows in the order in which they were taken, or give each record its own label in a column 'run'"
-        came = f"reads {time[index]:.12g} s after {time[before]:.12g} s in {where(before)}: time runs backwards{inside}"
-        places = tuple(where(int(i)).partition(" of ")[0] for i in np.sort(order[1:][back]))
-        file = where(index).partition(" of ")[2].strip("'")
-        undo = ""
-        if period:
-            came += f", as a clock does that begins anew at {period}"
-            cure, undo = "Undo it, if that is so", option("--unwrap", f"time={period}")
-        problem = Objection(file, came, cure=cure, option=undo, column="time", places=places)
-        raise InputError(str(problem), (problem,))
-
-
-def _refuse_clock_set(columns: Columns, order: np.ndarray, inner: np.ndarray, where: Where) -> None:
-    """Refuse a record in which the time leaps by years: its clock was set, and no drift or lag over that is one."""
-    time = columns["time"][order]
-    step = np.where(inner, np.diff(time), 0.0)
-    known = abs(step[step != 0])
-    far = abs(step) > max(
-        CLOCK_SET, CLOCK_SET_STEPS * float(np.median(known)) if known.size else 0.0
-    )
-    if not far.any():
+        inside = f" within {', '.join(labels)}" * bool(labels)
+        own = columns["time"]
+        came = f"reads {own[index]:.12g} s after {own[before]:.12g} s in {where(before)}: time runs backwards{inside}"
+        undo = next((name for name, period in PERIODS.items() if wraps(period)), "")
+        if undo:
+            came += f", as a clock does that begins anew at {undo}"
+            cure, undo = "Undo it, if that is so", option("--unwrap", f"time={undo}")
+    else:
         return
-    at = int(np.argmax(far))
-    row, years = int(order[1:][at]), step[at] / 3.156e7
-    came = f"leaps by {years:.3g} years from {where(int(order[at]))} on, within one run: the clock was set there"
-    cure = (
-        "Correct the times, or give what stands before and behind it labels of their own in a column 'run' (where no "
-        "time is needed, leave it out: --ignore time)"
-    )
-    place, _, file = where(row).partition(" of ")
-    problem = Objection(file.strip("'"), came, cure=cure, column="time", places=(place,))
+    problem = _objection(where, rows.tolist(), "time", came, cure, undo)
     raise InputError(str(problem), (problem,))
+
+
+@dataclass(frozen=True)
+class CheckedRecord:
+    """Readings as the checks of `CHECKS` take them.
+
+    Attributes:
+        columns, units: name → values (n,), and their unit; None for labels.
+        output: name of the output column.
+        thermometers: names of columns of measured temperatures, °C.
+        given: names of the columns of numbers that were measured, and not filled in.
+        oddities: of the thermometers.
+        where: names a reading's file and row.
+    """
+
+    columns: Columns
+    units: Mapping[str, str | None]
+    output: str
+    thermometers: Collection[str]
+    given: Sequence[str]
+    oddities: Sequence[Oddity]
+    where: Where
 
 
 def flags_of(
     converted: ConvertedColumns, output: str, names: str, repeated: np.ndarray
 ) -> list[str]:
-    """What is odd in the readings but no reason to refuse them.
-
-    Args:
-        converted: the readings.
-        output: name of the output column.
-        names: the files, for the flags.
-        repeated: rows that repeat an earlier one.
-    """
+    """Return what is odd in the readings but no reason to refuse them; `names` of the files, `repeated` rows."""
     columns, units, where = converted.values, converted.units, row_namer(converted.tables)
-    thermometers = {name for name, unit in units.items() if unit == "degC"} - {MAY_BE_EMPTY}
+    warm = {name for name, unit in units.items() if unit == "degC"} - {MAY_BE_EMPTY}
+    no_reading = {*converted.filled, MAGNITUDE, ASSUMED_GRAVITY}
+    given = [n for n, v in columns.items() if v.dtype.kind == "f" and n not in no_reading]
+    odd = oddities(columns, warm, output)
+    record = CheckedRecord(columns, units, output, warm, given, odd, where)
     flags = []
-    if count := len(repeated):
-        first = int(repeated[0])
-        many, dropped = count > 1, "time" in columns
-        said = f"{count} row{'s repeat' if many else ' repeats'} an earlier one in every column"
-        end = f": {'they are' if many else 'it is'} dropped" if dropped else ""
-        flags.append(f"{said}, first at {where(first)}{end}")
-    for end, level in clip_levels(columns[output]) if output in columns else ():
-        count = int((columns[output] == level).sum())
+    if many := len(repeated):
+        said = "rows repeat" if many > 1 else "row repeats"
+        end = f": {'they are' if many > 1 else 'it is'} dropped" * ("time" in columns)
         flags.append(
-            f"{names}: column {output!r} may be saturated: {count} readings stand exactly at its {end} {level:g}"
+            f"{many} {said} an earlier one in every column, first at {where(int(repeated[0]))}{end}"
         )
-    flags += [
-        f"{names}: each run has one {name} of its own: differences between runs and a dependence on it are confounded, "
-        "parted by their plausible sizes alone. Let it change within a run, or repeat one in another run"
-        for name in one_plateau_a_run(columns, thermometers)
-    ]
-    flags += [
-        f"{names}: {share:.0%} of {output!r} in record {last!r} are the very numbers of record {first!r}: one record "
-        "under two labels? Leave one out: copied readings count twice"
-        for first, last, share in copied_records(columns, output)
-    ]
-    odd = oddities(columns, thermometers, output)
-    flags += [
-        f"{names}: column {one.column!r} {one.said} (first at {where(int(one.rows[0]))})"
-        for one in odd
-    ]
-    for name, values in columns.items():
-        number = values.dtype.kind == "f" and name not in (
-            *converted.filled,
-            MAGNITUDE,
-            ASSUMED_GRAVITY,
-        )
-        if number and len(values) > 1 and (values == values[0]).all():
-            flags.append(f"{names}: column {name!r} is constant ({values[0]:g})")
-        elif number and (stuck := stuck_rows(values, name in thermometers)) is not None:
-            if any(one.column == name and stuck[1] in one.rows for one in odd):
-                continue
-            first, last = (where(row) for row in stuck)
-            share = (stuck[1] - stuck[0] + 1) / len(values)
-            much = f", {100 * share:.0f} % of all readings" if share > STUCK_SHARE else ""
-            flags.append(
-                f"{names}: column {name!r} stands still at {values[stuck[0]]:g} from {first} to {last}{much}: was it "
-                "stuck?"
-            )
-    return flags + [f"{names}: {said}" for said in odd_numbers(columns, units, output)]
+    return flags + [f"{names}: {said}" for check in CHECKS for said in check(record)]
 
 
-def one_plateau_a_run(columns: Columns, thermometers: Collection[str]) -> list[str]:
-    """Thermometers that stand at one temperature in each run, another in each: run and slope are confounded."""
-    if "run" not in columns:
+# Readings at the very end of an output's range, below which that may be chance; also as a share, in a long record.
+CLIPPED_READINGS, CLIPPED_SHARE = 5, 0.01
+# Share of the range, between an end and the next level, beyond which the end is a set-up of its own, such as one
+# position.
+CLIPPED_GAP = 0.1
+# Times the readings at the next level, below which an end is that of a rounded output.
+CLIPPED_RATIO = 3.0
+
+
+def clip_levels(values: np.ndarray) -> list[tuple[str, float]]:
+    """Return the ends of the range at which an output was cut off, each with the level; empty if it looks natural."""
+    levels, counts = np.unique(values, return_counts=True)
+    if len(levels) < 3:
         return []
-    codes = label_codes(columns, ["run"])
-    count = np.bincount(codes)
-    found = []
-    for name in thermometers if len(count) > 1 else ():
-        values = columns[name]
-        means = np.bincount(codes, values) / count
-        within = float(np.sqrt(np.mean((values - means[codes]) ** 2)))
-        apart = float(np.diff(np.sort(means)).min())
-        if apart > max(PLATEAU_SD * within, settings().temperature_span):
-            found.append(name)
+    found, enough = [], max(CLIPPED_READINGS, CLIPPED_SHARE * len(values))
+    for end, beside, name in ((-1, -2, "maximum"), (0, 1, "minimum")):
+        with np.errstate(over="ignore"):
+            near = abs(levels[end] - levels[beside]) < CLIPPED_GAP * (levels[-1] - levels[0])
+        if near and counts[end] >= enough and counts[end] > CLIPPED_RATIO * counts[beside]:
+            found.append((name, float(levels[end])))
     return found
 
 
-def copied_records(columns: Columns, output: str) -> list[tuple[str, str, float]]:
-    """Records that hold the outputs of an earlier one, number for number: which it is, which they are, what share.
+def _of_saturation(record: CheckedRecord) -> Iterator[str]:
+    values = record.columns.get(record.output, np.zeros(0))
+    for end, level in clip_levels(values):
+        count = int((values == level).sum())
+        yield f"column {record.output!r} may be saturated: {count} readings stand exactly at its {end} {level:g}"
 
-    Noise does not repeat. Of an output so rounded that most numbers occur again, nothing can be said.
+
+# Standard deviations within runs, that the temperatures of runs are apart at the least where each has one of its own:
+# a slope within runs then has a hundredth of the information.
+PLATEAU_SD = 10.0
+
+
+def _of_plateaus(record: CheckedRecord) -> Iterator[str]:
+    """Thermometers that stand at one temperature in each run, another in each: run and slope are confounded."""
+    if "run" not in record.columns:
+        return
+    codes = label_codes(record.columns, ["run"])
+    count = np.bincount(codes)
+    for name in record.thermometers if len(count) > 1 else ():
+        values = record.columns[name]
+        means = np.bincount(codes, values) / count
+        within = float(np.sqrt(np.mean((values - means[codes]) ** 2)))
+        if np.diff(np.sort(means)).min() > max(PLATEAU_SD * within, settings().temperature_span):
+            yield (
+                f"each run has one {name} of its own: differences between runs and a dependence on it are confounded, "
+                "parted by their plausible sizes alone. Let it change within a run, or repeat one in another run"
+            )
+
+
+# Share of a record's outputs that are those of another, number for number: far beyond chance, and half of it is a copy.
+COPIED_SHARE = 0.5
+
+
+def _of_copied_records(record: CheckedRecord) -> Iterator[str]:
+    """Records that hold the outputs of an earlier one, number for number: noise does not repeat.
+
+    Of an output so rounded that most numbers occur again, nothing can be said.
     """
-    runs, values = runs_of(columns), columns.get(output)
+    runs, values = runs_of(record.columns), record.columns.get(record.output)
     if values is None or len(runs) < 2 or rounding_step(values):
-        return []
-    names, of = list(runs), record_codes(columns)
+        return
+    names, of = list(runs), record_codes(record.columns)
     _, first, same = np.unique(values, return_index=True, return_inverse=True)
-    found = []
     for last, rows in enumerate(runs.values()):
         counts = np.bincount(of[first[same[rows]]], minlength=len(names))
         counts[last] = 0
         if (share := counts.max() / len(rows)) > COPIED_SHARE:
-            found.append((names[counts.argmax()], names[last], share))
-    return found
+            yield (
+                f"{share:.0%} of {record.output!r} in record {names[last]!r} are the very numbers of record "
+                f"{names[counts.argmax()]!r}: one record under two labels? Leave one out: copied readings count twice"
+            )
+
+
+def _of_thermometers(record: CheckedRecord) -> Iterator[str]:
+    for odd in record.oddities:
+        yield f"column {odd.column!r} {odd.said} (first at {record.where(int(odd.rows[0]))})"
+
+
+STUCK_READINGS = 8  # readings in a row without a change, below which that may be chance
+STUCK_SHARE = 0.5  # of a record, from which a stretch is no plateau of a rounded thermometer
 
 
 def stuck_rows(values: np.ndarray, thermometer: bool = False) -> tuple[int, int] | None:
-    """First and last row of a stretch, far longer than any other, in which a column that else changes does not.
+    """Return first and last row of a stretch, far longer than any other, in which a column that else changes does not.
 
-    Args:
-        values: one for each reading.
-        thermometer: whether half of all readings in one stretch suffice, however often the others repeat.
+    Of a thermometer half of all readings in one stretch suffice, however often the others repeat.
     """
     ends = np.append(np.flatnonzero(values[1:] != values[:-1]), len(values) - 1)
     lengths = np.diff(ends, prepend=-1)
@@ -395,140 +333,103 @@ def stuck_rows(values: np.ndarray, thermometer: bool = False) -> tuple[int, int]
     return int(ends[worst]) - length + 1, int(ends[worst])
 
 
-def repeated_rows(columns: Columns) -> np.ndarray:
-    """Rows that repeat an earlier one in every column: looked for among those whose hashes agree, to save memory."""
-    bits = [_bits(values) for values in columns.values()]
-    hashes = np.zeros(len(bits[0]), np.uint64)
-    for own in bits:  # of SplitMix64 (G. Steele, D. Lea and C. Flood, OOPSLA 2014): its mixer
-        hashes += own + np.uint64(0x9E3779B97F4A7C15)
-        for shift, factor in ((30, 0xBF58476D1CE4E5B9), (27, 0x94D049BB133111EB)):
-            hashes = (hashes ^ (hashes >> np.uint64(shift))) * np.uint64(factor)
-        hashes ^= hashes >> np.uint64(31)
-    ordered = np.sort(hashes)
-    alike = np.flatnonzero(np.isin(hashes, ordered[1:][ordered[1:] == ordered[:-1]]))
-    rows = np.stack([own[alike] for own in bits], axis=1)
-    return np.delete(alike, np.unique(rows, axis=0, return_index=True)[1])
+def _of_standstills(record: CheckedRecord) -> Iterator[str]:
+    """Columns that do not change, at all or for long."""
+    for name in record.given:
+        values = record.columns[name]
+        if len(values) > 1 and (values == values[0]).all():
+            yield f"column {name!r} is constant ({values[0]:g})"
+        elif (stuck := stuck_rows(values, name in record.thermometers)) is not None:
+            if any(odd.column == name and stuck[1] in odd.rows for odd in record.oddities):
+                continue
+            first, last = map(record.where, stuck)
+            share = (stuck[1] - stuck[0] + 1) / len(values)
+            much = f", {100 * share:.0f} % of all readings" * (share > STUCK_SHARE)
+            yield f"column {name!r} stands still at {values[stuck[0]]:g} from {first} to {last}{much}: was it stuck?"
 
 
-def _bits(values: np.ndarray) -> np.ndarray:
-    """Numbers as whole ones that are equal where these are, NaN and NaN too; labels as their numbers (n,)."""
-    if values.dtype.kind != "f":
-        return distinct([values])[1].astype(np.uint64)
-    plain = np.where(values == values, values + 0.0, np.nan)  # −0 is 0
-    return plain.astype(np.float64).view(np.uint64)
+# Unit, least and largest range of an output that any sensor resolves and measures. Least: a superconducting gravimeter
+# resolves 1e-12 m/s², a large ring laser 1e-13 rad/s, an interferometer on a lever 1e-12 rad. Most: gauges of impacts
+# end at 2e6 m/s², rotors of any kind at 1e5 rad/s, and an angle beyond 1e4 rad has been counted in turns.
+OUTPUT_RANGES = (("m/s^2", 1e-12, 1e7), ("rad/s", 1e-13, 1e5), ("rad", 1e-12, 1e4))
 
 
-def clip_levels(values: np.ndarray) -> list[tuple[str, float]]:
-    """Ends of the range at which an output was cut off, each with the level; empty where it looks natural."""
-    levels, counts = np.unique(values, return_counts=True)
-    if len(levels) < 3:
-        return []
-    found = []
-    for end, beside, name in ((-1, -2, "maximum"), (0, 1, "minimum")):
-        enough = max(CLIPPED_READINGS, CLIPPED_SHARE * len(values))
-        with np.errstate(over="ignore"):
-            near = abs(levels[end] - levels[beside]) < CLIPPED_GAP * (levels[-1] - levels[0])
-        if near and counts[end] >= enough and counts[end] > CLIPPED_RATIO * counts[beside]:
-            found.append((name, float(levels[end])))
-    return found
-
-
-def odd_numbers(columns: Columns, units: Mapping[str, str | None], output: str) -> list[str]:
-    """What is odd in a record's numbers though each is a number, in words that begin with the column.
-
-    Args:
-        columns: readings by name.
-        units: of the columns of numbers.
-        output: name of the output column.
-    """
-    found = _of_size(columns[output], units[output] or "1", output) if output in columns else []
-    if output in columns:
-        found += _in_turn(columns, units, output)
-    if "time" in columns:
-        found += [*_of_time(columns), *_of_pauses(columns)]
-    if "run" in columns and len(columns["run"]) >= COUNTED_RUNS:
-        runs = columns["run"]
-        if len(set(runs.tolist())) == len(runs):
-            found.append(
-                f"column 'run' gives each of the {len(runs)} readings a run of its own: nothing goes on from one to "
-                "the next, and no rate, lag or correlation is seen. Is it a counter? Leave it out, or label the runs"
-            )
-        elif output in columns:
-            found += _of_first_readings(columns, output)
-    return found
-
-
-def _of_size(values: np.ndarray, unit: str, name: str) -> list[str]:
-    with np.errstate(over="ignore"):
-        reach = float(np.ptp(values))
+def _of_size(record: CheckedRecord) -> Iterator[str]:
+    name = record.output
+    values, unit = record.columns.get(name, np.zeros(1)), record.units.get(name) or "1"
     for base, least, most in OUTPUT_RANGES:
         if unit == "any" or base_unit(unit) != base_unit(base):
             continue
         with np.errstate(over="ignore"):
+            reach = float(np.ptp(values))
             size = float(abs(convert([reach], unit, base)[0]))
         if reach > 0 and not least <= size <= most:
             small = size < least
-            return [
+            yield (
                 f"column {name!r} covers {reach:.2g} {unit_label(unit)} in all, {'less' if small else 'more'} than any "
                 f"sensor {'resolves' if small else 'measures'} ({least if small else most:g} {base}): check its unit "
                 "and its scale (--unit, --nominal-scale)"
-            ]
-    return []
+            )
 
 
-def _in_turn(columns: Columns, units: Mapping[str, str | None], output: str) -> list[str]:
+# Of readings at even distances in the file that lie apart: robust standard deviations beyond which one does, fewest of
+# them, and the distances.
+PERIODIC_SD, PERIODIC_READINGS, PERIODIC_ROWS = 8.0, 6, (4, 200)
+# Share of the places at such a distance that they hold, of so many rows at most.
+PERIODIC_SHARE, PERIODIC_LOOKED = 0.8, 20_000
+
+
+def _of_periods(record: CheckedRecord) -> Iterator[str]:
     """Readings at even distances that lie apart from their neighbours; none where a column was set as often."""
-    values = columns[output][:PERIODIC_LOOKED]
-    if len(values) < PERIODIC_READINGS * PERIODIC_ROWS[0]:
-        return []
-
-    def apart(column: np.ndarray) -> np.ndarray:
-        windows = np.lib.stride_tricks.sliding_window_view(np.pad(column, 2, mode="reflect"), 5)
-        return np.abs(column - np.median(windows, axis=1))
-
-    off = apart(values)
+    columns, output, (low, high) = record.columns, record.output, PERIODIC_ROWS
+    values = columns.get(output, np.zeros(0))[:PERIODIC_LOOKED]
+    if len(values) < PERIODIC_READINGS * low:
+        return
+    windows = sliding_window_view(np.pad(values, 2, mode="reflect"), 5)
+    off = np.abs(values - np.median(windows, axis=1))
     # of normal noise seven tenths lie within about one standard deviation of the median of five
     rows = np.flatnonzero(off > PERIODIC_SD * max(float(np.quantile(off, 0.7)), 1e-300))
-    if len(rows) < PERIODIC_READINGS:
-        return []
-    period = int(np.median(np.diff(rows)))
-    places = np.arange(int(np.median(rows % period)) if period else 0, len(values), max(period, 1))
-    held, low, high = np.isin(rows, places), *PERIODIC_ROWS
-    if not low <= period <= high or min(held.mean(), held.sum() / len(places)) < PERIODIC_SHARE:
-        return []
+    period = int(np.median(np.diff(rows))) if len(rows) >= PERIODIC_READINGS else 0
+    if not low <= period <= high:
+        return
+    places = np.arange(int(np.median(rows % period)), len(values), period)
+    held = np.isin(rows, places)
+    if min(held.mean(), held.sum() / len(places)) < PERIODIC_SHARE:
+        return
     for name in columns.keys() - {output, "time"}:
-        own = columns[name] if units.get(name) else label_codes(columns, [name])
-        changes = np.count_nonzero(own[1:] != own[:-1])
-        if (
-            units.get(name) != "degC"
-            and len(np.unique(own)) < len(own) / 2
-            and changes * 2 * period > len(own)
-        ):
-            return []  # something was set as often
-    return [
+        unit = record.units.get(name)
+        own = columns[name] if unit else label_codes(columns, [name])
+        changes, few = np.count_nonzero(own[1:] != own[:-1]), len(np.unique(own)) < len(own) / 2
+        if unit != "degC" and few and changes * 2 * period > len(own):
+            return  # something was set as often
+    yield (
         f"column {output!r}: every {period}th reading lies {np.median(off[rows[held]]):.3g} from its neighbours, "
         f"{int(held.sum())} in all: another channel of the logger, or read while it switched? Leave these rows out"
-    ]
+    )
 
 
-def _of_time(columns: Columns) -> list[str]:
-    time, codes = columns["time"], record_codes(columns)
-    same = (time[1:] == time[:-1]) & (codes[1:] == codes[:-1])
-    share = float(np.mean(same)) if len(same) else 0.0
-    if share < SAME_TICK_SHARE:
-        return []
-    steps = np.diff(np.unique(time))
-    step = f" Its values are {np.min(steps):.3g} s apart at the least." if len(steps) else ""
-    return [
-        f"column 'time' has too few digits, or a coarse clock: {share:.0%} of the readings have the time of the one "
-        f"before.{step} Rates and lags within that are lost: record it with more digits"
-    ]
+# Share of the readings that have the time of the one before, from which a clock is too coarse or has too few digits:
+# most changes are lost.
+SAME_TICK_SHARE = 0.5
 
 
-def _of_pauses(columns: Columns) -> list[str]:
+def _of_clocks(record: CheckedRecord) -> Iterator[str]:
+    time, codes = record.columns.get("time", np.zeros(0)), record_codes(record.columns)
+    same = (time[1:] == time[:-1]) & (codes[1:] == codes[:-1]) if time.size > 1 else np.zeros(1)
+    if (share := float(np.mean(same))) >= SAME_TICK_SHARE:
+        steps = np.diff(np.unique(time))
+        step = f" Its values are {np.min(steps):.3g} s apart at the least." if len(steps) else ""
+        yield (
+            f"column 'time' has too few digits, or a coarse clock: {share:.0%} of the readings have the time of the "
+            f"one before.{step} Rates and lags within that are lost: record it with more digits"
+        )
+
+
+def _of_pauses(record: CheckedRecord) -> Iterator[str]:
     """A pause in one record that no other of as many readings, hence of one plan, makes there: the clock was set."""
-    time, found = columns["time"], list[str]()
-    records = {n: r[np.argsort(time[r], kind="stable")] for n, r in runs_of(columns).items()}
+    if (time := record.columns.get("time")) is None:
+        return
+    records = {n: r[np.argsort(time[r], kind="stable")] for n, r in runs_of(record.columns).items()}
     pauses = {}
     for name, rows in records.items():
         steps = np.diff(time[rows])
@@ -539,22 +440,82 @@ def _of_pauses(columns: Columns) -> list[str]:
         alone = pauses[name].difference(*alike) if alike else set()
         if len(alone) == 1:
             last, following = time[rows[(at := alone.pop()) : at + 2]]
-            found.append(
+            yield (
                 f"column 'time' makes a pause of {following - last:.3g} s in {name!r}, after {last:.12g} s, and in no "
                 "other record of as many readings: was the clock set there? Lags, rates and drifts hang on it"
             )
-    return found
 
 
-def _of_first_readings(columns: Columns, output: str) -> list[str]:
-    """Where every run begins with one and the same output, exactly, that hardly occurs elsewhere."""
-    runs, values = columns["run"], columns[output]
+COUNTED_RUNS = 8  # runs of one reading each, below which that may be the plan of a test
+
+
+def _of_runs(record: CheckedRecord) -> Iterator[str]:
+    """Runs that are a counter; or each begins with one and the same output, exactly, that hardly occurs elsewhere."""
+    runs, values = record.columns.get("run", np.zeros(0)), record.columns.get(record.output)
+    if len(runs) < COUNTED_RUNS:
+        return
     _, first = np.unique(runs, return_index=True)
-    level = values[first[0]]
-    count = int(np.count_nonzero(values == level))
-    if len(first) < 2 or not np.all(values[first] == level) or count > len(first):
-        return []
-    return [
-        f"column {output!r} reads exactly {level:g} at the first reading of every run: was it set there, or does a "
-        "filter in the logger (a high-pass) begin so? What the output was before that filter is not known"
-    ]
+    if len(first) == len(runs):
+        yield (
+            f"column 'run' gives each of the {len(runs)} readings a run of its own: nothing goes on from one to the "
+            "next, and no rate, lag or correlation is seen. Is it a counter? Leave it out, or label the runs"
+        )
+    elif values is not None and len(first) > 1 and np.all(values[first] == values[first[0]]):
+        level = values[first[0]]
+        if np.count_nonzero(values == level) <= len(first):
+            yield (
+                f"column {record.output!r} reads exactly {level:g} at the first reading of every run: was it set "
+                "there, or does a filter in the logger (a high-pass) begin so? What the output was before that filter "
+                "is not known"
+            )
+
+
+CHECKS: tuple[Callable[[CheckedRecord], Iterator[str]], ...] = (
+    *(_of_saturation, _of_plateaus, _of_copied_records, _of_thermometers, _of_standstills),
+    *(_of_size, _of_periods, _of_clocks, _of_pauses, _of_runs),
+)
+
+# Share of all readings that distinct values are at most where values occur again by rounding.
+ROUNDED_SHARE = 0.5
+# Of a step, by which values on a grid may be off it; numbers are written with two digits more.
+OFF_GRID_STEPS = 0.01
+
+
+def rounding_step(values: np.ndarray) -> float:
+    """Return the step that a column is rounded to where rounding makes values occur again, in its unit; else 0."""
+    return resolution(values) if len(np.unique(values)) <= ROUNDED_SHARE * len(values) else 0.0
+
+
+def resolution(values: np.ndarray, fewest: int = 3) -> float:
+    """Return the step of the grid on which all values of a column lie, in its unit; 0 where there is none.
+
+    Found by Euclid's algorithm: what a step leaves of the gaps between values is the next one. Of less than `fewest`
+    different values nothing is said.
+    """
+    levels = np.unique(values)
+    if len(levels) < max(fewest, 2):
+        return 0.0
+    gaps = np.diff(levels)
+    gaps = gaps[gaps > OFF_GRID_STEPS * np.median(gaps)]
+    step, digits = float(gaps.min()), 1e3 * np.spacing(np.max(np.abs(levels)))
+    while step > digits:
+        off = np.abs((levels - levels[0]) / step - np.round((levels - levels[0]) / step))
+        if np.all(off < OFF_GRID_STEPS):
+            return step
+        step = float(step * off[off >= OFF_GRID_STEPS].min())
+    return 0.0
+
+
+def repeated_rows(columns: Columns) -> np.ndarray:
+    """Return the rows that repeat an earlier one in every column, NaN equal to NaN; few columns tell most apart."""
+    codes = np.zeros(len(next(iter(columns.values()))), np.int64)
+    for name in sorted(columns, key=lambda name: (name != "time", columns[name].dtype.kind != "f")):
+        values = columns[name]
+        number = values.dtype.kind == "f"
+        own = np.unique(values, return_inverse=True)[1] if number else distinct([values])[1]
+        _, first, codes = np.unique(
+            codes * (int(own.max()) + 1) + own, return_index=True, return_inverse=True
+        )
+        if len(first) == len(codes):
+            break
+    return np.setdiff1d(np.arange(len(codes)), first)

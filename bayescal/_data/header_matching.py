@@ -39,6 +39,7 @@ from bayescal._data.header_rules import (
     unit_behind,
 )
 from bayescal._data.pose_rows import MAGNITUDE
+from bayescal._data.records import RECORD
 from bayescal._data.unit_conversion import (
     ANY,
     STANDARD_GRAVITY,
@@ -92,28 +93,16 @@ class ExpectedColumns(NamedTuple):
 
 @dataclass(frozen=True)
 class ReadOptions:
-    """What the user says beside the file.
+    """What the user says beside the file; those not named here are as `read` takes them.
 
     Attributes:
         columns: our name → the file's; of several, which name the same in different files, the first.
         others_called: our name → those several.
-        units: the file's name, or ours → unit.
-        local_gravity: m/s²; None where nobody stated it.
-        local_field: magnitude of the magnetic field, in the unit of the instrument's column `magnitude`; None where
-            it is not known.
-        nominal_scale: in place of the instrument's.
-        missing: "refuse" rows with a missing reading, or "drop" them.
-        decimal: between the whole and its parts in text files; empty where the file shows it.
-        date_order: of month, day and year in dates such as 05/06/2026: "mdy", "dmy" or "ymd", or "hms" of times such as
-            10.11.12; empty where the dates show it.
-        ignore: columns of the file that are left out.
-        only: whether all columns beside the instrument's are.
+        local_field: in the unit of the instrument's column `magnitude`.
+        only: whether all columns beside the instrument's are left out.
         others: columns of the file that are outputs of other channels, and left out.
-        unwrap: the file's name, or ours → what a counter held when it began anew, as "2^32us" or "256degC"; "sign" of
-            temperatures whose sign was lost.
         remembered: files of which it was said before how they are read: a header that stands there means the same.
-        begin: a file's name, or "" for files without dates → when its first reading was taken: a date, or a time on
-            the calibration's clock such as "9 days".
+        begin: a file's name, or "" for files without dates → when its first reading was taken.
         epoch: of the calibration, seconds since 1970; None where it has none.
     """
 
@@ -135,11 +124,7 @@ class ReadOptions:
     epoch: float | None = None
 
     def __post_init__(self) -> None:
-        """Refuse what is no option.
-
-        Raises:
-            InputError: `missing`, `decimal` or `date_order` is another word.
-        """
+        """Raise InputError where `missing`, `decimal` or `date_order` is another word."""
         if self.missing not in MISSING_READINGS:
             raise InputError(f"missing={self.missing!r} (--missing) is not one of refuse, drop")
         if self.decimal not in ("", ".", ","):
@@ -162,11 +147,10 @@ class ReadOptions:
         begin: str | Mapping[str, str] = "",
         **given: Any,
     ) -> ReadOptions:
-        """As a user gives them: nominal scale and zero and the local field as text, what is not said left out.
+        """Parse what a user gives as text: nominal scale and zero, and the local field.
 
         Raises:
-            InputError: `nominal_scale`, `nominal_zero` or `local_field` is not of its form, or not in a unit of this
-                instrument.
+            InputError: one of them is not of its form, or not in a unit of this instrument.
         """
         field = None if local_field is None else _field_in_words(instrument, local_field)
         said = {n: [v] if isinstance(v, str) else [*v] for n, v in given.pop("columns", {}).items()}
@@ -186,13 +170,10 @@ class ReadOptions:
     @property
     def headers(self) -> tuple[str, ...]:
         """All headers that columns are said to have."""
-        return (
-            *self.columns.values(),
-            *(n for names in self.others_called.values() for n in names),
-        )
+        return (*self.columns.values(), *(n for v in self.others_called.values() for n in v))
 
     def of_file(self, table: Table, beside: Sequence[Table] = ()) -> ReadOptions:
-        """As they are of one file: of several headers of a column, the one that it has.
+        """Return the options of one file: of several headers of a column, the one that it has.
 
         A header that it lacks and a file beside it has was said for that one: here nothing is said of its column.
         """
@@ -226,22 +207,22 @@ def _scale_in_words(
     zero: str | None,
     local_gravity: float,
 ) -> NominalScale | None:
-    """The nominal scale that is said: its gain as "250 V/g" (or "61 ug/count"), its zero as "1.21 V"."""
+    """Parse the nominal scale: its gain as "250 V/g" (or "61 ug/count"), its zero as "1.21 V"."""
     if isinstance(scale, str):
         scale = _scale_from(instrument, scale, local_gravity)
     if zero is None:
         return scale
-    scale = scale or instrument.nominal_scale
+    scale, said = scale or instrument.nominal_scale, f"nominal_zero={zero!r} (--nominal-zero)"
     if scale is None:
         raise InputError(
-            f"nominal_zero={zero!r} (--nominal-zero) and no scale: {instrument.name!r} has none of its own. Say how "
-            "the raw output becomes the instrument's: --nominal-scale '250 V/g'"
+            f"{said} and no scale: {instrument.name!r} has none of its own. Say how the raw output becomes the "
+            "instrument's: --nominal-scale '250 V/g'"
         )
     value, unit = _number_and_unit(zero, "nominal_zero", "--nominal-zero", f"1.21 {scale.unit}")
     if not same_dimension(unit, scale.unit):
         raise InputError(
-            f"nominal_zero={zero!r} (--nominal-zero) is in {unit}, the nominal scale is of a raw output in "
-            f"{scale.unit}: give the raw output at zero in that unit"
+            f"{said} is in {unit}, the nominal scale is of a raw output in {scale.unit}: give the raw output at zero "
+            "in that unit"
         )
     return replace(scale, offset=float(convert(value, unit, scale.unit)))
 
@@ -266,15 +247,11 @@ def _scale_from(instrument: InstrumentLike, text: str, local_gravity: float) -> 
 
 
 def _field_in_words(instrument: InstrumentLike, text: str) -> float:
-    """The magnitude of the local field that is said as "48.2 uT", in the unit of the instrument's column."""
+    """Parse the magnitude of the local field, such as "48.2 uT", into the unit of the instrument's column."""
     value, unit = _number_and_unit(text, "local_field", "--local-field", "48.2 uT")
-    for column in instrument.columns:
-        if (
-            column.name == MAGNITUDE
-            and same_dimension(unit, "uT")
-            and same_dimension("uT", str(column.unit))
-        ):
-            return float(convert(value, unit, str(column.unit)))
+    target = next((str(c.unit) for c in instrument.columns if c.name == MAGNITUDE), "1")
+    if same_dimension(unit, "uT") and same_dimension("uT", target):
+        return float(convert(value, unit, target))
     raise InputError(
         f"local_field={text!r} (--local-field) is nothing that {instrument.name!r} can take: it is the magnitude of a "
         "magnetic field, such as '48.2 uT', and of magnetometers"
@@ -285,9 +262,8 @@ def _number_and_unit(text: str, name: str, option: str, example: str) -> tuple[f
     try:
         return quantity(text)
     except InputError as error:
-        raise InputError(
-            f"{name}={text!r} ({option}): {error}: write it such as {example!r}"
-        ) from None
+        said = f"{name}={text!r} ({option}): {error}: write it such as {example!r}"
+        raise InputError(said) from None
 
 
 def output_name(instrument: InstrumentLike) -> str:
@@ -297,27 +273,24 @@ def output_name(instrument: InstrumentLike) -> str:
 
 
 def expected_columns(instrument: InstrumentLike) -> dict[str, Column]:
-    """The instrument's columns, and those that every instrument may have."""
+    """Return the instrument's columns, and those that every instrument may have."""
     expected = {column.name: column for column in instrument.columns}
-    output = expected.get(output_name(instrument))
     time = expected.get("time")
     if time is not None and time.high is None:
         expected["time"] = replace(time, high=LATEST)
-    for name in ("run", "device", "axis"):
+    for name in RECORD:
         expected.setdefault(name, Column(name, None, required=False))
-    if output is not None:
+    if (output := expected.get(output_name(instrument))) is not None:
         meaning = "known standard uncertainty of each output"
-        uncertainty = Column("output_uncertainty", output.unit, meaning, required=False, low=0.0)
-        expected.setdefault("output_uncertainty", uncertainty)
+        own = Column(UNCERTAINTY, output.unit, meaning, required=False, low=0.0)
+        expected.setdefault(UNCERTAINTY, own)
     return expected
 
 
 def unit_of(header: Header, ours: str, options: ReadOptions) -> str | None:
-    """The unit of a column: what the user says, else its header; None if neither."""
-    for name in (header.raw, header.name, ours):
-        if name in options.units:
-            return options.units[name]
-    return header.unit or None
+    """Return the unit of a column: what the user says, else its header's; None if neither."""
+    names = (n for n in (header.raw, header.name, ours) if n in options.units)
+    return next((options.units[n] for n in names), header.unit or None)
 
 
 @dataclass
@@ -331,7 +304,7 @@ class MatchedFile:
         table: the file, with the name and unit that each header means.
         instrument: whose columns are expected.
         options: what the user says.
-        problems: to add to: where `columns=` names what the file lacks, two columns would be one, …
+        problems: to add to.
         expected: the columns that are expected, by our names.
         positions: our name of every column → its position in the file.
     """
@@ -344,16 +317,22 @@ class MatchedFile:
     positions: dict[str, int] = field(init=False, default_factory=dict)
 
     def __post_init__(self) -> None:
-        """Read the headers."""
+        """Match the headers."""
         self.expected = expected_columns(self.instrument)
         self.options = self.options.of_file(self.table)
         headers, notes, positions = list(self.table.headers), list(self.table.notes), self.positions
+        free = set(range(len(headers)))
 
-        def take(position: int, reading: Header, say: str) -> None:
+        def rename(position: int, reading: Header, say: str) -> None:
             old, headers[position] = headers[position], reading
             if reading != old:
                 unit = f" in {pretty(reading.unit)}" if reading.unit else ""
                 notes.append(f"{self.table.file}: read {old.raw!r} as {say}{unit}")
+
+        def take(position: int, reading: Header, name: str, why: str = "") -> None:
+            free.discard(position)
+            positions[name] = position
+            rename(position, reading, name + why)
 
         for ours, theirs in self.options.columns.items():
             asked = in_one_line(theirs)
@@ -363,17 +342,16 @@ class MatchedFile:
                 like = self.rule(ours).resembled([h for h in headers if h.name])
                 asked = option("--columns", f"{ours}={like[0].raw}") if len(like) == 1 else ""
                 self.problem(theirs, came, cure=_there(self.table, theirs), option=asked)
-            elif position in positions.values():
+            elif position not in free:
                 other = next(name for name, taken in positions.items() if taken == position)
                 came = f"both {other} and {ours} by --columns"
                 self.problem(theirs, came, cure="Name one for each")
             else:
-                positions[ours] = position
                 header = headers[position]
                 found = self.rule(ours).fitting(header, self.options.units)
                 name = header.name if asked in (header.name, header.raw) else asked
                 take(position, replace(found or header, name=name), ours)
-        said, free = set(positions), set(range(len(headers))) - set(positions.values())
+        said = set(positions)
         exact, named = {headers[i].name: i for i in free}, by_name(headers)
         for name, column in self.expected.items():
             also = [n for n in column.also if n in exact]
@@ -387,9 +365,8 @@ class MatchedFile:
             elif not also:
                 found = self.rule(name).among(headers, named, free, self.options.units)
             if len(found) == 1:
-                positions[name], reading = found.popitem()
-                free.discard(positions[name])
-                take(positions[name], replace(reading, name=name), name)
+                position, reading = found.popitem()
+                take(position, replace(reading, name=name), name)
             for other in (n for n in also if n not in self.expected):
                 if name in positions:
                     first = self.table.headers[positions[name]].raw
@@ -399,32 +376,21 @@ class MatchedFile:
                     positions[name] = exact[other]
                     free.discard(exact[other])
         for name, position in self._three_axes(headers, free, said).items():
-            positions[name] = position
-            free.discard(position)
             take(position, replace(headers[position], name=name), name)
         for i in sorted(free):
             ours = labels_in(headers[i])
-            if (
-                ours
-                and ours not in (*positions, *self.options.columns)
-                and self._holds_labels(i, ours == "device")
-            ):
-                positions[ours] = i
-                free.discard(i)
-                take(
-                    i,
-                    replace(headers[i], name=ours, unit=None),
-                    f"{ours}, as its values are labels",
-                )
+            taken = {*positions, *self.options.columns}
+            if ours and ours not in taken and self._holds_labels(i, ours == "device"):
+                reading = replace(headers[i], name=ours, unit=None)
+                take(i, reading, ours, ", as its values are labels")
         dated = [i for i in sorted(free) if not headers[i].unit and self._goes_on(i, dates=True)]
         if len(dated) == 1:
-            positions["time"] = dated[0]
-            free.discard(dated[0])
-            take(dated[0], replace(headers[dated[0]], name="time"), "time, as its values are dates")
+            reading = replace(headers[dated[0]], name="time")
+            take(dated[0], reading, "time", ", as its values are dates")
         for i in sorted(free):
             reading = unit_behind(headers[i])
             if reading and reading.name not in self.expected:
-                take(i, reading, reading.name)
+                rename(i, reading, reading.name)
             name = headers[i].name
             if name in positions:
                 other = f"{name!r} beside {headers[positions[name]].raw!r}"
@@ -510,9 +476,7 @@ class MatchedFile:
         self.problems.append(made.at([int(row) for row in rows], self.table.place))
 
     def note_missing(self) -> tuple[dict[str, tuple[int, Header]], set[int]]:
-        """Note the columns that the instrument needs and the file has not.
-
-        Columns whose header the user has said are not among them: that the file lacks it is a problem already.
+        """Note the columns that the instrument needs and the file has not, and whose header the user has not said.
 
         Returns:
             Those that one header looks like, and where; and where all headers stand that look like one.
@@ -609,24 +573,18 @@ class MatchedFile:
                     self.expected[name] = replace(column, unit=fixed_unit(unit))
 
     def could_be(self, header: Header) -> str | None:
-        """The column that the instrument could use, which the file lacks and a header names in part; None for none.
-
-        What the file must have is none of them: that it lacks it is said of the file.
-        """
+        """Return the column, not one that the file must have, which it lacks and a header names in part."""
         free = (n for n, c in self.expected.items() if n not in self.positions and not _needed(c))
         return next((name for name in free if self.rule(name).could_be(header)), None)
 
     def further_columns(self, passed: Collection[int]) -> tuple[dict[str, Column], list[str]]:
-        """The columns beyond the instrument's that are kept, in base units, and why others are not.
+        """Return the columns beyond the instrument's that are kept, in base units, and why others are not.
 
         One that the instrument could use, or that ends in what may be a unit and is none known here, is a problem:
-        what is left out is left out because somebody says so.
-
-        Args:
-            passed: positions of columns that are passed over.
+        what is left out is left out because somebody says so. Columns at positions `passed` are passed over.
         """
         kept, flags, file = dict[str, Column](), list[str](), self.table.file
-        without_unit, labelled = list[str](), False
+        without_unit, labelled = list[str](), "run" in self.positions
         for name, position in {} if self.options.only else self.positions.items():
             header = self.table.headers[position]
             if name in self.expected or position in passed or self.options.leaves_out(header):
@@ -641,26 +599,25 @@ class MatchedFile:
             with contextlib.suppress(InputError):
                 base = base_unit(unit) if unit else None
             if base == "s" and self._goes_on(position):
-                came, cure = "goes on as a time does, and is no column known here", "Say what it is"
-                self.problem(
-                    header.raw, came, cure=cure, option=option("--columns", f"time={header.raw}")
-                )
-            elif base is not None:
+                came = "goes on as a time does, and is no column known here"
+                asked = option("--columns", f"time={header.raw}")
+                self.problem(header.raw, came, cure="Say what it is", option=asked)
+                continue
+            if base is not None:
                 kept[name] = Column(name, base, required=False)
-            elif unit or (unit := like_a_unit(header)) or self.could_be(header):
-                labels = not (self.could_be(header) or _known(unit)) and self._holds_labels(
-                    position
-                )
+                continue
+            labels = False
+            if unit or (unit := like_a_unit(header)) or self.could_be(header):
+                useful = self.could_be(header) or _known(unit)
+                labels = not useful and self._holds_labels(position)
                 if not labels and (unit or "").lower() not in NO_UNIT - {""}:
                     self._note_unclear(position, unit)
-                elif not labels or "run" in self.positions or labelled:
-                    without_unit.append(header.raw)
-                else:
-                    labelled = True
-                    came = "holds labels, each for a while, and is no column known here"
-                    cure = "Are they runs? Say so; if they are not, remove the column"
-                    asked = option("--columns", f"run={header.raw}")
-                    self.problem(header.raw, came, "", cure, asked)
+                    continue
+            if labels and not labelled:
+                labelled = True
+                came = "holds labels, each for a while, and is no column known here"
+                cure = "Are they runs? Say so; if they are not, remove the column"
+                self.problem(header.raw, came, "", cure, option("--columns", f"run={header.raw}"))
             else:
                 without_unit.append(header.raw)
         if not self.options.only:
@@ -705,26 +662,22 @@ class MatchedFile:
     def _note_unclear(self, position: int, unit: str | None) -> None:
         """Note a column that would be left out and may be of use: how to keep it, and how to leave it out."""
         header = self.table.headers[position]
-        meant = self.could_be(header)
-        column = self.expected[meant] if meant else None
+        column = self.expected.get(self.could_be(header) or "")
         kind = (column and column.unit) or ANY
         known, lacking = _known(unit, kind), any(p.came == _LACKS for p in self.problems)
         came = f"ends in [{unit}], no unit known here" if unit else "has no unit"
-        left = option("--ignore", header.raw)
-        keep = option("--unit", f"{header.raw}={known or 'UNIT'}")
+        left, wanted = option("--ignore", header.raw), "a unit known here"
+        given = keep = option("--unit", f"{header.raw}={known or 'UNIT'}")
+        cure = f"Say its unit, or leave the column out: {left}"
         if column:
             wanted, dates = f"{column.name} [{column.example}]", False
             if column.name == "time":
                 dates = load_whole(self.table, {position: True})[position].dates
-            keep = option("--columns", f"{column.name}={header.raw}") + f" {keep}" * (not dates)
+            given = option("--columns", f"{column.name}={header.raw}") + f" {keep}" * (not dates)
             cure = f"It may be {column.name}: say so and in which unit, or leave the column out: {left}"
-            self.problem(header.raw, came, wanted, cure, keep)
-        elif known or lacking:  # what may be needed is not proposed to be left out
-            cure = f"Say its unit, or leave the column out: {left}"
-            self.problem(header.raw, came, "a unit known here", cure, keep)
-        else:
-            cure = f"Leave the column out, or say its unit: {keep}"
-            self.problem(header.raw, came, "a unit known here", cure, left)
+        elif not (known or lacking):  # what may be needed is not proposed to be left out
+            cure, given = f"Leave the column out, or say its unit: {keep}", left
+        self.problem(header.raw, came, wanted, cure, given)
 
 
 def _known(unit: str | None, kind: str = ANY) -> str | None:
@@ -737,11 +690,7 @@ def _needed(column: Column) -> bool:
 
 
 def period_of(text: str) -> tuple[float, str]:
-    """What a counter holds when it begins anew, a number and its unit: "2^32us", "604800 s", "65536".
-
-    Raises:
-        InputError: it is not of that form.
-    """
+    """Parse what a counter holds when it begins anew, a number and its unit: "2^32us", "604800 s", "65536"."""
     found = _PERIOD.fullmatch(text.strip())
     if not found or not float(found[1]) > 0:
         raise InputError(
@@ -757,11 +706,7 @@ _PERIOD = re.compile(r"(\d+\.?\d*)(?:\^(\d{1,2}))?\s*([^\d\s.^].*)?")
 
 
 def parse_begin(text: str) -> tuple[float, bool]:
-    """Parse when a first reading was taken: seconds, and whether they count from 1970 (else on a calibration's clock).
-
-    Raises:
-        InputError: it is neither a date nor a time.
-    """
+    """Parse when a first reading was taken: seconds, and whether they count from 1970 or on a calibration's clock."""
     with contextlib.suppress(ValueError):
         (found,) = unix_seconds(text).values()
         if found >= EARLIEST:
@@ -776,28 +721,23 @@ def parse_begin(text: str) -> tuple[float, bool]:
 
 
 def unused_options(tables: Sequence[Table], options: ReadOptions, problems: Objections) -> None:
-    """Note each unit for a column that no file has, and each column to ignore: it was meant for one."""
-    known = {
-        name
-        for t in tables
-        for h in t.headers
-        for name in (h.raw, *(r.name for r in readings_of(h)))
-    }
-    if "" in options.begin and len(tables) > 1:
+    """Note each unit, each column to ignore and each counter that is said for a column that no file has."""
+    first, *others = [t.file for t in tables]
+    headers = [h for t in tables for h in t.headers]
+    known = {n for h in headers for n in (h.raw, *(r.name for r in readings_of(h)))}
+    known |= {*options.columns, *options.headers} | ({"time"} & options.unwrap.keys())
+    if "" in options.begin and others:
         came = f"one begin, {options.begin['']!r}, for {len(tables)} files"
-        asked = option("--begin", f"{tables[0].file}={options.begin['']}")
-        problems.append(Objection(tables[0].file, came, cure="Say of each", option=asked))
-    known |= {*options.columns, *options.headers}
-    known |= {"time"} & options.unwrap.keys()
+        asked = option("--begin", f"{first}={options.begin['']}")
+        problems.append(Objection(first, came, cure="Say of each", option=asked))
     said = {name: option("--unit", f"{name}={unit}") for name, unit in options.units.items()}
     said |= {name: option("--ignore", name) for name in options.ignore}
     said |= {name: option("--unwrap", f"{name}={text}") for name, text in options.unwrap.items()}
-    for name, asked in said.items():
-        if name not in known:
-            came = f"no such column, but {asked}"
-            others = "".join(f", nor has {t.file!r}" for t in tables[1:])
-            cure = _there(tables[0], name) + others
-            problems.append(Objection(tables[0].file, came, cure=cure, column=name))
+    for name in (n for n in said if n not in known):
+        cure = _there(tables[0], name) + "".join(f", nor has {file!r}" for file in others)
+        problems.append(
+            Objection(first, f"no such column, but {said[name]}", cure=cure, column=name)
+        )
 
 
 def names_in(table: Table) -> str:

@@ -70,12 +70,7 @@ DAYS = (
     *("date", "datum", "day", "tag", "dato", "dag", "data", "giorno", "fecha", "dia", "jour"),
     *("paiva", "paivamaara", "pvm"),
 )
-RAW = (
-    "V",
-    "Hz",
-    "A",
-    "count",
-)  # units of a sensor's raw output, which a nominal scale turns into another
+RAW = ("V", "Hz", "A", "count")  # units of a raw output, which a nominal scale turns into another
 # What a channel of the output's own axis is in; one in another unit, such as a drive voltage, is of the same sensor.
 MOTION = ("m/s^2", "rad/s", "rad", "uT", "count")
 WORDS = frozenset(  # units that may be other words
@@ -120,11 +115,9 @@ def readings_of(header: Header) -> tuple[Header, ...]:
 
 
 def unit_behind(header: Header) -> Header | None:
-    """The reading of a header that ends in a unit, whatever its quantity: in brackets, or of two letters behind _."""
-    if header.unit:
-        return None
-    reading = longest_unit(header)
-    unit = reading.unit if reading else ""
+    """Return the reading of a header that ends in a unit of any quantity: in brackets, or of two letters behind _."""
+    reading = None if header.unit else longest_unit(header)
+    unit = (reading and reading.unit) or ""
     brackets = header.raw[-1:] in tuple(")]}>")
     return reading if unit and (brackets or (len(unit) > 1 and unit not in WORDS)) else None
 
@@ -186,7 +179,7 @@ def by_name(headers: Sequence[Header]) -> dict[str, list[int]]:
 
 
 def labels_in(header: Header) -> str | None:
-    """Which of our columns of labels a header names by one of the names in `LABELS`; None for none."""
+    """Return which of our columns of labels a header names by one of the names in `LABELS`; None for none."""
     names = (plain(r.name) for r in readings_of(header) if (r.unit or "").lower() in NO_UNIT)
     nouns = {"_".join(word for word in name.split("_") if word not in COUNTED) for name in names}
     return next((ours for ours, those in LABELS.items() if nouns & {*those.split()}), None)
@@ -232,13 +225,7 @@ def fits(unit: str, kind: str) -> bool:
 
 @dataclass(frozen=True)
 class ColumnRule:
-    """How the header of one column is known.
-
-    Attributes:
-        column: that is expected.
-        kinds: units of the kinds that it may be in; "any" of a column that no instrument knows; none for a label.
-        output: whether it is the instrument's output.
-    """
+    """How the header of one column is known: its units are of `kinds` ("any" where no instrument knows it)."""
 
     column: Column
     kinds: tuple[str, ...]
@@ -258,13 +245,9 @@ class ColumnRule:
         free: Collection[int],
         given: Mapping[str, str],
     ) -> dict[int, Header]:
-        """The free headers that can be read as it, under the likeliest of its names that there are.
+        """Return the free headers that can be read as it, under the likeliest of its names that there are.
 
-        Args:
-            headers: of the file.
-            named: where headers of a name are, by `by_name`.
-            free: positions of those that are not taken.
-            given: units that the user says.
+        `named` are the positions of names (`by_name`), `free` those not taken, `given` units that the user says.
         """
         for names in self.tiers:
             at = sorted({i for name in names for i in named.get(name, ()) if i in free})
@@ -371,15 +354,11 @@ def is_channel(header: Header, other: Header) -> bool:
 
 
 def channels_beside(output: str, columns: Mapping[str, str | None], unit: str | None) -> list[str]:
-    """Columns that are channels of the unit whose output this is: of another axis, of its own and another motion, or
-    of another number and alike.
+    """Return the columns that are channels of the unit whose output this is: of another axis, of its own and another
+    motion, or of another number and alike.
 
     Channels of one unit see the same temperature and time, so that each follows the others, and causes none of them.
-
-    Args:
-        output: the file's name of the output, such as "acc_z" or "dut 3".
-        columns: name → unit, of those that no instrument declares.
-        unit: of the output.
+    `columns` (name → unit) are those that no instrument declares.
     """
     numbered, axis = re.sub(r"\d+", "#", output), _axis(output)
     found = []
@@ -394,5 +373,4 @@ def channels_beside(output: str, columns: Mapping[str, str | None], unit: str | 
 
 def _axis(name: str) -> str:
     """The letter of the axis that a name ends in or begins with; "" if there is none."""
-    found = _AXIS.findall(name)
-    return found[-1][-1].lower() if found else ""
+    return next((text[-1].lower() for text in reversed(_AXIS.findall(name))), "")

@@ -3,21 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 
 import numpy as np
 
 from bayescal._core.errors import InputError
 from bayescal._data.column import ASSUMED_GRAVITY, MAY_BE_EMPTY, ConvertedColumns
-from bayescal._tables.raw_table import Table
 
 
 def joined(parts: Sequence[ConvertedColumns], labels: Sequence[str]) -> ConvertedColumns:
-    """The files' columns one after the other.
-
-    Args:
-        parts: of each file.
-        labels: of their runs, for those without a column `run`.
+    """Return the files' columns one after the other; files without a column `run` take `labels`.
 
     Raises:
         InputError: labels or dates stand in some files only, or one column has two dimensions.
@@ -26,14 +20,18 @@ def joined(parts: Sequence[ConvertedColumns], labels: Sequence[str]) -> Converte
         return parts[0]
     _label_runs(parts, labels)
     whole = _end_to_end(parts)
-    return replace(whole, flags=[*whole.flags, *_equal_contents(whole.tables)])
+    first: dict[str, str] = {}
+    for table in whole.tables:
+        if (other := first.setdefault(table.sha256, table.file)) != table.file:
+            same = f"{table.file} has the same content as {other}: the same readings twice?"
+            whole.flags.append(same)
+    return whole
 
 
 def _label_runs(parts: Sequence[ConvertedColumns], labels: Sequence[str]) -> None:
     """Give the files without a column `run` a run of their own, and say which runs span files."""
-    own = [set(part.values["run"]) if "run" in part.values else set() for part in parts]
-    named = set().union(*own)
-    seen: dict[str, str] = {}
+    own = [set(part.values.get("run", ())) for part in parts]
+    named, seen = set().union(*own), dict[str, str]()
     for part, label, runs in zip(parts, labels, own, strict=True):
         (table,) = part.tables
         if "run" not in part.values:
@@ -88,9 +86,8 @@ def _first_files(
     parts: Sequence[ConvertedColumns], have: Sequence[bool]
 ) -> tuple[str | None, str | None]:
     """The first file that has something, and the first that has not."""
-    files = [part.tables[0].file for part in parts]
-    with_it = next((file for file, has in zip(files, have, strict=True) if has), None)
-    return with_it, next((file for file, has in zip(files, have, strict=True) if not has), None)
+    first = {has: part.tables[0].file for part, has in reversed([*zip(parts, have, strict=True)])}
+    return first.get(True), first.get(False)
 
 
 def _on_one_clock(parts: Sequence[ConvertedColumns]) -> float | None:
@@ -109,14 +106,3 @@ def _on_one_clock(parts: Sequence[ConvertedColumns]) -> float | None:
         assert part.origin is not None
         part.values["time"] = np.round(part.values["time"] + (part.origin - min(origins)), 6)
     return min(origins)
-
-
-def _equal_contents(tables: Sequence[Table]) -> list[str]:
-    first: dict[str, str] = {}
-    for table in tables:
-        first.setdefault(table.sha256, table.file)
-    return [
-        f"{table.file} has the same content as {first[table.sha256]}: the same readings twice?"
-        for table in tables
-        if table.file != first[table.sha256]
-    ]

@@ -20,17 +20,14 @@ from bayescal._data.averaging import average
 from bayescal._data.column import (
     ARRAYS,
     MAY_BE_EMPTY,
+    UNCERTAINTY,
     ConvertedColumns,
     NominalScale,
     Source,
     file_names,
 )
 from bayescal._data.column_conversion import convert_columns
-from bayescal._data.dataset_checks import (
-    flags_of,
-    problems_of_whole,
-    repeated_rows,
-)
+from bayescal._data.dataset_checks import flags_of, problems_of_whole, repeated_rows
 from bayescal._data.header_matching import InstrumentLike, ReadOptions, output_name, unused_options
 from bayescal._data.joined_files import joined
 from bayescal._data.pose_rows import MAGNITUDE, MAGNITUDE_READ, scalar_readings
@@ -77,11 +74,7 @@ class Measurements(Printed):
     since: float | None = None
 
     def __post_init__(self) -> None:
-        """Make the arrays read-only.
-
-        Raises:
-            InputError: a unit is none, or a column is no vector as long as the others.
-        """
+        """Make the arrays read-only; raise InputError for an unknown unit, or columns of unequal shapes."""
         made = {name: _column(values, self.units[name]) for name, values in self.values.items()}
         if {values.ndim for values in made.values()} != {1} or len(
             set(map(len, made.values()))
@@ -139,20 +132,19 @@ class Measurements(Printed):
         begin: str = "",
         **columns: ArrayLike,
     ) -> Measurements:
-        """Readings from arrays, checked as `read` checks a file.
+        """Make readings of arrays, checked as `read` checks a file; options as of `read`.
 
         Args:
             instrument: whose columns these are.
             arrays: columns whose names are no Python names, such as "humidity [%]".
-            units: unit of a column that is not in the instrument's own (or has none: "any"), and of
-                further columns to keep.
-            local_gravity: m/s², for columns in m/s²; as of `read`.
-            nominal_scale, nominal_zero: in place of the instrument's, as of `read`.
+            units: unit of a column that is not in the instrument's own (or has none: "any"), and of further columns
+                to keep.
+            local_gravity, nominal_scale, nominal_zero: as of `read`.
             allow_one_temperature: accept one temperature, as for a prediction.
             missing: "refuse" readings that are NaN, or "drop" them.
             begin: date of the first reading, where `time` counts from none.
-            **columns: one entry per reading, or one for all; in the instrument's units unless
-                `units` says otherwise, or a name like a file's header, `humidity [%]`.
+            **columns: one entry per reading, or one for all; in the instrument's units unless `units` says otherwise,
+                or a name like a file's header, `humidity [%]`.
 
         Raises:
             InputError: what `read` refuses, columns of unequal length, or columns where the instrument is expected.
@@ -167,7 +159,7 @@ class Measurements(Printed):
             for c in instrument.columns
             for name in (c.name, *c.also)
         }
-        own.setdefault("output_uncertainty", own.get(output_name(instrument)))
+        own.setdefault(UNCERTAINTY, own.get(output_name(instrument)))
         table = Table.of_columns(ARRAYS, equally_long({**(arrays or {}), **columns}), own)
         options = ReadOptions.of(
             instrument,
@@ -294,11 +286,8 @@ class Measurements(Printed):
         for name in sorted(self.columns):
             column = self[name]
             digest.update(f"{name} [{self.unit(name)}] {len(column)}\n".encode())
-            digest.update(
-                np.ascontiguousarray(column).tobytes()
-                if column.dtype.kind == "f"
-                else json.dumps(column.tolist()).encode()
-            )
+            text = column.dtype.kind != "f"
+            digest.update(json.dumps(column.tolist()).encode() if text else column.tobytes())
 
     def same_as(self, other: Measurements) -> bool:
         """Whether both have the same columns, and equal entries in each."""
@@ -418,18 +407,9 @@ def measured(
     labels: Sequence[str] = ("",),
     problems: Objections | None = None,
 ) -> Measurements:
-    """Tables of files, or of arrays, as one record; all that is wrong with any of them is refused at once.
+    """Convert tables of files, or of arrays, to one record; all that is wrong with any of them is refused at once.
 
-    Args:
-        tables: that could be opened.
-        instrument: whose readings they are.
-        options: what the user says beside them.
-        one_temperature: accept one temperature.
-        labels: of the files' runs, where they have no column `run`.
-        problems: of files that could not be opened, if there are any.
-
-    Raises:
-        InputError: a column, a unit or a cell cannot be used, or the whole cannot.
+    `labels` are of the files' runs, where they have no column `run`; `problems` of files that could not be opened.
     """
     problems, parts = Objections(problems or ()), list[ConvertedColumns]()
     if not problems:
@@ -488,10 +468,8 @@ def assemble(
 
 def _column(values: ArrayLike, unit: str | None) -> np.ndarray:
     """A column that cannot be written to: text without a unit, numbers with one."""
-    if unit is None:
-        made = np.asarray(values).astype(str)
-    else:
+    if unit is not None:
         parse(unit)
-        made = np.asarray(values, np.float64).view()
+    made = np.asarray(values).astype(str) if unit is None else np.asarray(values, np.float64).view()
     made.flags.writeable = False
     return made

@@ -43,15 +43,14 @@ def scalar_readings(
     file: str,
     of_magnitude: bool = True,
 ) -> tuple[dict[str, np.ndarray], dict[str, str | None]]:
-    """Poses as scalar readings: of each its magnitude and, where its direction is known, two projections.
+    """Return poses as scalar readings: of each its magnitude and, where its direction is known, two projections.
 
     Where neither the magnitude of what acts is given nor what the outputs make of it, the latter is added: the mean
     radius of their ellipsoid, which makes the scale factors ratios.
 
     Args:
         names: of the three outputs.
-        values: columns of a file, one entry a pose.
-        units: of these.
+        values, units: columns of a file, one entry a pose, and their units.
         file: for messages.
         of_magnitude: whether what acts has one magnitude in all poses; else it is known: see `component_readings`.
 
@@ -150,14 +149,10 @@ def component_readings(
     units: Mapping[str, str | None],
     file: str,
 ) -> tuple[dict[str, np.ndarray], dict[str, str | None]]:
-    """Each of three outputs as a reading of its own, of a known rate about a direction in the body's axes.
+    """Return each of three outputs as a reading of its own, of a known rate about a direction in the body's axes.
 
-    Readings about one direction, forward or back, are of one mounting, unless a column says which are.
-
-    Args: as of `scalar_readings`.
-
-    Raises:
-        InputError: a rate without its direction, or about one of no length.
+    Readings about one direction, forward or back, are of one mounting, unless a column says which are. Arguments as
+    `scalar_readings`; raises InputError for a rate without its direction, or about one of no length.
     """
     count = len(values[names[0]])
     turning = values[RATE] != 0

@@ -48,13 +48,7 @@ def members(codes: np.ndarray) -> list[np.ndarray]:
 
 
 def stretches(time: np.ndarray, codes: np.ndarray, fewest: int) -> list[np.ndarray]:
-    """Rows of each stretch of a record without a pause, in the order of time.
-
-    Args:
-        time: of the readings, s (n,).
-        codes: of their records (n,).
-        fewest: readings that a stretch has.
-    """
+    """Return rows of each stretch of a record without a pause, of `fewest` readings or more, in order of time, s."""
     found = []
     for own in members(codes):
         rows = own[np.argsort(time[own], kind="stable")]
@@ -72,7 +66,5 @@ def pieces(columns: Columns) -> list[np.ndarray]:
 def runs_of(columns: Columns) -> dict[str, np.ndarray]:
     """Rows of each run of each device and axis, by its labels, in the order of the file."""
     names = [n for n in RECORD if n in columns]
-    return {
-        " ".join(str(columns[n][rows[0]]) for n in names): rows
-        for rows in members(record_codes(columns))
-    }
+    records = members(record_codes(columns))
+    return {" ".join(str(columns[n][rows[0]]) for n in names): rows for rows in records}

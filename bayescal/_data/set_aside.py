@@ -44,12 +44,7 @@ BY_CHANCE_SD = 5.0
 
 
 class Fault(NamedTuple):
-    """Readings that say nothing of the sensor.
-
-    Attributes:
-        rows: which; none where there is no such fault.
-        reason: what is wrong with them, in words.
-    """
+    """Readings that say nothing of the sensor (rows; none where there is no such fault), and why, in words."""
 
     rows: np.ndarray = np.zeros(0, int)
     reason: str = ""
@@ -58,7 +53,7 @@ class Fault(NamedTuple):
 def set_aside(
     readings: Measurements, keep_spikes: bool = False, needed: Collection[str] = ()
 ) -> Measurements:
-    """The readings without clipped and stuck ones and spikes, named in flags; the same readings where there is none.
+    """Return the readings without clipped and stuck ones and spikes, named in flags.
 
     Args:
         readings: as recorded.
@@ -72,7 +67,10 @@ def set_aside(
     begun = len(readings)
     while len((fault := _wrong(readings, needed, begun)).rows):
         readings = _without(readings, fault)
-    return _without(readings, _spikes(readings))
+    rows = find_spikes(readings)
+    shown = _listed(rows, readings["output"])
+    said = f"{len(rows)} reading(s) set aside as spikes, far from both neighbours: {shown}"
+    return _without(readings, Fault(rows, f"{said}; keep_spikes keeps them"))
 
 
 def _without(readings: Measurements, fault: Fault) -> Measurements:
@@ -101,12 +99,9 @@ def _clipped(readings: Measurements) -> Fault:
     output = readings["output"]
     ends = [] if checks.rounding_step(output) else checks.clip_levels(output)
     rows = np.flatnonzero(np.isin(output, [level for _, level in ends]))
-    each = [f"{np.sum(output == level)} at its {end} {level:.6g}" for end, level in ends]
-    return Fault(
-        rows,
-        f"{len(rows)} clipped reading(s) of the output set aside, {' and '.join(each)}: "
-        "what lies beyond was not measured, and no calibration holds there",
-    )
+    each = " and ".join(f"{np.sum(output == v)} at its {end} {v:.6g}" for end, v in ends)
+    cure = "what lies beyond was not measured, and no calibration holds there"
+    return Fault(rows, f"{len(rows)} clipped reading(s) of the output set aside, {each}: {cure}")
 
 
 def _stuck(readings: Measurements) -> Fault:
@@ -140,10 +135,8 @@ def _wrong(readings: Measurements, needed: Collection[str], begun: int) -> Fault
         few = odd.code == "leap" and len(odd.wrong) <= thermometers.LEAP_SHARE * begun
         if (few or odd.column in needed) and _can_go(readings.values, odd, begun):
             rows = _listed(odd.wrong, readings[odd.column], " °C")
-            said = (
-                f"{len(odd.wrong)} reading(s) set aside, column {odd.column!r} {odd.said}: {rows}"
-            )
-            return Fault(odd.wrong, f"{said}; keep_spikes keeps them")
+            said = f"{len(odd.wrong)} reading(s) set aside, column {odd.column!r} {odd.said}"
+            return Fault(odd.wrong, f"{said}: {rows}; keep_spikes keeps them")
     return Fault()
 
 
@@ -157,13 +150,6 @@ def _can_go(columns: Columns, odd: Oddity, begun: int) -> bool:
     labels = [n for n in RECORD if n != "run" and n in columns]
     whole = all(set(columns[n][kept]) == set(columns[n]) for n in labels)
     return whole and bool(np.ptp(columns[odd.column][kept]) > settings().temperature_span)
-
-
-def _spikes(readings: Measurements) -> Fault:
-    rows = find_spikes(readings)
-    shown = _listed(rows, readings["output"])
-    said = f"{len(rows)} reading(s) set aside as spikes, far from both neighbours: {shown}"
-    return Fault(rows, f"{said}; keep_spikes keeps them")
 
 
 def find_spikes(readings: Measurements) -> np.ndarray:
@@ -235,21 +221,14 @@ def _beyond_the_tail(high: np.ndarray, rest: np.ndarray, count: int) -> np.ndarr
 
 
 def not_new(readings: Measurements, holdout: Measurements) -> int:
-    """How many of the hold-out data are readings that are fitted, whatever their time and labels say.
+    """Return how many of the hold-out data are readings that are fitted, whatever their time and labels say.
 
     A reading is known by its numbers but for the time: output, temperatures, inputs. Of a rounded output a number
     occurs again by chance, where the others agree: two readings with noise of σ agree to a step in step/(2√π·σ) of
     cases. As many as that gives say nothing, and 0 is returned.
-
-    Args:
-        readings: to fit.
-        holdout: hold-out data, of the same instrument.
     """
-    shared = [
-        n
-        for n in readings.columns
-        if n != "time" and readings.unit(n) is not None and holdout.has(n)
-    ]
+    numbers = (n for n, unit in readings.units.items() if n != "time" and unit is not None)
+    shared = [n for n in numbers if holdout.has(n)]
 
     def numbered(names: list[str]) -> tuple[np.ndarray, np.ndarray]:
         """Of each reading of either which of their different rows it is."""
@@ -272,8 +251,7 @@ def not_new(readings: Measurements, holdout: Measurements) -> int:
 
 def said_of(readings: Measurements, holdout: Measurements) -> str:
     """Return the flag that hold-out data are not new; empty where they are."""
-    many = not_new(readings, holdout)
-    if not many:
+    if not (many := not_new(readings, holdout)):
         return ""
     said = (
         f"{holdout.file}: {many} of the {len(holdout)} readings of the hold-out data are readings that are fitted "

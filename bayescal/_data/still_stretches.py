@@ -36,9 +36,8 @@ class StillStretches(NamedTuple):
 
     Attributes:
         first, last: their first sample and the one after the last (k,).
-        mean: of each output (k, m).
-        uncertainty: standard uncertainty of these means, one for all outputs (k,).
-        of_second: that of a mean over one second, of white noise.
+        mean, uncertainty: of each output (k, m), and its standard uncertainty, one for all outputs (k,).
+        of_second: standard uncertainty of a mean over one second, of white noise.
         ratio: of it to that of independent samples.
         shortest: of these stretches, s, as asked or chosen.
         left_out: duration of each shorter one of a second or more, s.
@@ -57,7 +56,7 @@ class StillStretches(NamedTuple):
 def still_stretches(
     time: Float[np.ndarray, "n"], outputs: Float[np.ndarray, "n m"], shortest: float | None = None
 ) -> StillStretches:
-    """Find and average them.
+    """Find and average still stretches.
 
     Args:
         time: s, increasing and nearly even.
@@ -140,16 +139,12 @@ class LoggedRun(NamedTuple):
         return np.stack([self.outputs[self.inside(*w)].mean(axis=0) for w in windows])
 
     def inside(self, begin: float, end: float) -> slice:
-        at = np.searchsorted(self.time, [begin, end])
-        return slice(int(at[0]), int(at[1]) + 1)
+        first, last = np.searchsorted(self.time, [begin, end])
+        return slice(int(first), int(last) + 1)
 
 
 def per_sample(log: Measurements) -> Measurements:
-    """One row a sample, where each is three readings.
-
-    Raises:
-        InputError: no column `time`.
-    """
+    """Return one row a sample, where each is three readings; raise InputError without a column `time`."""
     if not log.has("time"):
         raise InputError(f"{log.file}: still stretches need the column 'time', in s")
     return log.select(np.arange(0, len(log), 3)) if log.has(ACROSS[0]) else log

@@ -38,7 +38,6 @@ class Oddity(NamedTuple):
 
     Attributes:
         code: its kind: "held", "saturated", "leap", "level" or "run".
-        column: the thermometer's.
         said: what is odd, in words.
         rows: at which it is.
         wrong: of these, where the temperature was surely another than the column says; none where that is not known.
@@ -54,13 +53,7 @@ class Oddity(NamedTuple):
 def oddities(
     columns: Columns, thermometers: Collection[str], output: str = "output"
 ) -> list[Oddity]:
-    """Return what is odd in the columns of thermometers.
-
-    Args:
-        columns: readings by name; without `time` nothing can be said.
-        thermometers: columns of measured temperatures, °C.
-        output: name of the output column, if it is there.
-    """
+    """Return what is odd in the columns of `thermometers`, °C; without a column `time` nothing can be said."""
     if "time" not in columns:
         return []
     found, names = list[Oddity](), sorted(n for n in thermometers if np.ptp(columns[n]) > 0)
@@ -143,13 +136,8 @@ def _unjoined(
 
     Two parts join where the later begins within what the column goes over as many readings, at the end of the earlier
     or the beginning of the later. A part between them that moves does so as the body does, from a level of its own.
-
-    Args:
-        values: of the stretch, °C (n,).
-        leap: whether a change is one (n − 1,).
-        real: whether something else took part in it, and whether the output did (n,); then a part of several readings
-            is the body's. Of one number throughout the output is asked.
-        most: what noise and rounding make, °C.
+    `leap` (n − 1,) marks changes that are leaps, `real` (n,) those that something else, and the output, took part in:
+    then a part of several readings is the body's. `most` is what noise and rounding make, °C.
     """
     cuts = 1 + np.flatnonzero(leap)
     changed = np.concatenate([[True], values[1:] != values[:-1]])
@@ -187,9 +175,8 @@ def _unjoined(
     while at >= 0:
         chain.add(at)
         at = int(before[at])
-    edges = [
-        np.concatenate([[True], one[:-1] | ~leap, [True]]) for one in real
-    ]  # of each reading's two sides
+    # of each reading's two sides
+    edges = [np.concatenate([[True], one[:-1] | ~leap, [True]]) for one in real]
     body = [edges[int(span[k] == 0)][[begins[k], ends[k]]].all() for k in range(len(begins))]
     return [
         (bool(span[k] == 0), int(begins[k]), int(ends[k]))
@@ -266,13 +253,9 @@ HELD_SHARE = 0.05  # the same as a share of a stretch's changes
 
 
 def held_rows(values: np.ndarray, own: Sequence[np.ndarray]) -> np.ndarray:
-    """Rows of stretches in which values are repeated until the next leap, again and again: they were asked seldom.
+    """Return rows of stretches in which values are repeated until the next leap, again and again: asked seldom.
 
     Rounded values repeat too, and then change by a step of their rounding, the smallest gap between any two of them.
-
-    Args:
-        values: of a column that is not constant (n,).
-        own: rows of each stretch without a pause, by `pieces`.
     """
     held, pairs = [np.zeros(0, int)], 0
     some = np.unique(values[np.concatenate([held[0], *own])])
@@ -442,14 +425,13 @@ def _told_apart(
 
 def _siblings(columns: Columns, one: str, other: str, runs: Iterable[np.ndarray]) -> bool:
     """Whether two thermometers go together, over ranges alike, in half of the runs at least."""
-    moving = [
-        r for r in runs if len(r) > 2 and np.ptp(columns[one][r]) and np.ptp(columns[other][r])
-    ]
-    found = [float(np.corrcoef(columns[one][r], columns[other][r])[0, 1]) for r in moving]
-    wide = [float(np.ptp(columns[one][r]) / np.ptp(columns[other][r])) for r in moving]
-    most = AS_WIDE_RATIO
-    together = bool(found) and float(np.median(found)) > TOGETHER_CORRELATION
-    return together and 1 / most < float(np.median(wide)) < most
+    pairs = [(columns[one][r], columns[other][r]) for r in runs if len(r) > 2]
+    pairs = [(a, b) for a, b in pairs if np.ptp(a) and np.ptp(b)]
+    if not pairs:
+        return False
+    together = float(np.median([np.corrcoef(a, b)[0, 1] for a, b in pairs])) > TOGETHER_CORRELATION
+    wide = float(np.median([np.ptp(a) / np.ptp(b) for a, b in pairs]))
+    return together and 1 / AS_WIDE_RATIO < wide < AS_WIDE_RATIO
 
 
 def _same_moments(time: np.ndarray, a: np.ndarray, b: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -467,12 +449,7 @@ def _rms(values: np.ndarray) -> float:
 
 
 def allowed_changes(columns: Columns, values: np.ndarray) -> np.ndarray:
-    """Return what a thermometer's column may change by from each reading of a file to the next (n − 1,), °C.
-
-    Args:
-        columns: labels of records, and the time, if they are known.
-        values: of the thermometer, °C (n,).
-    """
+    """Return what a thermometer's column, °C (n,), may change by from each reading of a file to the next (n − 1,)."""
     change = np.abs(np.diff(values))
     usual = END_RATIO * float(np.quantile(change, USUAL_CHANGES_SHARE)) if change.size else 0.0
     least = UNLIKE_DEGREES + np.full(len(change), usual)

@@ -49,13 +49,10 @@ def sequence(time: np.ndarray, codes: np.ndarray) -> tuple[np.ndarray, np.ndarra
 
 
 def set_in_steps(values: np.ndarray, order: np.ndarray, step: np.ndarray) -> bool:
-    """Whether a column was set from time to time and stood between, as a load does, rather than measured on its way.
+    """Return whether a column was set from time to time and stood between, as a load does, not measured on its way.
 
-    Nearly all that it changes by, in squares, are changes beyond which and before which it hardly does.
-
-    Args:
-        values: of the column (n,).
-        order, step: of `sequence`.
+    Nearly all that it changes by, in squares, are changes beyond which and before which it hardly does. `order` and
+    `step` as `sequence` returns them.
     """
     change = np.where(step[1:] < 0, 0.0, np.abs(np.diff(values[order])))
     padded = np.pad(change, 1)
@@ -98,15 +95,10 @@ def _usual_step(times: np.ndarray) -> float:
 def on_clock(
     readings: Measurements, epoch: float | None, changing: Callable[[], str]
 ) -> Measurements:
-    """Return readings with their times counted from a calibration's epoch.
+    """Return readings with their times counted from a calibration's `epoch`, s since 1970; None where it has no dates.
 
     Times without dates count from the calibration's zero where that has no date either: a column `time` has one origin
-    over all runs.
-
-    Args:
-        readings: for a calibration, or beside its own as hold-out data.
-        epoch: seconds since 1970 at the calibration's time zero; None where its times have no dates.
-        changing: gives what changes with the date, for the message; empty for nothing.
+    over all runs. `changing` gives what changes with the date, for the message; empty for nothing.
 
     Raises:
         InputError: one has dates and the other has none, and something changes with the date.
@@ -129,17 +121,10 @@ def on_clock(
 
 
 def going_on(fitted: Measurements, later: Measurements) -> dict[str, np.ndarray]:
-    """Return which readings of which runs go on with a record that is known.
+    """Return which readings of which runs go on with a record that is known: rows of `later` by run.
 
     They have the run's name (and device and axis), and follow its readings in blocks, the first of them at once. A file
     of another test, whose clock begins anew, has times that fall among all of the record's, or far from them.
-
-    Args:
-        fitted: the record.
-        later: readings that may continue it, on its clock.
-
-    Returns:
-        Rows of `later` by the run that they continue.
     """
     if not (fitted.has("time") and later.has("time")) or fitted.since != later.since:
         return {}
@@ -152,10 +137,9 @@ def going_on(fitted: Measurements, later: Measurements) -> dict[str, np.ndarray]
             continue
         merged = np.concatenate([np.zeros(known.size, bool), np.ones(rows.size, bool)])
         merged = merged[np.argsort(np.concatenate([known, at[rows]]), kind="stable")]
-        mixed = np.count_nonzero(np.diff(merged)) > max(
-            2.0, INTERLEAVED_SHARE * min(known.size, rows.size)
-        )
-        if not mixed and first - before[-1] <= PAUSE_STEPS * _usual_step(known):
+        most = max(2.0, INTERLEAVED_SHARE * min(known.size, rows.size))
+        apart = np.count_nonzero(np.diff(merged)) <= most
+        if apart and first - before[-1] <= PAUSE_STEPS * _usual_step(known):
             found[name] = rows
     return found
 

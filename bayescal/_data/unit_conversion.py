@@ -4,9 +4,6 @@ The units are our own: customary tables read g as gram and Hz as an angle rate, 
 acceleration of gravity, angle and frequency are dimensions of their own, and dps is known; a mass is in gram. Base
 units are s, K (written degC where it is a difference), rad, µg of local g, V, Hz, m, kg and others. All that is known
 of a unit, its other spellings too, stands in its row of `REGISTRY`.
-
-A file's units become fixed ones when it is read: inside the library nothing is converted but coefficients, between the
-units that are declared for them, their slot and the columns that their basis takes.
 """
 
 from __future__ import annotations
@@ -17,7 +14,7 @@ import difflib
 import math
 import re
 from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import NamedTuple
@@ -143,11 +140,10 @@ SPELLINGS = {text: unit.name for unit in REGISTRY for text in unit.also.split()}
 WHERE_EXPECTED = {unit.name: unit.here.split(", ") for unit in REGISTRY if unit.here}
 # Of products of units, what can be meant wherever it stands; "rads" and "degs" may be words.
 _COMPOUND = {
-    text: unit.name
-    for unit in REGISTRY
-    for text in unit.here.split(", ")
-    if not unit.size and text not in ("", "rads", "degs")
+    text: unit.name for unit in REGISTRY if not unit.size for text in unit.here.split(", ")
 }
+for _word in ("", "rads", "degs"):
+    _COMPOUND.pop(_word)
 _ZEROS = {unit.name: unit.zero for unit in REGISTRY if unit.zero is not None}
 _SHOWN = {unit.name: unit.shown for unit in REGISTRY if unit.shown} | {"mdeg": "m°"}
 _REWRITTEN = {
@@ -182,26 +178,25 @@ class ParsedUnit:
 
 @lru_cache(maxsize=512)
 def parse(text: str) -> ParsedUnit:
-    """Understand a unit.
-
-    Raises:
-        InputError: it is none.
-    """
+    """Parse a unit; raise InputError for what is none."""
     plain = normalised(text)
+    # As a Python expression: what stands side by side is multiplied, ^ is a power.
+    side_by_side = r"(?<=[\w)])\s*(?=\()|(?<=\))\s*(?=\w)|(?<=\w)\s+(?=\w)|(?<=\d)(?=[A-Za-z])"
+    expression = re.sub(side_by_side, "*", plain).replace("^", "**").strip()
+    factor, powers = 1.0, dict[str, float]()
     try:
-        names = tuple(_factors(ast.parse(_as_python(plain), mode="eval").body))
-        factor, powers = _in_base(names)
+        names = tuple(_factors(ast.parse(expression, mode="eval").body))
+        for name, power in names:
+            size, base = KNOWN[name]
+            factor *= size**power
+            for unit, own in _factors(ast.parse(base, mode="eval").body) if base else ():
+                powers[unit] = powers.get(unit, 0.0) + power * own
     except (SyntaxError, ValueError, OverflowError) as error:
         raise InputError(
             f"[{text}] is not a unit: write one such as [ug/mg^2] or [deg/s/degC]"
         ) from error
+    powers = {name: power for name, power in powers.items() if power}
     return ParsedUnit(factor, powers, _ZEROS.get(plain), names)
-
-
-def _as_python(plain: str) -> str:
-    """A unit as a Python expression: what stands side by side is multiplied, ^ is a power."""
-    side_by_side = r"(?<=[\w)])\s*(?=\()|(?<=\))\s*(?=\w)|(?<=\w)\s+(?=\w)|(?<=\d)(?=[A-Za-z])"
-    return re.sub(side_by_side, "*", plain).replace("^", "**").strip()
 
 
 def _factors(part: ast.expr) -> list[tuple[str, float]]:
@@ -220,24 +215,8 @@ def _factors(part: ast.expr) -> list[tuple[str, float]]:
     raise ValueError("no product of units")
 
 
-def _in_base(product: Iterable[tuple[str, float]]) -> tuple[float, dict[str, float]]:
-    """A product of known names in base units: a factor, and their powers."""
-    factor, powers = 1.0, dict[str, float]()
-    for name, power in product:
-        own, base = KNOWN[name]
-        factor *= own**power
-        inner = _factors(ast.parse(base, mode="eval").body) if base else []
-        for unit, base_power in inner:
-            powers[unit] = powers.get(unit, 0.0) + power * base_power
-    return factor, {name: power for name, power in powers.items() if power}
-
-
 def normalised(text: str) -> str:
-    """One spelling for each unit: plain ASCII, known names, ^ for powers.
-
-    Raises:
-        InputError: characters or names that no unit here has.
-    """
+    """Return one spelling for each unit: plain ASCII, known names, ^ for powers; raise InputError for unknown names."""
     if not text.strip() or len(text) > 60:
         raise InputError(f"[{text[:60]}] is not a unit: write one such as [degC], [deg/s] or [1]")
     plain = re.sub(r"([⁻⁰¹²³⁴⁵⁶⁷⁸⁹]+)", r"^\1", text.strip()).translate(_SUPERSCRIPTS)  # m/s²
@@ -266,25 +245,21 @@ def normalised(text: str) -> str:
     return plain
 
 
-_OTHERS = {"C": "the coulomb", "F": "the farad", "S": "the siemens"}  # no units here
-_MEANT = {"C": "degC", "F": "degF", "S": "s"}
+# no units here, and what may be meant
+_OTHERS = {"C": ("the coulomb", "degC"), "F": ("the farad", "degF"), "S": ("the siemens", "s")}
 
 
 def _near(name: str) -> str:
     if name in _OTHERS:
-        return f" ({name!r} is {_OTHERS[name]}; is {_MEANT[name]} meant?)"
+        called, meant = _OTHERS[name]
+        return f" ({name!r} is {called}; is {meant} meant?)"
     near = [k for k in KNOWN if k.lower() == name.lower()]
     near = near or difflib.get_close_matches(name, KNOWN, 3)
     return f" (is {' or '.join(near)} meant?)" if near else f" (known are {', '.join(KNOWN)})"
 
 
 def unit_in(text: str, kinds: tuple[str, ...]) -> str | None:
-    """A text as a unit of one of these kinds; None if it is none, or could be two.
-
-    Args:
-        text: as it stands in a header.
-        kinds: units whose dimension is expected; "any" expects none.
-    """
+    """Return a text as a unit of the dimension of one of `kinds` ("any" expects none); None for none, or for two."""
     if _is(text, kinds):
         return text
     if ANY in kinds:
@@ -320,21 +295,14 @@ def convert(
     local_gravity: float = STANDARD_GRAVITY,
     difference: bool = False,
 ) -> np.ndarray:
-    """Numbers in one unit as numbers in another.
+    """Convert numbers (any shape) from one unit to another.
 
-    Temperatures in degC, K and degF are absolute unless a `delta_` unit or `difference` says
-    otherwise. Accelerations in m/s² become g (and the reverse) by the local gravity.
-
-    Args:
-        values: numbers, any shape.
-        from_unit: their unit.
-        to_unit: the unit wanted.
-        local_gravity: m/s².
-        difference: take bare temperatures as differences, as an uncertainty is.
+    Temperatures in degC, K and degF are absolute unless a `delta_` unit or `difference` (of an uncertainty) says
+    otherwise. Accelerations in m/s² become g (and the reverse) by the local gravity, m/s².
 
     Raises:
-        InputError: an unknown unit, units of different dimensions, a difference of temperatures
-            where a temperature is wanted, or a gravity not found on Earth.
+        InputError: an unknown unit, units of different dimensions, a difference of temperatures where a temperature
+            is wanted, or a gravity not found on Earth.
     """
     old, new = parse(from_unit), parse(to_unit)
     values = np.array(values, dtype=np.float64)
@@ -344,18 +312,21 @@ def convert(
             f"[{from_unit}] cannot be converted to [{to_unit}]: the one is {_dimension(old)}, "
             f"the other {_dimension(new)}. Correct the unit"
         )
-    if new.offset is not None and old.offset is None and not difference:
-        raise InputError(
-            f"[{from_unit}] is a difference of temperatures, [{to_unit}] a temperature: write "
-            "[degC], [K] or [degF]"
-        )
-    if old.offset is not None and new.offset is not None and not difference:
-        if old != new:
-            values = (values * old.factor + old.offset - new.offset) / new.factor
-        return values
+    if new.offset is not None and not difference:
+        if old.offset is None:
+            raise InputError(
+                f"[{from_unit}] is a difference of temperatures, [{to_unit}] a temperature: write [degC], [K] or [degF]"
+            )
+        same = old == new
+        return values if same else (values * old.factor + old.offset - new.offset) / new.factor
     factor = old.factor / new.factor
     if power:
-        _check_gravity(local_gravity)
+        low, high = EARTH_GRAVITY
+        if not low <= local_gravity <= high:
+            raise InputError(
+                f"local gravity {local_gravity:g} m/s² is not found on Earth ({low} … {high} m/s²): give it in m/s², "
+                "such as 9.80665"
+            )
         factor *= (1e6 / local_gravity) ** power
     return values if factor == 1 else values * factor
 
@@ -364,11 +335,7 @@ _QUANTITY = re.compile(r"([+\-−]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)\s*([^\d
 
 
 def quantity(text: str) -> tuple[float, str]:
-    """The number and the unit of a text such as "48.2 uT" or "2min".
-
-    Raises:
-        InputError: it is no number with a unit, or the unit is none.
-    """
+    """Parse the number and the unit of a text such as "48.2 uT" or "2min"; raise InputError for any other."""
     found = _QUANTITY.fullmatch(text.strip())
     if not found:
         raise InputError("it is no number with a unit")
@@ -377,11 +344,7 @@ def quantity(text: str) -> tuple[float, str]:
 
 
 def same_dimension(a: str, b: str) -> bool:
-    """Whether one unit converts to the other (m/s² and g do, by the local gravity).
-
-    Raises:
-        InputError: an unknown unit.
-    """
+    """Return whether one unit converts to the other (m/s² and g do); raise InputError for an unknown unit."""
     return _power_of_gravity(parse(a).powers, parse(b).powers) is not None
 
 
@@ -393,22 +356,12 @@ def alike(a: str, b: str) -> bool:
 
 
 def needs_gravity(from_unit: str, to_unit: str) -> bool:
-    """Whether the conversion between two units of one dimension uses the local gravity.
-
-    Raises:
-        InputError: an unknown unit.
-    """
+    """Return whether a conversion uses the local gravity; raise InputError for an unknown unit."""
     return bool(_power_of_gravity(parse(from_unit).powers, parse(to_unit).powers))
 
 
 def coefficient_factor(unit: str, slot_unit: str) -> float:
-    """What turns a number in one unit into another of its dimension, or into base units times the other.
-
-    That is unit ÷ slot unit in base units (s, K, rad, µg, …). degC is always a difference here.
-
-    Raises:
-        InputError: an unknown unit.
-    """
+    """Return unit ÷ slot unit in base units (s, K, rad, µg, …), of which degC is always a difference."""
     return parse(unit).factor / parse(slot_unit).factor
 
 
@@ -416,15 +369,14 @@ def coefficient_factor(unit: str, slot_unit: str) -> float:
 def basis_factor(
     unit: str, slot_unit: str, named: tuple[str, ...], open_: bool, others: tuple[str, ...]
 ) -> float:
-    """What a coefficient in its reported unit, times a basis of columns in their own units, is in the slot's unit.
+    """Return what a coefficient in its unit, times a basis of columns in their own units, is in the slot's unit.
 
     The basis has the dimension of slot unit ÷ unit, and is in the product of column units that has this dimension:
     where the slot is in um/s^2, a coefficient in um/s^2/hPa on a column in hPa has the factor 1, on one in Pa 0.01. A
     ratio has no dimension: a percent below the coefficient's stroke stands for the columns that are ratios.
 
     Args:
-        unit: of the coefficient.
-        slot_unit: of the slot.
+        unit, slot_unit: of the coefficient and of the slot.
         named: units of the columns that the effect names.
         open_: whether it names a column that no instrument declares: such a one is in base units.
         others: units of shapes and of further columns, for an effect that names too few.
@@ -528,11 +480,7 @@ def _shown(powers: Mapping[str, float]) -> str:
 
 
 def base_unit(unit: str) -> str:
-    """The unit in which a column that no instrument prescribes is kept: base units, or °C.
-
-    Raises:
-        InputError: an unknown unit.
-    """
+    """Return the unit of a column that no instrument prescribes: base units, or °C; raise InputError if unknown."""
     parsed = parse(unit)
     if parsed.powers == {"m": 1, "s": -2}:
         return "ug"
@@ -545,11 +493,7 @@ def base_unit(unit: str) -> str:
 
 
 def fixed_unit(unit: str) -> str:
-    """The unit in which the library keeps a quantity: µg, °/s, rad, °C, s; a ratio in its own; else base units.
-
-    Raises:
-        InputError: an unknown unit.
-    """
+    """Return the unit in which a quantity is kept: µg, °/s, rad, °C, s; a ratio in its own; else base units."""
     if not parse(unit).powers and parse(unit).factor != 1:
         return normalised(unit)  # ppm, ppb, %: as a plain number it would be shown as 3e-07
     base = base_unit(unit)
@@ -557,16 +501,18 @@ def fixed_unit(unit: str) -> str:
 
 
 def pretty(unit: str) -> str:
-    """A unit as people write it: "deg/s/degC" is "°/s/°C", "ug/mg^2" is "µg/mg²".
-
-    Raises:
-        InputError: an unknown unit.
-    """
+    """Format a unit as people write it: "deg/s/degC" as "°/s/°C", "ug/mg^2" as "µg/mg²"."""
     if unit == ANY:
         return unit
     parse(unit)
-    text = NAME.sub(lambda m: _pretty_name(m[0]), normalised(unit)).replace("*", "·")
-    text = re.sub(r"(\w+)\^\(?0\.5\)?", r"√\1", text)  # °/√h
+
+    def name(match: re.Match[str]) -> str:
+        text = match[0]
+        return _SHOWN.get(text) or ("µ" + text[1:] if text[0] == "u" else text)
+
+    text = re.sub(
+        r"(\w+)\^\(?0\.5\)?", r"√\1", NAME.sub(name, normalised(unit)).replace("*", "·")
+    )  # °/√h
     digits = str.maketrans("0123456789-", "⁰¹²³⁴⁵⁶⁷⁸⁹⁻")
     return EXPONENT.sub(
         lambda m: m[0].strip("^()").translate(digits) if "." not in m[0] else m[0], text
@@ -578,39 +524,19 @@ def unit_label(unit: str) -> str:
     return pretty(unit) if unit not in ("", "1") else ""
 
 
-def _pretty_name(name: str) -> str:
-    return _SHOWN.get(name) or ("µ" + name[1:] if name[0] == "u" else name)
-
-
 def _raised(name: str, power: float) -> str:
     return name if power == 1 else f"{name}^{power:g}"
 
 
 def _power_of_gravity(old: Mapping[str, float], new: Mapping[str, float]) -> float | None:
     """How often m/s² must become local g to get from one to the other; None if nothing helps."""
-    power = old.get("m", 0) - new.get("m", 0)
-    for name in {*old, *new}:
-        expected = {"m": power, "s": -2 * power, "ug": -power}.get(name, 0)
-        if old.get(name, 0) - new.get(name, 0) != expected:
-            return None
-    if power and not {"s", "ug"} <= {*old, *new}:
-        return None
-    return power
-
-
-def _check_gravity(local_gravity: float) -> None:
-    low, high = EARTH_GRAVITY
-    if not low <= local_gravity <= high:
-        raise InputError(
-            f"local gravity {local_gravity:g} m/s² is not found on Earth ({low} … {high} m/s²): "
-            "give it in m/s², such as 9.80665"
-        )
+    power, names = old.get("m", 0) - new.get("m", 0), {*old, *new}
+    expected = {"m": power, "s": -2 * power, "ug": -power}
+    alike = all(old.get(n, 0) - new.get(n, 0) == expected.get(n, 0) for n in names)
+    return power if alike and (not power or {"s", "ug"} <= names) else None
 
 
 def _dimension(parsed: ParsedUnit) -> str:
-    if not parsed.powers:
-        return "a plain number"
-    return " × ".join(
-        BASE[name] if power == 1 else f"({BASE[name]})^{power:g}"
-        for name, power in sorted(parsed.powers.items(), key=lambda item: -item[1])
-    )
+    ranked = sorted(parsed.powers.items(), key=lambda item: -item[1])
+    shown = (BASE[n] if power == 1 else f"({BASE[n]})^{power:g}" for n, power in ranked)
+    return " × ".join(shown) or "a plain number"

@@ -39,15 +39,12 @@ _MONTHS = {
 
 
 def unix_seconds(text: str) -> dict[str, float]:
-    """A date, or a time of day, in seconds since 1970, by the order of day, month and year in which it may be written.
+    """Parse a date, or a time of day, in s since 1970, by each of `ORDERS` in which it is one; "" for no choice.
 
     Known are ISO 8601, with or without a zone; 11/23/2026, 23/11/2026, 23.11.2026, 2026/11/23, 23-Nov-2026, Nov 23,
     2026 with times such as 14:05:33.250, 14:05:33,250, 14:05:33:250, 14.05.33 and 2:05:33 PM behind them; and times
     alone, of which 10.11.12 may be a date. A date without a zone is taken as UTC. What float64 holds of it, a quarter
     of a microsecond, is finer than what the text can say.
-
-    Returns:
-        Seconds by each of `ORDERS` in which it is a date; under "" where there is no choice.
 
     Raises:
         ValueError: the text is none of these.
@@ -55,7 +52,9 @@ def unix_seconds(text: str) -> dict[str, float]:
     text = text.strip()
     if text[4:5] == "-":
         with suppress(ValueError):
-            return {"": _seconds(datetime.fromisoformat(text))}
+            when = datetime.fromisoformat(text)
+            since = (when if when.tzinfo else when.replace(tzinfo=UTC)) - _EPOCH
+            return {"": (since.days * 86400 + since.seconds) + since.microseconds * 1e-6}
     if _POINTS.match(text):
         found = dict[str, float]()
         with suppress(ValueError):
@@ -76,48 +75,36 @@ def unix_seconds(text: str) -> dict[str, float]:
 
 @lru_cache(maxsize=4096)  # days repeat
 def _days(text: str) -> dict[str, int]:
-    """Days since 1970 by the order in which a date may be written, "" for one that leaves no choice."""
+    """Return days since 1970 by the order in which a date may be written, "" for one that leaves no choice."""
     days = dict[str, int]()
     for form, orders in _FORMS.items():
-        if found := form.fullmatch(text):
-            for order, parts in orders.items():
-                with suppress(ValueError):
-                    days[order] = _day(*(found[part] for part in parts))
+        if not (found := form.fullmatch(text)):
+            continue
+        for order, parts in orders.items():
+            with suppress(ValueError):
+                year, month, day = (found[part] for part in parts)
+                if len(year) in (2, 4):  # of two digits: of this century
+                    number = int(month) if month.isdigit() else _MONTHS.get(month[:3].lower(), 0)
+                    when = date(int(year) + 2000 * (len(year) == 2), number, int(day))
+                    days[order] = (when - _EPOCH.date()).days
     if not days:
         raise ValueError(f"{text!r} is not a date")
     return days
 
 
-def _day(year: str, month: str, day: str) -> int:
-    """Days from 1970 to a date; a year of two digits is one of this century."""
-    if len(year) not in (2, 4):
-        raise ValueError(f"{year!r} is no year")
-    number = int(month) if month.isdigit() else _MONTHS.get(month[:3].lower(), 0)
-    return (date(int(year) + 2000 * (len(year) == 2), number, int(day)) - _EPOCH.date()).days
-
-
 def _time_of_day(text: str, longest: int) -> float:
-    """A time of day in s, less its zone; up to so many hours."""
-    found = _CLOCK.fullmatch(text.strip())
-    if not found:
-        raise ValueError(f"{text!r} is no time of day")
-    hours, _, minutes, seconds, parts, half, zone = found.groups()
-    hour = int(hours)
-    if half:
-        if not 1 <= hour <= 12:
-            raise ValueError(f"{text!r} is no time of day")
-        hour = hour % 12 + 12 * (half in "Pp")
-    if hour > longest or int(minutes) > 59 or int(seconds or 0) > 59:
-        raise ValueError(f"{text!r} is no time of day")
-    zone = (zone or "Z").replace(":", "")
-    ahead = 0 if zone == "Z" else int(f"{zone[0]}1") * (3600 * int(zone[1:3]) + 60 * int(zone[3:5]))
-    whole = hour * 3600 + 60 * int(minutes) + int(seconds or 0) - ahead
-    return whole + int((parts or "0").ljust(9, "0")) * 1e-9
-
-
-def _seconds(when: datetime) -> float:
-    since = (when if when.tzinfo else when.replace(tzinfo=UTC)) - _EPOCH
-    return (since.days * 86400 + since.seconds) + since.microseconds * 1e-6
+    """Parse a time of day up to so many hours in s, less its zone."""
+    if found := _CLOCK.fullmatch(text.strip()):
+        hours, _, minutes, seconds, parts, half, zone = found.groups()
+        hour = int(hours)
+        right = not half or 1 <= hour <= 12
+        hour = hour % 12 + 12 * (half in "Pp") if half else hour
+        if right and hour <= longest and int(minutes) <= 59 and int(seconds or 0) <= 59:
+            zone = (zone or "+0000").replace("Z", "+0000").replace(":", "")
+            ahead = int(f"{zone[0]}1") * (3600 * int(zone[1:3]) + 60 * int(zone[3:5]))
+            whole = hour * 3600 + 60 * int(minutes) + int(seconds or 0) - ahead
+            return whole + int((parts or "0").ljust(9, "0")) * 1e-9
+    raise ValueError(f"{text!r} is no time of day")
 
 
 def zoned(text: str) -> bool:
@@ -138,30 +125,25 @@ _LONGEST = 1e7  # s, nearly four months: as milliseconds, a clock's microseconds
 
 
 def from_first(seconds: np.ndarray) -> tuple[np.ndarray, float | None]:
-    """Seconds since 1970 as seconds since the first of them, and that; others as they are, and None.
+    """Return seconds since 1970 as seconds since the first of them, and that; others as they are, and None.
 
     To the microsecond, which is what float64 holds of seconds since 1970.
     """
-    known = seconds[np.isfinite(seconds)]
-    if not known.size or not _is_unix(float(known.min()), float(known.max())):
+    if unit_of_counts(seconds, longest=np.inf) != "s":
         return seconds, None
-    first = float(known.min())
+    first = float(np.nanmin(seconds[np.isfinite(seconds)]))
     return np.round(seconds - first, 6), first
 
 
-def _is_unix(low: float, high: float) -> bool:
-    """Whether seconds between these are seconds since 1970."""
-    return low >= EARLIEST and high <= LATEST
-
-
-def unit_of_counts(values: np.ndarray) -> str | None:
-    """The unit in which numbers count from 1970: s, ms, us or ns; None if they do not, or might not."""
+def unit_of_counts(values: np.ndarray, longest: float = _LONGEST) -> str | None:
+    """Return the unit in which numbers count from 1970 (s, ms, us or ns); None if they do not, or might not."""
     known = values[np.isfinite(values)]
     if not known.size:
         return None
     low, high = float(known.min()), float(known.max())
     for unit, size in (("s", 1.0), ("ms", 1e-3), ("us", 1e-6), ("ns", 1e-9)):
-        if _is_unix(low * size, high * size) and (high - low) * size <= _LONGEST:
+        begun = low * size >= EARLIEST and high * size <= LATEST
+        if begun and (high - low) * size <= longest:
             return unit
     return None
 
@@ -192,11 +174,10 @@ class Cells:
     orders: Mapping[str, np.ndarray] = field(default_factory=dict)
 
     def take(self, rows: np.ndarray) -> Cells:
-        """The cells of some rows."""
+        """Return the cells of some rows."""
         orders = {name: values[rows] for name, values in self.orders.items()}
-        if not self.bad:
-            return Cells(self.values[rows], dates=self.dates, orders=orders)
-        bad = {i: self.bad[row] for i, row in enumerate(rows.tolist()) if row in self.bad}
+        numbered = enumerate(rows.tolist()) if self.bad else ()
+        bad = {i: self.bad[row] for i, row in numbered if row in self.bad}
         return Cells(self.values[rows], bad, self.dates, orders)
 
     def in_order(self, order: str = "") -> Cells:
@@ -249,11 +230,9 @@ class Cells:
 
 
 def numbers_of(texts: Sequence[str], decimal: str = ".") -> Cells:
-    """Text as numbers, or as dates if that is what the first that is no number is.
+    """Parse text, one for each reading, as numbers, or as dates if that is what the first that is no number is.
 
-    Args:
-        texts: one for each reading; empty, "nan" and other marks of a missing reading are NaN.
-        decimal: between the whole and its parts, a point or a comma.
+    Empty, "nan" and other marks of a missing reading are NaN; `decimal` is a point or a comma.
     """
     plain = [_with_point(text) for text in texts] if decimal == "," else texts
     together = "".join(plain)
@@ -297,10 +276,9 @@ def _dates_of(texts: Sequence[str], values: np.ndarray, odd: Sequence[int]) -> C
 
 
 def is_date(text: str) -> bool:
-    """Whether a cell is a date, or a time of day."""
+    """Return whether a cell is a date, or a time of day."""
     with suppress(ValueError):
-        unix_seconds(text)
-        return True
+        return bool(unix_seconds(text))
     return False
 
 
@@ -320,12 +298,7 @@ def number_of(text: str) -> float:
 
 
 def cells_of(values: object, number: bool) -> Cells:
-    """An array or a list as the cells of one column.
-
-    Args:
-        values: one entry per reading: numbers, text, or both.
-        number: whether the column is one of numbers.
-    """
+    """Return an array or a list, one entry per reading, as the cells of one column, of numbers or of labels."""
     array = np.asarray(values)
     if array.dtype.kind == "M":
         array = array.astype("datetime64[us]").astype(object)

@@ -1,8 +1,7 @@
 """CSV as a table, in two passes.
 
-The first finds what is wrong and on which line, and keeps nothing but counts: so a file is refused before it takes
-memory. The second reads what the first let pass, a stretch of rows at a time. Line numbers in messages are those an
-editor shows, the first line being row 1.
+The first finds what is wrong and on which line, and keeps nothing but counts, so that a file is refused before it takes
+memory. The second reads what the first let pass, a stretch of rows at a time. The first line is row 1, as in an editor.
 """
 
 from __future__ import annotations
@@ -25,6 +24,7 @@ from typing import BinaryIO
 import numpy as np
 
 from bayescal._core.atomic_file import sha256_of
+from bayescal._core.errors import InputError
 from bayescal._core.quoting import csv_cell_read
 from bayescal._tables.cells import MOST_BAD, Cells, number_of, numbers_of
 from bayescal._tables.header_rows import LOOKED_AT, HeaderRows, header_rows, with_units
@@ -53,7 +53,7 @@ _ROWS = 100_000  # rows whose text is held at a time
 
 
 def open_csv(path: Path, file: str, decimal: str = "") -> Table:
-    """Look through a CSV file: comma, semicolon, tab or blanks between fields.
+    """Scan a CSV file: comma, semicolon, tab or blanks between fields.
 
     Args:
         path: where it is.
@@ -65,8 +65,7 @@ def open_csv(path: Path, file: str, decimal: str = "") -> Table:
         The table; rows of unequal length are its `problems`.
 
     Raises:
-        InputError: it is empty, in an encoding that cannot be told, or ends lines in a way that cannot be counted;
-            the message names the row.
+        InputError: it is empty, in an encoding that cannot be told, or ends lines in a way that cannot be counted.
     """
     scan = scan_csv(path, file, decimal)
 
@@ -83,12 +82,12 @@ def open_csv(path: Path, file: str, decimal: str = "") -> Table:
         f"its units are taken from row {scan.named + 1}": scan.first - scan.named > 1,
     }
     return Table(
-        file=file,
-        headers=scan.headers,
-        rows=scan.lines - len(scan.blanks),
-        sha256=scan.sha256,
-        load=load,
-        place=scan.place,
+        file,
+        scan.headers,
+        scan.lines - len(scan.blanks),
+        load,
+        scan.sha256,
+        scan.place,
         notes=tuple(f"{file}: {note}" for note, holds in notes.items() if holds),
         problems=ragged_rows(scan),
         readable=len(scan.passed_over) == len(scan.ragged),
@@ -97,16 +96,13 @@ def open_csv(path: Path, file: str, decimal: str = "") -> Table:
 
 @dataclass(frozen=True)
 class CsvLines:
-    """Some lines of a file as they stand.
+    """Some lines of a file as they stand, with their ends, a tab for blanks between fields; blank ones among them.
 
     Attributes:
-        lines: with their ends, a tab for blanks between fields; blank ones among them.
         table: their readings; None for the header.
-        separator: between fields.
-        decimal: between the whole and its parts.
+        separator, decimal: between fields, and between the whole and its parts.
         encoding: of the lines, "utf-8" or "windows-1252".
-        before: of the header: the lines above it.
-        behind: of the header: the row of units below it, and such.
+        before, behind: of the header: the lines above it; the row of units below it, and such.
     """
 
     lines: list[bytes]
@@ -119,16 +115,8 @@ class CsvLines:
 
 
 def csv_parts(path: Path, file: str, rows: int, decimal: str = "") -> Iterator[CsvLines]:
-    """A file that `open_csv` let pass, a stretch of rows at a time: its header first, then its readings.
-
-    Args:
-        path: where it is.
-        file: its name in messages.
-        rows: readings in a stretch, at most.
-        decimal: as `open_csv` takes it.
-    """
-    scan = scan_csv(path, file, decimal)
-    done = 0
+    """Yield a file that `open_csv` let pass: its header, then its readings, at most `rows` at a time."""
+    scan, done = scan_csv(path, file, decimal), 0
     with opened(path, scan.encoding, scan.blank_runs) as handle:
         above: list[bytes] = []
         while handle.tell() < scan.offset:
@@ -140,8 +128,7 @@ def csv_parts(path: Path, file: str, rows: int, decimal: str = "") -> Iterator[C
         while lines := list(islice(handle, rows)):
             while not any(line.strip() for line in lines) and (more := handle.readline()):
                 lines.append(more)  # a stretch of blank lines is no table
-            count = sum(bool(line.strip()) for line in lines)
-            if count:
+            if count := sum(bool(line.strip()) for line in lines):
                 load, place = partial(scan.cells, lines), after(done, scan.place)
                 table = Table(file, scan.headers, count, load, scan.sha256, place)
                 yield CsvLines(lines, table, scan.separator, scan.decimal or ".", written)
@@ -188,14 +175,19 @@ class CsvScan:
         return tuple(Header.parse(csv_cell_read(text)) for text in self.header)
 
     def cells(self, lines: Iterable[bytes], wanted: Mapping[int, bool]) -> dict[int, Cells]:
-        """The wanted columns of lines below the header; only one stretch of rows is held as text at a time."""
+        """Parse the wanted columns of lines below the header; one stretch of rows is held as text at a time."""
         parts: dict[int, list[Cells]] = {position: [] for position in wanted}
         if self.passed_over:
             numbered = enumerate(lines, self.first)
             lines = (line for row, line in numbered if row not in self.passed_over)
-        there = (line for line in lines if line.strip(self.blank))
-        while stretch := list(islice(there, _ROWS)):
-            fields = self._fields(stretch)
+        filled = (line for line in lines if line.strip(self.blank))
+        while stretch := list(islice(filled, _ROWS)):
+            text = self.text(b"".join(stretch)).replace("\r\n", "\n").removesuffix("\n")
+            if '"' in text:
+                rows = csv.reader(text.split("\n"), delimiter=self.separator)
+                fields = [field for row in rows for field in row]
+            else:
+                fields = text.replace("\n", self.separator).split(self.separator)
             for position, number in wanted.items():
                 texts = fields[position :: len(self.header)]
                 if number:
@@ -205,41 +197,28 @@ class CsvScan:
                 parts[position].append(own)
         return {position: Cells.joined(found) for position, found in parts.items()}
 
-    def _fields(self, lines: Sequence[bytes]) -> list[str]:
-        """The fields of rows, one row after the other."""
-        text = self.text(b"".join(lines)).replace("\r\n", "\n").removesuffix("\n")
-        if '"' in text:
-            rows = csv.reader(text.split("\n"), delimiter=self.separator)
-            return [field for row in rows for field in row]
-        return text.replace("\n", self.separator).split(self.separator)
-
     def split(self, line: str, row: int, called: str = "", cure: str = "") -> list[str]:
-        """The fields of a line, whose quotation marks must be in pairs."""
+        """Split a line into fields; raise InputError where its quotation marks are not in pairs."""
         if '"' not in line:
             return line.split(self.separator)
         try:
             return next(csv.reader([line], delimiter=self.separator, strict=True))
         except csv.Error as error:
-            what = (
-                "a field that is too long"
-                if "limit" in str(error)
-                else "a quotation mark without its pair"
-            )
+            long = "limit" in str(error)
+            what = "a field that is too long" if long else "a quotation mark without its pair"
             came = f"has {what}{called}: {line[:80]!r}"
             raise unusable(self.file, came, f"Close or remove it{cure}", f"row {row}") from error
 
     def place(self, index: int) -> str:
-        """The row of a reading; blank lines count as rows but hold none."""
-        row = self.first + index
-        passed = 0
+        """Return the row of a reading; blank lines count as rows but hold none."""
+        row, passed = self.first + index, 0
         while (blanks := bisect_right(self.blanks, row)) > passed:
-            row += blanks - passed
-            passed = blanks
+            row, passed = row + blanks - passed, blanks
         return f"row {row}"
 
 
 def scan_csv(path: Path, file: str, decimal: str) -> CsvScan:
-    """The first pass."""
+    """Scan a file: its layout, its rows, and which of them are blank or have another number of fields."""
     scan = CsvScan(file, encoding=encoding_of(path), decimal=decimal)
     _find_layout(path, scan)
     with opened(path, scan.encoding, scan.blank_runs) as handle:
@@ -250,13 +229,12 @@ def scan_csv(path: Path, file: str, decimal: str) -> CsvScan:
             end = block.rfind(b"\n") + 1
             if not end and len(block) > _BLOCK:
                 place = f"row {scan.first + scan.lines}"
-                came = f"is longer than {_BLOCK} bytes"
-                raise unusable(file, came, "is it a CSV file?", place)
+                raise unusable(file, f"is longer than {_BLOCK} bytes", "is it a CSV file?", place)
             rest = block[end:]
             _scan_lines(scan, block[:end])
         if rest:
             _scan_lines(scan, rest + b"\n")
-    # of UTF-16 and of blanks, what was looked through are not the bytes of the file
+    # of UTF-16 and of blanks, what was scanned are not the bytes of the file
     changed = scan.blank_runs or scan.encoding == "utf-16"
     scan.sha256 = sha256_of(path) if changed else digest.hexdigest()
     odd = [row for row, _, _ in scan.ragged]
@@ -267,34 +245,39 @@ def scan_csv(path: Path, file: str, decimal: str) -> CsvScan:
 
 
 def _read_header(handle: BinaryIO, scan: CsvScan) -> bytes:
-    """Find the header, and leave the file where the readings begin; the bytes above them.
+    """Find the header, leave the file where the readings begin, and return the bytes above them.
 
     It is the first line that is neither blank nor a '#' comment, unless that tells of the test and names of columns
     stand further down, or no line but a comment names them.
     """
-    there = _first_lines(handle, scan)
-    if not there:
-        handle.seek(0)
+    first_lines = _first_lines(handle, scan)
+    handle.seek(0)
+    if not first_lines:
         _decode(handle.read(), scan, 1)
         expected = "a header 'name [unit], …' and rows of readings were expected"
         raise unusable(scan.file, "is empty", expected)
-    texts = [text for _, text, _ in there]
+    texts, units = [text for _, text, _ in first_lines], list[str]()
     found, separator = _header_among(texts)
     scan.separator = separator or max(_separators_of(texts[0]), key=texts[0].count)
-    units = (
-        _labview_units([_fields_of(t, separator) for t in texts[: found.first]]) if found else []
-    )
-    row, text, end = there[found.first if found else 0]
-    last, _, end = there[found.last] if found else (row, text, end)
-    handle.seek(0)
+    if found:
+        units = _labview_units([_fields_of(t, separator) for t in texts[: found.first]])
+    row, text, end = first_lines[found.first if found else 0]
+    last, _, end = first_lines[found.last] if found else (row, text, end)
     above = handle.read(end)
     _decode(above.removeprefix(_MARK), scan, 1)
-    _split_header(scan, row, text)
+    refuse_many(scan.file, 1 + text.count(scan.separator))
+    fields = text.split(scan.separator), text.split()
+    if any(not any(map(math.isnan, map(number_of, own))) for own in fields):
+        cure = (
+            "Write one that names the columns, such as 'time [s],temperature [degC],output [deg/s]'"
+        )
+        raise unusable(scan.file, f"has no header: its first row, row {row}, is numbers", cure)
+    scan.header = scan.split(text, row, called=", in the header")
     if found and (found.last > found.first or len(found.names) != len(scan.header)):
         scan.header = found.names
     scan.header = with_units(scan.header, units)
     scan.first, scan.offset, scan.named = last + 1, end, row
-    scan.above = row > there[0][0]
+    scan.above = row > first_lines[0][0]
     return above
 
 
@@ -365,42 +348,27 @@ def _separators_of(line: str) -> list[str]:
     return sorted(there, key=lambda one: (one == ",", -line.count(one))) or [","]
 
 
-def _split_header(scan: CsvScan, row: int, line: str) -> None:
-    refuse_many(scan.file, 1 + line.count(scan.separator))
-    rows = line.split(scan.separator), line.split()
-    if any(not any(map(math.isnan, map(number_of, row))) for row in rows):
-        raise unusable(
-            scan.file,
-            f"has no header: its first row, row {row}, is numbers",
-            "Write one that names the columns, such as 'time [s],temperature [degC],output [deg/s]'",
-        )
-    scan.header = scan.split(line, row, called=", in the header")
+def _decode(data: bytes, scan: CsvScan, row: int) -> None:
+    """Raise InputError where whole lines, the first of which is `row`, are no text that is known."""
 
+    def refuse(came: str, before: bytes, cure: str = "") -> InputError:
+        place = row + before.count(b"\n")
+        return unusable(scan.file, came, _SAVE + cure, f"row {place}")
 
-def _decode(data: bytes, scan: CsvScan, row: int) -> str:
-    """Text of whole lines, the first of which is `row`."""
-    file = scan.file
     if (zero := data.find(b"\0")) >= 0:
-        row += data.count(b"\n", 0, zero)
-        came = "holds a zero byte: it is UTF-16 text or no text at all"
-        raise unusable(file, came, _SAVE, f"row {row}")
+        raise refuse("holds a zero byte: it is UTF-16 text or no text at all", data[:zero])
     unix = data.replace(b"\r\n", b"\n")
     if (lone := unix.find(b"\r")) >= 0:
-        row += unix.count(b"\n", 0, lone)
         came = "holds a carriage return that ends no line: lines must end in LF or CR LF"
-        raise unusable(file, came, _SAVE, f"row {row}")
+        raise refuse(came, unix[:lone])
     try:
-        return scan.text(data)
+        scan.text(data)
     except UnicodeDecodeError as error:
-        start = data.rfind(b"\n", 0, error.start) + 1
-        row += data.count(b"\n", 0, error.start)
-        before = data[start : error.start][-20:].decode("utf-8", "replace")
-        came = (
-            f"is not UTF-8: byte {error.start - start + 1} of the row is 0x{data[error.start]:02x}, "
-            f"after {before!r}"
-        )
-        cure = f"{_SAVE}; do not join files of different encodings"
-        raise unusable(file, came, cure, f"row {row}") from error
+        line = data[data.rfind(b"\n", 0, error.start) + 1 : error.start]
+        came = f"is not UTF-8: byte {len(line) + 1} of the row is 0x{data[error.start]:02x}"
+        came += f", after {line[-20:].decode('utf-8', 'replace')!r}"
+        cure = "; do not join files of different encodings"
+        raise refuse(came, data[: error.start], cure) from error
 
 
 def _scan_lines(scan: CsvScan, data: bytes) -> None:
@@ -426,16 +394,16 @@ def _scan_lines(scan: CsvScan, data: bytes) -> None:
 
 
 def ragged_rows(scan: CsvScan) -> tuple[Objection, ...]:
-    """The rows that have not one field for each column, as one problem."""
+    """Return the rows that have not one field for each column, as one problem."""
     if not scan.ragged:
         return ()
     _, text, fields = scan.ragged[0]
     expected = len(scan.header)
     comma = scan.separator == "," and fields > expected
-    hint = "If its numbers have decimal commas, export them with decimal points. " if comma else ""
-    longer = any(expected < n for _, _, n in scan.ragged)
-    above = "If the first lines only tell of the test, begin each with #. " if longer else ""
-    cure = f"{hint}{above}Give every row one field for each column"
+    cure = "If its numbers have decimal commas, export them with decimal points. " * comma
+    if any(expected < n for _, _, n in scan.ragged):
+        cure += "If the first lines only tell of the test, begin each with #. "
+    cure += "Give every row one field for each column"
     came = f"{fields} field{'s' * (fields != 1)}, {text!r}, its header has {expected}"
     places = tuple(f"row {row}" for row, _, _ in scan.ragged)
     return (Objection(scan.file, came, cure=cure, places=places),)
@@ -461,7 +429,7 @@ def encoding_of(path: Path) -> str:
 
 
 def opened(path: Path, encoding: str, runs: re.Pattern[bytes] | None = None) -> BinaryIO:
-    """A file's bytes; those of UTF-16 as UTF-8, with tabs where runs of blanks part the fields.
+    """Open a file's bytes; those of UTF-16 as UTF-8, with tabs where runs of blanks part the fields.
 
     Raises:
         InputError: text that has to be held and is too large, or UTF-16 that is broken.

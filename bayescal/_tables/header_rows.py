@@ -17,13 +17,7 @@ _NO_UNITS = ("TS", "RN")  # what Campbell's loggers write for moments and the nu
 
 
 class HeaderRows(NamedTuple):
-    """Rows that name columns.
-
-    Attributes:
-        first: index of the row of names.
-        last: of the last row that belongs to them.
-        names: with units in brackets, where a row of units stands below; one for each column.
-    """
+    """Indices of the first and last row that name columns, and the names, with units in brackets, one a column."""
 
     first: int
     last: int
@@ -31,14 +25,10 @@ class HeaderRows(NamedTuple):
 
 
 def header_rows(rows: Sequence[Sequence[str]], first: int = 0) -> HeaderRows | None:
-    """The rows that name the columns, if `rows[first]` begins them; None if it does not.
+    """Return the rows that name the columns, if `rows[first]` (fields, blank rows left out) begins them.
 
     Names are text; readings with as many fields and a number or a date among them follow, at once or after a row of
     units. Readings may end each row with one empty field more.
-
-    Args:
-        rows: the first rows of a file, blank ones left out, as fields.
-        first: the row that may be the one of names.
     """
     names = [name.strip() for name in rows[first]]
     if len(names) < 2 or any(map(is_reading, names)) or sum(map(bool, names)) < 2:
@@ -46,7 +36,8 @@ def header_rows(rows: Sequence[Sequence[str]], first: int = 0) -> HeaderRows | N
     last = [row for row in rows[first + 1 :][-_LAST:] if any(map(is_reading, row))]
     if not last or sum(map(bool, names)) < min(sum(map(bool, row)) for row in last):
         return None
-    width, ends_empty = _readings_width(last)
+    width = Counter(map(len, last)).most_common(1)[0][0]
+    ends_empty = all(not row[-1].strip() for row in last if len(row) == width)
     if width == len(names) - 1 and names[-1].lower() in ("", "comment"):
         names = names[:-1]
     elif width == len(names) + 1 and ends_empty:
@@ -68,12 +59,6 @@ def is_reading(text: str) -> bool:
         float(text.strip().replace(",", ".", 1))
         return not is_missing(text)
     return is_date(text)
-
-
-def _readings_width(rows: Sequence[Sequence[str]]) -> tuple[int, bool]:
-    """How many fields most of these rows have, and whether the last of these is empty in all of them."""
-    width = Counter(map(len, rows)).most_common(1)[0][0]
-    return width, all(not row[-1].strip() for row in rows if len(row) == width)
 
 
 def _names_units(row: Sequence[str], width: int) -> bool:

@@ -56,14 +56,7 @@ class Sensor:
 def triad(
     kind: str, unit: str, values: Iterable[np.ndarray], instance: int
 ) -> dict[str, tuple[np.ndarray, str]]:
-    """Channels of three axes.
-
-    Args:
-        kind: "gyro", "acc" or "mag".
-        unit: of all three.
-        values: of x, y and z, (n,) each.
-        instance: which sensor of its kind, from 0; the first has no number in its names.
-    """
+    """Return the channels of three axes, of the `instance`-th sensor of its kind ("gyro", "acc" or "mag"), from 0."""
     number = f"_{instance}" if instance else ""
     return {
         f"{kind}_{axis}{number}": (np.asarray(own, float), unit)
@@ -74,20 +67,11 @@ def triad(
 def columns_of(
     sensors: Collection[Sensor], chosen: Collection[str], file: str
 ) -> tuple[dict[str, np.ndarray], list[str]]:
-    """The chosen channels as columns, with time, temperature and what they are of.
+    """Return the chosen channels as columns, with time, temperature and what they are of, and what was done to it.
 
-    The rows are the samples of the chosen sensor that is sampled most slowly. Other sensors give
-    their sample nearest in time, so that noise stays as it is; the temperature, where it was
-    sampled at other times, is interpolated between its own.
-
-    Args:
-        sensors: of the log.
-        chosen: names of channels; all if it names none that the log has.
-        file: its name in messages.
-
-    Returns:
-        Header, such as "gyro_x [rad/s]" → one value per sample, numbers or labels; and what was done to make them so,
-        each a sentence.
+    The rows are the samples of the chosen sensor that is sampled most slowly. Other sensors give their sample nearest
+    in time, so that noise stays as it is; the temperature, where it was sampled at other times, is interpolated between
+    its own. All channels are taken if `chosen` names none that the log has.
 
     Raises:
         InputError: the log has no channels, or no row has all that is asked for.
@@ -133,19 +117,16 @@ def _step(time: np.ndarray) -> float:
 
 
 def _common(base: Sensor, used: Collection[Sensor], file: str) -> np.ndarray:
-    """Which samples of `base` lie where everything was logged."""
+    """Return which samples of `base` lie where everything was logged."""
     spans = [sensor.time for sensor in used]
-    if base.temperature_time is not None:
-        spans.append(base.temperature_time)
-    low, high = (
-        max(t.min(initial=np.inf) for t in spans),
-        min(t.max(initial=-np.inf) for t in spans),
-    )
+    spans += [] if base.temperature_time is None else [base.temperature_time]
+    low = max(t.min(initial=np.inf) for t in spans)
+    high = min(t.max(initial=-np.inf) for t in spans)
     kept = np.flatnonzero((base.time >= low) & (base.time <= high))
     if not len(kept):
         raise InputError(
-            f"{file!r}: the channels chosen and their temperature were not logged at one time: "
-            "choose others, or log them together"
+            f"{file!r}: the channels chosen and their temperature were not logged at one time: choose others, or log "
+            "them together"
         )
     return kept
 
@@ -155,12 +136,7 @@ MESSAGES = ("IMU", "IMU2", "IMU3")
 
 
 def read_dataflash(path: Path) -> tuple[list[Sensor], list[str]]:
-    """Sensors of a DataFlash log, and what is odd about it.
-
-    Raises:
-        ValueError: it does not begin as such a log does.
-        Exception: whatever pymavlink raises.
-    """
+    """Read the sensors of a DataFlash log, and what is odd about it; raises ValueError, and whatever pymavlink does."""
     from pymavlink.DFReader import DFReader_binary
 
     class WithoutClock(DFReader_binary):
@@ -171,35 +147,31 @@ def read_dataflash(path: Path) -> tuple[list[Sensor], list[str]]:
         if file.read(2) != HEAD:
             raise ValueError("it does not begin with the bytes A3 95 of a DataFlash log")
     with WithoutClock(str(path)) as log:
-        sensors = [
-            sensor for place, name in enumerate(MESSAGES) for sensor in _of(log, name, place)
-        ]
+        sensors = [s for place, name in enumerate(MESSAGES) for s in _of(log, name, place)]
         while log.recv_match(type=["PARM"], strict=True) is not None:
             pass  # the reader keeps the parameters
         corrected = [n for n in range(1, 4) if log.params.get(f"INS_TCAL{n}_ENABLE") == 1]
-        notes = [
-            f"INS_TCAL{n}_ENABLE was 1: IMU {n} was logged with its temperature correction, and what is "
-            "found here is what that left"
-            for n in corrected
-        ]
-    return sensors, notes
+    return sensors, [
+        f"INS_TCAL{n}_ENABLE was 1: IMU {n} was logged with its temperature correction, and what is found here is "
+        "what that left"
+        for n in corrected
+    ]
 
 
 def _of(log: Any, name: str, place: int) -> list[Sensor]:
-    """The sensors that one kind of message holds, one for each instance."""
+    """Return the sensors that one kind of message holds, one for each instance."""
     if not log.counts[log.name_to_id.get(name, 0)]:
         return []
-    fields = _fields(log, log.name_to_id[name])
+    fields, sensors = _fields(log, log.name_to_id[name]), []
     instance = fields.get("I", np.full(len(fields["TimeUS"]), place))
-    return [_imu_of(fields, instance == i, int(i)) for i in np.unique(instance)]
-
-
-def _imu_of(fields: dict[str, np.ndarray], own: np.ndarray, instance: int) -> Sensor:
-    channels = {}
-    for kind, prefix, unit in (("gyro", "Gyr", RATE), ("acc", "Acc", ACCELERATION)):
-        channels |= triad(kind, unit, (fields[prefix + axis][own] for axis in "XYZ"), instance)
-    temperature = fields["T"][own].astype(float) if "T" in fields else None
-    return Sensor(fields["TimeUS"][own] * 1e-6, channels, temperature)
+    for i in np.unique(instance):
+        own = instance == i
+        channels = {}
+        for kind, prefix, unit in (("gyro", "Gyr", RATE), ("acc", "Acc", ACCELERATION)):
+            channels |= triad(kind, unit, (fields[prefix + axis][own] for axis in "XYZ"), int(i))
+        temperature = fields["T"][own].astype(float) if "T" in fields else None
+        sensors.append(Sensor(fields["TimeUS"][own] * 1e-6, channels, temperature))
+    return sensors
 
 
 def _fields(log: Any, kind: int) -> dict[str, np.ndarray]:
@@ -229,7 +201,7 @@ IN_MBAR = 2000.0  # a median pressure below this is one in mbar: in Pa, it would
 
 
 def read_ulog(path: Path) -> tuple[list[Sensor], list[str]]:
-    """Sensors of a ULog, and what is odd about the log; raises whatever pyulog does."""
+    """Read the sensors of a ULog, and what is odd about the log; raises whatever pyulog does."""
     from pyulog import ULog
 
     with path.open("rb") as file:
@@ -237,11 +209,8 @@ def read_ulog(path: Path) -> tuple[list[Sensor], list[str]]:
     topics = sorted(log.data_list, key=lambda d: (list(TOPICS).index(d.name), d.multi_id))
     found = [(topic, *_topic_sensor(topic)) for topic in topics if len(topic.data["timestamp"])]
     notes = ["parts of it are damaged and were skipped"] * bool(log.file_corruption)
-    if log.dropouts:
-        longest = max(dropout.duration for dropout in log.dropouts) / 1000
-        notes.append(
-            f"{len(log.dropouts)} dropouts while it was logged, the longest of {longest:g} s"
-        )
+    if lost := [dropout.duration / 1000 for dropout in log.dropouts]:
+        notes.append(f"{len(lost)} dropouts while it was logged, the longest of {max(lost):g} s")
     return [_with_temperature(t, s, d, found, notes) for t, s, d in found], notes
 
 
@@ -314,17 +283,12 @@ def read_bag(path: Path) -> tuple[list[Sensor], list[str]]:
 
 def _refuse_views(path: Path) -> None:
     """Refuse a data base in which something else than a table stands where messages do: a view may never end."""
-    with closing(
-        sqlite3.connect(f"{path.resolve().as_uri()}?mode=ro&immutable=1", uri=True)
-    ) as base:
-        told = base.execute(
-            "SELECT name FROM sqlite_master WHERE type IN ('view', 'trigger') OR sql LIKE 'CREATE VIRTUAL%'"
-        )
-        names = [str(name) for (name,) in told]
-    if names:
-        raise ValueError(
-            f"{one_line(names[0])} in it is no table of messages, as a recorder writes"
-        )
+    uri = f"{path.resolve().as_uri()}?mode=ro&immutable=1"
+    views = "SELECT name FROM sqlite_master WHERE type IN ('view', 'trigger') OR sql LIKE 'CREATE VIRTUAL%'"
+    with closing(sqlite3.connect(uri, uri=True)) as base:
+        for (name,) in base.execute(views):
+            first = one_line(str(name))
+            raise ValueError(f"{first} in it is no table of messages, as a recorder writes")
 
 
 def _shared(topic: str, other: str) -> int:
@@ -347,10 +311,7 @@ def _bag_sensor(
 ) -> Sensor:
     rows = rows[np.argsort(rows[:, 0], kind="stable")]  # the order of the headers, not of arrival
     time, *values = rows.T
-    channels = triad("gyro", RATE, values[:3], number) | triad(
-        "acc", ACCELERATION, values[3:], number
-    )
-    if not temperature:
-        return Sensor(time, channels)
-    known = np.array(sorted(temperature))
-    return Sensor(time, channels, known[:, 1], known[:, 0])
+    channels = triad("gyro", RATE, values[:3], number)
+    channels |= triad("acc", ACCELERATION, values[3:], number)
+    known = np.array(sorted(temperature)).T[::-1] if temperature else ()
+    return Sensor(time, channels, *known)

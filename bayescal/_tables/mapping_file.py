@@ -1,8 +1,4 @@
-"""The TOML file that keeps how the columns of files are understood, for the next file.
-
-TOML that is written here is strings, a number and two tables: `json.dumps` quotes strings as TOML does, so no library
-is needed to write it; Python's own reads it.
-"""
+"""The TOML file that keeps how the columns of files are understood, for the next file."""
 
 from __future__ import annotations
 
@@ -42,11 +38,7 @@ def load_mapping(path: Path) -> dict[str, Any]:
 
 
 def save_mapping(path: Path, mapping: Mapping[str, Any]) -> None:
-    """Write a mapping; what is empty is left out.
-
-    Raises:
-        InputError: the place cannot be written to.
-    """
+    """Write a mapping, without what is empty; raise InputError where the place cannot be written to."""
     single = [f"{n} = {_value(v)}" for n, v in mapping.items() if v and not isinstance(v, Mapping)]
     lines = ["# How the columns of these files are read: bayescal … --mapping FILE", *single]
     for name, table in mapping.items():
@@ -57,5 +49,5 @@ def save_mapping(path: Path, mapping: Mapping[str, Any]) -> None:
 
 
 def _value(value: str | float | Sequence[str]) -> str:
-    """A string, a number or a list of strings as TOML has it. JSON leaves the character 7F, TOML does not allow it."""
+    """Format a value as TOML: JSON's quoting, but for the character 7F, which TOML does not allow."""
     return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")

@@ -43,7 +43,7 @@ _PICKLES = (".pkl", ".pickle", ".npy", ".npz", ".joblib")
 
 
 def check_files(paths: Sequence[Path], max_bytes: int = MAX_BYTES) -> list[str]:
-    """Look at the files before anything is opened; what messages call them.
+    """Check the files before anything is opened, and return what messages call them.
 
     Raises:
         InputError: no file, one twice, one that is not there or is no file, or all are too large.
@@ -62,13 +62,14 @@ def check_files(paths: Sequence[Path], max_bytes: int = MAX_BYTES) -> list[str]:
             raise unusable(str(path), "is not a file", "name a file, or all files of the folder")
         total += size
         if total > max_bytes:
-            brought = f"brings the files to {bytes_text(total)}"
-            held = f"holds {bytes_text(size)}" if size > max_bytes else brought
-            raise unusable(
-                name,
-                f"{held}, the limit is {bytes_text(max_bytes)}, and nothing was loaded",
-                "Average the readings, read fewer files, or raise max_bytes",
+            held = (
+                f"holds {bytes_text(size)}"
+                if size > max_bytes
+                else f"brings the files to {bytes_text(total)}"
             )
+            came = f"{held}, the limit is {bytes_text(max_bytes)}, and nothing was loaded"
+            cure = "Average the readings, read fewer files, or raise max_bytes"
+            raise unusable(name, came, cure)
     return names
 
 
@@ -89,14 +90,7 @@ def open_table(
     decimal: str = "",
     asked: Collection[str] = (),
 ) -> Table:
-    """Open a file.
-
-    Args:
-        path: where it is.
-        name: what messages call it.
-        max_bytes: most that the file, or its numbers in memory, may take.
-        decimal: of a text file, as `open_csv` takes it.
-        asked: names of the channels of a log to read.
+    """Open a file as a table of at most `max_bytes`; `decimal` as `open_csv`, `asked` are the channels of a log.
 
     Raises:
         InputError: another suffix, a file that is not what its suffix says, or that cannot be read.
@@ -129,13 +123,7 @@ def open_table(
 
 
 def open_log(path: Path, file: str, chosen: Collection[str]) -> Table:
-    """The chosen channels of a log as a table.
-
-    Args:
-        path: of a file whose suffix is one of `LOG_FORMATS`.
-        file: its name in messages.
-        chosen: names of channels, such as "gyro_x"; names of no channel are passed over, and all are read if none
-            is left.
+    """Open the chosen channels of a log; all, if `chosen` names none that it has.
 
     Raises:
         InputError: the package that reads it is not installed, or the file is not what its suffix says.
@@ -146,15 +134,11 @@ def open_log(path: Path, file: str, chosen: Collection[str]) -> Table:
     except ModuleNotFoundError:
         came = f"is a {title}, which the package {package} reads, and that is not installed"
         raise unusable(file, came, "pip install 'bayescal[logs]'") from None
-    said = io.StringIO()  # libraries print; standard output is the command's own
-    with as_format(file, title), redirect_stdout(said), redirect_stderr(said):
+    printed = io.StringIO()  # libraries print; standard output is the command's own
+    with as_format(file, title), redirect_stdout(printed), redirect_stderr(printed):
         sensors, notes = read(path)
-    told = [line for line in said.getvalue().splitlines() if "dfindexer" not in line.lower()]
-    notes += [f"{package} says: {line[:200]}" for line in told[:1]]
+    lines = [x for x in printed.getvalue().splitlines() if "dfindexer" not in x.lower()]
+    notes += [f"{package} says: {line[:200]}" for line in lines[:1]]
     columns, more = columns_of(sensors, chosen, file)
-    return Table.of_columns(
-        file,
-        columns,
-        place=lambda index: f"sample {index + 1}",
-        notes=(*(f"{file}: {note}" for note in notes), *more),
-    )
+    notes = (*(f"{file}: {note}" for note in notes), *more)
+    return Table.of_columns(file, columns, place=lambda i: f"sample {i + 1}", notes=notes)

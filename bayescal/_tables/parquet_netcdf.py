@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import pyarrow as pa
 import pyarrow.parquet as pq
@@ -23,18 +22,9 @@ from bayescal._tables.raw_table import (
 )
 from bayescal._tables.unpacked import ARRAYS, refuse_hdf5, refuse_unpacked
 
-if TYPE_CHECKING:
-    import xarray as xr
-
 
 def open_parquet(path: Path, file: str, max_bytes: int) -> Table:
-    """Look at a Parquet file: units stand in the column names or in the fields' metadata.
-
-    Args: as of `open_table`.
-
-    Raises:
-        InputError: it is not Parquet, or too large once unpacked.
-    """
+    """Open a Parquet file; units stand in the column names or in the fields' metadata. Arguments as `open_table`."""
     with as_format(file, "Parquet"), pq.ParquetFile(path) as opened:
         refuse_many(file, opened.metadata.num_columns)
         schema, rows = opened.schema_arrow, opened.metadata.num_rows
@@ -54,14 +44,16 @@ def open_parquet(path: Path, file: str, max_bytes: int) -> Table:
 
 
 def parquet_parts(path: Path, file: str, rows: int) -> Iterator[tuple[pa.RecordBatch, Table]]:
-    """A Parquet file a stretch of rows at a time: as it stands, and as a table."""
+    """Yield a Parquet file at most `rows` at a time: as it stands, and as a table."""
     with as_format(file, "Parquet"), pq.ParquetFile(path) as opened:
         done = 0
         for batch in opened.iter_batches(batch_size=rows):
 
             def load(wanted: Mapping[int, bool], batch=batch) -> dict[int, Cells]:
-                columns = {p: pa.chunked_array([batch.column(p)]) for p in wanted}
-                return {p: arrow_cells(columns[p], number) for p, number in wanted.items()}
+                return {
+                    p: arrow_cells(pa.chunked_array([batch.column(p)]), n)
+                    for p, n in wanted.items()
+                }
 
             if batch.num_rows:
                 headers = arrow_headers(batch.schema)
@@ -77,54 +69,43 @@ def arrow_headers(schema: pa.Schema) -> tuple[Header, ...]:
 
 
 def arrow_cells(column: pa.ChunkedArray, number: bool) -> Cells:
-    """A column's cells: numbers as they are, anything else as text."""
-    kind = column.type
-    if number and (
-        pa.types.is_integer(kind) or pa.types.is_floating(kind) or pa.types.is_decimal(kind)
-    ):
+    """Return a column's cells: numbers as they are, anything else as text."""
+    kind, types = column.type, pa.types
+    if number and (types.is_integer(kind) or types.is_floating(kind) or types.is_decimal(kind)):
         return cells_of(column.cast(pa.float64()).to_numpy(), number)
     return cells_of(column.to_pandas().to_numpy(object), number)
 
 
 def open_netcdf(path: Path, file: str, max_bytes: int) -> Table:
-    """Look at a NetCDF-4 file: variables along one dimension, units in the attribute `units`.
-
-    Args: as of `open_table`.
-
-    Raises:
-        InputError: it is not NetCDF-4, has several dimensions to choose from, or is too large once
-            unpacked.
-    """
+    """Open a NetCDF-4 file: variables along one dimension, units in `units`. Arguments as `open_table`."""
     import h5py  # a tenth of a second that only NetCDF needs
+    import xarray as xr  # half a second
+
+    def dataset() -> xr.Dataset:
+        return xr.open_dataset(path, engine="h5netcdf", decode_times=False)
 
     with as_format(file, "NetCDF-4"), h5py.File(path) as hdf5:
         # h5netcdf, failing at this, would print its own complaint later
         hdf5.attrs.get("_nc3_strict")
         refuse_hdf5(hdf5, file, path.stat().st_size)
-    with as_format(file, "NetCDF-4"), _dataset(path) as dataset:
-        lines = {str(n): v for n, v in dataset.variables.items() if v.ndim == 1 and n != ROW}
-        dimensions = {str(v.dims[0]) for v in lines.values()}
+    with as_format(file, "NetCDF-4"), dataset() as data:
+        vectors = {str(n): v for n, v in data.variables.items() if v.ndim == 1 and n != ROW}
+        dimensions = {str(v.dims[0]) for v in vectors.values()}
         if ROW not in dimensions and len(dimensions) > 1:
             raise InputError(
-                f"{file!r} has variables along {', '.join(sorted(dimensions))}: which are the "
-                f"readings cannot be told. Give its variables one dimension, best called {ROW!r}"
+                f"{file!r} has variables along {', '.join(sorted(dimensions))}: which are the readings cannot be told. "
+                f"Give its variables one dimension, best called {ROW!r}"
             )
         chosen = ROW if ROW in dimensions else next(iter(dimensions), "")
-        names = [name for name, variable in lines.items() if variable.dims[0] == chosen]
-        rows = dataset.sizes.get(chosen, 0)
+        names = [name for name, variable in vectors.items() if variable.dims[0] == chosen]
+        rows = data.sizes.get(chosen, 0)
         refuse_large(file, rows, len(names), max_bytes)
-        units = [lines[name].attrs.get("units") for name in names]
-    said = (None if unit is None else str(unit) for unit in units)
-    headers = tuple(map(Header.parse, map(named_back, names), said))
+        units = [vectors[name].attrs.get("units") for name in names]
+    stated = (None if unit is None else str(unit) for unit in units)
+    headers = tuple(map(Header.parse, map(named_back, names), stated))
 
     def load(wanted: Mapping[int, bool]) -> dict[int, Cells]:
-        with as_format(file, "NetCDF-4"), _dataset(path) as dataset:
-            return {p: cells_of(dataset[names[p]].values, number) for p, number in wanted.items()}
+        with as_format(file, "NetCDF-4"), dataset() as data:
+            return {p: cells_of(data[names[p]].values, number) for p, number in wanted.items()}
 
     return Table(file, headers, rows, load)
-
-
-def _dataset(path: Path) -> xr.Dataset:
-    import xarray as xr  # half a second that only NetCDF needs
-
-    return xr.open_dataset(path, engine="h5netcdf", decode_times=False)

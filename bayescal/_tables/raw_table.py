@@ -38,7 +38,7 @@ class Objection:
         option: of the command line that does it, quoted for a shell; empty if only an edit helps.
         column: its header; empty if it concerns no single column.
         rows: indices of the readings concerned; empty if it concerns no single reading.
-        places: the first of them as an editor counts, "row 5", and how many there are.
+        places: the first of them as an editor counts, "row 5".
         sentence: the whole in words, where the parts do not make a good one.
     """
 
@@ -53,7 +53,7 @@ class Objection:
     sentence: str = ""
 
     def at(self, rows: Sequence[int], place: Callable[[int], str]) -> Objection:
-        """The same problem of some readings, by their indices and what names their rows."""
+        """Return the same problem of some readings, by their indices and what names their rows."""
         return replace(self, rows=tuple(rows), places=tuple(map(place, rows[:_SHOWN])))
 
     @property
@@ -63,35 +63,26 @@ class Objection:
     def __str__(self) -> str:
         if self.sentence:
             return self.sentence
-        where = f"{self.file!r}"
-        where = f"{self.places[0]} of {where}" if self.places else where
-        where = f"{where}, column {self.column!r}:" if self.column else f"{where}:"
-        expected = f", {self.expected} was expected" if self.expected else ""
-        more = f" (and in {self.count - 1} more)" if self.count > 1 else ""
-        cure = f". {self.cure}" if self.cure else ""
-        return f"{where} {self.came}{more}{expected}{cure}" + (
-            f" ({self.option})" * bool(self.option)
-        )
+        where = f"{self.places[0]} of {self.file!r}" if self.places else f"{self.file!r}"
+        where += f", column {self.column!r}" * bool(self.column)
+        expected = f", {self.expected} was expected" * bool(self.expected)
+        more = f" (and in {self.count - 1} more)" * (self.count > 1)
+        cure = f". {self.cure}" * bool(self.cure) + f" ({self.option})" * bool(self.option)
+        return f"{where}: {self.came}{more}{expected}{cure}"
 
     @property
     def where(self) -> str:
         """Its rows, short: the first few, and how many there are."""
-        if not self.places:
-            return "–"
         numbers = [place.removeprefix("row ") for place in self.places[:_SHOWN]]
-        more = f" … ({self.count} rows)" if self.count > len(numbers) else ""
-        return ", ".join(numbers) + more
+        more = f" … ({self.count} rows)" * (self.count > len(numbers))
+        return ", ".join(numbers) + more if numbers else "–"
 
 
 class Objections(list[Objection]):
     """Objections of some files, in the order in which they were met."""
 
     def refuse(self) -> None:
-        """Refuse the files if there is a problem.
-
-        Raises:
-            InputError: there is; it carries them as `problems`.
-        """
+        """Raise InputError, which carries them as `problems`, if there is a problem."""
         if self:
             raise InputError(_text(self), tuple(self))
 
@@ -105,7 +96,7 @@ class Objections(list[Objection]):
 
 
 def unusable(file: str, came: str, cure: str = "", place: str = "") -> InputError:
-    """The refusal of a file as a whole, or of one of its rows, to be raised.
+    """Return the refusal, to be raised, of a file as a whole or of the row at `place`.
 
     Args:
         file: its name.
@@ -117,9 +108,8 @@ def unusable(file: str, came: str, cure: str = "", place: str = "") -> InputErro
     joint = "" if not cure else ": " if cure[0].islower() else ". "
     sentence, places = f"{where} {came}{joint}{cure}", (place,) if place else ()
     cure = cure[:1].upper() + cure[1:]
-    return InputError(
-        sentence, (Objection(file, came, cure=cure, places=places, sentence=sentence),)
-    )
+    problem = Objection(file, came, cure=cure, places=places, sentence=sentence)
+    return InputError(sentence, (problem,))
 
 
 def option(name: str, value: str) -> str:
@@ -130,69 +120,69 @@ def option(name: str, value: str) -> str:
 def _text(problems: Sequence[Objection]) -> str:
     if len(problems) == 1:
         return str(problems[0])
-    problems = _said_once(problems)
+    problems = _merge_files(problems)
     files = list(dict.fromkeys(name for p in problems for name in p.file.split("\n") if name))
     of = f"{files[0]!r}" if len(files) == 1 else f"{len(files)} files"
     page = min(WIDTH, get_terminal_size((WIDTH, 24)).columns)
-    said = "\n".join(_in_lines(_in_files(p, len(files)), len(files) > 1, page) for p in problems)
-    options = _together(dict.fromkeys(p.option for p in problems if p.option))
-    rest = " and ".join(dict.fromkeys(_place(p) for p in problems if not p.option))
-    mended = f"{rest} mended and " * bool(rest)
-    asked = f"\n\nwith {mended}these options, if they are meant: {options}" if options else ""
-    return f"{len(problems)} problems with {of}\n\n{said}{asked}"
+    shown = "\n".join(_list_item(p, len(files), page) for p in problems)
+    options = _join_options(dict.fromkeys(p.option for p in problems if p.option))
+    by_hand = " and ".join(dict.fromkeys(_place(p) for p in problems if not p.option))
+    mended = f"{by_hand} mended and " * bool(by_hand)
+    asked = f"\n\nwith {mended}these options, if they are meant: {options}" * bool(options)
+    return f"{len(problems)} problems with {of}\n\n{shown}{asked}"
 
 
-def _together(options: Iterable[str]) -> str:
+def _join_options(options: Iterable[str]) -> str:
     """Options in one line; those that name one header for several columns as alternatives."""
-    apart = dict[str, list[str]]()
-    for one in options:
-        header = shlex.split(one)[1].partition("=")[2] if one.startswith("--columns ") else one
-        apart.setdefault(header, []).append(one)
-    return " ".join(a[0] if len(a) == 1 else f"({' or '.join(a)})" for a in apart.values())
+    by_header = dict[str, list[str]]()
+    for text in options:
+        header = shlex.split(text)[1].partition("=")[2] if text.startswith("--columns ") else text
+        by_header.setdefault(header, []).append(text)
+    return " ".join(a[0] if len(a) == 1 else f"({' or '.join(a)})" for a in by_header.values())
 
 
-def _said_once(problems: Sequence[Objection]) -> list[Objection]:
-    """Objections of which those that are the same in several files are one; its `file` has a line for each."""
-    found = dict[tuple[Any, ...], Objection]()
-    for one in problems:
-        same = (one.column, one.came, one.expected, one.cure, one.option)
-        alike = found.get(same)
-        if alike is None or one.file in alike.file.split("\n"):
-            found[same if alike is None else (*same, len(found))] = one
+def _merge_files(problems: Sequence[Objection]) -> list[Objection]:
+    """Merge objections that are the same in several files; `file` then has a line for each."""
+    merged = dict[tuple[Any, ...], Objection]()
+    for problem in problems:
+        key = (problem.column, problem.came, problem.expected, problem.cure, problem.option)
+        alike = merged.get(key)
+        if alike is None or problem.file in alike.file.split("\n"):
+            merged[key if alike is None else (*key, len(merged))] = problem
         else:
-            found[same] = replace(alike, file=f"{alike.file}\n{one.file}")
-    return list(found.values())
-
-
-def _in_files(problem: Objection, count: int) -> Objection:
-    """With its files in words: a name, or how many there are."""
-    first, *others = problem.file.split("\n")
-    if not others:
-        return problem
-    every = "both files" if count == 2 else f"all {count} files"
-    words = every if len(others) + 1 == count else f"{first} and {len(others)} more"
-    return replace(problem, file=words)
+            merged[key] = replace(alike, file=f"{alike.file}\n{problem.file}")
+    return list(merged.values())
 
 
 def _place(p: Objection) -> str:
     """Where a problem is, short: its rows, else its column."""
-    rows = f"row{'s' * (len(p.places) != 1)} {p.where}" if p.places else ""
-    return rows or (f"column {p.column!r}" if p.column else "the rest")
+    if p.places:
+        return f"row{'s' * (len(p.places) != 1)} {p.where}"
+    return f"column {p.column!r}" if p.column else "the rest"
 
 
-def _in_lines(problem: Objection, several: bool, page: int) -> str:
-    """A problem as a list has it, folded to a page: where and what, then what to do."""
-    p = problem
-    where = [p.file] * several + [f"column {p.column!r}"] * bool(p.column)
-    where += [f"row {p.where}" if len(p.places) == 1 else f"rows {p.where}"] * bool(p.places)
-    expected = f"; expected: {p.expected}" if p.expected else ""
-    first = f"{', '.join(where)}: {p.came}{expected}" if where else f"{p.came}{expected}"
-    lines = textwrap.wrap(first, page - 2, initial_indent="- ", subsequent_indent="  ")
-    lines += [f"    {p.option}"] * bool(p.option)  # to be copied: in one line
-    indent = " " * 4
-    return "\n".join(
-        [*lines, *textwrap.wrap(p.cure, page - 4, initial_indent=indent, subsequent_indent=indent)]
+def _list_item(p: Objection, count: int, page: int) -> str:
+    """A problem of `count` files as a list has it, folded to a page: where and what, then what to do."""
+    first, *others = p.file.split("\n")
+    every = "both files" if count == 2 else f"all {count} files"
+    named = (
+        first
+        if not others
+        else every
+        if len(others) + 1 == count
+        else f"{first} and {len(others)} more"
     )
+    where = [named] * (count > 1) + [f"column {p.column!r}"] * bool(p.column)
+    where += [f"row {p.where}" if len(p.places) == 1 else f"rows {p.where}"] * bool(p.places)
+    text = (
+        f"{', '.join(where)}: " * bool(where)
+        + p.came
+        + f"; expected: {p.expected}" * bool(p.expected)
+    )
+    lines = textwrap.wrap(text, page - 2, initial_indent="- ", subsequent_indent="  ")
+    lines += [f"    {p.option}"] * bool(p.option)  # to be copied: in one line
+    cure = textwrap.wrap(p.cure, page - 4, initial_indent=" " * 4, subsequent_indent=" " * 4)
+    return "\n".join([*lines, *cure])
 
 
 ROW = "reading"  # the one dimension of readings
@@ -256,9 +246,6 @@ class Table:
         notes: how it was read, where that is not as usual, a sentence each.
         problems: what keeps it from being used.
         readable: whether its cells can be looked at all the same.
-
-    Raises:
-        InputError: a column's name is too long to be one.
     """
 
     file: str
@@ -272,11 +259,7 @@ class Table:
     readable: bool = True
 
     def __post_init__(self) -> None:
-        """Refuse what no format may hold.
-
-        Raises:
-            InputError: no readings, or one name for two columns.
-        """
+        """Raise InputError for no readings, one name for two columns, or a name too long to be one."""
         for i, header in enumerate(self.headers):
             if len(header.raw) > LONGEST_NAME:
                 raise InputError(
@@ -324,60 +307,36 @@ def loads(column: Callable[[int], object]) -> Callable[[Mapping[int, bool]], dic
 
 
 def load_whole(table: Table, wanted: Mapping[int, bool]) -> dict[int, Cells]:
-    """The wanted columns, each as long as the file says it is.
-
-    Raises:
-        InputError: the file contradicts itself, or changed since it was opened.
-    """
-    found = table.load(wanted)
-    for position, cells in found.items():
-        if len(cells.values) != table.rows:
-            raise unusable(
-                table.file,
-                f"says that it holds {table.rows} rows, column {table.headers[position].raw!r} has "
-                f"{len(cells.values)}: it is damaged, or changed while it was read",
-                "Export it again",
-            )
-    return found
+    """Load the wanted columns; raise InputError where one is not as long as the file says it is."""
+    columns = table.load(wanted)
+    for position, cells in columns.items():
+        if (count := len(cells.values)) != table.rows:
+            came = f"says that it holds {table.rows} rows, column {table.headers[position].raw!r} has {count}"
+            cure = "Export it again"
+            raise unusable(table.file, f"{came}: it is damaged, or changed while it was read", cure)
+    return columns
 
 
 def refuse_many(file: str, columns: int) -> None:
-    """Refuse a table wider than any, before its columns are named.
-
-    Raises:
-        InputError: it is.
-    """
+    """Raise InputError for a table wider than any, before its columns are named."""
     if columns > MOST_COLUMNS:
-        raise unusable(
-            file,
-            f"has {columns:,} columns, at most {MOST_COLUMNS:,} are read",
-            "is one row of it meant as a column? Write one row for each reading",
-        )
+        came = f"has {columns:,} columns, at most {MOST_COLUMNS:,} are read"
+        cure = "is one row of it meant as a column? Write one row for each reading"
+        raise unusable(file, came, cure)
 
 
 def refuse_large(file: str, rows: int, columns: int, max_bytes: int) -> None:
-    """Refuse a table that is too wide, or takes too much memory.
-
-    Raises:
-        InputError: it is, or does.
-    """
+    """Raise InputError for a table that is too wide, or takes too much memory."""
     refuse_many(file, columns)
     if (size := 8 * rows * columns) > max_bytes:
-        raise unusable(
-            file,
-            f"holds {rows} rows of {columns} columns, {bytes_text(size)} in memory; the limit is "
-            f"{bytes_text(max_bytes)}",
-            "Average or split it, or raise max_bytes",
-        )
+        came = f"holds {rows} rows of {columns} columns, {bytes_text(size)} in memory"
+        cure = "Average or split it, or raise max_bytes"
+        raise unusable(file, f"{came}; the limit is {bytes_text(max_bytes)}", cure)
 
 
 @contextmanager
 def as_format(file: str, name: str) -> Iterator[None]:
-    """Turn whatever a broken file makes its library raise into a refusal.
-
-    Raises:
-        InputError: the file is not what its suffix says.
-    """
+    """Turn whatever a broken file makes its library raise into an InputError."""
     try:
         yield
     except InputError:

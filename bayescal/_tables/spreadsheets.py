@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextlib import closing
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -15,9 +16,7 @@ from bayescal._tables.unpacked import refuse_hdf5, refuse_matlab, refuse_zip
 
 
 def open_excel(path: Path, file: str, max_bytes: int) -> Table:
-    """Read an Excel file (.xlsx): the first sheet with cells in it, its header in the first row that is not empty.
-
-    Args: as of `open_table`.
+    """Open an Excel file (.xlsx): the first sheet with cells in it. Arguments as `open_table`.
 
     Raises:
         InputError: openpyxl is not installed, it is no such file, or too large once unpacked.
@@ -30,20 +29,14 @@ def open_excel(path: Path, file: str, max_bytes: int) -> Table:
         ) from None
     with as_format(file, "Excel (.xlsx)"), path.open("rb") as handle:
         refuse_zip(path, file)
-        book = load_workbook(handle, read_only=True, data_only=True)
-        try:
+        with closing(load_workbook(handle, read_only=True, data_only=True)) as book:
             sheets = book.worksheets
-            for sheet in sheets:
-                if rows := _rows_of(sheet, file, max_bytes):
-                    break
-            else:
-                expected = "a header and rows of readings were expected"
-                raise unusable(file, "is empty", expected)
-        finally:
-            book.close()
-    others = f", the first of {len(sheets)}" if len(sheets) > 1 else ""
-    notes = (f"{file}: read from the sheet {sheet.title!r}{others}",) if others else ()
-    return _of_rows(file, rows, notes)
+            filled = ((s, rows) for s in sheets if (rows := _rows_of(s, file, max_bytes)))
+            sheet, rows = next(filled, (None, []))
+    if sheet is None:
+        raise unusable(file, "is empty", "a header and rows of readings were expected")
+    note = f"{file}: read from the sheet {sheet.title!r}, the first of {len(sheets)}"
+    return _of_rows(file, rows, (note,) * (len(sheets) > 1))
 
 
 class SheetRow(NamedTuple):
@@ -54,37 +47,31 @@ class SheetRow(NamedTuple):
 
 
 def _rows_of(sheet: Any, file: str, max_bytes: int) -> list[SheetRow]:
-    """The rows of a sheet that hold something, whatever size it states, in the order of their numbers."""
+    """Return the rows of a sheet that hold something, whatever size it states, in the order of their numbers."""
     from openpyxl.worksheet._reader import WorkSheetParser
 
     book, found, cells = sheet.parent, dict[int, SheetRow](), 0
+    options = {n: getattr(book, f"_{n}") for n in ("date_formats", "timedelta_formats")}
     with sheet._get_source() as source:
         parser = WorkSheetParser(
-            source,
-            sheet._shared_strings,
-            data_only=True,
-            epoch=book.epoch,
-            date_formats=book._date_formats,
-            timedelta_formats=book._timedelta_formats,
+            source, sheet._shared_strings, data_only=True, epoch=book.epoch, **options
         )
         for number, given in parser.parse():
             filled = [(c["column"], c["value"]) for c in given if _text(c["value"]).strip()]
-            if not filled:
-                continue
             own = dict(filled)
-            if number in found or len(own) < len(filled):
+            if filled and (number in found or len(own) < len(filled)):
                 raise InputError(
                     f"{file!r}, sheet {sheet.title!r}: row {number}, or a cell in it, stands there twice, and which is "
                     "meant cannot be told. Open it and save it again"
                 )
-            found[number] = SheetRow(number, own)
+            found |= {number: SheetRow(number, own)} if filled else {}
             cells += len(own)
             refuse_large(file, cells, 1, max_bytes)
     return [found[number] for number in sorted(found)]
 
 
 def _of_rows(file: str, rows: Sequence[SheetRow], notes: tuple[str, ...]) -> Table:
-    """A table of rows of cells: the first that is as wide as the readings names the columns."""
+    """Make a table of rows of cells: the first that is as wide as the readings names the columns."""
     width = max(max(row.cells) for row in rows)
     told = [[_text(row.cells.get(i + 1)) for i in range(width)] for row in rows[:LOOKED_AT]]
     found = next((h for i in range(len(told)) if (h := header_rows(told, i))), None)
@@ -95,7 +82,6 @@ def _of_rows(file: str, rows: Sequence[SheetRow], notes: tuple[str, ...]) -> Tab
         notes = (*notes, f"{below}; what stands above it is left out")
     if last > first:
         notes = (*notes, f"{file}: its units are taken from row {rows[last].number}")
-    names = [*names, *[""] * (width - len(names))]
 
     def column(position: int) -> np.ndarray:
         values = np.empty(len(data), dtype=object)
@@ -104,14 +90,9 @@ def _of_rows(file: str, rows: Sequence[SheetRow], notes: tuple[str, ...]) -> Tab
             values[i] = _text(value) if hasattr(value, "isoformat") else value
         return values
 
-    return Table(
-        file=file,
-        headers=tuple(map(Header.parse, names)),
-        rows=len(data),
-        load=loads(column),
-        place=lambda index: f"row {data[index].number}",
-        notes=notes,
-    )
+    headers = tuple(map(Header.parse, [*names, *[""] * (width - len(names))]))
+    place = lambda index: f"row {data[index].number}"  # noqa: E731
+    return Table(file, headers, len(data), loads(column), place=place, notes=notes)
 
 
 def _text(value: Any) -> str:
@@ -122,19 +103,24 @@ def _text(value: Any) -> str:
 
 
 def open_matlab(path: Path, file: str, max_bytes: int) -> Table:
-    """Read a MATLAB file (.mat): vectors of one length, the fields of a structure too, are its columns.
+    """Open a MATLAB file (.mat): vectors of one length, the fields of a structure too, are its columns.
 
-    The columns of a matrix `data` are called `data(:,1)` and so on.
-
-    Args: as of `open_table`.
+    The columns of a matrix `data` are called `data(:,1)` and so on. Arguments as `open_table`.
 
     Raises:
         InputError: it is no such file, or has vectors of several lengths to choose from.
     """
+    from scipy.io import loadmat
+
     with as_format(file, "MATLAB (.mat)"):
         with path.open("rb") as handle:
             old = b"MATLAB 7.3" not in handle.read(128)
-        found = _variables(path, file) if old else _variables_of_hdf5(path, file)
+        if old:
+            refuse_matlab(path, file)
+            loaded = loadmat(path, squeeze_me=True, struct_as_record=False, chars_as_strings=True)
+            found = {name: value for name, value in loaded.items() if not name.startswith("__")}
+        else:
+            found = _variables_of_hdf5(path, file)
     columns = dict(pair for key, value in found.items() for pair in _vectors(key, value))
     lengths = {len(vector) for vector in columns.values()} - {1}
     if len(lengths) != 1:
@@ -150,17 +136,8 @@ def open_matlab(path: Path, file: str, max_bytes: int) -> Table:
     return Table.of_columns(file, kept)
 
 
-def _variables(path: Path, file: str) -> dict[str, Any]:
-    """Of a file of version 7.2 or before."""
-    from scipy.io import loadmat
-
-    refuse_matlab(path, file)
-    loaded = loadmat(path, squeeze_me=True, struct_as_record=False, chars_as_strings=True)
-    return {name: value for name, value in loaded.items() if not name.startswith("__")}
-
-
 def _variables_of_hdf5(path: Path, file: str) -> dict[str, Any]:
-    """Of a file of version 7.3: arrays are stored transposed, text as numbers of characters."""
+    """Load the variables of a file of version 7.3: arrays are stored transposed, text as character codes."""
     import h5py
 
     def value(node: Any) -> Any:
@@ -178,7 +155,7 @@ def _variables_of_hdf5(path: Path, file: str) -> dict[str, Any]:
 
 
 def _vectors(name: str, value: Any) -> list[tuple[str, np.ndarray]]:
-    """The columns in a variable: a vector, those of a matrix, or of a structure's fields."""
+    """Return the columns in a variable: a vector, those of a matrix, or of a structure's fields."""
     fields = value if isinstance(value, dict) else getattr(value, "__dict__", None)
     if fields is not None:
         own = {n: v for n, v in fields.items() if not n.startswith("_")}

@@ -26,11 +26,7 @@ _AS_CSV = "Save the readings as CSV"
 
 
 def refuse_unpacked(file: str, packed: float, unpacked: float, limit: tuple[float, float]) -> None:
-    """Refuse a file that unpacks to far more than readings do.
-
-    Raises:
-        InputError: it does.
-    """
+    """Raise InputError where a file unpacks to far more than readings do."""
     times, free = limit
     if unpacked > max(free, times * packed):
         came = (
@@ -41,23 +37,14 @@ def refuse_unpacked(file: str, packed: float, unpacked: float, limit: tuple[floa
 
 
 def refuse_zip(path: Path, file: str) -> None:
-    """Refuse a ZIP archive, such as an Excel file, by the sizes that it states; no more are ever unpacked.
-
-    Raises:
-        InputError: it unpacks to too much.
-        zipfile.BadZipFile: it is none.
-    """
+    """Raise InputError where the sizes that a ZIP archive states, beyond which nothing is unpacked, are too large."""
     with zipfile.ZipFile(path) as archive:
         total = sum(one.file_size for one in archive.infolist())
     refuse_unpacked(file, path.stat().st_size, total, SHEET)
 
 
 def refuse_hdf5(opened: Any, file: str, size: int) -> None:
-    """Refuse an open HDF5 file whose arrays state too much, whose groups do not end, or that names other files.
-
-    Raises:
-        InputError: it does.
-    """
+    """Raise InputError where an open HDF5 file states too much, has a group in itself, or links to other files."""
     import h5py  # a tenth of a second that other formats do without
     from h5py import h5o  # pyright: ignore[reportAttributeAccessIssue]
 
@@ -88,11 +75,7 @@ _MOST_HOLDING = 2000  # of these in a file: their reader calls itself, and some 
 
 
 def refuse_matlab(path: Path, file: str) -> None:
-    """Refuse a MATLAB file up to 7.2 whose variables unpack to too much, or hold too many cells and structures.
-
-    Raises:
-        InputError: they do, or state more entries than they hold.
-    """
+    """Raise InputError where a MATLAB file up to 7.2 unpacks to too much, or states or nests too many containers."""
     size, total, holding = path.stat().st_size, 0, 0
     with path.open("rb") as handle:
         head = handle.read(128)

@@ -24,16 +24,9 @@ Units = Mapping[str, str | None]
 def write(
     columns: Columns, units: Units, path: str | Path, variables: Mapping[str, Variable]
 ) -> Path:
-    """Write readings in the format that the suffix names.
+    """Write readings in the format that the suffix names (.csv, .parquet or .nc), and return the path.
 
-    Args:
-        columns: numbers and labels by name.
-        units: of the numbers; None for labels.
-        path: ending in .csv, .parquet or .nc.
-        variables: the same for NetCDF.
-
-    Returns:
-        The path.
+    `units` are of numbers, None for labels; `variables` hold the same columns for NetCDF.
 
     Raises:
         InputError: another suffix, no such folder, or a place that cannot be written to.
