@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from functools import cached_property
 from typing import Any
 
@@ -10,30 +10,9 @@ import jax
 import numpy as np
 from jaxtyping import Float
 
-from bayescal._inference.expansion import Expansion, Expansions
 from bayescal._inference.record import Record
 from bayescal._model.frame import Frame
 from bayescal._model.terms import ColumnsOf
-
-
-class PartExpansions(Expansions):
-    """Those of all readings, at the kept ones."""
-
-    def __init__(self, whole: Expansions, rows: np.ndarray) -> None:
-        self.whole, self.rows, self.dim = whole, rows, whole.dim
-        self._made: dict[Expansion, Expansion] = {}
-
-    def at(self, v: Float[np.ndarray, "d"], sloped: bool) -> Expansion:
-        return self._of(self.whole.at(v, sloped))
-
-    def cover(self, v: Float[np.ndarray, "b d"]) -> tuple[list[Expansion], np.ndarray]:
-        found, which = self.whole.cover(v)
-        return [self._of(one) for one in found], which
-
-    def _of(self, whole: Expansion) -> Expansion:
-        if whole not in self._made:
-            self._made[whole] = whole.of_rows(self.rows)
-        return self._made[whole]
 
 
 class Part(Record):
@@ -48,15 +27,8 @@ class Part(Record):
         super().__init__(whole.instrument, frame, whole.y[rows], whole.library, plain=whole.plain)
         self.whole, self.rows = whole, rows
 
-    def expansions(self, effect: ColumnsOf, held: tuple[float | None, ...]) -> PartExpansions:
-        key = effect.key, held
-        if key not in self._expansions:
-            own = PartExpansions(self.whole.expansions(effect, held), self.rows)
-            self._expansions[key] = own
-        return self._expansions[key]  # pyright: ignore[reportReturnType]
-
-    def columns(self, effect: ColumnsOf, values: tuple[float, ...]) -> Float[np.ndarray, "n k"]:
-        return self.whole.columns(effect, values)[self.rows]
+    def _computed(self, effect: ColumnsOf, values: Sequence[np.ndarray], moves, *program) -> Any:
+        return self.whole._computed(effect, values, self._spread(moves), *program)[:, self.rows]
 
     def moved_columns(
         self, effect: ColumnsOf, values: tuple[float, ...], moves: Mapping[str, np.ndarray]
