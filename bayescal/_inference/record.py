@@ -46,13 +46,11 @@ class Record:
         instrument: whose.
         frame: the readings.
         y: the outputs (n,).
-        library: effects whose fixed columns are computed together, in one program.
     """
 
     instrument: Instrument
     frame: Frame
     y: np.ndarray
-    library: tuple[Effect, ...] = ()
     _fixed: dict[programs.Basis, np.ndarray] = field(default_factory=dict)
     _shaped: OrderedDict[Any, np.ndarray] = field(default_factory=OrderedDict)
     _bytes: int = 0
@@ -89,23 +87,22 @@ class Record:
             self._for_laws[law] = plain, programs.Leaves.of(frame)
         return self._for_laws[law]
 
-    def beside(self, library: tuple[Effect, ...] = (), frame: Frame | None = None) -> Record:
+    def beside(self, frame: Frame | None = None) -> Record:
         """The same readings once more, with columns that no shape moves, or those of another membership in groups."""
-        own = {"_fixed": self._fixed, "library": library, "of": self}
-        own |= {"_nodes": self._nodes}
+        own = {"_fixed": self._fixed, "of": self}
         made = Record(self.instrument, self.frame if frame is None else frame, self.y, **own)
         if frame is None:
-            vars(made).update(codes=self.codes, on_host=self.on_host, _for_laws=self._for_laws)
+            same = {"_for_laws": self._for_laws, "_nodes": self._nodes}
+            vars(made).update(codes=self.codes, on_host=self.on_host, **same)
         return made
 
-    def show(self, more: Iterable[Effect] = ()) -> None:
-        """Take the instrument's effects and some more as the library: those that the readings have the columns for.
+    def require_finite(self, effects: Iterable[Effect]) -> None:
+        """Refuse effects of the user's own that divide by zero, or take the root of a negative number.
 
         Raises:
             ModelError: the basis of an effect of the user's own is not finite in a reading.
         """
-        self.library = self.instrument.shown_by(self.frame, more)
-        for effect in self.library:
+        for effect in self.instrument.shown_by(self.frame, effects):
             if not (effect.name in self.instrument.known or effect.is_placeholder):
                 self._require_finite(effect)
 
@@ -250,13 +247,8 @@ class Record:
         if key not in self._fixed and (made := self.on_host.at(key, {}, {})) is not None:
             self._fixed[key] = made
         if key not in self._fixed:
-            of_library = (ColumnsOf.of(e) for e in self.library)
-            wanted = {c.basis: None for c in of_library if not c.shapes}
-            left = tuple(basis for basis in wanted if basis not in self._fixed)
-            bases = left if key in wanted else (key,)
-            made = programs.columns_or_refusal(bases, self.padded, self.frame)
-            for basis, columns in zip(bases, made, strict=True):
-                self._fixed[basis] = np.asarray(columns)[: self.size]
+            (made,) = programs.columns_or_refusal((key,), self.padded, self.frame)
+            self._fixed[key] = np.asarray(made)[: self.size]
         return self._fixed[key]
 
     def moved_columns(
@@ -480,7 +472,6 @@ def record_of(
     instrument: Instrument,
     readings: Measurements,
     reference: Reference,
-    library: tuple[Effect, ...] = (),
 ) -> Record:
     """Readings as the engine sees them. Their frame and the columns that no shape moves are made once, while any has
     them; products and columns at shapes are each record's own, so that no result hangs on what was done before.
@@ -489,7 +480,6 @@ def record_of(
         instrument: whose.
         readings: measurements.
         reference: constants of the bases.
-        library: effects whose fixed columns are computed together.
     """
     key = id(readings), instrument, _as_value(reference)
     base = _LIVE.get(key)
@@ -497,7 +487,7 @@ def record_of(
         frame = build_frame(readings, reference)
         base = _LIVE[key] = Record(instrument, frame, np.asarray(frame["output"]))
         base.of = readings  # held: no others take their place in memory while this lives
-    return base.beside(library)
+    return base.beside()
 
 
 def _as_value(of: Any) -> Any:
