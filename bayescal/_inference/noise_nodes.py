@@ -177,8 +177,12 @@ class InFrequency(OneNode):
                 if share.shape[0] == share.shape[1]:  # each frequency is a node
                     found[nodes.start : nodes.stop] += left[rows, :, None] * right[rows, None]
                     continue
-                for c, at in enumerate(nodes):
-                    found[at] += (share[:, c, None] * left[rows]).T @ right[rows]
+                count = max(1, CHUNK_NUMBERS // left[rows].size)  # nodes side by side
+                for c in range(0, len(nodes), count):
+                    some = share[:, c : c + count].T
+                    wide = (some[:, None] * left[rows].T).reshape(-1, len(share))
+                    at = slice(nodes[c], nodes[c] + len(some))
+                    found[at] += (wide @ right[rows]).reshape(len(some), left.shape[1], -1)
         return found
 
     def end_products(self, a):

@@ -45,7 +45,7 @@ class Polynomials:
 
     def fit(self, rows: Float[np.ndarray, "c s"]) -> Float[np.ndarray, "t s"]:
         """Coefficients of each term, for numbers at the points."""
-        return np.linalg.lstsq(self.terms(self.points), rows, rcond=None)[0]
+        return np.linalg.pinv(self.terms(self.points)) @ rows
 
     def _round(self, coordinates: Float[np.ndarray, "*b m"]) -> Float[np.ndarray, "*b m"]:
         return np.linalg.solve(self.root, (coordinates - self.centre)[..., None])[..., 0]
