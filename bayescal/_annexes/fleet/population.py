@@ -377,10 +377,9 @@ def learn(devices: DeviceEstimates, named: Named, seed: int) -> Learned:
 class _Density:
     """The density of v = log(τ/scale), and of m given it. Everything in units of the plausible sizes."""
 
-    tabulated = None  # its curvature is by differences
-
     def __init__(self, devices: DeviceEstimates, named: Named) -> None:
         self.devices, self.centre = devices, devices.estimate.mean(axis=0)
+        self.tabulated = None  # its curvature is by differences
         self.priors = [prior for _, prior in named.values()]
         self.size, self.weight, own = _prior(named)
         self.own = own - self.centre  # mean of the prior of m, counted from the centre
