@@ -72,7 +72,7 @@ def fit(
     _refuse_stuck(readings)
     reference = with_origin(model, readings, _reference(readings, reference))
     record = record_of(model.instrument, readings, reference)
-    record.show(model.effects)
+    record.require_finite(model.effects)
     model = sized(model, readings, record)
     layout, levels = bind(model, readings, reference=reference)
     problem = Problem(layout, record)

@@ -20,7 +20,6 @@ from bayescal._inference.laplace import Mode
 from bayescal._inference.linear_model import LinearModel, linear_model
 from bayescal._inference.method import Draws, Verdict
 from bayescal._inference.problem import Problem
-from bayescal._inference.programs import padded_length
 from bayescal._inference.record import Record, record_of
 from bayescal._model.effect import Effect
 from bayescal._model.frame import Frame, Reference, build_frame, reference_name
@@ -123,25 +122,18 @@ class Fitted:
     def problem(self) -> Problem:
         """The fitted structure on its readings, as the engine sees it."""
         record = record_of(self.model.instrument, self.readings, self.reference)
-        record.show(self.model.effects)
+        record.require_finite(self.model.effects)
         return Problem(self.layout, record)
 
     def problem_on(self, frame: Frame) -> Problem:
-        """The fitted structure on other readings; columns are computed in the fit's own program where it fits."""
+        """The fitted structure on other readings."""
         fitted = self.problem.record
         if frame is fitted.frame:
             return self.problem
         if all(frame.columns[n] is column for n, column in fitted.frame.columns.items()):
-            return Problem(self.layout, fitted.beside(fitted.library, frame))
-        alike = (
-            padded_length(frame.size) == padded_length(fitted.size)
-            and set(frame.columns) == set(fitted.frame.columns)
-            and set(frame.labels) == set(fitted.frame.labels)
-        )
-        library = fitted.library if alike else ()
-        return Problem(
-            self.layout, Record(self.model.instrument, frame, np.asarray(frame["output"]), library)
-        )
+            return Problem(self.layout, fitted.beside(frame))
+        record = Record(self.model.instrument, frame, np.asarray(frame["output"]))
+        return Problem(self.layout, record)
 
     @cached_property
     def linear(self) -> LinearModel:

@@ -25,7 +25,7 @@ class Part(Record):
         rows: the kept readings, in their order there.
         """
         frame = _frame(whole, rows)
-        super().__init__(whole.instrument, frame, whole.y[rows], whole.library, plain=whole.plain)
+        super().__init__(whole.instrument, frame, whole.y[rows], plain=whole.plain)
         self.whole, self.rows = whole, rows
 
     def columns(self, effect: ColumnsOf, values: tuple[float, ...]) -> Float[np.ndarray, "n k"]:

@@ -317,7 +317,7 @@ def sized(model: Model, readings: Measurements, record: Record) -> Model:
 def amplitudes(model: Model, readings: Measurements, record: Record) -> tuple[float, float]:
     """Plausible amplitudes of what a model lacks, output unit: see `sized`."""
     frame, y = record.frame, record.y
-    left = _left(Problem(bind(model, readings)[0], record.beside(model.effects)))
+    left = _left(Problem(bind(model, readings)[0], record.beside()))
     # Neighbours differ by √2 of white noise's standard deviation, which is 1.4826 times its median absolute value;
     # what the model lacks hardly changes from one reading to the next.
     change, step = np.diff(left[np.asarray(frame.order)]), np.asarray(frame.step)[1:]

@@ -22,8 +22,9 @@ import numpy as np
 from jaxtyping import Float
 from scipy.fft import dct
 
+from bayescal._inference.chebyshev import lagrange, points
 from bayescal._model.noise_law import WHITE
-from bayescal._model.noise_spectrum import end_transform
+from bayescal._model.noise_spectrum import eigenvalues, end_transform
 from bayescal._model.summed_noise import SumOfTerms
 
 SINGLE_FREQUENCIES = 16  # on either side of a singular point, each a node of its own
@@ -79,7 +80,7 @@ class EvenSpectrum:
             squares, ends, first = [], [], sum(map(len, lam))
             for part, places, share in _segments(n, [2 * f * step * n for f in lines]):
                 t = own[:, part]
-                lam.append(4 * np.sin(0.5 * np.pi * places / n) ** 2)
+                lam.append(eigenvalues(n, places))
                 rows.append(len(own) * share.sum(axis=0))
                 pairs = np.einsum("ukr,uks->krs", t, t).reshape(t.shape[1], -1)
                 products.append(share.T @ pairs)
@@ -154,8 +155,8 @@ def _segments(
     graded = [0, *_graded(n)]
     for low, high in itertools.pairwise(singular):
         half = (high - low) // 2
-        for point, sign, reach in ((low, 1, half), (high, -1, high - low - half)):
-            cuts = [d for d in graded if d < reach] + [reach]
+        for point, sign, length in ((low, 1, half), (high, -1, high - low - half)):
+            cuts = [d for d in graded if d < length] + [length]
             for near, far in itertools.pairwise(cuts):
                 begin, end = sorted((point + sign * near, point + sign * far))
                 begin = max(begin, 1)
@@ -164,8 +165,9 @@ def _segments(
                     yield slice(begin, end), places, np.eye(len(places))
                     continue
                 x = np.log(np.abs(places - point))
-                nodes = _chebyshev_nodes(x.min(), x.max(), SEGMENT_NODES)
-                yield slice(begin, end), point + sign * np.exp(nodes), _lagrange(nodes, x)
+                middle, reach = 0.5 * (x.min() + x.max()), 0.5 * np.ptp(x)
+                nodes = point + sign * np.exp(middle + reach * points(SEGMENT_NODES))
+                yield slice(begin, end), nodes, lagrange((x - middle) / reach, SEGMENT_NODES)
 
 
 def _graded(n: int) -> Iterator[int]:
@@ -174,25 +176,3 @@ def _graded(n: int) -> Iterator[int]:
     while distance < n:
         yield round(distance)
         distance *= SEGMENT_RATIO
-
-
-def _chebyshev_nodes(low: float, high: float, count: int) -> Float[np.ndarray, "c"]:
-    """Return Chebyshev's points of the first kind between two ends."""
-    points = np.cos((np.arange(count) + 0.5) * np.pi / count)
-    return 0.5 * (low + high) + 0.5 * (high - low) * points
-
-
-def _lagrange(nodes: Float[np.ndarray, "c"], x: Float[np.ndarray, "n"]) -> Float[np.ndarray, "n c"]:
-    """Return Lagrange's polynomials at Chebyshev's points, by the barycentric formula.
-
-    Source: J.-P. Berrut and L. Trefethen, SIAM Review 46 (2004) 501, eq. 5.3.
-    """
-    count = len(nodes)
-    weight = (-1.0) ** np.arange(count) * np.sin((np.arange(count) + 0.5) * np.pi / count)
-    gap = x[:, None] - nodes
-    exact = np.abs(gap) < 1e-14 * np.max(np.abs(nodes))
-    parts = weight / np.where(exact, 1.0, gap)
-    found = parts / parts.sum(axis=1, keepdims=True)
-    hit = exact.any(axis=1)
-    found[hit] = exact[hit]
-    return found

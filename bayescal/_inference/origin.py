@@ -46,7 +46,7 @@ def with_origin(model: Model, readings: Measurements, reference: Reference) -> R
     there = {e.coefficient_name(i) for e in model.effects for i in range(len(e.coefficients))}
     if all(len(o) == 1 and o[0][0] in there and o[0][1] == far[n] for n, o in own.items()):
         return dict(reference)  # of these readings, as a smaller model was counted from
-    record = record_of(model.instrument, readings, plain, model.effects)
+    record = record_of(model.instrument, readings, plain)
     constants = [_constant(model, record, i) for i in range(len(far))]
     if None in constants:
         return plain

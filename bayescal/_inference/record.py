@@ -73,13 +73,11 @@ class Record:
         instrument: whose.
         frame: the readings.
         y: the outputs (n,).
-        library: effects whose fixed columns are computed together, in one program.
     """
 
     instrument: Instrument
     frame: Frame
     y: np.ndarray
-    library: tuple[Effect, ...] = ()
     _fixed: dict[programs.Basis, np.ndarray] = field(default_factory=dict)
     _shaped: OrderedDict[Any, np.ndarray] = field(default_factory=OrderedDict)
     _bases: dict[Any, Basis | None] = field(default_factory=dict)
@@ -116,22 +114,21 @@ class Record:
             self._for_laws[law] = plain, programs.Leaves.of(frame)
         return self._for_laws[law]
 
-    def beside(self, library: tuple[Effect, ...] = (), frame: Frame | None = None) -> Record:
+    def beside(self, frame: Frame | None = None) -> Record:
         """The same readings once more, with columns that no shape moves, or those of another membership in groups."""
-        own = {"_fixed": self._fixed, "_bases": self._bases, "library": library, "of": self}
+        own = {"_fixed": self._fixed, "_bases": self._bases, "of": self}
         made = Record(self.instrument, self.frame if frame is None else frame, self.y, **own)
         if frame is None:
             vars(made).update(codes=self.codes, on_host=self.on_host, _for_laws=self._for_laws)
         return made
 
-    def show(self, more: Iterable[Effect] = ()) -> None:
-        """Take the instrument's effects and some more as the library: those that the readings have the columns for.
+    def require_finite(self, effects: Iterable[Effect]) -> None:
+        """Refuse effects of the user's own of which a basis is not finite in a reading.
 
         Raises:
-            ModelError: the basis of an effect of the user's own is not finite in a reading.
+            ModelError: so one is.
         """
-        self.library = self.instrument.shown_by(self.frame, more)
-        for effect in self.library:
+        for effect in self.instrument.shown_by(self.frame, effects):
             if not (effect.name in self.instrument.known or effect.is_placeholder):
                 self._require_finite(effect)
 
@@ -235,31 +232,14 @@ class Record:
         if len(effect.shapes) > 1 or effect.ragged:
             return None
         if effect.key not in self._bases:
-            self._interpolate(effect)
+            self._bases[effect.key] = self._interpolated(effect)
         return self._bases[effect.key]
 
     @on_one_thread
-    def _interpolate(self, effect: ColumnsOf) -> None:
-        """Columns at the nodes; of a short record those of the whole library, in one program."""
-
-        def at_nodes(of: ColumnsOf) -> Float[np.ndarray, "s"]:
-            return of.priors[0].value(np.append(NODES, BETWEEN))
-
-        if effect.corrections or self.long:
-            self._bases[effect.key] = self._summed(self._computed(effect, [at_nodes(effect)], {}))
-            return
-        every = {of.key: of for of in (effect, *map(ColumnsOf.of, self.library))}
-        some = [
-            of
-            for key, of in every.items()
-            if len(of.shapes) == 1 and not (of.corrections or of.ragged or key in self._bases)
-        ]
-        made = self.columns_of_several(some, [[at_nodes(of)] for of in some])
-        for of, columns in zip(some, made, strict=True):
-            self._bases[of.key] = self._summed(columns)
-
-    def _summed(self, found: Float[np.ndarray, "s n k"]) -> Basis | None:
+    def _interpolated(self, effect: ColumnsOf) -> Basis | None:
         """The singular vectors of columns at the nodes, where they interpolate between some of these."""
+        at_nodes = effect.priors[0].value(np.append(NODES, BETWEEN))
+        found = self._computed(effect, [at_nodes], {})
         count = found.shape[2]
         found = found.reshape(len(found), -1)
         nodes, there = found[: len(NODES)], found[len(NODES) :]
@@ -284,7 +264,7 @@ class Record:
         values: Sequence[Sequence[np.ndarray]],
         acting: Mapping[Correction, tuple[float, ...]] = NOTHING_ACTS,
     ) -> list[Float[np.ndarray, "s n k"]]:
-        """Columns of several effects, each at several values of its shapes, in one program.
+        """Columns of several effects, each at several values of its shapes; those of JAX's own bases in one program.
 
         Args:
             effects: whose.
@@ -293,26 +273,21 @@ class Record:
         """
         shapes = [dict(zip(of.own, v, strict=True)) for of, v in zip(effects, values, strict=True)]
         of_any = effects[0].on([*acting]), [*values[0], *chain(*acting.values())]
-        bases = tuple(of.basis for of in effects)
-        shifts = self._corrected(*of_any)
+        bases, shifts = [of.basis for of in effects], self._corrected(*of_any)
         each = zip(bases, shapes, strict=True)
-        found = [self.on_host.along(basis, own, shifts) for basis, own in each]
-        if all(columns is not None for columns in found):
-            return found  # pyright: ignore[reportReturnType]
-        made = programs.several_along(bases, self.padded, shapes, self._longer(shifts))
-        return [np.asarray(columns)[:, : self.size] for columns in made]
+        found: list[Any] = [self.on_host.along(basis, own, shifts) for basis, own in each]
+        if left := [i for i, columns in enumerate(found) if columns is None]:
+            traced, own = tuple(bases[i] for i in left), [shapes[i] for i in left]
+            made = programs.several_along(traced, self.padded, own, self._longer(shifts))
+            for i, columns in zip(left, made, strict=True):
+                found[i] = np.asarray(columns)[:, : self.size]
+        return found
 
     def _fixed_columns(self, key: programs.Basis) -> Float[np.ndarray, "n k"]:
-        if key not in self._fixed and (made := self.on_host.at(key, {}, {})) is not None:
-            self._fixed[key] = made
         if key not in self._fixed:
-            of_library = (ColumnsOf.of(e) for e in self.library)
-            wanted = {c.basis: None for c in of_library if not c.shapes}
-            left = tuple(basis for basis in wanted if basis not in self._fixed)
-            bases = left if key in wanted else (key,)
-            made = programs.columns_or_refusal(bases, self.padded, self.frame)
-            for basis, columns in zip(bases, made, strict=True):
-                self._fixed[basis] = np.asarray(columns)[: self.size]
+            if (made := self.on_host.at(key, {}, {})) is None:
+                made = programs.columns_or_refusal(key, self.padded, self.frame)
+            self._fixed[key] = np.asarray(made)[: self.size]
         return self._fixed[key]
 
     def moved_columns(
@@ -353,22 +328,14 @@ class Record:
     def affine(self) -> tuple[np.ndarray, dict[str, np.ndarray]] | None:
         """The response at empty slots and its slopes, where it is affine in the slots; else None.
 
-        Tried at two random sets of slots, the size of each by what moves the output as much as it varies.
+        Tried at two random sets of slots.
         """
         if isinstance(self.of, Record):
             return self.of.affine
         if (found := self._affine_on_host()) is not None:
             return found
         base, slopes = self._response({}, {})
-        # An affine function has one slope everywhere: two random places tell it from all others but for a null set.
-        random = np.random.default_rng(0)
-        reach = float(np.ptp(self.y)) or 1.0
-        for _ in range(2):
-            slots = dict[str, np.ndarray]()
-            for name in self.slots:
-                steep = float(np.max(np.abs(slopes[name]), initial=0.0))
-                size = min(1.0, reach / steep) if steep > 0 else 1.0
-                slots[name] = size * random.standard_normal(self.size)
+        for slots in self._random_slots(slopes):
             _, there = self._response(slots, {})
             for name in self.slots:
                 scale = np.max(np.abs(slopes[name]), initial=0.0)
@@ -385,24 +352,29 @@ class Record:
             every = {name: slots.get(name, np.zeros(self.size)) for name in self.slots}
             return np.broadcast_to(self.instrument.response(every, self.frame), (self.size,))
 
-        random, reach = np.random.default_rng(0), float(np.ptp(self.y)) or 1.0
         try:
             with np.errstate(all="ignore"):
                 base = respond({})
                 slopes = {n: respond({n: np.full(self.size, 1j)}).imag for n in self.slots}
-                for _ in range(2):
-                    slots, change = dict[str, np.ndarray](), np.zeros(self.size)
-                    for name, slope in slopes.items():
-                        steep = float(np.max(np.abs(slope), initial=0.0))
-                        size = min(1.0, reach / steep) if steep > 0 else 1.0
-                        slots[name] = size * random.standard_normal(self.size)
-                        change = change + slope * slots[name]
+                for slots in self._random_slots(slopes):
+                    change = sum((slopes[n] * v for n, v in slots.items()), np.zeros(self.size))
                     miss = np.abs(respond(slots) - base - change)
                     if not np.max(miss) <= AFFINE * np.max(np.abs(change)):
                         return None
         except Exception:  # of numbers that it cannot take
             return None
         return base, slopes
+
+    def _random_slots(self, slopes: Mapping[str, np.ndarray]) -> Iterator[dict[str, np.ndarray]]:
+        """Yield two sets of slots, each of the size that moves the output as much as it varies.
+
+        An affine function has one slope everywhere: two random places tell it from all others but for a null set.
+        """
+        random, reach = np.random.default_rng(0), float(np.ptp(self.y)) or 1.0
+        steep = {n: float(np.max(np.abs(slope), initial=0.0)) for n, slope in slopes.items()}
+        size = {n: min(1.0, reach / s) if s > 0 else 1.0 for n, s in steep.items()}
+        for _ in range(2):
+            yield {n: size[n] * random.standard_normal(self.size) for n in self.slots}
 
     def columns_of_draws(
         self, effect: ColumnsOf, values: Sequence[Any], moves: Mapping[str, np.ndarray]
@@ -546,7 +518,6 @@ def record_of(
     instrument: Instrument,
     readings: Measurements,
     reference: Reference,
-    library: tuple[Effect, ...] = (),
 ) -> Record:
     """Readings as the engine sees them. Their frame and the columns that no shape moves are made once, while any has
     them; products and columns at shapes are each record's own, so that no result hangs on what was done before.
@@ -555,7 +526,6 @@ def record_of(
         instrument: whose.
         readings: measurements.
         reference: constants of the bases.
-        library: effects whose fixed columns are computed together.
     """
     key = id(readings), instrument, _as_value(reference)
     base = _LIVE.get(key)
@@ -563,7 +533,7 @@ def record_of(
         frame = build_frame(readings, reference)
         base = _LIVE[key] = Record(instrument, frame, np.asarray(frame["output"]))
         base.of = readings  # held: no others take their place in memory while this lives
-    return base.beside(library)
+    return base.beside()
 
 
 def _as_value(of: Any) -> Any:

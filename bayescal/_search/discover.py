@@ -246,7 +246,7 @@ def structures_over(
     model = sized(model, readings, record)
     plausible = amplitudes(model, readings, record)
     open_ = {n: e.sized(*plausible) for n, e in open_.items()}
-    record.show((*open_.values(), *model.effects))
+    record.require_finite((*open_.values(), *model.effects))
     laws = laws_over(model, frame) if widen_noise else {}
     layout = bind(model, readings, open_.values(), reference)[0]
     found = Structures(model, layout, record, open_, laws)

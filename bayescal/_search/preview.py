@@ -86,7 +86,7 @@ class Previews:
         self.calibration = calibration
         self.effects = {e.name: e for e in every if testable(e, readings) is None}
         self.record = calibration.problem.record.beside()
-        self.record.show((*self.effects.values(), *model.effects))
+        self.record.require_finite((*self.effects.values(), *model.effects))
         self._made: dict[str, tuple[Effect, Preview]] = {}
 
     def of(self, effect: Effect | str) -> Preview:

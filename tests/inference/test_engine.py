@@ -151,7 +151,7 @@ def assembled(case: str, *promoted: str) -> Problem:
     record = record_of(model.instrument, readings, constants_of(readings))
     model = sized(model, readings, record)
     layout = bind(model, readings)[0].promote(*promoted)
-    return Problem(layout, record.beside(model.instrument.shown_by(record.frame, model.effects)))
+    return Problem(layout, record.beside())
 
 
 def bound(model: bc.Model, readings: bc.Measurements) -> Problem:
