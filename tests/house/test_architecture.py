@@ -268,7 +268,7 @@ CEILINGS = {
     "bayescal/_annexes/metrology": 1_812,
     "bayescal/_annexes/workbench": 4_434,
     "models": 9_768,
-    "tests": 26_530,
+    "tests": 27_103,
     "benchmarks": 10_894,
 }
 WORDS = 54_247  # of docs/, README.md and CHANGELOG.md together
