@@ -132,8 +132,8 @@ class Fitted:
             return self.problem
         if all(frame.columns[n] is column for n, column in fitted.frame.columns.items()):
             return Problem(self.layout, fitted.beside(frame))
-        output = np.asarray(frame["output"])
-        return Problem(self.layout, Record(self.model.instrument, frame, output))
+        record = Record(self.model.instrument, frame, np.asarray(frame["output"]))
+        return Problem(self.layout, record)
 
     @cached_property
     def linear(self) -> LinearModel:

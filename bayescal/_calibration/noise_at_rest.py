@@ -514,7 +514,7 @@ def _filled(
     design = np.column_stack([np.ones(n), *curve])
     mean = design @ np.linalg.lstsq(design[~lost], columns[~lost, -1], rcond=None)[0]
     own = {name: np.array([[value]]) for name, value in values.items()}
-    terms = law.spectrum(own, step, eigenvalues(n))
+    terms = law.spectrum(own, step, eigenvalues(n, np.arange(n)))
     density = own[WHITE] ** 2 + sum((term.symbol for term in terms), np.zeros((1, n)))
     weight = np.append(0.0, 1 / density[0, 1:])
 

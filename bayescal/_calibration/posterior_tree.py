@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 import pandas as pd
 import xarray as xr
@@ -11,11 +9,10 @@ import xarray as xr
 from bayescal._calibration.fitted import PREDICTIVE_CELLS, Fitted, flat, named
 from bayescal._calibration.on_readings import replicate
 from bayescal._calibration.storage import draws_group
-from bayescal._core.atomic_file import renamed, storable
-from bayescal._model.prior import HalfCauchy, HalfNormal
+from bayescal._core.atomic_file import storable
+from bayescal._model.prior import HalfCauchy, HalfNormal, slope
 
 PRIOR_DRAWS = 1000  # for the groups of ArviZ's tree, as many as a picture of a prior needs
-STEP = 1e-3  # of a coordinate, for the slope of a prior's value
 TINY, FAR_SD = float(np.finfo(float).tiny), 1e150  # that a square of it is a number still
 
 
@@ -39,18 +36,24 @@ def build_tree(calibration: Fitted) -> xr.DataTree:
     groups = {name: _numbered(group, draws.x.shape[1]) for name, group in groups.items()}
     if (prior := _prior_draws(c)) is not None:
         groups["prior"] = _numbered(named(c.unknowns, c.unknowns.values(*prior)), PRIOR_DRAWS)
-    return xr.DataTree.from_dict({n: renamed(group, storable) for n, group in groups.items()})
+    return xr.DataTree.from_dict({n: _storable(group) for n, group in groups.items()})
 
 
 def with_log_likelihood(tree: xr.DataTree, calibration: Fitted) -> xr.DataTree:
     """A copy of a calibration's tree with the group `log_likelihood`, all groups of the posterior thinned alike."""
     count = calibration.joint.x.shape[1]
-    density = renamed(_numbered(calibration.log_likelihood(), count), storable)
+    density = _storable(_numbered(calibration.log_likelihood(), count))
     groups = {name: child.to_dataset() for name, child in tree.children.items()}
     for name, group in groups.items():
         if name != "prior" and group.sizes.get("draw") == count:
             groups[name] = group.isel(draw=density["draw"].values)
     return xr.DataTree.from_dict({**groups, "log_likelihood": density})
+
+
+def _storable(data: xr.Dataset) -> xr.Dataset:
+    """A data set whose variables and dimensions have names that NetCDF can hold."""
+    names = {str(n): storable(str(n)) for n in (*data.variables, *data.dims)}
+    return data.rename({old: new for old, new in names.items() if old != new})
 
 
 def _numbered(group: xr.Dataset, count: int) -> xr.Dataset:
@@ -74,7 +77,7 @@ def _log_prior(c: Fitted) -> xr.Dataset:
     for i, u in enumerate(c.unknowns):
         if (b := u.block) is None:
             prior, own = u.hyper.prior, v[..., u.v]
-            density[..., i] = prior.log_density(own) - np.log(_slope(prior, own))
+            density[..., i] = prior.log_density(own) - np.log(slope(prior, own))
             continue
         learned = hyper.get(b.group_sd_name) if u.x is None else flat(sd[..., u.x])
         spread = np.maximum(b.coefficient.size if learned is None else learned, TINY)
@@ -84,12 +87,6 @@ def _log_prior(c: Fitted) -> xr.Dataset:
     keys = {u.key: u for u in c.unknowns if u.block is None}
     keys |= {u.key: u for u in c.unknowns if u.block and not (u.held or u.block.coefficient.flat)}
     return xr.Dataset({n: (c.posterior[n].dims, c.unknowns.select(density, n)) for n in keys})
-
-
-def _slope(prior: Any, v: np.ndarray) -> np.ndarray:
-    """Of a value by its coordinate: differences of the fourth order."""
-    value, h = prior.value, STEP
-    return (8 * (value(v + h) - value(v - h)) - (value(v + 2 * h) - value(v - 2 * h))) / (12 * h)
 
 
 def _prior_draws(calibration: Fitted) -> tuple[np.ndarray, np.ndarray] | None:

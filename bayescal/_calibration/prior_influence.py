@@ -24,7 +24,7 @@ from bayescal._core.formatting import number, with_error
 from bayescal._data.unit_conversion import unit_label
 from bayescal._model.effect import Effect
 from bayescal._model.parameters import CoefficientBlock
-from bayescal._model.prior import coordinate_variance
+from bayescal._model.prior import coordinate_variance, slope
 from bayescal._model.unknowns import Unknown
 
 
@@ -65,7 +65,7 @@ def variance_by_origin(
         if u.x is not None:
             weights[u.x] = slopes[u.name]
         elif u.v in moving:
-            unit = _slope(layout.hypers[u.v].prior, calibration.mode.v[u.v])
+            unit = float(slope(layout.hypers[u.v].prior, calibration.mode.v[u.v]))
             weights[layout.size + moving.index(u.v)] = slopes[u.name] * unit
     if not weights.any():
         return None
@@ -82,11 +82,6 @@ def variance_by_origin(
     for name, value in zip(names, proper * pulled**2, strict=True):
         priors[name] = priors.get(name, 0.0) + float(value)
     return VarianceByOrigin(readings, {n: v for n, v in priors.items() if v > 0})
-
-
-def _slope(prior: Any, v: float, step: float = 1e-6) -> float:
-    """Of a value by its coordinate."""
-    return float((prior.value(v + step) - prior.value(v - step)) / (2 * step))
 
 
 class KnownByPrior(NamedTuple):

@@ -71,7 +71,7 @@ def compensate(
 
 @commands.example("bayescal export result/calibration.nc --format c --out gyro.h", data=False)
 def export(asked: saved.ExportRequest) -> Answer:
-    """Write the calibration for use elsewhere: C99, Python, JSON, a page, autopilot parameters, a certificate.
+    """Write the calibration for use elsewhere: C99, Python, JSON, autopilot parameters, a certificate.
 
     Of three axes too, also YAML; those of a unit together in one file.
     """

@@ -11,10 +11,9 @@ import glob
 import hashlib
 import os
 import re
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import Any
 
 from bayescal._core.errors import InputError
 
@@ -155,12 +154,6 @@ def storable(name: str) -> str:
 def named_back(stored: str) -> str:
     """The name that `storable` made this of."""
     return stored.replace("%2F", "/").replace("%25", "%")
-
-
-def renamed(data: Any, how: Callable[[str], str]) -> Any:
-    """A data set whose variables and dimensions have other names."""
-    names = {n: how(str(n)) for n in (*data.variables, *data.dims)}
-    return data.rename({old: new for old, new in names.items() if old != new})
 
 
 def write_sealed(content: bytes | memoryview, path: Path) -> None:

@@ -10,23 +10,29 @@ from __future__ import annotations
 import sys
 from collections.abc import Callable
 from functools import cache
+from importlib import import_module
 from typing import Any
 
 import numpy as np
+
+HOST_TYPES = frozenset((np.ndarray, np.float64, float, int, str, type(None)))  # the most usual
 
 
 def is_traced(values: Any) -> bool:
     """Return whether an array of JAX's is among some values, or in a list, tuple or dictionary of them."""
     jax = sys.modules.get("jax")  # where it was never imported, there is none of its arrays
-    return jax is not None and _holds(values, jax.Array)
-
-
-def _holds(values: Any, kind: type) -> bool:
+    if jax is None or type(values) in HOST_TYPES:
+        return False
     if isinstance(values, dict):
         values = values.values()
     elif not isinstance(values, list | tuple):
-        return isinstance(values, kind)
-    return any(_holds(value, kind) for value in values)
+        return isinstance(values, jax.Array)
+    return any(map(is_traced, values))
+
+
+def special_of(values: Any) -> Any:
+    """Return the module of special functions for some values: scipy's, or JAX's of the same names."""
+    return import_module("jax.scipy.special" if is_traced(values) else "scipy.special")
 
 
 class Namespace:
@@ -82,7 +88,7 @@ def _dispatched(path: str, on_host: Callable[..., Any]) -> Callable[..., Any]:
         return _member(jnp, path)
 
     def function(*args: Any, **kwargs: Any) -> Any:
-        return (in_program() if is_traced((args, kwargs)) else on_host)(*args, **kwargs)
+        return (in_program() if is_traced(args) or is_traced(kwargs) else on_host)(*args, **kwargs)
 
     if hasattr(on_host, "accumulate"):
         function.accumulate = _dispatched(f"{path}.accumulate", on_host.accumulate)  # pyright: ignore[reportFunctionMemberAccess]

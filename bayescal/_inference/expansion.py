@@ -16,6 +16,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
+from bayescal._inference.chebyshev import points, polynomials, to_coefficients
 from bayescal._inference.polynomials import DEGREES, Polynomials
 
 COUNT = 9  # Chebyshev points of a box
@@ -33,7 +34,6 @@ LISTED = 8  # coordinates whose columns are listed together
 MOST_PLACES = 8  # about which Taylor series are kept
 
 _ORDERS = np.arange(COUNT)
-_NODES = np.cos((_ORDERS + 0.5) * np.pi / COUNT)
 _TRIED = np.array([-0.93, -0.31, 0.47, 0.98])  # where a series is tried
 
 
@@ -89,7 +89,7 @@ class Expansion:
         """Return the factors at several coordinates inside."""
         if not self.half:
             return np.broadcast_to(_taylor_shares(v.shape[1], self.rank).value, (len(v), self.rank))
-        return _polynomials((v[:, 0] - self.middle[0]) / self.half)[:, self.orders]
+        return polynomials((v[:, 0] - self.middle[0]) / self.half, COUNT)[:, self.orders]
 
 
 class ListedColumns(Expansion):
@@ -202,11 +202,11 @@ class Expansions:
         """Return the largest box that a series describes; None where there is none."""
         for halvings in range(self._halvings, HALVINGS + 1) if self._failures < FAILURES else ():
             half = 0.5 * BOX_WIDTH * 2.0**-halvings
-            made = self._columns(v + half * np.append(_NODES, _TRIED)[:, None])
+            made = self._columns(v + half * np.append(points(COUNT), _TRIED)[:, None])
             nodes, there = made[:COUNT].reshape(COUNT, -1), made[COUNT:].reshape(len(_TRIED), -1)
-            coefficients = _TO_COEFFICIENTS @ nodes
+            coefficients = to_coefficients(COUNT) @ nodes
             largest = np.max(np.abs(nodes), initial=1e-300)
-            error = np.max(np.abs(_polynomials(_TRIED) @ coefficients - there), initial=0.0)
+            error = np.max(np.abs(polynomials(_TRIED, COUNT) @ coefficients - there), initial=0.0)
             if error <= TOLERANCE * largest:
                 self._halvings = halvings
                 size = np.max(np.abs(coefficients), axis=1, initial=0.0)
@@ -232,14 +232,6 @@ class Expansions:
                 bend = 0.5 * (next(across) - bend - up[j] - down[j])
             parts.append(bend / h**2)
         return Expansion(np.stack(parts, axis=2), v)
-
-
-def _polynomials(u: Float[np.ndarray, "b"]) -> Float[np.ndarray, "b c"]:
-    """Return Chebyshev's polynomials at −1 … 1."""
-    return np.cos(np.arccos(np.clip(u, -1, 1))[:, None] * _ORDERS)
-
-
-_TO_COEFFICIENTS = np.linalg.inv(_polynomials(_NODES))  # of values at the nodes
 
 
 def _pairs(dim: int) -> list[tuple[int, int]]:

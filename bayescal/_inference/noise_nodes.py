@@ -28,6 +28,7 @@ from scipy.fft import dct
 from scipy.linalg import block_diag
 
 from bayescal._data.time_in_runs import EVEN_STEPS
+from bayescal._inference.chebyshev import nodes_and_shares
 from bayescal._model.noise_law import WHITE, Noise
 from bayescal._model.noise_spectrum import eigenvalues, end_transform
 
@@ -93,8 +94,8 @@ class AlongColumn(OneNode):
     def __init__(self, z: Float[np.ndarray, "n"]) -> None:
         super().__init__(len(z))
         low, high = float(np.min(z)), float(np.max(z))
-        self.nodes = _chebyshev_nodes(low, high if high > low else low + 1.0, COLUMN_NODES)
-        self.share = _lagrange(self.nodes, z)
+        high = high if high > low else low + 1.0
+        self.nodes, self.share = nodes_and_shares(low, high, COLUMN_NODES, z)
         self.rows = self.share.sum(axis=0)
 
     def products(self, a, b):
@@ -149,7 +150,7 @@ class InFrequency(OneNode):
         for n in self.times:
             first = sum(map(len, lam))
             self.segments[n] = [*(segments or _segments)(n)]
-            lam += [4 * np.sin(0.5 * np.pi * s.places / n) ** 2 for s in self.segments[n]]
+            lam += [eigenvalues(n, s.places) for s in self.segments[n]]
             self.at[n] = slice(first, sum(map(len, lam)))
         self.lam = np.concatenate(lam)
         self.count = len(self.lam)
@@ -227,7 +228,7 @@ class InFrequency(OneNode):
         for run in self.runs:
             n = len(run)
             if n not in roots:
-                terms = law.spectrum(own, self.step, eigenvalues(n))
+                terms = law.spectrum(own, self.step, eigenvalues(n, np.arange(n)))
                 scale = 1 / np.sqrt(own[WHITE] ** 2 + sum(t.symbol for t in terms))[0]
                 u = np.array([np.broadcast_to(e, (1, n))[0] for t in terms for e in t.ends])
                 ends = np.concatenate([scale * u * end_transform(n, sign) for sign in SIGNS])
@@ -299,7 +300,7 @@ class Products:
 
 def _segments(n: int) -> Iterator[Segment]:
     """Cut the frequencies of a run into segments: the lowest alone, decades of the others."""
-    every, start = eigenvalues(n), 0
+    every, start = eigenvalues(n, np.arange(n)), 0
     while start < n:
         if start == 0:
             stop = min(SINGLE_FREQUENCIES, n)
@@ -311,9 +312,9 @@ def _segments(n: int) -> Iterator[Segment]:
             yield Segment(rows, places, np.eye(len(places)))
         else:
             x = np.log(every[rows])
-            nodes = _chebyshev_nodes(x[0], x[-1], SEGMENT_NODES)
+            nodes, share = nodes_and_shares(x[0], x[-1], SEGMENT_NODES, x)
             angle = np.arcsin(0.5 * np.exp(0.5 * nodes))
-            yield Segment(rows, 2 * n / np.pi * angle, _lagrange(nodes, x))
+            yield Segment(rows, 2 * n / np.pi * angle, share)
         start = stop
 
 
@@ -337,8 +338,7 @@ def _fine_segments(n: int, lines: Sequence[float]) -> Iterator[Segment]:
                     yield Segment(slice(begin, end), places, np.eye(len(places)))
                     continue
                 x = np.log(np.abs(places - point))
-                nodes = _chebyshev_nodes(x.min(), x.max(), SEGMENT_NODES)
-                share = _lagrange(nodes, x)
+                nodes, share = nodes_and_shares(x.min(), x.max(), SEGMENT_NODES, x)
                 yield Segment(slice(begin, end), point + sign * np.exp(nodes), share)
 
 
@@ -412,25 +412,3 @@ class EvenSpectrum:
             log_det = log_det + np.linalg.slogdet(known)[1]
             rss = rss - (cross.swapaxes(1, 2) @ np.linalg.solve(known, cross))[:, 0, 0]
         return -0.5 * (log_det + rss)
-
-
-def _chebyshev_nodes(low: float, high: float, count: int) -> Float[np.ndarray, "c"]:
-    """Return Chebyshev's points of the first kind between two ends."""
-    points = np.cos((np.arange(count) + 0.5) * np.pi / count)
-    return 0.5 * (low + high) + 0.5 * (high - low) * points
-
-
-def _lagrange(nodes: Float[np.ndarray, "c"], x: Float[np.ndarray, "n"]) -> Float[np.ndarray, "n c"]:
-    """Return Lagrange's polynomials at Chebyshev's points, by the barycentric formula.
-
-    Source: J.-P. Berrut and L. Trefethen, SIAM Review 46 (2004) 501, eq. 5.3.
-    """
-    count = len(nodes)
-    weight = (-1.0) ** np.arange(count) * np.sin((np.arange(count) + 0.5) * np.pi / count)
-    gap = x[:, None] - nodes
-    exact = np.abs(gap) < 1e-14 * np.max(np.abs(nodes))
-    parts = weight / np.where(exact, 1.0, gap)
-    found = parts / parts.sum(axis=1, keepdims=True)
-    hit = exact.any(axis=1)
-    found[hit] = exact[hit]
-    return found

@@ -109,9 +109,9 @@ class Leaves(NamedTuple):
 
 
 @program
-def fixed_columns(bases: tuple[Basis, ...], frame: Frame) -> list[Float[Array, "n k"]]:
-    """Columns of effects without shapes, all in one program."""
-    return [matrix(*basis, frame, {}) for basis in bases]
+def fixed_columns(basis: Basis, frame: Frame) -> Float[Array, "n k"]:
+    """Columns of an effect without shapes."""
+    return matrix(*basis, frame, {})
 
 
 @program
@@ -206,13 +206,12 @@ def _respond(response: Callable[..., Any], frame: Frame, both: tuple[ByName, ByN
     return jnp.broadcast_to(response(slots, _moved(frame, moves)), (frame.size,))
 
 
-def columns_or_refusal(bases: tuple[Basis, ...], leaves: Leaves, frame: Frame) -> list[Array]:
+def columns_or_refusal(basis: Basis, leaves: Leaves, frame: Frame) -> Array:
     """`fixed_columns`; a basis that is refused is refused with the shapes of the readings as they are."""
     try:
-        return fixed_columns(bases, leaves)
+        return fixed_columns(basis, leaves)
     except ModelError:
-        for basis in bases:
-            matrix(*basis, frame, {})
+        matrix(*basis, frame, {})
         raise
 
 

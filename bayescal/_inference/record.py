@@ -97,10 +97,10 @@ class Record:
         return made
 
     def require_finite(self, effects: Iterable[Effect]) -> None:
-        """Refuse effects of the user's own that divide by zero, or take the root of a negative number.
+        """Refuse effects of the user's own of which a basis is not finite in a reading.
 
         Raises:
-            ModelError: the basis of an effect of the user's own is not finite in a reading.
+            ModelError: so one is.
         """
         for effect in self.instrument.shown_by(self.frame, effects):
             if not (effect.name in self.instrument.known or effect.is_placeholder):
@@ -225,7 +225,7 @@ class Record:
         values: Sequence[Sequence[np.ndarray]],
         acting: Mapping[Correction, tuple[float, ...]] = NOTHING_ACTS,
     ) -> list[Float[np.ndarray, "s n k"]]:
-        """Columns of several effects, each at several values of its shapes, in one program.
+        """Columns of several effects, each at several values of its shapes; those of JAX's own bases in one program.
 
         Args:
             effects: whose.
@@ -234,20 +234,20 @@ class Record:
         """
         shapes = [dict(zip(of.own, v, strict=True)) for of, v in zip(effects, values, strict=True)]
         of_any = effects[0].on([*acting]), [*values[0], *chain(*acting.values())]
-        bases = tuple(of.basis for of in effects)
-        shifts = self._corrected(*of_any)
+        bases, shifts = [of.basis for of in effects], self._corrected(*of_any)
         each = zip(bases, shapes, strict=True)
-        found = [self.on_host.along(basis, own, shifts) for basis, own in each]
-        if all(columns is not None for columns in found):
-            return found  # pyright: ignore[reportReturnType]
-        made = programs.several_along(bases, self.padded, shapes, self._longer(shifts))
-        return [np.asarray(columns)[:, : self.size] for columns in made]
+        found: list[Any] = [self.on_host.along(basis, own, shifts) for basis, own in each]
+        if left := [i for i, columns in enumerate(found) if columns is None]:
+            traced, own = tuple(bases[i] for i in left), [shapes[i] for i in left]
+            made = programs.several_along(traced, self.padded, own, self._longer(shifts))
+            for i, columns in zip(left, made, strict=True):
+                found[i] = np.asarray(columns)[:, : self.size]
+        return found
 
     def _fixed_columns(self, key: programs.Basis) -> Float[np.ndarray, "n k"]:
-        if key not in self._fixed and (made := self.on_host.at(key, {}, {})) is not None:
-            self._fixed[key] = made
         if key not in self._fixed:
-            (made,) = programs.columns_or_refusal((key,), self.padded, self.frame)
+            if (made := self.on_host.at(key, {}, {})) is None:
+                made = programs.columns_or_refusal(key, self.padded, self.frame)
             self._fixed[key] = np.asarray(made)[: self.size]
         return self._fixed[key]
 
@@ -289,22 +289,14 @@ class Record:
     def affine(self) -> tuple[np.ndarray, dict[str, np.ndarray]] | None:
         """The response at empty slots and its slopes, where it is affine in the slots; else None.
 
-        Tried at two random sets of slots, the size of each by what moves the output as much as it varies.
+        Tried at two random sets of slots.
         """
         if isinstance(self.of, Record):
             return self.of.affine
         if (found := self._affine_on_host()) is not None:
             return found
         base, slopes = self._response({}, {})
-        # An affine function has one slope everywhere: two random places tell it from all others but for a null set.
-        random = np.random.default_rng(0)
-        reach = float(np.ptp(self.y)) or 1.0
-        for _ in range(2):
-            slots = dict[str, np.ndarray]()
-            for name in self.slots:
-                steep = float(np.max(np.abs(slopes[name]), initial=0.0))
-                size = min(1.0, reach / steep) if steep > 0 else 1.0
-                slots[name] = size * random.standard_normal(self.size)
+        for slots in self._random_slots(slopes):
             _, there = self._response(slots, {})
             for name in self.slots:
                 scale = np.max(np.abs(slopes[name]), initial=0.0)
@@ -321,24 +313,29 @@ class Record:
             every = {name: slots.get(name, np.zeros(self.size)) for name in self.slots}
             return np.broadcast_to(self.instrument.response(every, self.frame), (self.size,))
 
-        random, reach = np.random.default_rng(0), float(np.ptp(self.y)) or 1.0
         try:
             with np.errstate(all="ignore"):
                 base = respond({})
                 slopes = {n: respond({n: np.full(self.size, 1j)}).imag for n in self.slots}
-                for _ in range(2):
-                    slots, change = dict[str, np.ndarray](), np.zeros(self.size)
-                    for name, slope in slopes.items():
-                        steep = float(np.max(np.abs(slope), initial=0.0))
-                        size = min(1.0, reach / steep) if steep > 0 else 1.0
-                        slots[name] = size * random.standard_normal(self.size)
-                        change = change + slope * slots[name]
+                for slots in self._random_slots(slopes):
+                    change = sum((slopes[n] * v for n, v in slots.items()), np.zeros(self.size))
                     miss = np.abs(respond(slots) - base - change)
                     if not np.max(miss) <= AFFINE * np.max(np.abs(change)):
                         return None
         except Exception:  # of numbers that it cannot take
             return None
         return base, slopes
+
+    def _random_slots(self, slopes: Mapping[str, np.ndarray]) -> Iterator[dict[str, np.ndarray]]:
+        """Yield two sets of slots, each of the size that moves the output as much as it varies.
+
+        An affine function has one slope everywhere: two random places tell it from all others but for a null set.
+        """
+        random, reach = np.random.default_rng(0), float(np.ptp(self.y)) or 1.0
+        steep = {n: float(np.max(np.abs(slope), initial=0.0)) for n, slope in slopes.items()}
+        size = {n: min(1.0, reach / s) if s > 0 else 1.0 for n, s in steep.items()}
+        for _ in range(2):
+            yield {n: size[n] * random.standard_normal(self.size) for n in self.slots}
 
     def columns_of_draws(
         self, effect: ColumnsOf, values: Sequence[Any], moves: Mapping[str, np.ndarray]

@@ -44,9 +44,9 @@ class SpectralTerm(NamedTuple):
     correction: Callable[[int, int], Any]
 
 
-def eigenvalues(n: int) -> Lambda:
-    """Return λ = 2 − 2·cos(πk/n) of a run of n readings, k = 0 … n − 1."""
-    return 4 * np.sin(0.5 * np.pi * np.arange(n) / n) ** 2
+def eigenvalues(n: int, k: Float[np.ndarray, "j"]) -> Lambda:
+    """Return λ = 2 − 2·cos(πk/n) of a run of n readings at places k, of which 0 … n − 1 are its frequencies."""
+    return 4 * np.sin(0.5 * np.pi * k / n) ** 2
 
 
 def end_transform(n: int, sign: int) -> Float[np.ndarray, "n"]:

@@ -12,13 +12,11 @@ import math
 from collections.abc import Mapping
 from typing import Any, ClassVar, NamedTuple
 
-import jax
 import jax.numpy as jnp
 import numpy as np
-from jax.scipy.special import ndtr
 from jaxtyping import Array, Float
-from scipy import special as on_host
 
+from bayescal._core.xp import special_of
 from bayescal._data.time_in_runs import EVEN_STEPS
 from bayescal._model import noise_spectrum
 from bayescal._model.noise_law import WHITE
@@ -172,7 +170,7 @@ class CorrelatedTerm(NoiseTerm):
         for place in range(2, self.place + 1):
             v = values[self._name("place", place)]
             # log τ uniform from the time before to the longest: a share u = Φ(v) of the way, v standard normal.
-            share = ndtr(v) if isinstance(v, jax.Array) else on_host.ndtr(v)
+            share = special_of(v).ndtr(v)
             time = time ** (1 - share) * bounds.longest**share
         return time
 

@@ -15,21 +15,15 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
-import numpy as np
-from jax.scipy import special as in_jax
 from jaxtyping import Array, Float
-from scipy import special as on_host
 
+from bayescal._core.xp import special_of, xp
 from bayescal._model.static import static
 
 _LOG_2 = math.log(2.0)
 _HALF_LOG_2PI = 0.5 * math.log(2.0 * math.pi)
+SLOPE_STEP = 1e-3  # of a coordinate
 _EDGE = 1e-15  # of the probability, within which a bounded value counts as at its bound: Φ⁻¹ is ±7.9 there
-
-
-def _of(v: Any) -> Any:
-    """Whose functions a coordinate takes: JAX's within programs, NumPy's on the host."""
-    return jnp if isinstance(v, jax.Array) else np
 
 
 class _StandardNormal:
@@ -51,10 +45,10 @@ class _Scaled:
 
     def value(self, v: Any) -> Any:
         """The value at a coordinate, in its own unit."""
-        return self.scale * _of(v).exp(v)
+        return self.scale * xp.exp(v)
 
     def coordinate(self, value: Any) -> Any:
-        return _of(value).log(value / self.scale)
+        return xp.log(value / self.scale)
 
 
 class _Improper:
@@ -104,10 +98,10 @@ class LogNormal(_StandardNormal):
     sd: float
 
     def value(self, v: Any) -> Any:
-        return self.median * _of(v).exp(self.sd * v)
+        return self.median * xp.exp(self.sd * v)
 
     def coordinate(self, value: Any) -> Any:
-        return _of(value).log(value / self.median) / self.sd
+        return xp.log(value / self.median) / self.sd
 
 
 @static
@@ -125,14 +119,13 @@ class LogUniform(_StandardNormal):
             raise ValueError(f"LogUniform needs finite bounds with 0 < low < high, not {self}")
 
     def value(self, v: Any) -> Any:
-        share = (in_jax if isinstance(v, jax.Array) else on_host).ndtr(v)
-        return self.low * _of(v).exp(math.log(self.high / self.low) * share)
+        share = special_of(v).ndtr(v)
+        return self.low * xp.exp(math.log(self.high / self.low) * share)
 
     def coordinate(self, value: Any) -> Any:
         """Finite at the bounds, where rounding may have put a value."""
-        xp = _of(value)
         share = xp.log(value / self.low) / math.log(self.high / self.low)
-        special = in_jax if isinstance(value, jax.Array) else on_host
+        special = special_of(value)
         return special.ndtri(xp.clip(share, _EDGE, 1 - _EDGE))
 
 
@@ -141,7 +134,7 @@ class HalfNormal(_Scaled):
     """The positive half of N(0, scale²), for spreads and noise scales."""
 
     def log_density(self, v: Any) -> Any:
-        return _LOG_2 - _HALF_LOG_2PI - 0.5 * _of(v).exp(2 * v) + v
+        return _LOG_2 - _HALF_LOG_2PI - 0.5 * xp.exp(2 * v) + v
 
     def sample(self, key: Array) -> Float[Array, ""]:
         return jnp.log(jnp.abs(jax.random.normal(key)))
@@ -152,7 +145,7 @@ class HalfCauchy(_Scaled):
     """The positive half of a Cauchy: a scale known to an order of magnitude or two."""
 
     def log_density(self, v: Any) -> Any:
-        return math.log(2 / math.pi) - _of(v).logaddexp(0.0, 2 * v) + v
+        return math.log(2 / math.pi) - xp.logaddexp(0.0, 2 * v) + v
 
     def sample(self, key: Array) -> Float[Array, ""]:
         return jnp.log(jnp.abs(jax.random.cauchy(key)))
@@ -226,3 +219,9 @@ def multiplied(prior: Positive, factor: float) -> Positive:
     if isinstance(prior, LogUniform):
         return LogUniform(prior.low * factor, prior.high * factor)
     return type(prior)(prior.scale * factor)
+
+
+def slope(prior: Any, v: Any) -> Any:
+    """Return the slope of a prior's value by its coordinate, by differences of the fourth order."""
+    value, h = prior.value, SLOPE_STEP
+    return (8 * (value(v + h) - value(v - h)) - (value(v + 2 * h) - value(v - 2 * h))) / (12 * h)

@@ -122,15 +122,9 @@ def calibrate(
         InputError: there is no such column to ignore or to allow; of readings and hold-out data one has dates and the
             other none.
     """
-    if holdout is not None:
-        model.require(holdout)
-        found = "what may be found, such as a drift" * readings.has("time")
-        holdout = on_clock(holdout, readings.since, lambda: found)
     with deadline.until(time_limit):
-        causes = with_causes(readings, model.instrument, ignore, covariates)
-        used = set_aside(causes, keep_spikes, model.columns)
-        kept = None if holdout is None else set_aside(holdout, keep_spikes, model.columns)
-        used, accepted = _said_of_holdout(used, kept), frozenset(accept_conflicts)
+        used, kept = prepared(model, readings, holdout, keep_spikes, ignore, covariates)
+        accepted = frozenset(accept_conflicts)
         loop = Loop(used, kept, method, seed, reference, max_effects, accepted)
         loop.begin(model, effects, widen_noise)
         follow(loop.trail())
@@ -460,18 +454,28 @@ def step_of(
     )
 
 
-def _said_of_holdout(readings: Measurements, holdout: Measurements | None) -> Measurements:
-    """The readings with a flag, where hold-out data continue their record, or are a part of it."""
+def prepared(
+    model: Model,
+    readings: Measurements,
+    holdout: Measurements | None,
+    keep_spikes: bool,
+    *causes: Any,
+) -> tuple[Measurements, Measurements | None]:
+    """Return readings, flagged with what hold-out data have in common with them, and those data on their clock."""
+    used = set_aside(with_causes(readings, model.instrument, *causes), keep_spikes, model.columns)
     if holdout is None:
-        return readings
-    said = said_of(readings, holdout)
-    if not said and (going := going_on(readings, holdout)):
+        return used, None
+    model.require(holdout)
+    found = "what may be found, such as a drift" * readings.has("time")
+    dated = on_clock(holdout, readings.since, lambda: found)
+    kept = set_aside(dated, keep_spikes, model.columns)
+    said = said_of(used, kept)
+    if not said and (going := going_on(used, kept)):
         said = (
-            f"{readings.file}: {sum(map(len, going.values()))} readings of the hold-out data continue its run "
-            f"{', '.join(going)}: they are predicted with the record's past, so lags, hysteresis and correlated noise "
-            "go on"
+            f"{used.file}: {sum(map(len, going.values()))} readings of the hold-out data continue its run "
+            f"{', '.join(going)}: they are predicted with the record's past (lags, hysteresis, correlated noise)"
         )
-    return replace(readings, flags=(*readings.flags, said)) if said else readings
+    return (replace(used, flags=(*used.flags, said)) if said else used), kept
 
 
 def _other_path(structures: Structures) -> OtherPath | None:

@@ -12,14 +12,12 @@ from bayescal._core import deadline
 from bayescal._core.errors import InputError
 from bayescal._core.progress import stage
 from bayescal._data.measurements import Measurements
-from bayescal._data.set_aside import set_aside
 from bayescal._inference.method import Method
 from bayescal._model.effect import Effect, Shape
 from bayescal._model.frame import Reference
 from bayescal._model.model import Model
-from bayescal._search.calibrate import Loop
+from bayescal._search.calibrate import Loop, prepared
 from bayescal._search.channels import Channels
-from bayescal._search.discover import with_causes
 from bayescal._search.library import Library
 from bayescal._search.search_path import SearchPath
 from bayescal._search.shared_shape import FromOthers, ShapeEvidence, SharedShape, said
@@ -78,11 +76,9 @@ def calibrate_channels(
     trails, shared = dict[str, SearchPath](), list[SharedShape]()
     with deadline.until(time_limit):
         for name, model in models.items():
-            kept = None if holdout is None else set_aside(holdout[name], keep_spikes, model.columns)
-            if kept is not None:
-                model.require(kept)
-            used = with_causes(readings[name], model.instrument, ignore, covariates)
-            used = set_aside(used, keep_spikes, model.columns)
+            later = None if holdout is None else holdout[name]
+            causes = ignore, covariates
+            used, kept = prepared(model, readings[name], later, keep_spikes, *causes)
             accepted = frozenset(accept_conflicts)
             loop = Loop(used, kept, method, seed, reference, max_effects, accepted)
             with stage(name):

@@ -9,7 +9,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from bayescal_models.gyro_triad import MovesByHand, simulate_log
 from tests.support.command_line import needs_installation, run
+from tests.support.log_files import write_ulog_topics
 
 OPTION = re.compile(r"""(--[a-z-]+)[ =]((?:'[^']*'|"[^"]*"|[^\s()'"])+)""")
 ROWS = 80
@@ -63,3 +65,39 @@ def test_options_that_are_printed_can_be_pasted(tmp_path: Path, header: str) -> 
             break
         said += pasted(done.err)
     assert done.status == 0, (said, done.err)
+
+
+@pytest.mark.slow
+@pytest.mark.usefixtures("unpainted")
+@needs_installation
+def test_three_axes_by_the_names_that_the_file_has(tmp_path: Path) -> None:
+    log = simulate_log(seed=5, campaign=MovesByHand(poses=12, still=3.0, move=2.0))
+    channels = {"Kraft": ("accel", "g"), "Rate": ("gyro", "deg/s")}
+    header = [f"{n} {a} [{unit}]" for n, (_, unit) in channels.items() for a in "xyz"]
+    table = [log["time"], *(log[f"{kind}_{a}"] for kind, _ in channels.values() for a in "xyz")]
+    path = tmp_path / "unit.csv"
+    head = ",".join(["time [s]", *header])
+    np.savetxt(path, np.column_stack(table), "%.9g", ",", header=head, comments="")
+    done = run("imu", path, "--baseline")
+    assert done.status == 2
+    done = run("imu", path, "--baseline", *pasted(done.err))
+    assert done.status == 0, done.err
+
+
+@pytest.mark.slow
+@pytest.mark.usefixtures("unpainted")
+@needs_installation
+def test_log_of_a_whole_unit_needs_no_options(tmp_path: Path) -> None:
+    pytest.importorskip("pyulog")
+    log = simulate_log(seed=5, campaign=MovesByHand(poses=12, still=3.0, move=2.0))
+    kinds = {
+        "sensor_gyro": ("gyro", np.pi / 180),
+        "sensor_accel": ("accel", 9.80665),
+        "sensor_mag": ("mag", 0.01),  # gauss
+    }
+    topics = {t: {a: s * log[f"{k}_{a}"] for a in "xyz"} for t, (k, s) in kinds.items()}
+    path = write_ulog_topics(tmp_path / "unit.ulg", log["time"] + 1.0, topics)
+    done = run("imu", path, "--baseline", "--out", tmp_path / "out")
+    assert done.status == 0, done.err
+    for name in ("accelerometer", "gyroscope", "magnetometer"):
+        assert (tmp_path / "out" / name / "correction.json").is_file()

@@ -4,14 +4,22 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import signal
-from collections.abc import Iterator
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
+import pandas as pd
 import pytest
 
 import bayescal as bc
 from bayescal_models import mems_gyro, still_sensor
+from tests.support.command_line import GYRO, TABLE, needs_installation, run
 
 HIDDEN = "bias.thermal_lag"
 NO_TIME = 1e-6  # s
@@ -141,3 +149,172 @@ def shown(structure: dict) -> str:
     noise = [f"{structure['noise']} noise"] if structure["noise"] else []
     named = [*noise, *structure["effects"]]
     return "+ " + " + ".join(named) if named else "nothing to add"
+
+
+BEST = re.compile(r"(?:bayescal: (?P<channel>\w+): )?.*best so far: (?P<best>.*?), [^ ]+ \S+ rms")
+
+
+class Ended(NamedTuple):
+    """A process: its exit status, the best of each channel that it told of last, and s that it took after the end
+    that it was given."""
+
+    status: int
+    best: dict[str, str]
+    late: float
+
+
+def ended(
+    words: list[str], pressed: Callable[[float, str], bool], folder: Path, limit: float = np.inf
+) -> Ended:
+    """Run a command, Ctrl-C pressed once where `pressed(s since its start, what stands on stderr)` says so."""
+    begun, at, said = time.monotonic(), limit, folder / "stderr.txt"
+    with said.open("w") as file:
+        process = subprocess.Popen(
+            [sys.executable, "-m", "bayescal", *words],
+            stdout=subprocess.DEVNULL,
+            stderr=file,
+        )
+    while process.poll() is None:
+        since = time.monotonic() - begun
+        if at == np.inf and pressed(since, said.read_text("utf-8")):
+            process.send_signal(signal.SIGINT)
+            at = since
+        time.sleep(0.02)
+    told = filter(None, map(BEST.match, said.read_text("utf-8").splitlines()))
+    best = {one["channel"] or "": one["best"] for one in told}
+    return Ended(process.wait(), best, time.monotonic() - begun - at)
+
+
+def agrees(folder: Path, best: str) -> None:
+    """What was told of last as the best is what a folder holds."""
+    told = json.loads((folder / "result.json").read_text("utf-8"))
+    first = told["search"]["structures"][0]
+    assert shown(first) == best
+    if not told["complete"]:
+        assert added(told["steps"]) == {*first["effects"]}
+    names = bc.load(folder / "calibration.nc").model.names
+    assert [*names] == told["steps"][-1]["effects"]
+
+
+CALIBRATED = (
+    ("mems_gyro", ("--effect", "bias.thermal_lag=0.03")),
+    ("still_sensor", ()),
+    ("ng_accelerometer", ()),
+    ("quartz_beam_accelerometer", ()),
+    ("inclinometer", ()),
+    ("accelerometer_dividing_head", ()),
+)
+
+
+def simulated(instrument: str, hidden: tuple[str, ...], folder: Path) -> list[str]:
+    """A command that calibrates a simulated test."""
+    file = folder / f"{instrument}.csv"
+    assert run("simulate", "--instrument", instrument, *hidden, "--out", file).status == 0
+    out = str(folder / "out")
+    return ["calibrate", str(file), "--instrument", instrument, "--out", out]
+
+
+def left(done: Ended, out: Path, best: Callable[[Path], dict[Path, str]]) -> None:
+    """A process has left the best that it told of, or nothing where Ctrl-C came before the first model."""
+    if done.status in (130, -signal.SIGINT):  # the latter before Python has loaded the command
+        assert not done.best and not out.exists()
+        return
+    assert done.status in (0, 1)
+    for folder, told in best(out).items():
+        agrees(folder, told)
+
+
+MOMENTS = [(i % len(CALIBRATED), kind) for i in range(10) for kind in ("limit", "ctrl-c")]
+
+
+def ended_at(moment: float, kind: str, command: list[str], folder: Path) -> Ended:
+    """Run a command that ends after so many seconds: of its limit, or by Ctrl-C once it tells of a best."""
+    if kind == "limit":
+        return ended([*command, "--time-limit", str(moment)], lambda *_: False, folder, moment)
+    told = list[float]()
+
+    def pressed(since: float, said: str) -> bool:
+        told.extend([since] * ("best so far" in said and not told))
+        return bool(told) and since > told[0] + 0.5 * moment
+
+    return ended(command, pressed, folder)
+
+
+def test_every_channel_is_there_without_time(unit, tmp_path) -> None:
+    models = {n: still_sensor.INSTRUMENT.for_readings(r).baseline() for n, r in unit.items()}
+    found = bc.calibrate_channels(models, unit, method=QUICK, time_limit=NO_TIME)
+    assert [*found.trails] == [*unit]
+    found.save(tmp_path)
+    for told in json.loads((tmp_path / "channels.json").read_text("utf-8"))["channels"].values():
+        assert told["stopped"] and (tmp_path / told["folder"] / "calibration.nc").is_file()
+
+
+@needs_installation
+@pytest.mark.parametrize(
+    "command",
+    [
+        ("calibrate", TABLE, *GYRO, "--method", "least-squares"),
+        ("fit", TABLE, *GYRO),
+        ("compare", TABLE, *GYRO, "--structure", "line", "--structure", "cubic"),
+    ],
+    ids=lambda c: c[0],
+)
+def test_a_command_without_time_answers(command) -> None:
+    done = run(*command, "--time-limit", NO_TIME, "--json")
+    assert done.status in (0, 1) and done.data, done.err
+
+
+@needs_installation
+@pytest.mark.slow
+@pytest.mark.usefixtures("at_a_terminal")
+def test_ctrl_c_of_a_process_leaves_the_best_that_it_told_of(tmp_path) -> None:
+    command = simulated(*CALIBRATED[0], tmp_path)
+    done = ended(command, lambda _, said: "best so far: +" in said, tmp_path)
+    assert done.status in (0, 1) and done.best[""] != "nothing to add"
+    left(done, tmp_path / "out", lambda out: {out: done.best[""]})
+
+
+@needs_installation
+@pytest.mark.slow
+@pytest.mark.usefixtures("at_a_terminal")
+@pytest.mark.parametrize("seconds", [0.4, 0.9, 1.4, 1.9])
+def test_ctrl_c_while_a_process_begins(seconds: float, tmp_path) -> None:
+    command = simulated(*CALIBRATED[0], tmp_path)
+    done = ended(command, lambda since, _: since > seconds, tmp_path)
+    left(done, tmp_path / "out", lambda out: {out: done.best[""]})
+
+
+@needs_installation
+@pytest.mark.nightly
+@pytest.mark.usefixtures("at_a_terminal")
+@pytest.mark.parametrize(("number", "which", "kind"), [(i, *m) for i, m in enumerate(MOMENTS)])
+def test_the_best_told_of_is_what_is_left_at_any_moment(number, which, kind, tmp_path) -> None:
+    command = simulated(*CALIBRATED[which], tmp_path)
+    moment = float(np.random.default_rng(number).uniform(2.0, 12.0))
+    done = ended_at(moment, kind, command, tmp_path)
+    left(done, tmp_path / "out", lambda out: {out: done.best[""]})
+
+
+@needs_installation
+@pytest.mark.nightly
+@pytest.mark.usefixtures("at_a_terminal")
+@pytest.mark.parametrize("kind", ["limit", "ctrl-c"])
+@pytest.mark.parametrize("moment", [3.0, 8.0, 15.0, 25.0])
+def test_every_channel_is_left_at_any_moment(moment: float, kind: str, tmp_path) -> None:
+    names = [f"output_{i}" for i in range(6)]
+    made = [still_sensor.simulate({HIDDEN: 8.0 * (i < 3)}, seed=i, runs=1) for i in range(6)]
+    columns = {"time [s]": made[0]["time"], "temperature [degC]": made[0]["temperature"]}
+    unit = made[0].unit("output")
+    columns |= {f"{n} [{unit}]": m["output"] for n, m in zip(names, made, strict=True)}
+    pd.DataFrame(columns).to_csv(tmp_path / "unit.csv", index=False)
+    out = tmp_path / "out"
+    command = ["calibrate", str(tmp_path / "unit.csv"), "--instrument", "still_sensor"]
+    command += ["--channels", ",".join(names), "--out", str(out)]
+    done = ended_at(moment, kind, command, tmp_path)
+
+    def best(out: Path) -> dict[Path, str]:
+        told = json.loads((out / "channels.json").read_text("utf-8"))["channels"]
+        assert [*told] == names
+        return {out / told[n]["folder"]: done.best.get(n, "nothing to add") for n in names}
+
+    left(done, out, best)

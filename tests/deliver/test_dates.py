@@ -11,6 +11,7 @@ import pytest
 
 import bayescal as bc
 from bayescal_models import mems_gyro
+from tests.support.command_line import run
 
 GYRO, QUICK = mems_gyro.INSTRUMENT, bc.LeastSquares(draws=200)
 BEGAN = datetime(2026, 5, 4, 10, 14, 20, tzinfo=UTC)
@@ -149,3 +150,71 @@ def test_readings_without_dates_are_refused_until_their_begin_is_said(
     for begin in ("in spring", "10:14", "9 kg"):
         with pytest.raises(bc.InputError, match="begin"):
             bc.read(alone, GYRO, begin=begin)
+
+
+def status(calibration: bc.Calibration, path: Path, *more: str) -> int:
+    """The status of `bayescal compensate`; what it writes is right."""
+    saved, out = path.with_name("saved.nc"), path.with_name("out.csv")
+    calibration.save(saved)
+    ran = run("compensate", saved, path, "--out", out, *more)
+    assert "Traceback" not in ran.err
+    assert (ran.status == 2) == (path.name in ran.err.splitlines()[-1])
+    if ran.status == 0:
+        value, sd = np.genfromtxt(out, delimiter=",", skip_header=1).T[-2:]
+        assert error(value, sd) < 4
+    return ran.status
+
+
+def test_dates_are_columns_of_a_compensator(dated: bc.Calibration) -> None:
+    made, correct = columns(LATER, 7), bc.compensator(dated)
+    start = np.datetime64(BEGAN.replace(tzinfo=None))
+    made["time"] = start + np.round(made["time"]).astype("timedelta64[s]")
+    found = correct(**made, warn=False)
+    assert error(found.value, found.uncertainty) < 4
+    assert correct.epoch == BEGAN.timestamp()
+
+
+def test_readings_without_dates_pass_where_nothing_changes_with_them(
+    dated: bc.Calibration, tmp_path: Path
+) -> None:
+    calibration = bc.fit(dated.model - "bias.drift", dated.readings, QUICK, strict=False)
+    alone, same = (
+        bc.predict(calibration, bc.read(file(tmp_path, "used.csv", LATER, 7, clock), GYRO))
+        for clock in ("own", "dates")
+    )
+    np.testing.assert_allclose(alone.mean, same.mean, atol=1e-9)
+
+
+def test_files_without_dates_are_joined_to_others_by_their_begin(tmp_path: Path) -> None:
+    files = [file(tmp_path, "a.csv", 0, 0), file(tmp_path, "b.csv", 1, 1, "own")]
+    with pytest.raises(bc.InputError, match=r"b\.csv"):
+        bc.read(files, GYRO)
+    found = bc.read(files, GYRO, begin={"b.csv": "2026-05-05 10:14:20"})
+    assert found["time"][ROWS] == DAY and found.since == BEGAN.timestamp()
+
+
+def test_the_command_compensates_by_date(dated: bc.Calibration, tmp_path: Path) -> None:
+    assert status(dated, file(tmp_path, "dated.csv", LATER, 7)) == 0
+
+
+@pytest.mark.slow
+def test_the_command_asks_when_a_file_begins(
+    dated: bc.Calibration, undated: bc.Calibration, tmp_path: Path
+) -> None:
+    alone = file(tmp_path, "own.csv", LATER, 7, "own")
+    assert status(dated, alone) == 2
+    assert status(dated, alone, "--begin", "2026-05-13 10:14:20") == 0
+    # without dates: on the clock of the calibration, where its times are none of the calibration's own
+    assert status(undated, file(tmp_path, "dated.csv", LATER, 7)) == 2
+    assert status(undated, alone) == 2
+    assert status(undated, alone, "--begin", "9 days") == 0
+    assert status(undated, alone, "--begin", f"{alone.name}=9 days") == 0
+    assert status(undated, file(tmp_path, "later.csv", LATER, 7, "since the first run")) == 0
+
+
+@pytest.mark.parametrize("suffix", ["csv", "parquet", "nc"])
+def test_written_readings_keep_their_dates(tmp_path: Path, suffix: str) -> None:
+    readings = bc.read(file(tmp_path, "used.csv", LATER, 7), GYRO)
+    back = bc.read(readings.write(tmp_path / f"written.{suffix}"), GYRO)
+    assert back.since == readings.since
+    np.testing.assert_allclose(back["time"], readings["time"], atol=1e-6)

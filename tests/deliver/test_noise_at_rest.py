@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import json
 import math
 from dataclasses import replace
 from functools import cache
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -12,6 +14,7 @@ from scipy.signal import butter, sosfilt
 
 import bayescal as bc
 from bayescal_models import still_sensor
+from tests.support.command_line import run
 
 GYRO = still_sensor.instrument("deg/s", size=1.0, constant=10.0, span=0.0)
 STEP, N, K = 0.1, 0.003, 0.002  # s; °/s/√Hz; °/s/√s
@@ -297,3 +300,58 @@ def test_a_file_for_kalibr_has_the_noisiest_axis_in_si_units() -> None:
     for name, value in expected.items():
         assert float(found[name]) == pytest.approx(value, rel=1e-4)
     assert found["rostopic"] == "/imu/raw"
+
+
+def log(path: Path, output: np.ndarray, labels=None, name: str = "device") -> Path:
+    """A log of a gyroscope at 100 Hz; of several in turn, if there are labels."""
+    labels = [] if labels is None else labels
+    count, more = max(1, len(labels)), f",{name}" if len(labels) else ""
+    rows = (
+        f"{0.01 * (i // count):.2f},{y:.6f}" + (f",{labels[i % count]}" if len(labels) else "")
+        for i, y in enumerate(output)
+    )
+    path.write_text(f"time [s],gyro_x [deg/s]{more}\n" + "\n".join(rows) + "\n")
+    return path
+
+
+@pytest.mark.slow
+def test_law_that_its_own_record_leaves_is_status_one(tmp_path) -> None:
+    output = 0.02 * np.random.default_rng(4).standard_normal(2000)
+    output += 0.05 * np.sin(2 * np.pi * np.arange(2000) / 90)
+    path = log(tmp_path / "still.csv", output)
+    done = run("noise", path, "--columns", "output=gyro_x", "--json")
+    assert done.status == 1
+    (found,) = json.loads(done.out).values()
+    assert "noise.outside" in [claim["code"] for claim in found["claims"]]
+
+
+def test_each_device_of_a_file_has_its_own_table(tmp_path) -> None:
+    sizes = np.array([N, 5 * N]) / math.sqrt(0.01)
+    output = np.random.default_rng(8).standard_normal(1600) * np.tile(sizes, 800)
+    path = log(tmp_path / "two.csv", output, "AB")
+    done = run("noise", path, "--columns", "output=gyro_x", "--json")
+    assert done.status == 0, done.err
+    found = json.loads(done.out)
+    assert ["A" in name or "B" in name for name in found] == [True, True]
+    for (name, one), size in zip(found.items(), (N, 5 * N), strict=True):
+        (n,) = (f for f in one["figures"] if f["symbol"] == "N")
+        assert n["low"] < 60 * size < n["high"], name
+    still = bc.read(path, GYRO, columns={"output": "gyro_x"})
+    with pytest.raises(bc.InputError, match="device"):
+        bc.noise(still)
+
+
+def test_sensors_of_two_kinds_in_one_column_are_refused(tmp_path) -> None:
+    output = np.random.default_rng(8).standard_normal(400)
+    path = log(tmp_path / "phone.csv", output, ["accelerometer", "gyroscope"], "sensor")
+    done = run("noise", path, "--columns", "output=gyro_x")
+    assert done.status == 2 and "accelerometer" in done.err and not done.out
+
+
+def test_stamps_that_do_not_tell_are_refused(tmp_path) -> None:
+    random = np.random.default_rng(8)
+    path = tmp_path / "six.csv"
+    rows = (f"1.73234e+09,{y:.6f}" for y in random.standard_normal(300))
+    path.write_text("time [s],gyro_x [deg/s]\n" + "\n".join(rows))
+    done = run("noise", path, "--columns", "output=gyro_x")
+    assert done.status == 2 and "time" in done.err and "Traceback" not in done.err

@@ -178,3 +178,34 @@ def test_stated_risk_is_the_share_of_readings_outside(name) -> None:
         calibrated(name), f"corrected reading: ±{half} kPa{over}", rule="simple"
     ).decisions
     assert found.probability == pytest.approx(0.97, abs=0.2 * 0.03)
+
+
+@pytest.mark.parametrize("name", slow_but_one)
+def test_every_exit_has_the_noise_of_the_place(name, tmp_path) -> None:
+    case, compensate = CASES[name], bc.compensator(calibrated(name))
+    spread = 1.0 if case.tails == math.inf else math.sqrt(case.tails / (case.tails - 2))
+    loaded = bc.load_compensator(compensate.export(tmp_path / "c.json"))
+    space: dict[str, Any] = {}
+    exec(compensate.export(tmp_path / "c.py").read_text("utf-8"), space)
+    for more in ({}, {"temperature": 30.0, "pressure": 60.0, "elapsed": 8_000.0}):
+        at = place(name, 1, **more)
+        want = spread * float(case.sd({"elapsed": np.zeros(1), **at})[0]) / 1.002
+        inputs = {n: v for n, v in at.items() if n != "pressure"}
+        output = 0.3 + 1.002 * at["pressure"]
+        names = [i.name for i in compensate.inputs]
+        point = {n: float(v[0]) for n, v in at.items() if n in {"pressure", *names}}
+        alone = space["compensate"](float(output[0]), *(point[n] for n in names))
+        stated = [
+            bc.budget(compensate, point).noise,
+            compensate(output=output, **inputs).uncertainty[0],
+            compensate(output=output, **inputs, method="first order").uncertainty[0],
+            loaded(output=output, **inputs).uncertainty[0],
+            alone[2],
+        ]
+        np.testing.assert_allclose(stated, want, rtol=0.1)
+        np.testing.assert_allclose(stated[3:], stated[2], rtol=1e-9)
+
+
+def test_noise_of_a_column_that_is_not_there_is_refused() -> None:
+    with pytest.raises(bc.InputError, match="temperature"):
+        bc.compensator(calibrated("temperature"))(output=100.0)

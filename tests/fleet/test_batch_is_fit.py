@@ -86,3 +86,18 @@ def test_any_method_and_model_give_the_numbers_of_fit() -> None:
     readings = line(5)
     found = bc.fit_batch(MODEL, {"one": readings, "two": line(6)}, method=method)
     assert_as_alone(MODEL, found["one"], readings, method)
+
+
+def test_what_fit_refuses_a_batch_refuses() -> None:
+    plain = line(7)
+    stuck = plain.with_column("output", np.full(len(plain), 1.5))
+    digits = plain.with_column("output", 1e15 + plain["output"])
+    few = plain.select([0, 1])
+    lot = {"plain": plain, "stuck": stuck, "digits": digits, "few": few}
+    found = bc.fit_batch(MODEL, lot)
+    assert found["plain"].ok
+    for name in ("stuck", "digits"):
+        with pytest.raises(bc.ModelError):
+            bc.fit(MODEL, lot[name], bc.LeastSquares())
+        assert found[name].reason and not found[name].ok and not found[name].names
+    assert not found["few"].ok

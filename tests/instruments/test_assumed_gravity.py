@@ -11,6 +11,7 @@ import pytest
 import bayescal as bc
 from bayescal_models import accelerometer_dividing_head, accelerometer_triad, ng_accelerometer
 from bayescal_models.accelerometer_triad.simulator import BASELINE
+from tests.support.command_line import needs_installation, run
 from tests.support.tiers import slow_but
 
 INSTRUMENT = accelerometer_triad.INSTRUMENT
@@ -89,3 +90,36 @@ def test_it_stays_in_files_of_readings_and_in_saved_calibrations(tmp_path: Path)
     assert np.all(scales(fitted)[1] > 0.99e6 * RELATIVE)
     loaded = bc.load(fitted.save(tmp_path / "calibration.nc"))
     np.testing.assert_allclose(scales(loaded), scales(fitted))
+
+
+def test_a_file_in_g_beside_one_in_metres_per_second_squared(tmp_path: Path) -> None:
+    made = accelerometer_triad.simulate(seed=3)
+    outputs = np.stack([made[f"output_{a}"] for a in AXES], axis=1)
+    for name, unit, factor, rows in (
+        ("a", "g", 1.0, outputs[:12]),
+        ("b", "m/s^2", 9.8, outputs[12:]),
+    ):
+        header = ",".join(f"acc_{a} [{unit}]" for a in AXES)
+        path = tmp_path / f"{name}.csv"
+        np.savetxt(path, factor * rows, delimiter=",", header=header, comments="")
+    readings = bc.read(sorted(tmp_path.glob("*.csv")), INSTRUMENT)
+    sd = scales(bc.fit(MODEL, readings, bc.LeastSquares()))[1]
+    assert np.all(sd < 1000)  # twelve poses in g tell local gravity
+
+
+@needs_installation
+def test_the_commands_say_it_until_it_is_given(tmp_path: Path) -> None:
+    readings = accelerometer_triad.simulate(seed=3)
+    outputs = 9.79 * np.stack([readings[f"output_{a}"] for a in AXES], axis=1)
+    path = tmp_path / "poses.csv"
+    header = ",".join(f"a{a} [m/s^2]" for a in AXES)
+    np.savetxt(path, outputs, delimiter=",", header=header, comments="")
+    asked = ("triad", path, "--poses", "--baseline", "--json")
+    found = {}
+    for given in ((), ("--local-gravity", "9.79")):
+        done = run(*asked, *given)
+        assert done.status == 0, done.err
+        covariance = np.array(done.data["covariance"])
+        found[given] = np.sqrt(covariance[3, 3])
+        assert ("--local-gravity" in done.err) == (not given)
+    assert found[()] > 0.99 * RELATIVE and found["--local-gravity", "9.79"] < 4e-4

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -9,6 +10,7 @@ import pytest
 
 import bayescal as bc
 from bayescal_models import accelerometer_triad
+from tests.support.command_line import needs_installation, run
 
 INSTRUMENT = accelerometer_triad.INSTRUMENT
 AXES = ("x", "y", "z")
@@ -59,3 +61,23 @@ def test_offsets_of_six_faces_are_half_sums_and_misalignments_their_priors() -> 
         assert found.samples(f"bias.constant[{axis}]").mean() == pytest.approx(half, abs=0.2)
     for pair in ("xy", "xz", "yz"):
         assert found.samples(f"misalignment.constant[{pair}]").std() == pytest.approx(20, rel=0.05)
+
+
+@needs_installation
+@pytest.mark.parametrize(("faces", "count", "added"), [(True, 6, 3), (False, 8, 1)])
+def test_the_command_names_the_poses_to_add(
+    faces: bool, count: int, added: int, tmp_path: Path
+) -> None:
+    outputs, offset, _ = triad(3, faces, count)
+    header = ",".join(f"a{a} [g]" for a in AXES)
+    np.savetxt(tmp_path / "poses.csv", outputs, "%.6f", ",", header=header, comments="")
+    done = run("triad", tmp_path / "poses.csv", "--poses", "--out", tmp_path / "unit")
+    assert done.status == 1  # the noise cannot be told
+    result = bc.load(tmp_path / "unit" / "calibration.nc")
+    for axis, true in zip(AXES, offset, strict=True):
+        draws = result.samples(f"bias.constant[{axis}]")
+        assert abs(draws.mean() - true) < 3 * draws.std()
+    columns: dict[str, Any] = {f"output_{a}": outputs[:, i] for i, a in enumerate(AXES)}
+    readings = bc.Measurements.from_arrays(INSTRUMENT, **columns)
+    add = bc.undetermined(INSTRUMENT.baseline(), readings).add
+    assert len(add) == added and all(str(pose) in done.err for pose in add)

@@ -101,3 +101,36 @@ def test_what_follows_the_past_of_a_column_is_fitted(name) -> None:
     assert found.verdict.ok
     draws = found.samples("response.pressure")
     assert draws.mean() == pytest.approx(0.3, abs=5 * draws.std())
+
+
+def test_a_delay_of_a_column_without_rates_is_refused() -> None:
+    late = effects.thermometer_delay(10.0, source=S, column="pressure")
+    with pytest.raises(bc.ModelError, match="pressure"):
+        fitted(0.3 * PRESSURE, POLYNOMIALS[1], late)
+
+
+@pytest.mark.parametrize(
+    "prior", [bc.HalfNormal(1.0), bc.HalfNormal, bc.LogNormal(1.0, 0.5), bc.HalfCauchy(1.0)]
+)
+def test_a_coefficient_has_no_prior_that_is_not_gaussian(prior) -> None:
+    with pytest.raises(bc.ModelError, match="Normal"):
+        bc.Coefficient("mV", prior)
+
+
+@pytest.mark.parametrize(
+    ("law", "named"),
+    [
+        (bc.Heteroscedastic("run"), "run"),
+        (bc.Heteroscedastic("elapsed"), "elapsed"),
+        (bc.Heteroscedastic("output"), "output"),
+        (bc.SummedNoise(10.0, 1000.0, ("correlated",), scatter="run"), "run"),
+        (bc.Quantised(1e6), "1e"),
+    ],
+)
+def test_a_law_that_cannot_be_of_these_readings_is_refused(law, named) -> None:
+    instrument = sensor()
+    readings = bc.Measurements.from_arrays(
+        instrument, run=np.repeat("a", N), time=np.arange(N), pressure=PRESSURE, output=PRESSURE
+    )
+    with pytest.raises(bc.ModelError, match=named):
+        bc.fit(instrument.baseline().with_noise(law), readings)

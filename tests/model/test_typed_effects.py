@@ -211,7 +211,7 @@ def test_a_body_is_one_state_wherever_it_is_used(tmp_path: Path) -> None:
     given = {"temperature": temperature, "temperature_lag": lag}
     rows = np.column_stack([output, *(given.get(i.name, 0 * lag) for i in used.inputs)])
     np.testing.assert_allclose(run_header(used, rows, tmp_path)[:, 0], by_fit.value, atol=1e-9)
-    for suffix in ("py", "html"):
+    for suffix in ("py", "h"):
         text = used.export(tmp_path / f"die.{suffix}").read_text("utf-8")
         assert "temperature_lag" in text and "temperature_lag_2" not in text
 
@@ -329,3 +329,17 @@ def test_kink_at_a_temperature_is_fitted_saved_and_loaded(tmp_path: Path) -> Non
     for name, truth in (("bias.kink", 0.3), ("bias.kink.w", 2.0)):
         draws = again.samples(name)
         assert abs(draws.mean() - truth) < 4 * draws.std()
+
+
+def test_column_that_is_not_there_is_named(readings) -> None:
+    without = bc.Measurements.from_arrays(
+        GYROSCOPE, {n: readings[n] for n in ("time", "temperature", "output")}
+    )
+    with pytest.raises(bc.InputError, match=r"supply_voltage.*the given arrays.*temperature"):
+        bc.effect("own: s * supply_voltage", readings=without, instrument=GYROSCOPE)
+
+
+@pytest.mark.parametrize("name", ["unknown(run)", "unknown(run, jump)"])
+def test_unknown_dependence_on_labels_is_refused(readings, name) -> None:
+    with pytest.raises(bc.ModelError, match="run"):
+        bc.fit(GYROSCOPE.baseline() + name, readings, bc.LeastSquares())

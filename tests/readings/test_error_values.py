@@ -156,3 +156,14 @@ def test_lost_sign_is_named_and_restored(tmp_path: Path) -> None:
 def test_temperature_that_turns_round_at_zero_is_no_lost_sign(tmp_path: Path) -> None:
     time, warm, output = log(6, 0.0, 40.0)
     assert len(bc.read(file_of(tmp_path, time, np.abs(warm), output), STILL)) == ROWS
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("period", [37.0, 23.0])
+def test_another_level_shuts_the_gate_whatever_was_found(period: float) -> None:
+    """A counter of no known period: a step of the output in temperature stands for the wrap, and explains it."""
+    time, warm, output = log(7)
+    readings = readings_of(time, np.mod(warm, period), output)
+    trail = bc.calibrate(STILL.for_readings(readings).baseline(), readings)
+    assert not trail.ok
+    assert "column.odd" in [claim.code for claim in trail.gate.claims]

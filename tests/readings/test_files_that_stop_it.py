@@ -10,6 +10,7 @@ import scipy.io
 
 import bayescal as bc
 from bayescal_models import mems_gyro
+from tests.support.command_line import run
 from tests.support.hostile_files import HEADER, REFUSED, row, sheet, table_rows, write_book
 
 GYRO = mems_gyro.INSTRUMENT
@@ -73,3 +74,42 @@ def test_a_structure_of_a_log_is_read_beside_others(tmp_path: Path, packed: bool
     scipy.io.savemat(path, {"log": {**some, **beside}, "cells": cells}, do_compression=packed)
     found = bc.read(path, GYRO, units={"time": "s", "temperature": "degC", "output": "deg/s"})
     np.testing.assert_array_equal(found["output"], some["output"])
+
+
+HEAD = b"time [s],temperature [degC],output [deg/s]\n"
+
+
+NO_TABLES = {
+    "a quotation mark behind a return": b'\r"',
+    "the same in UTF-16": '\r"'.encode("utf-16"),
+    "the same in a header": b'a,b\r"\n1,2\n',
+    "a quotation mark": b'"',
+    "quotation marks": b'"' * 200_001,
+    "quoted nothing": b'"",""\n"",""\n',
+    "separators": b";;;\n;;;\n",
+    "tabs": b"\t\t\t",
+    "zeros": b"\0" * 50,
+    "a mark": b"\xef\xbb\xbf",
+    "a mark of UTF-16": b"\xff\xfe",
+    "a mark and a quotation mark": b'\xef\xbb\xbf"',
+    "half a character of UTF-16": b"\xff\xfe\x00\xd8",
+    "returns": b"\r\r\r",
+    "a form feed": b"\x0c",
+    "an end of file": b"\x1a",
+    "no characters": b"\xff\xff\xff",
+    "comments": b"# one\n# two",
+    "a quotation mark that never ends": HEAD + b'0,"20,1\n1,21,2\n',
+    "one in the header": b'time [s],temperature [degC],"output [deg/s]\n0,20,1\n1,21,2\n',
+    "quoted text without end": HEAD + b'0,"' + b"x" * 200_000 + b'",1\n1,20,2\n',
+    "a name without end": b'"' + b"x" * 200_000 + b'",b\n1,2\n',
+    "numbers between blanks": b"0 20 1\n1 21 2\n",
+}
+
+
+@pytest.mark.parametrize("content", NO_TABLES.values(), ids=NO_TABLES)
+def test_a_file_that_is_no_table_ends_with_status_2(content: bytes, tmp_path: Path) -> None:
+    path = tmp_path / "content.csv"
+    path.write_bytes(content)
+    ran = run("fit", path, "--instrument", "mems_gyro")
+    assert ran.status == 2
+    assert "content.csv" in ran.err and "Traceback" not in ran.err

@@ -57,3 +57,12 @@ def test_the_one_triple_in_their_dimension_is_read(unit: str, names: str, tmp_pa
     each = slice(None, None, len(readings) // len(values))
     for i, axis in enumerate("xyz"):
         np.testing.assert_allclose(readings[f"output_{axis}"][each], values[:, i] / factor)
+
+
+def test_of_two_triples_the_user_says_which(tmp_path: Path) -> None:
+    path, values = table(tmp_path, ("left_x left_y left_z", "g"), ("right_x right_y right_z", "g"))
+    with pytest.raises(bc.InputError, match="left_x"):
+        bc.read(path, accelerometer_triad.INSTRUMENT)
+    columns = {f"output_{a}": f"left_{a}" for a in "xyz"}
+    readings = bc.read(path, accelerometer_triad.INSTRUMENT, columns=columns)
+    np.testing.assert_allclose(readings["output_z"], values[:, 2])

@@ -223,3 +223,10 @@ def test_a_run_under_two_labels_is_noticed(step: float, copied: bool) -> None:
     found = [flag for flag in readings.flags if "number" in flag]
     assert len(found) == (copied and not step)
     assert all("'again'" in flag and "100%" in flag for flag in found)
+
+
+def test_columns_come_as_a_mapping_behind_the_instrument():
+    m = bc.Measurements.from_arrays(SCALE, {"output": [1.0, 2.0], "humidity [%]": [40.0, 41.0]})
+    assert m.has("humidity") and len(m) == 2
+    with pytest.raises(bc.InputError, match="instrument"):
+        bc.Measurements.from_arrays({"output": [1.0, 2.0]}, SCALE)  # pyright: ignore[reportArgumentType]
