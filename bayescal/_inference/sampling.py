@@ -48,8 +48,9 @@ NUMBERS = 1_000_000  # in what is computed at once, to bound memory,
 IN_CACHE = 150_000  # and to stay in the cache
 FIRST_DRAWS = 256  # draws of a nonlinear model whose corrections are looked at before those of the others are computed
 DISTANCES_TOGETHER = 512  # draws whose distances to all kernels are taken at once
+# Numbers in columns of draws beyond where polynomials were fitted, of which a random share is computed where more are.
+FAR_NUMBERS = 600_000
 NEGLIGIBLE = 40.0  # below the largest log weight, from which a draw counts nothing
-FAR_NATS = 10.0  # below the largest log density, from which products need not be exact where polynomials end
 TABLES = 2_000_000  # numbers in tables of the readings that are computed at once
 COSTLY_READINGS = 1000  # readings, from which on a pass over them costs
 PROPOSALS, FEWER_PROPOSALS, FEWEST_PROPOSALS = 8192, 4096, 2048  # by what each costs,
@@ -143,6 +144,8 @@ class ManyPhi:
         if self.table is None:  # few at a time, so that the deadline is asked
             self.together = min(self.together, max(16, IN_CACHE // self.size))
         self.highest, self.top = float(mode.log_density), mode.v
+        self.random = np.random.default_rng(0)
+        self.far_share = min(1.0, FAR_NUMBERS / (PRIOR * PROPOSALS * self.size))
 
     def at(self, v: Float[np.ndarray, "b d"], normal: np.ndarray) -> tuple[np.ndarray, Drawn]:
         """Log density of each φ, and the x that standard normal numbers stand for given it."""
@@ -151,15 +154,19 @@ class ManyPhi:
             found = self._one_by_one(v, normal)
         else:
             found = self._drawn(self.table.grams(v), v, normal, self.table.at)
-            total = _sum(found.log_marginal, prior)
-            beyond = ~self.table.reaches(v) & (total > self.highest - FAR_NATS)
-            if beyond.any():
-                exact = self._one_by_one(v[beyond], normal[beyond])
+            # A random share of these stands for all: a hill far from the mode is seen, at a bounded cost.
+            beyond = ~self.table.reaches(v)
+            computed = beyond & (self.random.random(len(v)) < self.far_share)
+            found.log_marginal[beyond] = NOWHERE
+            if computed.any():
+                exact = self._one_by_one(v[computed], normal[computed])
                 for all_of_it, new in zip(found, exact, strict=True):
-                    all_of_it[beyond] = new
+                    all_of_it[computed] = new
         total = _sum(found.log_marginal, prior)
-        if total[best := int(np.argmax(total))] > self.highest:
+        if len(v) and total[best := int(np.argmax(total))] > self.highest:
             self.highest, self.top = float(total[best]), v[best]
+        if self.table is not None:
+            total[computed] -= math.log(self.far_share)
         return total, found
 
     def _drawn(
