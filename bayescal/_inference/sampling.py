@@ -49,7 +49,7 @@ IN_CACHE = 150_000  # and to stay in the cache
 FIRST_DRAWS = 256  # draws of a nonlinear model whose corrections are looked at before those of the others are computed
 DISTANCES_TOGETHER = 512  # draws whose distances to all kernels are taken at once
 # Numbers in columns of draws beyond where polynomials were fitted, of which a random share is computed where more are.
-FAR_NUMBERS = 600_000
+FAR_NUMBERS = 40_000
 NEGLIGIBLE = 40.0  # below the largest log weight, from which a draw counts nothing
 TABLES = 2_000_000  # numbers in tables of the readings that are computed at once
 COSTLY_READINGS = 1000  # readings, from which on a pass over them costs
