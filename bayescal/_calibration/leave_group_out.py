@@ -138,7 +138,7 @@ def _fold(whole: Problem, mode: Mode, kept: np.ndarray, out: np.ndarray) -> _Fol
     parts = (Part(whole.record, rows) for rows in (kept, out))
     problems = (Problem(whole.layout, part, whole.size_factors) for part in parts)
     fitted, predicted = (Density(one, mode.x, mode.flat, mode.v) for one in problems)
-    v, _ = climb(fitted, [mode.v], mode.covariance, NOTHING_LEFT)
+    v = climb(fitted, mode.v)
     kinds = np.array(whole.kinds)
     # A law that follows a column is that of all readings: where it lies for these, the kept may have none.
     v = np.where((kinds == "noise") & bool(whole.noise.covariates), mode.v, v)

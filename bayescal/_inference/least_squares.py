@@ -22,7 +22,6 @@ from scipy.linalg.lapack import dgeqrf, dtrtri, dtrtrs  # pyright: ignore[report
 from bayescal._core.parallel import on_one_thread
 from bayescal._core.progress import stage
 from bayescal._inference import trust
-from bayescal._inference.density import Density
 from bayescal._inference.gaussian import Prior
 from bayescal._inference.laplace import NOTHING_KNOWN, Mode, find_mode
 from bayescal._inference.method import CHAINS, Draws, Method, Outcome, Verdict
@@ -218,12 +217,13 @@ class _Refinement:
 
     def __init__(self, problem: Problem, mode: Mode) -> None:
         self.problem, self.mode = problem, mode
-        self.density = Density(problem, mode.x, mode.flat)
+        # One variance for all readings: products over them do not depend on it.
+        self.even = problem.noise.even(problem.record.frame) and not problem.noisy
         layout, self.gaussian = problem.layout, problem.noise.gaussian
         # All scales stay where the marginal likelihood of the mode has them, but for one standard deviation of all
         # readings; where coefficients of stated sizes explain any readings its prior alone says how large it is.
         stated = sum(b.size for b in layout.x_blocks if b.coefficient.group_sd is None)
-        one = self.gaussian and self.density.even and problem.record.size > stated
+        one = self.gaussian and self.even and problem.record.size > stated
         noise = layout.positions("noise") if one else []
         self.noise_place = noise[0] if len(noise) == 1 else None
         self.places = layout.moving
@@ -339,7 +339,7 @@ class _Refinement:
         """A function of φ's coordinates: θ integrated out of the model linearised here, by QR."""
         table, extra = self.table(theta, v)
         # With one variance for all readings R of the plain table stands for it: whitening only divides by σ.
-        even = self.density.even
+        even = self.even
         upper = np.triu(dgeqrf(table)[0][: table.shape[1]]) if even else table
         lost = np.full((theta.size, theta.size), np.nan)
         nowhere = _Given(np.full(theta.size, np.nan), lost, np.nan, np.nan)

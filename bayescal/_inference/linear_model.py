@@ -267,7 +267,7 @@ def linear_model(problem: Problem, mode: Mode) -> LinearModel:
     # Where x stands in units of its prior: a prior of no width has its coefficient at the mean.
     z = np.where(prior.sd > 0, (x - prior.mean) / np.where(prior.sd > 0, prior.sd, 1.0), 0.0)
     own = [t.known.of for t in problem.in_x for _ in range(t.at.start, t.at.stop)]
-    extra = density.extra(line)
+    extra = problem.extra(line)
     return LinearModel(
         problem=problem,
         mode=mode,

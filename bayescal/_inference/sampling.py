@@ -26,7 +26,7 @@ from bayescal._inference.density import NOWHERE, Density
 from bayescal._inference.gaussian import Drawn, Gram, draw
 from bayescal._inference.joint import FREEDOM, correction, normal_numbers
 from bayescal._inference.laplace import Mode, find_mode
-from bayescal._inference.noise_on_record import grams
+from bayescal._inference.newton import GaussianFit, Values
 from bayescal._inference.problem import Problem
 from bayescal._inference.trust import K_HAT
 from bayescal._model.prior import Flat, FlatLine, HalfCauchy, HalfNormal
@@ -36,6 +36,7 @@ from bayescal._model.prior import Flat, FlatLine, HalfCauchy, HalfNormal
 HIGHER_NATS = 1.0
 
 USUAL_ROUNDS = 3  # rounds of adaptation; more only where the last one's weights are unsound
+ROUNDS_OF_FEW = 4  # at most, of a density that costs little
 KERNELS = 256  # draws of the round before, around each of which the next one proposes;
 FEWEST_KERNELS = 128  # in a few dimensions
 KERNEL = 0.7  # width of each, in standard deviations of φ: so wide that the mixture is heavier than what it follows
@@ -51,7 +52,6 @@ DISTANCES_TOGETHER = 512  # draws whose distances to all kernels are taken at on
 # Numbers in columns of draws beyond where polynomials were fitted, of which a random share is computed where more are.
 FAR_NUMBERS = 40_000
 NEGLIGIBLE = 40.0  # below the largest log weight, from which a draw counts nothing
-TABLES = 2_000_000  # numbers in tables of the readings that are computed at once
 COSTLY_READINGS = 1000  # readings, from which on a pass over them costs
 PROPOSALS, FEWER_PROPOSALS, FEWEST_PROPOSALS = 8192, 4096, 2048  # by what each costs,
 OF_A_PART = 128  # and at least where a structure is part of an average
@@ -151,15 +151,15 @@ class ManyPhi:
         """Log density of each φ, and the x that standard normal numbers stand for given it."""
         prior = self.problem.log_priors(v)
         if self.table is None:
-            found = self._one_by_one(v, normal)
+            found = self._drawn(self.density.grams(v), v, normal)
         else:
-            found = self._drawn(self.table.grams(v), v, normal, self.table.at)
+            found = self._drawn(self.table.grams(v), v, normal)
             # A random share of these stands for all: a hill far from the mode is seen, at a bounded cost.
             beyond = ~self.table.reaches(v)
             computed = beyond & (self.random.random(len(v)) < self.far_share)
             found.log_marginal[beyond] = NOWHERE
             if computed.any():
-                exact = self._one_by_one(v[computed], normal[computed])
+                exact = self._drawn(self.density.grams(v[computed]), v[computed], normal[computed])
                 for all_of_it, new in zip(found, exact, strict=True):
                     all_of_it[computed] = new
         total = _sum(found.log_marginal, prior)
@@ -169,32 +169,9 @@ class ManyPhi:
             total[computed] -= math.log(self.far_share)
         return total, found
 
-    def _drawn(
-        self, grams: Gram, v: Float[np.ndarray, "b d"], normal: np.ndarray, at: np.ndarray
-    ) -> Drawn:
+    def _drawn(self, grams: Gram, v: Float[np.ndarray, "b d"], normal: np.ndarray) -> Drawn:
         prior = self.problem.prior(self.problem.hyper(v.T), self.mode.flat, (len(v),))
-        return draw(grams, self.size, prior, at, normal)
-
-    def _one_by_one(self, v: Float[np.ndarray, "b d"], normal: np.ndarray) -> Drawn:
-        """The same from products that are computed for each φ."""
-        problem, table = self.problem, self.density.tabulated
-        if table is not None:
-            return self._drawn(table.grams(v), v, normal, table.at)
-        if problem.corrected or problem.noisy or not problem.noise.gaussian:
-            made = [self.density.gram(one, problem.hyper(one)) for one in v]
-            grams = Gram(*(np.stack([np.asarray(g[i]) for g in made]) for i in range(4)))
-        else:
-            together = max(8, TABLES // (self.size * (problem.size + 1)))
-            parts = [self._computed(part) for part in np.array_split(v, -(-len(v) // together))]
-            grams = Gram(*(np.concatenate([part[i] for part in parts]) for i in range(4)))
-        return self._drawn(grams, v, normal, self.mode.x)
-
-    def _computed(self, v: Float[np.ndarray, "b d"]) -> Gram:
-        problem, record = self.problem, self.problem.record
-        hyper, count = problem.hyper(v.T), len(v) if problem.moving else 1
-        table = problem.linearise_draws(self.mode.x, hyper, count)
-        each = {name: np.broadcast_to(value, len(v)) for name, value in hyper.items()}
-        return Gram.of(*grams(problem.noise, record, table, each, len(v)))
+        return draw(grams, self.size, prior, self.density.origin, normal)
 
     def stretches(self, v: Float[np.ndarray, "s d"]) -> list[np.ndarray]:
         return np.array_split(v, -(-len(v) // self.together))
@@ -574,3 +551,32 @@ def _match(mode: Mode, v: np.ndarray, log_weight: np.ndarray) -> Mixture:
     pick = np.minimum(np.searchsorted(np.cumsum(weight), ladder), weight.size - 1)
     wide = WIDE_RATIO * np.linalg.cholesky(mode.covariance)
     return Mixture(v[pick], KERNEL * chol, mode.v, wide, 0.1)
+
+
+def importance_draws(
+    values: Values, fit: GaussianFit, seed: int, count: int
+) -> tuple[Float[np.ndarray, "s d"], Float[np.ndarray, "s"], float]:
+    """Return draws (s, d), their smoothed weights, summing to one, and the log evidence.
+
+    Proposals are adapted in the coordinates of the Gaussian fit.
+
+    Args:
+        values: log density.
+        fit: at its mode.
+        seed: of every random number.
+        count: of draws.
+    """
+    dim, random = len(fit.v), np.random.default_rng(seed)
+    origin, identity = np.zeros(dim), np.eye(dim)
+    root = np.linalg.cholesky(fit.covariance)
+    mode = Mode(origin[:0], origin, identity, fit.log_density, 0.0, 0.0, origin[:0], False)
+
+    def centred(u: Float[np.ndarray, "s d"]) -> Float[np.ndarray, "s"]:
+        return values(fit.v + u @ root.T)
+
+    mixture = adapted(mode, centred, None, random, count // 2, ROUNDS_OF_FEW, math.inf)
+    u, log_proposal = propose(mixture, None, random, count)
+    log_weight = centred(u) - log_proposal
+    evidence = float(np.asarray(logsumexp(log_weight))) - math.log(count)
+    evidence += float(np.linalg.slogdet(root)[1])
+    return fit.v + u @ root.T, smoothed(log_weight)[0], evidence

@@ -317,10 +317,10 @@ class Structures:
         if near is None:
             found = find_mode(problem, still=STILL_SD, wanted_from=wanted)
         else:
-            known, width = carried(problem, near.problem, near.mode)
+            known = carried(problem, near.problem, near.mode)
             begin = starts(problem, near.problem, known, hints)
             x = problem.x_of(near.problem, near.mode.x)
-            found = find_mode(problem, begin, width, x, STILL_SD, wanted_from=wanted)
+            found = find_mode(problem, begin, x, STILL_SD, wanted_from=wanted)
         sized = [e for n, e in self.candidates.items() if n in structure.effects and has_size(e)]
         problem, mode, log_evidence = averaged(problem, found, sized, wanted)
         weighed = Weighed(structure, log_evidence, log_prior, problem, mode)
@@ -384,44 +384,20 @@ class Structures:
         return max(self.visited.values(), key=lambda w: w.total)
 
 
-def carried(
-    problem: Problem, near: Problem, mode: Mode
-) -> tuple[dict[str, float], Float[np.ndarray, "d d"]]:
-    """Another structure's φ̂ by name, in these priors' coordinates, and a first guess of φ's covariance.
-
-    Where the prior of a shape is another, both are moved: what the readings say, which is the other's Gaussian fit
-    without its prior, counts under this one's.
+def carried(problem: Problem, near: Problem, mode: Mode) -> dict[str, float]:
+    """Another structure's φ̂ by name, in coordinates of this one's priors.
 
     Args:
         problem: the structure to fit.
         near: the other one.
         mode: where that one has its mode.
     """
-    places = near.layout.index_in_phi
-    names = [n for n in problem.layout.index_in_phi if n in places]
-    at, there = [problem.layout.index_in_phi[n] for n in names], [places[n] for n in names]
-    scale, middle = np.ones(len(at)), np.zeros(len(at))  # of these coordinates in the other's
-    for k, (i, j) in enumerate(zip(at, there, strict=True)):
-        own, other = problem.hypers[i].prior, near.hypers[j].prior
-        if own != other:
-            # Both coordinates are linear in one another where both priors are of one family (log-normal, say): two
-            # points tell scale and middle.
-            ends = [own.coordinate(float(other.value(np.float64(v)))) for v in (0.0, 1.0)]
-            scale[k], middle[k] = ends[1] - ends[0], ends[0]
-    values = middle + scale * mode.v[there]
-    width = scale[:, None] * mode.covariance[np.ix_(there, there)] * scale
-    moved = np.array([(*pair,) != (1.0, 0.0) for pair in zip(scale, middle, strict=True)])
-    if moved.any() and np.all(np.isfinite(width)):
-        # In this structure's coordinate the other's prior is N(middle, scale²) and its own N(0, 1): one is taken out
-        # of the Gaussian fit and the other put in. Where that leaves no positive precision the fit is carried over as
-        # it is.
-        precision = np.linalg.inv(width) + np.diag(moved * (1 - scale**-2))
-        if np.all(np.linalg.eigvalsh(precision) > 0):
-            pull = np.linalg.solve(width, values) - moved * middle / scale**2
-            values, width = np.linalg.solve(precision, pull), np.linalg.inv(precision)
-    wide = UNKNOWN * np.eye(len(problem.hypers))
-    wide[np.ix_(at, at)] = width
-    return dict(zip(names, values.tolist(), strict=True)), wide
+    found, places = {}, near.layout.index_in_phi
+    for hyper in problem.hypers:
+        if (j := places.get(hyper.name)) is not None:
+            own, other, v = hyper.prior, near.hypers[j].prior, mode.v[j]
+            found[hyper.name] = float(v if own == other else own.coordinate(other.value(v)))
+    return found
 
 
 def starts(
@@ -484,7 +460,7 @@ def averaged(
     else:
         if chosen != begun:
             problem = Problem(problem.layout, problem.record, dict(chosen))
-            mode = find_mode(problem, [mode.v], mode.covariance, mode.x, STILL_SD)
+            mode = find_mode(problem, [mode.v], mode.x, STILL_SD)
             gains = SizeGains.of(problem, mode, chosen)
             if gains is None:
                 return problem, mode, -math.inf

@@ -33,7 +33,7 @@ BEHIND = {
         _data.dataset_checks: refuse_backward_time refuse_one_temperature
         _data.header_matching: ExpectedColumns InstrumentLike MatchedFile output_name unit_of unused_options
         _inference: sampled_products trust
-        _inference.laplace: climb gaussian_fit
+        _inference.newton: ByValues climb gaussian_fit
         _inference.method: Method
         _inference.sampling: PriorShare around_mode propose
         _model: forward
