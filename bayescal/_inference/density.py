@@ -17,7 +17,6 @@ from bayescal._inference.gaussian import Conditional, Gram, condition, draw
 from bayescal._inference.newton import ByValues
 from bayescal._inference.noise_on_record import (
     Independent,
-    Terms,
     Whitening,
     density_terms,
     total_log_density,
@@ -29,9 +28,8 @@ from bayescal._model.composition import Linearised
 
 NOWHERE = -1e300  # log density where there is none
 NEWTON_STEPS = 50  # to the mode of x at most
-NEWTON_NATS = 1e-11  # that the last of them gains
+NEWTON_NATS = 1e-6  # that the last of them gains: one more would gain the square of that
 TINY = 1e-12  # beside one, so that a matrix has an inverse
-TABLES = 2_000_000  # numbers in tables of the readings that are computed at once
 KEPT_LINES = 64  # linearisations
 
 
@@ -46,6 +44,7 @@ class Density:
         there: coordinates of φ at which a nonlinear structure is linearised in its shapes too; the middle of their
             priors if not given.
         held: variance that noise on inputs adds to each reading; that at x, if not given.
+        like: the density about a point nearby, which bends alike.
     """
 
     problem: Problem
@@ -53,6 +52,7 @@ class Density:
     flat: Float[np.ndarray, "p"]
     there: Float[np.ndarray, "d"] | None = None
     held: Float[np.ndarray, "n"] | None = None
+    like: Density | None = None
 
     scale = 1.0  # of φ's coordinates, in which priors are about standard normal
 
@@ -141,42 +141,56 @@ class Density:
             extra = np.stack(beside)
         width = np.where(prior.sd > 0, prior.sd, 1.0)
 
-        def look(move: np.ndarray) -> tuple[np.ndarray, Terms, np.ndarray, np.ndarray]:
-            left = residual - (jacobian @ move[:, :, None])[:, :, 0]
-            terms = density_terms(noise, each, record, left, extra)
-            z = prior.weight * (x + move - prior.mean) / width
-            return terms.squares + np.sum(z**2, axis=1), terms, left, z
+        def look(some: np.ndarray, move: np.ndarray) -> list[np.ndarray]:
+            """What is to be least, its slope and curvature by what is left, weights of a mixture, z; at some φ."""
+            left = residual[some] - (jacobian[some] @ move[:, :, None])[:, :, 0]
+            own = {name: np.broadcast_to(v, (len(vs),))[some] for name, v in each.items()}
+            beside = extra[some] if np.ndim(extra) else extra
+            terms = density_terms(noise, own, record, left, beside)
+            z = prior.weight * (x + move - prior.mean) / width[some]
+            least = terms.squares + np.sum(z**2, axis=1)
+            weight = terms.weight(left)
+            each_of = terms.slope, terms.curvature, weight, z, terms.logdet
+            return [least, *map(np.array, each_of)]
 
-        def products(weight: np.ndarray) -> np.ndarray:
-            return (jacobian * weight[:, :, None]).transpose(0, 2, 1) @ jacobian
+        def products(some: np.ndarray, weight: np.ndarray) -> np.ndarray:
+            return (jacobian[some] * weight[:, :, None]).transpose(0, 2, 1) @ jacobian[some]
 
         move = np.tile(self._mode - x, (len(vs), 1))
-        value, terms, left, z = look(move)
+        value, *rest = look(np.arange(len(vs)), move)
+        left_over = np.arange(len(vs)) if problem.size else np.zeros(0, dtype=int)
         identity = np.eye(problem.size)
-        for _ in range(NEWTON_STEPS if problem.size else 0):
-            pull = prior.sd * (jacobian.transpose(0, 2, 1) @ terms.slope[:, :, None])[:, :, 0]
-            before, open_ = value, np.ones(len(vs), dtype=bool)
-            for weight in (terms.curvature, terms.weight(left)):
-                inner = prior.sd[:, :, None] * products(weight) * prior.sd[:, None, :]
-                inner = inner + prior.weight * identity
-                step = np.linalg.solve(inner + TINY * identity, (pull - z)[:, :, None])[:, :, 0]
-                there = look(np.where(open_[:, None], move + prior.sd * step, move))
-                better = open_ & (there[0] <= value)
-                move = np.where(better[:, None], move + prior.sd * step, move)
-                value = np.where(better, there[0], value)
-                open_ &= ~better
-                if not open_.any():
-                    break
-            value, terms, left, z = look(move) if open_.any() else there
-            if np.max(before - value) < NEWTON_NATS:
+        for _ in range(NEWTON_STEPS):
+            if not len(left_over):
                 break
+            slope, curvature, weight, z, _ = (a[left_over] for a in rest)
+            sd = prior.sd[left_over]
+            pull = sd * (jacobian[left_over].transpose(0, 2, 1) @ slope[:, :, None])[:, :, 0] - z
+            trying, before = np.arange(len(left_over)), value[left_over]
+            for weights in (curvature, weight):
+                own = left_over[trying]
+                inner = products(own, weights[trying]) * sd[trying, :, None] * sd[trying, None, :]
+                inner = inner + prior.weight * identity + TINY * identity
+                step = np.linalg.solve(inner, pull[trying, :, None])[:, :, 0]
+                there = look(own, move[own] + sd[trying] * step)
+                better = there[0] <= value[own]
+                put = own[better]
+                move[put] += (sd[trying] * step)[better]
+                for whole, new in zip((value, *rest), there, strict=True):
+                    whole[put] = new[better]
+                trying = trying[~better]
+                if not len(trying):
+                    break
+            left_over = left_over[before - value[left_over] > NEWTON_NATS]
         self._mode = x + move[0]
-        jtj, jtr = products(terms.curvature), jacobian.transpose(0, 2, 1) @ terms.slope[:, :, None]
+        slope, curvature, _, z, logdet = rest
+        jtj = products(np.arange(len(vs)), curvature)
+        jtr = (jacobian.transpose(0, 2, 1) @ slope[:, :, None])[:, :, 0]
         # The quadratic about the mode, rtr − 2·jtrᵀ(δ − m) + (δ − m)ᵀ·jtj·(δ − m), with its powers of δ collected:
         # these are the products at the point itself, where δ = x − x̂ is zero.
-        across, jtr = (jtj @ move[:, :, None])[:, :, 0], jtr[:, :, 0]
-        squares = terms.squares + np.sum(move * (2 * jtr + across), axis=1)
-        return Gram(jtj, jtr + across, squares, terms.logdet)
+        across = (jtj @ move[:, :, None])[:, :, 0]
+        squares = value - np.sum(z**2, axis=1) + np.sum(move * (2 * jtr + across), axis=1)
+        return Gram(jtj, jtr + across, squares, logdet)
 
     def squares(self, hyper: Values, gram: Gram) -> float:
         """Of the whitened residuals at the point itself; under a heavy-tailed law what stands in their place."""
@@ -193,12 +207,19 @@ class Density:
 
     @cached_property
     def _by_values(self) -> ByValues:
-        return ByValues(self.values)
+        near = self.like if self.like is not None and self.like.tabulated is None else None
+        self.like = None  # not a chain of all that were
+        return ByValues(self.values, like=near and near._by_values)
 
-    def evaluate(self, v: np.ndarray) -> Any:
-        """Return the log density at a coordinate with gradient and curvature; None where there is none."""
+    def evaluate(self, v: np.ndarray, exact: bool = False) -> Any:
+        """Return the log density at a coordinate with gradient and curvature; None where there is none.
+
+        Args:
+            v: the coordinate.
+            exact: whether a curvature that is about right will not do.
+        """
         if self.tabulated is None:
-            return self._by_values.evaluate(v)
+            return self._by_values.evaluate(v, exact)
         if self._evaluated is None or not np.array_equal(self._evaluated[0], v):
             self._evaluated = v.copy(), self.tabulated.evaluate(v, self.flat, True)
         return self._evaluated[1]

@@ -70,10 +70,6 @@ class Expansion:
         apart = float(np.max(np.abs(v - self.middle), initial=0.0))
         return apart / self.half if self.half else np.inf if apart else 0.0
 
-    def of_rows(self, rows: np.ndarray) -> Expansion:
-        """Return the same of some of the readings."""
-        return Expansion(self.columns[rows], self.middle, self.half, self.orders)
-
     def shares(self, v: Float[np.ndarray, "d"]) -> Shares:
         """Return the factors of the columns at a coordinate inside."""
         if not self.half:
@@ -97,9 +93,6 @@ class ListedColumns(Expansion):
 
     def values(self, v: Float[np.ndarray, "b d"]) -> Float[np.ndarray, "b r"]:
         return np.all(v[:, None] == self.middle, axis=2).astype(float)
-
-    def of_rows(self, rows: np.ndarray) -> ListedColumns:
-        return ListedColumns(self.columns[rows], self.middle)
 
 
 class PolynomialColumns(Expansion):

@@ -97,10 +97,6 @@ class Conditional:
         return self.sd[:, None] * self.root_of_z
 
     @property
-    def variance_of_z(self) -> Float[np.ndarray, "p"]:
-        return np.einsum("ij,ij->i", self.root_of_z, self.root_of_z)
-
-    @property
     def covariance(self) -> Float[np.ndarray, "p p"]:
         return self.root @ self.root.T
 

@@ -88,10 +88,7 @@ def find_mode(
             top = highest(top, climbed([np.where(promoted, -top.v, top.v)], x))
         for along in across(problem, top.v):  # and one of many maxima may be higher
             top = highest(top, climbed([*along], top.x))
-    density = top.density
-    if density is None:
-        density = Density(problem, top.x, flat, top.v)
-    return at_mode(density, top.v, top.change, top.x)
+    return at_mode(top.density, top.v, top.change, top.x)
 
 
 def _start(problem: Problem) -> Float[np.ndarray, "p"]:
@@ -122,7 +119,7 @@ class _Summit(NamedTuple):
     change: float  # in the last round
     v: np.ndarray
     x: np.ndarray
-    density: Density | None = None  # of φ there, where it is the one that was climbed
+    density: Density  # of φ there
 
 
 def _climbed(
@@ -151,7 +148,7 @@ def _climbed(
     for _ in range(ROUNDS):
         goal = climb(density, v, wanted_from)
         for _ in range(HALVINGS):
-            there, higher = _about_x(problem, density.x, goal, flat, still)
+            there, higher = _about_x(problem, density.x, goal, flat, still, density)
             if higher > value - nothing:
                 break
             goal = v + 0.3 * (goal - v)
@@ -161,7 +158,7 @@ def _climbed(
         v, density, value = goal, there, higher
         if change < still:
             break
-    return _Summit(value, change, v, density.x)
+    return _Summit(value, change, v, density.x, density)
 
 
 def best(density: Density, starts: Sequence[np.ndarray]) -> np.ndarray:
@@ -172,10 +169,15 @@ def best(density: Density, starts: Sequence[np.ndarray]) -> np.ndarray:
 
 
 def _about_x(
-    problem: Problem, x: np.ndarray, v: np.ndarray, flat: np.ndarray, still: float
+    problem: Problem,
+    x: np.ndarray,
+    v: np.ndarray,
+    flat: np.ndarray,
+    still: float,
+    like: Density | None = None,
 ) -> tuple[Density, float]:
     """The density of φ about x̂ given φ, and its value there."""
-    density = Density(problem, mode_of_x(problem, x, v, flat, still), flat, v)
+    density = Density(problem, mode_of_x(problem, x, v, flat, still), flat, v, like=like)
     return density, density.at(v)[0]
 
 

@@ -19,9 +19,6 @@ from bayescal._inference.gaussian import LOG_2PI
 
 FIRST_DIFFERENCE = 0.02  # of a coordinate over its scale,
 DIFFERENCE = 0.1  # and of one in which the density is about standard normal
-LONG_STEP_CURVATURE = (
-    100.0  # in prior standard deviations, from which a first difference is too long
-)
 LEAST_CURVATURE = 0.05  # that counts as one
 LONGEST_STEP = 1.5  # in prior standard deviations
 STEPS, SHORTENINGS, SHORTER = (
@@ -29,6 +26,7 @@ STEPS, SHORTENINGS, SHORTER = (
     8,
     0.3,
 )  # uphill at most; of a step that leads down, by how much each
+AS_PROMISED = 0.5, 2.0  # of what a parabola gains on a step
 CONVERGED_NATS = 1e-7  # that a step would gain, below which the mode is found,
 ROUGHLY = 0.01  # and where nothing hangs on it
 # Of a direction's squared length beside spreads, up to which it is one of spreads.
@@ -45,7 +43,7 @@ class Climbable(Protocol):
     scale: Any
 
     def value(self, v: Float[np.ndarray, "d"]) -> float: ...
-    def evaluate(self, v: Float[np.ndarray, "d"]) -> Any: ...
+    def evaluate(self, v: Float[np.ndarray, "d"], exact: bool = False) -> Any: ...
 
 
 class Slopes(NamedTuple):
@@ -87,9 +85,9 @@ def climb(
         v: where to begin.
         wanted_from: log density, below which a mode found to a hundredth of a nat will do.
     """
-    scale = np.broadcast_to(density.scale, v.shape)
+    scale, doubtful = np.broadcast_to(density.scale, v.shape), False
     for _ in range(STEPS if len(v) else 0):
-        if (here := density.evaluate(v)) is None:
+        if (here := density.evaluate(v, exact=doubtful)) is None:
             break
         bend, vectors = np.linalg.eigh(scale[:, None] * here.curvature * scale)
         slope = scale * here.gradient
@@ -100,12 +98,19 @@ def climb(
         share = min(1.0, LONGEST_STEP / float(np.max(np.abs(step))))
         for _ in range(SHORTENINGS):
             further = v + share * scale * step
+            gained = density.value(further) - here.log_density
             # Sufficient increase: some of what the slope promised (same, eq. 3.4).
-            if density.value(further) >= here.log_density + 1e-4 * share * gain:
+            if gained >= 1e-4 * share * gain:
                 break
             share *= SHORTER
         else:
-            break
+            if doubtful:
+                break
+            doubtful = True
+            continue
+        # Far from what a parabola gains, or on no hill: a curvature that is carried on would not be right.
+        low, high = AS_PROMISED
+        doubtful = bend[0] < 0 or not low < gained / (share * (1 - 0.5 * share) * gain) < high
         v = further
     return v
 
@@ -118,7 +123,7 @@ def gaussian_fit(
     Where the curvature had to be mended along `spreads` alone, which lie flat on the way to zero, it does not count.
     Source: L. Tierney and J. Kadane, JASA 81 (1986) 82 (Laplace).
     """
-    found = density.evaluate(v)
+    found = density.evaluate(v, exact=True)
     if found is None:  # a step away the density is nowhere: no hill that a Gaussian describes
         return GaussianFit(v, np.full((len(v), len(v)), np.nan), density.value(v), -math.inf, True)
     scale = np.broadcast_to(density.scale, v.shape)
@@ -137,52 +142,92 @@ def gaussian_fit(
 class ByValues:
     """Slopes and curvature of a log density by central differences.
 
+    Of a point that is asked for by a climb the curvature is carried on from the one before it, by what the gradient
+    changed on the way (BFGS: J. Nocedal and S. Wright, Numerical Optimization, 2006, eq. 6.19).
+
     Args:
         values: log density of several points.
         scale: of each coordinate, in which its prior is about standard normal or wider.
+        like: of a density that is much alike, whose curvature is carried on.
     """
 
-    def __init__(self, values: Values, scale: Float[np.ndarray, "d"] | float = 1.0) -> None:
+    def __init__(
+        self,
+        values: Values,
+        scale: Float[np.ndarray, "d"] | float = 1.0,
+        like: ByValues | None = None,
+    ) -> None:
         self.values, self.scale = values, scale
-        self._root: np.ndarray | None = None  # of the inverse curvature
-        self._last: tuple[np.ndarray, Slopes | None] | None = None
+        self._last: tuple[np.ndarray, Slopes] | None = None if like is None else like._last
+        self._own = False  # whether this is of the density itself
+        self._exact = False  # whether its curvature is by differences
 
     def value(self, v: Float[np.ndarray, "d"]) -> float:
         return float(self.values(v[None])[0])
 
-    def evaluate(self, v: Float[np.ndarray, "d"]) -> Slopes | None:
+    def evaluate(self, v: Float[np.ndarray, "d"], exact: bool = False) -> Slopes | None:
         """Return value, gradient and curvature; the latest are kept. None where the density is nowhere."""
-        if self._last is None or not np.array_equal(self._last[0], v):
-            first, found = self._root is None, self._differences(v)
-            # In place of a first step that was long against what the density allows, one that is right.
-            if (
-                first
-                and found is not None
-                and np.max(np.diag(found.curvature) * np.square(self.scale), initial=0)
-                > LONG_STEP_CURVATURE
-            ):
-                found = self._differences(v)
-            self._last = v.copy(), found
-        return self._last[1]
+        last = self._last
+        known = self._own and (self._exact or not exact)
+        if last is not None and known and np.array_equal(last[0], v):
+            return last[1]
+        exact = exact or last is None
+        steps = FIRST_DIFFERENCE * np.diag(self._scales(v))
+        found = self._differences(v, steps if last is None else self._steps(last[1]), exact)
+        if last is not None and found is not None and not exact:
+            found = found._replace(curvature=_carried(*last, v, found.gradient, self._own))
+        if found is not None:
+            self._last, self._own, self._exact = (v.copy(), found), True, exact
+        return found
 
-    def _differences(self, v: Float[np.ndarray, "d"]) -> Slopes | None:
-        dim, scale = len(v), np.broadcast_to(self.scale, v.shape)
-        first = self._root is None
-        root = np.diag(scale) if self._root is None else self._root
-        steps = (FIRST_DIFFERENCE if first else DIFFERENCE) * root
-        pairs = np.array(list(itertools.combinations(range(dim), 2)), dtype=int).reshape(-1, 2)
-        moves = np.concatenate([steps.T, steps.T[pairs[:, 0]] + steps.T[pairs[:, 1]]])
-        found = self.values(np.concatenate([v[None], v + moves, v - moves]))
-        value, (up, down) = float(found[0]), found[1:].reshape(2, -1)
-        bends = 2 * value - up - down
-        hessian = np.diag(bends[:dim])
-        across = 0.5 * (bends[dim:] - bends[pairs[:, 0]] - bends[pairs[:, 1]])
-        hessian[pairs[:, 0], pairs[:, 1]] = hessian[pairs[:, 1], pairs[:, 0]] = across
+    def _scales(self, v: Float[np.ndarray, "d"]) -> Float[np.ndarray, "d"]:
+        return np.broadcast_to(self.scale, v.shape)
+
+    def _steps(self, there: Slopes) -> Float[np.ndarray, "d d"]:
+        """Return steps, its columns, along which the density falls alike."""
+        scale = self._scales(there.gradient)
+        weights, vectors = np.linalg.eigh(scale[:, None] * there.curvature * scale)
+        return DIFFERENCE * scale[:, None] * vectors / np.sqrt(np.maximum(weights, LEAST_CURVATURE))
+
+    def _differences(
+        self, v: Float[np.ndarray, "d"], steps: Float[np.ndarray, "d d"], curved: bool
+    ) -> Slopes | None:
+        dim, value = len(v), self.value(v)
+        for _ in range(SHORTENINGS):
+            up, down = self.values(np.concatenate([v + steps.T, v - steps.T])).reshape(2, dim)
+            bends = 2 * value - up - down
+            if not np.max(np.abs([value, *up, *down])) < 1e200:
+                return None
+            # In place of a step that was long against what the density allows, one that is right.
+            if not np.any(long := bends > 4 * DIFFERENCE**2):
+                break
+            steps = steps * np.where(long, DIFFERENCE / np.sqrt(np.where(long, bends, 1.0)), 1.0)
+        hessian, pairs = np.diag(bends), [*itertools.combinations(range(dim), 2)]
+        if curved and pairs:
+            i, j = np.transpose(pairs)
+            both = steps.T[i] + steps.T[j]
+            ends = self.values(np.concatenate([v + both, v - both])).reshape(2, -1)
+            hessian[i, j] = hessian[j, i] = 0.5 * (
+                2 * value - ends.sum(axis=0) - bends[i] - bends[j]
+            )
         inverse = np.linalg.inv(steps)
-        gradient = inverse.T @ (0.5 * (up - down)[:dim])
         curvature = inverse.T @ hessian @ inverse
-        if not np.max(np.abs(found)) < 1e200 or not np.all(np.isfinite(curvature)):
+        if not np.all(np.isfinite(curvature)):
             return None
-        weights, vectors = np.linalg.eigh(scale[:, None] * curvature * scale)
-        self._root = scale[:, None] * vectors / np.sqrt(np.maximum(weights, LEAST_CURVATURE))
+        gradient = inverse.T @ (0.5 * (up - down))
         return Slopes(value, gradient, 0.5 * (curvature + curvature.T))
+
+
+def _carried(
+    before: Float[np.ndarray, "d"],
+    there: Slopes,
+    v: Float[np.ndarray, "d"],
+    gradient: Float[np.ndarray, "d"],
+    same: bool,
+) -> Float[np.ndarray, "d d"]:
+    """Return the curvature at v, by BFGS from that at a point before; as it is where that is of another density."""
+    step, bent, lost = v - before, there.curvature @ (v - before), there.gradient - gradient
+    along, by = float(step @ lost), float(step @ bent)
+    if not same or not along > 1e-12 or not by > 1e-12:
+        return there.curvature
+    return there.curvature + np.outer(lost, lost) / along - np.outer(bent, bent) / by

@@ -7,7 +7,6 @@ and their share of a log determinant or density is left out.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from functools import partial
 from typing import Any, NamedTuple
@@ -218,9 +217,10 @@ def density_terms(
     """
     if left.ndim == 1:
         return Terms(*_of_readings(_terms, law, values, record, extra, record.y, left))
-    # Of some lengths, so that no program is compiled for each number of φ.
+    # Of few lengths, so that no program is compiled for each number of φ.
     count = len(left)
-    pick = np.minimum(np.arange(2 ** math.ceil(math.log2(count))), count - 1)
+    length = next((k for k in (1, 16, 64) if count <= k), -(-count // 64) * 64)
+    pick = np.minimum(np.arange(length), count - 1)
     own = {name: np.broadcast_to(values[name], (count,))[pick] for name in law.parameters()}
     extra = extra[pick] if np.ndim(extra) else extra
     what = partial(_of_readings, _terms, law, own, record, extra)

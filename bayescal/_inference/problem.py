@@ -26,12 +26,8 @@ from bayescal._model.parameters import MOVING, Layout
 from bayescal._model.terms import Sizes, Term, terms_of
 
 Values = dict[str, float]
-# Coordinates of a standard deviation: one that is not there (1e-13 of its scale), and the largest that is a number yet
-# where it is squared and summed.
-ABSENT, LARGEST_COORDINATE = -30.0, 100.0
-NUDGE = 1e-6  # of a coordinate, for derivatives of priors,
-SHIFT = 1e-4  # and of columns of the expected output
-STEP = 1e-5  # of the same on one side: rounding of an output a million times its noise errs as much as curvature does
+ABSENT = -30.0  # coordinate of a standard deviation that is not there (1e-13 of its scale)
+NUDGE = 1e-6  # of a coordinate, for derivatives of priors
 
 
 class Host:

@@ -6,8 +6,6 @@ from collections import OrderedDict
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from itertools import chain
-from types import MappingProxyType
 from typing import Any
 from weakref import WeakValueDictionary
 
@@ -29,9 +27,8 @@ from bayescal._model.effect import Effect
 from bayescal._model.frame import Frame, Reference, build_frame
 from bayescal._model.instrument import Instrument
 from bayescal._model.noise_law import Noise
-from bayescal._model.terms import ColumnsOf, Correction
+from bayescal._model.terms import ColumnsOf
 
-NOTHING_ACTS: Mapping[Correction, tuple[float, ...]] = MappingProxyType({})
 KEPT_BYTES = 256 * 2**20  # bytes of columns at shapes, of which the latest are kept
 AFFINE = 1e-9  # change of a slope, relative to the largest, up to which it does not change
 DRAWS_A_CALL = 48  # draws in one call of a program, or half of that,
@@ -217,31 +214,6 @@ class Record:
             while self._bytes > KEPT_BYTES and self._shaped:
                 self._bytes -= self._shaped.popitem(last=False)[1].nbytes
         self._shaped[key] = found
-        return found
-
-    def columns_of_several(
-        self,
-        effects: Sequence[ColumnsOf],
-        values: Sequence[Sequence[np.ndarray]],
-        acting: Mapping[Correction, tuple[float, ...]] = NOTHING_ACTS,
-    ) -> list[Float[np.ndarray, "s n k"]]:
-        """Columns of several effects, each at several values of its shapes; those of JAX's own bases in one program.
-
-        Args:
-            effects: whose.
-            values: of each one's shapes, (s,) each.
-            acting: what corrects columns of the readings for all, with its shapes.
-        """
-        shapes = [dict(zip(of.own, v, strict=True)) for of, v in zip(effects, values, strict=True)]
-        of_any = effects[0].on([*acting]), [*values[0], *chain(*acting.values())]
-        bases, shifts = [of.basis for of in effects], self._corrected(*of_any)
-        each = zip(bases, shapes, strict=True)
-        found: list[Any] = [self.on_host.along(basis, own, shifts) for basis, own in each]
-        if left := [i for i, columns in enumerate(found) if columns is None]:
-            traced, own = tuple(bases[i] for i in left), [shapes[i] for i in left]
-            made = programs.several_along(traced, self.padded, own, self._longer(shifts))
-            for i, columns in zip(left, made, strict=True):
-                found[i] = np.asarray(columns)[:, : self.size]
         return found
 
     def _fixed_columns(self, key: programs.Basis) -> Float[np.ndarray, "n k"]:

@@ -185,10 +185,6 @@ class Noise(abc.ABC):
         """Whether it is a function of frequency on readings of even steps (`spectrum`)."""
         return False
 
-    def fresh_variance(self, values: Parameters, step: float) -> Any:
-        """About that of what is new in a reading, a usual step after the one before; in no harm if it is rough."""
-        return values[self.amplitudes[0]] ** 2 if self.amplitudes else 1.0
-
     def whiten(
         self,
         columns: Float[Array, "n m"],

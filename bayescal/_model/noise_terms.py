@@ -110,10 +110,6 @@ class NoiseTerm(abc.ABC):
         """
         raise NotImplementedError(f"{self.words} noise has no spectrum here")
 
-    def fresh(self, values: Values, bounds: Bounds, step: float) -> Any:
-        """About the variance of what is new in it a usual step after the reading before; in no harm if it is rough."""
-        return self.variance(values, bounds)
-
     @abc.abstractmethod
     def allan(self, values: Values, bounds: Bounds, m: Float[np.ndarray, "k"], step: float) -> Any:
         """Allan variance of means of m evenly spaced readings; values with a last axis of one."""
@@ -177,9 +173,6 @@ class CorrelatedTerm(NoiseTerm):
     def variance(self, values: Values, bounds: Bounds) -> Any:
         return 0.5 * values[self._name("diffusion")] ** 2 * self.time(values, bounds)
 
-    def fresh(self, values, bounds, step):
-        return values[self._name("diffusion")] ** 2 * step
-
     def block(self, values, bounds, h):
         return exponential(self.time(values, bounds), self.variance(values, bounds), h)
 
@@ -215,9 +208,6 @@ class WalkTerm(NoiseTerm):
 
     def variance(self, values, bounds):
         return 0.5 * values["noise.walk"] ** 2 * ENDLESS * bounds.longest
-
-    def fresh(self, values, bounds, step):
-        return values["noise.walk"] ** 2 * step
 
     # An Ornstein–Uhlenbeck process that returns after thirty spans: stationary as the other terms, and within a
     # record of one span a walk of the diffusion K, since K² = 2·σ²/τ.
@@ -301,9 +291,6 @@ class SmoothTerm(NoiseTerm):
 
     def variance(self, values, bounds):
         return values["noise.smooth"] ** 2
-
-    def fresh(self, values, bounds, step):
-        return 0.0
 
     def block(self, values, bounds, h):
         size, x = values["noise.smooth"], math.sqrt(3) * h / values["noise.smooth.time"]

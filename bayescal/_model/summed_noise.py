@@ -168,9 +168,6 @@ class SumOfTerms(Noise, interface=True):
     def variance(self, parameters, frame):
         return self._own_variance(parameters, frame) + self.slow_variance(parameters)
 
-    def fresh_variance(self, values, step):
-        return values[WHITE] ** 2 + sum(p.fresh(values, self.bounds, step) for p in self.parts)
-
     def states(self, parameters: Parameters, step: Float[Array, "n"], z: Any = None) -> States:
         """Its states over steps, s; −1 where they begin. With the column that is followed, from −1 to 1."""
         return states_of(*self._blocks(parameters, step, z))

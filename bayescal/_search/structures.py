@@ -53,7 +53,6 @@ SIZE_FACTORS = {1.0: 0.6, 3.0: 0.3, 10.0: 0.1}
 RMS_SIZE = math.sqrt(sum(p * factor**2 for factor, p in SIZE_FACTORS.items()))
 
 STILL_SD = 0.03  # standard deviations to which a mode is found: its log evidence to 1e-3
-UNKNOWN = 0.1  # variance of a coordinate of which nothing is known
 
 
 @dataclass(frozen=True)
