@@ -1,7 +1,7 @@
 """The mode of a log density of few coordinates by Newton's method, and the Gaussian fit there.
 
 Coordinates are about standard normal a priori. Where gradient and curvature have no closed form they are differences
-(`ByValues`), with steps of a tenth of what the density itself allows: right whether the readings know a coordinate to
+(`ByValues`), with steps of a twentieth of what the density itself allows: right whether the readings know a coordinate to
 a tenth or to a billionth.
 """
 
@@ -18,7 +18,7 @@ from jaxtyping import Bool, Float
 from bayescal._inference.gaussian import LOG_2PI
 
 FIRST_DIFFERENCE = 0.02  # of a coordinate over its scale,
-DIFFERENCE = 0.1  # and of one in which the density is about standard normal
+DIFFERENCE = 0.05  # and of one in which the density is about standard normal
 LEAST_CURVATURE = 0.05  # that counts as one
 LONGEST_STEP = 1.5  # in prior standard deviations
 STEPS, SHORTENINGS, SHORTER = (
