@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import re
 import unicodedata
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -29,17 +30,17 @@ from bayescal._data.counter_wrap import (
     unwrap_option,
     wrap_period,
 )
-from bayescal._data.header_matching import (
+from bayescal._data.header_matching import MatchedFile
+from bayescal._data.header_rules import DAYS, channels_beside, plain
+from bayescal._data.pose_rows import MAGNITUDE
+from bayescal._data.read_options import (
     InstrumentLike,
-    MatchedFile,
     ReadOptions,
     output_name,
     parse_begin,
     period_of,
     unit_of,
 )
-from bayescal._data.header_rules import DAYS, channels_beside, plain
-from bayescal._data.pose_rows import MAGNITUDE
 from bayescal._data.records import RECORD, record_codes
 from bayescal._data.thermometer_checks import allowed_changes
 from bayescal._data.unit_conversion import (
@@ -62,10 +63,6 @@ _MOST_AT_REST = 20.0  # g; a sensor that takes any unit is at rest, or nearly so
 _COLDEST = 100.0  # K; no inertial sensor is tested below, and no difference between two of its temperatures is above
 _SINCE_1904 = 2_082_844_800.0  # s, from 1904 to 1970
 _EARLIEST_1904 = 946_684_800.0 + _SINCE_1904  # s; the year 2000 counted from 1904
-_LIKELY_UNITS = (
-    *("deg", "arcsec", "rad", "deg/s", "rad/s", "g", "mg", "ug", "degC", "K", "degF"),
-    *("s", "ms", "us", "min", "h", "V", "mV", "Hz", "kHz", "1", "%", "ppm"),
-)
 
 
 def convert_columns(
@@ -81,80 +78,111 @@ def convert_columns(
     """
     own = Objections() if problems is None else problems
     before = len(own)
-    converted = _converted(table, instrument, options, own)
+    file = MatchedFile(table, instrument, options, own)
+    extra, flags = ({}, []) if file.note_missing() else file.further_columns()
+    own += table.problems
+    converted = ConvertedColumns((file.table,), flags=[*file.table.notes, *flags])
+    cells = _load(file, extra) if table.readable else {}
+    _read_expected(file, cells, converted)
+    _read_further(file, extra, cells, converted)
+    _note_gravity(file, converted)
+    _note_channels(file, extra, converted)
     if converted.missing and len(own) == before:
-        _drop(table, converted, own)
+        _drop(file.table, converted, own)
     if problems is None:
         own.refuse()
     return converted
 
 
-def _converted(
-    table: Table, instrument: InstrumentLike, options: ReadOptions, problems: Objections
-) -> ConvertedColumns:
-    file = MatchedFile(table, instrument, options, problems)
-    offered, proposed = file.note_missing()
-    file.fix_units(offered)
-    extra, flags = file.further_columns(proposed)
-    table, expected, positions = file.table, file.expected, file.positions
-    converted = ConvertedColumns((table,), flags=[*table.notes, *flags])
-    found = {n: c for n, c in (expected | extra).items() if n in positions}
-    problems += table.problems
-    found |= {n: expected[n] for n in offered}  # looked at already, whether or not they are meant
-    positions |= {name: position for name, (position, _) in offered.items()}
-    if not table.readable:
-        found = {}
-    wanted = {positions[n]: c.unit is not None for n, c in found.items()}
+def _load(file: MatchedFile, extra: Mapping[str, Column]) -> dict[str, Cells]:
+    """Load the cells of the columns that are read; times of day on the days of a column beside them."""
+    table, positions = file.table, file.positions
+    columns = {n: c for n, c in (file.expected | extra).items() if n in positions}
+    wanted = {positions[n]: c.unit is not None for n, c in columns.items()}
     days = [i for i, h in enumerate(table.headers) if plain(h.name) in DAYS and not h.unit]
-    days = [i for i in days if "time" in found and i != positions["time"]]  # beside times of day
-    cells = load_whole(table, wanted | dict.fromkeys(days, True) if len(days) == 1 else wanted)
-    if len(days) == 1:
-        times = cells[positions["time"]]
-        cells[positions["time"]] = times.on_days(cells[days[0]], options.date_order)
+    days = [i for i in days if "time" in columns and i != positions["time"]]
+    beside = dict.fromkeys(days, True) if len(days) == 1 else {}
+    cells = load_whole(table, wanted | beside)
+    found = {name: cells[positions[name]] for name in columns}
+    for day in beside:
+        found["time"] = found["time"].on_days(cells[day], file.options.date_order)
+    return found
 
-    def reader(name: str) -> ColumnReader:
-        header = offered[name][1] if name in offered else file.header(name)
-        return ColumnReader(file, header, found[name], converted)
 
-    for name, column in expected.items():
-        if name in found:
-            reader(name).read(cells[positions[name]])
-            converted.unread |= {name} - set(converted.values)
+def _read_expected(
+    file: MatchedFile, cells: Mapping[str, Cells], converted: ConvertedColumns
+) -> None:
+    """Read the instrument's columns, in its order; those that the file lacks and that have a default hold that."""
+    for name, column in file.expected.items():
         default = column.default
-        if name == MAGNITUDE and options.local_field is not None:
-            if name in found:
+        if name in cells:
+            header, (problems, options) = file.header(name), (file.problems, file.options)
+            ColumnReader(file, header, column, converted, problems, options).read(cells[name])
+            converted.unread |= {name} - set(converted.values)
+        if name == MAGNITUDE and file.options.local_field is not None:
+            if name in cells:
                 raise InputError(
-                    f"{table.file} has the local field in its column {file.header(name).raw!r}, and --local-field says "
-                    "it too: leave one out (the column by --ignore)"
+                    f"{file.table.file} has the local field in its column {file.header(name).raw!r}, and --local-field "
+                    "says it too: leave one out (the column by --ignore)"
                 )
-            default = options.local_field
+            default = file.options.local_field
         if name not in converted.values and default is not None:
             kind = object if column.unit is None else np.float64
-            converted.values[name] = np.full(table.rows, default, dtype=kind)
+            converted.values[name] = np.full(file.table.rows, default, dtype=kind)
             converted.units[name] = column.unit
             converted.filled.add(name)
-    for name in (n for n in extra if n in found):
-        reader(name).read_if_sound(cells[positions[name]])
-    outputs = getattr(instrument, "outputs", ()) or (output_name(instrument),)
-    assumed = options.local_gravity is None and converted.by_gravity.intersection(outputs)
-    if assumed and ASSUMED_GRAVITY in expected and MAGNITUDE not in converted.by_gravity:
-        converted.values[ASSUMED_GRAVITY] = np.ones(table.rows)
+
+
+def _read_further(
+    file: MatchedFile,
+    extra: Mapping[str, Column],
+    cells: Mapping[str, Cells],
+    converted: ConvertedColumns,
+) -> None:
+    """Read columns that no instrument asked for; one of which a cell is no number is left out with a flag."""
+    options = replace(file.options, missing="refuse")
+    for name in (n for n in extra if n in cells):
+        problems, flags = Objections(), len(converted.flags)
+        header = file.header(name)
+        ColumnReader(file, header, extra[name], converted, problems, options).read(cells[name])
+        if problems:
+            del converted.flags[flags:]
+            why = " ".join((*problems[0].places[:1], problems[0].came))
+            converted.flags.append(f"{file.table.file}: column {header.raw!r} ignored: {why}")
+
+
+def _note_gravity(file: MatchedFile, converted: ConvertedColumns) -> None:
+    """Mark readings that were divided by a local gravity that nobody stated, where scale factors depend on it."""
+    outputs = getattr(file.instrument, "outputs", ()) or (output_name(file.instrument),)
+    assumed = file.options.local_gravity is None and converted.by_gravity.intersection(outputs)
+    if assumed and ASSUMED_GRAVITY in file.expected and MAGNITUDE not in converted.by_gravity:
+        converted.values[ASSUMED_GRAVITY] = np.ones(file.table.rows)
         converted.units[ASSUMED_GRAVITY] = "1"
         converted.filled.add(ASSUMED_GRAVITY)
-        said = f"{options.gravity:g} m/s² was taken for local gravity, which nobody stated (--local-gravity)"
+        gravity = file.options.gravity
+        said = (
+            f"{gravity:g} m/s² was taken for local gravity, which nobody stated (--local-gravity)"
+        )
         why = "scale factors are as uncertain as it is on Earth, 9.780 to 9.832 m/s²"
-        converted.flags.append(Flag(f"{table.file}: {said}: {why}", "gravity.assumed", *outputs))
-    if (output := output_name(instrument)) in converted.values:
-        own = file.header(output).name
-        others = {n: u for n, u in converted.units.items() if n in extra}
-        converted.beside.update(channels_beside(own, others, converted.units[output]))
-        if converted.beside:
-            names = ", ".join(sorted(converted.beside))
-            converted.flags.append(
-                f"{table.file}: {names}: other channels beside the output {own!r}, not taken as its causes "
-                "(--covariates NAME, in Python covariates=, to let one be)"
-            )
-    return converted
+        converted.flags.append(
+            Flag(f"{file.table.file}: {said}: {why}", "gravity.assumed", *outputs)
+        )
+
+
+def _note_channels(
+    file: MatchedFile, extra: Mapping[str, Column], converted: ConvertedColumns
+) -> None:
+    """Note the other channels of the unit whose output this is: they are no causes of it."""
+    if (output := output_name(file.instrument)) not in converted.values:
+        return
+    own = file.header(output).name
+    others = {n: u for n, u in converted.units.items() if n in extra}
+    converted.beside.update(channels_beside(own, others, converted.units[output]))
+    if converted.beside:
+        converted.flags.append(
+            f"{file.table.file}: {', '.join(sorted(converted.beside))}: other channels beside the output {own!r}, not "
+            "taken as its causes (--covariates NAME, in Python covariates=, to let one be)"
+        )
 
 
 def _drop(table: Table, converted: ConvertedColumns, problems: Objections) -> None:
@@ -189,6 +217,8 @@ class ColumnReader:
     header: Header
     column: Column
     converted: ConvertedColumns
+    problems: Objections
+    options: ReadOptions
 
     def read(self, cells: Cells) -> None:
         """A column of the instrument; one that is empty and not required is left out."""
@@ -198,7 +228,7 @@ class ColumnReader:
         if not self.column.required and not cells.bad and np.isnan(cells.values).all():
             self._flag("is empty and was left out")
             return
-        before, cells = len(self.file.problems), self._as_numbers(self._in_order(cells))
+        before, cells = len(self.problems), self._as_numbers(self._in_order(cells))
         unit = self._unit(cells)
         codes = overloads(cells.values)
         raw = self._without(cells.values, codes, _OVERLOAD)
@@ -215,7 +245,7 @@ class ColumnReader:
         if unit is not None:
             self._note_implausible(raw, values, unit)
         # without a unit, the order of times can be looked at all the same
-        if len(self.file.problems) == before or (unit is None and not cells.bad):
+        if len(self.problems) == before or (unit is None and not cells.bad):
             if self._is_time:
                 values, self.converted.origin = from_first(values)
                 self._note_epoch(cells)
@@ -223,40 +253,24 @@ class ColumnReader:
             self.converted.values[self.column.name] = values
             self.converted.units[self.column.name] = self.column.unit
 
-    def read_if_sound(self, cells: Cells) -> None:
-        """Read a column that no instrument asked for, or leave it out with a flag unless every cell is a number."""
-        name, fixed, gravity = self.column.name, self.column.unit, self.file.options.gravity
-        unit = unit_of(self.header, name, self.file.options)
-        assert unit is not None and fixed is not None  # `further_columns` keeps no other
-        values = convert(cells.values, unit, fixed, local_gravity=gravity)
-        unusable = np.union1d(np.flatnonzero(self._not_finite(values)), overloads(cells.values))
-        if cells.bad or unusable.size or cells.dates:
-            index = next(iter(cells.bad), int(unusable[0]) if unusable.size else 0)
-            text = cells.bad.get(index)
-            seen = f"reads {text!r}" if cells.bad else _reading(float(cells.values[index]))
-            self._flag(f"ignored: {self.file.table.place(index)} {seen}")
-            return
-        if needs_gravity(unit, fixed):
-            self._flag(f"turned into local g by {gravity:g} m/s²")
-        self.converted.values[name], self.converted.units[name] = values, fixed
-
     @property
     def _is_time(self) -> bool:
         return self.column.name == "time" and self.column.unit == "s"
 
     def _problem(self, came: str, *about: str, **more: Any) -> None:
-        self.file.problem(self.header.raw, came, *about, **more)
+        self.problems.append(self.file.table.objection(self.header.raw, came, *about, **more))
 
     def _flag(self, said: str) -> None:
         self.converted.flags.append(f"{self.file.table.file}: column {self.header.raw!r} {said}")
 
     def _missing(self, rows: np.ndarray, came: str, expected: str = "") -> None:
         """Readings that are missing: a problem, unless such rows are dropped."""
-        earlier = self.converted.missing.get(self.column.name, rows[:0])
-        self.converted.missing[self.column.name] = np.union1d(earlier, rows)
-        if self.file.options.missing == "refuse":
+        if self.options.missing == "refuse":
             cure, given = "Fill it in, or drop such rows", option("--missing", "drop")
             self._problem(came, expected, cure, given, rows=rows)
+            return
+        earlier = self.converted.missing.get(self.column.name, rows[:0])
+        self.converted.missing[self.column.name] = np.union1d(earlier, rows)
 
     def _without(self, raw: np.ndarray, rows: np.ndarray, said: str) -> np.ndarray:
         """Numbers without those that stand for a missing reading."""
@@ -269,7 +283,7 @@ class ColumnReader:
 
     def _unwrapped(self, raw: np.ndarray, unit: str | None) -> np.ndarray:
         """Undo a counter's wraps, or a sign that was lost, where the user says so."""
-        given = self.file.options.unwrap
+        given = self.options.unwrap
         said = next((given[n] for n in self._names if n in given), None)
         if said is None or unit is None:
             return raw
@@ -307,7 +321,7 @@ class ColumnReader:
 
     def _from_begin(self, values: np.ndarray) -> np.ndarray:
         """Count times from when the first reading was taken, where the user says that."""
-        options, file = self.file.options, self.file.table.file
+        options, file = self.options, self.file.table.file
         text = options.begin.get(file, options.begin.get("", ""))
         if not text or not np.isfinite(values).any():
             return values
@@ -321,7 +335,7 @@ class ColumnReader:
     def _note_mass(self, raw: np.ndarray, unit: str | None) -> None:
         """Note a g that is hardly that of gravity, where the instrument takes whatever unit there is."""
         anything = {c.name for c in self.file.instrument.columns if c.unit == ANY}
-        said = self.file.options.units.keys() & {*self._names}
+        said = self.options.units.keys() & {*self._names}
         if unit is None or self.column.name not in anything or said:
             return
         powers, known = parse(unit).powers, raw[np.isfinite(raw)]
@@ -358,7 +372,7 @@ class ColumnReader:
         empty, allowed = np.flatnonzero(labels == ""), self.column.allowed
         if empty.size:
             self._missing(empty, "is empty", "a label")
-        before = len(self.file.problems)
+        before = len(self.problems)
         for label in dict.fromkeys(labels.tolist()):
             came, expected, cure = f"reads {label!r}, ", "", "Remove it"
             if any(unicodedata.category(character) in ("Cc", "Cs") for character in label):
@@ -373,7 +387,7 @@ class ColumnReader:
                 continue
             rows = np.flatnonzero(labels == label)
             self._problem(came, expected, cure, rows=rows)
-        if len(self.file.problems) == before:
+        if len(self.problems) == before:
             self.converted.values[self.column.name] = labels
             self.converted.units[self.column.name] = None
 
@@ -381,7 +395,7 @@ class ColumnReader:
         """Dates whose day and month are dates apart: by one above 12, or as the user says; a problem if by neither."""
         if not (self._is_time and cells.orders):
             return cells
-        dates, fitting = cells.in_order(self.file.options.date_order), cells.fitting_orders
+        dates, fitting = cells.in_order(self.options.date_order), cells.fitting_orders
         if dates.orders:
             came = "its dates are not all dates in one order of month, day and year"
             if fitting:
@@ -407,7 +421,7 @@ class ColumnReader:
 
     def _unit(self, cells: Cells) -> str | None:
         """The unit of the numbers; None, and a problem, if there is none or the text is none."""
-        unit = unit_of(self.header, self.column.name, self.file.options)
+        unit = unit_of(self.header, self.column.name, self.options)
         asked = option("--unit", f"{self.header.raw}=UNIT")
         if cells.dates:
             return "s"
@@ -461,8 +475,8 @@ class ColumnReader:
 
     def _convert(self, values: np.ndarray, unit: str) -> np.ndarray | None:
         """Numbers in `unit` in the column's, or by the nominal scale; None, and a problem, if neither can be."""
-        target, gravity = self.column.unit or "1", self.file.options.gravity
-        own = self.file.options.nominal_scale
+        target, gravity = self.column.unit or "1", self.options.gravity
+        own = self.options.nominal_scale
         difference, asked = (
             self.column.name == UNCERTAINTY,
             option("--unit", f"{self.header.raw}=UNIT"),
@@ -537,20 +551,9 @@ class ColumnReader:
         shown = pretty(target)
         internal = f", that is {values[index]:.6g} {shown}" * (pretty(unit) != shown)
 
-        def plausible(other: str) -> bool:
-            if other == unit or not same_dimension(other, target):
-                return False
-            own = convert(raw, other, target, local_gravity=self.file.options.gravity)
-            return bool(np.all(np.isnan(own) | ((own >= low) & (own <= high))))
-
-        likely = _LIKELY_UNITS if wrong.mean() >= 0.5 else ()  # a single slip says nothing of units
-        better = next(filter(plausible, likely), None)
         came = f"reads {raw[index]:.6g} {pretty(unit)}{internal}; plausible is {limits} {shown}"
         cure, given = "Check the unit and the number", ""
-        if better:
-            cure = f"Are the numbers in {better}? Then write '{self.header.name} [{better}]'"
-            given = option("--unit", f"{self.header.raw}={better}")
-        elif target == "degC" and (period := self._period(values, low, high)):
+        if target == "degC" and (period := self._period(values, low, high)):
             came = f"{came}; a counter of {period:g} °C that began anew"
             cure, given = "Undo it, if that is so", unwrap_option(self.header.raw, period)
         rows = np.flatnonzero(wrong)

@@ -25,9 +25,10 @@ from bayescal._core.quoting import csv_line
 from bayescal._data.column import ConvertedColumns, NominalScale, Source
 from bayescal._data.column_conversion import convert_columns
 from bayescal._data.dataset_checks import problems_of_whole
-from bayescal._data.header_matching import ExpectedColumns, MatchedFile, ReadOptions
+from bayescal._data.header_matching import MatchedFile
 from bayescal._data.header_rules import unit_behind
 from bayescal._data.measurements import Measurements, assemble
+from bayescal._data.read_options import ExpectedColumns, ReadOptions
 from bayescal._tables.csv_reader import CsvLines, csv_parts
 from bayescal._tables.open_table import MAX_BYTES, TEXT, check_files, open_table
 from bayescal._tables.parquet_netcdf import parquet_parts
@@ -63,9 +64,7 @@ class _FileCompensation:
     noise: bool
     expected: ExpectedColumns
     done: CompensationSummary
-    all: np.ndarray | None = (
-        None  # value and uncertainty of rows that could not be taken by themselves (2, n)
-    )
+    all: np.ndarray | None = None  # value and uncertainty of rows whose past counts (2, n)
     start: int = 0  # of the next rows among them
 
     def rows(self, table: Table) -> np.ndarray:
