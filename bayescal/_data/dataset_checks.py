@@ -92,6 +92,7 @@ def _wrapped(converted: ConvertedColumns, output: str) -> Iterator[Objection]:
     columns, units, where = converted.values, converted.units, row_namer(converted.tables)
     warm = [n for n in columns if units[n] == "degC" and n != MAY_BE_EMPTY]
     others = [v for n, v in columns.items() if units[n] and n not in (*warm, "time", output)]
+    others = [v for v in others if np.isfinite(v).all()]  # a temperature point may be empty
     for name in warm if "time" in columns else ():
         values, codes = columns[name], record_codes(columns)
         allowed = allowed_changes(columns, values)

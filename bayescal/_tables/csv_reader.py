@@ -11,11 +11,9 @@ import hashlib
 import io
 import math
 import re
-from bisect import bisect_right
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
-from functools import partial
 from itertools import islice
 from pathlib import Path
 
@@ -74,52 +72,14 @@ def open_csv(path: Path, file: str, decimal: str = "") -> Table:
     return Table(
         file,
         text.headers,
-        text.lines - len(text.blanks),
-        lambda wanted: text.cells(io.BytesIO(text.data[text.offset :]), wanted),
+        len(text.readings),
+        text.cells,
         text.sha256,
         text.place,
         notes=tuple(f"{file}: {note}" for note, holds in notes.items() if holds),
         problems=_ragged_rows(text),
-        readable=len(text.passed_over) == len(text.ragged),
+        readable=text.readable,
     )
-
-
-@dataclass(frozen=True)
-class CsvLines:
-    """Some lines of a file as they stand, with their ends, a tab for blanks between fields; blank ones among them.
-
-    Attributes:
-        table: their readings; None for the header.
-        separator, decimal: between fields, and between the whole and its parts.
-        encoding: of the lines, "utf-8" or "windows-1252".
-        before, behind: of the header: the lines above it; the row of units below it, and such.
-    """
-
-    lines: list[bytes]
-    table: Table | None
-    separator: str
-    decimal: str = "."
-    encoding: str = "utf-8"
-    before: list[bytes] = field(default_factory=list)
-    behind: list[bytes] = field(default_factory=list)
-
-
-def csv_parts(path: Path, file: str, rows: int, decimal: str = "") -> Iterator[CsvLines]:
-    """Yield a file that `open_csv` let pass: its header, then its readings, at most `rows` at a time."""
-    text, done = read_text(path, file, decimal), 0
-    separator, written = text.separator, text.written_in
-    above, named = text.data[: text.offset].splitlines(keepends=True), text.named - 1
-    before, header, behind = above[:named], above[named], above[named + 1 :]
-    yield CsvLines([header], None, separator, ".", written, before, behind)
-    handle = io.BytesIO(text.data[text.offset :])
-    while lines := list(islice(handle, rows)):
-        while not any(line.strip() for line in lines) and (more := handle.readline()):
-            lines.append(more)  # a stretch of blank lines is no table
-        if count := sum(bool(line.strip()) for line in lines):
-            load, place = partial(text.cells, lines), lambda i, n=done: text.place(n + i)
-            table = Table(file, text.headers, count, load, text.sha256, place)
-            yield CsvLines(lines, table, separator, text.decimal or ".", written)
-        done += count
 
 
 @dataclass
@@ -134,9 +94,10 @@ class CsvText:
         named: row of the header.
         above: whether lines that tell of the test stand above it.
         first, offset: row and byte of the first line after the header.
-        lines: their number after the header.
         ragged: row, text and number of fields where that is not the header's.
-        passed_over: ragged rows, where there are others to look at.
+        skipped: blank rows, and ragged ones where there are others to look at.
+        readings: rows of readings (n,).
+        readable: whether these can be looked at.
     """
 
     file: str
@@ -152,10 +113,10 @@ class CsvText:
     above: bool = False
     first: int = 0
     offset: int = 0
-    lines: int = 0
-    blanks: list[int] = field(default_factory=list)
     ragged: list[tuple[int, str, int]] = field(default_factory=list)
-    passed_over: frozenset[int] = frozenset()
+    skipped: frozenset[int] = frozenset()
+    readings: np.ndarray = field(default_factory=lambda: np.zeros(0, int))
+    readable: bool = True
 
     @property
     def blank(self) -> bytes:
@@ -171,14 +132,16 @@ class CsvText:
     def headers(self) -> tuple[Header, ...]:
         return tuple(Header.parse(csv_cell_read(text)) for text in self.header)
 
-    def cells(self, lines: Iterable[bytes], wanted: Mapping[int, bool]) -> dict[int, Cells]:
-        """Parse the wanted columns of lines below the header; one stretch of rows is held as text at a time."""
+    def rows(self) -> Iterable[bytes]:
+        """Its lines below the header."""
+        return io.BytesIO(self.data[self.offset :])
+
+    def cells(self, wanted: Mapping[int, bool]) -> dict[int, Cells]:
+        """Parse the wanted columns; one stretch of rows is held as text at a time."""
         parts: dict[int, list[Cells]] = {position: [] for position in wanted}
-        if self.passed_over:
-            numbered = enumerate(lines, self.first)
-            lines = (line for row, line in numbered if row not in self.passed_over)
-        filled = (line for line in lines if line.strip(self.blank))
-        while stretch := list(islice(filled, _ROWS)):
+        numbered = enumerate(self.rows(), self.first)
+        lines = (line for row, line in numbered if row not in self.skipped)
+        while stretch := list(islice(lines, _ROWS)):
             text = (
                 b"".join(stretch).decode(self.written_in).replace("\r\n", "\n").removesuffix("\n")
             )
@@ -209,11 +172,8 @@ class CsvText:
             raise unusable(self.file, came, f"Close or remove it{cure}", f"row {row}") from error
 
     def place(self, index: int) -> str:
-        """Return the row of a reading; blank lines count as rows but hold none."""
-        row, passed = self.first + index, 0
-        while (blanks := bisect_right(self.blanks, row)) > passed:
-            row, passed = row + blanks - passed, blanks
-        return f"row {row}"
+        """Return the row of a reading; lines that are skipped count as rows but hold none."""
+        return f"row {self.readings[index]}"
 
 
 def read_text(path: Path, file: str, decimal: str) -> CsvText:
@@ -369,8 +329,8 @@ def _scan_lines(text: CsvText) -> None:
     separator, expected = text.separator.encode(), len(text.header)
     if not text.decimal and separator != b"," and _DECIMAL_COMMA.search(text.data, text.offset):
         text.decimal = ","
-    row = text.first - 1
-    for row, line in enumerate(io.BytesIO(text.data[text.offset :]), text.first):
+    row, blanks = text.first - 1, set[int]()
+    for row, line in enumerate(text.rows(), text.first):
         if len(line) > _LONGEST_LINE:
             came = f"is longer than {_LONGEST_LINE} bytes"
             raise unusable(text.file, came, "is it a CSV file?", f"row {row}")
@@ -380,15 +340,14 @@ def _scan_lines(text: CsvText) -> None:
         elif line.strip(text.blank):
             fields = line.count(separator) + 1
         else:
-            text.blanks.append(row)
+            blanks.add(row)
             continue
         if fields != expected and len(text.ragged) < MOST_BAD:
             text.ragged.append((row, line.decode(text.written_in).strip()[:80], fields))
-    text.lines = row + 1 - text.first
-    odd = [row for row, _, _ in text.ragged]
-    if len(odd) < min(MOST_BAD, text.lines - len(text.blanks)):
-        text.passed_over = frozenset(odd)
-        text.blanks = sorted([*text.blanks, *odd])
+    rows, odd = np.arange(text.first, row + 1), {row for row, _, _ in text.ragged}
+    text.readable = len(odd) < min(MOST_BAD, max(1, len(rows) - len(blanks)))
+    text.skipped = frozenset(blanks | odd if text.readable else blanks)
+    text.readings = np.setdiff1d(rows, [*text.skipped])
 
 
 def _ragged_rows(text: CsvText) -> tuple[Objection, ...]:
