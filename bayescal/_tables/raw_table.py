@@ -8,19 +8,16 @@ from __future__ import annotations
 
 import re
 import shlex
-import textwrap
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
-from shutil import get_terminal_size
 from types import MappingProxyType
 from typing import Any
 
 import numpy as np
 
 from bayescal._core.errors import InputError
-from bayescal._core.formatting import WIDTH
 from bayescal._tables.cells import Cells, cells_of
 
 _SHOWN = 3  # rows that are named before the rest is counted
@@ -53,8 +50,11 @@ class Objection:
     sentence: str = ""
 
     def __str__(self) -> str:
-        if self.sentence:
-            return self.sentence
+        return self.sentence or self.parts
+
+    @property
+    def parts(self) -> str:
+        """Where it is, what came, what was expected, and what to do."""
         where = f"{self.places[0]} of {self.file!r}" if self.places else f"{self.file!r}"
         where += f", column {self.column!r}" * bool(self.column)
         expected = f", {self.expected} was expected" * bool(self.expected)
@@ -62,14 +62,6 @@ class Objection:
         more = f" (and in {count - 1} more)" * (count > 1)
         cure = f". {self.cure}" * bool(self.cure) + f" ({self.option})" * bool(self.option)
         return f"{where}: {self.came}{more}{expected}{cure}"
-
-    @property
-    def where(self) -> str:
-        """Its rows, short: the first few, and how many there are."""
-        numbers = [place.removeprefix("row ") for place in self.places[:_SHOWN]]
-        count = max(len(self.rows), len(self.places))
-        more = f" … ({count} rows)" * (count > len(numbers))
-        return ", ".join(numbers) + more
 
 
 class Objections(list[Objection]):
@@ -115,42 +107,19 @@ def _text(problems: Sequence[Objection]) -> str:
     """One problem as a sentence, several as a list, and the options that cure them as one line to copy."""
     if len(problems) == 1:
         return str(problems[0])
-    problems = _merge_files(problems)
-    files = list(dict.fromkeys(name for p in problems for name in p.file.split("\n") if name))
-    of = f"{files[0]!r}" if len(files) == 1 else f"{len(files)} files"
-    page = min(WIDTH, get_terminal_size((WIDTH, 24)).columns)
-    shown = "\n".join(_list_item(p, len(files) > 1, page) for p in problems)
+    files, alike = {p.file for p in problems if p.file}, dict[Any, list[Objection]]()
+    for p in problems:  # what is the same in several files is said once
+        alike.setdefault((p.column, p.came, p.expected, p.cure, p.option), []).append(p)
+    lines = [
+        same[0].parts + f" (and {len(same) - 1} more like it)" * (len(same) > 1)
+        for same in alike.values()
+    ]
+    of = f"{problems[0].file!r}" if len(files) == 1 else f"{len(files)} files"
     options = " ".join(dict.fromkeys(p.option for p in problems if p.option))
     by_hand = "with the rest mended and " if not all(p.option for p in problems) else "with "
     asked = f"\n\n{by_hand}these options, if they are meant: {options}" * bool(options)
-    return f"{len(problems)} problems with {of}\n\n{shown}{asked}"
-
-
-def _merge_files(problems: Sequence[Objection]) -> list[Objection]:
-    """Merge objections that are the same in several files; `file` then has a line for each."""
-    merged = dict[tuple[Any, ...], Objection]()
-    for problem in problems:
-        key = (problem.column, problem.came, problem.expected, problem.cure, problem.option)
-        alike = merged.get(key)
-        if alike is None or problem.file in alike.file.split("\n"):
-            merged[key if alike is None else (*key, len(merged))] = problem
-        else:
-            merged[key] = replace(alike, file=f"{alike.file}\n{problem.file}")
-    return list(merged.values())
-
-
-def _list_item(p: Objection, with_file: bool, page: int) -> str:
-    """A problem as a list has it, folded to a page: where and what, then what to do."""
-    first, *others = p.file.split("\n")
-    where = [f"{first} and {len(others)} more" if others else first] * with_file
-    where += [f"column {p.column!r}"] * bool(p.column)
-    where += [f"row{'s' * (len(p.places) > 1)} {p.where}"] * bool(p.places)
-    text = f"{', '.join(where)}: " * bool(where) + p.came
-    text += f"; expected: {p.expected}" * bool(p.expected)
-    lines = textwrap.wrap(text, page - 2, initial_indent="- ", subsequent_indent="  ")
-    lines += [f"    {p.option}"] * bool(p.option)  # to be copied: in one line
-    lines += textwrap.wrap(p.cure, page - 4, initial_indent=" " * 4, subsequent_indent=" " * 4)
-    return "\n".join(lines)
+    count = f"{len(lines)} problem{'s' * (len(lines) > 1)} with {of}"
+    return "\n".join([f"{count}\n", *(f"- {line}" for line in lines)]) + asked
 
 
 ROW = "reading"  # the one dimension of readings
