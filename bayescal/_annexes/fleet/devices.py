@@ -408,7 +408,7 @@ def _useless(block: DeviceBlock, instrument: InstrumentLike) -> dict[str, str]:
     refused = {}
     for i in sorted(bad):
         columns, file, problems = block.columns(i), f"device {block.names[i]}", Objections()
-        with problems.collecting(file):
+        with problems.collecting():
             if need:
                 refuse_one_temperature(columns, file)
             refuse_backward_time(columns, lambda row, file=file: f"reading {row + 1} of {file}")
