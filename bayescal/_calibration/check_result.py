@@ -222,7 +222,7 @@ def check_parts(check: Check, most: int | None = None) -> list[str | ResultTable
 
 
 def _allan_parts(check: Check) -> list[str | ResultTable]:
-    """Where the noise law is contradicted; and the terms of data sheets, where the curve shows any.
+    """Where the noise law is contradicted; else its terms as data sheets give them.
 
     What a covariate explains is no noise, and has no such terms.
     """
@@ -236,7 +236,7 @@ def _allan_parts(check: Check) -> list[str | ResultTable]:
         for e in check.entries
         if e.against not in IN_TIME
     )
-    if not explained and any(t.value is not None for t in found.measured.terms):
+    if not explained and found.apart is None:
         lines += ["", found.table()]
     return lines
 

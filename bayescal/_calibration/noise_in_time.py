@@ -58,12 +58,9 @@ class AllanCheck:
         return f"{self.table()}\n{self.sentence()}"
 
     def table(self) -> ResultTable:
-        """The terms in the units of data sheets: of the residuals, and of the law."""
-        said = {t.symbol: str(t) for t in self.law_terms}
-        rows = [
-            [f"{t.name} {t.symbol}", str(t), said.get(t.symbol, "–")] for t in self.measured.terms
-        ]
-        return plain_table(["Allan deviation", "residuals", f"noise law ({self.law_name})"], rows)
+        """The terms of the noise law in the units of data sheets."""
+        rows = [[f"{t.name} {t.symbol}", str(t)] for t in self.law_terms]
+        return plain_table([f"noise law ({self.law_name})", "value"], rows)
 
     @property
     def law_name(self) -> str:
@@ -86,18 +83,14 @@ class AllanCheck:
 
     def data(self) -> dict[str, Any]:
         """As in result.json."""
-        m, law = self.measured, {t.symbol: t for t in self.law_terms}
+        m = self.measured
         names = ("tau", "deviation", "low", "high", "law", "law_low", "law_high")
         columns = (m.tau, m.deviation, m.low, m.high, self.expected, self.low, self.high)
-        terms = []
-        for t in m.terms:
-            own = law.get(t.symbol, AllanTerm(t.symbol, t.name, t.unit))
-            terms.append({**vars(t), "law": own.value, "law_uncertainty": own.uncertainty})
         return {
             "unit": m.unit,
             "runs": m.runs,
             "curve": [dict(zip(names, row, strict=True)) for row in zip(*columns, strict=True)],
-            "terms": terms,
+            "terms": [vars(t) for t in self.law_terms],
             "agrees": self.apart is None,
             "in_words": self.sentence(),
         }
