@@ -20,7 +20,7 @@ CATALOGUE = """\
 kept (doubt)
     {words}
 
-# What a fit may not be (guards.py)
+# What a fit may not be (judgement.py)
 prior.contradicted (stop)
     {of[0]} stands {away:.0f} times its plausible size from its prior's mean ({where} against {mean} ± {size}
     {unit:unit}; its log probability falls by {fall:.0f}):
@@ -36,8 +36,6 @@ size.beyond_output (stop)
     {of[0]} is larger than the output's whole range ({mean} against {reach} {unit:unit}): the readings lie far from
     what the model can be.
   → Check the nominal zero and scale.
-time.beyond_record (stop)
-    {of[0]} is longer than {records:.0f} records ({mean} s): it cannot be told.
 curve.beyond_known (stop)
     {of[0]} changes the output by {here} {unit:unit} rms, where all effects known of the instrument, as large as is
     plausible, would change it by {known} {unit:unit}:
@@ -216,10 +214,6 @@ noise.temperature (note)
     A polynomial of degree {degree} over {of[0]} was taken out beside the noise.
 noise.lost (note)
     {share:.2g} % of the readings were lost: they are drawn from the noise law, given the others.
-noise.event (note)
-    At {at} s the average over {over} s changes by {change} {unit:unit}, {times} times what is usual: that is an event,
-    such as a warm-up, a knock or a step, and the law takes it for noise.
-  → Leave it out.
 noise.ended (note)
     The search for the noise law was ended early ({why}): sums that were not fitted may be more probable.
 noise.outside (doubt)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import asdict, replace
 from pathlib import Path
@@ -26,6 +27,7 @@ from bayescal._model.prior import Flat, HalfCauchy, HalfNormal, LogNormal, LogUn
 
 UNKNOWNS = "unknowns"  # of a noise law of the user's own
 LAW_FILE = "Give the file that defines the one it was fitted with: --effects my_law.py (in Python: run it before load)"
+EFFECT_FILE = "--effects my_effects.py (in Python: load(path, effects=[…]))"
 _PRIORS = {c.__name__: c for c in (Flat, HalfCauchy, HalfNormal, LogNormal, LogUniform, Normal)}
 
 
@@ -54,63 +56,59 @@ def sources_of(readings: Measurements) -> tuple[Source, ...]:
 
 def description(c: Fitted) -> dict[str, Any]:
     """All that a calibration is but its numbers, by the names of what is installed."""
-    # Of flags that code asks for, code and names, by their words; effects that some structures of an average have not,
-    # of those that have no size by which their draws say so.
-    flags = (f for f in (*c.readings.flags, *c.verdict.against) if isinstance(f, Flag))
-    codes = {str(flag): [flag.code, *flag.of] for flag in flags}
-    averaged = [e.name for e in c.model.effects if e.held and e == e.averaged]
+    model, readings = c.model, c.readings
+    flags = (f for f in (*readings.flags, *c.verdict.against) if isinstance(f, Flag))
+    own = _catalogue(model.instrument)
+    # Left out where they are empty, so that identities stay what they were.
+    further = {
+        # Lines of the effects that were typed, from which they are made again.
+        "typed": {e.name: e.basis.text for e in model.effects if isinstance(e.basis, Formula)},
+        # Plausible sizes of the instrument's own effects, where these are others than its own.
+        "sizes": {e.name: e.coefficients[0].size for e in model.effects if _is_resized(e, own)},
+        # Effects that some structures of an average have not, if they have no size by which their draws say so.
+        "averaged": [e.name for e in model.effects if e.held and e == e.averaged],
+        "start": dict(c.start),
+        "confounded": [one._asdict() for one in c.confounders],
+        # Of flags that code asks for, code and names, by their words.
+        "flag_codes": {str(flag): [flag.code, *flag.of] for flag in flags},
+        "nominal_scale": asdict(scale) if (scale := readings.scale) else None,
+    }
     return {
         "schema": "bayescal.calibration/1",  # of 0.2: identities stay what they were
-        "instrument": c.model.instrument.name,
-        "settings": dict(c.model.instrument.settings),
-        "effects": list(c.model.names),
-        **({"typed": typed} if (typed := typed_effects(c.model)) else {}),
-        "unknowns": {e.name: stated(e) for e in c.model.effects},
+        "instrument": model.instrument.name,
+        "settings": dict(model.instrument.settings),
+        "effects": list(model.names),
+        "unknowns": {e.name: stated(e) for e in model.effects},
         "ranges": {
-            e.name: {s.name: [s.low, s.high] for s in e.shapes} for e in c.model.effects if e.shapes
+            e.name: {s.name: [s.low, s.high] for s in e.shapes} for e in model.effects if e.shapes
         },
-        **({"sizes": sizes} if (sizes := _resized(c.model)) else {}),
-        **({"averaged": averaged} if averaged else {}),
-        "fixed": dict(c.model.fixed),
-        "noise": _noise_words(c.model.noise),
+        "fixed": dict(model.fixed),
+        "noise": _noise_words(model.noise),
         "promoted": list(c.layout.promoted),
-        "counts": {**dict(c.layout.counts), READING: len(c.readings)},
+        "counts": {**dict(c.layout.counts), READING: len(readings)},
         "levels": {k: list(v) for k, v in c.levels.items()},
         "reference": c.reference,
         "method": c.method,
         "seed": c.seed,
-        **({"start": dict(c.start)} if c.start else {}),
-        **({"confounded": [one._asdict() for one in c.confounders]} if c.confounders else {}),
         "log_evidence": c.log_evidence,
-        "verdict": {
-            k: v for k, v in asdict(c.verdict).items() if k not in ("against", "checked") or v
-        },
-        "sources": [
-            {k: v for k, v in asdict(s).items() if k not in ("columns", "units") or v}
-            for s in c.readings.sources
-        ],
-        "flags": list(c.readings.flags),
-        **({"flag_codes": codes} if codes else {}),
-        **({"nominal_scale": asdict(scale)} if (scale := c.readings.scale) else {}),
+        "verdict": _since(asdict(c.verdict), "against", "checked"),
+        "sources": [_since(asdict(s), "columns", "units") for s in readings.sources],
+        "flags": list(readings.flags),
+        **{key: value for key, value in further.items() if value},
     }
 
 
-def typed_effects(model: Model) -> dict[str, str]:
-    """The lines of the effects that were typed, by name: data, from which they are made again."""
-    return {e.name: e.basis.text for e in model.effects if isinstance(e.basis, Formula)}
+def _since(fields: Mapping[str, Any], *names: str) -> dict[str, Any]:
+    """Return fields, of those that there were not at first only the ones that are not empty."""
+    return {key: value for key, value in fields.items() if key not in names or value}
 
 
-def _resized(model: Model) -> dict[str, float]:
-    """Plausible sizes, by effect, of the instrument's own effects where they are others than its own."""
-    own = _catalogue(model.instrument)
-
-    def resized(e: Effect) -> bool:
-        known = own.get(e.name)
-        if known is None or e.coefficients in (known.coefficients, _as_before(known).coefficients):
-            return bool(e.frees)
-        return replace(e, coefficients=known.coefficients, shapes=known.shapes) == known
-
-    return {e.name: e.coefficients[0].size for e in model.effects if resized(e)}
+def _is_resized(e: Effect, catalogue: Mapping[str, Effect]) -> bool:
+    """Whether an effect differs from the instrument's own by its plausible size alone."""
+    known = catalogue.get(e.name)
+    if known is None or e.coefficients in (known.coefficients, _as_before(known).coefficients):
+        return bool(e.frees)
+    return replace(e, coefficients=known.coefficients, shapes=known.shapes) == known
 
 
 def _as_before(effect: Effect) -> Effect:
@@ -136,16 +134,19 @@ def name_of_today(name: str) -> str:
 
 
 def of_today(described: dict[str, Any]) -> dict[str, Any]:
-    """A description with the names of unknowns, and the words of formulas, that they have now."""
-    unknowns = {
-        name: str(stated_).replace("spread=", "group_sd=")
-        for name, stated_ in described.get("unknowns", {}).items()
+    """A description of 0.2 with the names of unknowns, and the words of formulas, that they have now."""
+    now = {
+        "unknowns": lambda name, said: (name, str(said).replace("spread=", "group_sd=")),
+        "fixed": lambda name, value: (name_of_today(name), value),
+        "typed": lambda name, line: (name, line_of_today(line)),
     }
-    fixed = {name_of_today(name): value for name, value in described.get("fixed", {}).items()}
-    typed = {name: line_of_today(line) for name, line in described.get("typed", {}).items()}
-    reference = {n: v for n, v in described.get("reference", {}).items() if n != "run_starts"}
-    changed = {"unknowns": unknowns, "fixed": fixed, "typed": typed, "reference": reference}
-    return described | {key: value for key, value in changed.items() if key in described}
+    changed = {
+        k: dict(each(*item) for item in described[k].items())
+        for k, each in now.items()
+        if k in described
+    }
+    reference = {n: v for n, v in described["reference"].items() if n != "run_starts"}
+    return described | changed | {"reference": reference}
 
 
 def _noise_words(noise: Noise) -> dict[str, Any]:
@@ -161,12 +162,8 @@ def _noise_words(noise: Noise) -> dict[str, Any]:
     return found
 
 
-def noise_from(path: Path, described: dict[str, Any]) -> Noise:
-    """The noise law that the description in a file names.
-
-    Raises:
-        InputError: no law of that name is loaded, or it is another one than then; names it.
-    """
+def _noise_from(path: Path, described: Mapping[str, Any]) -> Noise:
+    """Return the noise law that a description names; raise InputError if it is not loaded, or another one than then."""
     name, fields = described["law"], dict[str, Any]()
     if name not in Noise.known:
         raise InputError(
@@ -178,25 +175,28 @@ def noise_from(path: Path, described: dict[str, Any]) -> Noise:
             prior = len(value) == 2 and isinstance(value[1], dict)
             value = _PRIORS[value[0]](**value[1]) if prior else tuple(value)
         fields[key] = value
+    then = described.get(UNKNOWNS)
     try:
         law = Noise.known[name](**{k: v for k, v in fields.items() if k not in ("law", UNKNOWNS)})
+        if (now := _noise_words(law).get(UNKNOWNS)) != then:
+            raise TypeError(f"its unknowns were {then}; now {now}")
     except TypeError as error:
         raise InputError(
-            f"{path.name} was fitted with another noise law {name} than the one given now, which cannot be made as "
-            f"that was ({error}). {LAW_FILE}"
+            f"{path.name} was fitted with another noise law {name} than the one given now: {error}. {LAW_FILE}"
         ) from None
-    then, now = described.get(UNKNOWNS), _noise_words(law).get(UNKNOWNS)
-    if then != now:
-        raise InputError(
-            f"{path.name} was fitted with another noise law {name} than the one given now: its unknowns were {then}; "
-            f"now {now}. {LAW_FILE}"
-        )
     return law
 
 
-def _tailored(path: Path, instrument: Instrument, settings, readings: Measurements) -> Instrument:
-    """The installed instrument as the calibration's was tailored."""
-    if not settings:
+def _instrument_from(path: Path, described, readings: Measurements, instruments) -> Instrument:
+    """Return the instrument that a description names, tailored as it was; raise InputError if it is not there."""
+    own, name = {i.name: i for i in instruments}, described["instrument"]
+    if name not in (there := list(dict.fromkeys([*installed_names(), *own]))):
+        raise InputError(
+            f"{path.name} is a calibration of {name!r}, which is not installed (installed: "
+            f"{', '.join(there)}). Install the package that offers it"
+        )
+    instrument = own[name] if name in own else installed_instrument(name)
+    if not (settings := described["settings"]):
         return instrument
     try:
         if instrument.tailor is None:
@@ -204,7 +204,7 @@ def _tailored(path: Path, instrument: Instrument, settings, readings: Measuremen
         return instrument.tailor(readings, **settings)
     except TypeError as error:
         raise InputError(
-            f"{path.name}: the installed {instrument.name!r} cannot be made with {settings} ({error}). Install "
+            f"{path.name}: the installed {name!r} cannot be made with {settings} ({error}). Install "
             "the version that the calibration was made with"
         ) from None
 
@@ -213,54 +213,41 @@ def model_from(path: Path, described, readings: Measurements, effects, instrumen
     """The model that the description in a file names, of what is installed and what is given.
 
     Raises:
-        InputError: an instrument or effect is not there, or is another one than then; names it.
+        InputError: an instrument, effect or noise law is not there, or is another one than then; names it.
     """
-    own, name = {i.name: i for i in instruments}, described["instrument"]
-    if name not in (there := list(dict.fromkeys([*installed_names(), *own]))):
-        raise InputError(
-            f"{path.name} is a calibration of {name!r}, which is not installed (installed: "
-            f"{', '.join(there)}). Install the package that offers it"
-        )
-    named = own[name] if name in own else installed_instrument(name)
-    instrument = _tailored(path, named, described["settings"], readings)
-    typed = described.get("typed", {})
-    made = {n: effect(text, readings=readings, instrument=instrument) for n, text in typed.items()}
-    ranges, known = described["ranges"], _catalogue(instrument)
+    instrument = _instrument_from(path, described, readings, instruments)
+    ranges, then = described["ranges"], described["unknowns"]
+    known, names = _catalogue(instrument), described["effects"]
     # Of two of one name, the instrument's and one that is given, it is the one that was fitted.
-    fitted = {e.name: stated(e.ranging(ranges.get(e.name, {}))) for e in effects}
-    given = [
-        e
+    given = {
+        e.name: e
         for e in effects
-        if e.name not in known or fitted[e.name] == described["unknowns"].get(e.name)
-    ]
-    catalogue = {**known, **{e.name: e for e in given}, **made}
-    for n in described["effects"]:
+        if e.name not in known or stated(e.ranging(ranges.get(e.name, {}))) == then.get(e.name)
+    }
+    typed = {
+        n: effect(text, readings=readings, instrument=instrument)
+        for n, text in described.get("typed", {}).items()
+    }
+    catalogue = {**known, **given, **typed}
+    for n in names:
         with suppress(ModelError):
             catalogue[n] = instrument.effect(n, catalogue)
-    if departures := described.get("departures"):
+    if missing := [n for n in names if n not in catalogue]:
         raise InputError(
-            f"{path.name} was fitted by an earlier version, whose {', '.join(departures)} this one does not have: a "
-            "curve beside an effect is unknown(…) now. Calibrate the readings again"
+            f"{path.name} uses the effect {', '.join(missing)}, which {instrument.name!r} does not have. Give the file "
+            f"that defines it: {EFFECT_FILE}"
         )
-    if missing := [n for n in described["effects"] if n not in catalogue]:
-        raise InputError(
-            f"{path.name} uses the effect {', '.join(missing)}, which {name!r} does not have. Give the file "
-            "that defines it: --effects my_effects.py (in Python: load(path, effects=[…]))"
-        )
-    chosen = tuple(catalogue[n].ranging(ranges.get(n, {})) for n in described["effects"])
-    then = described["unknowns"]
-    chosen = tuple(b if stated(b := _as_before(e)) == then.get(e.name) else e for e in chosen)
+    chosen = [catalogue[n].ranging(ranges.get(n, {})) for n in names]
+    chosen = [b if stated(b := _as_before(e)) == then.get(e.name) else e for e in chosen]
     averaged = described.get("averaged", [])
-    chosen = tuple(e.averaged if e.name in averaged else e for e in chosen)
-    model = Model(instrument, chosen, noise_from(path, described["noise"]), ())
+    chosen = [e.averaged if e.name in averaged else e for e in chosen]
+    model = Model(instrument, tuple(chosen), _noise_from(path, described["noise"]), ())
     for n, size in described.get("sizes", {}).items():
         model = model.resize(n, size)
     for one in model.effects:
-        then, now = described["unknowns"][one.name], stated(one)
-        if then != now:
+        if then[one.name] != (now := stated(one)):
             raise InputError(
-                f"{path.name} was fitted with another effect {one.name!r} than the one given now: then {then}; "
-                f"now {now}. Give the one it was fitted with: --effects my_effects.py (in Python: "
-                "load(path, effects=[…]))"
+                f"{path.name} was fitted with another effect {one.name!r} than the one given now: then "
+                f"{then[one.name]}; now {now}. Give the one it was fitted with: {EFFECT_FILE}"
             )
     return replace(model, fixed=tuple(described["fixed"].items()))

@@ -94,24 +94,21 @@ class Fitted:
             return self.confounded
         if not self.verdict.ok:
             return ()
-        columns, steps = unexplained(self.model, self.readings), self._steps()
-        return confounders(self.linear, columns, steps) if columns or steps else ()
+        return confounders(self.linear, unexplained(self.model, self.readings), self._steps())
 
     def _steps(self) -> dict[str, tuple[float, np.ndarray]]:
         """The steps of rounded thermometers and of the output, and the slopes of the output by them (n,)."""
         readings, found = self.readings, dict[str, tuple[float, np.ndarray]]()
         if step := resolution(readings["output"]):
             found["output"] = step, np.ones(len(readings))
-        for name in (n for n in readings.columns if n in self.model.columns):
+        warm = (n for n in readings.columns if readings.unit(n) == "degC")
+        for name in (n for n in warm if n in self.model.columns):
             values = readings[name]
-            if (
-                readings.unit(name) != "degC"
-                or not 0 < (step := resolution(values, FEW_CHANGES)) <= COARSEST_DEGREES
-            ):
-                continue
-            frame = self.frame_of(readings.with_column(name, values + step))
-            line = self.problem_on(frame).linearise(self.mode.x, self.problem.hyper(self.mode.v))
-            found[name] = step, (line.mean - self.linear.line.mean) / step
+            if 0 < (step := resolution(values, FEW_CHANGES)) <= COARSEST_DEGREES:
+                frame = self.frame_of(readings.with_column(name, values + step))
+                hyper = self.problem.hyper(self.mode.v)
+                line = self.problem_on(frame).linearise(self.mode.x, hyper)
+                found[name] = step, (line.mean - self.linear.line.mean) / step
         return found
 
     @property
@@ -161,46 +158,48 @@ class Fitted:
             name, unit = reference_name(column), self.readings.unit(column)
             if unit is None or column not in self.model.columns:
                 continue
+            low, high = (self.reference.get(f"{column}_{end}") for end in ("low", "high"))
             if name in self.reference:
                 found[name] = float(self.reference[name]), unit  # pyright: ignore[reportArgumentType]
-            elif (middle := self._middle(column)) is not None:
-                found[name] = middle, unit
+            elif column != "time" and isinstance(low, float) and isinstance(high, float):
+                # The middle of its range, where an effect counts the column from it: there it vanishes.
+                middle = 0.5 * (low + high)
+                if middle != 0 and self._acting(column, high) - self._acting(column, middle):
+                    found[name] = middle, unit
         return found
 
-    def _middle(self, column: str) -> float | None:
-        """The middle of a column's range, where an effect counts the column from it: there it vanishes."""
-        low, high = (self.reference.get(f"{column}_{end}") for end in ("low", "high"))
-        if column == "time" or not (isinstance(low, float) and isinstance(high, float)):
-            return None
-        middle = 0.5 * (low + high)
+    def _acting(self, column: str, at: float) -> set[str]:
+        """Names of the effects that are not zero where a column has a value."""
+        there = self._probe.with_column(column, np.full(self._probe.size, at))
+        by = (e for e in self.model.effects if column in e.columns and not e.is_placeholder)
+        return {e.name for e in by if np.any(self._basis(e, there))}
+
+    @cached_property
+    def _probe(self) -> Frame:
+        """Eight of the readings, on which effects are tried."""
         rows = np.unique(np.linspace(0, len(self.readings) - 1, 8, dtype=int))
-        few = self.frame.reordered(rows, np.arange(len(rows)), self.frame.step[rows])
+        return self.frame.reordered(rows, np.arange(len(rows)), self.frame.step[rows])
 
-        def acts(effect: Effect, at: float) -> bool:
-            shapes = {s.name: s.low for s in effect.column_shapes}
-            there = few.with_column(column, np.full(len(rows), at))
-            return bool(np.any(effect.evaluate(there, shapes)))
-
-        by = [e for e in self.model.effects if column in e.columns and not e.is_placeholder]
-        counted = middle != 0 and any(acts(e, high) and not acts(e, middle) for e in by)
-        return middle if counted else None
+    def _basis(self, effect: Effect, frame: Frame) -> Any:
+        """Return columns of an effect at the mode of its shapes."""
+        at_mode: Any = self.problem.hyper(self.mode.v)
+        shapes = {s.name: at_mode[effect.shape_name(s)] for s in effect.column_shapes}
+        return effect.evaluate(frame, shapes)
 
     @cached_property
     def dated(self) -> tuple[str, ...]:
         """Names of the effects that change with the date, whatever the time since a run's start."""
         if not self.readings.has("time"):
             return ()
-        rows = np.unique(np.linspace(0, len(self.readings) - 1, 8, dtype=int))
-        now = self.frame.reordered(rows, np.arange(len(rows)), self.frame.step[rows])
+        now = self._probe
         moved = 0.3 * float(self.reference["time_span"])  # pyright: ignore[reportArgumentType]
         later = now.with_column("time", now["time"] + moved)
-        at_mode = self.problem.hyper(self.mode.v)
-
-        def changes(effect: Effect) -> bool:
-            shapes: Any = {s.name: at_mode[effect.shape_name(s)] for s in effect.column_shapes}
-            return not np.array_equal(effect.evaluate(now, shapes), effect.evaluate(later, shapes))
-
-        return tuple(e.name for e in self.model.effects if "time" in e.columns and changes(e))
+        return tuple(
+            e.name
+            for e in self.model.effects
+            if "time" in e.columns
+            and not np.array_equal(self._basis(e, now), self._basis(e, later))
+        )
 
     def on_clock(self, readings: Measurements) -> Measurements:
         """Return readings with times counted from this calibration's epoch.

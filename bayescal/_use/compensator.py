@@ -12,9 +12,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from bayescal._calibration.calibration import Calibration
+from bayescal._calibration.check import why_not
 from bayescal._calibration.description import identity
 from bayescal._calibration.mixture import usual_columns
-from bayescal._calibration.why_not import why_not
 from bayescal._core.atomic_file import write_text
 from bayescal._core.errors import InputError
 from bayescal._data.column import UNCERTAINTY, Column
