@@ -16,7 +16,7 @@ import numpy as np
 
 from bayescal._calibration.calibration import Calibration
 from bayescal._calibration.leave_group_out import LeaveOneGroupOut, leave_one_group_out, scheme
-from bayescal._calibration.predict import predict
+from bayescal._calibration.predict import Prediction, predict
 from bayescal._core.errors import InputError
 from bayescal._core.formatting import WIDTH, number
 from bayescal._core.importance_weights import stacking
@@ -134,33 +134,59 @@ def compare(calibrations: Mapping[str, Calibration] | Sequence[Calibration]) -> 
     """
     if not isinstance(calibrations, Mapping):
         calibrations = _named(calibrations)
-    names = list(calibrations)
-    _refuse_different_readings(calibrations)
+    if len(calibrations) < 2:
+        raise InputError(f"compare needs at least two calibrations, not {len(calibrations)}")
+    (one, first), *others = calibrations.items()
+    for other, c in others:
+        output = c.readings["output"]
+        if output.shape != (len(first.readings),) or not np.allclose(
+            output, first.readings["output"]
+        ):
+            raise InputError(
+                f"{one!r} and {other!r} were fitted to different readings ({first.readings.file}, "
+                f"{c.readings.file}): fit both to the same"
+            )
     loo = {name: pointwise_loo(c) for name, c in calibrations.items()}
     folds = {name: leave_one_group_out(c) for name, c in calibrations.items()}
+    curves = {name: predict(c) for name, c in calibrations.items()}
     left_out = [f for f in folds.values() if f is not None]
-    grouped, fold = len(left_out) == len(names), next(iter(left_out), None)
+    fold = left_out[0] if len(left_out) == len(folds) else None
     best_loo = max((points for points, _ in loo.values()), key=np.sum)
-    best_fold = max(left_out, key=lambda f: f.log_score.sum()) if grouped else None
-    weights = stacking(np.stack([loo[n][0] for n in names], axis=1))
-    rows = [
-        _row(name, calibrations[name], loo[name], best_loo, folds[name], best_fold, float(weight))
-        for name, weight in zip(names, weights, strict=True)
-    ]
-    few = grouped and fold is not None and fold.count < FEWEST_GROUPS
-    by = BY_GROUPS if grouped else BY_READINGS
-    if few and all(r.log_evidence is not None for r in rows):
+    best_fold = max(left_out, key=lambda f: f.log_score.sum()) if fold else None
+    weights = stacking(np.stack([points for points, _ in loo.values()], axis=1))
+    rows = list[ComparisonRow]()
+    for (name, c), weight in zip(calibrations.items(), weights, strict=True):
+        (points, pareto_k), out = loo[name], folds[name]
+        gap = out.log_score - best_fold.log_score if out and best_fold else None
+        row = ComparisonRow(
+            name=name,
+            effects=", ".join(c.model.names),
+            rmse=curves[name].rmse,
+            group_score=float(out.log_score.sum()) if out else None,
+            group_difference=None if gap is None else float(gap.sum()),
+            group_error=None if gap is None or len(gap) < FEWEST_GROUPS else _error(gap),
+            group_rmse=out.rmse if out else None,
+            loo=float(points.sum()),
+            loo_difference=float((points - best_loo).sum()),
+            loo_error=_error(points - best_loo),
+            pareto_k=pareto_k,
+            log_evidence=c.log_evidence[0] if c.log_evidence else None,
+            weight=float(weight),
+        )
+        rows.append(row)
+    by = BY_GROUPS if fold else BY_READINGS
+    if fold and fold.count < FEWEST_GROUPS and all(r.log_evidence is not None for r in rows):
         by = BY_EVIDENCE
     measured = {BY_GROUPS: "group_score", BY_EVIDENCE: "log_evidence", BY_READINGS: "loo"}[by]
     rows.sort(key=lambda r: -getattr(r, measured))
-    first = calibrations[names[0]]
+    fold = left_out[0] if left_out else None
     return Comparison(
         rows=tuple(rows),
         group=fold.group if fold else "reading",
         groups=fold.count if fold else len(first.readings),
         unit=first.unit,
         chosen_by=by,
-        warnings=(*_warnings(rows, by, fold), *_alike(calibrations)),
+        warnings=(*_warnings(rows, by, fold), *_alike(curves, first.unit)),
     )
 
 
@@ -175,48 +201,6 @@ def pointwise_loo(calibration: Calibration) -> tuple[np.ndarray, float]:
         warnings.simplefilter("ignore", UserWarning)
         found: Any = arviz_stats.loo(tree, pointwise=True)  # pyright: ignore[reportPrivateImportUsage]
     return np.asarray(found.elpd_i).ravel(), float(np.max(np.asarray(found.pareto_k)))
-
-
-def _refuse_different_readings(calibrations: Mapping[str, Calibration]) -> None:
-    names = list(calibrations)
-    if len(names) < 2:
-        raise InputError(f"compare needs at least two calibrations, not {len(names)}")
-    first = calibrations[names[0]]
-    for name in names[1:]:
-        own, other = first.readings["output"], calibrations[name].readings["output"]
-        if other.shape != own.shape or not np.allclose(other, own):
-            raise InputError(
-                f"{names[0]!r} and {name!r} were fitted to different readings "
-                f"({first.readings.file}, {calibrations[name].readings.file}): fit both to the same"
-            )
-
-
-def _row(
-    name: str,
-    calibration: Calibration,
-    loo: tuple[np.ndarray, float],
-    best_loo: np.ndarray,
-    fold: LeaveOneGroupOut | None,
-    best_fold: LeaveOneGroupOut | None,
-    weight: float,
-) -> ComparisonRow:
-    points, pareto_k = loo
-    gap = fold.log_score - best_fold.log_score if fold and best_fold else None
-    return ComparisonRow(
-        name=name,
-        effects=", ".join(calibration.model.names),
-        rmse=predict(calibration).rmse,
-        group_score=float(fold.log_score.sum()) if fold else None,
-        group_difference=None if gap is None else float(gap.sum()),
-        group_error=None if gap is None or len(gap) < FEWEST_GROUPS else _error(gap),
-        group_rmse=fold.rmse if fold else None,
-        loo=float(points.sum()),
-        loo_difference=float((points - best_loo).sum()),
-        loo_error=_error(points - best_loo),
-        pareto_k=pareto_k,
-        log_evidence=calibration.log_evidence[0] if calibration.log_evidence else None,
-        weight=weight,
-    )
 
 
 def _error(differences: np.ndarray) -> float:
@@ -263,20 +247,16 @@ def _named(calibrations: Sequence[Calibration]) -> dict[str, Calibration]:
     return named
 
 
-def _alike(calibrations: Mapping[str, Calibration]) -> list[str]:
-    """Models whose fitted curves are one and the same against the noise, said pair by pair with the first."""
-    curves = {name: predict(c) for name, c in calibrations.items()}
-    said, named = [], set()
+def _alike(curves: Mapping[str, Prediction], unit: str) -> list[str]:
+    """Models whose fitted curves are one and the same against the noise, each with the first that it is like."""
+    said, named = [], set[str]()
     for name, curve in curves.items():
-        if name in named:
-            continue
         noise = float(np.sqrt(np.mean(curve.sd**2)))
-        others = {n: c for n, c in curves.items() if n not in named}
+        others = {n: c for n, c in curves.items() if n not in {*named, name}}
         gaps = {n: float(np.max(np.abs(c.mean - curve.mean))) for n, c in others.items()}
-        same = [n for n, gap in gaps.items() if n != name and gap < SAME_CURVE * noise]
-        if same:
+        same = [n for n, gap in gaps.items() if gap < SAME_CURVE * noise]
+        if same and name not in named:
             named |= {name, *same}
-            unit = calibrations[name].unit
             said.append(
                 f"{', '.join(map(repr, [name, *same]))} are the same curve to within "
                 f"{max(gaps[n] for n in same):.2g} {unit} (noise {noise:.2g}): corrections by them are the same."

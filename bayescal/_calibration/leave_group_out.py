@@ -7,24 +7,29 @@ of the left-out group then come from their prior, as those of any group not yet 
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import NamedTuple
+from functools import cached_property
+from typing import Any, NamedTuple
 
+import jax
 import numpy as np
+from jaxtyping import Float
 from scipy.special import fdtrc
 
 from bayescal._calibration.fitted import Fitted
-from bayescal._calibration.part import Part
 from bayescal._core.parallel import on_one_thread
 from bayescal._data.measurements import Measurements
+from bayescal._inference.column_products import ColumnProducts
 from bayescal._inference.density import Density
 from bayescal._inference.gaussian import Gram, Prior, condition
 from bayescal._inference.laplace import Mode, climb
 from bayescal._inference.problem import Problem
+from bayescal._inference.record import Basis, Record
+from bayescal._model.terms import ColumnsOf
 
 # Readings, below which a group's error is a matter of chance: it is three times too large once in 10⁷ groups of 5.
 FEW_IN_GROUP = 5
-
 NOTHING_LEFT = 1e-10  # that a fold's φ̂ could still gain, nats: its score, unlike its density, is at no maximum there
 BLOCKS = 5  # of neighbouring readings, where there is no group to leave out
 
@@ -64,6 +69,63 @@ class LeaveOneGroupOut:
     @property
     def count(self) -> int:
         return len(self.members)
+
+
+class Part(Record):
+    """Some readings of a record, by their rows; what happened between them stays in their columns."""
+
+    def __init__(self, whole: Record, rows: np.ndarray) -> None:
+        # In the order of time, the steps between them those of all readings in between, summed.
+        order, step = whole.in_time
+        place = np.full(whole.size, -1)
+        place[rows] = np.arange(len(rows))
+        kept = np.flatnonzero(place[order] >= 0)
+        steps = np.diff(np.cumsum(np.maximum(step, 0.0))[kept], prepend=0.0)
+        steps[np.diff(np.cumsum(step < 0)[kept], prepend=-1) != 0] = -1.0
+        frame = jax.tree.map(np.asarray, whole.frame).reordered(rows, place[order[kept]], steps)
+        super().__init__(whole.instrument, frame, whole.y[rows], plain=whole.plain)
+        self.whole, self.rows = whole, rows
+
+    def columns(self, effect: ColumnsOf, values: tuple[float, ...]) -> Float[np.ndarray, "n k"]:
+        return self.whole.columns(effect, values)[self.rows]
+
+    def basis_along(self, effect: ColumnsOf) -> Basis | None:
+        found = self.whole.basis_along(effect)
+        return found and found._replace(columns=found.columns[self.rows])
+
+    def moved_columns(
+        self, effect: ColumnsOf, values: tuple[float, ...], moves: Mapping[str, np.ndarray]
+    ) -> tuple[Float[np.ndarray, "n k"], dict[str, Float[np.ndarray, "n k"]]]:
+        return self._kept(self.whole.moved_columns(effect, values, self._spread(moves)))
+
+    @cached_property
+    def affine(self) -> tuple[np.ndarray, dict[str, np.ndarray]] | None:
+        return self.whole.affine and self._kept(self.whole.affine)
+
+    @cached_property
+    def products(self) -> ColumnProducts:
+        return self.whole.products.of_rows(self.rows)
+
+    def several(
+        self, slots: Mapping[str, np.ndarray], moves: Mapping[str, np.ndarray]
+    ) -> Float[np.ndarray, "b n"]:
+        return self.whole.several(self._spread(slots), self._spread(moves))[:, self.rows]
+
+    def _response(self, slots, moves):
+        return self._kept(self.whole._response(self._spread(slots), self._spread(moves)))
+
+    def _kept(self, of_all: tuple[np.ndarray, Mapping[str, np.ndarray]]):
+        values, slopes = of_all
+        return values[self.rows], {name: slope[self.rows] for name, slope in slopes.items()}
+
+    def _spread(self, values: Mapping[str, Any]) -> dict[str, np.ndarray]:
+        """The same on the whole record, zero where a reading is not kept."""
+        found = {}
+        for name, value in values.items():
+            kept = np.broadcast_to(value, (*np.shape(value)[:-1], self.size))
+            found[name] = np.zeros((*kept.shape[:-1], self.whole.size))
+            found[name][..., self.rows] = kept
+        return found
 
 
 def scheme(group: str) -> str:
@@ -116,9 +178,7 @@ class _Fold(NamedTuple):
     residual: np.ndarray  # output unit
     model: np.ndarray  # variance of the expected output, output unit squared
     squares: float  # of the whitened residuals, rᵀr
-    spectrum: (
-        np.ndarray
-    )  # eigenvalues λ of their covariance I + A·C·Aᵀ, of which Σλ is expected of rᵀr
+    spectrum: np.ndarray  # eigenvalues λ of their covariance I + A·C·Aᵀ: Σλ is expected of rᵀr
 
     def by_chance(self, readings: int, groups: int) -> float:
         """Probability of squares as large, if what was learnt of so many readings and groups is right.

@@ -86,14 +86,21 @@ def predict(
     calibration.model.require(readings)
     readings = calibration.on_clock(readings)
     frame = calibration.frame_of(readings)
-    if same_record:
-        new_groups = False
-    if new_groups:
+    if new_groups and not same_record:
+        if not known and (on := _going_on(calibration, readings)) is not None:
+            return _continued(calibration, readings, on, draws)
         frame = _of_new_groups(frame)
-    on = None if known or same_record or not new_groups else _going_on(calibration, readings)
-    if on is not None:
-        return _continued(calibration, readings, on, draws)
-    return _predicted(calibration, readings, frame, same_record, draws)
+    found = moments(calibration.problem_on(frame), calibration.draws(draws))
+    model_variance = found.variance + found.beside
+    total = np.sqrt(model_variance + found.noise)
+    residual = np.asarray(frame["output"]) - found.mean
+    made = Prediction(readings["output"] - residual, np.sqrt(model_variance), total, residual)
+    if not same_record or calibration.model.noise.independent:
+        return made
+    past = np.arange(len(calibration.readings))
+    noise = _CarriedOn.of(calibration, past, readings, beyond=False)
+    mean, spread = noise.found(predict(calibration, new_groups=False).residual[:, None])
+    return replace(made, correlated_noise=mean[:, 0], correlated_noise_sd=np.sqrt(spread))
 
 
 def replicates(
@@ -151,47 +158,27 @@ def _of_new_groups(frame: Frame) -> Frame:
     return replace(frame, codes=codes)
 
 
-def _predicted(
-    calibration: Calibration, readings: Measurements, frame: Frame, same_record: bool, draws: int
-) -> Prediction:
-    """`predict` of a frame whose groups are known, or are not."""
-    found = moments(calibration.problem_on(frame), calibration.draws(draws))
-    model_variance = found.variance + found.beside
-    total = np.sqrt(model_variance + found.noise)
-    residual = np.asarray(frame["output"]) - found.mean
-    made = Prediction(readings["output"] - residual, np.sqrt(model_variance), total, residual)
-    if not same_record or calibration.model.noise.independent:
-        return made
-    past = np.arange(len(calibration.readings))
-    noise = _CarriedOn.of(calibration, past, readings, beyond=False)
-    left = predict(calibration, new_groups=False).residual
-    mean, spread = noise.found(left[:, None])
-    return replace(made, correlated_noise=mean[:, 0], correlated_noise_sd=np.sqrt(spread))
-
-
 def _continued(
     calibration: Calibration, readings: Measurements, on: _GoingOn, draws: int
 ) -> Prediction:
     """Readings of which some go on with the fitted record: these behind it, with its past, the others alone."""
-    past, rows, others, later, whole = on
-    frame, noise = calibration.frame_of(whole), None
-    tail, spread = slice(len(past), None), 0.0
+    frame, noise, spread = calibration.frame_of(on.whole), None, 0.0
     if not calibration.model.noise.independent:
-        noise = _CarriedOn.of(calibration, past, later, beyond=True)
-        spread = noise.variance
+        noise = _CarriedOn.of(calibration, on.past, on.later, beyond=True)
+        spread = noise.found(np.zeros((len(on.past), 1)))[1]
     found = moments(calibration.problem_on(frame), calibration.draws(draws), noise)
+    tail = slice(len(on.past), None)
     model = found.variance[tail] + found.beside[tail]
     made = {
-        "mean": (whole["output"] - frame["output"] + found.mean)[tail],
+        "mean": (on.whole["output"] - frame["output"] + found.mean)[tail],
         "model_sd": np.sqrt(model),
         "sd": np.sqrt(model + found.noise[tail] + spread),
     }
-    if others.size:
-        apart = predict(calibration, readings.select(others), draws=draws)
-        every = {name: np.zeros(len(readings)) for name in made}
+    if on.others.size:
+        apart = predict(calibration, readings.select(on.others), draws=draws)
         for name, values in made.items():
-            every[name][rows], every[name][others] = values, getattr(apart, name)
-        made = every
+            made[name] = np.zeros(len(readings))
+            made[name][on.rows], made[name][on.others] = values, getattr(apart, name)
     return Prediction(**made, residual=readings["output"] - made["mean"])
 
 
@@ -200,20 +187,15 @@ class _CarriedOn(NamedTuple):
 
     Its mean is linear in what a model leaves of the fitted readings. Each draw of the coefficients leaves its own, so
     that a level that the noise and a coefficient may both hold is uncertain in either, and not in their sum.
-
-    Attributes:
-        law, values: the noise law and its parameters.
-        parts: of each run, which of the fitted readings are its own, their times, the variance of their own noise,
-            of the others which, and their times; and what the law follows, at both.
-        output: of the fitted readings, counted from the fit's origin (n,).
-        count: of the others.
     """
 
     law: Noise
-    values: dict[str, Any]
+    values: dict[str, Any]  # its parameters
+    # Of each run: which of the fitted readings are its own, their times, the variance of their own noise, of the others
+    # which, and their times; and what the law follows, at both.
     parts: list[tuple[Any, ...]]
-    output: np.ndarray
-    count: int
+    output: np.ndarray  # of the fitted readings, counted from the fit's origin (n,)
+    count: int  # of the others
 
     @classmethod
     def of(
@@ -241,18 +223,13 @@ class _CarriedOn(NamedTuple):
         return cls(law, values, parts, np.asarray(frames[0]["output"]), len(readings))
 
     def found(self, left: Float[np.ndarray, "n b"]) -> tuple[np.ndarray, np.ndarray]:
-        """Mean (m, b) and variance (m,); NaN where nothing is said."""
+        """Mean (m, b) and variance (m,), given what is left of the fitted readings; NaN where nothing is said."""
         mean = np.full((self.count, left.shape[1]), np.nan)
         spread = np.full(self.count, np.nan)
         for rows, time, white, others, at, both in self.parts:
             found = self.law.slow_part(self.values, time, left[rows], white, at, both)
             mean[others], spread[others] = found
         return mean, spread
-
-    @property
-    def variance(self) -> Float[np.ndarray, "m"]:
-        """Of the noise, the coefficients known."""
-        return self.found(np.zeros((len(self.output), 1)))[1]
 
     def __call__(self, expected: Float[np.ndarray, "b n"]) -> Float[np.ndarray, "b n"]:
         """Its mean at all readings, the fitted ones first: zero at these, whose noise is not asked for."""
