@@ -47,14 +47,16 @@ class Calibration(Printed, Fitted):
     @property
     def remarks(self) -> str:
         """What was not measured, the verdict, and what stands against the result, a line each."""
-        lines = [f"not measured: {one}" for one in null_directions(self)]
-        lines.append(str(self.verdict))
-        lines += [f"conflict: {words}" for words in self.conflicts]
         told = {(one.code, one.of) for one in self.conflicts}
-        further = [
-            w for w in self.verdict.against if not (isinstance(w, Flag) and (w.code, w.of) in told)
+        further = (
+            w for w in self.verdict.against if not isinstance(w, Flag) or (w.code, w.of) not in told
+        )
+        lines = [
+            *(f"not measured: {one}" for one in null_directions(self)),
+            str(self.verdict),
+            *(f"conflict: {words}" for words in self.conflicts),
+            *(f"not reliable: {words}" for words in further),
         ]
-        lines += [f"not reliable: {words}" for words in further]
         return "\n".join(textwrap.fill(line, WIDTH) for line in lines)
 
     def _brief(self) -> str:
@@ -64,8 +66,7 @@ class Calibration(Printed, Fitted):
 
     def _columns(self) -> dict[str, list[Any]]:
         """A row for each unknown, in its own unit; `low` and `high` bound the 95 % credible interval."""
-        coefficients, hyperparameters = summary(self)
-        rows = [*coefficients, *hyperparameters]
+        rows = [row for part in summary(self) for row in part]
         return {
             "unknown": [r["name"] for r in rows],
             **{name: [r[name] for r in rows] for name in ("effect", "unit", "mean", "sd")},

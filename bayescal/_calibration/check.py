@@ -12,7 +12,6 @@ from dataclasses import dataclass, replace
 from itertools import combinations
 
 import numpy as np
-from jaxtyping import Float
 from scipy.special import bdtr, kolmogorov, logsumexp, ndtr, smirnov
 
 from bayescal._calibration import judgement
@@ -104,18 +103,16 @@ def why_not(calibration: Calibration) -> str:
         return verdict.why_not
     known = vars(calibration)  # kept with what else is computed of it
     if "why_not" not in known:
-        known["why_not"] = judgement.noiseless(calibration) or " ".join(
-            judgement.wrong_question(calibration, noise_floor(calibration))
-            or judgement.against(
-                judgement.Subject(
-                    calibration,
-                    check=check(calibration),
-                    left_out=leave_one_group_out(calibration),
-                    doubts=tuple(judgement.doubts_of_the_mode(calibration)),
-                )
-            )
-        )
+        known["why_not"] = judgement.noiseless(calibration) or " ".join(_against(calibration))
     return known["why_not"]
+
+
+def _against(calibration: Calibration) -> Sequence[judgement.Claim]:
+    if wrong := judgement.wrong_question(calibration, noise_floor(calibration)):
+        return wrong
+    doubts = tuple(judgement.doubts_of_the_mode(calibration))
+    asked = {"left_out": leave_one_group_out(calibration), "doubts": doubts}
+    return judgement.against(judgement.Subject(calibration, check=check(calibration), **asked))
 
 
 def _judged(calibration: Calibration) -> tuple[Calibration, float | None]:
@@ -227,44 +224,29 @@ def _together(first: Covariate, second: Covariate) -> Covariate:
 def log_bayes_factors(
     calibration: Calibration, covariates: Sequence[Covariate], noise: float
 ) -> list[float]:
-    """For each covariate the log Bayes factor of a dependence on it against none.
+    """For each covariate the log Bayes factor of a dependence on it against none, over lengths and amplitudes.
 
-    Args:
-        noise: standard deviation that amplitudes are counted in, output unit.
+    At prior standard deviations common to all of its columns, in units of the noise (output unit), it is
+    ½ u'(W⁻¹ + I)⁻¹u − ½ log|1 + IW|, W the prior variance. A direction without information counts nothing, so that zero
+    and linearly dependent columns are allowed.
     """
-    found = []
+    found, variance = [], np.square(AMPLITUDES)[:, None]
     for covariate in covariates:
         u, information = calibration.linear.score(covariate.columns * noise)
-        terms = [
-            at_sizes(weight * u, weight[:, None] * information * weight, AMPLITUDES)
-            for weight in covariate.weights
-        ]
+        if not (np.isfinite(u).all() and np.isfinite(information).all()):
+            raise InputError("a score of columns is not finite: every prior must be proper")
+        terms = list[np.ndarray]()
+        for weight in covariate.weights:
+            inner = weight[:, None] * information * weight
+            values, vectors = np.linalg.eigh((inner + inner.T) / 2)
+            spread = variance * values
+            seen = spread > np.maximum(INVISIBLE, ROUNDING * spread[:, -1:])
+            spread = np.where(seen, spread, 0.0)
+            pulls = variance * (vectors.T @ (weight * u)) ** 2
+            energy = np.where(seen, pulls, 0.0) / (1 + spread)
+            terms.append(0.5 * np.sum(energy - np.log1p(spread), axis=1))
         found.append(float(logsumexp(terms) - np.log(np.size(terms))))
     return found
-
-
-def at_sizes(
-    score: Float[np.ndarray, "k"], information: Float[np.ndarray, "k k"], sizes: Sequence[float]
-) -> Float[np.ndarray, "s"]:
-    """Log Bayes factors, in nats, of one group of columns at prior standard deviations common to all of its columns.
-
-    Each is ½ u'(W⁻¹ + I)⁻¹u − ½ log|1 + IW|, W the prior variance. A direction without information counts nothing, so
-    that zero and linearly dependent columns are allowed.
-
-    Raises:
-        InputError: score or information is not finite.
-    """
-    if not (np.isfinite(score).all() and np.isfinite(information).all()):
-        raise InputError(
-            "the score of a group of columns is not finite: every prior must be proper"
-        )
-    values, vectors = np.linalg.eigh((information + information.T) / 2)
-    variance = np.square(np.asarray(sizes, float))[:, None]
-    spread = variance * values
-    seen = spread > np.maximum(INVISIBLE, ROUNDING * spread[:, -1:])
-    spread = np.where(seen, spread, 0.0)
-    energy = np.where(seen, variance * (vectors.T @ score) ** 2, 0.0) / (1 + spread)
-    return 0.5 * np.sum(energy - np.log1p(spread), axis=1)
 
 
 # residuals as noise --------------------------------------------------------------------------------------------------
@@ -296,12 +278,9 @@ def autocorrelation(calibration: Calibration, standardised: np.ndarray) -> tuple
 def _of_independent_noise(directions: np.ndarray, first: np.ndarray) -> tuple[float, float]:
     """Mean and standard deviation of the lag-1 autocorrelation of residuals e ~ N(0, C), C = I − G·Gᵀ.
 
-    The sum over neighbours of eᵢ·eᵢ₊₁ is eᵀBe, that of their squares, halved, eᵀDe. Their means have the ratio
-    ρ = tr(BC)/tr(DC), and the variance of eᵀKe, K = B − ρ·D, is 2·tr(KCKC).
-
-    Args:
-        directions: G (n, q), in the order of time.
-        first: where the first of each two neighbours stands.
+    G are the directions (n, q), in the order of time. The sum over neighbours of eᵢ·eᵢ₊₁ is eᵀBe, that of their
+    squares, halved, eᵀDe. Their means have the ratio ρ = tr(BC)/tr(DC), and the variance of eᵀKe, K = B − ρ·D, is
+    2·tr(KCKC). `first` is where the first of each two neighbours stands.
     """
     halves = 0.5 * np.bincount(np.append(first, first + 1), minlength=len(directions))  # D
     squares = float(halves @ (1 - np.sum(directions**2, axis=1)))

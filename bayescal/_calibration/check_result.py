@@ -21,20 +21,13 @@ IN_TIME = ("time", "elapsed", "order", "run")  # what correlated noise seems to 
 
 @dataclass(frozen=True)
 class Region:
-    """A part of a covariate where the residuals are systematically positive or negative.
+    """A part of a covariate where the residuals are systematically positive or negative."""
 
-    Attributes:
-        low, high: of the covariate, in `covariate_unit`.
-        group: the run, where it is one run's alone; the member, where the covariate is a group.
-        size: mean residual there (weighted by the noise law), output unit.
-        z: size over its standard uncertainty.
-    """
-
-    low: float
+    low: float  # of the covariate, in `covariate_unit`
     high: float
-    group: str | None
-    size: float
-    z: float
+    group: str | None  # the run, of one run alone; the member, where the covariate is a group
+    size: float  # mean residual there (weighted by the noise law), output unit
+    z: float  # size over its standard uncertainty
     covariate_unit: str
 
 
@@ -64,19 +57,12 @@ class Pair:
 
 @dataclass(frozen=True)
 class FixedComparison:
-    """What residuals of a model with fixed coefficients are judged against, output unit.
+    """What residuals of a model with fixed coefficients are judged against, output unit."""
 
-    Attributes:
-        noise: standard deviation used as the measure.
-        rms: of the residuals.
-        free_fit: noise of the same model with free coefficients.
-        known: contributions known before any fit, by name.
-    """
-
-    noise: float
-    rms: float
-    free_fit: float
-    known: dict[str, float]
+    noise: float  # standard deviation used as the measure
+    rms: float  # of the residuals
+    free_fit: float  # noise of the same model with free coefficients
+    known: dict[str, float]  # contributions known before any fit, by name
 
     @property
     def wrong(self) -> bool:
@@ -164,10 +150,8 @@ def check_table(rows: Sequence[Mapping[str, Any]]) -> ResultTable:
 def check_parts(check: Check, most: int | None = None) -> list[str | ResultTable]:
     """Where a model fails, the worst covariate first.
 
-    Args:
-        check: of it.
-        most: covariates that are shown; then what always stands below them (neighbours in time, probabilities of single
-            readings, Allan deviation) is left out too. None: all.
+    Of `most` covariates alone, what always stands below them (neighbours in time, probabilities of single readings,
+    Allan deviation) is left out too.
     """
     unit, rows = unit_label(check.unit), check.data()[:most]
     noise = f"judged against noise of {check.noise:.3g} {unit}"

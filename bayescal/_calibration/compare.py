@@ -33,33 +33,21 @@ SAME_CURVE = 0.15  # of the noise: the largest difference of curves that count a
 
 @dataclass(frozen=True)
 class ComparisonRow:
-    """One model.
+    """One model."""
 
-    Attributes:
-        name: given by the user.
-        effects: canonical names, with commas between.
-        rmse: of the readings with group deviations at zero, output unit.
-        group_score: sum of the joint log predictive densities, leave-one-group-out.
-        group_difference, group_error: to the best, and its standard error over groups; None over fewer than ten.
-        group_rmse: of readings predicted from the other groups, output unit.
-        loo: expected log pointwise predictive density by PSIS-LOO; its difference and error; worst Pareto k.
-        log_evidence: None where a prior is flat.
-        weight: stacking weight.
-    """
-
-    name: str
-    effects: str
-    rmse: float
-    group_score: float | None
-    group_difference: float | None
-    group_error: float | None
-    group_rmse: float | None
-    loo: float
-    loo_difference: float
-    loo_error: float
-    pareto_k: float
-    log_evidence: float | None
-    weight: float
+    name: str  # given by the user
+    effects: str  # canonical names, with commas between
+    rmse: float  # of the readings with group deviations at zero, output unit
+    group_score: float | None  # sum of the joint log predictive densities, leave-one-group-out,
+    group_difference: float | None  # that to the best,
+    group_error: float | None  # and its standard error over groups; None over fewer than ten
+    group_rmse: float | None  # of readings predicted from the other groups, output unit
+    loo: float  # expected log pointwise predictive density by PSIS-LOO,
+    loo_difference: float  # that to the best,
+    loo_error: float  # and its standard error
+    pareto_k: float  # the worst
+    log_evidence: float | None  # None where a prior is flat
+    weight: float  # by stacking
 
 
 @dataclass(frozen=True, repr=False)
@@ -137,53 +125,50 @@ def compare(calibrations: Mapping[str, Calibration] | Sequence[Calibration]) -> 
     if len(calibrations) < 2:
         raise InputError(f"compare needs at least two calibrations, not {len(calibrations)}")
     (one, first), *others = calibrations.items()
-    for other, c in others:
-        output = c.readings["output"]
-        if output.shape != (len(first.readings),) or not np.allclose(
-            output, first.readings["output"]
-        ):
+    own = first.readings["output"]
+    for name, c in others:
+        if len(c.readings) != len(own) or not np.allclose(c.readings["output"], own):
             raise InputError(
-                f"{one!r} and {other!r} were fitted to different readings ({first.readings.file}, "
+                f"{one!r} and {name!r} were fitted to different readings ({first.readings.file}, "
                 f"{c.readings.file}): fit both to the same"
             )
-    loo = {name: pointwise_loo(c) for name, c in calibrations.items()}
-    folds = {name: leave_one_group_out(c) for name, c in calibrations.items()}
     curves = {name: predict(c) for name, c in calibrations.items()}
-    left_out = [f for f in folds.values() if f is not None]
-    fold = left_out[0] if len(left_out) == len(folds) else None
+    loo = {name: pointwise_loo(c) for name, c in calibrations.items()}
     best_loo = max((points for points, _ in loo.values()), key=np.sum)
-    best_fold = max(left_out, key=lambda f: f.log_score.sum()) if fold else None
     weights = stacking(np.stack([points for points, _ in loo.values()], axis=1))
+    folds = {name: leave_one_group_out(c) for name, c in calibrations.items()}
+    left_out = [f for f in folds.values() if f is not None]
+    fold, grouped = next(iter(left_out), None), len(left_out) == len(folds)
+    best = max((f.log_score for f in left_out), key=np.sum) if grouped else None
     rows = list[ComparisonRow]()
     for (name, c), weight in zip(calibrations.items(), weights, strict=True):
         (points, pareto_k), out = loo[name], folds[name]
-        gap = out.log_score - best_fold.log_score if out and best_fold else None
+        gap = None if out is None or best is None else out.log_score - best
         row = ComparisonRow(
             name=name,
             effects=", ".join(c.model.names),
             rmse=curves[name].rmse,
-            group_score=float(out.log_score.sum()) if out else None,
+            group_score=out and float(out.log_score.sum()),
             group_difference=None if gap is None else float(gap.sum()),
             group_error=None if gap is None or len(gap) < FEWEST_GROUPS else _error(gap),
-            group_rmse=out.rmse if out else None,
+            group_rmse=out and out.rmse,
             loo=float(points.sum()),
             loo_difference=float((points - best_loo).sum()),
             loo_error=_error(points - best_loo),
             pareto_k=pareto_k,
-            log_evidence=c.log_evidence[0] if c.log_evidence else None,
+            log_evidence=c.log_evidence and c.log_evidence[0],
             weight=float(weight),
         )
         rows.append(row)
-    by = BY_GROUPS if fold else BY_READINGS
-    if fold and fold.count < FEWEST_GROUPS and all(r.log_evidence is not None for r in rows):
-        by = BY_EVIDENCE
-    measured = {BY_GROUPS: "group_score", BY_EVIDENCE: "log_evidence", BY_READINGS: "loo"}[by]
+    by, measured = (BY_GROUPS, "group_score") if grouped else (BY_READINGS, "loo")
+    few = grouped and fold is not None and fold.count < FEWEST_GROUPS
+    if few and all(r.log_evidence is not None for r in rows):
+        by, measured = BY_EVIDENCE, "log_evidence"
     rows.sort(key=lambda r: -getattr(r, measured))
-    fold = left_out[0] if left_out else None
     return Comparison(
         rows=tuple(rows),
         group=fold.group if fold else "reading",
-        groups=fold.count if fold else len(first.readings),
+        groups=fold.count if fold else len(own),
         unit=first.unit,
         chosen_by=by,
         warnings=(*_warnings(rows, by, fold), *_alike(curves, first.unit)),
@@ -212,7 +197,7 @@ def _error(differences: np.ndarray) -> float:
 
 def _warnings(rows: list[ComparisonRow], by: str, fold: LeaveOneGroupOut | None) -> list[str]:
     """Whether what ranks the models tells the first two apart, and where another measure is not reliable or differs."""
-    said, (best, second) = [], rows[:2]
+    said, (best, second) = list[str](), rows[:2]
     differ, untold = f"{best.name!r} and {second.name!r} differ by", "it does not tell them apart."
     if fold and fold.count < FEWEST_GROUPS:
         said.append(
@@ -226,14 +211,13 @@ def _warnings(rows: list[ComparisonRow], by: str, fold: LeaveOneGroupOut | None)
         other = max(rows, key=lambda r: r.group_score or -np.inf)
         if other is not best:
             said.append(f"By leave-one-group-out {other.name!r} would come first.")
-    elif by == BY_GROUPS and second.group_difference is not None and second.group_error:
-        gap, error = -second.group_difference, second.group_error
+    elif by == BY_GROUPS and second.group_error:
+        gap, error = -(second.group_difference or 0.0), second.group_error
         if gap < 2 * error:
             said.append(f"{differ} {gap:.1f} ± {error:.1f} in leave-one-group-out score: {untold}")
+    no = "so its pointwise leave-one-out is not reliable."
     return said + [
-        f"{r.name!r}: Pareto k up to {r.pareto_k:.2f}, so its pointwise leave-one-out is not reliable."
-        for r in rows
-        if r.pareto_k > K_HAT
+        f"{r.name!r}: Pareto k up to {r.pareto_k:.2f}, {no}" for r in rows if r.pareto_k > K_HAT
     ]
 
 

@@ -69,13 +69,8 @@ def confounders(
     columns: Mapping[str, Float[np.ndarray, "n"]],
     steps: Mapping[str, tuple[float, Float[np.ndarray, "n"]]],
 ) -> tuple[Confounder, ...]:
-    """Of some columns those that add a fifth or more to the standard uncertainty of a coefficient of a model.
-
-    Args:
-        linear: the model about its mode.
-        columns: of no known cause (n,).
-        steps: of rounded columns the step, and the slope of the output by the column (n,).
-    """
+    """Of columns of no known cause, and of rounded ones (step, slope of the output by it), those that add a fifth or
+    more to the standard uncertainty of a coefficient of a model."""
     layout, line = linear.problem.layout, linear.line
     main = stand_alone(layout)
     if not main.any():

@@ -58,10 +58,9 @@ class Fitted:
     def with_verdict(self, **changes: Any) -> Self:
         """The same with another verdict; what was computed of it is kept."""
         made = object.__new__(type(self))
-        kept = {
-            name: value for name, value in vars(self).items() if name not in ("tree", "why_not")
-        }
-        vars(made).update(kept, verdict=replace(self.verdict, **changes))
+        vars(made).update(vars(self), verdict=replace(self.verdict, **changes))
+        for name in ("tree", "why_not"):
+            vars(made).pop(name, None)
         return made
 
     def __getstate__(self) -> dict[str, Any]:
@@ -94,7 +93,8 @@ class Fitted:
             return self.confounded
         if not self.verdict.ok:
             return ()
-        return confounders(self.linear, unexplained(self.model, self.readings), self._steps())
+        columns, steps = unexplained(self.model, self.readings), self._steps()
+        return confounders(self.linear, columns, steps) if columns or steps else ()
 
     def _steps(self) -> dict[str, tuple[float, np.ndarray]]:
         """The steps of rounded thermometers and of the output, and the slopes of the output by them (n,)."""
@@ -145,8 +145,7 @@ class Fitted:
     def hold_at(self) -> dict[str, float]:
         """Where the coefficients hold, by the names of the constants in the equations: T0, V0 and the like.
 
-        Those of columns that an effect depends on. Where none does, constants are means over the readings, at
-        whatever temperatures these were taken.
+        Those of columns that an effect depends on; where none does, constants are means over the readings.
         """
         return {name: value for name, (value, _) in self.held_at.items()}
 
@@ -194,12 +193,9 @@ class Fitted:
         now = self._probe
         moved = 0.3 * float(self.reference["time_span"])  # pyright: ignore[reportArgumentType]
         later = now.with_column("time", now["time"] + moved)
-        return tuple(
-            e.name
-            for e in self.model.effects
-            if "time" in e.columns
-            and not np.array_equal(self._basis(e, now), self._basis(e, later))
-        )
+        in_time = (e for e in self.model.effects if "time" in e.columns)
+        both = ((e.name, self._basis(e, now), self._basis(e, later)) for e in in_time)
+        return tuple(name for name, here, there in both if not np.array_equal(here, there))
 
     def on_clock(self, readings: Measurements) -> Measurements:
         """Return readings with times counted from this calibration's epoch.
@@ -234,12 +230,10 @@ class Fitted:
         Raises:
             InputError: nothing is called so.
         """
-        unknowns = self.unknowns
-        if name not in unknowns.by_key and name not in unknowns.index:
-            raise InputError(
-                f"no unknown is called {name!r}; there are: {', '.join(unknowns.by_key)}"
-            )
-        return unknowns.select(flat(self.values), name)
+        known = self.unknowns.by_key
+        if name not in known and name not in self.unknowns.index:
+            raise InputError(f"no unknown is called {name!r}; there are: {', '.join(known)}")
+        return self.unknowns.select(flat(self.values), name)
 
     def log_likelihood(self, limit: int = PREDICTIVE_CELLS) -> xr.Dataset:
         """Pointwise log likelihood, draws thinned so that at most `limit` numbers come back.

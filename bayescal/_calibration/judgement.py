@@ -323,10 +323,8 @@ def too_few(subject: Subject) -> Iterator[Claim]:
 def off_scale(effect: Effect, contribution: float, noise: float, unit: str) -> list[Claim]:
     """Return what to look at where an effect at its plausible size is far too small or large for these readings.
 
-    Args:
-        effect: with a fixed plausible size and a basis of columns; nothing is said of others.
-        contribution: prior size times basis, the largest over the readings, in `unit`.
-        noise: standard deviation, likewise.
+    Its contribution is prior size times basis, the largest over the readings, in the unit of the noise. Nothing is said
+    of an effect without a fixed plausible size or a basis of columns.
     """
     first = effect.coefficients[0]
     if not effect.columns or effect.is_placeholder or first.group_sd is not None or first.flat:

@@ -36,27 +36,17 @@ BLOCKS = 5  # of neighbouring readings, where there is no group to leave out
 
 @dataclass(frozen=True)
 class LeaveOneGroupOut:
-    """Predictions of each group from the others.
+    """Predictions of each group from the others."""
 
-    Attributes:
-        group: what a group is: device, run, cell, "time block" or "block of rows".
-        members: names of the groups.
-        log_score: joint log predictive density of each group, (g,); NaN where the noise is not Gaussian.
-        residual: of each reading, predicted from the other groups, output unit.
-        surprise: of each group, rms of its whitened residuals over what the other groups expect of it, their
-            uncertainty of the model and of a new group's deviations included (g,); about 1 if the model is right, NaN
-            for groups of fewer than 5 readings.
-        by_chance: probability of so large a surprise in a group, if the model is right (g,); NaN where that is.
-        variance: of each reading as the model expects it: noise, and the expected output as the other groups leave it.
-    """
-
-    group: str
-    members: tuple[str, ...]
-    log_score: np.ndarray
-    residual: np.ndarray
+    group: str  # what a group is: device, run, cell, "time block" or "block of rows"
+    members: tuple[str, ...]  # names of the groups
+    log_score: np.ndarray  # joint log predictive density of each group (g,)
+    residual: np.ndarray  # of each reading, predicted from the other groups, output unit
+    # Of each group, rms of its whitened residuals over what the other groups expect of it, their uncertainty of the
+    # model and of a new group's deviations included (g,): about 1 if the model is right, NaN of fewer than 5 readings.
     surprise: np.ndarray
-    by_chance: np.ndarray
-    variance: np.ndarray
+    by_chance: np.ndarray  # probability of so large a surprise, if the model is right (g,)
+    variance: np.ndarray  # of each reading: noise, and its expectation as the other groups leave it
 
     @property
     def rmse(self) -> float:

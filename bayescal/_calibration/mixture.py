@@ -64,17 +64,12 @@ def without(calibration: F, names: Collection[str]) -> F:
     kept = ~np.any([has_effect(calibration, name) for name in names], axis=0)
     if kept.sum() < CHAIN_DRAWS:
         return calibration
-    old, count = calibration.layout, CHAINS * (int(kept.sum()) // CHAINS)
     effects = tuple(e for e in calibration.model.effects if e.name not in names)
-    layout = replace(old, model=replace(calibration.model, effects=effects))
-    in_x, in_v = old.entries_in(layout)
-    pick = np.flatnonzero(kept)[:count]
-    mode = calibration.mode
-    joint = Draws.of(x[pick][:, in_x], v[pick][:, in_v])
-    middle = mode._replace(
-        x=x[pick][:, in_x].mean(axis=0),
-        v=mode.v[in_v],
-        covariance=mode.covariance[np.ix_(in_v, in_v)],
-        flat=mode.flat[in_x],
-    )
-    return replace(calibration, model=layout.model, layout=layout, joint=joint, mode=middle)
+    layout = replace(calibration.layout, model=replace(calibration.model, effects=effects))
+    in_x, in_v = calibration.layout.entries_in(layout)
+    pick = np.flatnonzero(kept)[: CHAINS * (int(kept.sum()) // CHAINS)]
+    x, v, mode = x[pick][:, in_x], v[pick][:, in_v], calibration.mode
+    inner = mode.covariance[np.ix_(in_v, in_v)]
+    mode = mode._replace(x=x.mean(axis=0), v=mode.v[in_v], covariance=inner, flat=mode.flat[in_x])
+    joint = Draws.of(x, v)
+    return replace(calibration, model=layout.model, layout=layout, joint=joint, mode=mode)

@@ -35,24 +35,15 @@ RANKS = 50  # of a χ², equally probable, that stand for it
 
 @dataclass(frozen=True)
 class AllanCheck:
-    """The Allan deviation of residuals beside that which the fitted noise law lets one expect of them.
+    """The Allan deviation of residuals beside that which the fitted noise law lets one expect of them."""
 
-    Attributes:
-        measured: of the residuals.
-        law: name of the noise law.
-        expected: under the law, of the residuals of such a fit (k,), output unit.
-        low, high: between which the law puts 95 % of such estimates (k,), output unit.
-        law_terms: N, and K where the noise is correlated, as the law has them.
-        apart: index of the averaging time at which the two differ the most; None where they agree.
-    """
-
-    measured: AllanDeviation
-    law: str
-    expected: np.ndarray = field(repr=False)
-    low: np.ndarray = field(repr=False)
+    measured: AllanDeviation  # of the residuals
+    law: str  # name of the noise law
+    expected: np.ndarray = field(repr=False)  # under it, of the residuals of such a fit (k,)
+    low: np.ndarray = field(repr=False)  # between which it puts 95 % of such estimates (k,)
     high: np.ndarray = field(repr=False)
-    law_terms: tuple[AllanTerm, ...]
-    apart: int | None
+    law_terms: tuple[AllanTerm, ...]  # N, and K where the noise is correlated, as the law has them
+    apart: int | None  # averaging time at which the two differ the most; None where they agree
 
     def __str__(self) -> str:
         return f"{self.table()}\n{self.sentence()}"

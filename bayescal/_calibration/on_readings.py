@@ -41,13 +41,9 @@ def moments(
 ) -> PredictiveMoments:
     """Return moments of readings, noise on inputs and members of groups that are not known (of code −1) included.
 
-    Draws are taken a stretch at a time and never held together; sums are of differences from the first.
-
-    Args:
-        problem: the model on the readings.
-        draws: of its unknowns.
-        carried: what known readings say of the correlated noise of all, by what each draw expects of them (b, n): it
-            is added to the mean, and its variance is no part of that of the noise.
+    Draws are taken a stretch at a time and never held together; sums are of differences from the first. What known
+    readings say of the correlated noise of all, by what each draw expects of them (b, n), is `carried`: it is added to
+    the mean, and its variance is no part of that of the noise.
     """
     count, size = len(draws.x), problem.record.size
     total, squares, noise, beside = np.zeros((4, size))
@@ -91,12 +87,8 @@ def replicate(
 ) -> Float[np.ndarray, "b n"]:
     """Readings simulated by the model's own equation and noise, from each draw once.
 
-    Args:
-        problem: the model on the readings.
-        draws: joint ones.
-        random: of the noise.
-        members: by group, a code of each reading's member (n,): of those that the fit does not know deviations are
-            drawn from their prior. None where all are known.
+    Of members of groups that the fit does not know deviations are drawn from their prior; `members` has, by group, a
+    code of each reading's member (n,).
     """
     found, members = np.empty((len(draws.x), problem.record.size)), members or {}
     for part, own, some, hyper in _stretches(problem, draws):

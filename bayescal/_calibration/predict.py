@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
@@ -79,23 +80,33 @@ def predict(
     """
     known = readings is None
     readings = calibration.readings if readings is None else readings
-    of_runs = calibration.readings.has("run")
-    if of_runs and not readings.has("run") and new_groups and not same_record:
+    new_groups = new_groups and not same_record
+    if calibration.readings.has("run") and not readings.has("run") and new_groups:
         readings = readings.with_column("run", np.full(len(readings), "new"))
     calibration = with_columns(calibration, readings.columns)
     calibration.model.require(readings)
     readings = calibration.on_clock(readings)
-    frame = calibration.frame_of(readings)
-    if new_groups and not same_record:
-        if not known and (on := _going_on(calibration, readings)) is not None:
-            return _continued(calibration, readings, on, draws)
-        frame = _of_new_groups(frame)
-    found = moments(calibration.problem_on(frame), calibration.draws(draws))
-    model_variance = found.variance + found.beside
-    total = np.sqrt(model_variance + found.noise)
-    residual = np.asarray(frame["output"]) - found.mean
-    made = Prediction(readings["output"] - residual, np.sqrt(model_variance), total, residual)
-    if not same_record or calibration.model.noise.independent:
+    correlated = not calibration.model.noise.independent
+
+    def moments_of(some: Measurements, frame: Frame, on: _GoingOn | None) -> np.ndarray:
+        """Return residual, standard uncertainties of the expected output and of a reading (3, n)."""
+        noise, spread = None, 0.0
+        if on is not None and correlated:
+            noise = _CarriedOn.of(calibration, on.past, on.later, beyond=True)
+            spread = np.append(np.zeros(len(on.past)), noise.found(np.zeros((len(on.past), 1)))[1])
+        found = moments(calibration.problem_on(frame), calibration.draws(draws), noise)
+        model = found.variance + found.beside
+        residual = np.asarray(frame["output"]) - found.mean
+        return np.stack([residual, np.sqrt(model), np.sqrt(model + found.noise + spread)])
+
+    if new_groups and not known:
+        residual, model_sd, sd = _with_past(calibration, readings, moments_of)
+    else:
+        frame = calibration.frame_of(readings)
+        frame = _of_new_groups(frame) if new_groups else frame
+        residual, model_sd, sd = moments_of(readings, frame, None)
+    made = Prediction(readings["output"] - residual, model_sd, sd, residual)
+    if not (same_record and correlated):
         return made
     past = np.arange(len(calibration.readings))
     noise = _CarriedOn.of(calibration, past, readings, beyond=False)
@@ -110,76 +121,50 @@ def replicates(
     has them, with deviations of their own; readings that go on with a fitted run have its deviation, and correlated
     noise that is not told by its past."""
     calibration, random = with_columns(calibration, readings.columns), np.random.default_rng(seed)
-    readings = calibration.on_clock(readings)
 
-    def made(some: Measurements, frame: Frame) -> np.ndarray:
+    def made(some: Measurements, frame: Frame, _: _GoingOn | None) -> np.ndarray:
         members = {per: some.groups(per)[1] for per in frame.codes}
         found = replicate(calibration.problem_on(frame), calibration.draws(draws), random, members)
         return found + (some["output"] - frame["output"])
 
-    on = _going_on(calibration, readings)
-    if on is None:
-        return made(readings, _of_new_groups(calibration.frame_of(readings)))
-    behind = made(on.whole, calibration.frame_of(on.whole))[:, len(on.past) :]
-    found = np.empty((len(behind), len(readings)))
-    found[:, on.rows] = behind
-    if len(on.others):
-        alone = readings.select(on.others)
-        found[:, on.others] = made(alone, _of_new_groups(calibration.frame_of(alone)))
-    return found
+    return _with_past(calibration, calibration.on_clock(readings), made)
 
 
 class _GoingOn(NamedTuple):
     """Readings of which some go on with fitted runs."""
 
     past: np.ndarray  # which of the fitted readings are of these runs
-    rows: np.ndarray  # which of the readings go on,
-    others: np.ndarray  # and which do not
-    later: Measurements  # those that do;
-    whole: Measurements  # and behind the past
+    later: Measurements  # readings that go on
 
 
-def _going_on(calibration: Calibration, readings: Measurements) -> _GoingOn | None:
+def _with_past(
+    calibration: Calibration,
+    readings: Measurements,
+    made: Callable[[Measurements, Frame, _GoingOn | None], np.ndarray],
+) -> Float[np.ndarray, "k n"]:
+    """What is made of readings: of those that go on with fitted runs behind their past, of others as of new runs."""
     fitted = calibration.readings
     runs = going_on(fitted, readings)
     if not runs:
-        return None
+        return made(readings, _of_new_groups(calibration.frame_of(readings)), None)
     rows = np.sort(np.concatenate([*runs.values()]))
     names, codes = run_codes(fitted)
     past = np.flatnonzero(np.isin(codes, [names.index(name) for name in runs]))
     later = readings.select(rows)
     whole = fitted.select(past).followed_by(later)
-    return _GoingOn(past, rows, np.setdiff1d(np.arange(len(readings)), rows), later, whole)
+    behind = made(whole, calibration.frame_of(whole), _GoingOn(past, later))[:, len(past) :]
+    found = np.empty((len(behind), len(readings)))
+    found[:, rows] = behind
+    if len(others := np.setdiff1d(np.arange(len(readings)), rows)):
+        alone = readings.select(others)
+        found[:, others] = made(alone, _of_new_groups(calibration.frame_of(alone)), None)
+    return found
 
 
 def _of_new_groups(frame: Frame) -> Frame:
     """Every run, cell and device one that the fit has not seen; an axis is part of its instrument."""
     codes = {k: c if k == "axis" else -np.ones_like(c) for k, c in frame.codes.items()}
     return replace(frame, codes=codes)
-
-
-def _continued(
-    calibration: Calibration, readings: Measurements, on: _GoingOn, draws: int
-) -> Prediction:
-    """Readings of which some go on with the fitted record: these behind it, with its past, the others alone."""
-    frame, noise, spread = calibration.frame_of(on.whole), None, 0.0
-    if not calibration.model.noise.independent:
-        noise = _CarriedOn.of(calibration, on.past, on.later, beyond=True)
-        spread = noise.found(np.zeros((len(on.past), 1)))[1]
-    found = moments(calibration.problem_on(frame), calibration.draws(draws), noise)
-    tail = slice(len(on.past), None)
-    model = found.variance[tail] + found.beside[tail]
-    made = {
-        "mean": (on.whole["output"] - frame["output"] + found.mean)[tail],
-        "model_sd": np.sqrt(model),
-        "sd": np.sqrt(model + found.noise[tail] + spread),
-    }
-    if on.others.size:
-        apart = predict(calibration, readings.select(on.others), draws=draws)
-        for name, values in made.items():
-            made[name] = np.zeros(len(readings))
-            made[name][on.rows], made[name][on.others] = values, getattr(apart, name)
-    return Prediction(**made, residual=readings["output"] - made["mean"])
 
 
 class _CarriedOn(NamedTuple):

@@ -46,14 +46,8 @@ def variance_by_origin(
     With J the Jacobian of the readings, Σ their noise and D the prior covariance at the fit, the linearised
     posterior covariance P = (JᵀΣ⁻¹J + D⁻¹)⁻¹ splits exactly into P·JᵀΣ⁻¹J·P and P·D⁻¹·P, a sum over priors.
 
-    Args:
-        calibration: a fit.
-        slopes: by name of the coefficient, member ("bias.run(3)") or shape, per reported unit; what is no unknown
-            of the fit is passed over.
-
-    Returns:
-        The split; None if no unknown of the fit counts. Of directions that readings and priors leave open it says
-        nothing.
+    Slopes are by the names of unknowns, per reported unit; what is no unknown of the fit is passed over. Of directions
+    that readings and priors leave open nothing is said; None if no unknown of the fit counts.
     """
     layout, linear = calibration.layout, calibration.linear
     moving = layout.moving
@@ -243,12 +237,8 @@ def _with_stated_priors(
 def prior_sensitivity(calibration: Calibration) -> Any:
     """How much each posterior moves when the prior, or the likelihood, is scaled a little (ArviZ's psense).
 
-    Returns:
-        ArviZ's table: columns prior, likelihood (sensitivities; above 0.05 matters) and diagnosis; a row for each
-        unknown.
-
-    Raises:
-        InputError: no unknown has a proper prior.
+    A table of ArviZ's: columns prior, likelihood (sensitivities; above 0.05 matters) and diagnosis, a row for each
+    unknown. Raises InputError if no unknown has a proper prior.
     """
     from arviz_stats.psense import psense_summary  # a second that only this needs
 

@@ -114,26 +114,17 @@ MAX_OUTSIDE = 2
 
 @dataclass(frozen=True)
 class NoiseFigure:
-    """A number of a noise law with its 95 % credible interval, in the unit of data sheets and in SI units.
+    """A number of a noise law with its 95 % credible interval, in the unit of data sheets and in SI units."""
 
-    Attributes:
-        symbol: of IEEE 952, or what else it is.
-        name: as a data sheet says it.
-        unit, si_unit: of data sheets; and in base units.
-        value, low, high: median and interval, in `unit`.
-        si: the same three in `si_unit`.
-        bound: whether nothing of it is seen in the record: `high` alone is known, or not even that (infinite).
-    """
-
-    symbol: str
-    name: str
-    unit: str
-    value: float
+    symbol: str  # of IEEE 952, or what else it is
+    name: str  # as a data sheet says it
+    unit: str  # of data sheets
+    value: float  # the median
     low: float
     high: float
     si_unit: str
-    si: tuple[float, float, float]
-    bound: bool = False
+    si: tuple[float, float, float]  # the same three in base units
+    bound: bool = False  # nothing of it is seen: `high` alone is known, or not even that (infinite)
 
     def row(self) -> list[str]:
         """As printed."""
@@ -361,9 +352,7 @@ class RestNoise(NamedTuple):
 class _AtRest(NamedTuple):
     """A channel at rest."""
 
-    columns: Sequence[
-        Float[np.ndarray, "n r"]
-    ]  # of its runs; the last the output, the others taken out
+    columns: Sequence[np.ndarray]  # of its runs (n, r); the last the output, the others taken out
     spectrum: EvenSpectrum
     size: float  # standard deviation of neighbours, output unit
     longest: float  # run, a power of two of steps, s
@@ -392,17 +381,13 @@ class _AtRest(NamedTuple):
 class WeighedNoise(NamedTuple):
     """Sums of noise terms, weighed."""
 
-    drawn: tuple[
-        RestNoise, ...
-    ]  # the probable sums, each with draws in proportion to its probability
+    drawn: Sequence[RestNoise]  # the probable sums, draws in proportion to their probability
     walk: np.ndarray  # draws of a random walk in the most probable sum: a bound, where it has none
     probabilities: dict[Terms, float]  # the most probable first
     claims: tuple[Claim, ...]  # what was done to the record
     readings: Measurements  # the record, or means of it
     runs: EvenRuns  # of these
-    count: (
-        int | None
-    )  # readings in a mean; None where the Allan deviation nowhere falls with slope −½
+    count: int | None  # readings in a mean; None where no Allan deviation falls with slope −½
 
 
 @on_one_thread
@@ -432,7 +417,8 @@ def _weigh(readings: Measurements, seed: int) -> WeighedNoise:
     made = size, longest, runs.factors * runs.step, variance, line
     law, values = RestingSum(runs.step, longest, ("walk",)), {WHITE: size}
     values["noise.walk"] = math.sqrt(3 * variance[-1] / (runs.factors[-1] * runs.step))
-    random, found = np.random.default_rng(seed), list[WeighedNoise]()
+    random, mean = np.random.default_rng(seed), Counter[Terms]()
+    parts = list[tuple[list[RestNoise], np.ndarray, dict[Terms, float]]]()
     end = deadline.current()
     end.defer_interrupt()
     for k in range(IMPUTATIONS if runs.lost else 1):
@@ -446,45 +432,35 @@ def _weigh(readings: Measurements, seed: int) -> WeighedNoise:
                 fits[terms] = _fit(channel, terms, fits)
         except deadline.TimeIsUp:
             claims.append(Claim("noise.ended", why=end.why))
-        drawn, walk, probabilities = _drawn_sums(channel, fits, seed + k)
-        found.append(WeighedNoise(tuple(drawn), walk, probabilities, (), readings, runs, count))
-        law, values = drawn[0].law, {n: float(d[0]) for n, d in drawn[0].draws.items()}
+        parts.append(_drawn_sums(channel, fits, seed + k))
+        best = parts[-1][0][0]
+        law, values = best.law, {n: float(d[0]) for n, d in best.draws.items()}
         if end.over:
             break
-    return _pooled(found[-(IMPUTATIONS - 1) :])._replace(claims=tuple(claims))
-
-
-def _pooled(parts: Sequence[WeighedNoise]) -> WeighedNoise:
-    """Return the mixture of what several imputations of lost readings say."""
-    mean = Counter[Terms]()
-    for one in parts:
-        mean.update({terms: p / len(parts) for terms, p in one.probabilities.items()})
-    drawn = sorted((n for one in parts for n in one.drawn), key=lambda n: -mean[n.terms])
-    walk = np.concatenate([one.walk for one in parts])
-    return parts[-1]._replace(drawn=tuple(drawn), walk=walk, probabilities=dict(mean.most_common()))
+    # The mixture of what several imputations of lost readings say.
+    parts = parts[-(IMPUTATIONS - 1) :]
+    for *_, probabilities in parts:
+        mean.update({terms: p / len(parts) for terms, p in probabilities.items()})
+    drawn = sorted((n for own, *_ in parts for n in own), key=lambda n: -mean[n.terms])
+    walk = np.concatenate([walk for _, walk, _ in parts])
+    probable = dict(mean.most_common())
+    return WeighedNoise(drawn, walk, probable, tuple(claims), readings, runs, count)
 
 
 def _sums(
     fits: Mapping[Terms, GaussianFit], base: Terms, further: Terms, kept: Terms
 ) -> Iterator[Terms]:
-    """Yield the sums that are weighed beside the least one: of two slow terms at most, and any of `further`.
+    """Yield the sums that are weighed beside the least one, `base`: of two slow terms at most, and any of `further`.
 
-    Args:
-        fits: of those before.
-        base: terms of the least sum, which every sum has;
-        further: terms of neighbouring readings, or a tone, that may be there;
-        kept: and those of them that every other sum has; the best one is weighed without each of them at the end.
+    All but the least have the terms `kept`; the best of those that are fitted is weighed without each of them at the
+    end, as what is correlated over a few readings looks like these terms too.
     """
     pairs = [p for p in itertools.combinations_with_replacement(SLOW, 2) if p not in NOT_TWICE]
-    brief = [
-        {*some, *kept}
-        for k in range(len(further) + 1)
-        for some in itertools.combinations(further, k)
-    ]
+    counts = range(len(further) + 1)
+    brief = [{*some, *kept} for k in counts for some in itertools.combinations(further, k)]
     slow = [(), *((term,) for term in SLOW), *pairs]
     sums = {_sorted((*base, *one, *b)) for one in slow for b in brief} - {base}
     yield from sorted(sums, key=lambda terms: (len(terms), terms))
-    # What is correlated over a few readings looks like these terms too.
     best = next(iter(_totals(fits)))
     yield from {tuple(t for t in best if t != term) for term in kept} - {*fits}
 
@@ -724,13 +700,7 @@ def _filled(
 
 
 def _fit(channel: _AtRest, terms: Terms, fits: Mapping[Terms, GaussianFit]) -> GaussianFit:
-    """Return the mode of a sum and its Laplace evidence.
-
-    Args:
-        channel: what is fitted.
-        terms: of the sum.
-        fits: of other sums: a search begins at the modes of those that have one term less, too.
-    """
+    """Return the mode of a sum, looked for from those of sums of a term less, too, and its Laplace evidence."""
     priors, values = channel.law(terms).parameters(), channel.log_density(terms)
     starts = list(_starts(channel, terms, priors))
     least = starts[-1]  # further terms as small as any start has them
@@ -777,11 +747,8 @@ def _line_size(y: Float[np.ndarray, "n"], turn: float) -> float:
     """Return the root mean square of a line in a run, less what other noise has at its frequency, output unit.
 
     Where its phase lasts as long as the record a line is one amplitude, of which a law knows the order of magnitude and
-    the readings all: with c the largest coefficient of the periodogram near its frequency, |c|²/2 is its mean square.
-
-    Args:
-        y: output.
-        turn: about its frequency, cycles per reading.
+    the readings all: with c the largest coefficient of the periodogram near its frequency, about `turn` cycles per
+    reading, |c|²/2 is its mean square.
     """
     n = len(y)
     edges = np.linspace(0, n, min(LINE_BLOCKS, n) + 1).astype(int)
