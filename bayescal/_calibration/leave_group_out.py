@@ -10,7 +10,7 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, NamedTuple
+from typing import Any
 
 import jax
 import numpy as np
@@ -153,40 +153,35 @@ def leave_one_group_out(calibration: Fitted) -> LeaveOneGroupOut | None:
         found = _fold(whole, mode, np.flatnonzero(codes != i), out)
         if found is None:
             continue
-        scores[i], residual[out], model[out] = found.log_score, found.residual, found.model
+        scores[i], residual[out], model[out], squares, spectrum = found
         if len(out) >= FEW_IN_GROUP:
-            surprise[i] = math.sqrt(found.squares / found.spectrum.sum())
-            by_chance[i] = found.by_chance(len(codes) - len(out), len(members) - 1)
+            kept = len(codes) - len(out), len(members) - 1
+            surprise[i] = math.sqrt(squares / spectrum.sum())
+            by_chance[i] = _by_chance(squares, spectrum, *kept)
     variance = calibration.linear.variance + model
     return LeaveOneGroupOut(kind, members, scores, residual, surprise, by_chance, variance)
 
 
-class _Fold(NamedTuple):
-    """Readings left out, as the kept ones predict them."""
+def _by_chance(squares: float, spectrum: np.ndarray, readings: int, groups: int) -> float:
+    """Probability of squares rᵀr as large, if what was learnt of so many readings and groups is right.
 
-    log_score: float  # joint log predictive density
-    residual: np.ndarray  # output unit
-    model: np.ndarray  # variance of the expected output, output unit squared
-    squares: float  # of the whitened residuals, rᵀr
-    spectrum: np.ndarray  # eigenvalues λ of their covariance I + A·C·Aᵀ: Σλ is expected of rᵀr
-
-    def by_chance(self, readings: int, groups: int) -> float:
-        """Probability of squares as large, if what was learnt of so many readings and groups is right.
-
-        rᵀr/Σλ is about χ²(ν)/ν with ν = (Σλ)²/Σλ² (F. Satterthwaite, Biometrics Bull. 2 (1946) 110); Σλ was itself
-        estimated, its part of the noise from the readings kept, the rest at worst from a standard deviation between as
-        many groups less one: so an F distribution.
-        """
-        # In parts of Σλ, whose square may be no number.
-        whole = float(self.spectrum.sum())
-        own = 1 / float(np.sum((self.spectrum / whole) ** 2))
-        noise = len(self.residual) / whole
-        known = 1 / (noise**2 / readings + (1 - noise) ** 2 / max(groups - 1, 1))
-        return float(fdtrc(own, known, self.squares / whole))
+    rᵀr/Σλ is about χ²(ν)/ν with ν = (Σλ)²/Σλ² (F. Satterthwaite, Biometrics Bull. 2 (1946) 110); Σλ was itself
+    estimated, its part of the noise from the readings kept, the rest at worst from a standard deviation between as
+    many groups less one: so an F distribution.
+    """
+    # In parts of Σλ, whose square may be no number.
+    whole = float(spectrum.sum())
+    own = 1 / float(np.sum((spectrum / whole) ** 2))
+    noise = len(spectrum) / whole
+    known = 1 / (noise**2 / readings + (1 - noise) ** 2 / max(groups - 1, 1))
+    return float(fdtrc(own, known, squares / whole))
 
 
-def _fold(whole: Problem, mode: Mode, kept: np.ndarray, out: np.ndarray) -> _Fold | None:
-    """The readings left out, given the kept; None where these say nothing."""
+def _fold(
+    whole: Problem, mode: Mode, kept: np.ndarray, out: np.ndarray
+) -> tuple[float, np.ndarray, np.ndarray, float, np.ndarray] | None:
+    """Of readings left out, as the kept ones predict them, the joint log predictive density, errors, variance of what
+    is expected, sum of squares of the whitened errors, and the eigenvalues of their covariance; None of nothing."""
     parts = (Part(whole.record, rows) for rows in (kept, out))
     problems = (Problem(whole.layout, part, whole.size_factors) for part in parts)
     fitted, predicted = (Density(one, mode.x, mode.flat, mode.v) for one in problems)
@@ -210,7 +205,7 @@ def _fold(whole: Problem, mode: Mode, kept: np.ndarray, out: np.ndarray) -> _Fol
     above = np.sort(np.linalg.eigvalsh(of_all[1].jtj))[::-1][: len(out)]
     spectrum[: len(above)] += np.maximum(above, 0.0)
     score = np.nan if joint is None else joint.log_marginal
-    return _Fold(score, given[0], of_all[2], of_all[1].rtr, spectrum)
+    return score, given[0], of_all[2], of_all[1].rtr, spectrum
 
 
 def _given(
