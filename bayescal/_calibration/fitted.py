@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection, Iterable
 from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from bayescal._calibration.confounding import Confounder, confounders, unexplained, widened
 from bayescal._calibration.on_readings import Vectors, pointwise
@@ -18,11 +19,12 @@ from bayescal._data.thermometer_checks import FEW_CHANGES
 from bayescal._data.time_in_runs import on_clock
 from bayescal._inference.laplace import Mode
 from bayescal._inference.linear_model import LinearModel, linear_model
-from bayescal._inference.method import Draws, Verdict
+from bayescal._inference.method import CHAINS, Draws, Verdict
 from bayescal._inference.problem import Problem
 from bayescal._inference.record import Record, record_of
+from bayescal._inference.trust import CHAIN_DRAWS
 from bayescal._model.effect import Effect
-from bayescal._model.frame import Frame, Reference, build_frame, reference_name
+from bayescal._model.frame import GROUPS, Frame, Reference, build_frame, reference_name
 from bayescal._model.model import Model
 from bayescal._model.parameters import Layout
 from bayescal._model.unknowns import Unknowns
@@ -210,6 +212,61 @@ class Fitted:
         if readings is self.readings:
             return self.frame
         return build_frame(self.on_clock(readings), self.reference, self.levels, self.readings)
+
+    @cached_property
+    def having(self) -> dict[str, Bool[np.ndarray, "draws"]]:
+        """Which draws are of a structure that has each effect: of an average over structures, not all are.
+
+        Of a draw whose structure has not an effect all coefficients of this effect are exactly zero.
+        """
+        x, found = self.draws().x, dict[str, np.ndarray]()
+        for e in self.model.effects:
+            own = [b for b in self.layout.x_blocks if b.effect.name == e.name]
+            any_of = [np.any(x[:, b.start : b.start + b.size] != 0, axis=1) for b in own]
+            # One that is held, or sampled with φ, is not averaged over.
+            found[e.name] = np.any(any_of, axis=0) if own else np.ones(len(x), dtype=bool)
+        return found
+
+    @property
+    def inclusion(self) -> dict[str, float]:
+        """The share of draws that have each effect; one for all, where nothing was averaged."""
+        return {name: float(there.mean()) for name, there in self.having.items()}
+
+    @property
+    def likeliest(self) -> set[str]:
+        """The effects of the most probable structure: those that most draws have together."""
+        patterns, counts = np.unique([*self.having.values()], axis=1, return_counts=True)
+        best = patterns[:, counts.argmax()]
+        return {name for name, there in zip(self.having, best, strict=True) if there}
+
+    @property
+    def usual_columns(self) -> set[str]:
+        """Columns that effects more probable than not need; a group is none: what is used is a new member of it."""
+        likely = (e for e in self.model.effects if self.inclusion[e.name] > 0.5)
+        return set().union(GROUPS, *(e.columns for e in likely))
+
+    def with_columns(self, columns: Iterable[str]) -> Self:
+        """The average over those structures that need no other columns, where that leaves enough of them."""
+        there = set(columns)
+        lacking = [e.name for e in self.model.effects if not there.issuperset(e.columns)]
+        return self.without(lacking) if lacking else self
+
+    def without(self, names: Collection[str]) -> Self:
+        """The average over the structures that have none of these effects; the same where these have nearly all."""
+        kept = np.flatnonzero(~np.any([self.having[name] for name in names], axis=0))
+        if len(kept) < CHAIN_DRAWS:
+            return self
+        effects = tuple(e for e in self.model.effects if e.name not in names)
+        layout = replace(self.layout, model=replace(self.model, effects=effects))
+        in_x, in_v = self.layout.entries_in(layout)
+        pick, mode = kept[: CHAINS * (len(kept) // CHAINS)], self.mode
+        draws, inner = self.draws(), mode.covariance[np.ix_(in_v, in_v)]
+        x, v = draws.x[pick][:, in_x], draws.v[pick][:, in_v]
+        mode = mode._replace(
+            x=x.mean(axis=0), v=mode.v[in_v], covariance=inner, flat=mode.flat[in_x]
+        )
+        joint = Draws.of(x, v)
+        return replace(self, model=layout.model, layout=layout, joint=joint, mode=mode)
 
     def draws(self, limit: int | None = None) -> Vectors:
         """Joint draws (x, v) as flat arrays, x counted from its origin, evenly thinned to `limit`."""

@@ -16,7 +16,6 @@ import numpy as np
 from jaxtyping import Float
 
 from bayescal._calibration.calibration import Calibration
-from bayescal._calibration.mixture import with_columns
 from bayescal._calibration.predict import Prediction, replicates
 from bayescal._core.parallel import on_one_thread
 from bayescal._data.measurements import Measurements
@@ -102,7 +101,7 @@ class HoldoutTest:
     @cached_property
     def _problem(self) -> tuple[Calibration, Problem]:
         """Those structures of the fit that need no other columns, on the hold-out data."""
-        used = with_columns(self.calibration, self.readings.columns)
+        used = self.calibration.with_columns(self.readings.columns)
         return used, used.problem_on(used.frame_of(self.readings))
 
     @cached_property

@@ -18,7 +18,6 @@ from bayescal._calibration.check_result import Check
 from bayescal._calibration.claim import Claim
 from bayescal._calibration.fitted import Fitted
 from bayescal._calibration.leave_group_out import LeaveOneGroupOut, scheme
-from bayescal._calibration.mixture import inclusion
 from bayescal._calibration.summary import summary
 from bayescal._core.formatting import number
 from bayescal._core.parallel import on_one_thread
@@ -311,7 +310,7 @@ def uncorrelated(one: np.ndarray, other: np.ndarray) -> float:
 
 def too_few(subject: Subject) -> Iterator[Claim]:
     """Readings too few to tell a noise that nobody stated from the unknowns."""
-    fit, there = subject.fit, inclusion(subject.fit)
+    fit, there = subject.fit, subject.fit.inclusion
     # Of an average over structures as many as there are on average.
     nuisances = {e.name for e in fit.model.instrument.nuisances}
     names = [b.effect.name for b in fit.layout.blocks if b.place in ("x", "phi")]

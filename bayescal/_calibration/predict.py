@@ -10,7 +10,6 @@ import numpy as np
 from jaxtyping import Float
 
 from bayescal._calibration.calibration import Calibration
-from bayescal._calibration.mixture import with_columns
 from bayescal._calibration.on_readings import moments, replicate
 from bayescal._data.measurements import Measurements
 from bayescal._data.time_in_runs import going_on, run_codes
@@ -83,7 +82,7 @@ def predict(
     new_groups = new_groups and not same_record
     if calibration.readings.has("run") and not readings.has("run") and new_groups:
         readings = readings.with_column("run", np.full(len(readings), "new"))
-    calibration = with_columns(calibration, readings.columns)
+    calibration = calibration.with_columns(readings.columns)
     calibration.model.require(readings)
     readings = calibration.on_clock(readings)
     correlated = not calibration.model.noise.independent
@@ -120,7 +119,7 @@ def replicates(
     """Readings as a calibration expects them, simulated once from each draw: new runs, cells and devices as `predict`
     has them, with deviations of their own; readings that go on with a fitted run have its deviation, and correlated
     noise that is not told by its past."""
-    calibration, random = with_columns(calibration, readings.columns), np.random.default_rng(seed)
+    calibration, random = calibration.with_columns(readings.columns), np.random.default_rng(seed)
 
     def made(some: Measurements, frame: Frame, _: _GoingOn | None) -> np.ndarray:
         members = {per: some.groups(per)[1] for per in frame.codes}

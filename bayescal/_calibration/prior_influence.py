@@ -17,7 +17,6 @@ from jaxtyping import Float
 
 from bayescal._calibration.calibration import Calibration
 from bayescal._calibration.judgement import FREE_SIZES
-from bayescal._calibration.mixture import has_effect
 from bayescal._calibration.summary import CONCERNED_SHARE, WEAK_INFORMATION
 from bayescal._core.atomic_file import named_back
 from bayescal._core.errors import InputError
@@ -128,7 +127,7 @@ class NotMeasured:
         if not rows:
             return values
         draws = [(calibration.samples(u.name) - c.mean) / c.size for u, c in rows]
-        there = [has_effect(calibration, u.effect) for u, _ in rows]
+        there = [calibration.having[u.effect] for u, _ in rows]
         every, present, found = np.array(draws).T, np.array(there).T, values.copy()
         for pattern in np.unique(present, axis=0):  # of an average over structures
             own = np.all(present == pattern, axis=1)
@@ -182,9 +181,8 @@ def not_measured(
         return NotMeasured((KnownByPrior(of, unknown.unit, None, None, now),))
     found, shares, counts = list[KnownByPrior](), list[np.ndarray](), list[bool]()
     total = values.var(axis=0) + scatter**2
-    there = {e.name: has_effect(calibration, e.name) for e in calibration.model.effects}
     for u, b, acting in _with_stated_priors(calibration):
-        among = there[u.effect]
+        among = calibration.having[u.effect]
         if among.mean() <= rare:
             continue
         before, inside = b.coefficient.size, values[among]

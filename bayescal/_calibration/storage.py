@@ -6,17 +6,18 @@ seal is over its bytes; its identity, over what was fitted, is computed again fr
 
 from __future__ import annotations
 
+import hashlib
 import io
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from contextlib import suppress
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from bayescal._calibration.confounding import Confounder
-from bayescal._calibration.description import description, identity, model_from, of_today
 from bayescal._calibration.fitted import Fitted
 from bayescal._core.atomic_file import (
     named_back,
@@ -33,9 +34,14 @@ from bayescal._data.column import NominalScale, Source
 from bayescal._data.measurements import Measurements
 from bayescal._inference.laplace import Mode
 from bayescal._inference.method import Draws, Verdict
-from bayescal._model.effect import Effect
+from bayescal._model.effect import READING, Effect
+from bayescal._model.formula import Formula, effect, line_of_today
+from bayescal._model.installed import installed_instrument, installed_names
 from bayescal._model.instrument import Instrument
+from bayescal._model.model import Model
+from bayescal._model.noise_law import Noise
 from bayescal._model.parameters import bind
+from bayescal._model.prior import Flat, HalfCauchy, HalfNormal, LogNormal, LogUniform, Normal
 from bayescal._tables.raw_table import ROW
 from bayescal._tables.unpacked import refuse_hdf5
 
@@ -49,6 +55,10 @@ MISMATCHES = (
     *(LookupError, ValueError, TypeError, AttributeError, ArithmeticError),
     *(OSError, RuntimeError, ModelError),
 )
+UNKNOWNS = "unknowns"  # of a noise law of the user's own
+LAW_FILE = "Give the file that defines the one it was fitted with: --effects my_law.py (in Python: run it before load)"
+EFFECT_FILE = "--effects my_effects.py (in Python: load(path, effects=[…]))"
+_PRIORS = {c.__name__: c for c in (Flat, HalfCauchy, HalfNormal, LogNormal, LogUniform, Normal)}
 
 
 def save(calibration: Fitted, path: Path) -> Path:
@@ -152,3 +162,228 @@ def _readings_from(groups: Mapping[str, Group], described: Mapping[str, Any]) ->
     given, flags = described.get("nominal_scale"), _with_codes(described["flags"], described)
     scale = given and NominalScale(**given)
     return Measurements.of_variables(held, sources=sources, flags=flags, scale=scale)
+
+
+# what a calibration says of itself, and the model that this names --------------------------------------------------
+
+
+def identity(c: Fitted) -> str:
+    """SHA-256 over what was fitted, to which readings, from which seed, and the draws that came of it.
+
+    A calibration has the same one before it is saved and after it is loaded; another fit has another.
+    """
+    digest = hashlib.sha256(json.dumps(description(c), sort_keys=True).encode())
+    c.readings.add_to(digest)
+    # Between x and v stood unknowns of single readings once, as a rule none: identities stay what they were.
+    for draws in (c.joint.x, np.zeros((*c.joint.x.shape[:2], len(c.readings), 0)), c.joint.v):
+        digest.update(f"{draws.shape}\n".encode())
+        digest.update(np.ascontiguousarray(draws, dtype="<f8").tobytes())
+    return digest.hexdigest()
+
+
+def sources_of(readings: Measurements) -> tuple[Source, ...]:
+    """Where readings came from, as every artefact states it: files and their hashes; of arrays, that of the values."""
+    if readings.sources:
+        return readings.sources
+    digest = hashlib.sha256()
+    readings.add_to(digest)
+    return (Source("arrays (hash of their values)", digest.hexdigest(), len(readings)),)
+
+
+def description(c: Fitted) -> dict[str, Any]:
+    """All that a calibration is but its numbers, by the names of what is installed."""
+    model, readings = c.model, c.readings
+    flags = (f for f in (*readings.flags, *c.verdict.against) if isinstance(f, Flag))
+    own = _catalogue(model.instrument)
+    # Left out where they are empty, so that identities stay what they were.
+    further = {
+        # Lines of the effects that were typed, from which they are made again.
+        "typed": {e.name: e.basis.text for e in model.effects if isinstance(e.basis, Formula)},
+        # Plausible sizes of the instrument's own effects, where these are others than its own.
+        "sizes": {e.name: e.coefficients[0].size for e in model.effects if _is_resized(e, own)},
+        # Effects that some structures of an average have not, if they have no size by which their draws say so.
+        "averaged": [e.name for e in model.effects if e.held and e == e.averaged],
+        "start": dict(c.start),
+        "confounded": [one._asdict() for one in c.confounders],
+        # Of flags that code asks for, code and names, by their words.
+        "flag_codes": {str(flag): [flag.code, *flag.of] for flag in flags},
+        "nominal_scale": asdict(scale) if (scale := readings.scale) else None,
+    }
+    return {
+        "schema": "bayescal.calibration/1",  # of 0.2: identities stay what they were
+        "instrument": model.instrument.name,
+        "settings": dict(model.instrument.settings),
+        "effects": list(model.names),
+        "unknowns": {e.name: stated(e) for e in model.effects},
+        "ranges": {
+            e.name: {s.name: [s.low, s.high] for s in e.shapes} for e in model.effects if e.shapes
+        },
+        "fixed": dict(model.fixed),
+        "noise": _noise_words(model.noise),
+        "promoted": list(c.layout.promoted),
+        "counts": {**dict(c.layout.counts), READING: len(readings)},
+        "levels": {k: list(v) for k, v in c.levels.items()},
+        "reference": c.reference,
+        "method": c.method,
+        "seed": c.seed,
+        "log_evidence": c.log_evidence,
+        "verdict": _since(asdict(c.verdict), "against", "checked"),
+        "sources": [_since(asdict(s), "columns", "units") for s in readings.sources],
+        "flags": list(readings.flags),
+        **{key: value for key, value in further.items() if value},
+    }
+
+
+def _since(fields: Mapping[str, Any], *names: str) -> dict[str, Any]:
+    """Return fields, of those that there were not at first only the ones that are not empty."""
+    return {key: value for key, value in fields.items() if key not in names or value}
+
+
+def _is_resized(e: Effect, catalogue: Mapping[str, Effect]) -> bool:
+    """Whether an effect differs from the instrument's own by its plausible size alone."""
+    known = catalogue.get(e.name)
+    if known is None or e.coefficients in (known.coefficients, _as_before(known).coefficients):
+        return bool(e.frees)
+    return replace(e, coefficients=known.coefficients, shapes=known.shapes) == known
+
+
+def _as_before(effect: Effect) -> Effect:
+    """An effect as it was when states in which runs begin had a size and no learned spread: saved ones may have it."""
+    own = (replace(c, group_sd=None) if c.initial else c for c in effect.coefficients)
+    return replace(effect, coefficients=tuple(own))
+
+
+def _catalogue(instrument: Instrument) -> dict[str, Effect]:
+    """Every effect that an instrument offers, by name."""
+    structural = [e for _, make in instrument.structures for e in make().effects]
+    return {**{e.name: e for e in structural}, **instrument.known}
+
+
+def stated(effect: Effect) -> str:
+    """What an effect says of its unknowns: units, priors, groups, shapes."""
+    return " ".join(" ".join(map(repr, (*effect.coefficients, *effect.shapes))).split())
+
+
+def name_of_today(name: str) -> str:
+    """The name of an unknown that may be one of 0.2.0, where a group's standard deviation was its spread."""
+    return f"{name.removesuffix('.spread')}.group_sd" if name.endswith(".spread") else name
+
+
+def of_today(described: dict[str, Any]) -> dict[str, Any]:
+    """A description of 0.2 with the names of unknowns, and the words of formulas, that they have now."""
+    now = {
+        "unknowns": lambda name, said: (name, str(said).replace("spread=", "group_sd=")),
+        "fixed": lambda name, value: (name_of_today(name), value),
+        "typed": lambda name, line: (name, line_of_today(line)),
+    }
+    changed = {
+        k: dict(each(*item) for item in described[k].items())
+        for k, each in now.items()
+        if k in described
+    }
+    reference = {n: v for n, v in described["reference"].items() if n != "run_starts"}
+    return described | changed | {"reference": reference}
+
+
+def _noise_words(noise: Noise) -> dict[str, Any]:
+    """A noise law by the name of its class and its fields; of one that is not bayescal's own, its unknowns too."""
+    found: dict[str, Any] = {"law": type(noise).__name__}
+    for key, value in vars(noise).items():
+        if value is False:  # files of before there was the choice hold none
+            continue
+        prior = type(value).__name__ in _PRIORS
+        found[key] = [type(value).__name__, vars(value)] if prior else value
+    if not type(noise).__module__.startswith("bayescal."):
+        found[UNKNOWNS] = {name: repr(prior) for name, prior in noise.parameters().items()}
+    return found
+
+
+def _noise_from(path: Path, described: Mapping[str, Any]) -> Noise:
+    """Return the noise law that a description names; raise InputError if it is not loaded, or another one than then."""
+    name, fields = described["law"], dict[str, Any]()
+    if name not in Noise.known:
+        raise InputError(
+            f"{path.name} was fitted with the noise law {name}, which is not loaded (there are: "
+            f"{', '.join(Noise.known)}). {LAW_FILE}"
+        )
+    for key, value in described.items():
+        if isinstance(value, list):
+            prior = len(value) == 2 and isinstance(value[1], dict)
+            value = _PRIORS[value[0]](**value[1]) if prior else tuple(value)
+        fields[key] = value
+    then = described.get(UNKNOWNS)
+    try:
+        law = Noise.known[name](**{k: v for k, v in fields.items() if k not in ("law", UNKNOWNS)})
+        if (now := _noise_words(law).get(UNKNOWNS)) != then:
+            raise TypeError(f"its unknowns were {then}; now {now}")
+    except TypeError as error:
+        raise InputError(
+            f"{path.name} was fitted with another noise law {name} than the one given now: {error}. {LAW_FILE}"
+        ) from None
+    return law
+
+
+def _instrument_from(path: Path, described, readings: Measurements, instruments) -> Instrument:
+    """Return the instrument that a description names, tailored as it was; raise InputError if it is not there."""
+    own, name = {i.name: i for i in instruments}, described["instrument"]
+    if name not in (there := list(dict.fromkeys([*installed_names(), *own]))):
+        raise InputError(
+            f"{path.name} is a calibration of {name!r}, which is not installed (installed: "
+            f"{', '.join(there)}). Install the package that offers it"
+        )
+    instrument = own[name] if name in own else installed_instrument(name)
+    if not (settings := described["settings"]):
+        return instrument
+    try:
+        if instrument.tailor is None:
+            raise TypeError("it takes none")
+        return instrument.tailor(readings, **settings)
+    except TypeError as error:
+        raise InputError(
+            f"{path.name}: the installed {name!r} cannot be made with {settings} ({error}). Install "
+            "the version that the calibration was made with"
+        ) from None
+
+
+def model_from(path: Path, described, readings: Measurements, effects, instruments) -> Model:
+    """The model that the description in a file names, of what is installed and what is given.
+
+    Raises:
+        InputError: an instrument, effect or noise law is not there, or is another one than then; names it.
+    """
+    instrument = _instrument_from(path, described, readings, instruments)
+    ranges, then = described["ranges"], described["unknowns"]
+    known, names = _catalogue(instrument), described["effects"]
+    # Of two of one name, the instrument's and one that is given, it is the one that was fitted.
+    given = {
+        e.name: e
+        for e in effects
+        if e.name not in known or stated(e.ranging(ranges.get(e.name, {}))) == then.get(e.name)
+    }
+    typed = {
+        n: effect(text, readings=readings, instrument=instrument)
+        for n, text in described.get("typed", {}).items()
+    }
+    catalogue = {**known, **given, **typed}
+    for n in names:
+        with suppress(ModelError):
+            catalogue[n] = instrument.effect(n, catalogue)
+    if missing := [n for n in names if n not in catalogue]:
+        raise InputError(
+            f"{path.name} uses the effect {', '.join(missing)}, which {instrument.name!r} does not have. Give the file "
+            f"that defines it: {EFFECT_FILE}"
+        )
+    chosen = [catalogue[n].ranging(ranges.get(n, {})) for n in names]
+    chosen = [b if stated(b := _as_before(e)) == then.get(e.name) else e for e in chosen]
+    averaged = described.get("averaged", [])
+    chosen = [e.averaged if e.name in averaged else e for e in chosen]
+    model = Model(instrument, tuple(chosen), _noise_from(path, described["noise"]), ())
+    for n, size in described.get("sizes", {}).items():
+        model = model.resize(n, size)
+    for one in model.effects:
+        if then[one.name] != (now := stated(one)):
+            raise InputError(
+                f"{path.name} was fitted with another effect {one.name!r} than the one given now: then "
+                f"{then[one.name]}; now {now}. Give the one it was fitted with: {EFFECT_FILE}"
+            )
+    return replace(model, fixed=tuple(described["fixed"].items()))

@@ -12,7 +12,6 @@ from scipy.special import chdtrc
 
 from bayescal._calibration.claim import Claim
 from bayescal._calibration.fitted import Fitted
-from bayescal._calibration.mixture import has_effect
 from bayescal._core import null_space
 from bayescal._core.formatting import WIDTH, interval, number, probability, with_error
 from bayescal._core.result_table import ResultTable, plain_table
@@ -183,11 +182,10 @@ def summary(calibration: Fitted) -> tuple[list[dict[str, Any]], list[dict[str, A
     Contraction is 1 − (posterior variance)/(prior variance): 1 where the readings said everything, 0 where they
     said nothing; None where the prior is flat or has no variance, and of a value that the method holds.
     """
-    there = {e.name: has_effect(calibration, e.name) for e in calibration.model.effects}
     coefficients, hyperparameters = list[dict[str, Any]](), list[dict[str, Any]]()
     for u in (u for u in calibration.unknowns if not u.held):
         values = calibration.samples(u.name)
-        own = there.get(u.effect, np.ones(len(values), dtype=bool))
+        own = calibration.having.get(u.effect, np.ones(len(values), dtype=bool))
         given = values[own] if own.sum() > 1 else values
         low, high = np.quantile(values, [0.025, 0.975])
         sd, prior = float(values.std(ddof=1)), u.prior_sd
