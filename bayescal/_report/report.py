@@ -23,7 +23,7 @@ from matplotlib.figure import Figure
 
 from bayescal._calibration.calibration import Calibration
 from bayescal._calibration.check_result import Check, check_table
-from bayescal._calibration.description import identity, sources_of
+from bayescal._calibration.storage import identity, sources_of
 from bayescal._core.annex import first_offered, offered
 from bayescal._core.atomic_file import write_text
 from bayescal._core.errors import BayescalError, InputError, NotDrawn

@@ -12,9 +12,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from bayescal._calibration.calibration import Calibration
-from bayescal._calibration.description import identity
-from bayescal._calibration.mixture import usual_columns
-from bayescal._calibration.why_not import why_not
+from bayescal._calibration.check import why_not
+from bayescal._calibration.storage import identity
 from bayescal._core.atomic_file import write_text
 from bayescal._core.errors import InputError
 from bayescal._data.column import UNCERTAINTY, Column
@@ -374,7 +373,7 @@ def compensator(
     """
     if draws < 2:
         raise InputError(f"draws={draws}: an uncertainty needs at least 2")
-    usual = usual_columns(calibration)
+    usual = calibration.usual_columns
     whole = Compensator(calibration, equation_in_use(calibration, members), draws)
     rare = [e.name for e in calibration.model.effects if not usual.issuperset(e.columns)]
     if not rare:

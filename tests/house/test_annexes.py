@@ -52,7 +52,6 @@ BEHIND = {
         _tables.raw_table: Table as_format load_whole refuse_large
     """,
     "imu": """
-        _calibration.mixture: usual_columns with_columns
         _calibration.sensor_noise: FILTER_QUANTILE
         _cli.output: coefficients_text
         _core: deadline
@@ -65,7 +64,6 @@ BEHIND = {
         _use.compensation_program: AGAIN STIMULUS inputs_at_fit
     """,
     "metrology": """
-        _calibration.mixture: inclusion
         _calibration.prior_influence: NotMeasured coefficients_not_measured not_measured
         _use: operating_equation
         _use.budget: notes_on

@@ -14,7 +14,7 @@ from scipy.stats import multivariate_normal
 
 import bayescal as bc
 from bayescal import effects
-from bayescal._calibration.part import Part
+from bayescal._calibration.leave_group_out import Part
 from bayescal._inference import nuts
 from bayescal._inference.density import Density
 from bayescal._inference.gaussian import LOG_2PI, column_scale

@@ -43,7 +43,6 @@ from bayescal._annexes.metrology.conformity import (
     stated_limit,
     with_population,
 )
-from bayescal._calibration.mixture import inclusion
 from bayescal._calibration.prior_influence import NotMeasured, not_measured
 from bayescal._use.compensation_program import averaged_over
 from bayescal.workshop import (
@@ -193,7 +192,7 @@ def _no_answer(quantity: LimitedQuantity, calibration: Calibration, stated: floa
         return f"{name} is one number of the model, which holds no change of it in time"
     if not quantity.follows_time:
         return f"the model cannot say when: nothing in it that acts on {name} changes with the time of the record"
-    shares = inclusion(calibration)
+    shares = calibration.inclusion
     likely = (e for e in calibration.model.effects if shares[e.name] > 1 - stated)
     forms = [e.name for e in likely if _describes_the_record(e)]
     if forms:
