@@ -39,12 +39,10 @@ from bayescal._tables.cells import date_text
 from bayescal._use.correction import NOT_RELIABLE, CorrectionInUse
 from bayescal._use.expression_graph import Graph, NotExportable, trace
 from bayescal._use.operating_equation import (
-    Folded,
     NoiseInUse,
     OperatingEquation,
     PosteriorMoments,
     Scalars,
-    equation_in_use,
     left_out,
 )
 
@@ -394,10 +392,15 @@ def notes_on_use(
         notes.append(
             f"Taken as new in use, with the between-group standard deviation of the calibration: {', '.join(new)}."
         )
-    if equation.folded is not None:
-        notes.append(_left_out(calibration, equation, equation.folded))
+    if held := equation.held_inputs:
+        places = [f"{n} = {v:.6g} {unit_label(unit)}".rstrip() for n, v, unit in held]
+        rms = left_out(equation, calibration, inputs_at_fit(calibration, equation))
+        notes.append(
+            f"Held at {', '.join(places)}, which only improbable effects need. What these make of the output elsewhere "
+            f"is left out: {number(rms)} {unit_label(calibration.unit)} rms over the calibration."
+        )
     for lag in equation.lags:
-        if lag.shape:
+        if lag.shape and lag.name in equation.inputs:
             share = "" if lag.multiple == 1.0 else f"{lag.multiple:.3g} · "
             notes.append(
                 f"{lag.name} is the lag for {share}{lag.shape} = {lag.tau:.6g} s; the uncertainty of this time is "
@@ -409,18 +412,6 @@ def notes_on_use(
     elif stimulus_range is None:
         notes.append(f"The range of {stimulus} in the calibration is not stated.")
     return tuple(notes)
-
-
-def _left_out(calibration: Calibration, equation: OperatingEquation, left: Folded) -> str:
-    """Which effects count at one place alone, where that is, and how much of the output that leaves out."""
-    inputs = inputs_at_fit(calibration, equation_in_use(calibration, dict(equation.members)))
-    rms = left_out(equation, left, calibration, inputs)
-    known = {equation.use.stimulus}.union(*(e.columns for e in equation.layout.model.effects))
-    at = [f"{n} = {v:.6g} {unit_label(u)}".rstrip() for n, v, u in left.at if n not in known]
-    return (
-        f"{', '.join(left.effects)} would need further inputs, and counts as at {', '.join(at)}. What it makes of the "
-        f"output elsewhere is left out: {number(rms)} {unit_label(calibration.unit)} rms over the calibration."
-    )
 
 
 SCHEMA, VERSION = "bayescal.compensator", 3
