@@ -5,7 +5,6 @@ A bad file is refused first, before the instrument loads, and JAX with it; no sa
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -127,20 +126,11 @@ def averaged(
 
 def long_log(readings: Measurements) -> list[str]:
     """A sentence that proposes --average, where there are more readings than a calibration has use for."""
-    if len(readings) <= LONG_LOG or not readings.has("time"):
-        return []
-    import numpy as np
-
-    steps = np.diff(readings["time"])
-    usual = float(np.median(steps[steps > 0])) if (steps > 0).any() else 0.0
-    least = usual * max(10.0, len(readings) / LONG_LOG)  # ten readings to a mean, and a short log
-    power = math.floor(math.log10(least)) if usual else 0
-    step = next((r for m in (1, 2, 5, 10) if (r := m * 10.0**power) >= least * (1 - 1e-9)), least)
-    means = f"{float(f'{len(readings) * usual / step:.2g}'):,.0f}"
-    return [
-        f"{readings.file}: {len(readings):,} readings: --average {step:g}s would leave about {means} "
-        "with nearly the same information"
-    ] * (usual > 0)
+    count = len(readings)
+    said = f"{readings.file}: {count:,} readings: --average TIME, means of {-(-count // LONG_LOG)} or more, "
+    return [f"{said}leaves nearly the same information"] * (
+        count > LONG_LOG and readings.has("time")
+    )
 
 
 def compose(instrument: Instrument, choice: ModelOptions, own: Sequence[Effect] = ()) -> Model:

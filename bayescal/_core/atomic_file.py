@@ -20,9 +20,6 @@ from bayescal._core.errors import InputError
 MAGIC = b"\n# bayescal sha256 "
 TRAILER = re.compile(re.escape(MAGIC) + rb"([0-9a-f]{64})\n\Z")
 LENGTH = len(MAGIC) + 64 + 1
-LARGE = 2**20  # bytes of a file, from which on its digest is kept while the process lasts
-# By place on the disk, size, and when it was last written to.
-_DIGESTS: dict[tuple[int, ...], str] = {}
 FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)  # a full disk, a used-up quota, a limit
 
 
@@ -132,16 +129,9 @@ def to_disk(path: Path) -> None:
 
 
 def sha256_of(path: Path) -> str:
-    """SHA-256 of a file's bytes, read in pieces; of a large one once, until it is written to."""
-    at = path.stat()
-    key = at.st_dev, at.st_ino, at.st_size, at.st_mtime_ns
-    if key not in _DIGESTS:
-        with path.open("rb") as file:
-            digest = hashlib.file_digest(file, "sha256").hexdigest()
-        if at.st_size < LARGE:
-            return digest
-        _DIGESTS[key] = digest
-    return _DIGESTS[key]
+    """SHA-256 of a file's bytes, read in pieces."""
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
 
 
 def storable(name: str) -> str:

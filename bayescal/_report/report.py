@@ -344,7 +344,7 @@ def _chapter(chapter: Chapter, pictures: Pictures) -> dict[str, Any]:
         "may": may,
         "not_for": not_for,
         "unexplained": report_text.unexplained(chapter),
-        "story": report_text.story(chapter),
+        "conclusion": report_text.conclusion(chapter),
         "ranges": report_text.ranges_table(report_text.ranges(chapter.used)),
         "effects": report_text.effects(chapter),
         "noise": c.model.noise.in_words,

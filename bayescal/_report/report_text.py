@@ -1,12 +1,12 @@
 """The text of a report: its tables as plain data, which a template lays out, and its sentences.
 
-The sentences are the result in one paragraph, how it came about, its use and limits, what is left open.
+The sentences are the result in one paragraph, its use and limits, what is left open.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from itertools import chain, pairwise
+from itertools import chain
 from typing import Any
 
 import numpy as np
@@ -654,10 +654,9 @@ def ok(chapter: Chapter) -> bool:
 
 
 def unexplained(chapter: Chapter) -> list[str]:
-    """What the last model leaves open, a sentence each."""
+    """What the last model leaves open and the conclusion does not say, a sentence each."""
     data, unit = chapter.data, chapter.calibration.unit
-    step, first = data["steps"][-1], data["steps"][0]["holdout_rmse"]
-    rms, new, noise = step["rmse_fitted"], step["rmse"], step["noise_floor"]
+    rms, new, noise = (data["steps"][-1][k] for k in ("rmse_fitted", "rmse", "noise_floor"))
     more = "nothing beyond the noise."
     if rms > ABOVE_NOISE * noise:
         more = f"about {measured((rms**2 - noise**2) ** 0.5, unit, 2)} rms is more than noise."
@@ -668,16 +667,6 @@ def unexplained(chapter: Chapter) -> list[str]:
     if new > ABOVE_NOISE * rms:
         said.append(
             f"A new run has an rms error of {measured(new, unit, 3)}: it brings a deviation of its own."
-        )
-    if step["holdout_rmse"] is not None:
-        said.append(
-            f"Readings that no fit saw are predicted with an rms error of {measured(step['holdout_rmse'], unit, 3)} "
-            f"(first model: {measured(first, unit, 3)})."
-        )
-    for e in _depends(chapter):
-        size = f"{e.worst.size:+.2g} {unit_label(unit)}".replace("-", "−")
-        said.append(
-            f"The residuals still depend on {e.against} (up to {size}; log Bayes factor {e.log_bayes_factor:.1f})."
         )
     last, why = last_discovery(chapter), (data.get("search") or {}).get("ending")
     if last is None and not why:
@@ -694,28 +683,4 @@ def unexplained(chapter: Chapter) -> list[str]:
             )
     if outliers := len(chapter.check.outliers):
         said.append(f"{outliers} outlying readings (more than 4 standard deviations).")
-    if data["other_path"] is not None:
-        said.append(data["other_path"]["in_words"])
-    gate = [] if data["gate"]["ok"] else [data["gate"]["reason"]]
-    return [*said, *filter(None, (why,)), *gate]
-
-
-def story(chapter: Chapter) -> list[str]:
-    """The result in one paragraph, and how the last model came about, a sentence each step."""
-    steps, unit = chapter.data["steps"], chapter.calibration.unit
-    findings = {
-        m["step"]: {n for s in m["sets"] for n in s["effects"]} for m in chapter.data["missing"]
-    }
-    said = [
-        conclusion(chapter),
-        f"It began with {steps[0]['title']}: rms error as fitted {measured(steps[0]['rmse_fitted'], unit, 3)}.",
-    ]
-    for i, (before, step) in enumerate(pairwise(steps)):
-        name = step["added"]
-        if name and name in findings.get(i, ()):
-            what = f"{name} was found missing. Added, it"
-        else:
-            what = f"Adding {name}" if name else f"The step «{step['title']}»"
-        errors = (measured(s["rmse_fitted"], unit, 3) for s in (before, step))
-        said.append(f"{what} brought the rms error as fitted from {' to '.join(errors)}.")
-    return said
+    return [*said, *filter(None, (why,))]

@@ -626,7 +626,7 @@ def program_of(
     """Trace an equation in use, its derivatives and the noise of one reading.
 
     Raises:
-        ModelError: an effect, or the noise law, is made of operations that firmware has no form of; named.
+        ModelError: an effect, or the noise law, is made of operations that firmware has no form of.
     """
     graph, unknowns = Graph(), equation.unknowns()
     theta = {u.key: jnp.asarray(m) for u, m in zip(unknowns, moments.mean, strict=True)}
@@ -642,7 +642,10 @@ def program_of(
         expected, slope, *gradient = trace(graph, derivatives, (jnp.ones(()), ones), places)
         (own,) = trace(graph, of_noise, (jnp.ones(()), ones), places)
     except NotExportable as error:
-        raise ModelError(_blame(equation, theta, str(error))) from None
+        raise ModelError(
+            f"the model cannot be exported: {error}. Write bases with arithmetic, powers, exp, sin and jnp.where, take "
+            "the effect that has it out (model - name) and fit again, or compensate in Python: bayescal compensate"
+        ) from None
     acting = [i for i, node in enumerate(gradient) if graph.value(node) != 0]
     small, moved = graph.part([expected, slope, own, *(gradient[i] for i in acting)])
     needed = {n.value for n in small.nodes if n.op == "input"}
@@ -670,11 +673,9 @@ def _with_derivatives(equation: OperatingEquation, theta: Scalars) -> Callable[.
     def expected_slope_gradient(s, given):
         # Forward, because the reverse of a slice is a padding, for which there is no scalar operation.
         def along(key, value):
-            of = {STIMULUS: s, **theta}
-
             def at(v):
-                moved = {**of, key: v}
-                return equation.point({k: moved[k] for k in theta}, moved[STIMULUS], given)
+                moved = {STIMULUS: s, **theta, key: v}
+                return equation.point(moved, moved[STIMULUS], given)
 
             return jax.jvp(at, (value,), (jnp.ones(()),))
 
@@ -682,30 +683,3 @@ def _with_derivatives(equation: OperatingEquation, theta: Scalars) -> Callable[.
         return expected, slope, [along(key, value)[1] for key, value in theta.items()]
 
     return expected_slope_gradient
-
-
-def _blame(equation: OperatingEquation, theta: Scalars, reason: str) -> str:
-    """Which effect cannot be exported, and what to do."""
-    ones = {n: jnp.ones(()) for n in equation.names}
-    for effect in dict.fromkeys(b.effect for b in equation.blocks):
-
-        def basis(s, given, effect=effect):
-            frame = equation.one_reading(s, given)
-            shapes = {x.name: theta.get(effect.shape_name(x), jnp.ones(())) for x in effect.shapes}
-            return [effect.evaluate(frame, shapes)[0, i] for i in range(len(effect.coefficients))]
-
-        graph = Graph()
-        places = [graph.input(STIMULUS), *(graph.input(n) for n in sorted(ones))]
-        try:
-            trace(graph, basis, (jnp.ones(()), ones), places)
-        except NotExportable as error:
-            return (
-                f"effect {effect.name!r} cannot be exported: {error}. Write its basis with arithmetic, "
-                "powers, exp, sin and jnp.where, take the effect out (model - name) and fit again, or "
-                "compensate in Python: bayescal compensate"
-            )
-    law = equation.layout.model.noise.name
-    return (
-        f"neither the equation nor the {law} noise can be exported: {reason}. Compensate in Python: "
-        "bayescal compensate"
-    )

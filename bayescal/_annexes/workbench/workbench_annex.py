@@ -53,7 +53,7 @@ def workbench(
     address: str = "127.0.0.1",
     no_open: bool = False,
 ) -> None:
-    """The same loop in a browser, step by step: look, add, compare, go back. Ctrl-C ends it.
+    """Run the same loop in a browser, step by step.
 
     It is served to this computer alone, under an address that nobody guesses, unless --address says otherwise.
     Channels of a unit have each a page of its own, with links to the others.
