@@ -45,23 +45,20 @@ def replacing(path: Path) -> Iterator[Path]:
 
 def left_behind(path: Path) -> list[Path]:
     """What processes that were killed left beside a file or folder; what others are writing is not."""
-    found = {
-        left: left.name.removesuffix(".partial").rpartition(".")[2]
-        for left in path.parent.glob(f".{glob.escape(path.name)}.*.partial")
-    }
-    return [left for left, process in found.items() if process.isdecimal() and not _runs(process)]
+    names = path.parent.glob(f".{glob.escape(path.name)}.*.partial")
+    return [left for left in names if not _runs(left.name.split(".")[-2])]
 
 
 def _runs(process: str) -> bool:
-    """Whether a process of this number runs."""
-    if os.name != "posix":
-        return True  # only there can one ask without sending it a signal
+    """Whether a process of this number may run; only POSIX says so without sending it a signal."""
+    if os.name != "posix" or not process.isdecimal():
+        return True
     try:
         os.kill(int(process), 0)
     except (ProcessLookupError, OverflowError):
         return False
     except OSError:  # it is another user's
-        return True
+        pass
     return True
 
 
@@ -171,8 +168,7 @@ def verified(path: Path, what: str, instead: str) -> memoryview:
             f"{path.name} cannot be read: {error.strerror or error}. {instead}"
         ) from None
     content = memoryview(found)[: max(0, len(found) - LENGTH)]
-    # The trailer is looked for at the very end: HDF5 passes over what follows its own end, so that both read the same
-    # bytes.
+    # At the very end: HDF5 passes over what follows its own end, so that both read the same bytes.
     trailer = TRAILER.fullmatch(found[len(content) :])
     if trailer is None:
         said = (
@@ -184,7 +180,7 @@ def verified(path: Path, what: str, instead: str) -> memoryview:
         raise InputError(f"{path.name} {said}. Expected {what}. {instead}")
     if hashlib.sha256(content).hexdigest().encode() != trailer[1]:
         raise InputError(
-            f"{path.name} is damaged: its bytes do not have the checksum that stands at its end. {instead}"
+            f"{path.name} is damaged: its bytes do not have the checksum at its end. {instead}"
         )
     if TRAILER.fullmatch(found[max(0, len(content) - LENGTH) : len(content)]):
         raise InputError(f"{path.name} has two checksums at its end, expected one. {instead}")
