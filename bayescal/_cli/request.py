@@ -29,7 +29,6 @@ if TYPE_CHECKING:
     from bayescal._model.model import Model
     from bayescal._model.noise_law import Noise
 
-Early = tuple[dict[str, Any] | None, Any]  # readings; by which columns they were read
 LONG_LOG = 20_000  # readings, beyond which means over short times say as much and are sooner done
 LONG_BYTES = 50_000_000  # bytes of files that take longer to read than an instrument takes to load
 
@@ -45,22 +44,23 @@ def open_request(asked: ReadRequest) -> tuple[Instrument, Model, Measurements]:
 
 
 def open_channels(
-    names: Sequence[str], asked: ReadRequest, early: Early | None = None
+    names: Sequence[str], asked: ReadRequest
 ) -> tuple[Instrument, dict[str, Model], dict[str, Measurements]]:
     """Instrument, models and readings of the channels of one unit; a model has it tailored to its readings.
 
     Args:
         names: of the channels; none: a single output, called "".
         asked: what is.
-        early: what `read_early` gave, where it was called already.
 
     Raises:
         InputError, ModelError: something in it cannot be used; says what.
     """
-    from bayescal._model.installed import FileColumns
+    from bayescal._model.installed import FileColumns, file_columns
 
-    # A file that cannot be used is refused before the instrument loads.
-    found, holds = read_early(asked, names) if early is None else early
+    # A file that cannot be used is refused before the instrument loads, unless reading takes longer than that.
+    holds = None if in_a_file(asked.instrument) else file_columns(asked.instrument)
+    short = sum(path.stat().st_size for path in asked.files if path.is_file()) <= LONG_BYTES
+    found = _read(asked.files, holds, asked, names) if holds and short else None
     general, choice = instrument_named(asked.instrument), asked.choice
     if found is None or holds != FileColumns.of(general):
         found = _read(asked.files, general, asked, names)
@@ -97,20 +97,6 @@ def _read(
     with stage("reading"):
         found = bc.read(list(files), of, **asked.columns.for_read(), **outputs)
     return found if names else {"": found}  # pyright: ignore[reportReturnType]
-
-
-def read_early(asked: ReadRequest, names: Sequence[str] = ()) -> Early:
-    """What `read` gives before the instrument loads, and by which columns; None where that cannot be, or takes long.
-
-    Raises:
-        InputError: a file cannot be used, or no instrument is of that name.
-    """
-    from bayescal._model.installed import file_columns
-
-    name = asked.instrument
-    holds = None if in_a_file(name) else file_columns(name)
-    short = sum(path.stat().st_size for path in asked.files if path.is_file()) <= LONG_BYTES
-    return (_read(asked.files, holds, asked, names) if holds and short else None), holds
 
 
 def averaged(
@@ -192,10 +178,10 @@ def reference_of(given: list[str] | None, readings: Measurements) -> Reference:
 
 
 def searched(
-    names: Sequence[str], asked: SearchRequest, early: Early | None = None
+    names: Sequence[str], asked: SearchRequest
 ) -> tuple[dict[str, Model], dict[str, Measurements], dict[str, Measurements]]:
     """Models, readings and hold-out data by channel ("" where there is one output); what is to be noted is said."""
-    general, models, readings = open_channels(names, asked, early)
+    general, models, readings = open_channels(names, asked)
     kept = {}
     if asked.holdout:
         of = general if names else models[""].instrument
