@@ -19,12 +19,11 @@ from bayescal._calibration.prior_influence import coefficients_not_measured
 from bayescal._calibration.summary import (
     curve_extent,
     curve_weights,
-    curves,
     if_there,
-    large_groups,
     place_of,
     range_of,
     summary,
+    unknown_rows,
 )
 from bayescal._core.errors import InputError
 from bayescal._core.flag import Flag
@@ -124,40 +123,28 @@ def files(chapter: Chapter) -> ResultTable:
 def coefficients(chapter: Chapter) -> ResultTable:
     """Coefficients, then hyperparameters: k = 2 interval and 95 % credible interval, apart."""
     untold = coefficients_not_measured(chapter.used)
-
-    def row(r: dict[str, Any]) -> dict[str, Any]:
+    known, rows = {r["name"]: r for r in chain(*summary(chapter.used))}, list[dict[str, Any]]()
+    for key, (name, value, unit, *_) in unknown_rows(chapter.used).items():
+        if key not in known:  # what single coefficients mean nothing in: a curve, a large group
+            none = dict.fromkeys(("u", "k2", "credible"), "–")
+            value = f"{value} {unit}".rstrip()
+            rows.append({"name": name, "unit": "", "value": value, "contraction": None, **none})
+            continue
+        r = known[key]
         mean, sd, likely = r["mean"], r["sd"], r["probability"]
         held = not sd > 1e-9 * abs(mean)
-        note = " (held)" * held + " (mostly its prior)" * (r["name"] in untold)
         given = if_there(r, K)
+        note = " (held)" * held + " (mostly its prior)" * (name in untold)
         note += f" (if it is there {given})" if given else ""
         note += f" (probability {probability(likely)})" * (likely < 1 and not given)
-        u, k2, credible = "held", "–", "–"
+        own = {"u": "held", "k2": "–", "credible": "–"}
         if not held:
-            u, k2 = number(sd, 2), interval(mean - K * sd, mean + K * sd, mean, sd)
-            credible = interval(*r["interval95"], mean, sd)
-        own = {"u": u, "k2": k2, "credible": credible}
-        return {**r, "value": with_error(mean, K * sd), "note": note, **own}
-
-    def line(name: str, value: str) -> dict[str, Any]:
-        """What single coefficients mean nothing in: a curve, or the members of a large group."""
-        none = dict.fromkeys(("u", "k2", "credible"), "–")
-        return {"name": name, "unit": "", "value": value, "note": "", "contraction": None, **none}
-
-    rows: dict[str, dict[str, Any]] = {}
-    drawn, large = curves(chapter.used), large_groups(chapter.used)
-    every = [*chain(*summary(chapter.used))]
-    for r in every:
-        block = next((b for b, names in large.items() if r["name"] in names), None)
-        if r["effect"] in drawn:
-            extent = f"up to {_largest(chapter.used, r['effect'])}"
-            rows.setdefault(r["effect"], line(f"{r['effect']}, a curve", extent))
-        elif block is not None:
-            means = [own["mean"] for own in every if own["name"] in large[block]]
-            ends = f"{number(min(means), 2)} to {number(max(means), 2)} {unit_label(r['unit'])}"
-            rows.setdefault(block, line(f"{block}, {len(means)} members", ends.rstrip()))
-        else:
-            rows[r["name"]] = row(r)
+            own = {
+                "u": number(sd, 2),
+                "k2": interval(mean - K * sd, mean + K * sd, mean, sd),
+                "credible": interval(*r["interval95"], mean, sd),
+            }
+        rows.append({**r, "value": with_error(mean, K * sd), "note": note, **own})
     columns = (
         TableColumn("unknown", "name"),
         TableColumn("unit", "unit", unit_label, left=True),
@@ -167,7 +154,7 @@ def coefficients(chapter: Chapter) -> ResultTable:
         TableColumn("95 % credible interval", "credible"),
         TableColumn("contraction", "contraction", _percent),
     )
-    return ResultTable(columns, [*rows.values()])
+    return ResultTable(columns, rows)
 
 
 def signed(every: ResultTable, model: Model) -> ResultTable:
@@ -450,13 +437,8 @@ def _does(c: Calibration, effect: Effect) -> str:
 
 
 def _extent(c: Calibration, effect: Effect) -> str:
-    *_, covariate, at = curve_extent(c, effect.name)
-    return f"{_largest(c, effect.name)}, most at {place_of(c, covariate, at)}"
-
-
-def _largest(c: Calibration, name: str) -> str:
-    """The largest value of a curve, output unit."""
-    return measured(abs(curve_extent(c, name)[1]), c.unit, 2)
+    _, largest, covariate, at = curve_extent(c, effect.name)
+    return f"{measured(abs(largest), c.unit, 2)}, most at {place_of(c, covariate, at)}"
 
 
 def _size(c: Calibration, effect: Effect) -> str:
@@ -625,10 +607,6 @@ def _limits(chapter: Chapter, rows: list[dict[str, Any]]) -> list[str]:
         )
     candidates = (last_discovery(chapter) or {"candidates": []})["candidates"]
     blind = [c["effect"] for c in candidates if c["kind"] == "not visible" and not is_quiet(c)]
-    not_for += [
-        f"Where {listed(names, 'or')} matters: it was not tested ({reason})."
-        for reason, names in not_tested(candidates).items()
-    ]
     if blind:
         not_for.append(
             f"Where {listed(blind, 'or')} matters: it is not detectable in this experiment."
