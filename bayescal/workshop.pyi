@@ -117,5 +117,4 @@ from ._use.correction_files import in_form as in_form
 from ._use.correction_files import load_correction as load_correction
 from ._use.correction_files import names_in_unit as names_in_unit
 from ._use.correction_files import sensor_name as sensor_name
-from ._use.program_text import code_template as code_template
 from ._use.program_text import include_guard as include_guard
