@@ -428,10 +428,8 @@ def answering(command: Command, options: Options) -> Callable[..., None]:
                 during.enter_context(stage(name, EVERY))
                 during.enter_context(deadline.until(values.get("time_limit")))
             answer = function(**{n: _taken(p.annotation, n, values) for n, p in declared.items()})
-            if answer is None:
-                return
-            made = answer.tell(values.get("json_", False))
-        answer.leave(made)
+            if answer is not None and not answer.tell(values.get("json_", False)):
+                raise typer.Exit(1)
 
     run.__signature__ = inspect.Signature([_told(p, name, options) for p in shown])  # pyright: ignore[reportAttributeAccessIssue]
     run.__annotations__ = {}

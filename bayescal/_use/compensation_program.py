@@ -11,7 +11,6 @@ The stimulus solves expected(s) = reading: one Newton step from 0 where the equa
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
@@ -258,37 +257,6 @@ def limits(span: tuple[float, float]) -> tuple[float, float]:
     """Beyond which a compensated value is flagged: the calibrated range of the stimulus and its margin."""
     low, high = span
     return low - MARGIN * (high - low), high + MARGIN * (high - low)
-
-
-def outside(
-    ranges: Mapping[str, tuple[float, float]], values: Mapping[str, np.ndarray]
-) -> dict[str, np.ndarray]:
-    """Name → where a value is outside its range, (n,); only those that are outside somewhere."""
-    found = {
-        name: (values[name] < low) | (values[name] > high)
-        for name, (low, high) in ranges.items()
-        if name in values
-    }
-    return {name: mask for name, mask in found.items() if mask.any()}
-
-
-def warn_outside(
-    masks: Mapping[str, np.ndarray], calibrated: Mapping[str, tuple[float, float, str]]
-) -> None:
-    """Warn the caller's caller of readings outside their range."""
-    spans = {
-        n: f" (calibrated: {a:.6g} to {b:.6g} {unit})" for n, (a, b, unit) in calibrated.items()
-    }
-    parts = [
-        f"{name} in {int(mask.sum())} of {len(mask)} readings{spans.get(name, '')}"
-        for name, mask in masks.items()
-    ]
-    warnings.warn(
-        f"outside the calibrated range: {'; '.join(parts)}. There the result is an extrapolation, and its "
-        "uncertainty does not say by how much the equation itself may fail",
-        OutsideCalibration,
-        stacklevel=3,
-    )
 
 
 @dataclass(frozen=True)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -26,16 +27,15 @@ from bayescal._use.compensation_program import (
     PAST,
     CompensationProgram,
     Input,
+    OutsideCalibration,
     Provenance,
     gathered,
     inputs_at_fit,
     inputs_in_use,
     limits,
     notes_on_use,
-    outside,
     program_of,
     provenance_of,
-    warn_outside,
 )
 from bayescal._use.correction import NOT_RELIABLE
 from bayescal._use.correction_files import as_text, format_of, kind_of, load_correction
@@ -139,9 +139,30 @@ class Compensator:
         if noise:
             own = self.noise_variance({**given, self.stimulus: value})
             variance = variance + inclination * (own + given.get(UNCERTAINTY, np.zeros(1)) ** 2)
-        masks = outside(self._ranges, {**given, self.stimulus: value})
+        values = {**given, self.stimulus: value}
+        beyond = {
+            name: (values[name] < low) | (values[name] > high)
+            for name, (low, high) in self._ranges.items()
+            if name in values
+        }
+        masks = {name: mask for name, mask in beyond.items() if mask.any()}
         if warn and masks:
-            warn_outside(masks, self.calibrated)
+            spans = self.calibrated
+            parts = [
+                f"{name} in {int(mask.sum())} of {len(mask)} readings"
+                + (
+                    " (calibrated: {:.6g} to {:.6g} {})".format(*spans[name])
+                    if name in spans
+                    else ""
+                )
+                for name, mask in masks.items()
+            ]
+            warnings.warn(
+                f"outside the calibrated range: {'; '.join(parts)}. There the result is an extrapolation, and its "
+                "uncertainty does not say by how much the equation itself may fail",
+                OutsideCalibration,
+                stacklevel=2,
+            )
         return Compensated(value, np.sqrt(variance), self.unit, masks)
 
     @cached_property
