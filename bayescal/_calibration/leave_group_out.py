@@ -7,7 +7,7 @@ of the left-out group then come from their prior, as those of any group not yet 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any

@@ -1,8 +1,8 @@
 """The mode of a log density of few coordinates by Newton's method, and the Gaussian fit there.
 
 Coordinates are about standard normal a priori. Where gradient and curvature have no closed form they are differences
-(`ByValues`), with steps of a twentieth of what the density itself allows: right whether the readings know a coordinate to
-a tenth or to a billionth.
+(`ByValues`), with steps of a twentieth of what the density itself allows: right whether the readings know a coordinate
+to a tenth or to a billionth.
 """
 
 from __future__ import annotations
