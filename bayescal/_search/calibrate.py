@@ -179,26 +179,26 @@ class Loop:
         deadline.current().defer_interrupt()
         self.max_effects = max(self.max_effects, len(self.given))
         self.reference = first.calibration.reference
-        self.begun = time.monotonic()
-        self.step_takes = self.begun - before
+        self.step_takes = time.monotonic() - before
         self.steps, more = [first], self.freed(first)
         if more or not first.against:
             self.open(first, (*effects, *more), widen_noise)
 
-    def weighs(self, effect: Effect, model: Model, further: Collection[str] = ()) -> bool:
-        """Return whether an effect of a model is weighed anew; `further` candidates are, beside the instrument's."""
+    def weighs(self, effect: Effect, model: Model) -> bool:
+        """Return whether an effect of a model is weighed anew."""
         instrument, readings = model.instrument, self.readings
         if effect.is_placeholder:
             return effect.name in {e.name for e in placeholders(model, readings)}
         on_the_way = {e.name for e in instrument.effects} <= {*model.names}
         kept = (*instrument.effects, *instrument.nuisances)
-        catalogued = {*instrument.known, *further} - {e.name for e in kept}
+        catalogued = {*instrument.known} - {e.name for e in kept}
         free = (model - effect).fixed == model.fixed
         testable_here = testable(effect, readings) is None
         return on_the_way and effect.name in catalogued and free and testable_here
 
     def open(self, first: Step, effects: Sequence[Effect], widen_noise: bool) -> None:
         """Have structures to look at beyond a step that is fitted."""
+        self.begun = time.monotonic()
         self.steps, c, fixed = [first], first.calibration, first.check.fixed
         # Without convergence there are no probabilities; and a published calibration that fails is not saved.
         if not c.verdict.ok or (fixed is not None and fixed.wrong):
@@ -250,10 +250,17 @@ class Loop:
         last = given if may_be and given.effects.isdisjoint(structures.barred(given)) else None
         self.stopped = explore(self.library, self.max_effects, last, follow)
 
-    def goal(self, structures: Structures) -> Structure:
+    @property
+    def goal(self) -> Structure:
         """The structure to use: of a walk that ended early the best that it evaluated."""
-        posterior = Posterior.of(structures)
+        assert self.library is not None
+        posterior = Posterior.of(self.library.structures)
         return posterior.best if self.stopped else posterior.chosen
+
+    def missing(self, at: Structure) -> Discovery:
+        """Return what is missing from a structure."""
+        assert self.library is not None
+        return missing(self.library, at, self.shut, self.stopped)
 
     def way(
         self, goal: Structure, start: Structure = BASE
@@ -267,8 +274,7 @@ class Loop:
             steps = steps if self.stopped else path(self.library, goal, start)
         for at in dict.fromkeys(steps):
             if here is None or at == goal or not half.over:
-                found = missing(self.library, at, self.shut, self.stopped) if asked else None
-                yield here, at, found
+                yield here, at, self.missing(at) if asked else None
                 here = at
 
     def to_best(self, follow: Callable[[SearchPath], None] = lambda _: None) -> SearchPath:
@@ -280,7 +286,7 @@ class Loop:
         structures = self.library.structures
         # What was the best when the walk ended is what is returned: nothing is evaluated after that.
         search = self.search(stopped=self.stopped) if self.stopped else None
-        goal, found = self.goal(structures), list[Discovery | None]()
+        goal, found = self.goal, list[Discovery | None]()
         for before, at, is_missing in self.way(goal):
             found.append(is_missing)
             if before is not None:

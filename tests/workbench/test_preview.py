@@ -7,7 +7,7 @@ import pytest
 
 import bayescal as bc
 from bayescal_models import mems_gyro, ng_accelerometer, quartz_beam_accelerometer
-from tests.support.inside import Preview, Previews
+from tests.support.inside import Preview, preview
 
 QUICK = bc.LeastSquares(draws=500)
 GYRO = mems_gyro.INSTRUMENT
@@ -30,7 +30,7 @@ def residuals(calibration: bc.Calibration) -> np.ndarray:
 
 def agrees(before: bc.Calibration, name: str, *, within: float = 1e-6) -> Preview:
     """The preview, after it was compared with a fit of the model with the effect."""
-    found = Previews(before).of(name)
+    found = preview(before, name)
     after = bc.fit(before.model + name, before.readings, QUICK, strict=False)
     noise = float(np.std(residuals(after)))
     np.testing.assert_allclose(

@@ -19,7 +19,7 @@ from bayescal._annexes.fleet.batch_result import BatchResult, first_few
 from bayescal._annexes.fleet.device_files import (
     DevicePart,
     Piece,
-    left_out,
+    files_of,
     parts_of,
     read_part,
     repeated,
@@ -269,13 +269,12 @@ def fit_batch(
     paths, unread, parts = _paths(readings), dict[str, str](), list[Part]()
     if paths:
         refuse_missing([path for path in paths if not path.is_dir()])
-        resolved, rows = [p.resolve() for p in paths], FIND_ROWS if search else ROWS
-        unread = left_out(resolved)
+        files, unread = files_of([p.resolve() for p in paths])
         for line in first_few(unread, len(unread), "not read: "):
             note(line.strip())
         device = read_options.columns.get(DEVICE, DEVICE)
-        rows = rows if partition_rows is None else partition_rows
-        parts += parts_of(resolved, rows, device)
+        usual = FIND_ROWS if search else ROWS
+        parts += parts_of(files, usual if partition_rows is None else partition_rows, device)
         if len(parts) == 1 and client is None:  # several of the steps below see its readings
             parts = [request.read(parts[0])]
     else:

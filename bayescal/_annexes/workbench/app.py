@@ -137,7 +137,7 @@ class Workbench:
         """Do something to the session beside the page, then show the state that it led to."""
         self.work.forget_preview()
         self.error.searching(False)  # what the last search found is of another path
-        told = f"{_DOING.get(name, name)} {' '.join(map(str, arguments))} …"
+        told = f"{name.replace('_', ' ')} {' '.join(map(str, arguments))} …"
         self.browser.stale = True
         job = lambda: getattr(self.session, name)(*arguments)  # noqa: E731
         self.work.begin(told, job, self.done, failed=self._fresh)
@@ -235,8 +235,7 @@ class Workbench:
             self.done()
 
         search, failed = lambda: self.session.find_all(follow), lambda: self.error.searching(False)
-        most = self.session.settings.time_limit
-        self.work.begin("Finding all …", search, ended, failed=failed, most=most)
+        self.work.begin("Finding all …", search, ended, failed=failed)
 
     def _searched(self, trail: Any) -> None:
         self._found = trail.progress
@@ -274,18 +273,6 @@ class Workbench:
         self.palette = DARK if dark else LIGHT
         for pane in self._panes:
             pane.wear(self.palette)
-
-
-_DOING = {
-    "add": "Fitting with",
-    "add_typed": "Fitting with",
-    "take_out": "Fitting without",
-    "fix": "Holding",
-    "resize": "Resizing",
-    "noise": "Fitting with noise",
-    "go_to": "Going back to step",
-    "undo": "Going back",
-}
 
 
 def readings_in_words(session: Any) -> str:

@@ -17,7 +17,7 @@ from __future__ import annotations
 import json
 import re
 import tempfile
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import asdict, dataclass, field
 from datetime import datetime
@@ -66,26 +66,11 @@ from bayescal.workshop import (
     write_text,
 )
 
-METHODS = ("LeastSquares", "Marginal", "NUTS")
-
 
 class SavedReading(ReadMapping, total=False):
     """How `read` is asked, as keywords."""
 
     outputs: list[str]
-
-
-class SavedOptions(TypedDict):
-    """What `SearchOptions.data` gives."""
-
-    method: dict[str, Any] | None
-    max_effects: int
-    seed: int
-    widen_noise: bool
-    keep_spikes: bool
-    reference: dict[str, float | dict[str, float]] | None
-    time_limit: float | None
-    accept_conflicts: list[str]
 
 
 @dataclass(frozen=True)
@@ -230,61 +215,28 @@ class Origin:
 
 @dataclass(frozen=True)
 class SearchOptions:
-    """What `calibrate` is asked with, apart from model and readings; see there."""
+    """What `calibrate` is asked with, apart from model and readings; see there. A method may be as `data` has it."""
 
-    method: LeastSquares | Marginal | NUTS | None = None
+    method: LeastSquares | Marginal | NUTS | dict[str, Any] | None = None
     max_effects: int = 5
     widen_noise: bool = True
     keep_spikes: bool = False
     seed: int = 0
-    reference: dict[str, Any] | None = None
+    reference: dict[str, float | dict[str, float]] | None = None
     time_limit: float | None = None
-    accept_conflicts: Collection[str] = ()
+    accept_conflicts: tuple[str, ...] = ()
 
-    @classmethod
-    def of(cls, **given: Any) -> SearchOptions:
-        """Of keywords as `calibrate` takes them.
-
-        Raises:
-            InputError: there is no such setting.
-        """
-        known = cls.__dataclass_fields__
-        if strange := sorted(set(given) - set(known)):
-            raise InputError(
-                f"no setting is called {', '.join(strange)}: there are {', '.join(known)}"
-            )
-        return cls(**given)
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "accept_conflicts", tuple(sorted(self.accept_conflicts)))
+        if isinstance(self.method, dict):
+            given = {k: tuple(v) if isinstance(v, list) else v for k, v in self.method.items()}
+            kinds = {kind.__name__: kind for kind in (LeastSquares, Marginal, NUTS)}
+            object.__setattr__(self, "method", kinds[given.pop("name")](**given))
 
     def data(self) -> dict[str, Any]:
         """As JSON has them; the method by its name and arguments."""
         method = self.method and {"name": type(self.method).__name__, **vars(self.method)}
-        conflicts = sorted(self.accept_conflicts)
-        return {**vars(self), "method": method, "accept_conflicts": conflicts}
-
-    def instead_of(self, asked: SearchOptions | None) -> list[str]:
-        """Which of these hold in the place of others that are asked for, in words."""
-        own, others = (json.loads(json.dumps(o.data())) for o in (self, asked or self))
-        return [
-            f"{name.replace('_', ' ')} {value}, not {others[name]}"
-            for name, value in own.items()
-            if value != others[name]
-        ]
-
-    @classmethod
-    def from_data(cls, told: Mapping[str, Any]) -> SearchOptions:
-        """What `data` gave.
-
-        Raises:
-            ValueError, TypeError: it did not give this.
-        """
-        method = told["method"]
-        if method is not None:
-            given = {k: tuple(v) if isinstance(v, list) else v for k, v in method.items()}
-            name = str(given.pop("name", ""))
-            if name not in METHODS:
-                raise ValueError(f"its method {name!r} is not one of {', '.join(METHODS)}")
-            method = getattr(bayescal, name)(**given)
-        return cls(**{**told, "method": method})
+        return {**vars(self), "method": method}
 
 
 FOLDER = "state_{:03d}"  # that a state is kept in, by its number
@@ -339,7 +291,7 @@ class SavedSession(TypedDict):
 
     schema: str
     origin: Origin
-    settings: SavedOptions
+    settings: SearchOptions
     current: int
 
 
@@ -434,7 +386,7 @@ def keep_draft(folder: Path, code: str) -> Path:
     return write_text(code, drafts / f"draft_{max(taken, default=0) + 1}.py")
 
 
-def session_in(folder: Path) -> dict[str, Any]:
+def session_in(folder: Path) -> SavedSession:
     """What session.json says.
 
     Raises:
@@ -444,22 +396,11 @@ def session_in(folder: Path) -> dict[str, Any]:
         told = read_json(folder / SESSION)
         if isinstance(told, dict) and told.get("schema") != SCHEMA:
             raise ValueError(f"its schema is {told.get('schema')!r}, expected {SCHEMA!r}")
-        session = as_type(told, SavedSession)
-        return {**session, "settings": SearchOptions.from_data(session["settings"])}
-    except (OSError, ValueError, TypeError, InputError) as error:
+        return as_type(told, SavedSession)
+    except (OSError, ValueError, TypeError, KeyError, InputError) as error:
         raise InputError(
             f"{folder} holds no session that can be gone on with ({error}): begin one in another folder"
         ) from None
-
-
-def last_step(folder: Path) -> str:
-    """What was done last in a session that is not open, in words; empty where its folder does not say."""
-    try:
-        own = folder / FOLDER.format(session_in(folder)["current"])
-        told = read_json(own / STATE, SavedState)
-        return f"step {told['number']}: {told['title']}"
-    except (OSError, ValueError, InputError):
-        return ""
 
 
 def states_in(

@@ -99,14 +99,8 @@ class Sessions:
     def links(self, shown: str, channel: str) -> str:
         """HTML of the way to the other sessions of the folder, the last first, and to a new one."""
         names = [n for n in reversed(kept_sessions(self.folder)) if n != shown][:MOST_LINKS]
-        told = [(n, {"session": n}, self._last_step(n)) for n in names]
-        return "".join(_link(*one, channel=channel) for one in [*told, ("new session", {}, "")])
-
-    def _last_step(self, name: str) -> str:
-        """What was done last in a session."""
-        if (session := self.there(name)) is not None:
-            return f"step {session.current.number}: {session.current.title}"
-        return kept.last_step(self.folder / name)
+        told = [(n, {"session": n}) for n in names]
+        return "".join(_link(*one, channel) for one in [*told, ("new session", {})])
 
     def stop(self) -> None:
         """End the searches that are under way."""
@@ -114,10 +108,10 @@ class Sessions:
             session.stop()
 
 
-def _link(text: str, query: Mapping[str, str], title: str, channel: str) -> str:
+def _link(text: str, query: Mapping[str, str], channel: str) -> str:
     """A link within the address."""
     address = urlencode({**query, **({"channel": channel} if channel else {})})
-    return f'<a href="?{html_text(address)}" title="{html_text(title)}">{html_text(text)}</a> '
+    return f'<a href="?{html_text(address)}">{html_text(text)}</a> '
 
 
 def application(channels: Mapping[str, Sessions]) -> Callable[[], Any]:
@@ -142,7 +136,7 @@ def application(channels: Mapping[str, Sessions]) -> Callable[[], Any]:
         def show(session: Session) -> None:
             name = session.folder.name
             told = "".join(
-                f"<b>{html_text(n)}</b> " if n == channel else _link(n, {"session": s.last}, "", n)
+                f"<b>{html_text(n)}</b> " if n == channel else _link(n, {"session": s.last}, n)
                 for n, s in channels.items()
                 if n
             )

@@ -8,8 +8,7 @@ from __future__ import annotations
 
 import textwrap
 import threading
-import time
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
@@ -46,19 +45,16 @@ from bayescal._annexes.workbench.kept import Origin, SearchOptions, State, path_
 from bayescal._calibration.summary import unknown_rows
 from bayescal._core import deadline
 from bayescal._model.effect import with_forms
-from bayescal._report.section import of_folder
 from bayescal._search.calibrate import Loop, step_of
-from bayescal._search.discover import SEARCH, missing
+from bayescal._search.discover import SEARCH
 from bayescal._search.gate import judged
 from bayescal._search.noise_laws import laws_over
 from bayescal._search.own_files import refuse_unnamed, user_effects
-from bayescal._search.preview import Preview, Previews
+from bayescal._search.preview import Preview, preview
 from bayescal._search.search_path import Step
 from bayescal._search.structures import SIZE_FACTORS, Structure
 from bayescal._use import correction_files
 from bayescal.workshop import WIDTH, number, plain_table, save_search, unit_label
-
-KINDS = {"add": 1, "take_out": 1, "fix": 2, "free": 1, "resize": 2, "noise": 1}
 
 
 @dataclass(frozen=True)
@@ -83,12 +79,12 @@ def changed(
     own: Mapping[str, Effect],
     laws: Mapping[str, Noise],
 ) -> Change:
-    """A model with a change.
+    """Return a model with a change.
 
     Args:
         model: before it.
-        kind: one of `KINDS`.
-        arguments: as many as that says.
+        kind: of the change, with its arguments: see below.
+        arguments: of the change.
         own: effects that are not as the instrument states them, by the name under which they are asked for.
         laws: noise laws, by name.
 
@@ -96,38 +92,31 @@ def changed(
         ModelError: the model cannot be changed so.
         InputError: there is no such change, or it takes other arguments.
     """
-    if KINDS.get(kind) != len(arguments):
-        takes = ", ".join(f"{name} ({count})" for name, count in KINDS.items())
-        raise InputError(f"{kind!r} with {len(arguments)} argument(s) is none of: {takes}")
-    name = str(arguments[0])
-    if kind == "add":
-        effect = own.get(name) or model.instrument.effect(name)
-        return Change(model + effect, added=effect.name)
-    if kind == "take_out":
-        return Change(model - name, in_words=f"− {name}")
-    if kind == "free":
-        return Change(model.free(name), in_words=f"{name} estimated again")
-    if kind == "noise":
-        if name not in laws:
-            raise ModelError(f"no noise law is called {name!r} here; there are: {', '.join(laws)}")
-        law = laws[name]
-        return Change(model.with_noise(law), in_words=f"noise: {law.in_words}")
-    value = float(arguments[1])
-    if kind == "fix":
-        return Change(model.fix({name: value}), in_words=f"{name} = {number(value, 6)} fixed")
-    unit = unit_label(model.effect(name).coefficients[0].unit)
-    size = f"{number(value)} {unit}".rstrip()
-    return Change(model.resize(name, value), in_words=f"{name} of plausible size {size}")
+    match (kind, *arguments):
+        case ("add", str(name)):
+            effect = own.get(name) or model.instrument.effect(name)
+            return Change(model + effect, added=effect.name)
+        case ("take_out", str(name)):
+            return Change(model - name, in_words=f"− {name}")
+        case ("free", str(name)):
+            return Change(model.free(name), in_words=f"{name} estimated again")
+        case ("noise", str(name)):
+            if (law := laws.get(name)) is None:
+                raise ModelError(
+                    f"no noise law is called {name!r} here; there are: {', '.join(laws)}"
+                )
+            return Change(model.with_noise(law), in_words=f"noise: {law.in_words}")
+        case ("fix", str(name), value):
+            said = f"{name} = {number(float(value), 6)} fixed"
+            return Change(model.fix({name: float(value)}), in_words=said)
+        case ("resize", str(name), value):
+            unit = unit_label(model.effect(name).coefficients[0].unit)
+            said = f"{name} of plausible size {number(float(value))} {unit}".rstrip()
+            return Change(model.resize(name, float(value)), in_words=said)
+    raise InputError(f"{kind!r} with {len(arguments)} argument(s) is no change of a model")
 
 
-KEPT = 4  # of the latest searches
-
-
-def _as_searched(effect: Effect, known: Effect) -> bool:
-    """Return whether an effect is as known, or has one of the sizes that its evidence is averaged over."""
-    first = known.coefficients[0]
-    factor = 1.0 if first.flat else effect.coefficients[0].size / first.size
-    return effect == known or round(factor, 9) in SIZE_FACTORS
+SEARCHES = 4  # the latest ones, that are kept
 
 
 SUFFIXES = {
@@ -136,6 +125,32 @@ SUFFIXES = {
     if format in correction_files.ONE_OUTPUT.writers
 }
 FORMATS = (*SUFFIXES, *AUTOPILOTS)
+
+
+def _structure_of(model: Model, search: Loop) -> Structure | None:
+    """Return which structure of a search a model is, of those that are part of what it chooses; None if none is."""
+    assert search.library is not None
+    structures, goal = search.library.structures, search.goal
+    base, candidates = structures.base, structures.candidates
+    names = frozenset(model.names) - {*base.names}
+    laws = {n: structures.noise(Structure(noise=n)) for n in ("", goal.noise)}
+    law = next((n for n, one in laws.items() if one == model.noise), None)
+    if law is None or not names <= goal.effects or model.fixed != base.fixed:
+        return None
+    if any(e != model.effect(e.name) for e in base.effects if e.name in model.names):
+        return None
+    if not {*base.names} <= {*model.names} or not search.steps[0].calibration.verdict.ok:
+        return None
+    added = (model.effect(n) for n in names)
+    alike = all(_as_searched(e, candidates[e.name]) for e in added)
+    return Structure(names, law) if alike else None
+
+
+def _as_searched(effect: Effect, known: Effect) -> bool:
+    """Return whether an effect is as known, or has one of the sizes that its evidence is averaged over."""
+    first = known.coefficients[0]
+    factor = 1.0 if first.flat else effect.coefficients[0].size / first.size
+    return effect.is_placeholder or effect == known or round(factor, 9) in SIZE_FACTORS
 
 
 @dataclass(eq=False)
@@ -151,7 +166,7 @@ class Session:
         settings: as of `calibrate`.
         origin: where readings and effects come from.
         own: effects of the user's own, by name.
-        not_taken: what was asked for when it was gone on with and differs from how it was begun; empty for most.
+        not_taken: names of the settings that differ from those asked for when it was gone on with; empty for most.
         on_change: called when a state is made or gone to, by whichever page, from whatever thread.
     """
 
@@ -166,14 +181,12 @@ class Session:
     _states: dict[int, State] = field(default_factory=dict)
     _at: int = 0
     _been: list[int] = field(default_factory=list)  # current states before this one, the last last
-    _previews: dict[int, Previews] = field(default_factory=dict)
     _loops: list[Loop] = field(default_factory=list)  # with the structures weighed over models
     _followers: list[Callable[[SearchPath], None]] = field(default_factory=list)
     _trails: dict[int, SearchPath] = field(default_factory=dict)
     _decisions: dict[int, Decisions] = field(default_factory=dict)
     _lock: threading.RLock = field(default_factory=threading.RLock)  # of the tree
     _fitting: threading.Lock = field(default_factory=threading.Lock)
-    _beside: threading.RLock = field(default_factory=threading.RLock)
     _looking: threading.RLock = field(default_factory=threading.RLock)  # of the structures weighed
     _end: deadline.Deadline | None = None  # of the search that is under way
 
@@ -201,7 +214,7 @@ class Session:
             ModelError: the readings lack what the model needs.
             InputError: the folder cannot be written to, or holds a session.
         """
-        asked = SearchOptions.of(**settings)
+        asked = SearchOptions(**settings)
         spikes, apart = asked.keep_spikes, None
         model.require(readings)
         if holdout is not None:
@@ -254,8 +267,8 @@ class Session:
         first = found[0][1]
         holdout = origin.open_holdout(instrument or first.model.instrument)
         holdout = None if holdout is None else set_aside(holdout, settings.keep_spikes)
-        new = [f for f in (of.effect_files if of else ()) if f not in origin.effect_files]
-        left = [*settings.instead_of(asked), *(f"without {Path(f).name}" for f in new)]
+        left = [n for n, v in vars(settings).items() if asked and v != getattr(asked, n)]
+        left += ["effects"] * bool(of and {*of.effect_files} - {*origin.effect_files})
         session = cls(first.readings, holdout, folder, settings, origin, own, ", ".join(left))
         for said, calibration in found:
             step = step_of(calibration, holdout, settings.accept_conflicts)
@@ -334,20 +347,16 @@ class Session:
         return {first.model.noise.name: first.model.noise, **laws_over(first.model, first.frame)}
 
     def preview(self, wanted: str | Effect) -> Preview:
-        """What adding an effect to the current state would do: see `Previews.of`; kept."""
+        """Return what adding an effect to the current state would do."""
         if isinstance(wanted, str):
             wanted = self._named().get(wanted, wanted)
-        with self._beside:
-            return self._previews_of(self.current).of(wanted)
+        return preview(self.current.calibration, wanted)
 
     def consequences(self, kind: str, *arguments: Any) -> Preview:
-        """What `act` would do, before it is done: `Previews.of_model` of the model that would come of it."""
-        if kind == "add":
-            return self.preview(*arguments)
+        """Return what `act` would do, before it is done."""
         state = self.current
-        wanted = changed(state.model, kind, arguments, self.own, self.laws)
-        with self._beside:
-            return self._previews_of(state).of_model(wanted.model)
+        wanted = changed(state.model, kind, arguments, self._named(), self.laws)
+        return preview(state.calibration, wanted.model)
 
     def act(self, kind: str, *arguments: Any) -> State:
         """Change the current model, and fit it; the state that comes of it is the current one.
@@ -385,7 +394,8 @@ class Session:
         number = self.current.number
         with self._in_time():  # another page may look for the same
             if (found := self.states[number].discovery) is None:
-                found = self._missing(*self._weighed(self.states[number]))
+                loop, at = self._weighed(self.states[number])
+                found = loop.missing(at)
                 self._keep_found(number, found)
         return found
 
@@ -406,7 +416,7 @@ class Session:
                 loop, at = self._weighed(begin, go_on=True)
                 assert loop.library is not None
                 structures, steps, number = loop.library.structures, [begin.step], begin.number
-                for before, to, found in loop.way(loop.goal(structures), at):
+                for before, to, found in loop.way(loop.goal, at):
                     if before is None:
                         self._keep_found(number, found)
                         continue
@@ -425,47 +435,30 @@ class Session:
     def _weighed(self, state: State, go_on: bool = False) -> tuple[Loop, Structure]:
         """Return the search that says what is missing from a state, and which of its structures that state is.
 
-        Its structures differ by all that may be added, so that states on the way to the model that it chooses share one
-        posterior with it, and with `calibrate`. What was added against that posterior, or has a size of the user's, is
-        asserted: all of these hold it.
+        It is that of `calibrate` over the first model, so that states on the way to what it chooses share one posterior
+        with it. Where a state has what this search does not choose, or has otherwise, it is one over the state's model.
 
         Args:
             state: which.
             go_on: whether to go on with a search that was stopped.
         """
-        model, first, loop = state.model, self.states[0], self._loop
-        more = (*self.own.values(), *loop.freed(first.step))
-        known = {**model.instrument.known, **{e.name: e for e in more}}
-        weighed = (e for e in model.effects if loop.weighs(e, model, known))
-        given = {e.name: e for e in weighed if e.is_placeholder or _as_searched(e, known[e.name])}
-        core = reduce(sub, given.values(), model.with_noise(first.model.noise))
-        while True:
-            found = self._searched(core, given.values(), more, go_on)
-            assert found.library is not None
-            base, structures = found.steps[0].calibration, found.library.structures
-            laws, goal = {"": base.model.noise, **structures.laws}, found.goal(structures)
-            law = next((n for n in ("", goal.noise) if laws[n] == model.noise), None)
-            asserted = [n for n in given if n not in goal.effects]
-            if given and not base.verdict.ok:
-                core, given = model, {}
-            elif law is None:
-                core = core.with_noise(model.noise)
-            elif asserted:
-                core = core + [given.pop(n) for n in asserted]
-            else:
-                return found, Structure(frozenset(given), law)
+        first, loop = self.states[0], self._loop
+        given = [e for e in first.model.effects if loop.weighs(e, first.model)]
+        found = self._searched(reduce(sub, given, first.model), given, go_on)
+        if (at := _structure_of(state.model, found)) is None:
+            found, at = self._searched(state.model, (), go_on), Structure()
+        return found, at
 
-    def _searched(
-        self, core: Model, given: Collection[Effect], more: Sequence[Effect], go_on: bool
-    ) -> Loop:
-        """Weigh structures over a model, beginning with its given effects; kept."""
+    def _searched(self, core: Model, given: Sequence[Effect], go_on: bool) -> Loop:
+        """Weigh structures over a model, those with given effects among them; kept."""
         for found in self._loops:
             if found.steps[0].calibration.model == core:
                 break
         else:
             same = (s.step for s in self.states.values() if s.model == core)
-            found = replace(self._loop, stopped="not begun", begun=time.monotonic())
+            found = replace(self._loop, given=tuple(given), stopped="not begun")
             first = next(same, None) or found.step(core, method=found.quick(core))
+            more = (*self.own.values(), *found.freed(self.states[0].step))
             found.open(first, more, self.settings.widen_noise)
             go_on = True
         if found.stopped and go_on:
@@ -475,10 +468,8 @@ class Session:
                     follow(found.trail())
 
             with deadline.sooner(SEARCH):
-                found.given = tuple(given)
                 found.look(tell)
-                found.given = ()
-            self._loops = [*(one for one in self._loops if one is not found), found][-KEPT:]
+            self._loops = [*(one for one in self._loops if one is not found), found][-SEARCHES:]
         return found
 
     def stop(self) -> None:
@@ -516,8 +507,8 @@ class Session:
             draft.unlink()
             raise
         self.own |= {e.name: e for e in found}
-        for made in (self._previews, self._loops, self._trails):
-            made.clear()
+        self._loops.clear()
+        self._trails.clear()
         with self._lock:
             files = (*self.origin.effect_files, str(draft.resolve()))
             self.origin = replace(self.origin, effect_files=files)
@@ -548,22 +539,14 @@ class Session:
         if step.calibration.verdict.ok:
             with suppress(deadline.TimeIsUp), self._in_time():
                 weighed = self._weighed(state)
-                self._keep_found(state.number, self._missing(*weighed))
+                self._keep_found(state.number, weighed[0].missing(weighed[1]))
                 way = self.path(state.number)
         steps = [*(s.step for s in way[:-1]), step]
         steps = [replace(s, discovery=w.discovery) for s, w in zip(steps, way, strict=True)]
-        if weighed is None or weighed[0].library is None:
-            return SearchPath(*judged(steps), self.holdout)
-        loop, at = weighed
-        if at.effects != loop.goal(weighed[0].library.structures).effects:
+        if weighed is None or weighed[1].effects != weighed[0].goal.effects:
             return SearchPath(*judged(steps), self.holdout)
         with self._looking:
-            return loop.averaged(steps, at)
-
-    @staticmethod
-    def _missing(loop: Loop, at: Structure) -> Discovery:
-        assert loop.library is not None
-        return missing(loop.library, at, loop.shut, loop.stopped)
+            return weighed[0].averaged(steps, weighed[1])
 
     def verdict(self) -> str:
         """Whether the current model may be used as it is, and how its fit went."""
@@ -600,10 +583,9 @@ class Session:
 
     def report(self) -> Path:
         """The report for sign-off, in the folder: what `bayescal report` writes of it, with what was decided."""
-        folder, decided = self._result()[0], self._decisions.get(self.current.number)
-        instrument, effects = self.origin.open_instrument(), tuple(self.own.values())
-        chapter = of_folder(folder, effects, () if instrument is None else (instrument,))
-        return report([chapter], folder / "report.html", effects=effects, decisions=decided)
+        (folder, trail), decided = self._result(), self._decisions.get(self.current.number)
+        own = tuple(self.own.values())
+        return report([trail], folder / "report.html", effects=own, decisions=decided)
 
     def export(self, what: str) -> Path:
         """An export of the current model, in the folder: what `bayescal export` writes; `what` is one of its formats.
@@ -630,13 +612,6 @@ class Session:
         s = self.settings
         asked = (self.readings, self.holdout, s.method, s.seed, s.reference, s.max_effects)
         return Loop(*asked, accepted=frozenset(s.accept_conflicts))
-
-    def _previews_of(self, state: State) -> Previews:
-        """Of the effects over one state; the caller holds `_beside`."""
-        if state.number not in self._previews:
-            made = Previews(state.calibration, own=tuple(self.own.values()))
-            self._previews[state.number] = made
-        return self._previews[state.number]
 
     def _become(self, wanted: Change, parent: int | None) -> State:
         """Fit a model as a child of a state, and make it the current one."""

@@ -113,14 +113,14 @@ def _sessions(
             one = models[channel], readings[channel]
             return Session.begin(*one, folder=inner, origin=origin, **given)
 
-        now = SearchOptions.of(reference=reference, **settings)
+        now = SearchOptions(reference=reference, **settings)
         go_on = partial(Session.resume, of=origin, trust=trust, asked=now)
         return Sessions(folder, begin, go_on)
 
     found = {channel: of_channel(channel, folder) for channel, folder in folders.items()}
     begun = next(iter(found.values())).open(name)
     if begun.not_taken:
-        print_notes([f"this session goes on as it was begun: {begun.not_taken}"])
+        print_notes([f"this session goes on with its own {begun.not_taken}"])
     return found
 
 

@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import panel as pn
 import param
-from bokeh.models import Legend, NoOverlap, PlainText, Range1d
+from bokeh.models import NoOverlap, PlainText, Range1d
 from bokeh.plotting import figure
 from panel.custom import JSComponent
 
@@ -86,11 +86,6 @@ def dress(made: Any, palette: Palette) -> None:
     for grid in made.grid:
         grid.grid_line_color = palette.line
         grid.grid_line_alpha = 0.6
-    if made.title is not None:
-        made.title.text_color = palette.ink
-    for legend in made.select(Legend):
-        legend.label_text_color = palette.ink
-        legend.background_fill_alpha = legend.border_line_alpha = 0
 
 
 def range_over(*values: np.ndarray, view: Range1d | None = None) -> Range1d:
