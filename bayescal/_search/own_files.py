@@ -6,7 +6,6 @@ Light: commands load it before anything heavy.
 from __future__ import annotations
 
 import sys
-from collections.abc import Iterable
 from pathlib import Path
 from traceback import extract_tb
 from types import ModuleType
@@ -20,22 +19,6 @@ if TYPE_CHECKING:
     from bayescal._model.instrument import Instrument
 
 _RAN: dict[tuple[str, str], ModuleType] = {}  # in this process, by path and SHA-256
-
-
-def refuse_unnamed(files: Iterable[str], named: Iterable[str | Path], by: str | Path) -> None:
-    """Refuse Python files that data name, where neither the user nor this process has named them before.
-
-    Raises:
-        InputError: one of them is not named; says which, with its SHA-256.
-    """
-    allowed = {Path(path).resolve() for path in named}
-    for path in (Path(file).resolve() for file in files):
-        digest = sha256_of(path) if path.is_file() else "none: it is not there"
-        if path not in allowed and (str(path), digest) not in _RAN:
-            raise InputError(
-                f"{by} names the Python file {path} (SHA-256 {digest}), which this command does not: it would be run, "
-                f"and was not. If you know what is in it, say so: --trust {path} (in Python: trust=[…])"
-            )
 
 
 def user_effects(path: Path | None) -> tuple[Effect, ...]:

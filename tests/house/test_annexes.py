@@ -86,11 +86,9 @@ BEHIND = {
         _search.discover: SEARCH
         _search.gate: judged
         _search.noise_laws: laws_over
-        _search.own_files: in_a_file refuse_unnamed user_effects
-        _search.preview: Preview preview
+        _search.own_files: in_a_file
         _search.search_path: Step steps_table
         _search.structures: SIZE_FACTORS Structure
-        _tables.mapping_file: ReadMapping load_mapping
         _use: correction_files
     """,
 }

@@ -18,9 +18,11 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
+import numpy as np
+
 from bayescal import (
-    BayescalError,
     Budget,
+    Calibration,
     Discovery,
     Effect,
     InputError,
@@ -31,8 +33,10 @@ from bayescal import (
     NotDrawn,
     SearchPath,
     budget,
+    check,
     compare,
     compensator,
+    fit,
     report,
     set_aside,
 )
@@ -45,16 +49,44 @@ from bayescal._annexes.workbench.kept import Origin, SearchOptions, State, path_
 from bayescal._calibration.summary import unknown_rows
 from bayescal._core import deadline
 from bayescal._model.effect import with_forms
+from bayescal._model.formula import Formula
 from bayescal._search.calibrate import Loop, step_of
 from bayescal._search.discover import SEARCH
 from bayescal._search.gate import judged
 from bayescal._search.noise_laws import laws_over
-from bayescal._search.own_files import refuse_unnamed, user_effects
-from bayescal._search.preview import Preview, preview
 from bayescal._search.search_path import Step
 from bayescal._search.structures import SIZE_FACTORS, Structure
 from bayescal._use import correction_files
-from bayescal.workshop import WIDTH, number, plain_table, save_search, unit_label
+from bayescal.workshop import WIDTH, number, plain_table, save_search, unit_label, with_error
+
+
+class Preview:
+    """What a model would do, compared with a step that is there.
+
+    Attributes:
+        curve: by how much it changes the expected output of each reading, all coefficients estimated again, output
+            unit, (n,). Residuals less this curve are the residuals that would be left.
+        rms: of these, output unit.
+        in_words: that, with the size of the effect that is added.
+    """
+
+    def __init__(self, before: Step, after: Calibration, added: str | None) -> None:
+        left = check(after).residuals
+        self.curve, self.rms = before.check.residuals - left, float(np.sqrt(np.mean(left**2)))
+        said = f"residuals from {number(before.rmse_fitted)} to {number(self.rms)}"
+        said += f" {unit_label(after.unit)} rms"
+        known, evidence = before.calibration.log_evidence, after.log_evidence
+        if known is not None and evidence is not None:
+            said += f", log Bayes factor {evidence[0] - known[0]:z.1f}"
+        if added is not None:
+            effect = after.model.effect(added)
+            (unknown, *_) = (*effect.spread_names, effect.coefficient_name(0))
+            draws = after.samples(effect.measure_name or unknown)
+            draws = draws if draws.ndim == 1 else np.sqrt(np.mean(draws**2, axis=1))
+            size = with_error(float(draws.mean()), float(draws.std()))
+            unit = unit_label(effect.coefficients[0].unit)
+            said = f"{added} would be {f'{size} {unit}'.rstrip()}: {said}"
+        self.in_words = said
 
 
 @dataclass(frozen=True)
@@ -129,8 +161,7 @@ FORMATS = (*SUFFIXES, *AUTOPILOTS)
 
 def _structure_of(model: Model, search: Loop) -> Structure | None:
     """Return which structure of a search a model is, of those that are part of what it chooses; None if none is."""
-    assert search.library is not None
-    structures, goal = search.library.structures, search.goal
+    structures, goal = search.structures, search.goal
     base, candidates = structures.base, structures.candidates
     names = frozenset(model.names) - {*base.names}
     laws = {n: structures.noise(Structure(noise=n)) for n in ("", goal.noise)}
@@ -191,7 +222,7 @@ class Session:
     _end: deadline.Deadline | None = None  # of the search that is under way
 
     @classmethod
-    def begin(
+    def open(
         cls,
         model: Model,
         readings: Measurements,
@@ -202,17 +233,20 @@ class Session:
         origin: Origin | None = None,
         **settings: Any,
     ) -> Session:
-        """A session whose first state is a model fitted to readings.
+        """A session whose first state is a model fitted to readings; or that which its folder holds, as it was left.
+
+        Nothing in a folder is run: what it needs beside its own data is given here.
 
         Args:
             model, readings, holdout, effects: as of `calibrate`.
             folder: where every state is kept; None: a temporary one.
             origin: where all this comes from; None: readings are written to the folder.
-            settings: of `calibrate`; see `SearchOptions`.
+            settings: of `calibrate`, see `SearchOptions`; a session goes on with those that it was begun with.
 
         Raises:
             ModelError: the readings lack what the model needs.
-            InputError: the folder cannot be written to, or holds a session.
+            InputError: the folder cannot be written to, holds a session of other readings or an effect that is not
+                given, or something in it was changed.
         """
         asked = SearchOptions(**settings)
         spikes, apart = asked.keep_spikes, None
@@ -220,80 +254,41 @@ class Session:
         if holdout is not None:
             model.require(holdout)
             apart = set_aside(holdout, spikes)
-        folder = kept.begun_folder(folder)
+        folder = kept.own_folder(folder)
         origin = origin or Origin.kept(model.instrument, readings, holdout, folder, spikes)
         own = {e.name: e for e in effects}
         session = cls(set_aside(readings, spikes), apart, folder, asked, origin, own)
-        session._become(Change(model), None)
+        if (folder / kept.SESSION).is_file():
+            session._go_on(model)
+        else:
+            session._become(Change(model), None)
         return session
 
-    @classmethod
-    def resume(
-        cls,
-        folder: str | Path,
-        effects: Sequence[Effect] = (),
-        of: Origin | None = None,
-        trust: Sequence[str | Path] = (),
-        asked: SearchOptions | None = None,
-    ) -> Session:
-        """A session as its folder has it: every state that was made, whatever ended it.
-
-        Args:
-            folder: that was given to `begin`.
-            effects: of the user's own that were given there as Python objects; those in files are run again.
-            of: what it must be of; None: anything.
-            trust: Python files that it may run, beside those that `of` names.
-            asked: what is asked for now; it goes on as it was begun, and says what of this it does not take.
-
-        Raises:
-            InputError: it holds no session, one of something else, something in it was changed, or it names a Python
-                file that is not to be trusted.
-        """
-        folder = Path(folder)
-        told = kept.session_in(folder)
-        origin, settings = told["origin"], told["settings"]
-        if of is not None and replace(of, effect_files=()) != replace(origin, effect_files=()):
-            raise InputError(
-                f"{folder} holds a session of {', '.join(origin.files)} ({origin.instrument}), and not of "
-                f"{', '.join(of.files)} ({of.instrument}) read in this way: give another folder (--out), or remove it"
-            )
-        named = (*trust, *(of.python_files if of else ()))
-        refuse_unnamed(origin.python_files, named, folder / kept.SESSION)
-        instrument = origin.open_instrument()
-        own = {e.name: e for e in effects} | origin.open_effects()
-        found = list(kept.states_in(folder, own, instrument))
-        if not found or found[0][0]["number"]:
-            raise InputError(f"{folder} holds no first step that is whole: begin in another folder")
-        first = found[0][1]
-        holdout = origin.open_holdout(instrument or first.model.instrument)
-        holdout = None if holdout is None else set_aside(holdout, settings.keep_spikes)
-        left = [n for n, v in vars(settings).items() if asked and v != getattr(asked, n)]
-        left += ["effects"] * bool(of and {*of.effect_files} - {*origin.effect_files})
-        session = cls(first.readings, holdout, folder, settings, origin, own, ", ".join(left))
-        for said, calibration in found:
-            step = step_of(calibration, holdout, settings.accept_conflicts)
+    def _go_on(self, model: Model) -> None:
+        """Take every state that the folder holds, whatever ended what made it."""
+        told, asked = kept.session_in(self.folder), self.settings
+        self.settings = told["settings"]
+        left = (n for n, v in vars(self.settings).items() if v != getattr(asked, n))
+        self.not_taken = ", ".join(left)
+        for line in told["typed"]:
+            made = typed_effect(line, readings=self.readings, instrument=model.instrument)
+            self.own[made.name] = made
+        effects, accepted = tuple(self.own.values()), self.settings.accept_conflicts
+        for said, calibration in kept.states_in(self.folder, effects, model.instrument):
+            if not calibration.readings.same_as(self.readings):
+                raise InputError(
+                    f"{self.folder} holds a session of other readings, {calibration.readings.file}: give another "
+                    "folder (--out), or remove it"
+                )
+            step = step_of(calibration, self.holdout, accepted)
             step = replace(step, added=said["added"], changed=said["changed"])
-            state = State(said["number"], said["parent"], step, said["at"])
-            session._states[state.number] = state
+            self._states[said["number"]] = State(said["number"], said["parent"], step, said["at"])
+        if 0 not in self._states:
+            raise InputError(
+                f"{self.folder} holds no first step that is whole: begin in another folder"
+            )
         at = told["current"]
-        session._at = at if at in session._states else max(session._states)
-        return session
-
-    def with_readings(self, readings: Measurements) -> Session:
-        """A new session on other readings of the same instrument, in a folder beside this one's; this one stays.
-
-        Raises:
-            ModelError: the readings lack what the model needs.
-        """
-        first = self.states[0].model
-        if first.instrument.tailor is not None:
-            first = first.instrument.for_readings(readings).baseline()
-        first.require(readings)
-        folder, spikes = kept.fresh_folder(self.folder.parent), self.settings.keep_spikes
-        origin = Origin.kept(first.instrument, readings, None, folder, spikes)
-        given: dict[str, Any] = {"effects": tuple(self.own.values()), "folder": folder}
-        given["origin"] = replace(origin, effect_files=self.origin.effect_files)
-        return Session.begin(first, readings, **given, **vars(self.settings))
+        self._at = at if at in self._states else max(self._states)
 
     @property
     def states(self) -> Mapping[int, State]:
@@ -349,14 +344,20 @@ class Session:
     def preview(self, wanted: str | Effect) -> Preview:
         """Return what adding an effect to the current state would do."""
         if isinstance(wanted, str):
-            wanted = self._named().get(wanted, wanted)
-        return preview(self.current.calibration, wanted)
+            wanted = self._named().get(wanted) or self.current.model.instrument.effect(wanted)
+        return self._previewed(Change(self.current.model + wanted, added=wanted.name))
 
     def consequences(self, kind: str, *arguments: Any) -> Preview:
         """Return what `act` would do, before it is done."""
-        state = self.current
-        wanted = changed(state.model, kind, arguments, self._named(), self.laws)
-        return preview(state.calibration, wanted.model)
+        laws, model = self.laws, self.current.model
+        return self._previewed(changed(model, kind, arguments, self._named(), laws))
+
+    def _previewed(self, wanted: Change) -> Preview:
+        """Fit a model that is not made a state."""
+        loop, before = self._loop, self.current.step
+        method, how = loop.quick(wanted.model), {"seed": loop.seed, "reference": loop.reference}
+        after = fit(wanted.model, self.readings, method, strict=False, **how)
+        return Preview(before, after, wanted.added)
 
     def act(self, kind: str, *arguments: Any) -> State:
         """Change the current model, and fit it; the state that comes of it is the current one.
@@ -414,13 +415,12 @@ class Session:
         try:
             with self._in_time():
                 loop, at = self._weighed(begin, go_on=True)
-                assert loop.library is not None
-                structures, steps, number = loop.library.structures, [begin.step], begin.number
+                steps, number = [begin.step], begin.number
                 for before, to, found in loop.way(loop.goal, at):
                     if before is None:
                         self._keep_found(number, found)
                         continue
-                    steps.append(loop.fitted(structures.weigh(to), before, to))
+                    steps.append(loop.fitted(to, before))
                     number = self._append(steps[-1], number, found).number
                     follow(loop.trail(steps=steps))
         finally:
@@ -457,7 +457,7 @@ class Session:
         else:
             same = (s.step for s in self.states.values() if s.model == core)
             found = replace(self._loop, given=tuple(given), stopped="not begun")
-            first = next(same, None) or found.step(core, method=found.quick(core))
+            first = next(same, None) or found.step(core, found.quick(core))
             more = (*self.own.values(), *found.freed(self.states[0].step))
             found.open(first, more, self.settings.widen_noise)
             go_on = True
@@ -486,35 +486,17 @@ class Session:
         return typed_effect(line, readings=self.readings, instrument=self.current.model.instrument)
 
     def add_typed(self, line: str) -> State:
-        """Have the effect of a typed formula among the candidates, and add it."""
+        """Have the effect of a typed formula among the candidates, and add it; what is missing is to be looked for
+        again."""
         made = self.typed(line)
-        self.load_draft(kept.typed_code([made]))
-        return self.add(made.name)
-
-    def load_draft(self, code: str) -> tuple[str, ...]:
-        """Run code that defines effects, as --effects does, and have them among the candidates; their names.
-
-        What is missing is to be looked for again.
-
-        Raises:
-            InputError, ModelError: it fails, or what it defines is of no use here; says where.
-        """
-        draft = kept.keep_draft(self.folder, code)
-        try:
-            found = user_effects(draft)
-            _ = [self.current.model + effect for effect in found]  # its slot and groups are there
-        except BayescalError:
-            draft.unlink()
-            raise
-        self.own |= {e.name: e for e in found}
+        _ = self.current.model + made  # its slot and groups are there
+        self.own[made.name] = made
         self._loops.clear()
         self._trails.clear()
         with self._lock:
-            files = (*self.origin.effect_files, str(draft.resolve()))
-            self.origin = replace(self.origin, effect_files=files)
             self._states = {n: replace(s, discovery=None) for n, s in self._states.items()}
             self._keep()
-        return tuple(e.name for e in found)
+        return self.add(made.name)
 
     def script(self) -> str:
         """Python that does what was clicked on the way to the current state, with equal numbers."""
@@ -533,7 +515,7 @@ class Session:
 
     def _judged(self, state: State) -> SearchPath:
         loop, way = self._loop, self.path(state.number)
-        step = loop.step(state.model, method=loop.method, start=state.calibration.start or {})
+        step = loop.step(state.model, loop.method, state.calibration.start or {})
         step = replace(step, added=state.step.added, changed=state.step.changed)
         weighed = None
         if step.calibration.verdict.ok:
@@ -616,7 +598,7 @@ class Session:
     def _become(self, wanted: Change, parent: int | None) -> State:
         """Fit a model as a child of a state, and make it the current one."""
         loop = self._loop
-        step = loop.step(wanted.model, method=loop.quick(wanted.model))
+        step = loop.step(wanted.model, loop.quick(wanted.model))
         return self._append(replace(step, added=wanted.added, changed=wanted.in_words), parent)
 
     def _append(self, step: Step, parent: int | None, discovery: Discovery | None = None) -> State:
@@ -646,7 +628,8 @@ class Session:
             self._states[number] = replace(self._states[number], discovery=discovery)
 
     def _keep(self) -> None:
-        kept.keep_session(self.folder, self.origin, self.settings, self._at)
+        texts = [e.basis.text for e in self.own.values() if isinstance(e.basis, Formula)]
+        kept.keep_session(self.folder, self.settings, texts, self._at)
 
     def _script(self, way: list[State]) -> str:
         return script(way, self.origin, self.settings, self.folder.resolve())

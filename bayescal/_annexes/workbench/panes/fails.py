@@ -453,7 +453,7 @@ class Fails(Pane):
         self.when.param.update(options=options, disabled=not same, value=value)
         self.choice.param.update(options=columns, value=kept or self.shown.start())
         self._showing = False
-        if before is None or self._of is not self.session or [*before.covariates] != columns:
+        if before is None or [*before.covariates] != columns:
             self._begin()
         for made in self._made.values():
             made.show(self.shown)
@@ -498,7 +498,6 @@ class Fails(Pane):
 
     def _begin(self) -> None:
         """Other readings: no panel over those before is of use."""
-        self._of = self.session
         self._made: dict[str, ColumnPanel] = {}  # of each column that was ever ticked
         self.selected = np.array([], int)
         self._y = range_over(self.shown.residual)

@@ -2,25 +2,19 @@
 
 The error is the tree of steps with the path so far, every step to go back to, the whole search with its progress.
 Behind it are questions to the current step, answered in text (verdict, comparison, budget, decisions, next
-experiment); the Allan deviation of the residuals; report, export and Python, as the command line writes them; a file
-dropped on the page, with what `calibrate` would say of it and the mapping by which it is read.
+experiment); the Allan deviation of the residuals; report, export and Python, as the command line writes them.
 """
 
 from __future__ import annotations
 
-import re
-import shutil
-import tempfile
-import weakref
 from collections.abc import Callable, Mapping
 from io import BytesIO
 from pathlib import Path
 from typing import Any, get_args
 
 import panel as pn
-import panel.models.file_dropper  # its scripts come with the page
 
-from bayescal import Budget, InputError, Measurements, next_experiment, read
+from bayescal import Budget, next_experiment
 from bayescal._annexes.metrology.decide import CONFORMITY, FALSE_ACCEPT, Rule
 from bayescal._annexes.workbench.kept import path_to
 from bayescal._annexes.workbench.parts.pieces import (
@@ -40,7 +34,6 @@ from bayescal._annexes.workbench.parts.pieces import (
 )
 from bayescal._report.report import Pictures
 from bayescal._search.search_path import steps_table
-from bayescal._tables.mapping_file import load_mapping
 from bayescal.workshop import pretty
 
 WHOLE = (
@@ -436,137 +429,6 @@ class PythonPane(Pane):
         self.code.value = self.session.script()
 
 
-LARGEST_UPLOAD = 200_000_000  # bytes of one file; larger ones are given on the command line
-MOST = f"{LARGEST_UPLOAD // 1_000_000}MB"
-LONGEST_ERROR = 6000  # letters of what is wrong
-MAPPING = """\
-# How the file is read, where not as found, as of --mapping: take the # away, and read again.
-# decimal = ","
-# nominal_scale = "250 V/g"
-# local_gravity = 9.81
-# missing = "drop"
-# [columns]
-# output = "gyro_x"
-# [units]
-# gyro_x = "rad/s"
-"""
-
-
-class Upload(pn.widgets.FileDropper):
-    """Panel's own, which trusts the browser with the size: here more than `LARGEST_UPLOAD` is not kept either."""
-
-    def _process_event(self, event: Any) -> None:
-        name, piece = event.data.get("name"), event.data.get("data")
-        kept = sum(len(part) for part in self._file_buffer.get(name, ()))
-        if piece is not None and kept + len(piece) > LARGEST_UPLOAD:
-            self._file_buffer.pop(name, None)
-            return
-        if piece is not None and event.data["chunk"] == 1:
-            self.value.clear()
-            self._file_buffer.clear()
-        if piece is not None and event.data["chunk"] != 1 and name not in self._file_buffer:
-            return
-        super()._process_event(event)
-
-
-class FilePane(Pane):
-    """Readings from a file of the user's own."""
-
-    def __init__(self, bench: Any) -> None:
-        super().__init__(bench)
-        self._instrument = instrument = bench.session.current.model.instrument
-        self._folder = Path(tempfile.mkdtemp(prefix="bayescal-"))
-        weakref.finalize(self, shutil.rmtree, self._folder, True)
-        self._path: Path | None = None
-        self._readings: Measurements | None = None
-        self.drop = Upload(
-            multiple=False,
-            max_file_size=MOST,
-            previews=[],
-            layout="compact",
-            margin=0,
-            sizing_mode="stretch_width",
-            width=None,
-            height=62,
-            stylesheets=[INSIDE],
-            chunk_size=4_000_000,
-        )
-        self.drop.param.watch(self._dropped, "value")
-        self.told = words("", "table", styles={"overflow": "auto"}, sizing_mode="stretch_both")
-        self.use = button(
-            "Begin with these readings",
-            lambda _: self._go_on(),
-            color="primary",
-            visible=False,
-        )
-        self.again = button("Read again", lambda _: self._read(), visible=False)
-        self.mapping = code_field("mapping", value=MAPPING, max_length=100_000, visible=False)
-        self.save = download(
-            "Save the mapping",
-            callback=lambda: BytesIO(self.mapping.value.encode()),
-            filename="mapping.toml",
-            visible=False,
-        )
-        intro = f"Drop a file of readings of {instrument.name}, up to {MOST}; nothing leaves this computer."
-        buttons = row(self.use, self.again, self.save)
-        kinds = ("bare", "scrolls")
-        left = column(words(intro, "small"), self.drop, buttons, self.mapping, kinds=kinds)
-        self.view = halves(left, self.told, even=True)
-
-    def _dropped(self, event: Any) -> None:
-        if not event.new:
-            return
-        name, content = next(iter(event.new.items()))
-        content = content.encode() if isinstance(content, str) else bytes(content)
-        self.receive(str(name), content)
-
-    def receive(self, name: str, content: bytes) -> None:
-        """Take a file's content, and say what `calibrate` would."""
-        if len(content) > LARGEST_UPLOAD:
-            self._say(f"{name[:80]} is larger than {MOST}: give it on the command line")
-            return
-        self._path = self._folder / safe_name(name)
-        self._path.write_bytes(content)
-        self._read()
-
-    def _read(self) -> None:
-        if (path := self._path) is None:
-            return
-        mapping = self._folder / "mapping.toml"
-        mapping.write_text(self.mapping.value, "utf-8")
-
-        def job() -> Measurements | InputError:
-            try:
-                return read(path, self._instrument, **load_mapping(mapping))
-            except InputError as error:
-                return error
-
-        self.bench.run(f"Reading {path.name} …", job, self._was_read)
-
-    def _was_read(self, found: Measurements | InputError) -> None:
-        well = isinstance(found, Measurements)
-        self._readings = found if well else None
-        flags = "".join(f"\nwarning: {flag}" for flag in found.flags) if well else ""
-        self._say(f"{len(found):,} readings\n{found}{flags}" if well else str(found))
-        self.use.visible = well
-        self.again.visible = self.save.visible = self.mapping.visible = True
-
-    def _say(self, text: str) -> None:
-        self.told.object = (
-            text if len(text) <= LONGEST_ERROR else f"{text[:LONGEST_ERROR]}\n… and more"
-        )
-
-    def _go_on(self) -> None:
-        if self._readings is not None:
-            self.bench.begin_with(self._readings)
-
-
-def safe_name(name: str) -> str:
-    """A dropped file's name as the name of a file here: its last part, in letters that no system refuses."""
-    last = re.sub(r"[^\w.+ -]", "_", name.replace("\\", "/").rpartition("/")[2])[-80:].strip(". ")
-    return last if "." in last else f"readings-{last or 'without-name'}"
-
-
 ERROR = "The error"
 
 
@@ -575,7 +437,7 @@ class Tabs(Pane):
 
     def __init__(self, bench: Any) -> None:
         super().__init__(bench)
-        self.compare, self.file = ComparePane(bench), FilePane(bench)
+        self.compare = ComparePane(bench)
         self._panes: dict[str, Pane] = {
             "Side by side": self.compare,
             "Verdict": VerdictPane(bench),
@@ -586,7 +448,6 @@ class Tabs(Pane):
             "Report": ReportPane(bench),
             "Export": ExportPane(bench),
             "Python": PythonPane(bench),
-            "File": self.file,
         }
         self._state: Any = None
         self._stale = set(self._panes)

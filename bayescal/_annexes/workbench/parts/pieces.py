@@ -227,7 +227,7 @@ class Pane:
     """A part of the page; what of this it has no use for, it leaves as it is here.
 
     Attributes:
-        bench: the whole page (`app.Workbench`), through which a pane acts.
+        bench, session: the whole page (`app.Workbench`), through which a pane acts, and what it is over.
         figures: Bokeh's, which take the colours of the ground.
         view: what Panel shows.
     """
@@ -235,13 +235,8 @@ class Pane:
     view: Any
 
     def __init__(self, bench: Any) -> None:
-        self.bench = bench
+        self.bench, self.session = bench, bench.session
         self.figures: list[Any] = []
-
-    @property
-    def session(self) -> Any:
-        """The bench's session, which another file may have replaced."""
-        return self.bench.session
 
     def show(self, state: Any) -> None:
         """Show another state, or forget what was of the one before."""
