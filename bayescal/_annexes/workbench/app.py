@@ -262,4 +262,4 @@ def readings_in_words(session: Any) -> str:
     readings, kept = session.readings, session.holdout
     told = f"{len(readings):,} readings of {readings.file}"
     told += f"; hold-out data: {len(kept):,} of {kept.file}" if kept is not None else ""
-    return f"{told}. As it was begun: {session.not_taken}" if session.not_taken else told
+    return told

@@ -1,6 +1,6 @@
 """A session's folder: each state as a calibration and a script, whole or not at all, so that a killed server goes on.
 
-session.json               the settings of `calibrate`, formulas that were typed, which state is current
+session.json               formulas that were typed, which state is current
 state_000/                 the first state, and so on: one model with its fit; states form a tree
     calibration.nc         its fit, as `bayescal calibrate` saves one
     script.py              Python that leads to it, with the same numbers
@@ -16,7 +16,7 @@ from __future__ import annotations
 import json
 import re
 import tempfile
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 from datetime import datetime
@@ -171,28 +171,16 @@ class Origin:
 
 @dataclass(frozen=True)
 class SearchOptions:
-    """What `calibrate` is asked with, apart from model and readings; see there. A method may be as `data` has it."""
+    """What `calibrate` is asked with, apart from model and readings; see there."""
 
-    method: LeastSquares | Marginal | NUTS | dict[str, Any] | None = None
+    method: LeastSquares | Marginal | NUTS | None = None
     max_effects: int = 5
     widen_noise: bool = True
     keep_spikes: bool = False
     seed: int = 0
-    reference: dict[str, float | dict[str, float]] | None = None
+    reference: Mapping[str, Any] | None = None
     time_limit: float | None = None
-    accept_conflicts: tuple[str, ...] = ()
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "accept_conflicts", tuple(sorted(self.accept_conflicts)))
-        if isinstance(self.method, dict):
-            given = {k: tuple(v) if isinstance(v, list) else v for k, v in self.method.items()}
-            kinds = {kind.__name__: kind for kind in (LeastSquares, Marginal, NUTS)}
-            object.__setattr__(self, "method", kinds[given.pop("name")](**given))
-
-    def data(self) -> dict[str, Any]:
-        """As JSON has them; the method by its name and arguments."""
-        method = self.method and {"name": type(self.method).__name__, **vars(self.method)}
-        return {**vars(self), "method": method}
+    accept_conflicts: Collection[str] = ()
 
 
 FOLDER = "state_{:03d}"  # that a state is kept in, by its number
@@ -247,7 +235,6 @@ class SavedSession(TypedDict):
     """What session.json holds."""
 
     schema: str
-    settings: SearchOptions
     typed: list[str]
     current: int
 
@@ -311,13 +298,13 @@ def keep_state(folder: Path, state: State, script: str) -> None:
     to_disk(folder)
 
 
-def keep_session(folder: Path, settings: SearchOptions, typed: Sequence[str], current: int) -> None:
-    """Keep how a session searches, the formulas that were typed, and which state is current.
+def keep_session(folder: Path, typed: Sequence[str], current: int) -> None:
+    """Keep the formulas that were typed, and which state is current.
 
     Raises:
         InputError: it cannot be written.
     """
-    told = {"schema": SCHEMA, "settings": settings.data(), "typed": [*typed], "current": current}
+    told = {"schema": SCHEMA, "typed": [*typed], "current": current}
     write_text(json.dumps(told, indent=2, ensure_ascii=False) + "\n", folder / SESSION)
 
 
@@ -380,9 +367,9 @@ FITTED = '''
 calibrations = []
 
 
-def fitted(title, model, method, **start):
+def fitted(title, model, method, **how):
     """Fit a model, and print its errors: as fitted, and of the hold-out data."""
-    calibration = bc.fit(model, readings, method, {settings}, **start)
+    calibration = bc.fit(model, readings, method, strict=False{reference}, **how)
     calibrations.append(calibration)
     errors = {{"as fitted": bc.check(calibration).rms}}
     if holdout is not None:
@@ -397,7 +384,7 @@ print(bc.check(calibration))
 
 # By the method that was asked for. Where nothing more is to be added, the report and exports are of the average over
 # the structures weighed, as bc.calibrate(model, readings).calibration is.
-final = bc.fit(model, readings, {method}, {settings})
+final = bc.fit(model, readings, {method}, seed={seed}, strict=False{reference})
 print(final)
 """
 
@@ -411,15 +398,14 @@ def script(path: Sequence[State], origin: Origin, settings: SearchOptions, folde
         settings: of the fits.
         folder: that keeps the states' calibrations, for a model that no public function composes.
     """
-    how = f"seed={settings.seed}, strict=False"
-    how += f", reference={dict(settings.reference)!r}" if settings.reference else ""
+    reference = f", reference={dict(settings.reference)!r}" if settings.reference else ""
     runs = "runpy" if origin.effect_files or ".py:" in origin.instrument else ""
     imports = "\n".join([*(["import runpy", ""] if runs else []), "import bayescal as bc"])
     instrument = path[0].model.instrument
     lines = [
         HEAD.format(number=path[-1].number, version=__version__, imports=imports).rstrip("\n"),
         *origin.code(tailored=instrument.tailor is not None),
-        FITTED.format(settings=how),
+        FITTED.format(reference=reference),
     ]
     line, before = _beginning(path[0].model)
     lines.append(line)
@@ -430,10 +416,11 @@ def script(path: Sequence[State], origin: Origin, settings: SearchOptions, folde
         quick = method_code(QUICK if state.model.noise.gaussian else settings.method)
         title = f"{state.number} {state.title}"
         start = state.calibration.start
-        begun = f", start={start!r}" if start else ""
-        lines.append(f"calibration = fitted({title!r}, model, {quick}{begun})")
+        how = f", seed={state.calibration.seed}" + (f", start={start!r}" if start else "")
+        lines.append(f"calibration = fitted({title!r}, model, {quick}{how})")
         before = state.model
-    return "\n".join([*lines, LAST.format(method=method_code(settings.method), settings=how)])
+    last = {"method": method_code(settings.method), "seed": settings.seed}
+    return "\n".join([*lines, LAST.format(**last, reference=reference)])
 
 
 def _beginning(model: Model) -> tuple[str, Model]:

@@ -197,7 +197,6 @@ class Session:
         settings: as of `calibrate`.
         origin: where readings and effects come from.
         own: effects of the user's own, by name.
-        not_taken: names of the settings that differ from those asked for when it was gone on with; empty for most.
         on_change: called when a state is made or gone to, by whichever page, from whatever thread.
     """
 
@@ -207,7 +206,6 @@ class Session:
     settings: SearchOptions
     origin: Origin
     own: dict[str, Effect]
-    not_taken: str = ""
     on_change: list[Callable[[], None]] = field(default_factory=list)
     _states: dict[int, State] = field(default_factory=dict)
     _at: int = 0
@@ -241,7 +239,7 @@ class Session:
             model, readings, holdout, effects: as of `calibrate`.
             folder: where every state is kept; None: a temporary one.
             origin: where all this comes from; None: readings are written to the folder.
-            settings: of `calibrate`, see `SearchOptions`; a session goes on with those that it was begun with.
+            settings: of `calibrate`, see `SearchOptions`.
 
         Raises:
             ModelError: the readings lack what the model needs.
@@ -266,10 +264,7 @@ class Session:
 
     def _go_on(self, model: Model) -> None:
         """Take every state that the folder holds, whatever ended what made it."""
-        told, asked = kept.session_in(self.folder), self.settings
-        self.settings = told["settings"]
-        left = (n for n, v in vars(self.settings).items() if v != getattr(asked, n))
-        self.not_taken = ", ".join(left)
+        told = kept.session_in(self.folder)
         for line in told["typed"]:
             made = typed_effect(line, readings=self.readings, instrument=model.instrument)
             self.own[made.name] = made
@@ -629,7 +624,7 @@ class Session:
 
     def _keep(self) -> None:
         texts = [e.basis.text for e in self.own.values() if isinstance(e.basis, Formula)]
-        kept.keep_session(self.folder, self.settings, texts, self._at)
+        kept.keep_session(self.folder, texts, self._at)
 
     def _script(self, way: list[State]) -> str:
         return script(way, self.origin, self.settings, self.folder.resolve())

@@ -102,7 +102,5 @@ def _sessions(
         return Opened(partial(Session.open, models[channel], readings[channel], **given))
 
     found = {channel: of_channel(channel, folder) for channel, folder in folders.items()}
-    begun = next(iter(found.values())).open()
-    if begun.not_taken:
-        print_notes([f"this session goes on with its own {begun.not_taken}"])
+    next(iter(found.values())).open()
     return found
