@@ -80,8 +80,9 @@ class Preview:
             said += f", log Bayes factor {evidence[0] - known[0]:z.1f}"
         if added is not None:
             effect = after.model.effect(added)
-            (unknown, *_) = (*effect.spread_names, effect.coefficient_name(0))
-            draws = after.samples(effect.measure_name or unknown)
+            grouped = effect.coefficients[0].group_sd is not None
+            own = effect.group_sd_name(0) if grouped else effect.coefficient_name(0)
+            draws = after.samples(effect.measure_name or own)
             draws = draws if draws.ndim == 1 else np.sqrt(np.mean(draws**2, axis=1))
             size = with_error(float(draws.mean()), float(draws.std()))
             unit = unit_label(effect.coefficients[0].unit)
@@ -350,7 +351,10 @@ class Session:
     def _previewed(self, wanted: Change) -> Preview:
         """Fit a model that is not made a state."""
         loop, before = self._loop, self.current.step
-        method, how = loop.quick(wanted.model), {"seed": loop.seed, "reference": loop.reference}
+        known = before.calibration
+        start = {n: float(v) for n, v in known.problem.hyper(known.mode.v).items()}
+        how: dict[str, Any] = {"seed": loop.seed, "reference": loop.reference, "start": start}
+        method = loop.quick(wanted.model)
         after = fit(wanted.model, self.readings, method, strict=False, **how)
         return Preview(before, after, wanted.added)
 
