@@ -89,7 +89,6 @@ BEHIND = {
         _search.own_files: in_a_file
         _search.search_path: Step steps_table
         _search.structures: SIZE_FACTORS Structure
-        _use: correction_files
     """,
 }
 

@@ -56,7 +56,6 @@ from bayescal._search.gate import judged
 from bayescal._search.noise_laws import laws_over
 from bayescal._search.search_path import Step
 from bayescal._search.structures import SIZE_FACTORS, Structure
-from bayescal._use import correction_files
 from bayescal.workshop import WIDTH, number, plain_table, save_search, unit_label, with_error
 
 
@@ -150,14 +149,6 @@ def changed(
 
 
 SEARCHES = 4  # the latest ones, that are kept
-
-
-SUFFIXES = {
-    format: suffix
-    for suffix, format in correction_files.ONE_OUTPUT.suffixes.items()
-    if format in correction_files.ONE_OUTPUT.writers
-}
-FORMATS = (*SUFFIXES, *AUTOPILOTS)
 
 
 def _structure_of(model: Model, search: Loop) -> Structure | None:
@@ -568,25 +559,26 @@ class Session:
         own = tuple(self.own.values())
         return report([trail], folder / "report.html", effects=own, decisions=decided)
 
-    def export(self, what: str) -> Path:
-        """An export of the current model, in the folder: what `bayescal export` writes; `what` is one of its formats.
+    def export(self, file: str) -> Path:
+        """An export of the current model, in the folder: what `bayescal export` writes.
+
+        Args:
+            file: its name, by the suffix a correction, or that of an autopilot.
 
         Raises:
             InputError, ModelError: there is no such format, or the model cannot be exported so.
         """
-        if what not in FORMATS:
-            raise InputError(f"{what!r} is not one of {', '.join(FORMATS)}")
         folder, trail = self._result()
-        made = compensator(trail.calibration)
-        if what in SUFFIXES:
-            return made.export(folder / f"compensation{SUFFIXES[what]}", what)
+        made, autopilot = compensator(trail.calibration), Path(file).stem
+        if autopilot not in AUTOPILOTS:
+            return made.export(folder / file)
         axis = axis_of(trail.final.calibration)
         if axis is None:
             raise InputError(
                 "these readings do not say of which axis they are, and an autopilot's parameters need it: export the "
-                f"calibration with bayescal export --format {what} --axis gyro_x=FILE"
+                f"calibration with bayescal export --format {autopilot} --axis gyro_x=FILE"
             )
-        return firmware_parameters({axis: made}, what).write(folder / f"{what}.txt")
+        return firmware_parameters({axis: made}, autopilot).write(folder / file)
 
     @property
     def _loop(self) -> Loop:

@@ -37,7 +37,9 @@ from bayescal._search.search_path import steps_table
 from bayescal.workshop import pretty
 
 WHOLE = (
-    "svg, div { height: 100%; width: 100%; } text { fill: currentColor; }"  # a picture in its room
+    # A picture in its room and its colours, with no ground of its own.
+    "svg, div { height: 100%; width: 100%; } text { fill: currentColor; }"
+    ' [style="fill: #ffffff"] { fill-opacity: 0; }'
 )
 
 
@@ -347,11 +349,11 @@ class ExperimentPane(AskPane):
 
 
 EXPORTS = {
-    "C header": ("c", "Compensation as a C99 header."),
-    "JSON": ("json", "Compensation as JSON, with its covariance."),
-    "Python function": ("python", "Compensation as a Python function."),
-    "PX4 parameters": ("px4-params", "Thermal polynomial, as PX4 takes it."),
-    "ArduPilot parameters": ("ardupilot-params", "Thermal polynomial, as ArduPilot takes it."),
+    "C header": ("compensation.h", "Compensation as a C99 header."),
+    "JSON": ("compensation.json", "Compensation as JSON, with its covariance."),
+    "Python function": ("compensation.py", "Compensation as a Python function."),
+    "PX4 parameters": ("px4-params.txt", "Thermal polynomial, as PX4 takes it."),
+    "ArduPilot parameters": ("ardupilot-params.txt", "Thermal polynomial, as ArduPilot takes it."),
 }
 
 
@@ -396,8 +398,8 @@ class ExportPane(Pane):
     def __init__(self, bench: Any) -> None:
         super().__init__(bench)
         self.written, lines = [], []
-        for label, (what, told) in EXPORTS.items():
-            write = lambda what=what: self.session.export(what)  # noqa: E731
+        for label, (file, told) in EXPORTS.items():
+            write = lambda file=file: self.session.export(file)  # noqa: E731
             one = Written(bench, label, f"Writing {label} …", write)
             one.make.min_width = 170
             self.written.append(one)
