@@ -38,7 +38,6 @@ from bayescal._data.set_aside import said_of, set_aside
 from bayescal._data.time_in_runs import going_on, on_clock
 from bayescal._inference.laplace import NOTHING_KNOWN
 from bayescal._inference.least_squares import LeastSquares
-from bayescal._inference.marginal import NOT_SAMPLED
 from bayescal._inference.method import Method
 from bayescal._model.effect import Effect
 from bayescal._model.frame import Reference
@@ -58,13 +57,10 @@ from bayescal._search.library import Library
 from bayescal._search.posterior import OtherPath, Posterior, Search
 from bayescal._search.search_path import Gate, SearchPath, Step
 from bayescal._search.structure_average import averaged, with_latent
-from bayescal._search.structures import Structure, Structures, Weighed
+from bayescal._search.structures import Structure, Structures
 from bayescal._search.walk import explore, path
 
 QUICK = LeastSquares(draws=500)
-LAST = (
-    3 / 4
-)  # of the time that is left, for sampling the last model: one by least squares takes little
 NOT_LOOKED = "Nothing was looked for."
 NOT_AVERAGED = "Not averaged over the structures ({}): this is the one shown, alone."
 BASE = Structure()
@@ -292,11 +288,10 @@ class Loop:
         for before, at, is_missing in self.way(goal):
             found.append(is_missing)
             if before is not None:
-                fit_step = self.last if at == goal else self.fitted
-                self.steps.append(fit_step(at, before))
+                self.steps.append(self.fitted(at, before, last=at == goal))
                 follow(self.trail(search))
         if len(self.steps) == 1 and self.method != QUICK:
-            self.steps = [self.last(goal)]
+            self.steps = [self.fitted(goal, None, last=True)]
         steps = [replace(s, discovery=one) for s, one in zip(self.steps, found, strict=True)]
         return self.averaged(steps, goal, search)
 
@@ -356,27 +351,12 @@ class Loop:
         found = predict(used, self.holdout)
         return replace(step, holdout_test=HoldoutTest(used, self.holdout, found, tuple(unseen)))
 
-    def fitted(self, at: Structure, before: Structure | None) -> Step:
-        """Fit and check a structure on the way, which follows another."""
+    def fitted(self, at: Structure, before: Structure | None, last: bool = False) -> Step:
+        """Fit and check a structure, which follows another; the last one by the method asked for."""
         weighed = self.structures.weigh(at)
-        return self._of_structure(weighed, before, self.quick(weighed.sized_model))
-
-    def last(self, at: Structure, before: Structure | None = None) -> Step:
-        """Fit the last structure by the method asked for; without its sampling where there is no time for that."""
-        weighed, sampling = self.structures.weigh(at), not isinstance(self.method, LeastSquares)
-        with suppress(deadline.TimeIsUp), deadline.sooner(LAST) as end:
-            if sampling:
-                end.ask()
-                return self._of_structure(weighed, before, self.method)
-        with deadline.finishing():
-            found = self._of_structure(weighed, before, QUICK if sampling else self.method)
-        return found.noted([NOT_SAMPLED.format(end.why)]) if sampling else found
-
-    def _of_structure(
-        self, weighed: Weighed, before: Structure | None, method: Method | None
-    ) -> Step:
-        model, at = weighed.sized_model, weighed.structure
-        found, added, changed = self.step(model, method, weighed.phi), None, ""
+        model = weighed.sized_model
+        found = self.step(model, self.method if last else self.quick(model), weighed.phi)
+        added, changed = None, ""
         if before is not None:
             added = " + ".join(sorted(at.effects - before.effects)) or None
             changed = f"noise widened: {model.noise.in_words}" if at.noise != before.noise else ""
