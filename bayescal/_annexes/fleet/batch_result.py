@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import re
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property, partial
@@ -59,19 +58,8 @@ def first_few(items: Mapping[str, str], total: int, head: str = "", more: str = 
 
 
 def printed(table: pd.DataFrame, digits: int) -> str:
-    """A table with so many significant digits; a curve in one line, its rms amplitude."""
-    if "coefficient" in table:
-        of_curve = table["coefficient"].str.extract(_OF_CURVE, expand=True)
-        amplitudes = {*of_curve[0][of_curve[1].eq(".amplitude")]}
-        shown = ~of_curve[0].isin(amplitudes) | of_curve[1].eq(".amplitude")
-        names = table["coefficient"].str.replace(_AMPLITUDE, r"\1, a curve (rms)", regex=True)
-        table = table.assign(coefficient=names).loc[shown]
+    """A table with so many significant digits."""
     return table.to_string(index=False, float_format=lambda v: f"{v:.{digits}g}")
-
-
-# Of a curve: its coefficients, and how long and how large it is.
-_OF_CURVE = re.compile(r"^(unknown\(.*\))(\[\d+\]|\.length|\.amplitude)$", re.DOTALL)
-_AMPLITUDE = re.compile(r"^(unknown\(.*\))\.amplitude$", re.DOTALL)
 
 
 def odd_in_words(odd: Mapping[str, list[str]], devices: int) -> list[str]:

@@ -117,13 +117,6 @@ def _temperature_sums(request: Request, part: Part) -> list[tuple[str, float, in
         return temperature_sums(request.read(part).devices)
 
 
-def _tailored_model(request: Request, part: Part) -> Model | None:
-    """The model tailored to the part's first device that it can be tailored to; None where there is none."""
-    with use_settings(request.settings):
-        devices = request.read(part).devices
-        return tailored_to_first(request.model, devices) if len(devices.blocks) else None
-
-
 @dataclass(frozen=True)
 class _Run:
     """Parts of a batch, and where they are fitted."""
@@ -151,12 +144,15 @@ class _Run:
             request = replace(request, fit_options=options.with_common(common_reference(sums)))
         if request.model.instrument.tailor is None:
             return replace(self, request=request)
-        errors = []
-        for task in self._tasks(request):
-            for outcome in run_tasks(self.client, _tailored_model, [task]):
-                if outcome.value is not None:
-                    return replace(self, request=replace(request, model=outcome.value))
-                errors += [outcome.error] * bool(outcome.error)
+        errors = list[str]()
+        for part in self.parts:
+            try:
+                model = tailored_to_first(request.model, request.read(part).devices)
+            except InputError as error:
+                errors.append(str(error))
+            else:
+                if model is not request.model:
+                    return replace(self, request=replace(request, model=model))
         if errors:
             raise InputError(f"none of the devices can be used; {errors[0]}")
         return replace(self, request=request)
