@@ -110,13 +110,13 @@ class Pictures:
             f"deviations, {int(np.sum(residual > 2))} are beyond 2.",
         )
 
-    def error(self, chapter: Chapter) -> Picture:
-        steps = chapter.data["steps"]
+    def error(self, steps: Sequence[dict[str, Any]]) -> Picture:
+        """The errors of steps, as in result.json."""
         unit = unit_label(steps[-1]["unit"])
         told = "; ".join(f"{s['title']} {number(s['rmse_fitted'])} {unit}" for s in steps)
         floor = number(steps[-1]["noise_floor"])
         return self.draw(
-            lambda: plots.trail(chapter.data),
+            lambda: plots.trail({"steps": steps}),
             "The error, step by step",
             f"Bars of the rms error of each step, as fitted: {told}; noise floor {floor} {unit}.",
         )
@@ -407,7 +407,7 @@ def _pictures(chapter: Chapter, pictures: Pictures) -> dict[str, Any]:
         "first": first,
         "last": of_last if sphere else of_last[1:],
         "front": sphere or next(iter(of_last), None),  # on the page that is signed
-        "error": pictures.error(chapter),
+        "error": pictures.error(chapter.data["steps"]),
         **{name: pictures.of_fit(name, chapter.used) for name in OF_FIT},
         "allan": pictures.allan(chapter.check, "the last model"),
     }

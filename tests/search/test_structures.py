@@ -78,7 +78,7 @@ def test_the_walk_finds_what_enumeration_finds(
     found, exact = Posterior.of(walked), Posterior.of(whole)
     assert found.best == exact.best
     assert len(walked.visited) < len(whole.visited)
-    assert found.complete(walked) == pytest.approx(exact.complete(whole), abs=0.05)
+    assert found.complete() == pytest.approx(exact.complete(), abs=0.05)
     for name in few:
         assert found.inclusion(name) == pytest.approx(exact.inclusion(name), abs=0.05)
 
@@ -119,7 +119,7 @@ def test_nothing_is_found_where_nothing_is_hidden() -> None:
         posterior = Posterior.of(made)
         assert not posterior.findings
         assert not posterior.chosen.effects
-        assert posterior.complete(made) > 0.4
+        assert posterior.complete() > 0.4
 
 
 @pytest.mark.slow
