@@ -109,27 +109,59 @@ def drawn(
 def filtered(
     states: States, white: Float[Array, "n"], columns: Float[Array, "n m"]
 ) -> tuple[Float[Array, "n m"], Float[Array, "n"]]:
-    """Columns as the Kalman filter whitens them, and the logarithm of each reading's standard deviation by then.
+    """Whiten columns by the Kalman filter; return them, and the log standard deviation of each innovation.
 
-    Its variances and gains hang on no column: they are found first, once for all. With P that of the states given the
-    readings before: g = P·1 over the states shown, s = 1ᵀg + w of the reading, gain g/s; P goes on as
-    A·(P − g·gᵀ/s)·Aᵀ + what is new.
+    With P the covariance of the states given the readings before: g = P·1 over the states shown, s = 1ᵀg + w of the
+    reading, gain g/s; P goes on as A·(P − g·gᵀ/s)·Aᵀ + what is new.
 
     Args:
         states: of a sum.
         white: variance w of each reading by itself.
         columns: in the order of time within runs.
     """
-    steps = states.carry, states.fresh, states.last
-    new, total = _innovations(tuple(states.shown), steps, white, columns)
-    return new / jnp.sqrt(total)[:, None], 0.5 * jnp.log(total)
+    passed = _forward(states, white, columns)
+    return passed.new / jnp.sqrt(passed.total)[:, None], 0.5 * jnp.log(passed.total)
 
 
-_Steps = tuple[Array, Array, Array | None]  # carry, fresh and last of `States`
+class _Passed(NamedTuple):
+    """What a pass of the filter finds at each reading."""
+
+    new: Float[Array, "n m"]  # innovation of each column
+    total: Float[Array, "n"]  # its variance
+    gain: Float[Array, "n p"]
+    before: Float[
+        Array, "n p p"
+    ]  # covariance of the states given the readings before, at the one before
+    mean: Float[Array, "n p m"]  # and their mean
+
+
+def _forward(states: States, white: Float[Array, "n"], columns: Float[Array, "n m"]) -> _Passed:
+    seen, count = jnp.asarray(states.shown), len(states.shown)
+
+    # Variances and gains hang on no column: they are found first, once for all.
+    def ahead(before, reading):
+        kept, taken, fresh, own = reading
+        made = _ahead(kept, taken, fresh, before)
+        column = jnp.sum(made * seen, axis=1)
+        total = jnp.sum(column * seen) + own
+        gain = column / total
+        return made - gain[:, None] * column, (total, gain, before)
+
+    def further(before, reading):
+        kept, taken, gain, row = reading
+        made = _step(kept, taken, before)
+        new = row - jnp.sum(made * seen[:, None], axis=0)
+        return made + gain[:, None] * new, (new, before)
+
+    nothing, rows = jnp.zeros((count, count)), (states.carry, states.last, states.fresh, white)
+    total, gain, covariance = jax.lax.scan(ahead, nothing, rows, unroll=2)[1]
+    nothing, rows = jnp.zeros((count, columns.shape[1])), (states.carry, states.last, gain, columns)
+    new, mean = jax.lax.scan(further, nothing, rows, unroll=2)[1]
+    return _Passed(new, total, gain, covariance, mean)
 
 
 def _step(kept: Array, taken: Array | None, value: Float[Array, "p m"]) -> Float[Array, "p m"]:
-    """A·value, A the step that `States` describe by what is kept and what the last state takes up."""
+    """Return A·value, A the step that `States` describe by what is kept and what the last state takes up."""
     if kept.ndim == 2:
         return _times(kept, value)
     made = kept[:, None] * value
@@ -139,104 +171,17 @@ def _step(kept: Array, taken: Array | None, value: Float[Array, "p m"]) -> Float
 
 
 def _step_back(kept: Array, taken: Array | None, value: Float[Array, "p m"]) -> Float[Array, "p m"]:
-    """Aᵀ·value."""
+    """Return Aᵀ·value."""
     if kept.ndim == 2:
         return _times(kept.T, value)
     made = kept[:, None] * value
     return made if taken is None else made + taken[:, None] * value[-1]
 
 
-def _new(shown, steps: _Steps, white, columns) -> tuple[Array, Array]:
-    """What is new in each reading of each column (n, m), and its variance (n,)."""
-    return _forward(shown, steps, white, columns)[0]
-
-
-def _forward(shown, steps: _Steps, white, columns):
-    (carry, fresh, last), count = steps, len(shown)
-    seen = jnp.asarray(shown)
-
-    def ahead(before, reading):
-        kept, taken, more, own = reading
-        made = _step(kept, taken, _step(kept, taken, before).T)
-        made = made + (jnp.diag(more) if more.ndim == 1 else more)
-        column = jnp.sum(made * seen, axis=1)
-        total = jnp.sum(column * seen) + own
-        gain = column / total
-        return made - gain[:, None] * column, (gain, total, before)
-
-    nothing = jnp.zeros((count, count))
-    _, (gain, total, left) = jax.lax.scan(ahead, nothing, (carry, last, fresh, white), unroll=2)
-
-    def further(before, reading):
-        kept, taken, own, row = reading
-        made = _step(kept, taken, before)
-        new = row - jnp.sum(made * seen[:, None], axis=0)
-        return made + own[:, None] * new, (new, before)
-
-    start = jnp.zeros((count, columns.shape[1]))
-    _, (new, means) = jax.lax.scan(further, start, (carry, last, gain, columns), unroll=2)
-    return (new, total), (steps, gain, total, left, new, means)
-
-
-def _backward(shown, kept_of_forward, slopes):
-    """Slopes by the steps, the white variances and the columns, from those by what is new and its variances.
-
-    The two loops of the filter, each transposed: the second one's first, since the gains come from the first. Up to
-    twice as fast as what automatic differentiation makes of them, which keeps every number between.
-    """
-    steps, gain, total, left, new, means = kept_of_forward
-    (carry, fresh, last), seen = steps, jnp.asarray(shown)
-    by_new, by_total = slopes
-
-    # Each loop keeps what it carries and nothing else; what else is asked for follows from that, of all readings at
-    # once.
-    def of_means(by_after, reading):
-        kept, taken, own, by_own = reading
-        by_own = by_own + jnp.sum(own[:, None] * by_after, axis=0)
-        return _step_back(kept, taken, by_after - seen[:, None] * by_own), by_after
-
-    start, rows = jnp.zeros_like(means[0]), (carry, last, gain, by_new)
-    by_after = jax.lax.scan(of_means, start, rows, reverse=True, unroll=2)[1]
-    by_column = by_new + jnp.sum(gain[:, :, None] * by_after, axis=1)
-    by_mean = by_after - seen[:, None] * by_column[:, None]
-    by_gain = jnp.sum(by_after * new[:, None], axis=2)
-    # Of a gain g/s the slopes by g and by s, which holds g too.
-    by_total = by_total - jnp.sum(by_gain * gain, axis=1) / total
-    by_shown = by_gain / total[:, None] + by_total[:, None] * seen
-
-    def made(by_after, own, by_own):
-        pulled = jnp.sum(by_after * own, axis=-1)
-        side = (by_own - 2 * pulled + jnp.sum(pulled * own) * seen)[:, None] * seen
-        return by_after + 0.5 * (side + side.T)
-
-    def of_variances(by_after, reading):
-        kept, taken, own, by_own = reading
-        by_made = made(by_after, own, by_own)
-        return _step_back(kept, taken, _step_back(kept, taken, by_made).T), by_after
-
-    start, rows = jnp.zeros_like(left[0]), (carry, last, gain, by_shown)
-    by_after = jax.lax.scan(of_variances, start, rows, reverse=True, unroll=2)[1]
-    by_made = jax.vmap(made)(by_after, gain, by_shown)
-    by_white = by_total + jnp.einsum("ni,nij,nj->n", gain, by_after, gain)
-    # A·x and A·P·Aᵀ by A: (by A·x)·xᵀ + 2·(by A·P·Aᵀ)·A·P; of a diagonal A its diagonal, of `last` the last row.
-    stepped = jax.vmap(_step)(carry, last, left)
-    if carry.ndim == 3:
-        by_carry = 2 * jnp.sum(by_made[:, :, :, None] * stepped[:, None], axis=2)
-        by_carry = by_carry + jnp.sum(by_mean[:, :, None] * means[:, None], axis=3)
-        by_last = None
-    else:
-        by_carry = 2 * jnp.sum(by_made * jnp.swapaxes(stepped, 1, 2), axis=2)
-        by_carry = by_carry + jnp.sum(by_mean * means, axis=2)
-        by_last = None
-        if last is not None:
-            by_last = 2 * jnp.sum(by_made[:, -1, :, None] * stepped, axis=1)
-            by_last = by_last + jnp.sum(by_mean[:, -1:] * means, axis=2)
-    by_fresh = by_made if fresh.ndim == 3 else jnp.diagonal(by_made, axis1=1, axis2=2)
-    return (by_carry, by_fresh, by_last), by_white, by_column
-
-
-_innovations = jax.custom_vjp(_new, nondiff_argnums=(0,))
-_innovations.defvjp(_forward, _backward)
+def _ahead(kept: Array, taken: Array | None, fresh: Array, covariance: Array) -> Array:
+    """Return A·P·Aᵀ and what is new over the step."""
+    made = _step(kept, taken, _step(kept, taken, covariance).T)
+    return made + (jnp.diag(fresh) if fresh.ndim == 1 else fresh)
 
 
 def smoothed(
@@ -251,28 +196,26 @@ def smoothed(
 
     Source: J. Durbin and S. Koopman, Time Series Analysis by State Space Methods (2012), §4.4.
     """
-    steps, seen = (states.carry, states.fresh, states.last), jnp.asarray(states.shown)
-    (new, total), (_, gain, _, left, _, means) = _forward(states.shown, steps, white, columns)
+    seen = jnp.asarray(states.shown)
+    passed = _forward(states, white, columns)
 
     # r = h·v/F + (1 − k·hᵀ)ᵀ·Aᵀr and N = h·hᵀ/F + (1 − k·hᵀ)ᵀ·AᵀN·A·(1 − k·hᵀ) gather what this reading and later
     # ones say, v what is new in one, F its variance and k its gain; the state's mean moves by P·r, its covariance by
     # −P·N·P, P the covariance before the reading.
     def back(later, row):
-        (r, big), (kept, taken, more, spread, before, k, v, f) = later, row
-        made = _step(kept, taken, _step(kept, taken, spread).T)
-        column = (made + (jnp.diag(more) if more.ndim == 1 else more)) @ seen
-        passes = jnp.eye(len(seen)) - k[:, None] * seen
-        r = seen[:, None] * (v / f) + _times(passes.T, r)
-        big = seen[:, None] * seen / f + _times(_times(passes.T, big), passes)
-        mean = seen @ _step(kept, taken, before) + column @ r
+        (r, big), (kept, taken, fresh, now) = later, row
+        column = _ahead(kept, taken, fresh, now.before) @ seen
+        passes = jnp.eye(len(seen)) - now.gain[:, None] * seen
+        r = seen[:, None] * (now.new / now.total) + _times(passes.T, r)
+        big = seen[:, None] * seen / now.total + _times(_times(passes.T, big), passes)
+        mean = seen @ _step(kept, taken, now.mean) + column @ r
         variance = column @ seen - column @ _times(big, column[:, None])[:, 0]
         r = _step_back(kept, taken, r)
         return (r, _step_back(kept, taken, _step_back(kept, taken, big).T)), (mean, variance)
 
-    size = len(states.shown)
+    size = len(seen)
     nothing = jnp.zeros((size, columns.shape[1])), jnp.zeros((size, size))
-    carry, fresh, last = steps
-    rows = carry, last, fresh, left, means, gain, new, total
+    rows = states.carry, states.last, states.fresh, passed
     _, (mean, variance) = jax.lax.scan(back, nothing, rows, reverse=True)
     return mean, jnp.maximum(variance, 0.0)
 

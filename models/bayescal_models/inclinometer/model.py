@@ -306,4 +306,4 @@ INSTRUMENT = bc.Instrument(
     use=bc.Use("true_angle", "rad", slots=("zero", "scale", "cross_axis")),
     source="source 4",
 )
-simulate = readings_of(INSTRUMENT, simulated_columns)
+simulate = readings_of(INSTRUMENT)

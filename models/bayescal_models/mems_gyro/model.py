@@ -170,4 +170,4 @@ INSTRUMENT = bc.Instrument(
     use=bc.Use("rate_input", "deg/s"),
     source="source 1",
 )
-simulate = readings_of(INSTRUMENT, simulated_columns)
+simulate = readings_of(INSTRUMENT)
