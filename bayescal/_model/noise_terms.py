@@ -132,8 +132,33 @@ class NoiseTerm(abc.ABC):
         return {}
 
 
+class ExponentialTerm(NoiseTerm):
+    """A sum of independent Ornstein–Uhlenbeck processes, which a reading shows together."""
+
+    output: ClassVar[Any] = ...
+
+    @abc.abstractmethod
+    def processes(self, values: Values, bounds: Bounds) -> list[tuple[Any, Any]]:
+        """Return the variance, output unit squared, and the correlation time, s, of each."""
+
+    def variance(self, values, bounds):
+        return sum(variance for variance, _ in self.processes(values, bounds))
+
+    def block(self, values, bounds, h):
+        variances, times = map(jnp.asarray, zip(*self.processes(values, bounds), strict=True))
+        return exponential(times, variances, h)
+
+    def spectrum(self, values, bounds, step, lam):
+        each = self.processes(values, bounds)
+        return [noise_spectrum.exponential(variance, t, step, lam) for variance, t in each]
+
+    def allan(self, values, bounds, m, step):
+        each = self.processes(values, bounds)
+        return sum(variance * allan_of_exponential(m, step / time) for variance, time in each)
+
+
 @static
-class CorrelatedTerm(NoiseTerm):
+class CorrelatedTerm(ExponentialTerm):
     """Ornstein–Uhlenbeck noise; of several, each has a longer time than the one before.
 
     Of one before it with the time τ' it has τ = τ'·(longest/τ')^u, u uniform from 0 to 1: so they cannot exchange.
@@ -174,22 +199,12 @@ class CorrelatedTerm(NoiseTerm):
             time = time ** (1 - share) * bounds.longest**share
         return time
 
-    def variance(self, values: Values, bounds: Bounds) -> Any:
-        return 0.5 * values[self._name("diffusion")] ** 2 * self.time(values, bounds)
+    def processes(self, values, bounds):
+        time = self.time(values, bounds)
+        return [(0.5 * values[self._name("diffusion")] ** 2 * time, time)]
 
     def fresh(self, values, bounds, step):
         return values[self._name("diffusion")] ** 2 * step
-
-    def block(self, values, bounds, h):
-        return exponential(self.time(values, bounds), self.variance(values, bounds), h)
-
-    def spectrum(self, values, bounds, step, lam):
-        own = self.variance(values, bounds), self.time(values, bounds)
-        return [noise_spectrum.exponential(*own, step, lam)]
-
-    def allan(self, values, bounds, m, step):
-        time = self.time(values, bounds)
-        return self.variance(values, bounds) * allan_of_exponential(m, step / time)
 
     @property
     def bounded(self) -> bool:  # pyright: ignore[reportIncompatibleVariableOverride]
@@ -200,7 +215,7 @@ class CorrelatedTerm(NoiseTerm):
         return size if self.place < 2 else {**size, self._name("time"): self.time(values, bounds)}
 
 
-class WalkTerm(NoiseTerm):
+class WalkTerm(ExponentialTerm):
     """A random walk (IEEE 952: rate random walk, K) that has gone on for long before the record."""
 
     words: ClassVar[str] = "random walk"
@@ -213,27 +228,17 @@ class WalkTerm(NoiseTerm):
     def unit(self, name: str, output: str) -> str:
         return f"{output}/s^0.5"
 
-    def variance(self, values, bounds):
-        return 0.5 * values["noise.walk"] ** 2 * ENDLESS * bounds.longest
+    # An Ornstein–Uhlenbeck process that returns after thirty spans: stationary as the other terms, and within a
+    # record of one span a walk of the diffusion K, since K² = 2·σ²/τ.
+    def processes(self, values, bounds):
+        time = ENDLESS * bounds.longest
+        return [(0.5 * values["noise.walk"] ** 2 * time, time)]
 
     def fresh(self, values, bounds, step):
         return values["noise.walk"] ** 2 * step
 
-    # An Ornstein–Uhlenbeck process that returns after thirty spans: stationary as the other terms, and within a
-    # record of one span a walk of the diffusion K, since K² = 2·σ²/τ.
-    def block(self, values, bounds, h):
-        return exponential(ENDLESS * bounds.longest, self.variance(values, bounds), h)
 
-    def spectrum(self, values, bounds, step, lam):
-        own = self.variance(values, bounds), ENDLESS * bounds.longest
-        return [noise_spectrum.exponential(*own, step, lam)]
-
-    def allan(self, values, bounds, m, step):
-        size = self.variance(values, bounds)
-        return size * allan_of_exponential(m, step / (ENDLESS * bounds.longest))
-
-
-class FlickerTerm(NoiseTerm):
+class FlickerTerm(ExponentialTerm):
     """Flicker (1/f) noise over the record's octaves (IEEE 952: bias instability, B), a ladder of equal steps in time.
 
     Equal variances s² at times apart by a factor r have about the spectrum s²/(f·ln r), one-sided; flicker noise has
@@ -256,28 +261,9 @@ class FlickerTerm(NoiseTerm):
 
     # One-sided, a term of variance s² and time τ has the spectrum 4·s²·τ/(1 + (2πfτ)²). Summed over times whose
     # logarithms are ln r apart: ∫ 4·s²/(1 + (2πfτ)²)·dτ/ln r = s²/(f·ln r), which is B²/(π·f) for s² = B²·ln r/π.
-    def _size(self, values: Values) -> Any:
-        return values["noise.flicker"] ** 2 * math.log(RUNGS) / math.pi
-
-    def variance(self, values, bounds):
-        return self._size(values) * len(self.times(bounds))
-
-    def block(self, values, bounds, h):
-        times = self.times(bounds)
-        return exponential(times, self._size(values) * jnp.ones(len(times)), h)
-
-    def spectrum(self, values, bounds, step, lam):
-        size = self._size(values)
-        return [noise_spectrum.exponential(size, t, step, lam) for t in self.times(bounds)]
-
-    @property
-    def output(self) -> Any:  # pyright: ignore[reportIncompatibleVariableOverride]
-        return ...
-
-    def allan(self, values, bounds, m, step):
-        return self._size(values) * sum(
-            allan_of_exponential(m, step / time) for time in self.times(bounds)
-        )
+    def processes(self, values, bounds):
+        size = values["noise.flicker"] ** 2 * math.log(RUNGS) / math.pi
+        return [(size, time) for time in self.times(bounds)]
 
 
 class SmoothTerm(NoiseTerm):
