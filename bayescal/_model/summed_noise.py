@@ -382,24 +382,17 @@ def over_octaves(
 
 
 @offered
-def _within_runs(scale: Positive, frame: Frame) -> list[Noise]:
-    """Where there is time."""
+def _correlated(scale: Positive, frame: Frame) -> list[Noise]:
+    """One correlated term where there is time; sums of more where runs are long enough."""
     steps = np.asarray(frame.step)
     if not (steps > 0).any():
         return []
-    span = float(np.max(np.asarray(frame.columns["elapsed"])))
-    return [over_record(scale, float(np.median(steps[steps > 0])), span)]
-
-
-@offered
-def _of_two_or_more(scale: Positive, frame: Frame) -> list[Noise]:
-    """Where runs are long enough."""
-    steps = np.asarray(frame.step)
-    longest = int(np.max(np.diff(np.append(np.flatnonzero(steps < 0), steps.size))))
-    if longest < SECOND_CORRELATED_READINGS or not (steps > 0).any():
-        return []
     step, span = float(np.median(steps[steps > 0])), float(np.max(frame.columns["elapsed"]))
-    found: list[Noise] = [over_octaves(scale, step, span, terms) for terms in OFFERED]
+    found: list[Noise] = [over_record(scale, step, span)]
+    longest = int(np.max(np.diff(np.append(np.flatnonzero(steps < 0), steps.size))))
+    if longest < SECOND_CORRELATED_READINGS:
+        return found
+    found += [over_octaves(scale, step, span, terms) for terms in OFFERED]
     column = "temperature" if "temperature" in frame.columns else ""
     found.append(over_octaves(scale, step, span, ("correlated", "tone"), column))
     # What shakes or warms a sensor moves the temperature too: of all columns it is the one weighed with a sum.

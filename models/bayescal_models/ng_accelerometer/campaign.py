@@ -79,7 +79,6 @@ class Campaign:
         soak: time at a set point before the first reading, s.
         ramp: pace of the chamber's set point, °C/min.
         reading_time: over which the output is averaged, s; a whole number of grid steps.
-        move_time: turning to a position and coming to rest, s.
         pause: between runs, power off, the chamber going to the next start, s.
         full_scale: greatest input, µg.
         noise: standard deviation of a reading, µg.
@@ -89,7 +88,6 @@ class Campaign:
         laboratory_wander: its standard deviation from hour to hour, °C.
         laboratory_daily: amplitude of its daily course, °C.
         lag_time: of the sensing element behind the device's thermometer, s.
-        warm_up_time: of the electronics after power-on, s.
         begin: start of the test, days since 2000-01-01 12:00 UT: when the Moon and the Sun stand where.
         latitude, longitude: of the laboratory, degrees north and east (source 0: Wuhan).
         truth: true baseline coefficients, by name and in their units; for `.cell`, the standard deviation.
@@ -105,7 +103,6 @@ class Campaign:
     soak: float = HOUR
     ramp: float = 1.0
     reading_time: float = 60.0
-    move_time: float = 60.0
     pause: float = 12 * HOUR
     full_scale: float = 10e3
     noise: float = 0.5
@@ -115,7 +112,6 @@ class Campaign:
     laboratory_wander: float = 0.3
     laboratory_daily: float = 0.4
     lag_time: float = 1800.0
-    warm_up_time: float = 1800.0
     begin: float = 7730.0
     latitude: float = 30.5
     longitude: float = 114.4
@@ -134,7 +130,7 @@ class Campaign:
             self.reading_time <= 0 or self.reading_time % GRID,
             f"Campaign(reading_time={self.reading_time:g}): must be a positive multiple of {GRID:g} s",
         )
-        times = ("soak", "move_time", "pause", "noise", "thermometer_noise", "chamber_wander")
+        times = ("soak", "pause", "noise", "thermometer_noise", "chamber_wander")
         counts = ("positions", "runs", "repeats")
         refuse_options(
             self, positive=("ramp",), not_negative=times, counts=counts, filled=("tilts",)
