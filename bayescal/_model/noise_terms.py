@@ -363,8 +363,8 @@ class ToneTerm(NoiseTerm):
         turn = 2 * math.pi * self._frequency(values, bounds, z) * h
         c, s = jnp.cos(turn), jnp.sin(turn)
         plain = exponential(values["noise.tone.time"], values["noise.tone"] ** 2, h)
-        root = plain.root[:, :, None] * jnp.eye(2)
-        return Block(plain.carry[:, :, None] * pairs(c, s, -s, c), root, plain.start * jnp.eye(2))
+        each = jnp.eye(2)
+        return Block(plain.carry * pairs(c, s, -s, c), plain.root * each, plain.start * each)
 
     def spectrum(self, values, bounds, step, lam):
         if bounds.column:
@@ -504,10 +504,9 @@ class AveragingTerm(NoiseTerm):
 
 def _of_errors(size: Any, passed: float, h: Float[Array, "n"]) -> Block:
     """Errors of one size, each shown by its own reading and, times `passed`, by the next."""
-    new, nothing = jnp.broadcast_to(size, h.shape), jnp.zeros_like(h)
-    return Block(
-        jnp.zeros((*h.shape, 2)), jnp.stack([new, nothing], -1), size * jnp.ones(2), passed
-    )
+    nothing, new = 0.0 * h, size + 0.0 * h
+    carry = pairs(nothing, nothing, passed + nothing, nothing)
+    return Block(carry, pairs(new, nothing, nothing, nothing), size * jnp.eye(2))
 
 
 def allan_of_exponential(m: Float[np.ndarray, "k"], a: Any) -> Any:

@@ -169,15 +169,11 @@ class SumOfTerms(Noise, interface=True):
 
     def states(self, parameters: Parameters, step: Float[Array, "n"], z: Any = None) -> States:
         """Its states over steps, s; −1 where they begin. With the column that is followed, from −1 to 1."""
-        return states_of(*self._blocks(parameters, step, z))
-
-    def _blocks(self, parameters: Parameters, step: Float[Array, "n"], z: Any) -> tuple[Any, ...]:
-        """Of its terms; over which steps; and which of their states are shown."""
         parameters = parameters if z is None else {**parameters, self.column: z}
         h = jnp.maximum(step, 0.0)
         blocks = [part.block(parameters, self.bounds, h) for part in self.parts]
         shown = [_shown(p, b.start.shape[0]) for p, b in zip(self.parts, blocks, strict=True)]
-        return blocks, step, np.concatenate(shown)
+        return states_of(blocks, step, np.concatenate(shown))
 
     def whiten(self, columns, extra, parameters, frame):
         states = self.states(parameters, frame.step, self.followed(frame))
@@ -185,7 +181,7 @@ class SumOfTerms(Noise, interface=True):
 
     def sample(self, key: Array, mean, parameters, frame):
         of_white, of_states = jax.random.split(key)
-        slow = drawn(of_states, *self._blocks(parameters, frame.step, self.followed(frame)))
+        slow = drawn(of_states, self.states(parameters, frame.step, self.followed(frame)))
         own = jnp.sqrt(self._own_variance(parameters, frame))
         return mean + own * jax.random.normal(of_white, mean.shape) + slow
 
