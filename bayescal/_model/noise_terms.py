@@ -75,13 +75,11 @@ class NoiseTerm(abc.ABC):
 
     Attributes:
         words: as a person reads it.
-        output: which of its states a reading shows.
         symbol: of IEEE 952, where its first unknown is that coefficient.
         bounded: whether its states hang on the bounds of the record.
     """
 
     words: ClassVar[str]
-    output: ClassVar[tuple[int, ...]] = (0,)
     symbol: ClassVar[str] = ""
     bounded: ClassVar[bool] = False
 
@@ -134,8 +132,6 @@ class NoiseTerm(abc.ABC):
 
 class ExponentialTerm(NoiseTerm):
     """A sum of independent Ornstein–Uhlenbeck processes, which a reading shows together."""
-
-    output: ClassVar[Any] = ...
 
     @abc.abstractmethod
     def processes(self, values: Values, bounds: Bounds) -> list[tuple[Any, Any]]:
@@ -447,7 +443,6 @@ class RoundedAngleTerm(NoiseTerm):
     """
 
     words: ClassVar[str] = "quantisation"
-    output: ClassVar[tuple[int, ...]] = (0, 1)
     symbol: ClassVar[str] = "Q"
     bounded: ClassVar[bool] = True
 
@@ -483,7 +478,6 @@ class AveragingTerm(NoiseTerm):
     """
 
     words: ClassVar[str] = "averaging"
-    output: ClassVar[tuple[int, ...]] = (0, 1)
 
     def parameters(self, bounds: Bounds) -> dict[str, Any]:
         return {"noise.averaging": bounds.correlated}
@@ -506,7 +500,7 @@ def _of_errors(size: Any, passed: float, h: Float[Array, "n"]) -> Block:
     """Errors of one size, each shown by its own reading and, times `passed`, by the next."""
     nothing, new = 0.0 * h, size + 0.0 * h
     carry = pairs(nothing, nothing, passed + nothing, nothing)
-    return Block(carry, pairs(new, nothing, nothing, nothing), size * jnp.eye(2))
+    return Block(carry, pairs(new, nothing, nothing, nothing), size * jnp.eye(2), shown=True)
 
 
 def allan_of_exponential(m: Float[np.ndarray, "k"], a: Any) -> Any:

@@ -18,11 +18,13 @@ class Block(NamedTuple):
         carry: what is kept of each state, by all (n, k, k).
         root: what is new is `root` times independent standard normal numbers (n, k, k).
         start: a root of the stationary covariance (k, k).
+        shown: whether a reading shows all of them together, or the first alone.
     """
 
     carry: Float[Array, "n k k"]
     root: Float[Array, "n k k"]
     start: Float[Array, "k k"]
+    shown: bool = False
 
 
 def exponential(time: Any, variance: Any, h: Float[Array, "n"]) -> Block:
@@ -33,7 +35,8 @@ def exponential(time: Any, variance: Any, h: Float[Array, "n"]) -> Block:
     # there: automatic differentiation computes both branches, and 0·∞ is no number.
     fall = jnp.where(steps > 0, -jnp.expm1(-2 * steps), 0.0)
     root = jnp.where(fall > 0, jnp.sqrt(jnp.where(fall > 0, fall, 1.0)), 0.0)
-    return Block(jnp.exp(-steps)[..., None] * each, (size * root)[..., None] * each, size * each)
+    kept, new = jnp.exp(-steps)[..., None] * each, (size * root)[..., None] * each
+    return Block(kept, new, size * each, shown=True)
 
 
 def pairs(a: Array, b: Array, c: Array, d: Array) -> Float[Array, "n 2 2"]:
@@ -55,19 +58,19 @@ class States(NamedTuple):
     shown: Float[np.ndarray, "p"]
 
 
-def states_of(
-    blocks: Sequence[Block], step: Float[Array, "n"], shown: Float[np.ndarray, "p"]
-) -> States:
+def states_of(blocks: Sequence[Block], step: Float[Array, "n"]) -> States:
     """The states of blocks over steps, s; −1 where they begin.
 
     There nothing is kept and the states have their stationary covariance: runs are independent.
     """
-    first, count, at = (step < 0)[:, None, None], len(shown), 0
+    first, at, count = (step < 0)[:, None, None], 0, sum(len(block.start) for block in blocks)
     carry = root = jnp.zeros((step.shape[0], count, count))
+    shown = np.zeros(count)
     for block in blocks:
-        own = slice(at, at + block.start.shape[0])
+        own = slice(at, at + len(block.start))
         carry = carry.at[:, own, own].set(jnp.where(first, 0.0, block.carry))
         root = root.at[:, own, own].set(jnp.where(first, block.start, block.root))
+        shown[own if block.shown else at] = 1.0
         at = own.stop
     return States(carry, root, shown)
 

@@ -172,8 +172,7 @@ class SumOfTerms(Noise, interface=True):
         parameters = parameters if z is None else {**parameters, self.column: z}
         h = jnp.maximum(step, 0.0)
         blocks = [part.block(parameters, self.bounds, h) for part in self.parts]
-        shown = [_shown(p, b.start.shape[0]) for p, b in zip(self.parts, blocks, strict=True)]
-        return states_of(blocks, step, np.concatenate(shown))
+        return states_of(blocks, step)
 
     def whiten(self, columns, extra, parameters, frame):
         states = self.states(parameters, frame.step, self.followed(frame))
@@ -324,13 +323,6 @@ class OrnsteinUhlenbeck(SumOfTerms):
 def _parts(terms: tuple[str, ...]) -> tuple[NoiseTerm, ...]:
     place = itertools.count(1)  # of Ornstein–Uhlenbeck terms, which are told by it
     return tuple(CorrelatedTerm(next(place)) if t == "correlated" else TERMS[t]() for t in terms)
-
-
-def _shown(part: NoiseTerm, count: int) -> Float[np.ndarray, "k"]:
-    """1 for each of its states that a reading shows."""
-    found = np.zeros(count)
-    found[part.output if part.output is ... else list(part.output)] = 1.0
-    return found
 
 
 def _start_of_scatter(frame: Frame, left: Float[np.ndarray, "n"], column: str) -> dict[str, float]:
