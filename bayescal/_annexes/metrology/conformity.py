@@ -250,6 +250,12 @@ class DrawnQuantity:
         middle = self.values.mean(axis=0)
         return float(middle.min()), float(middle.max())
 
+    @property
+    def uncertainty(self) -> float:
+        """Standard uncertainty; over a range, the larger of its two ends."""
+        low, high = self.values.min(axis=1), self.values.max(axis=1)
+        return float(max(np.std(low, ddof=1), np.std(high, ddof=1)))
+
     @cached_property
     def ends(self) -> DrawnQuantity:
         """The same at its lowest and highest values alone, where readings scatter alike at all places."""
@@ -582,25 +588,20 @@ def _resolved(
     acting = {chosen.stimulus: chosen.unit, **inputs}
     known = acting | {n: u for n in readings.columns if (u := readings.unit(n)) and n not in acting}
     known.pop("output", None)
-    if span.name:
-        if span.name not in known:
-            raise InputError(
-                f"limit {limit.text!r}: {span.name!r} is no column of this calibration; there is: {', '.join(known)}"
-            )
-        name = span.name
-    else:
-        unit = span.unit or "1"
-        past = {i.name for i in chosen.inputs if i.kind in PAST}
-        meant = [n for n, u in acting.items() if same_dimension(u, unit) and n not in past]
-        meant = meant or [n for n, u in known.items() if same_dimension(u, unit)]
-        if len(meant) != 1:
-            several = f"several could be meant: {', '.join(meant)}"
-            could = several if meant else "no column is in that unit"
-            raise InputError(
-                f"limit {limit.text!r}: of which column is the range in {unit_label(unit) or 'plain numbers'}? "
-                f"{could}. Name it: over temperature -20..60 °C"
-            )
-        name = meant[0]
+    if span.name and span.name not in known:
+        raise InputError(
+            f"limit {limit.text!r}: {span.name!r} is no column of this calibration; there is: {', '.join(known)}"
+        )
+    past = {i.name for i in chosen.inputs if i.kind in PAST}
+    alike = {n for n, u in known.items() if same_dimension(u, span.unit or "1")}
+    meant = [span.name] if span.name else [n for n in acting if n in alike - past] or sorted(alike)
+    if len(meant) != 1:
+        several = f"several could be meant: {', '.join(meant)}"
+        raise InputError(
+            f"limit {limit.text!r}: of which column is the range in {unit_label(span.unit) or 'plain numbers'}? "
+            f"{several if meant else 'no column is in that unit'}. Name it: over temperature -20..60 °C"
+        )
+    (name,) = meant
     unit = known[name]
     if not same_dimension(span.unit or "1", unit):
         raise InputError(

@@ -28,7 +28,7 @@ from typing import Any, Literal, get_args
 
 import numpy as np
 
-from bayescal import Calibration, Effect, InputError
+from bayescal import Calibration, InputError
 from bayescal._annexes.metrology.conformity import (
     DrawnQuantity,
     GlobalRisks,
@@ -184,17 +184,13 @@ def _no_answer(quantity: LimitedQuantity, calibration: Calibration, stated: floa
         return f"{name} is one number of the model, which holds no change of it in time"
     if not quantity.follows_time:
         return f"the model cannot say when: nothing in it that acts on {name} changes with the time of the record"
+    # A form in time that the readings drew, which ends with them.
     shares = inclusion(calibration)
-    likely = (e for e in calibration.model.effects if shares[e.name] > 1 - stated)
-    forms = [e.name for e in likely if _describes_the_record(e)]
-    if forms:
-        return f"the model cannot say when: {forms[0]} describes the record and is no law of what comes after it"
+    for effect in calibration.model.effects:
+        drawn = effect.covariate == "time" and effect.is_placeholder
+        if drawn and shares[effect.name] > 1 - stated:
+            return f"the model cannot say when: {effect.name} describes the record and is no law of what comes after it"
     return ""
-
-
-def _describes_the_record(effect: Effect) -> bool:
-    """Whether an effect is a form in time that the readings drew, which ends with them."""
-    return effect.covariate == "time" and effect.is_placeholder
 
 
 def in_words(seconds: float) -> str:
@@ -545,7 +541,7 @@ def _decision(
     guarded = acceptance(drawn, limits, how.false_accept)
     accepted = guarded if how.rule == "guarded" else limits
     decision, why = _decided(calibration, quantity, drawn, p, how)
-    uncertainty = _uncertainty(drawn)
+    uncertainty = drawn.uncertainty
     notes = list(quantity.notes)
     within = accepted or Limits(math.inf, math.inf)  # where no estimate is accepted
     risks = None
@@ -638,16 +634,10 @@ def _alike(p: float, other: float, risk: float) -> bool:
     return same and abs(p - other) <= risk
 
 
-def _uncertainty(drawn: DrawnQuantity) -> float:
-    """Standard uncertainty; over a range, the larger of its two ends."""
-    low, high = drawn.values.min(axis=1), drawn.values.max(axis=1)
-    return float(max(np.std(low, ddof=1), np.std(high, ddof=1)))
-
-
 def capability_index(drawn: DrawnQuantity, limits: Limits) -> float | None:
     """Width of the tolerance over 4u (JCGM 106, 7.6); None with a single limit."""
     width = limits.high - limits.low
-    u = math.hypot(_uncertainty(drawn), float(drawn.scatter.max()))
+    u = math.hypot(drawn.uncertainty, float(drawn.scatter.max()))
     if math.isinf(width):
         return None
     return width / (4 * u) if u > 0 else math.inf
