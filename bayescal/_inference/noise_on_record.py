@@ -96,7 +96,7 @@ def whitening(
         left: what the expected output leaves of the readings: under a law that is not Gaussian each has the precision
             that it then shows (Gaussian scale mixture). None whitens by the variance.
     """
-    if law.gaussian and not law.even(record.frame):
+    if not law.independent:
         return Whitening(law, values, record, extra)
     if law.gaussian or left is None:
         return Independent(np.sqrt(variance(law, values, record) + extra))
@@ -215,6 +215,11 @@ def density_terms(
         left: output unit.
         extra: variance of each reading beside the law's, or a single zero.
     """
+    beside = None if not np.ndim(extra) else np.asarray(extra)
+    frame, own = widened(record.frame, beside), {n: _row(values[n]) for n in law.parameters()}
+    if (known := law.by_residual(left, own, frame)) is not None:
+        density, highest = (law.log_density(e, 0.0 * e, own, frame) for e in (left, 0.0 * left))
+        return Terms(density, highest, *known)
     if left.ndim == 1:
         return Terms(*_of_readings(_terms, law, values, record, extra, record.y, left))
     # Of few lengths, so that no program is compiled for each number of φ.
@@ -236,27 +241,6 @@ def _densities(law: Noise, frame: Frame, y, left, extra, values):
     return jax.lax.map(of, (left, extra, values))
 
 
-@program
-def _totals(law: Noise, frame: Frame, y, left, extra, values, size):
-    counted = jnp.arange(frame.size) < size
-
-    def of(left, extra, own):
-        found = log_density_beside(law, y, y - left, extra, own, frame)
-        return jnp.sum(jnp.where(counted, found, 0.0))
-
-    if left.shape[0] == 1 and extra is None:
-        return jax.lax.map(lambda own: of(left[0], None, own), values)
-    return jax.lax.map(lambda one: of(*one), (left, extra, values))
-
-
-@program
-def _variances(law: Noise, frame: Frame, values):
-    def one(own):
-        return jnp.broadcast_to(law.variance(own, frame), (frame.size,))
-
-    return jax.lax.map(one, values)
-
-
 @partial(program, costly=True)  # a random number costs as much as hundreds of sums
 def _samples(law: Noise, frame: Frame, means, keys, values):
     def one(given):
@@ -275,13 +259,14 @@ def variance(law: Noise, values: Values, record: Record) -> Float[np.ndarray, "n
     """Of each reading about the expected output, output unit squared."""
     if law.even(record.frame):
         return np.full(record.size, float(law.shared_variance(values)))
-    own = {n: np.atleast_1d(np.asarray(values[n], float)) for n in law.parameters()}
-    return variances(law, own, record)[0]
+    return variances(law, values, record)[0]
 
 
 def variances(law: Noise, hyper: Each, record: Record) -> Float[np.ndarray, "b n"]:
     """The same for several draws."""
-    return _by_draws(_variances, law, record, hyper)
+    own = {n: _row(np.atleast_1d(hyper[n])) for n in law.parameters()}
+    found = np.asarray(law.variance(own, record.frame))
+    return np.broadcast_to(found, (*np.broadcast_shapes(found.shape[:-1], (1,)), record.size))
 
 
 def log_densities(
@@ -296,15 +281,38 @@ def log_densities(
         hyper: φ by name, one value a draw.
         extra: variance of each reading beside the law's (b, n), or a single zero.
     """
+    if law.independent:
+        return _on_host(law, record, left, hyper, extra)
     y = record.longer(_forth(law, record, record.y, 0))
     beside = extra if np.ndim(extra) else None
     return _by_draws(_densities, law, record, hyper, left, beside, fixed=(y,))
+
+
+def _row(values: Any) -> Any:
+    """One number a draw as a column, beside readings in a row."""
+    values = np.asarray(values, float)
+    return values[..., None] if values.ndim else values
+
+
+def _on_host(
+    law: Noise, record: Record, left: Float[np.ndarray, "b n"], hyper: Each, extra: Any
+) -> Float[np.ndarray, "b n"]:
+    """`log_densities` of independent readings, without a program."""
+    if law.gaussian:
+        variance = variances(law, hyper, record) + extra
+        return -0.5 * (left**2 / variance + np.log(variance) + LOG_2PI)
+    frame = widened(record.frame, np.asarray(extra) if np.ndim(extra) else None)
+    own = {n: _row(np.atleast_1d(hyper[n])) for n in law.parameters()}
+    return np.asarray(law.log_density(record.y, record.y - left, own, frame))
 
 
 def samples(
     law: Noise, record: Record, means: Float[np.ndarray, "b n"], hyper: Each, seed: int
 ) -> Float[np.ndarray, "b n"]:
     """Readings drawn about expected outputs."""
+    if law.independent and law.gaussian:
+        normal = np.random.default_rng(seed).standard_normal(means.shape)
+        return means + np.sqrt(variances(law, hyper, record)) * normal
     # A key does not hang on the number of keys: one program makes those of most numbers of draws.
     count = -(-len(means) // KEYS_TOGETHER) * KEYS_TOGETHER
     keys = np.asarray(_keys(np.uint32(seed), count))[: len(means)]
@@ -362,22 +370,9 @@ def total_log_density(
     """The sum of `log_densities` over readings; what is left may be one for all draws (1, n)."""
     names = list(law.parameters())
     count = max([*(np.size(hyper[n]) for n in names), len(left)])
-    own = {n: np.broadcast_to(np.asarray(hyper[n], float), (count,)) for n in names}
-    y = record.longer(_forth(law, record, record.y, 0))
-    left, found = _forth(law, record, left, 1), np.empty(count)
-    together = (
-        FEWEST_DRAWS_TOGETHER
-        if count <= 8 * FEWEST_DRAWS_TOGETHER
-        else max(FEWEST_DRAWS_TOGETHER, min(256, CELLS // record.padded_size))
-    )
-    beside = _longer(record, _forth(law, record, extra, 1)) if np.ndim(extra) else None
-    single = record.longer(left[0])[None] if len(left) == 1 and beside is None else None
-    for start in range(0, count, together):
-        pick = np.minimum(start + np.arange(together), count - 1)
-        some = record.longer(left[pick]) if single is None else single
-        values = {n: v[pick] for n, v in own.items()}
-        more = beside if beside is None else beside[pick]
-        made = _totals(*record.for_law(law), y, some, more, values, np.float64(record.size))
-        stop = min(start + together, count)
-        found[start:stop] = np.asarray(made)[: stop - start]
-    return found
+    own, found = {n: np.broadcast_to(hyper[n], (count,)) for n in names}, []
+    for some in np.array_split(np.arange(count), -(-count * record.size // CELLS)):
+        beside = extra[some] if np.ndim(extra) else extra
+        here, values = left[some] if len(left) > 1 else left, {n: v[some] for n, v in own.items()}
+        found.append(log_densities(law, record, here, values, beside).sum(axis=1))
+    return np.concatenate(found)

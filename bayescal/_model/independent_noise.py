@@ -9,10 +9,10 @@ from typing import Any, ClassVar
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax.scipy.special import betainc, gammaln
+from jax.scipy.special import betainc
 from jaxtyping import Array, Float
 
-from bayescal._core.xp import xp
+from bayescal._core.xp import special_of, xp
 from bayescal._data.column import UNCERTAINTY
 from bayescal._model.frame import Frame, measured_column, reference_name
 from bayescal._model.noise_law import (
@@ -231,14 +231,20 @@ class StudentT(Noise):
 
     def variance(self, parameters, frame):
         # Student-t of scale s and ν degrees of freedom has the variance s²·ν/(ν − 2).
-        freedom = jnp.maximum(parameters[FREEDOM], LEAST_FREEDOM)
+        freedom = xp.maximum(parameters[FREEDOM], LEAST_FREEDOM)
         return own_variance(parameters, frame) * freedom / (freedom - 2)
 
     def log_density(self, y, mean, parameters, frame):
         freedom, squared = parameters[FREEDOM], own_variance(parameters, frame)
-        half = 0.5 * (freedom + 1)
-        norm = gammaln(half) - gammaln(0.5 * freedom) - 0.5 * jnp.log(jnp.pi * freedom * squared)
-        return norm - half * jnp.log1p((y - mean) ** 2 / (freedom * squared))
+        half, gammaln = 0.5 * (freedom + 1), special_of((freedom, mean)).gammaln
+        norm = gammaln(half) - gammaln(0.5 * freedom) - 0.5 * xp.log(xp.pi * freedom * squared)
+        return norm - half * xp.log1p((y - mean) ** 2 / (freedom * squared))
+
+    def by_residual(self, left, parameters, frame):
+        freedom = parameters[FREEDOM]
+        scale, square = freedom * own_variance(parameters, frame), left**2
+        whole = scale + square
+        return (freedom + 1) * left / whole, (freedom + 1) * (scale - square) / whole**2
 
     def normal_scores(self, left, parameters, frame):
         # P(T < −t) = ½·I_{ν/(ν + t²)}(ν/2, ½)

@@ -25,6 +25,7 @@ from jax.scipy.special import ndtri
 from jaxtyping import Array, Float
 from typing_extensions import dataclass_transform
 
+from bayescal._core.xp import xp
 from bayescal._data.column import UNCERTAINTY
 from bayescal._model.frame import Frame
 from bayescal._model.prior import KINDS, Positive
@@ -153,6 +154,12 @@ class Noise(abc.ABC):
     ) -> Float[Array, "n"]:
         """Log density of each reading; given those before it in its run, where they are not independent."""
         return _by_whitening(self, y - mean, 0.0, parameters, frame)
+
+    def by_residual(
+        self, left: Float[np.ndarray, "*b n"], parameters: Parameters, frame: Frame
+    ) -> tuple[Any, Any] | None:
+        """Return −∂/∂left and −∂²/∂left² of the log density of independent readings; None: by JAX."""
+        return None
 
     def sample(
         self, key: Array, mean: Float[Array, "n"], parameters: Parameters, frame: Frame
@@ -297,7 +304,7 @@ def widened(frame: Frame, extra: Float[Array, "n"] | None) -> Frame:
     if extra is None:
         return frame
     known = frame.columns[UNCERTAINTY] ** 2 if UNCERTAINTY in frame.columns else 0.0
-    return replace(frame, columns={**frame.columns, UNCERTAINTY: jnp.sqrt(known + extra)})
+    return replace(frame, columns={**frame.columns, UNCERTAINTY: xp.sqrt(known + extra)})
 
 
 def in_time(
@@ -367,4 +374,4 @@ def scores_of_tails(lower: Float[Array, "n"], left: Float[Array, "n"]) -> Float[
 def own_variance(parameters: Parameters, frame: Frame) -> Float[Array, "n"]:
     """Variance of each reading by itself: that of the white part, and what is known beforehand."""
     known = frame.columns[UNCERTAINTY] ** 2 if UNCERTAINTY in frame.columns else 0.0
-    return jnp.broadcast_to(parameters[WHITE] ** 2 + known, (frame.size,))
+    return parameters[WHITE] ** 2 + known + xp.zeros(frame.size)
