@@ -75,13 +75,12 @@ class Part(Record):
         super().__init__(whole.instrument, frame, whole.y[rows], plain=whole.plain)
         self.whole, self.rows = whole, rows
 
-    def _computed(self, effect: ColumnsOf, values: Sequence[np.ndarray], moves, *program) -> Any:
-        return self.whole._computed(effect, values, self._spread(moves), *program)[:, self.rows]
+    def _computed(self, effect: ColumnsOf, values: Sequence[np.ndarray], moves) -> Any:
+        return self.whole._computed(effect, values, self._spread(moves))[:, self.rows]
 
-    def moved_columns(
-        self, effect: ColumnsOf, values: tuple[float, ...], moves: Mapping[str, np.ndarray]
-    ) -> tuple[Float[np.ndarray, "n k"], dict[str, Float[np.ndarray, "n k"]]]:
-        return self._kept(self.whole.moved_columns(effect, values, self._spread(moves)))
+    def moved_columns_of_draws(self, effect: ColumnsOf, values: Sequence[Any], moves) -> Any:
+        found, slopes = self.whole.moved_columns_of_draws(effect, values, self._spread(moves))
+        return found[..., self.rows, :], {name: s[..., self.rows, :] for name, s in slopes.items()}
 
     @cached_property
     def affine(self) -> tuple[np.ndarray, dict[str, np.ndarray]] | None:

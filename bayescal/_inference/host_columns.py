@@ -30,7 +30,9 @@ class HostColumns:
     def __init__(self, frame: Frame) -> None:
         self.frame = frame
         self._traced = set[Any]()  # bases that are JAX's
-        self._singly = set[Any]()  # and those that take one value of a shape at a time
+        self._together = dict[
+            Any, bool
+        ]()  # whether others take several values of a shape at a time
 
     def at(
         self, basis: Basis, shapes: Mapping[str, Any], moves: Mapping[str, np.ndarray]
@@ -62,17 +64,17 @@ class HostColumns:
             here = slice(start, min(size, start + step))
             own = {n: np.broadcast_to(v, (size,))[here] for n, v in shapes.items()}
             moved = {n: m[here] if m.ndim > 1 else m for n, m in moves.items()}
-            parts.append(self._together(basis, own, moved, here.stop - start))
+            parts.append(self._part(basis, own, moved, here.stop - start))
         return None if any(p is None for p in parts) else np.concatenate(parts)
 
-    def _together(
+    def _part(
         self, basis: Basis, shapes: Mapping[str, Any], moves: Mapping[str, Any], size: int
     ) -> Float[np.ndarray, "s n k"] | None:
         def one(i: int) -> Float[np.ndarray, "n k"] | None:
             moved = {n: m[i] if m.ndim > 1 else m for n, m in moves.items()}
             return self.at(basis, {n: v[i] for n, v in shapes.items()}, moved)
 
-        if basis not in self._singly:
+        if size > 1 and self._together.get(basis, True):
             try:
                 leading = {n: v[:, None] for n, v in shapes.items()}
                 made = self._made(basis, leading, moves, (size,))
@@ -81,11 +83,13 @@ class HostColumns:
             if basis in self._traced:
                 return None
             # A basis that was written for one value may return the right shape by chance.
-            if made is not None and np.allclose(
-                made[-1], one(size - 1), rtol=1e-12, atol=0, equal_nan=True
-            ):  # pyright: ignore[reportArgumentType]
+            if made is not None and basis not in self._together:
+                alone = one(size - 1)
+                alike = np.allclose(made[-1], alone, rtol=1e-12, atol=0, equal_nan=True)  # pyright: ignore[reportArgumentType]
+                self._together[basis] = alike
+            if made is not None and self._together[basis]:
                 return made
-            self._singly.add(basis)
+            self._together[basis] = False
         rows = [one(i) for i in range(size)]
         return None if any(row is None for row in rows) else np.array(rows)
 

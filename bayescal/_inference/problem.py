@@ -46,8 +46,11 @@ class Host:
             if sloped:
                 return record.moved_columns_of_draws(of, shapes, moves)
             return record.columns_of_draws(of, shapes, moves), {}
-        at = tuple(map(float, shapes))
-        return record.moved_columns(of, at, moves) if moves else (record.columns(of, at), {})
+        if not moves:
+            return record.columns(of, tuple(map(float, shapes))), {}
+        one = [np.atleast_1d(float(s)) for s in shapes], {n: m[None] for n, m in moves.items()}
+        found, slopes = record.moved_columns_of_draws(of, *one)
+        return found[0], {n: slope[0] for n, slope in slopes.items()}
 
     def response(self, slots: dict, moves: dict) -> np.ndarray:
         if _one(slots, moves):

@@ -115,34 +115,6 @@ def fixed_columns(basis: Basis, frame: Frame) -> Float[Array, "n k"]:
 
 
 @program
-def shaped_columns(
-    basis: Basis, frame: Frame, shapes: ByName, moves: ByName, held: ByName
-) -> tuple[Array, dict[str, Array]]:
-    """Columns (n, k) at some shapes and with columns of the readings moved, and their derivatives by `moves` alone."""
-    frame = _moved(frame, held)
-
-    def at(moves):
-        return matrix(*basis, _moved(frame, moves), shapes)
-
-    zero = {name: jnp.zeros_like(shift) for name, shift in moves.items()}
-    slopes = {
-        name: jax.jvp(at, (moves,), ({**zero, name: jnp.ones_like(shift)},))[1]
-        for name, shift in moves.items()
-    }
-    return at(moves), slopes
-
-
-@program
-def moved_columns_along(
-    basis: Basis, frame: Frame, shapes: ByName, moves: ByName
-) -> tuple[Array, dict[str, Array]]:
-    """`shaped_columns` at several values of the shapes and moves, one after the other."""
-    return jax.lax.map(
-        lambda one: shaped_columns.__wrapped__(basis, frame, *one, {}), (shapes, moves)
-    )
-
-
-@program
 def columns_along(basis: Basis, frame: Frame, shapes: ByName, moves: ByName) -> Array:
     """Columns (s, n, k) at several values of the shapes and moves, some side by side."""
 

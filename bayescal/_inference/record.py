@@ -30,6 +30,7 @@ from bayescal._model.noise_law import Noise
 from bayescal._model.terms import ColumnsOf
 
 KEPT_BYTES = 256 * 2**20  # bytes of columns at shapes, of which the latest are kept
+DIFFERENCE = 1e-4  # of the range of a column, for slopes by it
 AFFINE = 1e-9  # change of a slope, relative to the largest, up to which it does not change
 DRAWS_A_CALL = 48  # draws in one call of a program, or half of that,
 CALL_NUMBERS = 16_384  # and more of a short record: draws times readings, up to which the call itself is what costs
@@ -209,7 +210,7 @@ class Record:
         key = (effect.key, values)
         found = self._shaped.pop(key, None)
         if found is None:
-            found = self.moved_columns(effect, values, {})[0]
+            found = self._computed(effect, [np.array([v]) for v in values], {})[0]
             self._bytes += found.nbytes
             while self._bytes > KEPT_BYTES and self._shaped:
                 self._bytes -= self._shaped.popitem(last=False)[1].nbytes
@@ -223,19 +224,6 @@ class Record:
             self._fixed[key] = np.asarray(made)[: self.size]
         return self._fixed[key]
 
-    def moved_columns(
-        self, effect: ColumnsOf, values: tuple[float, ...], moves: Mapping[str, np.ndarray]
-    ) -> tuple[Float[np.ndarray, "n k"], dict[str, Float[np.ndarray, "n k"]]]:
-        """Columns where columns of the readings are corrected by `moves`, and their slopes by these moves."""
-        named = {name: np.float64(v) for name, v in zip(effect.own, values, strict=False)}
-        corrected = self._corrected(effect, values)
-        if not moves and (made := self.on_host.at(effect.basis, named, corrected)) is not None:
-            return made, {}
-        both = self._longer(moves), self._longer(corrected)
-        made, slopes = programs.shaped_columns(effect.basis, self.padded, named, *both)
-        sloped = {name: np.asarray(a)[: self.size] for name, a in slopes.items()}
-        return np.asarray(made)[: self.size], sloped
-
     def response(
         self, slots: Mapping[str, np.ndarray], moves: Mapping[str, np.ndarray]
     ) -> tuple[Float[np.ndarray, "n"], dict[str, Float[np.ndarray, "n"]]]:
@@ -243,7 +231,33 @@ class Record:
         if not moves and self.affine is not None:
             base, slopes = self.affine
             return sum((slopes[name] * value for name, value in slots.items()), base), slopes
-        return self._response(slots, moves)
+        return (
+            self._response(slots, moves) if self._host_affine is None else self._moved(slots, moves)
+        )
+
+    def _respond(self, slots: Mapping[str, Any], moves: Mapping[str, np.ndarray]) -> Any:
+        """The response by NumPy, columns of the readings moved."""
+        frame = self.frame
+        for name, shift in moves.items():
+            frame = frame.with_column(name, frame[name] + shift)
+        every = {name: slots.get(name, np.zeros(self.size)) for name in self.slots}
+        made = self.instrument.response(every, frame)
+        return np.broadcast_to(made, np.broadcast_shapes(np.shape(made), (self.size,)))
+
+    def _moved(
+        self, slots: Mapping[str, np.ndarray], moves: Mapping[str, np.ndarray]
+    ) -> tuple[Float[np.ndarray, "*b n"], dict[str, Any]]:
+        """An affine output and its slopes by NumPy: by slots what an imaginary one adds, by moves differences."""
+        slopes = {n: self._respond({n: np.full(self.size, 1j)}, moves).imag for n in self.slots}
+        for name, shift in moves.items():
+            h = self._difference(name)
+            up, down = (self._respond(slots, {**moves, name: shift + s}) for s in (h, -h))
+            slopes[name] = (up - down) / (2 * h)
+        return self._respond(slots, moves), slopes
+
+    def _difference(self, column: str) -> float:
+        """A step for slopes by a column."""
+        return DIFFERENCE * (float(np.ptp(self.frame[column])) or 1.0)
 
     def _response(self, slots, moves):
         """The last one is kept: a mode's value, its products and its residuals ask for the same point."""
@@ -265,7 +279,7 @@ class Record:
         """
         if isinstance(self.of, Record):
             return self.of.affine
-        if (found := self._affine_on_host()) is not None:
+        if (found := self._host_affine) is not None:
             return found
         base, slopes = self._response({}, {})
         for slots in self._random_slots(slopes):
@@ -278,20 +292,17 @@ class Record:
                     return None
         return base, slopes
 
-    def _affine_on_host(self) -> tuple[np.ndarray, dict[str, np.ndarray]] | None:
-        """The same by NumPy, slopes as what an imaginary slot adds; None where the response is JAX's, or not affine."""
-
-        def respond(slots: Mapping[str, Any]) -> Any:
-            every = {name: slots.get(name, np.zeros(self.size)) for name in self.slots}
-            return np.broadcast_to(self.instrument.response(every, self.frame), (self.size,))
-
+    @cached_property
+    def _host_affine(self) -> tuple[np.ndarray, dict[str, np.ndarray]] | None:
+        """The same by NumPy; None where the response is JAX's, or not affine."""
+        if isinstance(self.of, Record):
+            return self.of._host_affine
         try:
             with np.errstate(all="ignore"):
-                base = respond({})
-                slopes = {n: respond({n: np.full(self.size, 1j)}).imag for n in self.slots}
+                base, slopes = self._moved({}, {})
                 for slots in self._random_slots(slopes):
                     change = sum((slopes[n] * v for n, v in slots.items()), np.zeros(self.size))
-                    miss = np.abs(respond(slots) - base - change)
+                    miss = np.abs(self._respond(slots, {}) - base - change)
                     if not np.max(miss) <= AFFINE * np.max(np.abs(change)):
                         return None
         except Exception:  # of numbers that it cannot take
@@ -324,17 +335,14 @@ class Record:
         values = _one_a_draw(values, moves)
         return self._computed(effect, values, moves)
 
-    def _computed(
-        self, effect: ColumnsOf, values: Sequence[np.ndarray], moves, program=programs.columns_along
-    ) -> Any:
+    def _computed(self, effect: ColumnsOf, values: Sequence[np.ndarray], moves) -> Any:
         count = max(len(v) for v in (*values, *moves.values()))
-        moves = {**moves, **self._corrected(effect, values)}
-        shapes = dict(zip(effect.own, values, strict=False))
-        if program is programs.columns_along:
-            own = {n: np.broadcast_to(v, (count,)) for n, v in shapes.items()}
-            if (made := self.on_host.along(effect.basis, own, moves)) is not None:
-                return made
-        return self._together(program, effect.basis, count, shapes, moves)
+        for name, shift in self._corrected(effect, values).items():
+            moves = {**moves, name: moves.get(name, 0.0) + shift}
+        shapes = {n: np.broadcast_to(v, (count,)) for n, v in zip(effect.own, values, strict=False)}
+        if (made := self.on_host.along(effect.basis, shapes, moves)) is not None:
+            return made
+        return self._together(programs.columns_along, effect.basis, count, shapes, moves)
 
     def _corrected(
         self, effect: ColumnsOf, values: Sequence[Any]
@@ -353,11 +361,14 @@ class Record:
         return found
 
     def moved_columns_of_draws(self, effect: ColumnsOf, values: Sequence[Any], moves) -> Any:
-        """Columns as `columns_of_draws`, and their slopes by the moves, (b, n, k) each."""
-        if not moves:
-            return self.columns_of_draws(effect, values, moves), {}
-        values = _one_a_draw(values, moves)
-        return self._computed(effect, values, moves, programs.moved_columns_along)
+        """Columns as `columns_of_draws`, and by differences their slopes by the moves, (b, n, k) each."""
+        slopes = {}
+        for name, shift in moves.items():
+            h = self._difference(name)
+            ends = ({**moves, name: shift + s} for s in (h, -h))
+            up, down = (self.columns_of_draws(effect, values, end) for end in ends)
+            slopes[name] = (up - down) / (2 * h)
+        return self.columns_of_draws(effect, values, moves), slopes
 
     def _together(self, program, what: Any, count: int, *both: Mapping[str, np.ndarray]) -> Any:
         """What a program gives for `count` draws, computed in stretches, without what these were padded with."""
@@ -382,6 +393,8 @@ class Record:
         if not moves and self.affine is not None:
             base, slopes = self.affine
             return base + sum(slopes[name] * value for name, value in slots.items())
+        if self._host_affine is not None:
+            return self._respond(slots, moves)
         count = len(next(iter(slots.values())))
         return self._together(programs.responses, self.instrument.response, count, slots, moves)
 
@@ -391,6 +404,8 @@ class Record:
         """Expected outputs of several draws, and their slopes by each slot and moved column, (b, n) or (n,)."""
         if self.affine is not None and not moves:
             return self.several(slots, {}), self.affine[1]
+        if self._host_affine is not None:
+            return self._moved(slots, moves)
         count = len(next(iter(slots.values())))
         return self._together(programs.slopes_of_draws, self._what, count, slots, moves)
 
