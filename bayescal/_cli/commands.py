@@ -12,12 +12,10 @@ from __future__ import annotations
 import inspect
 import shutil
 import sys
-from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
 from importlib.metadata import entry_points
 from pathlib import Path
-from typing import Any
 
 import bayescal as bc
 from bayescal._cli import options, request, saved
@@ -137,12 +135,13 @@ def pairs(
     """Rank pairs of devices by their probability to be the best."""
     asked = ReadRequest(instrument, files, columns, ModelOptions(add=add), average)
     chosen, model, readings = request.open_request(asked)
-    select = offered(PAIR_SELECTIONS, chosen.name)
-    if select is None:
+    offers = [*entry_points(group=PAIR_SELECTIONS, name=chosen.name)]
+    if not offers:
         raise InputError(f"instrument {chosen.name!r} does not choose its devices in pairs")
     print_notes(readings.flags)
     fitted = bc.fit(model, readings, seed=seed, strict=False)
     verdict = fitted.verdict
+    select = offers[0].load()
     return Answer(select(fitted, criterion=criterion), ok=verdict.ok, why=" ".join(verdict.reasons))
 
 
@@ -166,13 +165,6 @@ def demo(out: Path = Path("demo_output"), seed: int = 0, json_: bool = False) ->
         return f"{of_demo}\nthe picture: {out / 'loop.png'}\nwith readings of your own: {line}"
 
     return replace(found, written=written)
-
-
-def offered(group: str, instrument: str) -> Callable[..., Any] | None:
-    """What an installed package offers in a group for the instrument of this name; None where none does."""
-    for found in entry_points(group=group, name=instrument):
-        return found.load()
-    return None
 
 
 @commands.example("bayescal calibrate readings.csv --instrument mems_gyro --out result")

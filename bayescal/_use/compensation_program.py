@@ -189,12 +189,17 @@ def gathered(
         InputError: a column that is needed is missing, columns are of different lengths, or there are dates and no
             epoch.
     """
-    columns = {n: _since(v, epoch) for n, v in columns.items()}
+    arrays = {n: np.atleast_1d(np.asarray(v)) for n, v in columns.items()}
+    for name in (n for n, array in arrays.items() if array.dtype.kind == "M"):
+        if epoch is None:
+            raise InputError("dates are given, and the calibration's times have none: give seconds")
+        seconds = arrays[name].astype("datetime64[us]").astype(np.int64) * 1e-6
+        arrays[name] = seconds - epoch
     if readings is not None:
-        columns = {n: readings[n] for n in readings.columns if readings.unit(n)} | columns
-    if "output" not in columns:
+        arrays = {n: readings[n] for n in readings.columns if readings.unit(n)} | arrays
+    if "output" not in arrays:
         raise InputError("the column 'output' is missing: give the readings to compensate")
-    arrays = {n: np.atleast_1d(np.asarray(v, dtype=float)) for n, v in columns.items()}
+    arrays = {n: array.astype(float) for n, array in arrays.items()}
     try:
         given = dict(zip(arrays, np.broadcast_arrays(*arrays.values()), strict=True))
     except ValueError:
@@ -206,24 +211,20 @@ def gathered(
     record, needed = None, [i for i in inputs if i.kind != "column" and i.name not in given]
     if needed:
         record = _record(needed, readings, given)
-        given |= {i.name: _from_record(record, i) for i in needed}
+        for i in needed:
+            if i.kind in ("rate", "elapsed"):
+                own = record.rates[i.column] if i.kind == "rate" else record.elapsed
+                given[i.name] = np.asarray(own)
+            else:
+                assert i.tau is not None
+                given[i.name] = _lag_and_slope(record, i.tau, i.column)[i.kind == "lag slope"]
     for i in inputs:
         if i.name not in given:
             raise InputError(
                 f"the column {i.name!r} [{i.unit}] is missing, which this calibration needs (there are: "
-                f"{', '.join(sorted(columns))}). Record it, or fit a model without the effects that need it"
+                f"{', '.join(sorted(arrays))}). Record it, or fit a model without the effects that need it"
             )
     return given, record
-
-
-def _since(values: ArrayLike, epoch: float | None) -> ArrayLike:
-    """Convert dates to seconds since the epoch; numbers stay."""
-    array = np.asarray(values)
-    if array.dtype.kind != "M":
-        return values
-    if epoch is None:
-        raise InputError("dates are given, and the calibration's times have none: give seconds")
-    return array.astype("datetime64[us]").astype(np.int64) * 1e-6 - epoch
 
 
 def _record(
@@ -241,16 +242,6 @@ def _record(
         readings = Measurements({n: np.array(given[n]) for n in units}, units)
     held = {held_name(i.column): float(i.held) for i in needed}
     return build_frame(readings, held)
-
-
-def _from_record(record: Frame, wanted: Input) -> np.ndarray:
-    if wanted.kind == "rate":
-        return np.asarray(record.rates[wanted.column])
-    if wanted.kind == "elapsed":
-        return np.asarray(record.elapsed)
-    assert wanted.tau is not None
-    lag, slope = _lag_and_slope(record, wanted.tau, wanted.column)
-    return slope if wanted.kind == "lag slope" else lag
 
 
 def limits(span: tuple[float, float]) -> tuple[float, float]:

@@ -400,8 +400,7 @@ def compensator(
         raise InputError(f"draws={draws}: an uncertainty needs at least 2")
     whole = Compensator(calibration, equation_in_use(calibration, members), draws)
     needed = usual_columns(calibration).union(
-        calibration.model.noise.needs,
-        columns_read(calibration.model.instrument, calibration.frame),
+        calibration.model.noise.needs, columns_read(calibration.model.instrument, calibration.frame)
     )
     if all(needed.issuperset(e.columns) for e in calibration.model.effects):
         return whole
