@@ -232,7 +232,7 @@ def calibrate(
         if isinstance(found, bc.Channels):
             shown, why = channels_data(found) if json_ else channels_text(found), found.reason
         else:
-            text = "" if json_ else loop_text(found, own, told.begun, verbose, output_unit)
+            text = "" if json_ else loop_text(found, told.begun, verbose, output_unit)
             shown, why = result(found) if json_ else text, found.gate.reason
         answered = Answer(shown, ok=found.ok, why=why)
         if folder is None:
@@ -305,11 +305,10 @@ def discover(
     effects = request.own_effects(choice, loaded.model.instrument, loaded.readings)
     allowed = options.causes(ignore, covariates)
     found = bc.discover(loaded, effects=effects, max_effects=max_effects, **allowed)
-    from bayescal._cli.output import unexplained_text
     from bayescal._report.result_json import experiment_data, missing_data
 
     checked, end = bc.check(loaded), deadline.current()
-    text = f"{found}\n{unexplained_text(loaded, checked, effects)}".rstrip()
+    text = str(found)
     data = missing_data(found, 0, checked)
     if next_experiment and end.over:
         text += f"\n\nnext experiment: left out ({end.why})"

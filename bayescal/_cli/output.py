@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from bayescal._calibration.calibration import Calibration
-from bayescal._calibration.check_result import Check, check_parts
+from bayescal._calibration.check_result import check_parts
 from bayescal._calibration.claim import Claim
 from bayescal._calibration.predict import Prediction
 from bayescal._calibration.summary import directions_data, summary, unknowns_parts
@@ -105,25 +105,6 @@ def fit_data(calibration: Calibration) -> dict[str, Any]:
     }
 
 
-def unexplained_text(calibration: Calibration, check: Check, own: Sequence[Effect] = ()) -> str:
-    """Columns that the residuals depend on and that no known effect uses, a sentence each."""
-    instrument = calibration.model.instrument
-    known = (*instrument.known.values(), *calibration.model.effects, *own)
-    used = {"run", "time", *(column for effect in known for column in effect.columns)}
-    lines = []
-    for e in check.entries:
-        open_ = e.against not in used and calibration.readings.has(e.against)
-        if open_ and e.log_bayes_factor > settings().strong_evidence:
-            size = f"{abs(e.worst.size):.2g} {unit_label(check.unit)}"
-            lines.append(
-                f"unexplained: the residuals depend on {e.against} (up to {size}, log Bayes factor "
-                f"{e.log_bayes_factor:.1f}), which no effect of {instrument.name} uses; what is "
-                "found may only stand in for it. Write an effect of your own, and give it with "
-                "--effects."
-            )
-    return "\n".join(map(_filled, lines))
-
-
 def first_text(trail: SearchPath, verbose: bool = False) -> str:
     """`calibrate` as soon as the first model stands."""
     parts = check_parts(trail.steps[0].check, None if verbose else SHOWN_CHECKS)
@@ -159,7 +140,6 @@ class ConsoleReporter:
 
 def loop_text(
     trail: SearchPath,
-    own: Sequence[Effect] = (),
     begun: bool = False,
     verbose: bool = False,
     output_unit: str | None = None,
@@ -168,7 +148,6 @@ def loop_text(
 
     Args:
         trail: what it did.
-        own: effects of the user's own.
         begun: the first table stands already.
         verbose: with all candidates of every step, and drafts of effects.
         output_unit: in which errors and coefficients are said once more.
@@ -181,7 +160,6 @@ def loop_text(
     for i, step in enumerate(trail.steps if verbose else ()):
         head = f"WHAT IS MISSING FROM STEP {i} ({step.title})"
         parts.append(_headed(head, step.discovery or _not_asked(step)))
-    parts += [text] if (text := unexplained_text(final.calibration, final.check, own)) else []
     unknown = [e.name for e in final.calibration.model.effects if e.is_placeholder]
     for name in unknown if verbose else ():
         head = f"A FIRST DRAFT OF AN EFFECT IN PLACE OF {name} (edit it, give it with --effects)"
