@@ -13,7 +13,6 @@ import inspect
 import shutil
 import sys
 from dataclasses import replace
-from functools import partial
 from importlib.metadata import entry_points
 from pathlib import Path
 
@@ -159,12 +158,8 @@ def demo(out: Path = Path("demo_output"), seed: int = 0, json_: bool = False) ->
     called = sys.argv[0]
     own = "bayescal" if shutil.which("bayescal") == called else called
     line = f"{own} calibrate FILE.csv --instrument mems_gyro --out result"
-
-    def written() -> str:
-        of_demo = found.written() if found.written else ""
-        return f"{of_demo}\nthe picture: {out / 'loop.png'}\nwith readings of your own: {line}"
-
-    return replace(found, written=written)
+    more = f"the picture: {out / 'loop.png'}\nwith readings of your own: {line}"
+    return replace(found, written=f"{found.written}\n{more}")
 
 
 @commands.example("bayescal calibrate readings.csv --instrument mems_gyro --out result")
@@ -223,8 +218,14 @@ def calibrate(
             found = bc.calibrate_channels(models, readings, **how)
         else:
             found = bc.calibrate(models[name], first, holdout=kept.get(""), follow=told, **how)
+        made, written = True, ""
         if folder is not None:
             write_results(found, folder)
+            made = drawn(draw_search, searches_of(found), folder)
+            usual = ("result.json", CALIBRATION, AVERAGED, "loop.png", MANIFEST)
+            there = (n for n in usual if n in (*files_of(folder), MANIFEST))
+            listed = f"{CHANNELS}, and a folder for each channel" if names else ", ".join(there)
+            written = f"{folder}/{listed}"
         trails = found.trails if isinstance(found, bc.Channels) else {"": found}
         fitted = {n: t.final.calibration.readings for n, t in trails.items()}
         before = request.flags_of(readings)
@@ -234,18 +235,7 @@ def calibrate(
         else:
             text = "" if json_ else loop_text(found, told.begun, verbose, output_unit)
             shown, why = result(found) if json_ else text, found.gate.reason
-        answered = Answer(shown, ok=found.ok, why=why)
-        if folder is None:
-            return answered
-        usual = ("result.json", CALIBRATION, AVERAGED, "loop.png", MANIFEST)
-
-        def written() -> str:
-            if names:
-                return f"{folder}/{CHANNELS}, and a folder for each channel"
-            return f"{folder}/{', '.join(n for n in usual if n in (*files_of(folder), MANIFEST))}"
-
-        pictures = partial(drawn, draw_search, searches_of(found), folder)
-        return replace(answered, pictures=pictures, written=written)
+        return Answer(shown, ok=found.ok, why=why, made=made, written=written)
 
 
 @commands.example("bayescal fit readings.csv --instrument mems_gyro --out result")
@@ -273,12 +263,12 @@ def fit(
         if calibration.verdict.ok:
             calibration = calibration.with_verdict(against=calibration.conflicts)
         shown, verdict = fit_data(calibration) if json_ else calibration, calibration.verdict
-        answered = Answer(shown, ok=verdict.reliable, why=verdict.why_not)
-        if folder is None:
-            return answered
-        with whole_folder(folder, identity(calibration)) as hidden:
-            calibration.save(hidden / CALIBRATION)
-        return replace(answered, written=lambda: f"{folder / CALIBRATION}")
+        written = ""
+        if folder is not None:
+            with whole_folder(folder, identity(calibration)) as hidden:
+                calibration.save(hidden / CALIBRATION)
+            written = f"{folder / CALIBRATION}"
+        return Answer(shown, ok=verdict.reliable, why=verdict.why_not, written=written)
 
 
 @commands.example("bayescal check result/calibration.nc")
@@ -455,4 +445,4 @@ def noise(
             print(f"written: {', '.join(map(str, written))}")
         claims = ((name, claim) for name, one in found.items() for claim in one.claims)
         doubts = (f"{name}: {claim}" for name, claim in claims if claim.severity != "note")
-        return Answer(None, doubt=" ".join(doubts), pictures=lambda: made)
+        return Answer(None, doubt=" ".join(doubts), made=made)
