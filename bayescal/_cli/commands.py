@@ -15,10 +15,11 @@ import sys
 from dataclasses import replace
 from importlib.metadata import entry_points
 from pathlib import Path
+from typing import Any
 
 import bayescal as bc
 from bayescal._cli import options, request, saved
-from bayescal._cli.console import Answer, drawn, print_notes, print_result, result_folder
+from bayescal._cli.console import Answer, drawn, print_notes, result_folder
 from bayescal._cli.options import (
     ColumnOptions,
     Commands,
@@ -401,7 +402,6 @@ def noise(
     time_limit: float | None = None,
     seed: int = 0,
     out: Path | None = None,
-    json_: bool = False,
 ) -> Answer:
     """Estimate noise density, bias instability and random walk."""
     if not 0 < quantile < 1:
@@ -414,35 +414,32 @@ def noise(
         one = readings[""]
         readings = {next((s.output for s in one.sources if s.output), "output"): one}
     with result_folder(out) as folder:
-        found = {}
         print_notes(request.flags_of(readings))
-        channels = request.each_device(readings)
-        for i, (name, one) in enumerate(channels.items()):
-            with deadline.sooner(1 / (len(channels) - i)):
+        each, found, written = request.each_device(readings), dict[str, Any](), list[Path]()
+        for i, (name, one) in enumerate(each.items()):
+            with deadline.sooner(1 / (len(each) - i)):
                 found[name] = bc.noise(one, seed=seed)
-            if not json_:
-                print(f"{name}\n\n{found[name]}\n")
-        if json_:
-            print_result({name: one.data() for name, one in found.items()})
-        written = []
         if yaml is not None:
             text = first_offered("noise_file", "--yaml")(found, topic, quantile)
             written.append(write_text(text, yaml))
-        pictures = {f"noise_{place}.png": name for name, place in folders_of(found).items()}
 
-        def draw() -> None:
-            assert folder is not None
+        def draw(folder: Path) -> None:
+            from bayescal._report.plots import own_style
+
+            pictures = {f"noise_{place}.png": name for name, place in folders_of(found).items()}
             with drawing("The Allan deviation"), whole_folder(folder) as hidden:
-                from bayescal._report.plots import own_style
-
                 for picture, name in pictures.items():
                     with own_style():
                         bc.plot.save(bc.plot.noise(found[name]), hidden / picture)
             written.extend(folder / picture for picture in pictures)
 
-        made = folder is None or drawn(draw)
-        if written and not json_:
-            print(f"written: {', '.join(map(str, written))}")
+        made = folder is None or drawn(draw, folder)
         claims = ((name, claim) for name, one in found.items() for claim in one.claims)
         doubts = (f"{name}: {claim}" for name, claim in claims if claim.severity != "note")
-        return Answer(None, doubt=" ".join(doubts), made=made)
+        return Answer(
+            "\n\n".join(f"{name}\n\n{one}" for name, one in found.items()),
+            {name: one.data() for name, one in found.items()},
+            doubt=" ".join(doubts),
+            made=made,
+            written=", ".join(map(str, written)),
+        )

@@ -18,13 +18,6 @@ from bayescal._core.errors import InputError, NotDrawn
 from bayescal._core.quoting import one_line
 
 
-def print_result(result: Any) -> None:
-    """Data as JSON, anything else as the text that it prints as."""
-    if isinstance(result, dict | list):
-        result = json_text(as_json(result)).rstrip("\n")
-    print(result)
-
-
 def print_notes(notes: Iterable[str]) -> None:
     """What the user should know of and no reason to stop, on standard error."""
     for note in notes:
@@ -45,12 +38,14 @@ class Answer:
 
     def tell(self, json_: bool) -> bool:
         """Print it; whether it may be used and all was drawn: if not, the status is 1."""
-        if json_ and self.data is not None:
-            print_result(self.data)
-        elif json_ and hasattr(self.shown, "data"):
-            print_result(self.shown.data())
-        elif self.shown is not None:
-            print_result(self.shown)
+        shown = self.shown
+        if json_:
+            own = shown.data() if self.data is None and hasattr(shown, "data") else self.data
+            shown = shown if own is None else own
+        if isinstance(shown, dict | list):
+            shown = json_text(as_json(shown)).rstrip("\n")
+        if shown is not None:
+            print(shown)
         if self.written and not json_:
             print(f"\nwritten: {self.written}")
         if not self.ok:
