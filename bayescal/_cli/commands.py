@@ -206,12 +206,7 @@ def calibrate(
             output_factor(output_unit, first.unit("output") or "1", scale)
         from bayescal._cli.output import ConsoleReporter, channels_text, loop_text
         from bayescal._report.result_json import result
-        from bayescal._report.save_search import (
-            channels_data,
-            draw_search,
-            searches_of,
-            write_results,
-        )
+        from bayescal._report.save_search import channels_data
 
         told = ConsoleReporter(json_ or bool(names), verbose)
         if names:
@@ -221,8 +216,7 @@ def calibrate(
             found = bc.calibrate(models[name], first, holdout=kept.get(""), follow=told, **how)
         made, written = True, ""
         if folder is not None:
-            write_results(found, folder)
-            made = drawn(draw_search, searches_of(found), folder)
+            made = drawn(found.save, folder)
             usual = ("result.json", CALIBRATION, AVERAGED, "loop.png", MANIFEST)
             there = (n for n in usual if n in (*files_of(folder), MANIFEST))
             listed = f"{CHANNELS}, and a folder for each channel" if names else ", ".join(there)
