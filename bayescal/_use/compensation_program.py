@@ -428,11 +428,6 @@ class CompensationProgram(CorrectionInUse):
         return self.about.instrument, self.about.notes, self.about.why_not
 
     @property
-    def notes_on_use(self) -> tuple[str, ...]:
-        """What to know but what stands against using it."""
-        return self.about.notes[:-1] if self.why_not else self.about.notes
-
-    @property
     def stimulus_limits(self) -> tuple[float, float] | None:
         """Beyond which a compensated value is flagged."""
         return None if self.stimulus_range is None else limits(self.stimulus_range)
