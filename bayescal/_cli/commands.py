@@ -204,7 +204,7 @@ def calibrate(
 
             scale = first.scale or models[name].instrument.nominal_scale
             output_factor(output_unit, first.unit("output") or "1", scale)
-        from bayescal._cli.output import ConsoleReporter, channels_text, loop_text
+        from bayescal._cli.output import ConsoleReporter, filled, loop_text
         from bayescal._report.result_json import result
         from bayescal._report.save_search import channels_data
 
@@ -226,7 +226,9 @@ def calibrate(
         before = request.flags_of(readings)
         print_notes(flag for flag in request.flags_of(fitted) if flag not in before)
         if isinstance(found, bc.Channels):
-            shown, why = channels_data(found) if json_ else channels_text(found), found.reason
+            said = (filled(f"{name}: {trail.in_short}") for name, trail in found.trails.items())
+            shown = channels_data(found) if json_ else "\n".join([f"{found}\n\nIN SHORT\n", *said])
+            why = found.reason
         else:
             text = "" if json_ else loop_text(found, told.begun, verbose, output_unit)
             shown, why = result(found) if json_ else text, found.gate.reason

@@ -23,7 +23,6 @@ from bayescal._model.instrument import Instrument
 from bayescal._report.report_text import in_output_unit
 from bayescal._report.section import of_trail
 from bayescal._search.calibrate import SearchPath
-from bayescal._search.channels import Channels
 from bayescal._search.draft_effect import draft_effect
 from bayescal._search.search_path import Step
 
@@ -59,7 +58,7 @@ def instrument_shown(one: Instrument) -> tuple[str, dict[str, Any]]:
         f"looked for beside them: {', '.join(candidates)}",
         f"what each of them is: bayescal effects --instrument {one.name}",
     ]
-    title, *rest = map(_filled, said)
+    title, *rest = map(filled, said)
     table = plain_table(["column", "unit", "", "meaning"], rows, left=4, fold=60)
     data = {**_about(one), "columns": columns, "baseline": baseline, "candidates": candidates}
     return "\n\n".join([title, str(table), "\n".join(rest)]), data
@@ -82,7 +81,7 @@ def effects_listed(kinds: Mapping[str, Sequence[Effect]]) -> tuple[str, list[dic
         if rows:
             head = [kind, "plausible size", "needs", "equation"]
             parts.append(str(plain_table(head, rows, left=3, fold=42)))
-    sources = (_filled(f"{source}: {', '.join(names)}") for source, names in by_source.items())
+    sources = (filled(f"{source}: {', '.join(names)}") for source, names in by_source.items())
     return "\n\n".join([*parts, "\n".join(["sources", *sources])]), data
 
 
@@ -156,7 +155,7 @@ def loop_text(
     parts = [""] if begun else [first_text(trail, verbose)]
     if final.discovery and (sets := final.discovery.equivalent):
         lines = [f"{one.of[0]} and {' + '.join(one.numbers['beside'])}" for one in sets]
-        parts.append(_headed("WHAT THESE READINGS CANNOT TELL APART", *map(_filled, lines)))
+        parts.append(_headed("WHAT THESE READINGS CANNOT TELL APART", *map(filled, lines)))
     for i, step in enumerate(trail.steps if verbose else ()):
         head = f"WHAT IS MISSING FROM STEP {i} ({step.title})"
         parts.append(_headed(head, step.discovery or _not_asked(step)))
@@ -165,9 +164,9 @@ def loop_text(
         head = f"A FIRST DRAFT OF AN EFFECT IN PLACE OF {name} (edit it, give it with --effects)"
         parts.append(_headed(head, draft_effect(final.calibration, name)))
     said = [] if verbose else _missing_lines(trail)
-    said += [_filled(f"end: {trail.ending}")] if trail.ending else []
+    said += [filled(f"end: {trail.ending}")] if trail.ending else []
     parts.append(_headed("THE ERROR, STEP BY STEP", trail, *said))
-    said = [averaged_text(trail, verbose), _filled(f"gate: {trail.gate.reason}")]
+    said = [averaged_text(trail, verbose), filled(f"gate: {trail.gate.reason}")]
     parts.append(_headed("COEFFICIENTS", coefficients_text(trail, verbose), *filter(None, said)))
     if output_unit is not None:
         shown = in_output_unit(of_trail(trail), output_unit)
@@ -177,7 +176,8 @@ def loop_text(
     return "\n\n".join(parts).removeprefix("\n")
 
 
-def _filled(line: str) -> str:
+def filled(line: str) -> str:
+    """A line folded to the page."""
     return textwrap.fill(line, WIDTH, subsequent_indent="  ")
 
 
@@ -199,13 +199,7 @@ def averaged_text(trail: SearchPath, verbose: bool = False) -> str:
     if (more := len(each) - SHOWN_STRUCTURES) > 1:
         each[SHOWN_STRUCTURES:] = [(f"{more} others", sum(p for _, p in each[SHOWN_STRUCTURES:]))]
     named = ", ".join(f"{name} {probability(p)}" for name, p in each)
-    return _filled(f"averaged over {named}; --structure best uses the first alone")
-
-
-def channels_text(found: Channels) -> str:
-    """`calibrate` of several channels: their table, and a paragraph for each."""
-    said = (_filled(f"{name}: {trail.in_short}") for name, trail in found.trails.items())
-    return "\n".join([f"{found}\n\nIN SHORT\n", *said])
+    return filled(f"averaged over {named}; --structure best uses the first alone")
 
 
 def _not_asked(step: Step) -> str:
@@ -231,7 +225,7 @@ def _missing_lines(trail: SearchPath) -> list[str]:
             if tuple(s.effects) not in found_alone
         ]
         lines += [f"missing from step {i}: {'; '.join(said)}"] if said else []
-    return [_filled(line) for line in (*lines, *(f"unit? {words}" for words in asked))]
+    return [filled(line) for line in (*lines, *(f"unit? {words}" for words in asked))]
 
 
 def write_prediction(prediction: Prediction, readings: Measurements, path: Path) -> None:

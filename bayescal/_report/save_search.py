@@ -49,7 +49,11 @@ def save_search(self: SearchPath | Channels, folder: Path) -> None:
         InputError: there is no such folder, or it cannot be written; what stood there is as it was.
         NotDrawn: a picture could not be drawn; all else is written.
     """
-    folder, searches = Path(folder), searches_of(self)
+    folder, searches = Path(folder), dict[str, SearchPath]()  # by their places in it
+    if isinstance(self, Channels):
+        searches = {inner: self.trails[name] for name, inner in folders_of(self.trails).items()}
+    else:
+        searches[""] = self
     with whole_folder(folder) as hidden:
         for inner, trail in searches.items():
             write_search(trail, hidden / inner)
@@ -60,13 +64,6 @@ def save_search(self: SearchPath | Channels, folder: Path) -> None:
                     if (folder / inner).is_dir() and not (folder / inner).is_symlink():
                         (hidden / inner).mkdir(exist_ok=True)
     draw_search(searches, folder)
-
-
-def searches_of(found: SearchPath | Channels) -> dict[str, SearchPath]:
-    """Each search by the folder, in that of all results, that its own stand in; "" is that folder itself."""
-    if isinstance(found, SearchPath):
-        return {"": found}
-    return {inner: found.trails[name] for name, inner in folders_of(found.trails).items()}
 
 
 def draw_search(searches: Mapping[str, SearchPath], folder: Path) -> None:
