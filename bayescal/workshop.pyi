@@ -2,10 +2,10 @@
 
 # an annex, and what it may offer
 # a calibration: its identity, its files, what stands against it; its part of a report
-from ._calibration.description import identity as identity
-from ._calibration.description import sources_of as sources_of
+from ._calibration.check import why_not as why_not
+from ._calibration.storage import identity as identity
+from ._calibration.storage import sources_of as sources_of
 from ._calibration.summary import summary as summary
-from ._calibration.why_not import why_not as why_not
 
 # commands: their options, what they are asked for, what they answer
 from ._cli.console import Answer as Answer

@@ -254,7 +254,7 @@ def fit(
         reference = request.reference_of(asked.choice.reference, readings)
         how = {"seed": seed, "strict": False, "reference": reference}
         calibration = bc.fit(model, readings, request.method_named(method), **how)
-        from bayescal._calibration.description import identity
+        from bayescal._calibration.storage import identity
         from bayescal._cli.output import fit_data
 
         if calibration.verdict.ok:

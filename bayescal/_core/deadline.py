@@ -115,11 +115,10 @@ def until(limit: float | None = None, words: str = "time limit of {:g} s") -> It
             signal.signal(signal.SIGINT, default)
 
 
-def sooner(share: float = 1.0, keep: float = 0.0) -> AbstractContextManager[Deadline]:
-    """Set an earlier deadline: a share of the time left, and not its last `keep` seconds."""
+def sooner(share: float) -> AbstractContextManager[Deadline]:
+    """Set an earlier deadline: a share of the time left."""
     end, now = current(), time.monotonic()
-    left = end.ends_at - now
-    return _set(replace(end, ends_at=now + min(share * left, left - keep)))
+    return _set(replace(end, ends_at=now + share * (end.ends_at - now)))
 
 
 def finishing() -> AbstractContextManager[Deadline]:

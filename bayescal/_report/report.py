@@ -22,7 +22,7 @@ from matplotlib.figure import Figure
 
 from bayescal._calibration.calibration import Calibration
 from bayescal._calibration.check_result import Check, check_table
-from bayescal._calibration.description import identity, sources_of
+from bayescal._calibration.storage import identity, sources_of
 from bayescal._core.annex import first_offered, offered
 from bayescal._core.atomic_file import write_text
 from bayescal._core.errors import BayescalError, InputError, NotDrawn
@@ -80,6 +80,15 @@ class Pictures:
 
         names = [e.against for e in found.entries if not e.by_group][:RESIDUAL_PANELS]
         return [self.draw(partial(panel, n), f"Residuals of {which} against {n}") for n in names]
+
+    def error(self, steps: Sequence[dict[str, Any]]) -> Picture:
+        """The errors of steps, as in result.json."""
+        return self.draw(lambda: plots.trail({"steps": steps}), "The error, step by step")
+
+    def allan(self, found: Check, which: str) -> Picture | None:
+        """The Allan deviation of the residuals, where there is one."""
+        caption = f"Allan deviation of the residuals of {which}, and of its noise law (grey, 95 %)"
+        return None if found.allan is None else self.draw(lambda: plots.allan(found), caption)
 
     def of_fit(self, name: str, calibration: Calibration) -> Picture | None:
         """One of `OF_FIT`; None where there is nothing to draw."""
@@ -340,21 +349,16 @@ def _pictures(chapter: Chapter, pictures: Pictures) -> dict[str, Any]:
     elif last and chapter.picture is not None:
         first = [embedded(chapter.picture)]
     of_last = pictures.residuals(c, chapter.check, "the last model")
-    sphere = allan = None
+    sphere = None
     vector = c.model.instrument.vector
     if vector is not None and vector.acting is None:
         caption = "Residuals of the magnitude along the sphere of poses, in standard deviations"
         sphere = pictures.draw(lambda: plots.sphere(c), caption)
-    if chapter.check.allan is not None:
-        caption = (
-            "Allan deviation of the residuals of the last model, and of its noise law (grey, 95 %)"
-        )
-        allan = pictures.draw(lambda: plots.allan(chapter.check), caption)
     return {
         "first": first,
         "last": of_last if sphere else of_last[1:],
         "front": sphere or next(iter(of_last), None),  # on the page that is signed
-        "error": pictures.draw(lambda: plots.trail(chapter.data), "The error, step by step"),
+        "error": pictures.error(chapter.data["steps"]),
         **{name: pictures.of_fit(name, chapter.used) for name in OF_FIT},
-        "allan": allan,
+        "allan": pictures.allan(chapter.check, "the last model"),
     }

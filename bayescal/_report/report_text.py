@@ -13,9 +13,8 @@ import numpy as np
 
 from bayescal._calibration.calibration import Calibration
 from bayescal._calibration.check_result import Entry
-from bayescal._calibration.description import sources_of
-from bayescal._calibration.mixture import has_effect
 from bayescal._calibration.prior_influence import coefficients_not_measured
+from bayescal._calibration.storage import sources_of
 from bayescal._calibration.summary import (
     curve_extent,
     curve_weights,
@@ -442,7 +441,7 @@ def _size(c: Calibration, effect: Effect) -> str:
 
     In an average over structures given that the effect is there.
     """
-    found, there = [], has_effect(c, effect.name)
+    found, there = [], c.having[effect.name]
     for i, one in enumerate(effect.coefficients):
         name, unit = effect.coefficient_name(i), unit_label(one.unit)
         between = effect.group_sd_name(i)

@@ -15,8 +15,8 @@ from typing import Any, Protocol
 from bayescal._calibration.calibration import Calibration
 from bayescal._calibration.check import check
 from bayescal._calibration.check_result import Check
-from bayescal._calibration.description import identity, name_of_today
 from bayescal._calibration.fit import load
+from bayescal._calibration.storage import identity, name_of_today
 from bayescal._core.errors import InputError, NotConverged
 from bayescal._core.json_shape import read_json
 from bayescal._core.result_table import ResultTable

@@ -19,7 +19,6 @@ from typing import Any
 import numpy as np
 
 from bayescal._calibration.calibration import Calibration
-from bayescal._calibration.mixture import likeliest, without
 from bayescal._calibration.prior_influence import not_measured, variance_by_origin
 from bayescal._core.as_json import as_json
 from bayescal._core.errors import InputError
@@ -292,11 +291,11 @@ def _by_source(
     chosen: Compensator, point: Mapping[str, float], gradient: np.ndarray, variance: float
 ) -> tuple[SourceShare, ...]:
     """The split by what the calibration knew: noise, each prior, each deviation that is new in use."""
-    unlikely = {e.name for e in chosen._calibration.model.effects} - likeliest(chosen._calibration)
+    unlikely = {e.name for e in chosen._calibration.model.effects} - chosen._calibration.likeliest
     parts, total = dict[tuple[str, str], float](), variance
     if unlikely:
         members = dict(chosen._equation.members)
-        chosen = compensator(without(chosen._calibration, unlikely), members=members)
+        chosen = compensator(chosen._calibration.without(unlikely), members=members)
         *_, gradient = _slopes(chosen, point)
         total = float(gradient @ chosen._moments.covariance @ gradient)
     calibration, unknowns = chosen._calibration, chosen._equation.unknowns()

@@ -24,10 +24,11 @@ from bayescal._core.quoting import csv_line
 from bayescal._data.column import NominalScale, Source
 from bayescal._data.column_conversion import convert_columns
 from bayescal._data.dataset_checks import problems_of_whole
-from bayescal._data.header_matching import ExpectedColumns, MatchedFile, ReadOptions
+from bayescal._data.header_matching import MatchedFile
 from bayescal._data.header_rules import unit_behind
 from bayescal._data.measurements import Measurements, assemble
-from bayescal._tables.csv_reader import CsvLines, csv_parts
+from bayescal._data.read_options import ExpectedColumns, ReadOptions
+from bayescal._tables.csv_reader import CsvText, read_text
 from bayescal._tables.open_table import MAX_BYTES, TEXT, check_files, open_table
 from bayescal._tables.raw_table import Header, Objections, Table, bytes_text, load_whole
 from bayescal._use.compensator import Compensator, Method
@@ -202,25 +203,24 @@ def _names(
 
 def _csv(added: AddedColumns, path: Path, partial: Path, table: Table, raw: str) -> None:
     """Lines as they stand, with two fields more."""
-    rows = None
+    text = read_text(path, table.file, added.decimal)
+    rows = added.cells(text.decimal or ".")
     with partial.open("wb") as target:
-        for part in csv_parts(path, table.file, ROWS, added.decimal):
-            if part.table is None:  # comments and the header
-                target.writelines(part.before)
-                target.write(_longer(part.lines[0], added.headers, part))
-                target.writelines(_longer(line, ["", ""], part) for line in part.behind)
-                continue
-            rows = rows or added.cells(part.decimal)
-            for line in part.lines:
-                target.write(_longer(line, next(rows), part) if line.strip() else line)
+        head = text.data[: text.offset].splitlines(keepends=True)
+        for row, line in enumerate(head, 1):  # comments, the header, a row of units
+            fields = added.headers if row == text.named else ["", ""]
+            target.write(line if row < text.named else _longer(line, fields, text))
+        for line in text.rows():
+            filled = line.strip(text.blank)
+            target.write(_longer(line, next(rows), text) if filled else line)
 
 
-def _longer(line: bytes, fields: list[str], part: CsvLines) -> bytes:
+def _longer(line: bytes, fields: list[str], text: CsvText) -> bytes:
     """A line with fields more, in the encoding of its file."""
     body = line.rstrip(b"\r\n")
     end = line[len(body) :] or b"\n"
-    more = part.separator + csv_line(fields, part.separator)
-    return body + more.encode(part.encoding) + end
+    more = text.separator + csv_line(fields, text.separator)
+    return body + more.encode(text.written_in) + end
 
 
 def _parquet(added: AddedColumns, path: Path, partial: Path, table: Table, raw: str) -> None:

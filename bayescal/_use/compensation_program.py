@@ -21,8 +21,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from bayescal._calibration.calibration import Calibration
-from bayescal._calibration.description import sources_of
-from bayescal._calibration.mixture import inclusion
+from bayescal._calibration.storage import sources_of
 from bayescal._core.as_json import as_json
 from bayescal._core.errors import InputError, ModelError
 from bayescal._core.formatting import number
@@ -308,7 +307,7 @@ def clock_note(calibration: Calibration, inputs: Collection[str]) -> list[str]:
 
 def averaged_over(calibration: Calibration) -> list[str]:
     """That the values are an average over structures, and how probable each effect is; nothing where they are none."""
-    shares = {name: share for name, share in inclusion(calibration).items() if share < 1}
+    shares = {name: share for name, share in calibration.inclusion.items() if share < 1}
     if not shares:
         return []
     said = ", ".join(f"{name} {share:.2f}" for name, share in shares.items())

@@ -13,9 +13,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from bayescal._calibration.calibration import Calibration
-from bayescal._calibration.description import identity
-from bayescal._calibration.mixture import usual_columns
-from bayescal._calibration.why_not import why_not
+from bayescal._calibration.check import why_not
+from bayescal._calibration.storage import identity
 from bayescal._core.atomic_file import write_text
 from bayescal._core.errors import InputError
 from bayescal._data.column import UNCERTAINTY, Column
@@ -394,7 +393,7 @@ def compensator(
     if draws < 2:
         raise InputError(f"draws={draws}: an uncertainty needs at least 2")
     whole = Compensator(calibration, equation_in_use(calibration, members), draws)
-    needed = usual_columns(calibration).union(
+    needed = calibration.usual_columns.union(
         calibration.model.noise.needs, columns_read(calibration.model.instrument, calibration.frame)
     )
     if all(needed.issuperset(e.columns) for e in calibration.model.effects):

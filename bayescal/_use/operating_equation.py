@@ -26,7 +26,6 @@ from jax.scipy.special import ndtr
 from jaxtyping import Array, Float
 
 from bayescal._calibration.calibration import Calibration
-from bayescal._calibration.mixture import has_effect
 from bayescal._core.errors import InputError, ModelError
 from bayescal._core.inverse import settled
 from bayescal._core.jit import compiled
@@ -341,7 +340,7 @@ def posterior_moments(
     covariance = np.atleast_2d(np.cov(values.T)) if len(unknowns) else np.zeros((0, 0))
     for i in new:
         block = blocks[unknowns[i].key]
-        spread = _spread(calibration, block) * has_effect(calibration, block.effect.name)
+        spread = _spread(calibration, block) * calibration.having[block.effect.name]
         mean[i], covariance[i, i] = block.coefficient.mean, float(np.mean(spread**2))
         thin[:, i] = mean[i] + _independent(thin - mean, spread[::step], covariance[i, i], random)
     # A shape moved so may leave its range.

@@ -11,6 +11,7 @@ import numpy as np
 from bayescal import Calibration, InputError, ModelError
 from bayescal._annexes.imu.vector_correction import (
     NEWTON_STEPS,
+    SAVED_AS,
     SIZES,
     VectorCorrection,
     term_rows,
@@ -57,7 +58,9 @@ def vector_from_data(found: Any, file: str) -> VectorCorrection:
     """A correction of three axes from JSON."""
     try:
         saved = as_type(found, SavedCorrection)
-        terms, covariance = np.array(saved.terms, float), np.array(saved.covariance, float)
+        given = {of: getattr(saved, key) for key, of in SAVED_AS.items()}
+        given |= {of: np.array(given[of], float) for of in ("terms", "covariance")}
+        terms, covariance = given["terms"], given["covariance"]
         shared = saved.covariance_with_axes_of
         fits = terms.ndim == 2 and terms.shape[1] - 9 * bool(saved.beside) in SIZES
         if not fits or covariance.shape != 2 * (terms.size,):
@@ -67,18 +70,7 @@ def vector_from_data(found: Any, file: str) -> VectorCorrection:
     except ValueError as error:
         raise InputError(f"{file} is damaged: {error}. {AGAIN}") from None
     low, high = saved.temperatures_degC or (None, None)
-    same = ("outputs", "unit", "noise", "notes", "beside", "instrument", "reach", "axes_of")
-    return VectorCorrection(
-        reference=saved.reference_degC,
-        low=low,
-        high=high,
-        terms=terms,
-        covariance=covariance,
-        source=saved.calibration,
-        shared=shared,
-        against=saved.why_not,
-        **{name: getattr(saved, name) for name in same},
-    )
+    return VectorCorrection(**given, low=low, high=high, shared=shared)
 
 
 def headers(named: Mapping[str, VectorCorrection], uncertainty: bool) -> str:
