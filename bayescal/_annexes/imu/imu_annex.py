@@ -291,6 +291,7 @@ def _draw(trails: Mapping[str, Any], folder: Path) -> bool:
     def reports() -> None:
         with drawing(REPORT), whole_folder(folder, more=True) as hidden:
             for place, trail in trails.items():
+                (hidden / place).mkdir(exist_ok=True)
                 made.append(drawn(bc.report, trail, hidden / place / REPORT))
                 list_files(hidden / place, None)
             if len(trails) > 1:
