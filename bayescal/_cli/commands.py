@@ -12,16 +12,14 @@ from __future__ import annotations
 import inspect
 import shutil
 import sys
-from collections.abc import Callable
 from dataclasses import replace
-from functools import partial
 from importlib.metadata import entry_points
 from pathlib import Path
 from typing import Any
 
 import bayescal as bc
 from bayescal._cli import options, request, saved
-from bayescal._cli.console import Answer, drawn, print_notes, print_result, result_folder
+from bayescal._cli.console import Answer, drawn, print_notes, result_folder
 from bayescal._cli.options import (
     ColumnOptions,
     Commands,
@@ -137,12 +135,13 @@ def pairs(
     """Rank pairs of devices by their probability to be the best."""
     asked = ReadRequest(instrument, files, columns, ModelOptions(add=add), average)
     chosen, model, readings = request.open_request(asked)
-    select = offered(PAIR_SELECTIONS, chosen.name)
-    if select is None:
+    offers = [*entry_points(group=PAIR_SELECTIONS, name=chosen.name)]
+    if not offers:
         raise InputError(f"instrument {chosen.name!r} does not choose its devices in pairs")
     print_notes(readings.flags)
     fitted = bc.fit(model, readings, seed=seed, strict=False)
     verdict = fitted.verdict
+    select = offers[0].load()
     return Answer(select(fitted, criterion=criterion), ok=verdict.ok, why=" ".join(verdict.reasons))
 
 
@@ -160,19 +159,8 @@ def demo(out: Path = Path("demo_output"), seed: int = 0, json_: bool = False) ->
     called = sys.argv[0]
     own = "bayescal" if shutil.which("bayescal") == called else called
     line = f"{own} calibrate FILE.csv --instrument mems_gyro --out result"
-
-    def written() -> str:
-        of_demo = found.written() if found.written else ""
-        return f"{of_demo}\nthe picture: {out / 'loop.png'}\nwith readings of your own: {line}"
-
-    return replace(found, written=written)
-
-
-def offered(group: str, instrument: str) -> Callable[..., Any] | None:
-    """What an installed package offers in a group for the instrument of this name; None where none does."""
-    for found in entry_points(group=group, name=instrument):
-        return found.load()
-    return None
+    more = f"the picture: {out / 'loop.png'}\nwith readings of your own: {line}"
+    return replace(found, written=f"{found.written}\n{more}")
 
 
 @commands.example("bayescal calibrate readings.csv --instrument mems_gyro --out result")
@@ -216,14 +204,9 @@ def calibrate(
 
             scale = first.scale or models[name].instrument.nominal_scale
             output_factor(output_unit, first.unit("output") or "1", scale)
-        from bayescal._cli.output import ConsoleReporter, channels_text, loop_text
+        from bayescal._cli.output import ConsoleReporter, filled, loop_text
         from bayescal._report.result_json import result
-        from bayescal._report.save_search import (
-            channels_data,
-            draw_search,
-            searches_of,
-            write_results,
-        )
+        from bayescal._report.save_search import channels_data
 
         told = ConsoleReporter(json_ or bool(names), verbose)
         if names:
@@ -231,29 +214,25 @@ def calibrate(
             found = bc.calibrate_channels(models, readings, **how)
         else:
             found = bc.calibrate(models[name], first, holdout=kept.get(""), follow=told, **how)
+        made, written = True, ""
         if folder is not None:
-            write_results(found, folder)
+            made = drawn(found.save, folder)
+            usual = ("result.json", CALIBRATION, AVERAGED, "loop.png", MANIFEST)
+            there = (n for n in usual if n in (*files_of(folder), MANIFEST))
+            listed = f"{CHANNELS}, and a folder for each channel" if names else ", ".join(there)
+            written = f"{folder}/{listed}"
         trails = found.trails if isinstance(found, bc.Channels) else {"": found}
         fitted = {n: t.final.calibration.readings for n, t in trails.items()}
         before = request.flags_of(readings)
         print_notes(flag for flag in request.flags_of(fitted) if flag not in before)
         if isinstance(found, bc.Channels):
-            shown, why = channels_data(found) if json_ else channels_text(found), found.reason
+            said = (filled(f"{name}: {trail.in_short}") for name, trail in found.trails.items())
+            shown = channels_data(found) if json_ else "\n".join([f"{found}\n\nIN SHORT\n", *said])
+            why = found.reason
         else:
-            text = "" if json_ else loop_text(found, own, told.begun, verbose, output_unit)
+            text = "" if json_ else loop_text(found, told.begun, verbose, output_unit)
             shown, why = result(found) if json_ else text, found.gate.reason
-        answered = Answer(shown, ok=found.ok, why=why)
-        if folder is None:
-            return answered
-        usual = ("result.json", CALIBRATION, AVERAGED, "loop.png", MANIFEST)
-
-        def written() -> str:
-            if names:
-                return f"{folder}/{CHANNELS}, and a folder for each channel"
-            return f"{folder}/{', '.join(n for n in usual if n in (*files_of(folder), MANIFEST))}"
-
-        pictures = partial(drawn, draw_search, searches_of(found), folder)
-        return replace(answered, pictures=pictures, written=written)
+        return Answer(shown, ok=found.ok, why=why, made=made, written=written)
 
 
 @commands.example("bayescal fit readings.csv --instrument mems_gyro --out result")
@@ -281,12 +260,12 @@ def fit(
         if calibration.verdict.ok:
             calibration = calibration.with_verdict(against=calibration.conflicts)
         shown, verdict = fit_data(calibration) if json_ else calibration, calibration.verdict
-        answered = Answer(shown, ok=verdict.reliable, why=verdict.why_not)
-        if folder is None:
-            return answered
-        with whole_folder(folder, identity(calibration)) as hidden:
-            calibration.save(hidden / CALIBRATION)
-        return replace(answered, written=lambda: f"{folder / CALIBRATION}")
+        written = ""
+        if folder is not None:
+            with whole_folder(folder, identity(calibration)) as hidden:
+                calibration.save(hidden / CALIBRATION)
+            written = f"{folder / CALIBRATION}"
+        return Answer(shown, ok=verdict.reliable, why=verdict.why_not, written=written)
 
 
 @commands.example("bayescal check result/calibration.nc")
@@ -313,11 +292,10 @@ def discover(
     effects = request.own_effects(choice, loaded.model.instrument, loaded.readings)
     allowed = options.causes(ignore, covariates)
     found = bc.discover(loaded, effects=effects, max_effects=max_effects, **allowed)
-    from bayescal._cli.output import unexplained_text
     from bayescal._report.result_json import experiment_data, missing_data
 
     checked, end = bc.check(loaded), deadline.current()
-    text = f"{found}\n{unexplained_text(loaded, checked, effects)}".rstrip()
+    text = str(found)
     data = missing_data(found, 0, checked)
     if next_experiment and end.over:
         text += f"\n\nnext experiment: left out ({end.why})"
@@ -420,7 +398,6 @@ def noise(
     time_limit: float | None = None,
     seed: int = 0,
     out: Path | None = None,
-    json_: bool = False,
 ) -> Answer:
     """Estimate noise density, bias instability and random walk."""
     if not 0 < quantile < 1:
@@ -433,35 +410,32 @@ def noise(
         one = readings[""]
         readings = {next((s.output for s in one.sources if s.output), "output"): one}
     with result_folder(out) as folder:
-        found = {}
         print_notes(request.flags_of(readings))
-        channels = request.each_device(readings)
-        for i, (name, one) in enumerate(channels.items()):
-            with deadline.sooner(1 / (len(channels) - i)):
+        each, found, written = request.each_device(readings), dict[str, Any](), list[Path]()
+        for i, (name, one) in enumerate(each.items()):
+            with deadline.sooner(1 / (len(each) - i)):
                 found[name] = bc.noise(one, seed=seed)
-            if not json_:
-                print(f"{name}\n\n{found[name]}\n")
-        if json_:
-            print_result({name: one.data() for name, one in found.items()})
-        written = []
         if yaml is not None:
             text = first_offered("noise_file", "--yaml")(found, topic, quantile)
             written.append(write_text(text, yaml))
-        pictures = {f"noise_{place}.png": name for name, place in folders_of(found).items()}
 
-        def draw() -> None:
-            assert folder is not None
+        def draw(folder: Path) -> None:
+            from bayescal._report.plots import own_style
+
+            pictures = {f"noise_{place}.png": name for name, place in folders_of(found).items()}
             with drawing("The Allan deviation"), whole_folder(folder) as hidden:
-                from bayescal._report.plots import own_style
-
                 for picture, name in pictures.items():
                     with own_style():
                         bc.plot.save(bc.plot.noise(found[name]), hidden / picture)
             written.extend(folder / picture for picture in pictures)
 
-        made = folder is None or drawn(draw)
-        if written and not json_:
-            print(f"written: {', '.join(map(str, written))}")
+        made = folder is None or drawn(draw, folder)
         claims = ((name, claim) for name, one in found.items() for claim in one.claims)
         doubts = (f"{name}: {claim}" for name, claim in claims if claim.severity != "note")
-        return Answer(None, doubt=" ".join(doubts), pictures=lambda: made)
+        return Answer(
+            "\n\n".join(f"{name}\n\n{one}" for name, one in found.items()),
+            {name: one.data() for name, one in found.items()},
+            doubt=" ".join(doubts),
+            made=made,
+            written=", ".join(map(str, written)),
+        )

@@ -18,13 +18,6 @@ from bayescal._core.errors import InputError, NotDrawn
 from bayescal._core.quoting import one_line
 
 
-def print_result(result: Any) -> None:
-    """Data as JSON, anything else as the text that it prints as."""
-    if isinstance(result, dict | list):
-        result = json_text(as_json(result)).rstrip("\n")
-    print(result)
-
-
 def print_notes(notes: Iterable[str]) -> None:
     """What the user should know of and no reason to stop, on standard error."""
     for note in notes:
@@ -40,26 +33,26 @@ class Answer:
     ok: bool = True  # whether the result may be used; where not, the status is 1
     why: str = ""  # what stands against it
     doubt: str = ""  # what is noted beside a result that may be used, and makes the status 1 too
-    # draws what is drawn once the result is printed; whether all could be
-    pictures: Callable[[], bool] | None = None
-    written: Callable[[], str] | None = None  # says, once that is done, which files there are
+    made: bool = True  # whether all that is drawn of it could be: where not, the status is 1
+    written: str = ""  # which files there are
 
     def tell(self, json_: bool) -> bool:
-        """Print it, and make what is drawn of it; whether it may be used and all was drawn: if not, the status is 1."""
-        if json_ and self.data is not None:
-            print_result(self.data)
-        elif json_ and hasattr(self.shown, "data"):
-            print_result(self.shown.data())
-        elif self.shown is not None:
-            print_result(self.shown)
-        made = self.pictures is None or self.pictures()
-        if self.written is not None and not json_:
-            print(f"\nwritten: {self.written()}")
+        """Print it; whether it may be used and all was drawn: if not, the status is 1."""
+        shown = self.shown
+        if json_:
+            own = shown.data() if self.data is None and hasattr(shown, "data") else self.data
+            shown = shown if own is None else own
+        if isinstance(shown, dict | list):
+            shown = json_text(as_json(shown)).rstrip("\n")
+        if shown is not None:
+            print(shown)
+        if self.written and not json_:
+            print(f"\nwritten: {self.written}")
         if not self.ok:
             print(f"bayescal: result not reliable: {self.why}", file=sys.stderr)
         elif self.doubt:
             print_notes([self.doubt])
-        return self.ok and made and not self.doubt
+        return self.ok and self.made and not self.doubt
 
 
 def drawn(make: Callable[..., Any], *given: Any) -> bool:

@@ -145,5 +145,5 @@ def report(
         ok=all(v["ok"] for v in verdicts),
         why=" ".join(reason for v in verdicts for reason in v["reasons"]),
         doubt=decided.doubt if decided else "",
-        pictures=lambda: whole,
+        made=whole,
     )

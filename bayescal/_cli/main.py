@@ -113,22 +113,19 @@ def command() -> int:
     except BrokenPipeError:  # the reader, such as `head`, has seen enough
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 0
-    except MemoryError:
-        return _failed(TOO_LITTLE_MEMORY, 2)
     except OSError as error:
         if error.errno == errno.ENOMEM:
             return _failed(TOO_LITTLE_MEMORY, 2)
-        return _failed(
-            f"{error.filename or 'standard output, or a file'}: {error.strerror or error}", 2
-        )
+        where = error.filename or "standard output, or a file"
+        return _failed(f"{where}: {error.strerror or error}", 2)
     except BaseException as error:
-        if where := own_file_line(error):  # a basis, say, that fails only when it is asked
-            return _failed(
-                f"{where} failed: {in_one_line(error)}. Mend it, or leave --effects out", 2
-            )
+        short = isinstance(error, MemoryError)
+        if not short and (where := own_file_line(error)):  # a basis, say, that fails when asked
+            said = f"{where} failed: {in_one_line(error)}. Mend it, or leave --effects out"
+            return _failed(said, 2)
         # Where a limit holds, neither a thread starts nor a library loads once it is reached.
         at_limit = type(error) in (ImportError, RuntimeError) and _is_limited()
-        if at_limit or OUT_OF_MEMORY.search(str(error)):
+        if short or at_limit or OUT_OF_MEMORY.search(str(error)):
             return _failed(TOO_LITTLE_MEMORY, 2)
         usage = getattr(error, "format_message", None)  # an option that the parser refused
         if usage is None:

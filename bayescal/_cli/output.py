@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from bayescal._calibration.calibration import Calibration
-from bayescal._calibration.check_result import Check, check_parts
+from bayescal._calibration.check_result import check_parts
 from bayescal._calibration.claim import Claim
 from bayescal._calibration.predict import Prediction
 from bayescal._calibration.summary import directions_data, summary, unknowns_parts
@@ -23,7 +23,6 @@ from bayescal._model.instrument import Instrument
 from bayescal._report.report_text import in_output_unit
 from bayescal._report.section import of_trail
 from bayescal._search.calibrate import SearchPath
-from bayescal._search.channels import Channels
 from bayescal._search.draft_effect import draft_effect
 from bayescal._search.search_path import Step
 
@@ -59,7 +58,7 @@ def instrument_shown(one: Instrument) -> tuple[str, dict[str, Any]]:
         f"looked for beside them: {', '.join(candidates)}",
         f"what each of them is: bayescal effects --instrument {one.name}",
     ]
-    title, *rest = map(_filled, said)
+    title, *rest = map(filled, said)
     table = plain_table(["column", "unit", "", "meaning"], rows, left=4, fold=60)
     data = {**_about(one), "columns": columns, "baseline": baseline, "candidates": candidates}
     return "\n\n".join([title, str(table), "\n".join(rest)]), data
@@ -82,7 +81,7 @@ def effects_listed(kinds: Mapping[str, Sequence[Effect]]) -> tuple[str, list[dic
         if rows:
             head = [kind, "plausible size", "needs", "equation"]
             parts.append(str(plain_table(head, rows, left=3, fold=42)))
-    sources = (_filled(f"{source}: {', '.join(names)}") for source, names in by_source.items())
+    sources = (filled(f"{source}: {', '.join(names)}") for source, names in by_source.items())
     return "\n\n".join([*parts, "\n".join(["sources", *sources])]), data
 
 
@@ -103,25 +102,6 @@ def fit_data(calibration: Calibration) -> dict[str, Any]:
         },
         "identifiability": {"null_directions": directions_data(calibration)},
     }
-
-
-def unexplained_text(calibration: Calibration, check: Check, own: Sequence[Effect] = ()) -> str:
-    """Columns that the residuals depend on and that no known effect uses, a sentence each."""
-    instrument = calibration.model.instrument
-    known = (*instrument.known.values(), *calibration.model.effects, *own)
-    used = {"run", "time", *(column for effect in known for column in effect.columns)}
-    lines = []
-    for e in check.entries:
-        open_ = e.against not in used and calibration.readings.has(e.against)
-        if open_ and e.log_bayes_factor > settings().strong_evidence:
-            size = f"{abs(e.worst.size):.2g} {unit_label(check.unit)}"
-            lines.append(
-                f"unexplained: the residuals depend on {e.against} (up to {size}, log Bayes factor "
-                f"{e.log_bayes_factor:.1f}), which no effect of {instrument.name} uses; what is "
-                "found may only stand in for it. Write an effect of your own, and give it with "
-                "--effects."
-            )
-    return "\n".join(map(_filled, lines))
 
 
 def first_text(trail: SearchPath, verbose: bool = False) -> str:
@@ -159,7 +139,6 @@ class ConsoleReporter:
 
 def loop_text(
     trail: SearchPath,
-    own: Sequence[Effect] = (),
     begun: bool = False,
     verbose: bool = False,
     output_unit: str | None = None,
@@ -168,7 +147,6 @@ def loop_text(
 
     Args:
         trail: what it did.
-        own: effects of the user's own.
         begun: the first table stands already.
         verbose: with all candidates of every step, and drafts of effects.
         output_unit: in which errors and coefficients are said once more.
@@ -177,19 +155,18 @@ def loop_text(
     parts = [""] if begun else [first_text(trail, verbose)]
     if final.discovery and (sets := final.discovery.equivalent):
         lines = [f"{one.of[0]} and {' + '.join(one.numbers['beside'])}" for one in sets]
-        parts.append(_headed("WHAT THESE READINGS CANNOT TELL APART", *map(_filled, lines)))
+        parts.append(_headed("WHAT THESE READINGS CANNOT TELL APART", *map(filled, lines)))
     for i, step in enumerate(trail.steps if verbose else ()):
         head = f"WHAT IS MISSING FROM STEP {i} ({step.title})"
         parts.append(_headed(head, step.discovery or _not_asked(step)))
-    parts += [text] if (text := unexplained_text(final.calibration, final.check, own)) else []
     unknown = [e.name for e in final.calibration.model.effects if e.is_placeholder]
     for name in unknown if verbose else ():
         head = f"A FIRST DRAFT OF AN EFFECT IN PLACE OF {name} (edit it, give it with --effects)"
         parts.append(_headed(head, draft_effect(final.calibration, name)))
     said = [] if verbose else _missing_lines(trail)
-    said += [_filled(f"end: {trail.ending}")] if trail.ending else []
+    said += [filled(f"end: {trail.ending}")] if trail.ending else []
     parts.append(_headed("THE ERROR, STEP BY STEP", trail, *said))
-    said = [averaged_text(trail, verbose), _filled(f"gate: {trail.gate.reason}")]
+    said = [averaged_text(trail, verbose), filled(f"gate: {trail.gate.reason}")]
     parts.append(_headed("COEFFICIENTS", coefficients_text(trail, verbose), *filter(None, said)))
     if output_unit is not None:
         shown = in_output_unit(of_trail(trail), output_unit)
@@ -199,7 +176,8 @@ def loop_text(
     return "\n\n".join(parts).removeprefix("\n")
 
 
-def _filled(line: str) -> str:
+def filled(line: str) -> str:
+    """A line folded to the page."""
     return textwrap.fill(line, WIDTH, subsequent_indent="  ")
 
 
@@ -221,13 +199,7 @@ def averaged_text(trail: SearchPath, verbose: bool = False) -> str:
     if (more := len(each) - SHOWN_STRUCTURES) > 1:
         each[SHOWN_STRUCTURES:] = [(f"{more} others", sum(p for _, p in each[SHOWN_STRUCTURES:]))]
     named = ", ".join(f"{name} {probability(p)}" for name, p in each)
-    return _filled(f"averaged over {named}; --structure best uses the first alone")
-
-
-def channels_text(found: Channels) -> str:
-    """`calibrate` of several channels: their table, and a paragraph for each."""
-    said = (_filled(f"{name}: {trail.in_short}") for name, trail in found.trails.items())
-    return "\n".join([f"{found}\n\nIN SHORT\n", *said])
+    return filled(f"averaged over {named}; --structure best uses the first alone")
 
 
 def _not_asked(step: Step) -> str:
@@ -253,7 +225,7 @@ def _missing_lines(trail: SearchPath) -> list[str]:
             if tuple(s.effects) not in found_alone
         ]
         lines += [f"missing from step {i}: {'; '.join(said)}"] if said else []
-    return [_filled(line) for line in (*lines, *(f"unit? {words}" for words in asked))]
+    return [filled(line) for line in (*lines, *(f"unit? {words}" for words in asked))]
 
 
 def write_prediction(prediction: Prediction, readings: Measurements, path: Path) -> None:

@@ -14,11 +14,7 @@ from bayescal._cli.console import print_notes
 from bayescal._cli.options import METHODS, ModelOptions, ReadRequest, SearchRequest, named_numbers
 from bayescal._core.errors import InputError
 from bayescal._core.progress import stage
-from bayescal._search.own_files import (
-    in_a_file,
-    instrument_named,
-    user_effects,
-)
+from bayescal._search.own_files import in_a_file, instrument_named, user_effects
 
 if TYPE_CHECKING:
     from bayescal._data.measurements import Measurements

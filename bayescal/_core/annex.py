@@ -2,7 +2,7 @@
 
 An installed package offers one by an entry point of the group `bayescal.annexes`: a dictionary of some of
 
-    commands            its commands, a `typer.Typer`
+    commands            its commands, `Commands`
     exports             () → what `bayescal export` writes by formats of its own, of an `ExportRequest` an `Answer`
     corrections         () → its kinds of corrections, `CorrectionKind` each
     corrected           calibration → the correction of one that is of such a kind

@@ -11,7 +11,7 @@ import signal
 import threading
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager
 from contextvars import ContextVar
 from dataclasses import dataclass, field, replace
 from types import FrameType
@@ -115,19 +115,15 @@ def until(limit: float | None = None, words: str = "time limit of {:g} s") -> It
             signal.signal(signal.SIGINT, default)
 
 
-@contextmanager
-def sooner(share: float) -> Iterator[Deadline]:
+def sooner(share: float) -> AbstractContextManager[Deadline]:
     """Set an earlier deadline: a share of the time left."""
     end, now = current(), time.monotonic()
-    with _set(replace(end, ends_at=now + share * (end.ends_at - now))) as made:
-        yield made
+    return _set(replace(end, ends_at=now + share * (end.ends_at - now)))
 
 
-@contextmanager
-def finishing() -> Iterator[Deadline]:
+def finishing() -> AbstractContextManager[Deadline]:
     """Suspend the deadline, for what makes a result of what stands; Ctrl-C pressed again is raised at once."""
-    with _set(replace(current(), ends_at=math.inf, heeds=False)) as made:
-        yield made
+    return _set(replace(current(), ends_at=math.inf, heeds=False))
 
 
 @contextmanager

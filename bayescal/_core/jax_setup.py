@@ -95,11 +95,13 @@ def configure_jax() -> None:
     jax.config.update("jax_enable_x64", True)
     if getattr(jax.config, "jax_compilation_cache_dir", None) is not None:  # the user's own choice
         return
-    folder = cache_folder()
-    if folder is None or not _writable(folder / "jax"):
+    folder = (cache_folder() or Path(os.devnull)) / "jax"
+    with suppress(OSError):
+        folder.mkdir(parents=True, exist_ok=True)
+    if not (folder.is_dir() and os.access(folder, os.W_OK | os.X_OK)):  # JAX would warn each time
         return
-    drop_if_large(folder / "jax", MOST_KEPT)
-    jax.config.update("jax_compilation_cache_dir", str(folder / "jax"))
+    drop_if_large(folder, MOST_KEPT)
+    jax.config.update("jax_compilation_cache_dir", str(folder))
     jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
     jax.config.update("jax_persistent_cache_min_entry_size_bytes", -1)
 
@@ -132,15 +134,6 @@ def spare_memory_maps() -> None:
         import jax
 
         jax.clear_caches()
-
-
-def _writable(folder: Path) -> bool:
-    """Whether files can be made in `folder`, itself made if need be; else JAX warns each time."""
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError:
-        return False
-    return os.access(folder, os.W_OK | os.X_OK)
 
 
 enough_workers()

@@ -37,8 +37,11 @@ class compiled(Generic[P, R]):
 
     def __init__(self, function: Callable[P, R], many: int = MANY_NUMBERS):
         self.function, self.many = function, many
-        self._jitted = cache(lambda few: eqx.filter_jit(function, **_options(few)))
+        self._jitted = cache(self._compiler)
         update_wrapper(self, function)
+
+    def _compiler(self, few: bool) -> Any:
+        return eqx.filter_jit(self.function, compiler_options=known(QUICK if few else ALWAYS))
 
     def __call__(self, *args: P.args, **kwargs: P.kwargs) -> R:
         numbers = [a for a in jax.tree.leaves((args, kwargs)) if eqx.is_array(a)]
@@ -46,10 +49,6 @@ class compiled(Generic[P, R]):
         if any(isinstance(a, jax.core.Tracer) for a in numbers):
             return self.function(*args, **kwargs)
         return self._jitted(sum(a.size for a in numbers) < self.many)(*args, **kwargs)
-
-
-def _options(few: bool) -> dict[str, Any]:
-    return {"compiler_options": known(QUICK if few else ALWAYS)}
 
 
 def known(options: dict[str, Any]) -> dict[str, Any]:

@@ -14,7 +14,6 @@ from jaxtyping import Float
 
 from bayescal._core import deadline
 from bayescal._core.importance_weights import effective_size, resample, smoothed
-from bayescal._core.parallel import over
 from bayescal._core.progress import stage
 from bayescal._core.settings import settings
 from bayescal._inference import nuts_chains, sampled_products, trust
@@ -150,7 +149,7 @@ class Marginal(Method):
         with stage("NUTS on whitened unknowns"):
             with deadline.until(None if asked else nuts_chains.PATIENCE, words=PATIENCE):
                 ran = nuts_chains.run(log_density, start, covariance, jax.random.key(seed), plan)
-            place = jax.jit(lambda q: over(lambda one: unpack(one)[:2], q, 64))
+            place = jax.jit(lambda q: jax.lax.map(lambda one: unpack(one)[:2], q, batch_size=64))
             x, v = place(ran.draws.reshape(-1, start.size))
         known = not layout.improper and np.isfinite(mode.log_evidence)
         return Outcome(

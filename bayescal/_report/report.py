@@ -16,7 +16,6 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 from markupsafe import Markup, escape
 from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.figure import Figure
@@ -58,11 +57,13 @@ class Pictures:
     def __init__(self, refused: tuple[type[Exception], ...] = ()) -> None:
         self.count, self.refused, self.failed = 0, (InputError, *refused), list[NotDrawn]()
 
-    def draw(self, make: Callable[[], Figure], caption: str, alt: str) -> Picture:
+    def draw(self, make: Callable[[], Figure], caption: str) -> Picture:
         self.count += 1
         try:
             with plots.own_style(**SVG):
-                return Picture(inline(as_svg(make()), f"f{self.count}-", alt), caption)
+                return Picture(
+                    inline(as_svg(make()), f"f{self.count}-", caption + ELSEWHERE), caption
+                )
         except self.refused:
             raise
         except Exception as error:  # whatever it is, all else of the page can be read
@@ -71,106 +72,50 @@ class Pictures:
 
     def residuals(self, calibration: Calibration, found: Check, which: str) -> list[Picture]:
         """Residuals against the covariates, the worst first, a picture each."""
-        unit, pictures = unit_label(found.unit), []
-        for e in [e for e in found.entries if not e.by_group][:RESIDUAL_PANELS]:
-            size = f"{e.worst.size:+.2g} {unit}".replace("-", "−")
-            where = f"{number(e.worst.low, 4)} to {number(e.worst.high, 4)} {unit_label(e.worst.covariate_unit)}"
-            structure = "no structure"
-            if e.log_bayes_factor > 0:
-                structure = f"the worst region, {where.strip()}, has a mean of {size}"
-            picture = self.draw(
-                lambda e=e: _panel(calibration, found, e.against),
-                f"Residuals of {which} against {e.against}",
-                f"Residuals of {which} in {unit} against {e.against}: {structure}; log Bayes factor "
-                f"{e.log_bayes_factor:.1f}; noise {number(found.noise)} {unit}.",
-            )
-            pictures.append(picture)
-        return pictures
 
-    def allan(self, found: Check, which: str) -> Picture | None:
-        """The Allan deviation of the residuals, where there is one."""
-        if found.allan is None:
-            return None
-        return self.draw(
-            lambda: plots.allan(found),
-            f"Allan deviation of the residuals of {which}, and what its noise law lets one expect (grey, 95 %)",
-            f"Allan deviation over averaging time: {found.allan.sentence()}.",
-        )
+        def panel(against: str) -> Figure:
+            figure = plots.residuals(calibration, found, against)
+            figure.set_size_inches(4.6, 2.9)
+            return figure
 
-    def sphere(self, calibration: Calibration) -> Picture | None:
-        """Residuals along the sphere of poses, of three axes that are read so."""
-        vector = calibration.model.instrument.vector
-        if vector is None or vector.acting is not None:
-            return None
-        residual = np.abs(plots.residuals_on_sphere(calibration)[1])
-        return self.draw(
-            lambda: plots.sphere(calibration),
-            "Residuals of the magnitude along the sphere of poses, in standard deviations",
-            f"Two hemispheres with {len(residual)} poses; the largest residual is {number(residual.max())} standard "
-            f"deviations, {int(np.sum(residual > 2))} are beyond 2.",
-        )
+        names = [e.against for e in found.entries if not e.by_group][:RESIDUAL_PANELS]
+        return [self.draw(partial(panel, n), f"Residuals of {which} against {n}") for n in names]
 
     def error(self, steps: Sequence[dict[str, Any]]) -> Picture:
         """The errors of steps, as in result.json."""
-        unit = unit_label(steps[-1]["unit"])
-        told = "; ".join(f"{s['title']} {number(s['rmse_fitted'])} {unit}" for s in steps)
-        floor = number(steps[-1]["noise_floor"])
-        return self.draw(
-            lambda: plots.trail({"steps": steps}),
-            "The error, step by step",
-            f"Bars of the rms error of each step, as fitted: {told}; noise floor {floor} {unit}.",
-        )
+        return self.draw(lambda: plots.trail({"steps": steps}), "The error, step by step")
 
-    def missing(self, found: dict, title: str) -> Picture | None:
-        """The candidates of one step, where any was tested."""
-        tested = [c for c in found["candidates"] if c["log_bayes_factor"] is not None]
-        if not tested:
-            return None
-        told = "; ".join(f"{c['effect']} {c['log_bayes_factor']:.1f}" for c in tested[:5])
-        return self.draw(
-            lambda: plots.missing(found),
-            f"What is missing from {title}",
-            f"Bars of the log Bayes factor of each candidate; the first of them: {told}.",
-        )
+    def allan(self, found: Check, which: str) -> Picture | None:
+        """The Allan deviation of the residuals, where there is one."""
+        caption = f"Allan deviation of the residuals of {which}, and of its noise law (grey, 95 %)"
+        return None if found.allan is None else self.draw(lambda: plots.allan(found), caption)
 
     def of_fit(self, name: str, calibration: Calibration) -> Picture | None:
         """One of `OF_FIT`; None where there is nothing to draw."""
-        make, caption, alt = OF_FIT[name]
+        make, caption = OF_FIT[name]
         try:
-            return self.draw(lambda: make(calibration), caption, alt)
+            return self.draw(lambda: make(calibration), caption)
         except InputError:
             return None
 
 
-# What is drawn of a fit: by what, its caption, what it shows in words.
-OF_FIT: dict[str, tuple[Callable[[Calibration], Figure], str, str]] = {
+ELSEWHERE = ". The tables of this report hold the same."
+# What is drawn of a fit: by what, and its caption.
+OF_FIT: dict[str, tuple[Callable[[Calibration], Figure], str]] = {
     "coefficients": (
         partial(plots.coefficients, columns=5),
         "Posterior of each unknown, its mean and its 95 % credible interval",
-        "Posterior densities; the numbers are in the table of coefficients.",
     ),
     "identifiability": (
         plots.identifiability,
         "Posterior over prior standard deviation: 1 where the readings said nothing",
-        "Bars of posterior over prior standard deviation; the table of coefficients has the same as contraction.",
     ),
-    "pairs": (
-        plots.pairs,
-        "The most correlated unknowns, two by two",
-        "Joint posterior draws of pairs of unknowns.",
-    ),
+    "pairs": (plots.pairs, "The most correlated unknowns, two by two"),
     "predictive": (
         plots.predictive,
         "Readings against their predictive probabilities: within the band if the model is right",
-        "Share of readings below each predictive probability minus that probability, with its 99 % band.",
     ),
 }
-
-
-def _panel(calibration: Calibration, found: Check, against: str) -> Figure:
-    figure = plots.residuals(calibration, found, against)
-    figure.set_size_inches(4.6, 2.9)
-    return figure
 
 
 def as_svg(figure: Figure) -> str:
@@ -205,13 +150,12 @@ def inline(svg: str, prefix: str, alt: str) -> Markup:
 
 def embedded(loop: bytes) -> Picture:
     """The picture of the loop, a PNG, as data within the page."""
-    told = (
-        "Four panels: residuals of the first model, candidates for what is missing, residuals of the last model, and "
-        "the error of each step. The tables of this report hold the same."
-    )
+    caption = "The loop as it was drawn when the calibration was made"
     data = base64.b64encode(loop).decode("ascii")
-    body = Markup('<img alt="{}" src="data:image/png;base64,{}">').format(told, data)
-    return Picture(body, "The loop as it was drawn when the calibration was made")
+    image = Markup('<img alt="{}" src="data:image/png;base64,{}">').format(
+        caption + ELSEWHERE, data
+    )
+    return Picture(image, caption)
 
 
 # What the layout meets where a result.json is not as it was written, beside errors of its template.
@@ -379,7 +323,9 @@ def _discovery(found: dict[str, Any], data: dict[str, Any], pictures: Pictures) 
         "table": replace(shown, rows=shown.rows[:MOST_ROWS]),
         "alike": [", ".join(group) for group in confounded(found["candidates"])],
         "not_testable": not_tested(found["candidates"]),
-        "picture": pictures.missing(found, title),
+        "picture": pictures.draw(lambda: plots.missing(found), f"What is missing from {title}")
+        if any(c["log_bayes_factor"] is not None for c in found["candidates"])
+        else None,
     }
 
 
@@ -402,7 +348,12 @@ def _pictures(chapter: Chapter, pictures: Pictures) -> dict[str, Any]:
         first = pictures.residuals(chapter.first, chapter.first_check, "the first model")
     elif last and chapter.picture is not None:
         first = [embedded(chapter.picture)]
-    of_last, sphere = pictures.residuals(c, chapter.check, "the last model"), pictures.sphere(c)
+    of_last = pictures.residuals(c, chapter.check, "the last model")
+    sphere = None
+    vector = c.model.instrument.vector
+    if vector is not None and vector.acting is None:
+        caption = "Residuals of the magnitude along the sphere of poses, in standard deviations"
+        sphere = pictures.draw(lambda: plots.sphere(c), caption)
     return {
         "first": first,
         "last": of_last if sphere else of_last[1:],

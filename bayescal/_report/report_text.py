@@ -220,23 +220,19 @@ def skewed(chapter: Chapter) -> list[str]:
 
 def effects(chapter: Chapter) -> ResultTable:
     """Each effect of the model: equation, unknowns with their priors, source, the step that brought it."""
-    since = {}
+    since = dict[str, str]()
     for i, step in enumerate(chapter.data["steps"]):
         for name in step["effects"]:
-            since.setdefault(name, i)
+            since.setdefault(name, f"step {i}" if i else "the start")
     columns = (
         TableColumn("effect", lambda e: e.name),
         TableColumn("slot", lambda e: e.slot, left=True),
         TableColumn("equation", lambda e: e.equation or "–", left=True),
         TableColumn("unknowns and their priors", lambda e: "\n".join(_unknowns(e)), left=True),
-        TableColumn("since", lambda e: _since(since.get(e.name)), left=True),
+        TableColumn("since", lambda e: since.get(e.name, "averaged over"), left=True),
         TableColumn("source", lambda e: e.source, left=True),
     )
     return ResultTable(columns, chapter.used.model.effects)
-
-
-def _since(step: int | None) -> str:
-    return "averaged over" if step is None else f"step {step}" if step else "the start"
 
 
 def _unknowns(effect: Effect) -> list[str]:

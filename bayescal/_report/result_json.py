@@ -34,16 +34,10 @@ OF_NOISE = {
 }
 AVERAGED = ("mean", "sd", "interval95", "probability", "given")  # of an unknown, over structures
 FORMER = "bayescal.result/1"  # of 0.2.0, where `hyperparameters` were `spreads`
-PACKAGES = [
-    "bayescal",
-    "jax",
-    "numpyro",
-    "optimistix",
-    "arviz-base",
-    "arviz-stats",
-    "numpy",
-    "scipy",
-]
+PACKAGES = (
+    *("bayescal", "jax", "numpyro", "optimistix"),
+    *("arviz-base", "arviz-stats", "numpy", "scipy"),
+)
 
 
 def result(trail: SearchPath) -> dict[str, Any]:
@@ -114,19 +108,17 @@ def search_data(trail: SearchPath) -> dict[str, Any] | None:
     search = trail.search
     if search is None:
         return None
-
-    def structure(s: Any) -> dict[str, Any]:
-        noise = {"noise": s.noise, "correlated_noise": Noise.correlates(s.noise)}
-        weight = {"log_evidence": s.log_evidence, "probability": s.probability}
-        return {"effects": list(s.effects), **noise, **weight}
-
     return {
-        "weighed": search.weighed,
-        "complete": search.complete,
-        "stopped": search.stopped,
+        **{k: getattr(search, k) for k in ("weighed", "complete", "stopped")},
         "ending": trail.ending,
         "seconds": search.seconds,
-        "structures": [structure(s) for s in search.structures],
+        "structures": [
+            {
+                **{k: getattr(s, k) for k in ("effects", "noise", "log_evidence", "probability")},
+                "correlated_noise": Noise.correlates(s.noise),
+            }
+            for s in search.structures
+        ],
         "averaged_over": [
             {"effects": list(s.effects), "probability": s.probability} for s in trail.shares
         ],
@@ -145,18 +137,10 @@ def versions() -> dict[str, str]:
 
 
 def _source(readings: Measurements) -> dict[str, Any]:
-    files = [s.file for s in readings.sources]
-    return {
-        "file": files[0] if len(files) == 1 else files,
-        "sha256": hashes(readings),
-        "rows": len(readings),
-    }
-
-
-def hashes(readings: Measurements) -> str | list[str]:
-    """Of the bytes of the file, or of each."""
-    found = [s.sha256 for s in readings.sources]
-    return found[0] if len(found) == 1 else found
+    """The files of readings and the hashes of their bytes: one each, or lists where there are several."""
+    files, sums = [s.file for s in readings.sources], [s.sha256 for s in readings.sources]
+    file, sha256 = (own[0] if len(own) == 1 else own for own in (files, sums))
+    return {"file": file, "sha256": sha256, "rows": len(readings)}
 
 
 def _groups(readings: Measurements) -> dict[str, Any]:

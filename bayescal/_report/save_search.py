@@ -49,30 +49,21 @@ def save_search(self: SearchPath | Channels, folder: Path) -> None:
         InputError: there is no such folder, or it cannot be written; what stood there is as it was.
         NotDrawn: a picture could not be drawn; all else is written.
     """
-    write_results(self, folder)
-    draw_search(searches_of(self), folder)
-
-
-def searches_of(found: SearchPath | Channels) -> dict[str, SearchPath]:
-    """Each search by the folder, in that of all results, that its own stand in; "" is that folder itself."""
-    if isinstance(found, SearchPath):
-        return {"": found}
-    return {inner: found.trails[name] for name, inner in folders_of(found.trails).items()}
-
-
-def write_results(found: SearchPath | Channels, folder: Path) -> None:
-    """Write what `save_search` does but for the pictures."""
-    folder = Path(folder)
+    folder, searches = Path(folder), dict[str, SearchPath]()  # by their places in it
+    if isinstance(self, Channels):
+        searches = {inner: self.trails[name] for name, inner in folders_of(self.trails).items()}
+    else:
+        searches[""] = self
     with whole_folder(folder) as hidden:
-        for inner, trail in searches_of(found).items():
+        for inner, trail in searches.items():
             write_search(trail, hidden / inner)
-        if isinstance(found, SearchPath):
-            return
-        write_json(channels_data(found), hidden / CHANNELS)
-        with suppress(InputError):  # none were there, or none that can be read
-            for inner in channel_folders(folder):
-                if (folder / inner).is_dir() and not (folder / inner).is_symlink():
-                    (hidden / inner).mkdir(exist_ok=True)
+        if isinstance(self, Channels):
+            write_json(channels_data(self), hidden / CHANNELS)
+            with suppress(InputError):  # none were there, or none that can be read
+                for inner in channel_folders(folder):
+                    if (folder / inner).is_dir() and not (folder / inner).is_symlink():
+                        (hidden / inner).mkdir(exist_ok=True)
+    draw_search(searches, folder)
 
 
 def draw_search(searches: Mapping[str, SearchPath], folder: Path) -> None:
@@ -83,7 +74,7 @@ def draw_search(searches: Mapping[str, SearchPath], folder: Path) -> None:
     """
     if deadline.current().over:
         return
-    with drawing(PICTURE), whole_folder(Path(folder), more=True) as hidden:
+    with drawing(PICTURE), whole_folder(folder, more=True) as hidden:
         from bayescal._report.plots import loop, own_style, save
 
         for place, trail in searches.items():

@@ -99,7 +99,12 @@ def chapters(given: Iterable[Any], effects: Iterable[Effect] = ()) -> list[Chapt
     found: list[Chapter] = []
     waiting: list[Calibration] = []
     for one in [*several, None]:
-        if waiting and not (isinstance(one, Calibration) and _same_readings(waiting[-1], one)):
+        same = (
+            waiting and isinstance(one, Calibration) and one.readings.same_as(waiting[-1].readings)
+        )
+        if waiting and not (
+            same and one.model.instrument.name == waiting[-1].model.instrument.name
+        ):
             found.append(of_trail(trail_of(waiting, own), _titles(waiting)))
             waiting = []
         if isinstance(one, Calibration):
@@ -199,8 +204,3 @@ def _titles(calibrations: list[Calibration]) -> list[str]:
         noise = [] if law == before.noise.in_words else [f"noise: {law}"]
         titles.append(" ".join([*more, *less, *noise]) or "the same effects")
     return titles
-
-
-def _same_readings(one: Calibration, other: Calibration) -> bool:
-    a, b = one.readings, other.readings
-    return one.model.instrument.name == other.model.instrument.name and a.same_as(b)

@@ -19,10 +19,7 @@ from typing import Any
 import numpy as np
 
 from bayescal._calibration.calibration import Calibration
-from bayescal._calibration.prior_influence import (
-    not_measured,
-    variance_by_origin,
-)
+from bayescal._calibration.prior_influence import not_measured, variance_by_origin
 from bayescal._core.as_json import as_json
 from bayescal._core.errors import InputError
 from bayescal._core.formatting import WIDTH, number, with_error
@@ -217,10 +214,7 @@ class Budget(Printed):
 
 
 def budget(
-    calibration: Calibration | Compensator,
-    at: Mapping[str, float] | None = None,
-    *,
-    k: float = 2.0,
+    calibration: Calibration | Compensator, at: Mapping[str, float] | None = None, *, k: float = 2.0
 ) -> Budget:
     """The uncertainty budget of a compensated value.
 

@@ -165,8 +165,9 @@ def compensate_file(
 
 def _refuse_another_clock(used: Compensator, readings: Measurements, begins: bool) -> None:
     """Refuse times without dates that fall among those of the calibration: no device is read twice at one time."""
+    sums = {sha for _, sha in used.about.sources}
     undated = readings.since is None and used.epoch is None and not begins
-    if not (used.dated and undated) or {s.sha256 for s in readings.sources} & used.fitted:
+    if not (used.dated and undated) or {s.sha256 for s in readings.sources} & sums:
         return
     (clock,) = (i for i in used.inputs if i.name == "time")
     low, high = float(readings["time"].min()), float(readings["time"].max())

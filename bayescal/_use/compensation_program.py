@@ -13,7 +13,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 from typing import Any
 
 import jax
@@ -37,6 +36,7 @@ from bayescal._tables.cells import date_text
 from bayescal._use.correction import NOT_RELIABLE, CorrectionInUse
 from bayescal._use.expression_graph import Graph, NotExportable, trace
 from bayescal._use.operating_equation import (
+    Lag,
     NoiseInUse,
     OperatingEquation,
     PosteriorMoments,
@@ -90,16 +90,13 @@ def inputs_in_use(
     calibration: Calibration, equation: OperatingEquation, values: Mapping[str, np.ndarray]
 ) -> list[Input]:
     """Inputs of the equation, as people and firmware are told of them; `values` are those of the fit, by name."""
-    described = {
-        name: partial(Input, name, low=float(values[name].min()), high=float(values[name].max()))
-        for name in equation.inputs
-        if name in values
-    }
-    found, meanings = dict[str, Input](), _meanings_of_lags(calibration, equation)
+    lags = {name: lag for lag in equation.lags for name in (lag.name, lag.slope)}
     own = {c.name: c.meaning for c in calibration.model.instrument.columns}
-    for name, make in described.items():
-        if name in meanings:
-            found[name] = make(**meanings[name])
+    found = list[Input]()
+    for name in (n for n in equation.inputs if n in values):
+        span = {"low": float(values[name].min()), "high": float(values[name].max())}
+        if name in lags:
+            found.append(_lag_input(calibration, lags[name], name, span))
         elif name not in equation.known:
             column = name.removesuffix("_rate")
             meaning = (
@@ -107,49 +104,39 @@ def inputs_in_use(
                 "readings, if these are further apart), 0 at the start"
             )
             window = rate_window(np.asarray(calibration.frame.step))
-            found[name] = make("degC/s", meaning, "rate", column, tau=window)
+            found.append(Input(name, "degC/s", meaning, "rate", column, **span, tau=window))
         elif name == "elapsed":
             meaning = "time since the start (of the run, of power)"
-            found[name] = make("s", meaning, "elapsed", "time")
+            found.append(Input(name, "s", meaning, "elapsed", "time", **span))
         else:
             meaning = clock_words(calibration) if name == "time" else own.get(name, "")
             unit = calibration.readings.unit(name) or "1"
-            found[name] = make(unit, meaning, "column", name)
-    return [*found.values()]
+            found.append(Input(name, unit, meaning, "column", name, **span))
+    return found
 
 
-def _meanings_of_lags(
-    calibration: Calibration, equation: OperatingEquation
-) -> dict[str, dict[str, Any]]:
-    """Fields of the inputs that carry lags and their slopes, by name."""
-    silence, found = float(calibration.frame.silence), dict[str, dict[str, Any]]()
-    for lag in equation.lags:
-        tau, column = repr(lag.tau), lag.column
-        held = bool(calibration.reference.get(held_name(column), 0.0))
-        of = {"column": column, "tau": lag.tau, "silence": None if held else silence, "held": held}
-        late = f"where dt is longer than {silence:g} s"
+def _lag_input(calibration: Calibration, lag: Lag, name: str, span: dict[str, float]) -> Input:
+    """The input that carries a lag, or its slope by the time constant."""
+    tau, column, silence = repr(lag.tau), lag.column, float(calibration.frame.silence)
+    held = bool(calibration.reference.get(held_name(column), 0.0))
+    past: dict[str, Any] = {"tau": lag.tau, "silence": None if held else silence, "held": held}
+    late = f"where dt is longer than {silence:g} s"
+    if name == lag.name:
         change = f"exp(-x)*L + expm1(-x)/x*(change of {column}), or exp(-x)*(L - change) {late}"
         change = f"exp(-x)*L - (change of {column})" if held else change
         meaning = (
             f"lag of {column} behind the thermometer, L, 0 at the start; dt after the last reading, "
             f"x = dt/{tau} s: L = {change}"
         )
-        found[lag.name] = {"unit": "delta_degC", "meaning": meaning, "kind": "lag", **of}
-        if lag.slope:
-            change = f" + (exp(-x) + expm1(-x)/x)*(change of {column})/{tau}"
-            change += f", or exp(-x)*(M + x*(L - change)/{tau}) {late}"
-            meaning = (
-                f"change of {lag.name} by its time {tau} s, which carries the uncertainty of that (0 leaves it "
-                f"out): M, 0 at the start; with L before the reading and x as for {lag.name}, "
-                f"M = exp(-x)*(M + x*L/{tau}){change * (not held)}"
-            )
-            found[lag.slope] = {
-                "unit": "delta_degC/s",
-                "meaning": meaning,
-                "kind": "lag slope",
-                **of,
-            }
-    return found
+        return Input(name, "delta_degC", meaning, "lag", column, **span, **past)
+    change = f" + (exp(-x) + expm1(-x)/x)*(change of {column})/{tau}"
+    change += f", or exp(-x)*(M + x*(L - change)/{tau}) {late}"
+    meaning = (
+        f"change of {lag.name} by its time {tau} s, which carries the uncertainty of that (0 leaves it "
+        f"out): M, 0 at the start; with L before the reading and x as for {lag.name}, "
+        f"M = exp(-x)*(M + x*L/{tau}){change * (not held)}"
+    )
+    return Input(name, "delta_degC/s", meaning, "lag slope", column, **span, **past)
 
 
 def inputs_at_fit(calibration: Calibration, equation: OperatingEquation) -> dict[str, np.ndarray]:
@@ -188,12 +175,17 @@ def gathered(
         InputError: a column that is needed is missing, columns are of different lengths, or there are dates and no
             epoch.
     """
-    columns = {n: _since(v, epoch) for n, v in columns.items()}
+    arrays = {n: np.atleast_1d(np.asarray(v)) for n, v in columns.items()}
+    for name in (n for n, array in arrays.items() if array.dtype.kind == "M"):
+        if epoch is None:
+            raise InputError("dates are given, and the calibration's times have none: give seconds")
+        seconds = arrays[name].astype("datetime64[us]").astype(np.int64) * 1e-6
+        arrays[name] = seconds - epoch
     if readings is not None:
-        columns = {n: readings[n] for n in readings.columns if readings.unit(n)} | columns
-    if "output" not in columns:
+        arrays = {n: readings[n] for n in readings.columns if readings.unit(n)} | arrays
+    if "output" not in arrays:
         raise InputError("the column 'output' is missing: give the readings to compensate")
-    arrays = {n: np.atleast_1d(np.asarray(v, dtype=float)) for n, v in columns.items()}
+    arrays = {n: array.astype(float) for n, array in arrays.items()}
     try:
         given = dict(zip(arrays, np.broadcast_arrays(*arrays.values()), strict=True))
     except ValueError:
@@ -205,24 +197,20 @@ def gathered(
     record, needed = None, [i for i in inputs if i.kind != "column" and i.name not in given]
     if needed:
         record = _record(needed, readings, given)
-        given |= {i.name: _from_record(record, i) for i in needed}
+        for i in needed:
+            if i.kind in ("rate", "elapsed"):
+                own = record.rates[i.column] if i.kind == "rate" else record.elapsed
+                given[i.name] = np.asarray(own)
+            else:
+                assert i.tau is not None
+                given[i.name] = _lag_and_slope(record, i.tau, i.column)[i.kind == "lag slope"]
     for i in inputs:
         if i.name not in given:
             raise InputError(
                 f"the column {i.name!r} [{i.unit}] is missing, which this calibration needs (there are: "
-                f"{', '.join(sorted(columns))}). Record it, or fit a model without the effects that need it"
+                f"{', '.join(sorted(arrays))}). Record it, or fit a model without the effects that need it"
             )
     return given, record
-
-
-def _since(values: ArrayLike, epoch: float | None) -> ArrayLike:
-    """Convert dates to seconds since the epoch; numbers stay."""
-    array = np.asarray(values)
-    if array.dtype.kind != "M":
-        return values
-    if epoch is None:
-        raise InputError("dates are given, and the calibration's times have none: give seconds")
-    return array.astype("datetime64[us]").astype(np.int64) * 1e-6 - epoch
 
 
 def _record(
@@ -240,16 +228,6 @@ def _record(
         readings = Measurements({n: np.array(given[n]) for n in units}, units)
     held = {held_name(i.column): float(i.held) for i in needed}
     return build_frame(readings, held)
-
-
-def _from_record(record: Frame, wanted: Input) -> np.ndarray:
-    if wanted.kind == "rate":
-        return np.asarray(record.rates[wanted.column])
-    if wanted.kind == "elapsed":
-        return np.asarray(record.elapsed)
-    assert wanted.tau is not None
-    lag, slope = _lag_and_slope(record, wanted.tau, wanted.column)
-    return slope if wanted.kind == "lag slope" else lag
 
 
 def limits(span: tuple[float, float]) -> tuple[float, float]:
@@ -447,11 +425,6 @@ class CompensationProgram(CorrectionInUse):
 
     def about_it(self) -> tuple[str, tuple[str, ...], str]:
         return self.about.instrument, self.about.notes, self.about.why_not
-
-    @property
-    def notes_on_use(self) -> tuple[str, ...]:
-        """What to know but what stands against using it."""
-        return self.about.notes[:-1] if self.why_not else self.about.notes
 
     @property
     def stimulus_limits(self) -> tuple[float, float] | None:

@@ -184,8 +184,8 @@ class Compensator:
     @property
     def notes(self) -> tuple[str, ...]:
         """What to know before a reading is compensated, each a sentence."""
-        if self.loaded:
-            return self.loaded.notes_on_use
+        if self.loaded:  # the last says what stands against using it
+            return self.about.notes[: -1 if self.why_not else None]
         return notes_on_use(self._calibration, self._equation, self.stimulus_range)
 
     @property
@@ -197,11 +197,6 @@ class Compensator:
     def epoch(self) -> float | None:
         """Seconds since 1970 at time zero; None where the times of the calibration have no dates."""
         return self.about.epoch
-
-    @property
-    def fitted(self) -> set[str]:
-        """SHA-256 of the files of the calibration."""
-        return {sha for _, sha in self.about.sources}
 
     @property
     def dated(self) -> str:
@@ -399,8 +394,7 @@ def compensator(
         raise InputError(f"draws={draws}: an uncertainty needs at least 2")
     whole = Compensator(calibration, equation_in_use(calibration, members), draws)
     needed = calibration.usual_columns.union(
-        calibration.model.noise.needs,
-        columns_read(calibration.model.instrument, calibration.frame),
+        calibration.model.noise.needs, columns_read(calibration.model.instrument, calibration.frame)
     )
     if all(needed.issuperset(e.columns) for e in calibration.model.effects):
         return whole

@@ -57,9 +57,7 @@ OPERATIONS: dict[str, Operation] = {
     "neg": Operation(np.negative, "-{0}", "-{0}"),
     "abs": Operation(np.abs, "BAYESCAL_CALL(fabs, {0})", "abs({0})"),
     "sign": Operation(
-        np.sign,
-        "(BAYESCAL_REAL)(({0} > 0) - ({0} < 0))",
-        "float({0} > 0) - float({0} < 0)",
+        np.sign, "(BAYESCAL_REAL)(({0} > 0) - ({0} < 0))", "float({0} > 0) - float({0} < 0)"
     ),
     "max": Operation(np.maximum, "{0} > {1} ? {0} : {1}", "max({0}, {1})"),
     "min": Operation(np.minimum, "{0} < {1} ? {0} : {1}", "min({0}, {1})"),
@@ -78,9 +76,7 @@ OPERATIONS: dict[str, Operation] = {
     "not": Operation(np.logical_not, "!{0}", "not {0}", True),
     "select": Operation(np.where, "{0} ? {1} : {2}", "{1} if {0} else {2}"),
     "real": Operation(
-        lambda x: np.where(x, 1.0, 0.0),
-        "{0} ? (BAYESCAL_REAL)1 : (BAYESCAL_REAL)0",
-        "float({0})",
+        lambda x: np.where(x, 1.0, 0.0), "{0} ? (BAYESCAL_REAL)1 : (BAYESCAL_REAL)0", "float({0})"
     ),
 }
 

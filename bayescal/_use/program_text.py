@@ -11,13 +11,7 @@ from typing import Any
 from bayescal._core.quoting import identifier, number_text, python_string
 from bayescal._core.templates import template
 from bayescal._data.time_in_runs import RATE_WINDOW, SILENCE_WINDOWS
-from bayescal._use.compensation_program import (
-    PAST,
-    STEPS,
-    STIMULUS,
-    CompensationProgram,
-    Input,
-)
+from bayescal._use.compensation_program import PAST, STEPS, STIMULUS, CompensationProgram, Input
 from bayescal._use.expression_graph import Language, statements
 
 # Names that the templates give themselves.

@@ -26,7 +26,6 @@ import numpy as np
 from arviz_stats.base.array import array_stats
 
 import bayescal as bc
-from bayescal._core.parallel import over
 from bayescal._inference import nuts_chains, sampled_products
 from bayescal._inference.laplace import find_mode
 from bayescal._inference.problem import Problem
@@ -69,7 +68,7 @@ def _whitened(model: bc.Model, readings: bc.Measurements, draws: int):
     key = jax.random.key(SEED)
     plan = nuts_chains.Plan(WARMUP, draws, CHAINS)
     ran = nuts_chains.run(density, start, covariance, key, plan)
-    place = jax.jit(lambda q: over(lambda one: unpack(one)[:2], q, 64))
+    place = jax.jit(lambda q: jax.lax.map(lambda one: unpack(one)[:2], q, batch_size=64))
     flat = place(ran.draws.reshape(-1, start.size))
     shaped = (np.asarray(a).reshape(CHAINS, draws, *a.shape[1:]) for a in flat)
     return columns_of(layout, Unknowns.of(layout).values(*shaped)), ran.divergences

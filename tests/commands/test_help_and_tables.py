@@ -18,8 +18,14 @@ COMMANDS = (
 )
 
 
-def test_every_command_is_tested_here() -> None:
+def test_every_command_helps_with_an_example() -> None:
     assert tuple(commands()) == COMMANDS
+    _, listed = run("--help").out.split("Commands:")
+    assert all(f"  {name} " in listed for name in COMMANDS) and "..." not in listed
+    for name in COMMANDS:
+        done = run(name, "--help")
+        assert done.status == 0 and f"Example: bayescal {name}" in " ".join(done.out.split())
+        assert "--json" in done.out or name in ("export", "workbench")
 
 
 def test_a_narrow_terminal_breaks_no_table(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -39,10 +39,8 @@ with whole_folder(folder, text) as hidden:
     (hidden / "gone").mkdir(exist_ok=True)
 """
 ALIVE = 10_000  # things done to files, which nothing does
-OLD, NEW = (
-    ("a.json", "b.json", "x/a.json", "x/b.json"),
-    ("a.json", "c.json", "x/a.json", "x/c.json"),
-)
+OLD = ("a.json", "b.json", "x/a.json", "x/b.json")
+NEW = ("a.json", "c.json", "x/a.json", "x/c.json")
 
 
 def killed(*command: str) -> bool:

@@ -1,4 +1,4 @@
-"""A result ends in a paragraph that says what is true, fits on a screen, and has the digits that it deserves."""
+"""Numbers are shown with the digits that they deserve, and an unknown that is skewed as such."""
 
 from __future__ import annotations
 

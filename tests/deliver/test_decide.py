@@ -10,6 +10,7 @@ import pytest
 from scipy import stats
 
 import bayescal as bc
+from tests.support.command_line import needs_installation, run
 from tests.support.made_up import bent_sensor
 from tests.support.made_up import level as electronic_level
 
@@ -20,12 +21,6 @@ DAY = 86400.0  # s
 def gyro() -> bc.Calibration:
     """Bias 21.5 °/s, tempco 0.054 °/s/°C, runs that differ by 0.013 °/s, noise 0.05 °/s; 30 to 80 °C."""
     return bent_sensor.gyro()
-
-
-# What is written.
-
-
-# What follows from the posterior.
 
 
 def test_a_slot_is_decided_on_with_a_new_run(gyro) -> None:
@@ -178,6 +173,15 @@ def test_it_prints_and_is_json_without_infinities(gyro) -> None:
     assert "≤ 24.9" in text
     assert max(map(len, text.splitlines())) <= 120
     assert list(found.to_pandas()["decision"]) == ["accept", "undecided"]
+
+
+@needs_installation
+def test_a_limit_that_is_met_leaves_with_0_and_is_written(gyro, tmp_path) -> None:
+    out, saved = tmp_path / "decisions.json", gyro.save(tmp_path / "calibration.nc")
+    done = run("decide", saved, "--limit", "bias: 20..24 °/s", "--out", out, "--json")
+    assert done.status == 0 and done.said == []
+    assert json.loads(out.read_text("utf-8")) == done.data
+    assert done.data["schema"] == "bayescal.decisions/1" and done.data["conforms"] is True
 
 
 # When to calibrate again.

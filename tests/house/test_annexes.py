@@ -26,7 +26,6 @@ BEHIND = {
         _core.importance_weights: smoothed
         _core.jax_setup: configure_jax obey_no_folder
         _core.jit: compiled
-        _core.parallel: over
         _core.settings: settings unusual
         _data.column: ConvertedColumns Source
         _data.column_conversion: convert_columns

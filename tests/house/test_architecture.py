@@ -252,23 +252,23 @@ def test_what_is_offered_beside_an_instrument_is_there(group: str) -> None:
 # Lines of Python that each part may have: lowered by whoever takes lines out, never raised. What needs more room takes
 # it from the same part first.
 CEILINGS = {
-    "bayescal/_core": 2_190,
+    "bayescal/_core": 2_158,
     "bayescal/_tables": 2_037,
     "bayescal/_data": 5_564,
     "bayescal/_model": 6_107,
     "bayescal/effects": 721,
     "bayescal/_inference": 6_440,
     "bayescal/_calibration": 5_337,
-    "bayescal/_use": 3_198,
+    "bayescal/_use": 3_150,
     "bayescal/_search": 5_898,
-    "bayescal/_report": 2_528,
-    "bayescal/_cli": 2_030,
+    "bayescal/_report": 2_450,
+    "bayescal/_cli": 1_962,
     "bayescal/_annexes/fleet": 3_218,
     "bayescal/_annexes/imu": 3_130,
     "bayescal/_annexes/metrology": 1_758,
     "bayescal/_annexes/workbench": 3_672,
     "models": 9_236,
-    "tests": 26_934,
+    "tests": 26_914,
     "benchmarks": 10_894,
 }
 WORDS = 53_974  # of docs/, README.md and CHANGELOG.md together

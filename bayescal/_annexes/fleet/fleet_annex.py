@@ -95,7 +95,7 @@ def batch(
     said = [f"{bad} of {len(found)} devices have no result, or none to rely on"] * bool(bad)
     said += [f"{lost} files have none"] * bool(lost)
     data = {"file": str(out), **found.data()}
-    return Answer(found, data, ok=not said, why="; ".join(said), written=lambda: str(out))
+    return Answer(found, data, ok=not said, why="; ".join(said), written=str(out))
 
 
 def _refuse_place(out: Path, files: list[Path]) -> None:

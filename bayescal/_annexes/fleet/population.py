@@ -47,7 +47,6 @@ from jaxtyping import Array, Float
 from bayescal import Coefficient, Flat, HalfCauchy, HalfNormal, Model, ModelError
 from bayescal._core.importance_weights import smoothed
 from bayescal._core.jax_setup import configure_jax
-from bayescal._core.parallel import over
 from bayescal._inference import trust
 from bayescal._inference.newton import ByValues, climb, gaussian_fit
 from bayescal._inference.sampling import PriorShare, around_mode, propose
@@ -176,7 +175,7 @@ def _sums_at(devices: DeviceEstimates, scale: Array, v: Float[Array, "k"]):
 
 @jax.jit
 def _sums(devices: DeviceEstimates, scale: Array, v: Array):
-    return over(partial(_sums_at, devices, scale), v, SPREADS_TOGETHER)
+    return jax.lax.map(partial(_sums_at, devices, scale), v, batch_size=SPREADS_TOGETHER)
 
 
 @jax.jit
@@ -189,7 +188,7 @@ def _sums_and_slopes(devices: DeviceEstimates, scale: Array, v: Array):
         slopes, values = jax.jacfwd(both, has_aux=True)(v)
         return values, jax.tree.map(lambda a: jnp.moveaxis(a, -1, 0), slopes)
 
-    return over(one, v, SPREADS_TOGETHER)
+    return jax.lax.map(one, v, batch_size=SPREADS_TOGETHER)
 
 
 @partial(jax.jit, static_argnames="likely")

@@ -186,16 +186,13 @@ def _answer(
 ) -> Answer:
     """What was found of three axes, by the folder in this one: its words are printed already."""
 
-    def pictures() -> bool:
-        made = folder is None or _draw(trails, folder)
-        for place in dict.fromkeys((*trails, "")) if folder is not None and not asked.json_ else ():
-            names = (*files_of(folder / place), MANIFEST)
-            print(f"written: {folder / place}/{', '.join(names)}")
-        return made
-
+    made = folder is None or _draw(trails, folder)
+    for place in dict.fromkeys((*trails, "")) if folder is not None and not asked.json_ else ():
+        names = (*files_of(folder / place), MANIFEST)
+        print(f"written: {folder / place}/{', '.join(names)}")
     why = [trail.gate.reason for trail in trails.values() if not trail.ok]
     shown = data if asked.json_ else None
-    return Answer(shown, ok=not why, why="; ".join(why[:1]), pictures=pictures)
+    return Answer(shown, ok=not why, why="; ".join(why[:1]), made=made)
 
 
 def _three(given: str | None) -> dict[str, str]:
@@ -294,6 +291,7 @@ def _draw(trails: Mapping[str, Any], folder: Path) -> bool:
     def reports() -> None:
         with drawing(REPORT), whole_folder(folder, more=True) as hidden:
             for place, trail in trails.items():
+                (hidden / place).mkdir(exist_ok=True)
                 made.append(drawn(bc.report, trail, hidden / place / REPORT))
                 list_files(hidden / place, None)
             if len(trails) > 1:
