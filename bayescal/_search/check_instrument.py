@@ -6,7 +6,7 @@ lost in the noise, coefficients that no readings could tell apart.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -25,7 +25,6 @@ from bayescal._data.measurements import Measurements
 from bayescal._data.unit_conversion import ANY, unit_label
 from bayescal._inference.least_squares import LeastSquares
 from bayescal._model import forward
-from bayescal._model.effect import Effect
 from bayescal._model.frame import build_frame, reference_of
 from bayescal._model.instrument import Instrument
 from bayescal._model.model import Model, testable
@@ -145,14 +144,24 @@ def check_instrument(
         simulated = instrument.simulator is not None
         readings = instrument.simulate({}, seed=seed) if simulated else _made_up(instrument, seed)
     baseline = Model(instrument, instrument.effects, instrument.noise)
+    trials = [("baseline", baseline, instrument.effects)]
+    trials += [("candidate", baseline + e, (e,)) for e in instrument.candidates]
     with stage(f"checking {instrument.name}"):
-        if _tried(found, baseline, instrument.effects, "baseline", readings, seed):
-            for effect in instrument.candidates:
-                if (reason := testable(effect, readings)) is not None:
-                    unit, remark = effect.coefficients[0].unit, f"not tested, {reason}"
-                    found.rows.append(Recovery("candidate", effect.name, unit, remark=remark))
-                else:
-                    _tried(found, baseline + effect, (effect,), "candidate", readings, seed)
+        for kind, model, of in trials:
+            names = ", ".join(e.name for e in of)
+            if kind == "candidate" and (reason := testable(of[0], readings)) is not None:
+                unit, remark = of[0].coefficients[0].unit, f"not tested, {reason}"
+                found.rows.append(Recovery(kind, names, unit, remark=remark))
+                continue
+            try:
+                _recover(found, model, {e.name for e in of}, kind, readings, seed)
+                continue
+            except BayescalError as error:
+                found.errors.append(str(error) if names in str(error) else f"{names}: {error}")
+            except Exception as error:  # of the author's functions: said, not shown as a traceback
+                found.errors.append(f"{names or 'the response'} fails: {in_one_line(error)}")
+            if kind == "baseline":
+                break
     found.errors, found.notes = ([*dict.fromkeys(one)] for one in (found.errors, found.notes))
     return found
 
@@ -187,22 +196,6 @@ def _made_up(instrument: Instrument, seed: int) -> Measurements:
             made[name] = random.uniform(low, high, run.size)
     made["output"] = random.standard_normal(run.size)
     return Measurements.from_arrays(instrument, **made)
-
-
-def _tried(
-    found: InstrumentCheck, model: Model, of: Sequence[Effect], kind: str, *how: Any
-) -> bool:
-    """Simulate and fit a model, and note what came back of some of its effects; return whether it could be done."""
-    names = ", ".join(e.name for e in of)
-    try:
-        _recover(found, model, {e.name for e in of}, kind, *how)
-    except BayescalError as error:
-        found.errors.append(str(error) if names in str(error) else f"{names}: {error}")
-    except Exception as error:  # of the author's functions: said, not shown as a traceback
-        found.errors.append(f"{names or 'the response'} fails: {in_one_line(error)}")
-    else:
-        return True
-    return False
 
 
 def _recover(
