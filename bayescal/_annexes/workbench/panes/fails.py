@@ -231,10 +231,10 @@ class ResidualsOfState:
         """A shape a reading, by run: colour is never the only thing that tells them apart."""
         return np.array(MARKERS)[self.runs[1] % len(MARKERS)]
 
-    def start(self, count: int = 2) -> list[str]:
-        """What is shown first: the continuous covariates with the strongest evidence, in the order of the columns."""
+    def start(self) -> list[str]:
+        """What is shown first: the two continuous covariates with the strongest evidence, in the columns' order."""
         ranked = [e.against for e in self.check.entries if not e.by_group]
-        chosen = ranked[:count] or [n for n in self.covariates if n != AGAINST][:count]
+        chosen = ranked[:2] or [n for n in self.covariates if n != AGAINST][:2]
         return [n for n in self.covariates if n in chosen] or [AGAINST]
 
     def sentence(self) -> str:
@@ -459,11 +459,6 @@ class Fails(Pane):
             made.show(self.shown)
         self._lay_out()
         self._say_selected()
-
-    def widen(self, wide: bool) -> None:
-        """Begin with a third panel where there is room."""
-        if wide and self.choice.value == self.shown.start():
-            self.choice.value = self.shown.start(3)
 
     def preview(self, curve: np.ndarray | None) -> None:
         """Lay an effect's curve over the residuals, output unit, (n,); None takes it away."""
