@@ -203,7 +203,6 @@ class Session:
     _at: int = 0
     _been: list[int] = field(default_factory=list)  # current states before this one, the last last
     _loops: list[Loop] = field(default_factory=list)  # with the structures weighed over models
-    _followers: list[Callable[[SearchPath], None]] = field(default_factory=list)
     _trails: dict[int, SearchPath] = field(default_factory=dict)
     _decisions: dict[int, Decisions] = field(default_factory=dict)
     _lock: threading.RLock = field(default_factory=threading.RLock)  # of the tree
@@ -401,20 +400,16 @@ class Session:
         begin = self.current
         if begin.step.against and not self._loop.freed(begin.step):
             raise ModelError(f"nothing is looked for: {' '.join(begin.step.against)}")
-        self._followers.append(follow)
-        try:
-            with self._in_time():
-                loop, at = self._weighed(begin, go_on=True)
-                steps, number = [begin.step], begin.number
-                for before, to, found in loop.way(loop.goal, at):
-                    if before is None:
-                        self._keep_found(number, found)
-                        continue
-                    steps.append(loop.fitted(to, before))
-                    number = self._append(steps[-1], number, found).number
-                    follow(loop.trail(steps=steps))
-        finally:
-            self._followers.remove(follow)
+        with self._in_time():
+            loop, at = self._weighed(begin, follow)
+            steps, number = [begin.step], begin.number
+            for before, to, found in loop.way(loop.goal, at):
+                if before is None:
+                    self._keep_found(number, found)
+                    continue
+                steps.append(loop.fitted(to, before))
+                number = self._append(steps[-1], number, found).number
+                follow(loop.trail(steps=steps))
 
     @contextmanager
     def _in_time(self) -> Iterator[None]:
@@ -422,7 +417,9 @@ class Session:
         with self._looking, deadline.until(self.settings.time_limit) as self._end:
             yield
 
-    def _weighed(self, state: State, go_on: bool = False) -> tuple[Loop, Structure]:
+    def _weighed(
+        self, state: State, follow: Callable[[SearchPath], None] | None = None
+    ) -> tuple[Loop, Structure]:
         """Return the search that says what is missing from a state, and which of its structures that state is.
 
         It is that of `calibrate` over the first model, so that states on the way to what it chooses share one posterior
@@ -430,35 +427,29 @@ class Session:
 
         Args:
             state: which.
-            go_on: whether to go on with a search that was stopped.
+            follow: told how it goes on; a search that was stopped goes on only where somebody follows.
         """
         first, loop = self.states[0], self._loop
         given = [e for e in first.model.effects if loop.weighs(e, first.model)]
-        found = self._searched(reduce(sub, given, first.model), given, go_on)
+        found = self._searched(reduce(sub, given, first.model), given, follow)
         if (at := _structure_of(state.model, found)) is None:
-            found, at = self._searched(state.model, (), go_on), Structure()
+            found, at = self._searched(state.model, (), follow), Structure()
         return found, at
 
-    def _searched(self, core: Model, given: Sequence[Effect], go_on: bool) -> Loop:
+    def _searched(
+        self, core: Model, given: Sequence[Effect], follow: Callable[[SearchPath], None] | None
+    ) -> Loop:
         """Weigh structures over a model, those with given effects among them; kept."""
-        for found in self._loops:
-            if found.steps[0].calibration.model == core:
-                break
-        else:
+        found = next((s for s in self._loops if s.steps[0].calibration.model == core), None)
+        if begun := found is None:
             same = (s.step for s in self.states.values() if s.model == core)
             found = replace(self._loop, given=tuple(given), stopped="not begun")
             first = next(same, None) or found.step(core, found.quick(core))
             more = (*self.own.values(), *found.freed(self.states[0].step))
             found.open(first, more, self.settings.widen_noise)
-            go_on = True
-        if found.stopped and go_on:
-
-            def tell() -> None:
-                for follow in tuple(self._followers):
-                    follow(found.trail())
-
+        if found.stopped and (begun or follow is not None):
             with deadline.sooner(SEARCH):
-                found.look(tell)
+                found.look(lambda: None if follow is None else follow(found.trail()))
             self._loops = [*(one for one in self._loops if one is not found), found][-SEARCHES:]
         return found
 
