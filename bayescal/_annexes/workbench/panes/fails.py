@@ -527,14 +527,10 @@ class Fails(Pane):
             made.place(self.what.value)
 
     def _fill_source(self, coming: Sequence[str] = ()) -> None:
-        """The readings that are drawn, for the panels that are there and those that come."""
+        """The readings that are drawn, for the panels that were made and those that come."""
         shown, residual, before = self.shown, self._now(), self._other()
-        there = [n for n, made in self._made.items() if made.room in [*self.panels]]
-        names, rows = list(coming) or there, np.array([], int)
-        if names:
-            rows = drawn_rows(residual, shown.measured)
-        drawn = dict.fromkeys([*names, *there])  # panels that go are drawn once more
-        at: dict[str, Any] = {AT + n: shown.places[n][rows] for n in drawn}
+        rows = drawn_rows(residual, shown.measured)
+        at: dict[str, Any] = {AT + n: shown.places[n][rows] for n in {*coming, *self._made}}
         other = np.full(rows.size, np.nan) if before is None else before[rows]
         self.source.data = at | {
             "row": rows,
