@@ -222,7 +222,7 @@ def _recover(
         signs[b.start : b.start + b.size] = (
             1 - 2 * (n % 2) if alone else random.standard_normal(b.size)
         )
-    x = np.asarray(forward.prior_mean(layout) + forward.prior_sd(layout, hyper) * signs)
+    x = forward.prior_mean(layout) + forward.prior_sd(layout, hyper) * signs
     # The second of two: a seed stands for the readings that it always gave.
     key = jax.random.split(jax.random.fold_in(jax.random.key(seed), len(found.rows)))[1]
     output = np.asarray(forward.draw_readings(layout, frame, x, v, key))
@@ -245,7 +245,7 @@ def _recover(
     fitted = fit(model, readings.with_column("output", output), LeastSquares(draws=300), **how)
     jacobian = np.asarray(forward.linearise(layout, frame, x, hyper).jacobian)
     unknowns = Unknowns.of(layout, levels)
-    values = unknowns.values(x, np.asarray(v))
+    values = unknowns.values(np.asarray(x), np.asarray(v))
     for name, at in unknowns.by_key.items():
         u, *others = unknowns.rows[at]
         if u.effect not in mine or u.kind == "group_sd":

@@ -178,7 +178,7 @@ class SearchOptions:
     widen_noise: bool = True
     keep_spikes: bool = False
     seed: int = 0
-    reference: Mapping[str, Any] | None = None
+    reference: dict[str, Any] | None = None
     time_limit: float | None = None
     accept_conflicts: Collection[str] = ()
 
