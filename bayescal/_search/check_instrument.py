@@ -34,8 +34,6 @@ from bayescal._search.own_files import in_one_line
 
 BACK_SD = 4.0  # from its true value, beyond which a coefficient has not come back
 IDENTIFIABLE_CONTRACTION = 0.6  # below it is not identifiable; two that are one have a half each
-RUNS, ROWS = 4, 60  # of the readings that are made up, where the instrument has no simulator
-SPANS = 5.0  # times the longest median time of an effect, that a run lasts at the least
 
 
 @dataclass(frozen=True)
@@ -126,23 +124,21 @@ def check_instrument(
 
     Args:
         instrument: the instrument.
-        readings: of which the columns are taken, the output aside; those of its simulator, or made up within `low` and
-            `high` of each column, if not given.
+        readings: of which the columns are taken, the output aside; those of its simulator, if not given.
         seed: of every random number.
 
     Raises:
-        ModelError: the instrument takes its unit from readings, and there are none.
+        ModelError: the instrument has no simulator, or takes its unit from readings, and there are none.
     """
     if readings is not None:
         instrument = instrument.for_readings(readings)
-    if instrument.unit == ANY:
+    elif instrument.unit == ANY or instrument.simulator is None:
         raise ModelError(
-            f"instrument {instrument.name!r} takes its unit and sizes from readings: give some (readings=)"
+            f"instrument {instrument.name!r} has no simulator, or takes its unit from readings: give some (--readings "
+            "FILE, in Python readings=)"
         )
     found = InstrumentCheck(instrument.name, instrument.unit)
-    if readings is None:
-        simulated = instrument.simulator is not None
-        readings = instrument.simulate({}, seed=seed) if simulated else _made_up(instrument, seed)
+    readings = instrument.simulate({}, seed=seed) if readings is None else readings
     baseline = Model(instrument, instrument.effects, instrument.noise)
     trials = [("baseline", baseline, instrument.effects)]
     trials += [("candidate", baseline + e, (e,)) for e in instrument.candidates]
@@ -164,38 +160,6 @@ def check_instrument(
                 break
     found.errors, found.notes = ([*dict.fromkeys(one)] for one in (found.errors, found.notes))
     return found
-
-
-def _made_up(instrument: Instrument, seed: int) -> Measurements:
-    """Readings of every column within what it declares: temperatures go up and down in each run, others are drawn."""
-    random, run = np.random.default_rng(seed), np.repeat(np.arange(RUNS), ROWS)
-    # Runs last several of the longest time constants, and readings stand closer than these.
-    shapes = [s for e in (*instrument.effects, *instrument.candidates) for s in e.shapes]
-    times = [float(s.prior.value(0.0)) for s in shapes if s.unit == "s" and not s.open]
-    step = max(10.0, SPANS * max(times, default=0.0) / ROWS)
-    made: dict[str, Any] = {}
-    for column in instrument.columns:
-        name, usual = column.name, (10.0, 50.0) if column.unit == "degC" else (-1.0, 1.0)
-        low, high, wide = column.low, column.high, usual[1] - usual[0]
-        low = low if low is not None else usual[0] if high is None else high - wide
-        high = low + wide if high is None else high
-        if name == "time":
-            made[name] = step * (np.arange(run.size) + ROWS * run)
-        elif name == "run":
-            made[name] = [f"run {n + 1}" for n in run]
-        elif column.unit is None:
-            members = column.allowed or ("a", "b", "c")
-            made[name] = [members[n] for n in random.integers(len(members), size=run.size)]
-        elif name == "temperature_point":
-            made[name] = np.full(run.size, np.nan)
-        elif column.unit == "degC":
-            low, high = max(low, usual[0]), min(high, usual[1])
-            phase = 2 * np.pi * np.arange(run.size) / ROWS + run
-            made[name] = 0.5 * (low + high) + 0.5 * (high - low) * np.sin(phase)
-        elif name not in ("output", "output_uncertainty"):
-            made[name] = random.uniform(low, high, run.size)
-    made["output"] = random.standard_normal(run.size)
-    return Measurements.from_arrays(instrument, **made)
 
 
 def _recover(
