@@ -260,7 +260,8 @@ class Session:
             made = typed_effect(line, readings=self.readings, instrument=model.instrument)
             self.own[made.name] = made
         effects, accepted = tuple(self.own.values()), self.settings.accept_conflicts
-        for said, calibration in kept.states_in(self.folder, effects, model.instrument):
+        kept_states = kept.states_in(self.folder, told, effects, model.instrument)
+        for n, (said, calibration) in enumerate(kept_states):
             if not calibration.readings.same_as(self.readings):
                 raise InputError(
                     f"{self.folder} holds a session of other readings, {calibration.readings.file}: give another "
@@ -268,13 +269,10 @@ class Session:
                 )
             step = step_of(calibration, self.holdout, accepted)
             step = replace(step, added=said["added"], changed=said["changed"])
-            self._states[said["number"]] = State(said["number"], said["parent"], step, said["at"])
-        if 0 not in self._states:
-            raise InputError(
-                f"{self.folder} holds no first step that is whole: begin in another folder"
-            )
-        at = told["current"]
-        self._at = at if at in self._states else max(self._states)
+            at = datetime.fromisoformat(said["at"])
+            self._states[n] = State(n, said["parent"], step, at)
+        self._at = told["current"]
+        kept.fit_of(self.folder, len(self._states)).unlink(missing_ok=True)  # of a state cut short
 
     @property
     def states(self) -> Mapping[int, State]:
@@ -475,8 +473,7 @@ class Session:
         self._loops.clear()
         self._trails.clear()
         with self._lock:
-            self._states = {n: replace(s, discovery=None) for n, s in self._states.items()}
-            self._keep()
+            self._be(self._at, {n: replace(s, discovery=None) for n, s in self._states.items()})
         return self.add(made.name)
 
     def script(self) -> str:
@@ -586,21 +583,29 @@ class Session:
     def _append(self, step: Step, parent: int | None, discovery: Discovery | None = None) -> State:
         """A step as a child of a state: kept, and then the current one."""
         with self._lock:
-            number = max(self._states, default=-1) + 1
+            number = len(self._states)
             state = State(number, parent, step, datetime.now(UTC), discovery)
-            way = [] if parent is None else self.path(parent)
-            if not number:
-                self._keep()
-            kept.keep_state(self.folder, state, self._script([*way, state]))
-            self._states[number] = state
-            if number:
-                self._been.append(self._at)
-            return self._be(number)
+            if (file := kept.fit_of(self.folder, number)).exists():
+                raise InputError(
+                    f"{file} was made meanwhile: another workbench goes on here. End one"
+                )
+            state.calibration.save(file)
+            before = self._at
+            try:
+                self._be(number, {**self._states, number: state})
+            except InputError:
+                file.unlink()
+                raise
+            self._been += [before] * bool(number)
+            return state
 
-    def _be(self, number: int) -> State:
-        """Make a state the current one."""
-        self._at = number
-        self._keep()
+    def _be(self, number: int, states: dict[int, State] | None = None) -> State:
+        """Make a state the current one, of these states if they are others."""
+        states = self._states if states is None else states
+        texts = [e.basis.text for e in self.own.values() if isinstance(e.basis, Formula)]
+        way = [states[n] for n in path_to(states, number)]
+        kept.keep_session(self.folder, states, number, texts, self._script(way))
+        self._states, self._at = states, number
         for call in tuple(self.on_change):
             call()
         return self.current
@@ -608,10 +613,6 @@ class Session:
     def _keep_found(self, number: int, discovery: Discovery | None) -> None:
         with self._lock:
             self._states[number] = replace(self._states[number], discovery=discovery)
-
-    def _keep(self) -> None:
-        texts = [e.basis.text for e in self.own.values() if isinstance(e.basis, Formula)]
-        kept.keep_session(self.folder, texts, self._at)
 
     def _script(self, way: list[State]) -> str:
         return script(way, self.origin, self.settings, self.folder.resolve())
