@@ -31,9 +31,10 @@ BEHIND = {
         _data.column: ConvertedColumns Source
         _data.column_conversion: convert_columns
         _data.dataset_checks: refuse_backward_time refuse_one_temperature
-        _data.header_matching: ExpectedColumns InstrumentLike MatchedFile output_name unit_of unused_options
+        _data.header_matching: MatchedFile
+        _data.read_options: ExpectedColumns InstrumentLike output_name unit_of unused_options
         _inference: sampled_products trust
-        _inference.laplace: climb gaussian_fit
+        _inference.newton: ByValues climb gaussian_fit
         _inference.method: Method
         _inference.sampling: PriorShare around_mode propose
         _model: forward
@@ -51,7 +52,6 @@ BEHIND = {
         _tables.raw_table: Table as_format load_whole refuse_large
     """,
     "imu": """
-        _calibration.mixture: usual_columns with_columns
         _calibration.sensor_noise: FILTER_QUANTILE
         _cli.output: coefficients_text
         _core: deadline
@@ -64,7 +64,6 @@ BEHIND = {
         _use.compensation_program: AGAIN STIMULUS inputs_at_fit
     """,
     "metrology": """
-        _calibration.mixture: inclusion
         _calibration.prior_influence: NotMeasured coefficients_not_measured not_measured
         _use: operating_equation
         _use.budget: notes_on

@@ -19,10 +19,10 @@ from bayescal import Column, InputError, Measurements
 from bayescal._data.column import ConvertedColumns, Source
 from bayescal._data.column_conversion import convert_columns
 from bayescal._data.dataset_checks import refuse_backward_time, refuse_one_temperature
-from bayescal._data.header_matching import (
+from bayescal._data.header_matching import MatchedFile
+from bayescal._data.read_options import (
     ExpectedColumns,
     InstrumentLike,
-    MatchedFile,
     output_name,
     unit_of,
     unused_options,
@@ -402,7 +402,7 @@ def _useless(block: DeviceBlock, instrument: InstrumentLike) -> dict[str, str]:
     need, refused = need and "temperature" in block.values, dict[str, str]()
     for i, name in enumerate(block.names):
         columns, file, problems = block.columns(i), f"device {name}", Objections()
-        with problems.collecting(file):
+        with problems.collecting():
             if need:
                 refuse_one_temperature(columns, file)
             refuse_backward_time(columns, lambda row, file=file: f"reading {row + 1} of {file}")

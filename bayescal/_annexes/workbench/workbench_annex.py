@@ -5,18 +5,16 @@ from __future__ import annotations
 from collections.abc import Mapping
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from bayescal.workshop import (
     Commands,
-    Early,
     SearchRequest,
     channel_names,
     folders_of,
     method_named,
     own_effects,
     print_notes,
-    read_early,
     reference_of,
     result_folder,
     searched,
@@ -48,7 +46,7 @@ def workbench(
     address: str = "127.0.0.1",
     no_open: bool = False,
 ) -> None:
-    """The same loop in a browser, step by step: look, add, compare, go back. Ctrl-C ends it.
+    """Run the same loop in a browser, step by step.
 
     It is served to this computer alone, under an address that nobody guesses, unless --address says otherwise.
     Channels of a unit have each a page of its own, with links to the others.
@@ -60,14 +58,14 @@ def workbench(
     print_notes([at.exposed] if at.exposed else [])
     # A file that cannot be used is refused before a browser opens.
     names = channel_names(channels)
-    early = read_early(asked, names)
+    opened = searched(names, asked)
     with result_folder(out) as folder:
         assert folder is not None
         folders = {n: folder / inner for n, inner in folders_of(names).items()} or {"": folder}
         told = ", ".join(p.name for p in asked.files)
         tell("loading the workbench and fitting the first model …")
         said = f"bayescal workbench of {told}: {at.url}\n(Ctrl-C ends it; kept in {folder})"
-        sessions = _sessions(asked, early, folders)
+        sessions = _sessions(asked, opened, folders)
         from bayescal._annexes.workbench.serve import serve
 
         serve(sessions, at, said, None if no_open else folder)
@@ -76,12 +74,11 @@ def workbench(
 
 def _sessions(
     asked: SearchRequest,
-    early: Early,
+    opened: tuple[Mapping[str, Any], Mapping[str, Any], Mapping[str, Any]],
     folders: Mapping[str, Path],
 ) -> dict[str, Opened]:
     """The sessions of a server, by channel ("" where there is one output); the first of them is open."""
-    names = [n for n in folders if n]
-    models, readings, kept = searched(names, asked, early)
+    names, (models, readings, kept) = [n for n in folders if n], opened
     from bayescal._annexes.workbench.kept import FIRST, Origin, last_session
     from bayescal._annexes.workbench.serve import Opened
     from bayescal._annexes.workbench.session import Session
