@@ -46,7 +46,6 @@ from ._core.as_json import write_json as write_json
 
 # files: written whole or not at all; folders of results
 from ._core.atomic_file import replacing_for_user as replacing_for_user
-from ._core.atomic_file import to_disk as to_disk
 from ._core.atomic_file import write_text as write_text
 
 # text for people and for programs: numbers, names, tables
@@ -98,7 +97,6 @@ from ._report.whole_folder import drawing as drawing
 from ._report.whole_folder import files_of as files_of
 from ._report.whole_folder import folders_of as folders_of
 from ._report.whole_folder import list_files as list_files
-from ._report.whole_folder import refuse_mixed as refuse_mixed
 from ._report.whole_folder import whole_folder as whole_folder
 from ._tables.open_table import LOG_FORMATS as LOG_FORMATS
 from ._tables.open_table import open_table as open_table

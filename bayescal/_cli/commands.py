@@ -55,7 +55,7 @@ PAIR_SELECTIONS = "bayescal.pair_selections"
 AT_REST = "still_sensor"
 
 
-@commands.example("bayescal instruments --check level.py:INSTRUMENT")
+@commands.example("bayescal instruments --check level.py:INSTRUMENT --readings bar.csv")
 def instruments(
     named: str | None = None,
     check: str | None = None,

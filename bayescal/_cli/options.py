@@ -206,7 +206,7 @@ OPTIONS: Options = {
     "predict.out": "File to write: .csv, .parquet or .nc.",
     "prior_sensitivity": "Also how much the priors matter (psense).",
     "quantile": "Of the posterior, that the numbers for Kalibr are.",
-    "readings": {"help": "With --check: files whose columns, the output aside, are taken in place of made-up ones.",
+    "readings": {"help": "With --check: files whose columns, the output aside, are taken in place of a simulator's.",
         "callback": refuse_missing},
     "reference": "T0=0: reference temperature of the bases, °C.",
     "report.calibrations": "Saved calibrations (.nc), or folders that `bayescal calibrate --out` wrote.",

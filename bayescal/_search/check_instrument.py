@@ -6,7 +6,7 @@ lost in the noise, coefficients that no readings could tell apart.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -25,7 +25,6 @@ from bayescal._data.measurements import Measurements
 from bayescal._data.unit_conversion import ANY, unit_label
 from bayescal._inference.least_squares import LeastSquares
 from bayescal._model import forward
-from bayescal._model.effect import Effect
 from bayescal._model.frame import build_frame, reference_of
 from bayescal._model.instrument import Instrument
 from bayescal._model.model import Model, testable
@@ -35,8 +34,6 @@ from bayescal._search.own_files import in_one_line
 
 BACK_SD = 4.0  # from its true value, beyond which a coefficient has not come back
 IDENTIFIABLE_CONTRACTION = 0.6  # below it is not identifiable; two that are one have a half each
-RUNS, ROWS = 4, 60  # of the readings that are made up, where the instrument has no simulator
-SPANS = 5.0  # times the longest median time of an effect, that a run lasts at the least
 
 
 @dataclass(frozen=True)
@@ -127,82 +124,42 @@ def check_instrument(
 
     Args:
         instrument: the instrument.
-        readings: of which the columns are taken, the output aside; those of its simulator, or made up within `low` and
-            `high` of each column, if not given.
+        readings: of which the columns are taken, the output aside; those of its simulator, if not given.
         seed: of every random number.
 
     Raises:
-        ModelError: the instrument takes its unit from readings, and there are none.
+        ModelError: the instrument has no simulator, or takes its unit from readings, and there are none.
     """
     if readings is not None:
         instrument = instrument.for_readings(readings)
-    if instrument.unit == ANY:
+    elif instrument.unit == ANY or instrument.simulator is None:
         raise ModelError(
-            f"instrument {instrument.name!r} takes its unit and sizes from readings: give some (readings=)"
+            f"instrument {instrument.name!r} has no simulator, or takes its unit from readings: give some (--readings "
+            "FILE, in Python readings=)"
         )
     found = InstrumentCheck(instrument.name, instrument.unit)
-    if readings is None:
-        simulated = instrument.simulator is not None
-        readings = instrument.simulate({}, seed=seed) if simulated else _made_up(instrument, seed)
+    readings = instrument.simulate({}, seed=seed) if readings is None else readings
     baseline = Model(instrument, instrument.effects, instrument.noise)
+    trials = [("baseline", baseline, instrument.effects)]
+    trials += [("candidate", baseline + e, (e,)) for e in instrument.candidates]
     with stage(f"checking {instrument.name}"):
-        if _tried(found, baseline, instrument.effects, "baseline", readings, seed):
-            for effect in instrument.candidates:
-                if (reason := testable(effect, readings)) is not None:
-                    unit, remark = effect.coefficients[0].unit, f"not tested, {reason}"
-                    found.rows.append(Recovery("candidate", effect.name, unit, remark=remark))
-                else:
-                    _tried(found, baseline + effect, (effect,), "candidate", readings, seed)
+        for kind, model, of in trials:
+            names = ", ".join(e.name for e in of)
+            if kind == "candidate" and (reason := testable(of[0], readings)) is not None:
+                unit, remark = of[0].coefficients[0].unit, f"not tested, {reason}"
+                found.rows.append(Recovery(kind, names, unit, remark=remark))
+                continue
+            try:
+                _recover(found, model, {e.name for e in of}, kind, readings, seed)
+                continue
+            except BayescalError as error:
+                found.errors.append(str(error) if names in str(error) else f"{names}: {error}")
+            except Exception as error:  # of the author's functions: said, not shown as a traceback
+                found.errors.append(f"{names or 'the response'} fails: {in_one_line(error)}")
+            if kind == "baseline":
+                break
     found.errors, found.notes = ([*dict.fromkeys(one)] for one in (found.errors, found.notes))
     return found
-
-
-def _made_up(instrument: Instrument, seed: int) -> Measurements:
-    """Readings of every column within what it declares: temperatures go up and down in each run, others are drawn."""
-    random, run = np.random.default_rng(seed), np.repeat(np.arange(RUNS), ROWS)
-    # Runs last several of the longest time constants, and readings stand closer than these.
-    shapes = [s for e in (*instrument.effects, *instrument.candidates) for s in e.shapes]
-    times = [float(s.prior.value(0.0)) for s in shapes if s.unit == "s" and not s.open]
-    step = max(10.0, SPANS * max(times, default=0.0) / ROWS)
-    made: dict[str, Any] = {}
-    for column in instrument.columns:
-        name, usual = column.name, (10.0, 50.0) if column.unit == "degC" else (-1.0, 1.0)
-        low, high, wide = column.low, column.high, usual[1] - usual[0]
-        low = low if low is not None else usual[0] if high is None else high - wide
-        high = low + wide if high is None else high
-        if name == "time":
-            made[name] = step * (np.arange(run.size) + ROWS * run)
-        elif name == "run":
-            made[name] = [f"run {n + 1}" for n in run]
-        elif column.unit is None:
-            members = column.allowed or ("a", "b", "c")
-            made[name] = [members[n] for n in random.integers(len(members), size=run.size)]
-        elif name == "temperature_point":
-            made[name] = np.full(run.size, np.nan)
-        elif column.unit == "degC":
-            low, high = max(low, usual[0]), min(high, usual[1])
-            phase = 2 * np.pi * np.arange(run.size) / ROWS + run
-            made[name] = 0.5 * (low + high) + 0.5 * (high - low) * np.sin(phase)
-        elif name not in ("output", "output_uncertainty"):
-            made[name] = random.uniform(low, high, run.size)
-    made["output"] = random.standard_normal(run.size)
-    return Measurements.from_arrays(instrument, **made)
-
-
-def _tried(
-    found: InstrumentCheck, model: Model, of: Sequence[Effect], kind: str, *how: Any
-) -> bool:
-    """Simulate and fit a model, and note what came back of some of its effects; return whether it could be done."""
-    names = ", ".join(e.name for e in of)
-    try:
-        _recover(found, model, {e.name for e in of}, kind, *how)
-    except BayescalError as error:
-        found.errors.append(str(error) if names in str(error) else f"{names}: {error}")
-    except Exception as error:  # of the author's functions: said, not shown as a traceback
-        found.errors.append(f"{names or 'the response'} fails: {in_one_line(error)}")
-    else:
-        return True
-    return False
 
 
 def _recover(
@@ -229,7 +186,7 @@ def _recover(
         signs[b.start : b.start + b.size] = (
             1 - 2 * (n % 2) if alone else random.standard_normal(b.size)
         )
-    x = np.asarray(forward.prior_mean(layout) + forward.prior_sd(layout, hyper) * signs)
+    x = forward.prior_mean(layout) + forward.prior_sd(layout, hyper) * signs
     # The second of two: a seed stands for the readings that it always gave.
     key = jax.random.split(jax.random.fold_in(jax.random.key(seed), len(found.rows)))[1]
     output = np.asarray(forward.draw_readings(layout, frame, x, v, key))
@@ -252,7 +209,7 @@ def _recover(
     fitted = fit(model, readings.with_column("output", output), LeastSquares(draws=300), **how)
     jacobian = np.asarray(forward.linearise(layout, frame, x, hyper).jacobian)
     unknowns = Unknowns.of(layout, levels)
-    values = unknowns.values(x, np.asarray(v))
+    values = unknowns.values(np.asarray(x), np.asarray(v))
     for name, at in unknowns.by_key.items():
         u, *others = unknowns.rows[at]
         if u.effect not in mine or u.kind == "group_sd":

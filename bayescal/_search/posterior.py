@@ -115,12 +115,9 @@ class Posterior:
 
     def form(self, name: str) -> str:
         """The most probable form of a family; its own name where no structure has any."""
-        mass: dict[str, float] = {}
-        for s, probability in zip(self.structures, self.probability.tolist(), strict=True):
-            for n in s.effects:
-                if self.space.family(n) == name:
-                    mass[n] = mass.get(n, 0.0) + probability
-        return max(mass, key=lambda n: mass[n], default=name)
+        mass = _mass([s.effects for s in self.structures], self.probability)
+        own = [n for n in mass if self.space.family(n) == name]
+        return max(own, key=mass.__getitem__, default=name)
 
     def _of_any(self, inside: Sequence[bool]) -> float:
         return float(min(1.0, self.probability[np.array(inside, dtype=bool)].sum()))
@@ -153,12 +150,9 @@ class Posterior:
         """The likeliest effect in the members' place: of the structures that have none of them."""
         # Effects that are in for other reasons are nobody's substitutes.
         settled = (self.families(self.best.effects) - {members[0]}) | self.families(self.given)
-        mass: dict[str, float] = {}
-        for there, probability in zip(self.reported, self.probability, strict=True):
-            if there.isdisjoint(members):
-                for name in there - settled:
-                    mass[name] = mass.get(name, 0.0) + float(probability)
-        return max(mass, key=lambda n: mass[n], default=None)
+        others = [r - settled if r.isdisjoint(members) else frozenset() for r in self.reported]
+        mass = _mass(others, self.probability)
+        return max(mass, key=mass.__getitem__, default=None)
 
     @property
     def chosen(self) -> Structure:
@@ -175,14 +169,10 @@ class Posterior:
             # Conditional inclusion: of the structures that hold what was chosen so far, which further effect most of
             # them have, in any form; then which form. Without the condition two substitutes of one half each would both
             # be out.
-            share: dict[str, float] = {}
-            of_form: dict[str, float] = {}
-            for s, p in inside:
-                for n in s.effects - effects:
-                    share[self.space.family(n)] = share.get(self.space.family(n), 0.0) + p
-                    of_form[n] = of_form.get(n, 0.0) + p
+            further, each = [s.effects - effects for s, _ in inside], [p for _, p in inside]
+            of_form, share = _mass(further, each), _mass(map(self.families, further), each)
             likely = max(share, key=lambda n: (share[n], n), default="")
-            if not likely or share[likely] <= 0.5 * sum(p for _, p in inside):
+            if not likely or share[likely] <= 0.5 * sum(each):
                 break
             own = [n for n in of_form if self.space.family(n) == likely]
             likeliest = max(own, key=lambda n: (of_form[n], n))
@@ -196,6 +186,15 @@ class Posterior:
         }
         law = next((s for s in self.structures if s.effects >= effects), self.best).noise
         return Structure(effects, law)
+
+
+def _mass(sets: Iterable[frozenset[str]], probability: Iterable[float]) -> dict[str, float]:
+    """Return the probability of the sets that each name is in."""
+    mass = dict[str, float]()
+    for names, p in zip(sets, probability, strict=True):
+        for name in names:
+            mass[name] = mass.get(name, 0.0) + float(p)
+    return mass
 
 
 @dataclass(frozen=True)

@@ -15,7 +15,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from jaxtyping import Float
 
 from bayescal._calibration.calibration import Calibration
 from bayescal._core import deadline
@@ -29,7 +28,7 @@ from bayescal._inference.problem import ABSENT
 from bayescal._inference.sampling import weighted_draws
 from bayescal._model.effect import Effect
 from bayescal._model.model import Model
-from bayescal._model.parameters import Hyper, Layout
+from bayescal._model.parameters import Layout
 from bayescal._model.unknowns import Unknowns
 from bayescal._search.posterior import Posterior
 from bayescal._search.structures import Structure, Structures, Weighed
@@ -203,7 +202,7 @@ def _together(
     total = sum(counts)
     # Zeros are the point: an effect that a structure lacks has the coefficient zero in its draws, not its prior's
     # mean.
-    x, v = np.zeros((total, layout.size)), np.zeros((total, len(layout.hypers)))
+    x, v = np.zeros((total, layout.size)), np.full((total, len(layout.hypers)), np.nan)
     for own, part, end, count in zip(models, parts, np.cumsum(counts), counts, strict=True):
         at = slice(end - count, end)
         for b in layout.x_blocks:
@@ -211,9 +210,14 @@ def _together(
                 x[at, b.start : b.start + b.size] = part[b.name].reshape(count, -1) - b.origin
             elif b.index in b.effect.held and b.effect.name in own.names:
                 x[at, b.start] = b.coefficient.mean
+        for i, h in enumerate(layout.hypers):
+            if h.name in part:
+                v[at, i] = h.prior.coordinate(part[h.name])
+    # What an effect has that is not there moves nothing: any value serves, and the median keeps summaries undisturbed.
     spreads = {b.group_sd_name for b in layout.blocks}
-    for i, h in enumerate(layout.hypers):
-        v[:, i] = _coordinates(h, parts, counts, ABSENT if h.name in spreads else None)
+    for values, h in zip(v.T, layout.hypers, strict=True):
+        absent = ABSENT if h.name in spreads else np.nanmedian(values)
+        values[np.isnan(values)] = absent
     order = np.random.default_rng(last.seed).permutation(total) if shuffled else np.arange(total)
     order = order[: CHAINS * (total // CHAINS)]
     return replace(
@@ -225,22 +229,6 @@ def _together(
         levels={**last.levels, **further},
         mode=_mode(last, layout, x, v),
     )
-
-
-def _coordinates(
-    h: Hyper, parts: Sequence[_Values], counts: Sequence[int], absent: float | None
-) -> Float[np.ndarray, "s"]:
-    """Of one entry of φ; where a structure has it not, as in those that have it, or no between-group deviation."""
-    there = [np.asarray(h.prior.coordinate(p[h.name])) for p in parts if h.name in p]
-    # A shape of an effect that is not there moves nothing; any value serves, and the median keeps summaries
-    # undisturbed.
-    absent = float(np.median(np.concatenate(there))) if absent is None else absent
-    known = iter(there)
-    found = (
-        next(known) if h.name in part else np.full(count, absent)
-        for part, count in zip(parts, counts, strict=True)
-    )
-    return np.concatenate([*found])
 
 
 def _mode(last: Calibration, layout: Layout, x, v) -> Mode:

@@ -11,10 +11,10 @@ from pathlib import Path
 import pytest
 
 import bayescal as bc
-from bayescal.workshop import MANIFEST, files_of, refuse_mixed, whole_folder
+from bayescal.workshop import MANIFEST, files_of, whole_folder
 from bayescal_models.mems_gyro import INSTRUMENT, TABLE
 from tests.support.command_line import run
-from tests.support.inside import identity_of, manifest_identity
+from tests.support.inside import identity_of, manifest_identity, refuse_mixed
 
 NAMES = {"result.json", "calibration.nc", "averaged.nc", "loop.png", MANIFEST}
 

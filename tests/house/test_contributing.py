@@ -63,7 +63,11 @@ def test_the_noise_term_is_the_process_that_it_claims_to_be(hum, rng) -> None:
 
 def test_the_instrument_comes_back() -> None:
     instrument = put_in("tilt_cell.py")["INSTRUMENT"]
-    assert "no error" in str(bc.check_instrument(instrument))
+    time = 60.0 * np.arange(240)
+    columns = {"time": time, "temperature": 25 + 20 * np.sin(time / 2000), "output": np.cos(time)}
+    columns["angle"] = np.random.default_rng(1).uniform(-600, 600, time.size)
+    readings = bc.Measurements.from_arrays(instrument, **columns)
+    assert "no error" in str(bc.check_instrument(instrument, readings))
 
 
 def test_the_format_holds_the_covariance() -> None:

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import jax.numpy as jnp
+import numpy as np
 import pytest
 
 import bayescal as bc
@@ -35,6 +37,19 @@ GOOD = bc.Instrument(
 )
 
 
+def check(instrument: bc.Instrument) -> bc.InstrumentCheck:
+    """The check, on four runs up and down in temperature."""
+    run, random = np.repeat(np.arange(4), 60), np.random.default_rng(0)
+    columns: dict[str, Any] = {
+        "time": 20.0 * np.arange(run.size),
+        "temperature": 20 + 20 * np.sin(2 * np.pi * np.arange(run.size) / 60 + run),
+        "pressure": random.uniform(900, 1100, run.size),
+        "mount": random.choice(["up", "down"], run.size),
+        "output": random.standard_normal(run.size),
+    }
+    return bc.check_instrument(instrument, bc.Measurements.from_arrays(instrument, **columns))
+
+
 def of(found: bc.InstrumentCheck, name: str):
     return next(row for row in found.rows if row.name == name)
 
@@ -51,7 +66,7 @@ def turned(label: str) -> bc.Effect:
 
 @pytest.mark.slow
 def test_all_that_is_declared_comes_back() -> None:
-    found = bc.check_instrument(replace(GOOD, candidates=(*GOOD.candidates, turned("down"))))
+    found = check(replace(GOOD, candidates=(*GOOD.candidates, turned("down"))))
     assert found.ok and not found.errors
     names = [row.name for row in found.rows]
     assert names == ["zero.constant", "scale.constant", "zero.temperature", "zero.mount"]
@@ -93,14 +108,14 @@ def test_all_that_is_declared_comes_back() -> None:
     ids=["zero basis", "constant", "not finite", "fails", "off scale"],
 )
 def test_what_is_wrong_is_an_error(changed: dict, said: str) -> None:
-    found = bc.check_instrument(replace(GOOD, **changed))
+    found = check(replace(GOOD, **changed))
     assert not found.ok
     assert any(said in error for error in found.errors), found.errors
 
 
 def test_what_cannot_be_told_apart_is_noted() -> None:
     twice = replace(GOOD.effects[0], name="zero.again")
-    found = bc.check_instrument(replace(GOOD, effects=(*GOOD.effects, twice), candidates=()))
+    found = check(replace(GOOD, effects=(*GOOD.effects, twice), candidates=()))
     assert of(found, "zero.again").remark == "not identifiable here"
     assert any("zero.again" in note and "not identifiable" in note for note in found.notes)
 
@@ -109,3 +124,8 @@ def test_what_cannot_be_told_apart_is_noted() -> None:
 def test_an_instrument_that_is_offered_passes() -> None:
     found = bc.check_instrument(mems_gyro.INSTRUMENT)
     assert found.ok, found.errors
+
+
+def test_without_a_simulator_readings_are_asked_for() -> None:
+    with pytest.raises(bc.ModelError, match="readings="):
+        bc.check_instrument(GOOD)

@@ -48,6 +48,7 @@ from bayescal._model.summed_noise import over_record as over_record
 from bayescal._model.vector import excess as excess
 from bayescal._model.vector import inverted as inverted
 from bayescal._report.result_json import result
+from bayescal._report.whole_folder import refuse_mixed as refuse_mixed
 from bayescal._search.next_experiment import Outlook as Outlook
 from bayescal._search.next_experiment import divergence as divergence
 from bayescal._search.next_experiment import outlook as outlook
@@ -60,7 +61,6 @@ from bayescal.workshop import MANIFEST as MANIFEST
 from bayescal.workshop import ReadOptions, as_json, as_text, identity, write_json
 from bayescal.workshop import files_of as files_of
 from bayescal.workshop import list_files as list_files
-from bayescal.workshop import refuse_mixed as refuse_mixed
 from bayescal.workshop import whole_folder as whole_folder
 from bayescal.workshop import with_error as with_error
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from pathlib import Path
 from typing import NamedTuple
 
@@ -10,10 +9,7 @@ import pytest
 
 import bayescal as bc
 from bayescal_models import mems_gyro
-from tests.support.browser import chromium
-from tests.support.command_line import GYRO
 from tests.support.inside import Origin, Session
-from tests.workbench.real_page import Bench, bench, write_campaign
 
 HIDDEN = {"bias.thermal_lag": 0.05, "bias.warm_up": 0.3}
 SEED = 1
@@ -48,14 +44,3 @@ def session(campaign: Campaign, tmp_path: Path) -> Session:
         folder=tmp_path / "out",
         origin=Origin.of("mems_gyro", [campaign.file], [campaign.holdout_file]),
     )
-
-
-@pytest.fixture(scope="module")
-def begun(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Bench]:
-    """A workbench over one campaign with hold-out data, for a browser."""
-    chromium()
-    pytest.importorskip("playwright.sync_api", reason="Playwright for Python is not here")
-    folder = tmp_path_factory.mktemp("workbench")
-    test, later = write_campaign(folder)
-    with bench(test, *GYRO, "--holdout", later, "--out", folder / "kept") as running:
-        yield running

@@ -13,7 +13,6 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pytest
 
 from bayescal_models import mems_gyro
@@ -30,19 +29,14 @@ ARGUMENTS = ("--headless", "--no-sandbox", "--disable-gpu", "--disable-quic", "-
 QUIET = ("--disable-background-networking", "--disable-component-update", "--disable-sync")
 
 
-def write_campaign(folder: Path, also: str = "") -> tuple[Path, Path]:
-    """A gyroscope's test with two hidden effects, and a second one kept apart, as files.
-
-    `also` is the header of a further column, of no effect.
-    """
+def write_campaign(folder: Path) -> tuple[Path, Path]:
+    """A gyroscope's test with two hidden effects, and a second one kept apart, as files."""
     paths = folder / "test.csv", folder / "later.csv"
     for seed, path in enumerate(paths, start=1):
         readings = mems_gyro.simulate(HIDDEN, seed=seed)
         table = readings.to_pandas()
         units = {c: f"{c} [{readings.unit(c)}]" for c in table.columns if readings.unit(c)}
         table = table.rename(columns=units)
-        if also:
-            table[also] = 20 + np.sin(np.arange(len(table)))
         table.to_csv(path, index=False)
     return paths
 
@@ -85,10 +79,6 @@ class Bench:
         assert self.process.stdout is not None
         self.process.stdout.close()
         return status
-
-    def kill(self) -> None:
-        """As a power cut does it."""
-        self.end(signal.SIGKILL)
 
     def close(self) -> None:
         self.end(signal.SIGTERM)
@@ -144,14 +134,6 @@ class Seen:
         """Wait until it is known what is missing."""
         self.page.get_by_text("Probability that the model is complete").wait_for()
         return self
-
-    def point(self, effect: str) -> str:
-        """Point at a candidate; what the page says of it."""
-        self.page.mouse.move(1, 1)  # a list that scrolls under a pointer at rest tells of no move
-        self.page.locator(f'[data-row="{effect}"]').hover()
-        told = self.page.get_by_text(f"{effect} would be")
-        told.wait_for()
-        return told.inner_text()
 
     def add(self, effect: str) -> Seen:
         """Add a candidate, and wait for the state with it."""

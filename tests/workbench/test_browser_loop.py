@@ -58,4 +58,4 @@ def test_the_loop_by_clicking(begun: Bench, tmp_path: Path) -> None:
     result = next((tmp_path / "kept").rglob("result_002"))
     assert header == (result / "compensation.h").read_bytes()
     assert report == (result / "report.html").read_bytes()
-    assert script == (result.parent / "state_002" / "script.py").read_text("utf-8")
+    assert script == (result.parent / "script.py").read_text("utf-8")

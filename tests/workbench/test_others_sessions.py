@@ -27,7 +27,9 @@ def test_a_formula_of_a_session_is_data(session: Session) -> None:
         again(session)
 
 
-@pytest.mark.parametrize("told", [{"current": "one"}, {"typed": "0"}, {"schema": ""}])
+@pytest.mark.parametrize(
+    "told", [{"current": "one"}, {"current": 7}, {"typed": "0"}, {"schema": ""}]
+)
 def test_a_session_that_was_changed_is_refused(session: Session, told: dict) -> None:
     change(session, **told)
     with pytest.raises(bc.InputError, match="no session that can be gone on with"):

@@ -64,12 +64,9 @@ def printed(table: pd.DataFrame, digits: int) -> str:
 
 def odd_in_words(odd: Mapping[str, list[str]], devices: int) -> list[str]:
     """Devices that are not like the others, a line each; nothing where there are none."""
-    told = {name: "; ".join(said) for name, said in odd.items()}
-    head = [
-        f"{len(odd)} of {devices} devices are not like the others (by chance in {FAMILY_WISE_ERROR:.0%} of fleets):"
-    ]
-    head = head if odd else []
-    return head + first_few(told, len(told), more=", all in `odd`")
+    told, chance = {n: "; ".join(said) for n, said in odd.items()}, f"{FAMILY_WISE_ERROR:.0%}"
+    head = f"{len(odd)} of {devices} devices are not like the others (by chance in {chance} of fleets):"
+    return [head] * bool(odd) + first_few(told, len(told), more=", all in `odd`")
 
 
 NOT_CHECKED = "fitted is not checked: what the model lacks was looked for in none of them (--find, in Python find=True)"

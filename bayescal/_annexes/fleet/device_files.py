@@ -210,7 +210,8 @@ def _open(piece: Piece, options: ReadOptions) -> Table:
 
     @cache
     def rows() -> np.ndarray:
-        return np.flatnonzero(pc.is_in(dataset.to_table([piece.column])[0], piece.devices))
+        column = dataset.to_table([piece.column]).column(0)
+        return np.flatnonzero(pc.is_in(column, piece.devices).to_numpy())  # pyright: ignore
 
     def place(index: int) -> str:
         return f"row {rows()[index] + 1}"

@@ -98,8 +98,8 @@ def fit_part(request: Request, part: Part) -> Fits:
     with HOLDS_PART, use_settings(request.settings):
         read = request.read(part)
         devices, options = read.devices, request.fit_options
-        fits = Fits(options, [*devices.names], dict(devices.refused))
-        fits.places, fits.missing = read.places, read.unreadable
+        files = {"places": read.places, "missing": read.unreadable}
+        fits = Fits(options, [*devices.names], dict(devices.refused), **files)
         if request.find is None:
             fits.fit_groups([(request.model, devices)])
             return fits

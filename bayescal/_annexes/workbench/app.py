@@ -21,18 +21,17 @@ HERE = Path(__file__).parent
 
 
 class Browser(JSComponent):
-    """What the browser prefers, sees and is given: its ground, its room, a server that is gone.
+    """What the browser prefers and sees: its ground, a server that is gone.
 
     Attributes:
         stale: whether what is shown is of a model that is being left; it is dimmed until the next one stands there.
-        dark, wide, seen: whether it prefers a dark ground, has room for a further panel, and has said so.
+        dark, seen: whether it prefers a dark ground, and has said so.
         kept: folder in which everything is, for the words when the server is gone.
         undone: how often Ctrl-Z was pressed outside a field.
     """
 
     stale = param.Boolean(default=False)
     dark = param.Boolean(default=False)
-    wide = param.Boolean(default=False)
     seen = param.Boolean(default=False)
     kept = param.String(default="")
     undone = param.Integer(default=0)
@@ -245,7 +244,6 @@ class Workbench:
             self.light.value = "dark"
         elif self.browser.seen:
             self._wear(False)
-        self.fails.widen(self.browser.wide)  # the further panel is made in the page's colours
 
     def _wear(self, dark: bool) -> None:
         """Take a light or a dark ground."""

@@ -1,11 +1,8 @@
-"""A session's folder: each state as a calibration and a script, whole or not at all, so that a killed server goes on.
+"""A session's folder: each state as a saved calibration, whole or not at all, so that a killed server goes on.
 
-session.json               formulas that were typed, which state is current
-state_000/                 the first state, and so on: one model with its fit; states form a tree
-    calibration.nc         its fit, as `bayescal calibrate` saves one
-    script.py              Python that leads to it, with the same numbers
-    state.json             title, parent, time
-    manifest.json          what belongs together
+session.json               the tree of states, which one is current, formulas that were typed
+state_000.nc               the fit of the first state, and so on, as `bayescal calibrate` saves one
+script.py                  Python that leads to the current state, with the same numbers
 result_000/                reports and exports of a state, when they were asked for
 
 A state is a model; its script is the differences from each model to the next, in the words of the public functions.
@@ -49,15 +46,11 @@ from bayescal._search.calibrate import QUICK
 from bayescal._search.own_files import in_a_file
 from bayescal._search.search_path import Step
 from bayescal.workshop import (
-    MANIFEST,
     ReadOptions,
     as_type,
     identity,
     one_line,
     read_json,
-    refuse_mixed,
-    to_disk,
-    whole_folder,
     write_text,
 )
 
@@ -178,12 +171,9 @@ class SearchOptions:
     widen_noise: bool = True
     keep_spikes: bool = False
     seed: int = 0
-    reference: Mapping[str, Any] | None = None
+    reference: dict[str, Any] | None = None
     time_limit: float | None = None
     accept_conflicts: Collection[str] = ()
-
-
-FOLDER = "state_{:03d}"  # that a state is kept in, by its number
 
 
 @dataclass(frozen=True, eq=False)
@@ -226,32 +216,31 @@ def path_to(states: Mapping[int, Any], number: int) -> list[int]:
     return path
 
 
-SESSION, STATE, CALIBRATION, SCRIPT = "session.json", "state.json", "calibration.nc", "script.py"
+SESSION, SCRIPT = "session.json", "script.py"
 SCHEMA = "bayescal.workbench/2"
 FIRST = "session_1"  # the folder of a session, in that of --out
+
+
+class SavedState(TypedDict):
+    """What session.json holds of a state, beside its calibration; its number is its place."""
+
+    parent: int | None
+    at: str
+    added: str | None
+    changed: str
+    identity: str
 
 
 class SavedSession(TypedDict):
     """What session.json holds."""
 
     schema: str
-    typed: list[str]
+    states: list[SavedState]
     current: int
-
-
-class SavedState(TypedDict):
-    """What state.json holds."""
-
-    number: int
-    parent: int | None
-    title: str
-    at: str
-    added: str | None
-    changed: str
+    typed: list[str]
 
 
 _NUMBERED = re.compile(r"session_(\d+)")
-_STATE = re.compile(r"\.?state_(\d{3,})(\..*)?")
 
 
 def own_folder(folder: str | Path | None) -> Path:
@@ -268,44 +257,36 @@ def own_folder(folder: str | Path | None) -> Path:
     return folder
 
 
-def keep_state(folder: Path, state: State, script: str) -> None:
-    """Keep one state; when this returns, it is on the disk.
+def fit_of(folder: Path, number: int) -> Path:
+    """The file of a state's calibration."""
+    return folder / f"state_{number:03d}.nc"
+
+
+def keep_session(
+    folder: Path, states: Mapping[int, State], current: int, typed: Sequence[str], script: str
+) -> None:
+    """Keep all but the calibrations of the states; when this returns, it is on the disk.
 
     Raises:
         InputError: it cannot be written.
     """
-    own = folder / FOLDER.format(state.number)
-    if (own / MANIFEST).is_file():
-        raise InputError(
-            f"{own} was made meanwhile: another workbench goes on in {folder}. End one"
-        )
-    try:
-        own.mkdir(exist_ok=True)
-    except OSError as error:
-        raise InputError(f"cannot write to the folder {folder}: {error.strerror}") from None
-    told = {
-        "number": state.number,
-        "parent": state.parent,
-        "title": state.title,
-        "at": state.at.isoformat(),
-        "added": state.step.added,
-        "changed": state.step.changed,
+    told: SavedSession = {
+        "schema": SCHEMA,
+        "states": [
+            {
+                "parent": s.parent,
+                "at": s.at.isoformat(),
+                "added": s.step.added,
+                "changed": s.step.changed,
+                "identity": identity(s.calibration),
+            }
+            for _, s in sorted(states.items())
+        ],
+        "current": current,
+        "typed": [*typed],
     }
-    with whole_folder(own, identity(state.calibration)) as hidden:
-        state.calibration.save(hidden / CALIBRATION)
-        write_text(script, hidden / SCRIPT)
-        write_text(json.dumps(told, indent=2, ensure_ascii=False) + "\n", hidden / STATE)
-    to_disk(folder)
-
-
-def keep_session(folder: Path, typed: Sequence[str], current: int) -> None:
-    """Keep the formulas that were typed, and which state is current.
-
-    Raises:
-        InputError: it cannot be written.
-    """
-    told = {"schema": SCHEMA, "typed": [*typed], "current": current}
     write_text(json.dumps(told, indent=2, ensure_ascii=False) + "\n", folder / SESSION)
+    write_text(script, folder / SCRIPT)
 
 
 def session_in(folder: Path) -> SavedSession:
@@ -318,7 +299,14 @@ def session_in(folder: Path) -> SavedSession:
         told = read_json(folder / SESSION)
         if isinstance(told, dict) and told.get("schema") != SCHEMA:
             raise ValueError(f"its schema is {told.get('schema')!r}, expected {SCHEMA!r}")
-        return as_type(told, SavedSession)
+        found = as_type(told, SavedSession)
+        for number, state in enumerate(found["states"]):
+            datetime.fromisoformat(state["at"])
+            if state["parent"] not in (range(number) if number else (None,)):
+                raise ValueError(f"the parent of step {number} is none before it")
+        if found["current"] not in range(len(found["states"])):
+            raise ValueError(f"there is no step {found['current']}")
+        return found
     except (OSError, ValueError, TypeError, KeyError, InputError) as error:
         raise InputError(
             f"{folder} holds no session that can be gone on with ({error}): begin one in another folder"
@@ -326,30 +314,20 @@ def session_in(folder: Path) -> SavedSession:
 
 
 def states_in(
-    folder: Path, effects: Sequence[Effect], instrument: Instrument
-) -> Iterator[tuple[dict[str, Any], Calibration]]:
-    """The states that were kept whole, in order: what state.json says, and the calibration.
+    folder: Path, told: SavedSession, effects: Sequence[Effect], instrument: Instrument
+) -> Iterator[tuple[SavedState, Calibration]]:
+    """The states that session.json tells of, with their calibrations.
 
     Raises:
-        InputError: one of them was changed since.
+        InputError: a calibration is not there, or is another one.
     """
-    numbers = {int(m[1]) for path in folder.iterdir() if (m := _STATE.fullmatch(path.name))}
-    seen, own_instrument = list[int](), instrument.name not in installed_names()
-    for number in sorted(numbers):
-        own = folder / FOLDER.format(number)
-        if not (own / MANIFEST).is_file():  # killed before it was whole
-            continue
-        refuse_mixed(own)
-        try:
-            told = read_json(own / STATE, SavedState)
-            told["at"] = datetime.fromisoformat(told["at"])
-            if told["number"] != number or told["parent"] not in (*seen, *([] if seen else [None])):
-                raise ValueError("its number or its parent is none of this session's")
-        except (OSError, ValueError) as error:
-            raise InputError(f"{own / STATE} is not as it was written ({error}). {AGAIN}") from None
-        seen.append(number)
-        given = (instrument,) if own_instrument else ()
-        yield told, load(own / CALIBRATION, effects=effects, instruments=given)
+    given = () if instrument.name in installed_names() else (instrument,)
+    for number, state in enumerate(told["states"]):
+        file = fit_of(folder, number)
+        calibration = load(file, effects=effects, instruments=given)
+        if identity(calibration) != state["identity"]:
+            raise InputError(f"{file} is not the one that {SESSION} tells of. {AGAIN}")
+        yield state, calibration
 
 
 def last_session(folder: Path) -> Path | None:
@@ -439,8 +417,7 @@ def method_code(method: Any) -> str:
 
 def _loaded(state: State, origin: Origin, folder: Path) -> str:
     own = ", effects=tuple(own.values())" if origin.effect_files else ""
-    path = str(folder / FOLDER.format(state.number) / "calibration.nc")
-    return f"model = bc.load({path!r}{own}).model"
+    return f"model = bc.load({str(fit_of(folder, state.number))!r}{own}).model"
 
 
 def code_of(before: Model, after: Model) -> list[str] | None:

@@ -203,7 +203,6 @@ class Session:
     _at: int = 0
     _been: list[int] = field(default_factory=list)  # current states before this one, the last last
     _loops: list[Loop] = field(default_factory=list)  # with the structures weighed over models
-    _followers: list[Callable[[SearchPath], None]] = field(default_factory=list)
     _trails: dict[int, SearchPath] = field(default_factory=dict)
     _decisions: dict[int, Decisions] = field(default_factory=dict)
     _lock: threading.RLock = field(default_factory=threading.RLock)  # of the tree
@@ -261,7 +260,8 @@ class Session:
             made = typed_effect(line, readings=self.readings, instrument=model.instrument)
             self.own[made.name] = made
         effects, accepted = tuple(self.own.values()), self.settings.accept_conflicts
-        for said, calibration in kept.states_in(self.folder, effects, model.instrument):
+        kept_states = kept.states_in(self.folder, told, effects, model.instrument)
+        for n, (said, calibration) in enumerate(kept_states):
             if not calibration.readings.same_as(self.readings):
                 raise InputError(
                     f"{self.folder} holds a session of other readings, {calibration.readings.file}: give another "
@@ -269,13 +269,10 @@ class Session:
                 )
             step = step_of(calibration, self.holdout, accepted)
             step = replace(step, added=said["added"], changed=said["changed"])
-            self._states[said["number"]] = State(said["number"], said["parent"], step, said["at"])
-        if 0 not in self._states:
-            raise InputError(
-                f"{self.folder} holds no first step that is whole: begin in another folder"
-            )
-        at = told["current"]
-        self._at = at if at in self._states else max(self._states)
+            at = datetime.fromisoformat(said["at"])
+            self._states[n] = State(n, said["parent"], step, at)
+        self._at = told["current"]
+        kept.fit_of(self.folder, len(self._states)).unlink(missing_ok=True)  # of a state cut short
 
     @property
     def states(self) -> Mapping[int, State]:
@@ -401,20 +398,16 @@ class Session:
         begin = self.current
         if begin.step.against and not self._loop.freed(begin.step):
             raise ModelError(f"nothing is looked for: {' '.join(begin.step.against)}")
-        self._followers.append(follow)
-        try:
-            with self._in_time():
-                loop, at = self._weighed(begin, go_on=True)
-                steps, number = [begin.step], begin.number
-                for before, to, found in loop.way(loop.goal, at):
-                    if before is None:
-                        self._keep_found(number, found)
-                        continue
-                    steps.append(loop.fitted(to, before))
-                    number = self._append(steps[-1], number, found).number
-                    follow(loop.trail(steps=steps))
-        finally:
-            self._followers.remove(follow)
+        with self._in_time():
+            loop, at = self._weighed(begin, follow)
+            steps, number = [begin.step], begin.number
+            for before, to, found in loop.way(loop.goal, at):
+                if before is None:
+                    self._keep_found(number, found)
+                    continue
+                steps.append(loop.fitted(to, before))
+                number = self._append(steps[-1], number, found).number
+                follow(loop.trail(steps=steps))
 
     @contextmanager
     def _in_time(self) -> Iterator[None]:
@@ -422,7 +415,9 @@ class Session:
         with self._looking, deadline.until(self.settings.time_limit) as self._end:
             yield
 
-    def _weighed(self, state: State, go_on: bool = False) -> tuple[Loop, Structure]:
+    def _weighed(
+        self, state: State, follow: Callable[[SearchPath], None] | None = None
+    ) -> tuple[Loop, Structure]:
         """Return the search that says what is missing from a state, and which of its structures that state is.
 
         It is that of `calibrate` over the first model, so that states on the way to what it chooses share one posterior
@@ -430,35 +425,29 @@ class Session:
 
         Args:
             state: which.
-            go_on: whether to go on with a search that was stopped.
+            follow: told how it goes on; a search that was stopped goes on only where somebody follows.
         """
         first, loop = self.states[0], self._loop
         given = [e for e in first.model.effects if loop.weighs(e, first.model)]
-        found = self._searched(reduce(sub, given, first.model), given, go_on)
+        found = self._searched(reduce(sub, given, first.model), given, follow)
         if (at := _structure_of(state.model, found)) is None:
-            found, at = self._searched(state.model, (), go_on), Structure()
+            found, at = self._searched(state.model, (), follow), Structure()
         return found, at
 
-    def _searched(self, core: Model, given: Sequence[Effect], go_on: bool) -> Loop:
+    def _searched(
+        self, core: Model, given: Sequence[Effect], follow: Callable[[SearchPath], None] | None
+    ) -> Loop:
         """Weigh structures over a model, those with given effects among them; kept."""
-        for found in self._loops:
-            if found.steps[0].calibration.model == core:
-                break
-        else:
+        found = next((s for s in self._loops if s.steps[0].calibration.model == core), None)
+        if begun := found is None:
             same = (s.step for s in self.states.values() if s.model == core)
             found = replace(self._loop, given=tuple(given), stopped="not begun")
             first = next(same, None) or found.step(core, found.quick(core))
             more = (*self.own.values(), *found.freed(self.states[0].step))
             found.open(first, more, self.settings.widen_noise)
-            go_on = True
-        if found.stopped and go_on:
-
-            def tell() -> None:
-                for follow in tuple(self._followers):
-                    follow(found.trail())
-
+        if found.stopped and (begun or follow is not None):
             with deadline.sooner(SEARCH):
-                found.look(tell)
+                found.look(lambda: None if follow is None else follow(found.trail()))
             self._loops = [*(one for one in self._loops if one is not found), found][-SEARCHES:]
         return found
 
@@ -484,8 +473,7 @@ class Session:
         self._loops.clear()
         self._trails.clear()
         with self._lock:
-            self._states = {n: replace(s, discovery=None) for n, s in self._states.items()}
-            self._keep()
+            self._be(self._at, {n: replace(s, discovery=None) for n, s in self._states.items()})
         return self.add(made.name)
 
     def script(self) -> str:
@@ -595,21 +583,29 @@ class Session:
     def _append(self, step: Step, parent: int | None, discovery: Discovery | None = None) -> State:
         """A step as a child of a state: kept, and then the current one."""
         with self._lock:
-            number = max(self._states, default=-1) + 1
+            number = len(self._states)
             state = State(number, parent, step, datetime.now(UTC), discovery)
-            way = [] if parent is None else self.path(parent)
-            if not number:
-                self._keep()
-            kept.keep_state(self.folder, state, self._script([*way, state]))
-            self._states[number] = state
-            if number:
-                self._been.append(self._at)
-            return self._be(number)
+            if (file := kept.fit_of(self.folder, number)).exists():
+                raise InputError(
+                    f"{file} was made meanwhile: another workbench goes on here. End one"
+                )
+            state.calibration.save(file)
+            before = self._at
+            try:
+                self._be(number, {**self._states, number: state})
+            except InputError:
+                file.unlink()
+                raise
+            self._been += [before] * bool(number)
+            return state
 
-    def _be(self, number: int) -> State:
-        """Make a state the current one."""
-        self._at = number
-        self._keep()
+    def _be(self, number: int, states: dict[int, State] | None = None) -> State:
+        """Make a state the current one, of these states if they are others."""
+        states = self._states if states is None else states
+        texts = [e.basis.text for e in self.own.values() if isinstance(e.basis, Formula)]
+        way = [states[n] for n in path_to(states, number)]
+        kept.keep_session(self.folder, states, number, texts, self._script(way))
+        self._states, self._at = states, number
         for call in tuple(self.on_change):
             call()
         return self.current
@@ -617,10 +613,6 @@ class Session:
     def _keep_found(self, number: int, discovery: Discovery | None) -> None:
         with self._lock:
             self._states[number] = replace(self._states[number], discovery=discovery)
-
-    def _keep(self) -> None:
-        texts = [e.basis.text for e in self.own.values() if isinstance(e.basis, Formula)]
-        kept.keep_session(self.folder, texts, self._at)
 
     def _script(self, way: list[State]) -> str:
         return script(way, self.origin, self.settings, self.folder.resolve())

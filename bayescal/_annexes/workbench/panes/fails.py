@@ -231,10 +231,10 @@ class ResidualsOfState:
         """A shape a reading, by run: colour is never the only thing that tells them apart."""
         return np.array(MARKERS)[self.runs[1] % len(MARKERS)]
 
-    def start(self, count: int = 2) -> list[str]:
-        """What is shown first: the continuous covariates with the strongest evidence, in the order of the columns."""
+    def start(self) -> list[str]:
+        """What is shown first: the two continuous covariates with the strongest evidence, in the columns' order."""
         ranked = [e.against for e in self.check.entries if not e.by_group]
-        chosen = ranked[:count] or [n for n in self.covariates if n != AGAINST][:count]
+        chosen = ranked[:2] or [n for n in self.covariates if n != AGAINST][:2]
         return [n for n in self.covariates if n in chosen] or [AGAINST]
 
     def sentence(self) -> str:
@@ -460,11 +460,6 @@ class Fails(Pane):
         self._lay_out()
         self._say_selected()
 
-    def widen(self, wide: bool) -> None:
-        """Begin with a third panel where there is room."""
-        if wide and self.choice.value == self.shown.start():
-            self.choice.value = self.shown.start(3)
-
     def preview(self, curve: np.ndarray | None) -> None:
         """Lay an effect's curve over the residuals, output unit, (n,); None takes it away."""
         self._curve = None if curve is None else np.asarray(curve, float)
@@ -532,14 +527,10 @@ class Fails(Pane):
             made.place(self.what.value)
 
     def _fill_source(self, coming: Sequence[str] = ()) -> None:
-        """The readings that are drawn, for the panels that are there and those that come."""
+        """The readings that are drawn, for the panels that were made and those that come."""
         shown, residual, before = self.shown, self._now(), self._other()
-        there = [n for n, made in self._made.items() if made.room in [*self.panels]]
-        names, rows = list(coming) or there, np.array([], int)
-        if names:
-            rows = drawn_rows(residual, shown.measured)
-        drawn = dict.fromkeys([*names, *there])  # panels that go are drawn once more
-        at: dict[str, Any] = {AT + n: shown.places[n][rows] for n in drawn}
+        rows = drawn_rows(residual, shown.measured)
+        at: dict[str, Any] = {AT + n: shown.places[n][rows] for n in {*coming, *self._made}}
         other = np.full(rows.size, np.nan) if before is None else before[rows]
         self.source.data = at | {
             "row": rows,

@@ -67,10 +67,9 @@ class ModelPane(Pane):
         self.equation.object = equation_in_words(calibration.model)
         self.effects.rows = effect_rows(calibration)
         self.noise.rows = noise_rows(state)
-        lines = [*null_directions(calibration)]
-        lines += [f"conflict: {w}" for w in calibration.conflicts]
-        said = [*(f"not measured: {w}" for w in lines[:3]), str(calibration.verdict)]
-        self.verdict.object = "\n".join(said)
+        said = [f"not measured: {w}" for w in null_directions(calibration)]
+        said += [f"conflict: {w}" for w in calibration.conflicts]
+        self.verdict.object = "\n".join([*said, str(calibration.verdict)])
         if self._chosen not in calibration.model.names:
             self._open("")
         self._open_buttons()

@@ -333,14 +333,8 @@ class ExperimentPane(AskPane):
         self._calibration, found = state.calibration, state.discovery
         self._rivals = () if found is None else found.rivals
         self.begin.disabled = len(self._rivals) < 2
-        if found is None:
-            self.rivals.object = "What is missing has not been looked for yet."
-        elif self.begin.disabled:
-            self.rivals.object = (
-                "Nothing is confounded here: there are no two effects to tell apart."
-            )
-        else:
-            self.rivals.object = f"To tell apart: {', '.join(e.name for e in self._rivals)}"
+        names = ", ".join(e.name for e in self._rivals)
+        self.rivals.object = f"To tell apart: {names or 'nothing that was found'}"
         super().show(state)
 
     def question(self) -> Callable[[], Any]:

@@ -3,7 +3,6 @@
 export function render({ model, view }) {
   document.body.style.margin = "0";
   model.dark = window.matchMedia("(prefers-color-scheme: dark)").matches;
-  model.wide = window.innerWidth >= 1700;
   model.seen = true;
 
   let top = view;  // of the page, which only one property of reaches all: a class more would have all of it laid out anew

@@ -44,7 +44,7 @@ class Work:
         busy: told when the first job begins and the last ends.
         """
         self._tell, self._busy = tell, busy
-        self._document = pn.state.curdoc
+        self._document: Any = pn.state.curdoc
         # Settings in force where the page was made hold for its work.
         self._context = copy_context()
         kinds = ("job", "question", "look", "preview")
