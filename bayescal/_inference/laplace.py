@@ -88,7 +88,7 @@ def find_mode(
             top = highest(top, climbed([np.where(promoted, -top.v, top.v)], x))
         for along in across(problem, top.v):  # and one of many maxima may be higher
             top = highest(top, climbed([*along], top.x))
-    return at_mode(top.density, top.v, top.change, top.x)
+    return at_mode(top.density, top.v, top.change, top.x, top.value > wanted_from)
 
 
 def _start(problem: Problem) -> Float[np.ndarray, "p"]:
@@ -251,7 +251,11 @@ def mode_of_x(
 
 
 def at_mode(
-    density: Density, v: np.ndarray, change: float, x: Float[np.ndarray, "p"] | None = None
+    density: Density,
+    v: np.ndarray,
+    change: float,
+    x: Float[np.ndarray, "p"] | None = None,
+    exact: bool = True,
 ) -> Mode:
     """The Gaussian fit of φ at its mode, and the Laplace evidence.
 
@@ -260,10 +264,11 @@ def at_mode(
         v: its mode.
         change: of the last round, in standard deviations.
         x: x̂ there; the density's own if not given.
+        exact: whether a curvature that is about right will not do.
     """
     x = density.x if x is None else x
     spreads = np.array([kind == "group_sd" for kind in density.problem.kinds], dtype=bool)
-    fit = gaussian_fit(density, v, spreads)
+    fit = gaussian_fit(density, v, spreads, exact)
     if fit.log_density <= NOWHERE:
         fit = fit._replace(log_evidence=-math.inf, indefinite=True)
         change = math.inf

@@ -116,14 +116,18 @@ def climb(
 
 
 def gaussian_fit(
-    density: Climbable, v: Float[np.ndarray, "d"], spreads: Bool[np.ndarray, "d"] | bool = False
+    density: Climbable,
+    v: Float[np.ndarray, "d"],
+    spreads: Bool[np.ndarray, "d"] | bool = False,
+    exact: bool = True,
 ) -> GaussianFit:
     """Return the Gaussian fit at a mode.
 
     Where the curvature had to be mended along `spreads` alone, which lie flat on the way to zero, it does not count.
+    Not `exact`: with the curvature that a climb carried on.
     Source: L. Tierney and J. Kadane, JASA 81 (1986) 82 (Laplace).
     """
-    found = density.evaluate(v, exact=True)
+    found = density.evaluate(v, exact)
     if found is None:  # a step away the density is nowhere: no hill that a Gaussian describes
         return GaussianFit(v, np.full((len(v), len(v)), np.nan), density.value(v), -math.inf, True)
     scale = np.broadcast_to(density.scale, v.shape)
