@@ -28,7 +28,6 @@ from bayescal._data.counter_wrap import (
     SIGN,
     restore_sign,
     unwrap,
-    unwrap_option,
     wrap_period,
 )
 from bayescal._data.header_matching import MatchedFile
@@ -533,7 +532,10 @@ class ColumnReader:
         cure, given = "Check the unit and the number", ""
         if target == "degC" and (period := self._period(values, low, high)):
             came = f"{came}; a counter of {period:g} °C that began anew"
-            cure, given = "Undo it, if that is so", unwrap_option(self.header.raw, period)
+            cure, given = (
+                "Undo it, if that is so",
+                option("--unwrap", f"{self.header.raw}={period:g}degC"),
+            )
         self._problem(came, "", cure, given, rows=wrong)
 
     def _period(self, values: np.ndarray, low: float, high: float) -> float | None:

@@ -19,7 +19,7 @@ from bayescal import Column, InputError, Measurements
 from bayescal._core.settings import settings
 from bayescal._data.column import ConvertedColumns, Source
 from bayescal._data.column_conversion import convert_columns
-from bayescal._data.dataset_checks import refuse_backward_time, refuse_one_temperature
+from bayescal._data.dataset_checks import backward_time, same_temperature
 from bayescal._data.header_matching import MatchedFile
 from bayescal._data.read_options import (
     ExpectedColumns,
@@ -407,11 +407,9 @@ def _useless(block: DeviceBlock, instrument: InstrumentLike) -> dict[str, str]:
         bad |= set(np.flatnonzero(span < settings().temperature_span).tolist())
     refused = {}
     for i in sorted(bad):
-        columns, file, problems = block.columns(i), f"device {block.names[i]}", Objections()
-        with problems.collecting():
-            if need:
-                refuse_one_temperature(columns, file)
-            refuse_backward_time(columns, lambda row, file=file: f"reading {row + 1} of {file}")
+        columns, file = block.columns(i), f"device {block.names[i]}"
+        problems = [*same_temperature(columns, file)] if need else []
+        problems += backward_time(columns, lambda row, file=file: f"reading {row + 1} of {file}")
         refused[block.names[i]] = str(problems[0])
     return refused
 
