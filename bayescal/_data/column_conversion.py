@@ -97,7 +97,7 @@ def convert_columns(
 def _load(file: MatchedFile, extra: Mapping[str, Column]) -> dict[str, Cells]:
     """Load the cells of the columns that are read; times of day on the days of a column beside them."""
     table, positions = file.table, file.positions
-    columns = {n: c for n, c in (file.expected | extra).items() if n in positions}
+    columns = {n: c for n, c in {**file.expected, **extra}.items() if n in positions}
     wanted = {positions[n]: c.unit is not None for n, c in columns.items()}
     days = [i for i, h in enumerate(table.headers) if plain(h.name) in DAYS and not h.unit]
     days = [i for i in days if "time" in columns and i != positions["time"]]

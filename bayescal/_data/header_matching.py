@@ -184,8 +184,9 @@ class MatchedFile:
         """Take labels by name and cells; and for the time the one column of dates, or in a unit of time, that rises."""
         for i in sorted(self._free):
             ours = labels_in(self._headers[i])
-            missing = ours and ours not in {*self.positions, *self.options.columns}
-            if missing and self._holds_labels(i, ours == "device"):
+            if ours is None or ours in {*self.positions, *self.options.columns}:
+                continue
+            if self._holds_labels(i, ours == "device"):
                 reading = replace(self._headers[i], name=ours, unit=None)
                 self._take(i, reading, ours, ", as its values are labels")
         if "time" not in self.expected or "time" in (*self.positions, *self.options.columns):
