@@ -22,8 +22,8 @@ from bayescal._data.header_rules import (
     NO_UNIT,
     RAW,
     ColumnRule,
-    by_name,
     called,
+    compared,
     labels_in,
     like_a_unit,
     like_labels,
@@ -139,7 +139,8 @@ class MatchedFile:
 
     def _take_known(self) -> None:
         """Take the columns of the instrument: by their own names, else by names that are usual, with a fitting unit."""
-        headers, named = self._headers, by_name(self._headers)
+        headers = self._headers
+        named = [{compared(reading) for reading in readings_of(h)} for h in headers]
         exact = {headers[i].name: i for i in self._free}
         for name, column in self.expected.items():
             if name in self.options.columns:
