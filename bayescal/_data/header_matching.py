@@ -377,16 +377,13 @@ class MatchedFile:
         """Note a column that would be left out and may be of use: how to keep it, and how to leave it out."""
         known = _known(unit, (column and column.unit) or ANY)
         came = f"ends in [{unit}], no unit known here" if unit else "has no unit"
-        left, wanted = option("--ignore", header.raw), "a unit known here"
+        left = option("--ignore", header.raw)
         keep = option("--unit", f"{header.raw}={known or 'UNIT'}")
+        wanted, given = "a unit known here", keep if known else left
         if column:
             wanted = f"{column.name} [{column.example}]"
-            cure = f"It may be {column.name}: say so and in which unit, or leave the column out: {left}"
             given = f"{option('--columns', f'{column.name}={header.raw}')} {keep}"
-        elif known:
-            cure, given = f"Say its unit, or leave the column out: {left}", keep
-        else:
-            cure, given = f"Leave the column out, or say its unit: {keep}", left
+        cure = f"Say what it is and its unit, {keep}, or leave the column out, {left}"
         self.problem(header.raw, came, wanted, cure, given)
 
 

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from bayescal._core.errors import InputError
+from bayescal._tables.cells import cell_text
 from bayescal._tables.csv_reader import parse_text, table_of
 from bayescal._tables.raw_table import Table, as_format, in_one_line, refuse_large, unusable
 from bayescal._tables.unpacked import refuse_hdf5, refuse_matlab, refuse_zip
@@ -51,7 +52,7 @@ def _rows_of(sheet: Any, file: str, max_bytes: int) -> dict[int, dict[int, Any]]
             source, sheet._shared_strings, data_only=True, epoch=book.epoch, **options
         )
         for number, given in parser.parse():
-            filled = [(c["column"], c["value"]) for c in given if _text(c["value"]).strip()]
+            filled = [(c["column"], c["value"]) for c in given if cell_text(c["value"])]
             own = dict(filled)
             if filled and (number in found or len(own) < len(filled)):
                 raise InputError(
@@ -69,18 +70,9 @@ def _as_text(rows: Mapping[int, Mapping[int, Any]]) -> bytes:
     width = max(max(cells) for cells in rows.values())
     lines = [""] * max(rows)
     for number, cells in rows.items():
-        told = (in_one_line(_text(cells.get(i + 1))).replace('"', '""') for i in range(width))
+        told = (in_one_line(cell_text(cells.get(i + 1))).replace('"', '""') for i in range(width))
         lines[number - 1] = "\t".join(f'"{cell}"' for cell in told)
     return "\n".join([*lines, ""]).encode()
-
-
-def _text(value: Any) -> str:
-    """A cell as text; dates and times as in any other file, whole numbers without a point."""
-    if value is None:
-        return ""
-    if isinstance(value, float) and value.is_integer() and abs(value) < 1e15:
-        return str(int(value))
-    return value.isoformat() if hasattr(value, "isoformat") else str(value)
 
 
 def open_matlab(path: Path, file: str, max_bytes: int) -> Table:
