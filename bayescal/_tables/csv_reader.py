@@ -145,7 +145,9 @@ class CsvText:
 
     def rows(self) -> Iterable[bytes]:
         """Its lines below the header."""
-        return io.BytesIO(self.data[self.offset :])
+        handle = io.BytesIO(self.data)  # which copies nothing
+        handle.seek(self.offset)
+        return handle
 
     def cells(self, wanted: Mapping[int, bool]) -> dict[int, Cells]:
         """Parse the wanted columns; one stretch of rows is held as text at a time."""
@@ -325,7 +327,7 @@ def _refuse_undecodable(text: CsvText, end: int | None = None) -> None:
         came = "holds a carriage return that ends no line: lines must end in LF or CR LF"
         raise refuse(came, lone.start())
     try:
-        data.decode(text.written_in)
+        _ = data.isascii() or data.decode(text.written_in)
     except UnicodeDecodeError as error:
         line = data[data.rfind(b"\n", 0, error.start) + 1 : error.start]
         came = f"is not UTF-8: byte {len(line) + 1} of the row is 0x{data[error.start]:02x}"
@@ -337,7 +339,7 @@ def _scan_lines(text: CsvText) -> None:
     """Check the lines of readings: their encoding, and that each has as many fields as the header."""
     _refuse_undecodable(text)
     separator, expected = text.separator.encode(), len(text.header)
-    if not text.decimal and separator != b"," and _DECIMAL_COMMA.search(text.data, text.offset):
+    if not text.decimal and separator != b"," and _DECIMAL_COMMA.search(text.data, text.offset - 1):
         text.decimal = ","
     row, blanks = text.first - 1, set[int]()
     for row, line in enumerate(text.rows(), text.first):
