@@ -159,14 +159,11 @@ def _note_gravity(file: MatchedFile, converted: ConvertedColumns) -> None:
         converted.values[ASSUMED_GRAVITY] = np.ones(file.table.rows)
         converted.units[ASSUMED_GRAVITY] = "1"
         converted.filled.add(ASSUMED_GRAVITY)
-        gravity = file.options.gravity
         said = (
-            f"{gravity:g} m/s² was taken for local gravity, which nobody stated (--local-gravity)"
+            f"{file.table.file}: {file.options.gravity:g} m/s² was taken for local gravity, which nobody stated "
+            "(--local-gravity): scale factors are as uncertain as it is on Earth, 9.780 to 9.832 m/s²"
         )
-        why = "scale factors are as uncertain as it is on Earth, 9.780 to 9.832 m/s²"
-        converted.flags.append(
-            Flag(f"{file.table.file}: {said}: {why}", "gravity.assumed", *outputs)
-        )
+        converted.flags.append(Flag(said, "gravity.assumed", *outputs))
 
 
 def _note_channels(

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -41,7 +41,18 @@ from bayescal._data.thermometer_checks import (
 from bayescal._data.unit_conversion import base_unit, convert, unit_label
 from bayescal._tables.raw_table import Objection, Objections, Table, option
 
-Where = Callable[[int], str]  # index of a reading → "row 12 of 'tilt.csv'"
+
+class Place(NamedTuple):
+    """Where a reading stands, such as "row 12", and in which file."""
+
+    row: str
+    file: str
+
+    def __str__(self) -> str:
+        return f"{self.row} of {self.file!r}"
+
+
+Where = Callable[[int], Place]  # by the index of a reading
 
 
 def problems_of_whole(
@@ -69,10 +80,10 @@ def row_namer(tables: Sequence[Table]) -> Where:
     """Return what names the file and row of a reading, of several tables one after the other."""
     ends = np.cumsum([table.rows for table in tables])
 
-    def where(index: int) -> str:
+    def where(index: int) -> Place:
         which = int(np.searchsorted(ends, index, side="right"))
         table = tables[which]
-        return f"{table.place(index - int(ends[which]) + table.rows)} of {table.file!r}"
+        return Place(table.place(index - int(ends[which]) + table.rows), table.file)
 
     return where
 
@@ -81,9 +92,9 @@ def _objection(
     where: Where, rows: Sequence[int], column: str, came: str, cure: str, option: str = ""
 ) -> Objection:
     """An objection to rows, of which the first names the file."""
-    places = [where(int(row)).partition(" of ") for row in rows]
-    file = places[0][2].strip("'")
-    return Objection(file, came, "", cure, option, column, places=tuple(p[0] for p in places))
+    places = [where(int(row)) for row in rows]
+    at = tuple(place.row for place in places)
+    return Objection(places[0].file, came, "", cure, option, column, places=at)
 
 
 def _wrapped(converted: ConvertedColumns, output: str) -> Iterator[Objection]:

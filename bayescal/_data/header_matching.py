@@ -37,7 +37,6 @@ from bayescal._data.read_options import (
     ReadOptions,
     expected_columns,
     names_in,
-    names_near,
     output_name,
     unit_of,
 )
@@ -126,7 +125,7 @@ class MatchedFile:
             position = called(self._headers, asked)
             if position is None:
                 came = f"no such column, but {option('--columns', f'{ours}={theirs}')}"
-                self.problem(theirs, came, cure=names_near(self.table, theirs))
+                self.problem(theirs, came, cure=f"It has: {names_in(self.table)}")
             elif position not in self._free:
                 other = next(name for name, taken in self.positions.items() if taken == position)
                 came = f"both {other} and {ours} by --columns"

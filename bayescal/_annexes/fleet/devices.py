@@ -18,7 +18,7 @@ import pandas as pd
 from bayescal import Column, InputError, Measurements
 from bayescal._data.column import ConvertedColumns, Source
 from bayescal._data.column_conversion import convert_columns
-from bayescal._data.dataset_checks import backward_time, same_temperature
+from bayescal._data.dataset_checks import Place, backward_time, same_temperature
 from bayescal._data.header_matching import MatchedFile
 from bayescal._data.read_options import (
     ExpectedColumns,
@@ -403,7 +403,7 @@ def _useless(block: DeviceBlock, instrument: InstrumentLike) -> dict[str, str]:
     for i, name in enumerate(block.names):
         columns, file = block.columns(i), f"device {name}"
         problems = [*same_temperature(columns, file)] if need else []
-        problems += backward_time(columns, lambda row, file=file: f"reading {row + 1} of {file}")
+        problems += backward_time(columns, lambda row, file=file: Place(f"reading {row + 1}", file))
         if problems:
             refused[name] = str(problems[0])
     return refused
