@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 import unicodedata
 from collections.abc import Mapping
+from copy import copy
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -28,7 +29,6 @@ from bayescal._data.counter_wrap import (
     SIGN,
     restore_sign,
     unwrap,
-    unwrap_option,
     wrap_period,
 )
 from bayescal._data.header_matching import MatchedFile
@@ -98,7 +98,7 @@ def convert_columns(
 def _load(file: MatchedFile, extra: Mapping[str, Column]) -> dict[str, Cells]:
     """Load the cells of the columns that are read; times of day on the days of a column beside them."""
     table, positions = file.table, file.positions
-    columns = {n: c for n, c in (file.expected | extra).items() if n in positions}
+    columns = {n: c for n, c in {**file.expected, **extra}.items() if n in positions}
     wanted = {positions[n]: c.unit is not None for n, c in columns.items()}
     days = [i for i, h in enumerate(table.headers) if plain(h.name) in DAYS and not h.unit]
     days = [i for i in days if "time" in columns and i != positions["time"]]
@@ -117,8 +117,7 @@ def _read_expected(
     for name, column in file.expected.items():
         default = column.default
         if name in cells:
-            header, (problems, options) = file.header(name), (file.problems, file.options)
-            ColumnReader(file, header, column, converted, problems, options).read(cells[name])
+            ColumnReader(file, column, converted).read(cells[name])
             converted.unread |= {name} - set(converted.values)
         if name == MAGNITUDE and file.options.local_field is not None:
             if name in cells:
@@ -141,15 +140,15 @@ def _read_further(
     converted: ConvertedColumns,
 ) -> None:
     """Read columns that no instrument asked for; one of which a cell is no number is left out with a flag."""
-    options = replace(file.options, missing="refuse")
+    beside = copy(file)  # what is wrong with these is no problem of the file
+    beside.options = replace(file.options, missing="refuse")
     for name in (n for n in extra if n in cells):
-        problems, flags = Objections(), len(converted.flags)
-        header = file.header(name)
-        ColumnReader(file, header, extra[name], converted, problems, options).read(cells[name])
-        if problems:
+        beside.problems, flags = Objections(), len(converted.flags)
+        ColumnReader(beside, extra[name], converted).read(cells[name])
+        for problem in beside.problems[:1]:
             del converted.flags[flags:]
-            why = " ".join((*problems[0].places[:1], problems[0].came))
-            converted.flags.append(f"{file.table.file}: column {header.raw!r} ignored: {why}")
+            why = " ".join((*problem.places[:1], problem.came))
+            converted.flags.append(f"{file.table.file}: column {problem.column!r} ignored: {why}")
 
 
 def _note_gravity(file: MatchedFile, converted: ConvertedColumns) -> None:
@@ -160,14 +159,11 @@ def _note_gravity(file: MatchedFile, converted: ConvertedColumns) -> None:
         converted.values[ASSUMED_GRAVITY] = np.ones(file.table.rows)
         converted.units[ASSUMED_GRAVITY] = "1"
         converted.filled.add(ASSUMED_GRAVITY)
-        gravity = file.options.gravity
         said = (
-            f"{gravity:g} m/s² was taken for local gravity, which nobody stated (--local-gravity)"
+            f"{file.table.file}: {file.options.gravity:g} m/s² was taken for local gravity, which nobody stated "
+            "(--local-gravity): scale factors are as uncertain as it is on Earth, 9.780 to 9.832 m/s²"
         )
-        why = "scale factors are as uncertain as it is on Earth, 9.780 to 9.832 m/s²"
-        converted.flags.append(
-            Flag(f"{file.table.file}: {said}: {why}", "gravity.assumed", *outputs)
-        )
+        converted.flags.append(Flag(said, "gravity.assumed", *outputs))
 
 
 def _note_channels(
@@ -212,14 +208,11 @@ def _rows(table: Table, rows: np.ndarray) -> str:
 
 @dataclass(frozen=True)
 class ColumnReader:
-    """Checks one column of a file and converts it into `converted`; what is wrong goes into `problems`."""
+    """Checks a column of a file and converts it into `converted`."""
 
     file: MatchedFile
-    header: Header
     column: Column
     converted: ConvertedColumns
-    problems: Objections
-    options: ReadOptions
 
     def read(self, cells: Cells) -> None:
         """Read a column; one that is empty and not required is left out."""
@@ -229,7 +222,7 @@ class ColumnReader:
         if not self.column.required and not cells.bad and np.isnan(cells.values).all():
             self._flag("is empty and was left out")
             return
-        before, cells = len(self.problems), self._in_order(cells)
+        before, cells = len(self.file.problems), self._in_order(cells)
         if cells.dates and not self._is_time:  # dates are numbers of the time alone
             cells = _as_text(cells)
         unit = self._unit(cells)
@@ -252,11 +245,15 @@ class ColumnReader:
         if unit is not None:
             self._note_implausible(raw, values, unit)
         # without a unit, the order of times can be looked at all the same
-        if len(self.problems) == before or (unit is None and not cells.bad):
+        if len(self.file.problems) == before or (unit is None and not cells.bad):
             if self._is_time:
                 values = self._on_clock(values, cells.dates)
             self.converted.values[self.column.name] = values
             self.converted.units[self.column.name] = self.column.unit
+
+    @property
+    def header(self) -> Header:
+        return self.file.header(self.column.name)
 
     @property
     def _is_time(self) -> bool:
@@ -271,14 +268,14 @@ class ColumnReader:
         return self.header.raw, self.header.name, self.column.name
 
     def _problem(self, came: str, *about: str, **more: Any) -> None:
-        self.problems.append(self.file.table.objection(self.header.raw, came, *about, **more))
+        self.file.problem(self.header.raw, came, *about, **more)
 
     def _flag(self, said: str) -> None:
         self.converted.flags.append(f"{self.file.table.file}: column {self.header.raw!r} {said}")
 
     def _note_missing(self, rows: np.ndarray, came: str, expected: str = "") -> None:
         """Note readings that are missing: a problem, unless such rows are dropped."""
-        if self.options.missing == "refuse":
+        if self.file.options.missing == "refuse":
             cure, given = "Fill it in, or drop such rows", option("--missing", "drop")
             self._problem(came, expected, cure, given, rows=rows)
             return
@@ -292,7 +289,7 @@ class ColumnReader:
         empty, allowed = np.flatnonzero(labels == ""), self.column.allowed
         if empty.size:
             self._note_missing(empty, "is empty", "a label")
-        before = len(self.problems)
+        before = len(self.file.problems)
         for label in dict.fromkeys(labels.tolist()):
             rows = np.flatnonzero(labels == label)
             if any(unicodedata.category(character) in ("Cc", "Cs") for character in label):
@@ -301,7 +298,7 @@ class ColumnReader:
             elif label and allowed and label not in allowed:
                 known = f"one of {', '.join(allowed)}"
                 self._problem(f"reads {label!r}, an unknown label", known, "Correct it", rows=rows)
-        if len(self.problems) == before:
+        if len(self.file.problems) == before:
             self.converted.values[self.column.name] = labels
             self.converted.units[self.column.name] = None
 
@@ -309,7 +306,7 @@ class ColumnReader:
         """Dates whose day and month are dates apart: by one above 12, or as the user says; a problem if by neither."""
         if not (self._is_time and cells.orders):
             return cells
-        dates, fitting = cells.in_order(self.options.date_order), cells.fitting_orders
+        dates, fitting = cells.in_order(self.file.options.date_order), cells.fitting_orders
         if dates.orders:
             came = "its dates are not all dates in one order of month, day and year"
             if fitting:
@@ -324,7 +321,7 @@ class ColumnReader:
 
     def _unit(self, cells: Cells) -> str | None:
         """Return the unit of the numbers; None, and a problem, if there is none or the text is none."""
-        unit = unit_of(self.header, self.column.name, self.options)
+        unit = unit_of(self.header, self.column.name, self.file.options)
         asked = option("--unit", f"{self.header.raw}=UNIT")
         if cells.dates:
             return "s"
@@ -366,7 +363,7 @@ class ColumnReader:
 
     def _unwrapped(self, raw: np.ndarray, unit: str | None) -> np.ndarray:
         """Undo a counter's wraps, or a sign that was lost, where the user says so."""
-        given = self.options.unwrap
+        given = self.file.options.unwrap
         said = next((given[n] for n in self._names if n in given), None)
         if said is None or unit is None:
             return raw
@@ -405,7 +402,7 @@ class ColumnReader:
             since -= _SINCE_1904
             self._flag(f"taken as since 1904 (LabVIEW): since 1970 it would begin {begin}")
         self.converted.origin = since
-        begins, file = self.options.begin, self.file.table.file
+        begins, file = self.file.options.begin, self.file.table.file
         text = begins.get(file, begins.get("", ""))
         if not text or not np.isfinite(values).any():
             return values
@@ -413,13 +410,13 @@ class ColumnReader:
         if dated and since is not None and file not in begins:
             return values
         self._flag(f"is counted from its first reading at {text} (--begin)")
-        self.converted.origin = begin if dated else self.options.epoch
+        self.converted.origin = begin if dated else self.file.options.epoch
         return values - np.nanmin(values) + (0.0 if dated else begin)
 
     def _note_mass(self, raw: np.ndarray, unit: str | None) -> None:
         """Note a g that is hardly that of gravity, where the instrument takes whatever unit there is."""
         anything = {c.name for c in self.file.instrument.columns if c.unit == ANY}
-        said = self.options.units.keys() & {*self._names}
+        said = self.file.options.units.keys() & {*self._names}
         if unit is None or self.column.name not in anything or said:
             return
         powers, known = parse(unit).powers, raw[np.isfinite(raw)]
@@ -454,8 +451,8 @@ class ColumnReader:
 
     def _convert(self, values: np.ndarray, unit: str) -> np.ndarray | None:
         """Numbers in `unit` in the column's, or by the nominal scale; None, and a problem, if neither can be."""
-        target, gravity = self.column.unit or "1", self.options.gravity
-        own, difference = self.options.nominal_scale, self.column.name == UNCERTAINTY
+        target, gravity = self.column.unit or "1", self.file.options.gravity
+        own, difference = self.file.options.nominal_scale, self.column.name == UNCERTAINTY
         scale = own or self.file.instrument.nominal_scale
         asked = option("--unit", f"{self.header.raw}=UNIT")
         if same_dimension(unit, target):
@@ -488,7 +485,7 @@ class ColumnReader:
         self, values: np.ndarray, unit: str, scale: NominalScale, difference: bool
     ) -> np.ndarray:
         """Turn raw outputs into the instrument's by the nominal scale, and say so."""
-        own = self.options.nominal_scale is not None
+        own = self.file.options.nominal_scale is not None
         shifted = scale.offset and not difference
         reading = f"(reading − {scale.offset:g})" if shifted else "reading"
         of = "" if own else f" of {self.file.instrument.name}"
@@ -499,7 +496,7 @@ class ColumnReader:
         )
         if scale.by_gravity:
             self.converted.by_gravity.add(self.column.name)
-        gravity = self.options.gravity
+        gravity = self.file.options.gravity
         raw = convert(values, unit, scale.unit, local_gravity=gravity, difference=difference)
         return scale.apply(raw, difference=difference)
 
@@ -533,7 +530,10 @@ class ColumnReader:
         cure, given = "Check the unit and the number", ""
         if target == "degC" and (period := self._period(values, low, high)):
             came = f"{came}; a counter of {period:g} °C that began anew"
-            cure, given = "Undo it, if that is so", unwrap_option(self.header.raw, period)
+            cure, given = (
+                "Undo it, if that is so",
+                option("--unwrap", f"{self.header.raw}={period:g}degC"),
+            )
         self._problem(came, "", cure, given, rows=wrong)
 
     def _period(self, values: np.ndarray, low: float, high: float) -> float | None:

@@ -6,8 +6,6 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from bayescal._tables.raw_table import option
-
 SIGN = "sign"  # --unwrap temperature=sign: a column of absolute values
 ROOM = 20.0  # °C, near which a record begins where its counter leaves open which of its periods it is in
 # What a thermometer's counter of some bits holds, °C: in whole degrees and parts of them by two, and in decimals.
@@ -20,11 +18,6 @@ LEAST_LEVELS = 3  # values beyond a wrap; fewer are an error value
 USUAL_SHARE = 0.9  # of a column's changes
 # Of residual sums of squares, from which an output denies a column's absolute values.
 BETTER_RATIO = 4.0
-
-
-def unwrap_option(column: str, period: float) -> str:
-    """Return the option of the command line that undoes a counter's wraps."""
-    return option("--unwrap", f"{column}={period:g}degC")
 
 
 def unwrap(values: np.ndarray, codes: np.ndarray, period: float, start: float) -> np.ndarray:

@@ -9,11 +9,10 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from bayescal._core.errors import InputError
 from bayescal._core.settings import settings
 from bayescal._data.column import (
     ARRAYS,
@@ -22,7 +21,7 @@ from bayescal._data.column import (
     ConvertedColumns,
     file_names,
 )
-from bayescal._data.counter_wrap import SIGN, lost_its_sign, unwrap_option, wrap_period
+from bayescal._data.counter_wrap import SIGN, lost_its_sign, wrap_period
 from bayescal._data.pose_rows import MAGNITUDE
 from bayescal._data.records import (
     PAUSE_STEPS,
@@ -42,7 +41,18 @@ from bayescal._data.thermometer_checks import (
 from bayescal._data.unit_conversion import base_unit, convert, unit_label
 from bayescal._tables.raw_table import Objection, Objections, Table, option
 
-Where = Callable[[int], str]  # index of a reading → "row 12 of 'tilt.csv'"
+
+class Place(NamedTuple):
+    """Where a reading stands, such as "row 12", and in which file."""
+
+    row: str
+    file: str
+
+    def __str__(self) -> str:
+        return f"{self.row} of {self.file!r}"
+
+
+Where = Callable[[int], Place]  # by the index of a reading
 
 
 def problems_of_whole(
@@ -58,10 +68,10 @@ def problems_of_whole(
     needed = effects is None or any("temperature" in effect.varies for effect in effects)
     required = any(c.name == "temperature" and c.required for c in instrument.columns)
     if needed and required and not one_temperature and "temperature" in converted.values:
-        with problems.collecting():
-            refuse_one_temperature(converted.values, file_names([f for f in files if f != ARRAYS]))
-    with problems.collecting():
-        refuse_backward_time(converted.values, row_namer(converted.tables))
+        problems += same_temperature(
+            converted.values, file_names([f for f in files if f != ARRAYS])
+        )
+    problems += backward_time(converted.values, row_namer(converted.tables))
     problems += _wrapped(converted, getattr(instrument, "output", "output"))
     return problems
 
@@ -70,10 +80,10 @@ def row_namer(tables: Sequence[Table]) -> Where:
     """Return what names the file and row of a reading, of several tables one after the other."""
     ends = np.cumsum([table.rows for table in tables])
 
-    def where(index: int) -> str:
+    def where(index: int) -> Place:
         which = int(np.searchsorted(ends, index, side="right"))
         table = tables[which]
-        return f"{table.place(index - int(ends[which]) + table.rows)} of {table.file!r}"
+        return Place(table.place(index - int(ends[which]) + table.rows), table.file)
 
     return where
 
@@ -82,9 +92,9 @@ def _objection(
     where: Where, rows: Sequence[int], column: str, came: str, cure: str, option: str = ""
 ) -> Objection:
     """An objection to rows, of which the first names the file."""
-    places = [where(int(row)).partition(" of ") for row in rows]
-    file = places[0][2].strip("'")
-    return Objection(file, came, "", cure, option, column, places=tuple(p[0] for p in places))
+    places = [where(int(row)) for row in rows]
+    at = tuple(place.row for place in places)
+    return Objection(places[0].file, came, "", cure, option, column, places=at)
 
 
 def _wrapped(converted: ConvertedColumns, output: str) -> Iterator[Objection]:
@@ -99,7 +109,7 @@ def _wrapped(converted: ConvertedColumns, output: str) -> Iterator[Objection]:
         row = 1 + int(np.argmax(np.abs(np.diff(values, append=values[-1]))))
         if period := wrap_period(values, codes, allowed):
             came = f"leaps by {period:g} °C, as a counter that began anew"
-            undo = unwrap_option(name, period)
+            undo = option("--unwrap", f"{name}={period:g}degC")
         elif output in columns and lost_its_sign(values, codes, allowed, columns[output], others):
             came = "turns round at 0 °C where the output goes on: its sign was lost"
             undo = option("--unwrap", f"{name}={SIGN}")
@@ -109,8 +119,8 @@ def _wrapped(converted: ConvertedColumns, output: str) -> Iterator[Objection]:
         yield _objection(where, rows, name, came, "Undo it, if that is so", undo)
 
 
-def refuse_one_temperature(columns: Columns, names: str) -> None:
-    """Raise InputError where temperatures, °C, span less than `Settings.temperature_span`."""
+def same_temperature(columns: Columns, names: str) -> Iterator[Objection]:
+    """Object where temperatures, °C, span less than `Settings.temperature_span`."""
     temperature = columns["temperature"]
     low, high = float(temperature.min()), float(temperature.max())
     if high - low < settings().temperature_span:
@@ -120,10 +130,7 @@ def refuse_one_temperature(columns: Columns, names: str) -> None:
             "another (files given together are read together)"
         )
         came = f"reads {seen} °C, one temperature only"
-        problem = Objection(
-            names, came, cure=cure, column="temperature"
-        )  # of files, or of a device
-        raise InputError(str(problem), (problem,))
+        yield Objection(names, came, cure=cure, column="temperature")  # of files, or of a device
 
 
 # What clocks hold when they begin anew, s: counters of 32, 24 and 16 bits, a GPS week, a day.
@@ -138,8 +145,8 @@ CLOCK_SET = 3.2e8
 CLOCK_SET_STEPS = 1e4
 
 
-def refuse_backward_time(columns: Columns, where: Where) -> None:
-    """Raise InputError where time, s, runs backwards, or leaps by years, within a run of a device and axis.
+def backward_time(columns: Columns, where: Where) -> Iterator[Objection]:
+    """Object where time, s, runs backwards, or leaps by years, within a run of a device and axis.
 
     `where` names a reading's file and row.
     """
@@ -182,8 +189,7 @@ def refuse_backward_time(columns: Columns, where: Where) -> None:
             cure, undo = "Undo it, if that is so", option("--unwrap", f"time={undo}")
     else:
         return
-    problem = _objection(where, rows.tolist(), "time", came, cure, undo)
-    raise InputError(str(problem), (problem,))
+    yield _objection(where, rows.tolist(), "time", came, cure, undo)
 
 
 @dataclass(frozen=True)

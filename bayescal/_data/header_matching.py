@@ -22,8 +22,8 @@ from bayescal._data.header_rules import (
     NO_UNIT,
     RAW,
     ColumnRule,
-    by_name,
     called,
+    compared,
     labels_in,
     like_a_unit,
     like_labels,
@@ -37,7 +37,6 @@ from bayescal._data.read_options import (
     ReadOptions,
     expected_columns,
     names_in,
-    names_near,
     output_name,
     unit_of,
 )
@@ -126,7 +125,7 @@ class MatchedFile:
             position = called(self._headers, asked)
             if position is None:
                 came = f"no such column, but {option('--columns', f'{ours}={theirs}')}"
-                self.problem(theirs, came, cure=names_near(self.table, theirs))
+                self.problem(theirs, came, cure=f"It has: {names_in(self.table)}")
             elif position not in self._free:
                 other = next(name for name, taken in self.positions.items() if taken == position)
                 came = f"both {other} and {ours} by --columns"
@@ -139,7 +138,8 @@ class MatchedFile:
 
     def _take_known(self) -> None:
         """Take the columns of the instrument: by their own names, else by names that are usual, with a fitting unit."""
-        headers, named = self._headers, by_name(self._headers)
+        headers = self._headers
+        named = [{compared(reading) for reading in readings_of(h)} for h in headers]
         exact = {headers[i].name: i for i in self._free}
         for name, column in self.expected.items():
             if name in self.options.columns:
@@ -184,8 +184,9 @@ class MatchedFile:
         """Take labels by name and cells; and for the time the one column of dates, or in a unit of time, that rises."""
         for i in sorted(self._free):
             ours = labels_in(self._headers[i])
-            missing = ours and ours not in {*self.positions, *self.options.columns}
-            if missing and self._holds_labels(i, ours == "device"):
+            if ours is None or ours in {*self.positions, *self.options.columns}:
+                continue
+            if self._holds_labels(i, ours == "device"):
                 reading = replace(self._headers[i], name=ours, unit=None)
                 self._take(i, reading, ours, ", as its values are labels")
         if "time" not in self.expected or "time" in (*self.positions, *self.options.columns):
@@ -375,16 +376,13 @@ class MatchedFile:
         """Note a column that would be left out and may be of use: how to keep it, and how to leave it out."""
         known = _known(unit, (column and column.unit) or ANY)
         came = f"ends in [{unit}], no unit known here" if unit else "has no unit"
-        left, wanted = option("--ignore", header.raw), "a unit known here"
+        left = option("--ignore", header.raw)
         keep = option("--unit", f"{header.raw}={known or 'UNIT'}")
+        wanted, given = "a unit known here", keep if known else left
         if column:
             wanted = f"{column.name} [{column.example}]"
-            cure = f"It may be {column.name}: say so and in which unit, or leave the column out: {left}"
             given = f"{option('--columns', f'{column.name}={header.raw}')} {keep}"
-        elif known:
-            cure, given = f"Say its unit, or leave the column out: {left}", keep
-        else:
-            cure, given = f"Leave the column out, or say its unit: {keep}", left
+        cure = f"Say what it is and its unit, {keep}, or leave the column out, {left}"
         self.problem(header.raw, came, wanted, cure, given)
 
 

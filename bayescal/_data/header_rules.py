@@ -153,19 +153,10 @@ def plain(name: str) -> str:
     return "_".join("temperature" if word in ("temp", "tmp") else word for word in words)
 
 
-def _compared(reading: Header) -> str:
-    """The name of a reading as names are compared."""
+def compared(reading: Header) -> str:
+    """Return the name of a reading as names are compared."""
     name = reading.name.strip()
     return name if len(name) == 1 else plain(name)
-
-
-def by_name(headers: Sequence[Header]) -> dict[str, list[int]]:
-    """Where the headers are of which one reading has a name, as names are compared."""
-    found: dict[str, list[int]] = {}
-    for i, header in enumerate(headers):
-        for name in {_compared(reading) for reading in readings_of(header)}:
-            found.setdefault(name, []).append(i)
-    return found
 
 
 def labels_in(header: Header) -> str | None:
@@ -214,16 +205,16 @@ class ColumnRule:
     def among(
         self,
         headers: Sequence[Header],
-        named: Mapping[str, list[int]],
+        named: Sequence[Collection[str]],
         free: Collection[int],
         given: Mapping[str, str],
     ) -> dict[int, Header]:
         """Return the free headers that can be read as it, under the likeliest of its names that there are.
 
-        `named` are the positions of names (`by_name`), `free` those not taken, `given` units that the user says.
+        `named` are the names in their readings, as names are compared, `given` units that the user says.
         """
         for names in self.tiers:
-            at = sorted({i for name in names for i in named.get(name, ()) if i in free})
+            at = [i for i in sorted(free) if not names.isdisjoint(named[i])]
             if found := {i: r for i in at if (r := self._reading(headers[i], names, given))}:
                 return found
         return {}
@@ -233,7 +224,7 @@ class ColumnRule:
     ) -> Header | None:
         """The reading of a header under one of these names, in a unit of its kind or in none."""
         for reading in sorted(readings_of(header), key=lambda r: r.unit is None):  # "T (°)" has one
-            if _compared(reading) not in names:
+            if compared(reading) not in names:
                 continue
             if reading.unit is None:
                 return reading

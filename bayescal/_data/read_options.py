@@ -9,7 +9,6 @@ import contextlib
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from difflib import get_close_matches
 from typing import Any, NamedTuple, Protocol
 
 from bayescal._core.errors import InputError
@@ -296,7 +295,7 @@ def unused_options(tables: Sequence[Table], options: ReadOptions, problems: Obje
     said |= {name: option("--ignore", name) for name in options.ignore}
     said |= {name: option("--unwrap", f"{name}={text}") for name, text in options.unwrap.items()}
     for name in (n for n in said if n not in known):
-        cure = names_near(tables[0], name) + "".join(f", nor has {file!r}" for file in others)
+        cure = f"It has: {names_in(tables[0])}" + "".join(f", nor has {file!r}" for file in others)
         came = f"no such column, but {said[name]}"
         problems.append(Objection(first, came, cure=cure, column=name))
 
@@ -304,10 +303,3 @@ def unused_options(tables: Sequence[Table], options: ReadOptions, problems: Obje
 def names_in(table: Table) -> str:
     """The headers of a file, for messages."""
     return ", ".join(header.raw or "(no name)" for header in table.headers)
-
-
-def names_near(table: Table, name: str) -> str:
-    """What a file has in place of a column of this name, and which of them may be meant."""
-    names = {header.name.lower(): header.raw for header in table.headers if header.name}
-    near = get_close_matches(name.lower(), names, 1)
-    return f"It has: {names_in(table)}" + (f" (is {names[near[0]]!r} meant?)" if near else "")

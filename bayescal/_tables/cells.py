@@ -7,7 +7,7 @@ import sys
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
-from datetime import UTC, date, datetime, timedelta
+from datetime import UTC, date, datetime, time, timedelta
 from functools import lru_cache
 
 import numpy as np
@@ -309,7 +309,7 @@ def cells_of(values: object, number: bool) -> Cells:
         bad = {i: str(value) for i, value in enumerate(array[:MOST_BAD].tolist())}
         return Cells(np.full(len(array), np.nan), bad)
     missing = getattr(sys.modules.get("pandas"), "NA", None)  # which only pandas makes
-    texts = [_text(value, missing) for value in array.tolist()]
+    texts = [cell_text(value, missing) for value in array.tolist()]
     return numbers_of(texts) if number else Cells(np.array(texts, dtype=object))
 
 
@@ -328,8 +328,8 @@ def equally_long(columns: Mapping[str, object]) -> dict[str, np.ndarray]:
     return {name: np.broadcast_to(array, (rows,)) for name, array in arrays.items()}
 
 
-def _text(value: object, missing: object) -> str:
-    """A cell as a label: whole numbers without a point, nothing for what is `missing`."""
+def cell_text(value: object, missing: object = None) -> str:
+    """Return a cell as text: whole numbers without a point, dates by ISO 8601, nothing for what is `missing`."""
     if isinstance(value, str):
         return value.strip()
     if value is None or value is missing or (isinstance(value, float) and np.isnan(value)):
@@ -338,4 +338,4 @@ def _text(value: object, missing: object) -> str:
         return value.decode("utf-8", "replace").strip()
     if isinstance(value, float) and value.is_integer() and abs(value) < 1e15:
         return str(int(value))
-    return str(value).strip()
+    return value.isoformat() if isinstance(value, date | time) else str(value).strip()

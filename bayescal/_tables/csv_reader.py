@@ -11,18 +11,19 @@ import hashlib
 import io
 import math
 import re
+from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 from itertools import islice
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
 from bayescal._core.errors import InputError
 from bayescal._core.quoting import csv_cell_read
-from bayescal._tables.cells import MOST_BAD, Cells, number_of, numbers_of
-from bayescal._tables.header_rows import LOOKED_AT, HeaderRows, header_rows, with_units
+from bayescal._tables.cells import MOST_BAD, Cells, is_date, is_missing, number_of, numbers_of
 from bayescal._tables.raw_table import Header, Objection, Table, refuse_many, unusable
 
 _LONGEST_LINE = 1 << 24  # bytes
@@ -44,6 +45,11 @@ _BLANKS = (
 )
 _BEFORE_UNIT = re.compile(rb"[ \t]+(?=[\[(<{])")  # in a row of units
 _ROWS = 100_000  # rows whose text is held at a time
+_LOOKED_AT = 200  # rows from the start of a file
+_LAST = 5  # of these, whose width is that of the readings
+_UNITS = 2  # rows of units and the like, at most, between names and readings
+_LONGEST_UNIT = 24  # characters
+_NO_UNITS = ("TS", "RN")  # what Campbell's loggers write for moments and the numbers of records
 
 
 def open_csv(path: Path, file: str, decimal: str = "") -> Table:
@@ -61,22 +67,27 @@ def open_csv(path: Path, file: str, decimal: str = "") -> Table:
     Raises:
         InputError: it is empty, in an encoding that cannot be told, or ends lines in a way that cannot be counted.
     """
-    text = read_text(path, file, decimal)
+    return table_of(parse_text(path.read_bytes(), file, decimal))
+
+
+def table_of(text: CsvText, *more: str) -> Table:
+    """Return a text as a table, with a note of each thing that is not as usual, and more."""
     notes = {
         f"read as {text.encoding}": text.encoding != "utf-8",
         "its fields are parted by blanks": text.blank_runs is not None,
         "its numbers have decimal commas": text.decimal == ",",
         f"its columns are named in row {text.named}; what stands above it is left out": text.above,
         f"its units are taken from row {text.named + 1}": text.first - text.named > 1,
+        **dict.fromkeys(more, True),
     }
     return Table(
-        file,
+        text.file,
         text.headers,
         len(text.readings),
         text.cells,
         text.sha256,
         text.place,
-        notes=tuple(f"{file}: {note}" for note, holds in notes.items() if holds),
+        notes=tuple(f"{text.file}: {note}" for note, holds in notes.items() if holds),
         problems=_ragged_rows(text),
         readable=text.readable,
     )
@@ -134,7 +145,9 @@ class CsvText:
 
     def rows(self) -> Iterable[bytes]:
         """Its lines below the header."""
-        return io.BytesIO(self.data[self.offset :])
+        handle = io.BytesIO(self.data)  # which copies nothing
+        handle.seek(self.offset)
+        return handle
 
     def cells(self, wanted: Mapping[int, bool]) -> dict[int, Cells]:
         """Parse the wanted columns; one stretch of rows is held as text at a time."""
@@ -176,13 +189,12 @@ class CsvText:
         return f"row {self.readings[index]}"
 
 
-def read_text(path: Path, file: str, decimal: str) -> CsvText:
-    """Read a file: its layout, its rows, and which of them are blank or have another number of fields.
+def parse_text(data: bytes, file: str, decimal: str = "") -> CsvText:
+    """Parse the bytes of a file: its layout, its rows, and which of them are blank or have another number of fields.
 
     It is in windows-1252 where bytes beyond ASCII make no character in UTF-8 anywhere: these have two and more such
     bytes side by side in hardly any word. A file with characters of both was joined of two, and is refused.
     """
-    data = path.read_bytes()
     text = CsvText(file, data, sha256=hashlib.sha256(data).hexdigest(), decimal=decimal)
     beyond = set(data.translate(None, _ASCII))
     if data.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
@@ -231,7 +243,7 @@ def _read_header(text: CsvText) -> None:
     text.header = text.split(line, row, called=", in the header")
     if found and (found.last > found.first or len(found.names) != len(text.header)):
         text.header = found.names
-    text.header = with_units(text.header, units)
+    text.header = _with_units(text.header, units)
     text.first, text.offset, text.named = last + 1, end, row
     text.above = row > first_lines[0][0]
 
@@ -250,7 +262,7 @@ def _find_layout(text: CsvText) -> None:
 def _first_lines(text: CsvText) -> list[tuple[int, str, int]]:
     """Return row, text and the byte behind it of the first lines that are neither blank nor comments."""
     handle, there, row = io.BytesIO(text.data), [], 0
-    while len(there) < LOOKED_AT and (raw := handle.readline(_LONGEST_LINE)):
+    while len(there) < _LOOKED_AT and (raw := handle.readline(_LONGEST_LINE)):
         row += 1
         line = raw.removeprefix(_MARK if row == 1 else b"").decode(text.written_in, "replace")
         line = line.removeprefix("#").lstrip() if text.commented else line
@@ -259,13 +271,13 @@ def _first_lines(text: CsvText) -> list[tuple[int, str, int]]:
     return there
 
 
-def _header_among(texts: Sequence[str]) -> tuple[HeaderRows | None, str]:
+def _header_among(texts: Sequence[str]) -> tuple[_HeaderRows | None, str]:
     """Return the header among the first lines of a file, and what parts its fields; None and nothing for no header."""
     after = [i for i, text in enumerate(texts) if text.startswith(_LABVIEW)]
     begin = after[-1] + 1 if after else 0
     for i in range(begin, len(texts)):
         for separator in _separators_of(texts[i]):
-            if found := header_rows([_fields_of(text, separator) for text in texts], i):
+            if found := _header_rows([_fields_of(text, separator) for text in texts], i):
                 return found, separator
     return None, ""
 
@@ -315,7 +327,7 @@ def _refuse_undecodable(text: CsvText, end: int | None = None) -> None:
         came = "holds a carriage return that ends no line: lines must end in LF or CR LF"
         raise refuse(came, lone.start())
     try:
-        data.decode(text.written_in)
+        _ = data.isascii() or data.decode(text.written_in)
     except UnicodeDecodeError as error:
         line = data[data.rfind(b"\n", 0, error.start) + 1 : error.start]
         came = f"is not UTF-8: byte {len(line) + 1} of the row is 0x{data[error.start]:02x}"
@@ -327,7 +339,7 @@ def _scan_lines(text: CsvText) -> None:
     """Check the lines of readings: their encoding, and that each has as many fields as the header."""
     _refuse_undecodable(text)
     separator, expected = text.separator.encode(), len(text.header)
-    if not text.decimal and separator != b"," and _DECIMAL_COMMA.search(text.data, text.offset):
+    if not text.decimal and separator != b"," and _DECIMAL_COMMA.search(text.data, text.offset - 1):
         text.decimal = ","
     row, blanks = text.first - 1, set[int]()
     for row, line in enumerate(text.rows(), text.first):
@@ -364,3 +376,69 @@ def _ragged_rows(text: CsvText) -> tuple[Objection, ...]:
     came = f"has {fields} field{'s' * (fields != 1)}, {line!r}, its header has {expected}"
     places = tuple(f"row {row}" for row, _, _ in text.ragged)
     return (Objection(text.file, came, cure=cure, places=places),)
+
+
+class _HeaderRows(NamedTuple):
+    """Indices of the first and last row that name columns, and the names, with units in brackets, one a column."""
+
+    first: int
+    last: int
+    names: list[str]
+
+
+def _header_rows(rows: Sequence[Sequence[str]], first: int = 0) -> _HeaderRows | None:
+    """Return the rows that name the columns, if `rows[first]` (fields, blank rows left out) begins them.
+
+    Names are text; readings with as many fields and a number or a date among them follow, at once or after a row of
+    units. Readings may end each row with one empty field more.
+    """
+    names = [name.strip() for name in rows[first]]
+    if len(names) < 2 or any(map(_is_reading, names)) or sum(map(bool, names)) < 2:
+        return None
+    last = [row for row in rows[first + 1 :][-_LAST:] if any(map(_is_reading, row))]
+    if not last or sum(map(bool, names)) < min(sum(map(bool, row)) for row in last):
+        return None
+    width = Counter(map(len, last)).most_common(1)[0][0]
+    ends_empty = all(not row[-1].strip() for row in last if len(row) == width)
+    if width == len(names) - 1 and names[-1].lower() in ("", "comment"):
+        names = names[:-1]
+    elif width == len(names) + 1 and ends_empty:
+        names = [*names, ""]
+    if width != len(names):
+        return None
+    below = first + 1
+    while below < min(len(rows), first + 2 + _UNITS) and _names_units(rows[below], len(names)):
+        below += 1
+    if below == len(rows) or len(rows[below]) != width or not any(map(_is_reading, rows[below])):
+        return None
+    units = rows[first + 1] if below > first + 1 else ()
+    return _HeaderRows(first, below - 1, _with_units(names, units))
+
+
+def _is_reading(text: str) -> bool:
+    """Whether a field holds a number or a date."""
+    with suppress(ValueError):
+        float(text.strip().replace(",", ".", 1))
+        return not is_missing(text)
+    return is_date(text)
+
+
+def _names_units(row: Sequence[str], width: int) -> bool:
+    """Whether a row between names and readings may be one of units: short texts, none of them a reading."""
+    texts = [text.strip() for text in row if text.strip()]
+    short = all(len(t) <= _LONGEST_UNIT and (t[0] in "[(" or not t.endswith("]")) for t in texts)
+    there = abs(len(row) - width) <= 1 and len(texts) >= 2
+    return (
+        there and short and not any(_is_reading(t) or (is_missing(t) and t != "-") for t in texts)
+    )
+
+
+def _with_units(names: Sequence[str], units: Sequence[str]) -> list[str]:
+    """Names, each with its unit, if there is one, behind it in brackets."""
+    found = list(names)
+    for i, (name, unit) in enumerate(zip(names, map(str.strip, units), strict=False)):
+        if unit[:1] + unit[-1:] in ("()", "[]", "<>", "{}"):
+            unit = unit[1:-1].strip()
+        if name and unit and unit not in _NO_UNITS and not name.endswith("]"):
+            found[i] = f"{name} [{unit}]"
+    return found

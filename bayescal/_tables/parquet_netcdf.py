@@ -62,14 +62,14 @@ def open_netcdf(path: Path, file: str, max_bytes: int) -> Table:
     import h5py  # a tenth of a second that only NetCDF needs
     import xarray as xr  # half a second
 
-    def dataset() -> xr.Dataset:
-        return xr.open_dataset(path, engine="h5netcdf", decode_times=False)
-
     with as_format(file, "NetCDF-4"), h5py.File(path) as hdf5:
         # h5netcdf, failing at this, would print its own complaint later
         hdf5.attrs.get("_nc3_strict")
         refuse_hdf5(hdf5, file, path.stat().st_size)
-    with as_format(file, "NetCDF-4"), dataset() as data:
+    with (
+        as_format(file, "NetCDF-4"),
+        xr.open_dataset(path, engine="h5netcdf", decode_times=False) as data,
+    ):
         vectors = {str(n): v for n, v in data.variables.items() if v.ndim == 1 and n != ROW}
         dimensions = {str(v.dims[0]) for v in vectors.values()}
         if ROW not in dimensions and len(dimensions) > 1:
@@ -78,15 +78,7 @@ def open_netcdf(path: Path, file: str, max_bytes: int) -> Table:
                 f"Give its variables one dimension, best called {ROW!r}"
             )
         chosen = ROW if ROW in dimensions else next(iter(dimensions), "")
-        names = [name for name, variable in vectors.items() if variable.dims[0] == chosen]
-        rows = data.sizes.get(chosen, 0)
-        refuse_large(file, rows, len(names), max_bytes)
-        units = [vectors[name].attrs.get("units") for name in names]
-    stated = (None if unit is None else str(unit) for unit in units)
-    headers = tuple(map(Header.parse, map(named_back, names), stated))
-
-    def load(wanted: Mapping[int, bool]) -> dict[int, Cells]:
-        with as_format(file, "NetCDF-4"), dataset() as data:
-            return {p: cells_of(data[names[p]].values, number) for p, number in wanted.items()}
-
-    return Table(file, headers, rows, load)
+        kept = {named_back(n): v for n, v in vectors.items() if v.dims[0] == chosen}
+        refuse_large(file, data.sizes.get(chosen, 0), len(kept), max_bytes)
+        units = {n: str(v.attrs["units"]) for n, v in kept.items() if "units" in v.attrs}
+        return Table.of_columns(file, {n: v.values for n, v in kept.items()}, units)

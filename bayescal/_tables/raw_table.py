@@ -211,7 +211,11 @@ class Table:
         headers = tuple(Header.parse(name, units.get(name)) for name in columns)
         arrays = list(columns.values())
         rows = len(arrays[0]) if arrays else 0
-        return cls(file, headers, rows, loads(arrays.__getitem__), **more)
+
+        def load(wanted: Mapping[int, bool]) -> dict[int, Cells]:
+            return {position: cells_of(arrays[position], n) for position, n in wanted.items()}
+
+        return cls(file, headers, rows, load, **more)
 
     def objection(
         self,
@@ -238,11 +242,6 @@ class Table:
             return self.place(int(rows[index]))
 
         return replace(self, rows=len(rows), load=load, place=place)
-
-
-def loads(column: Callable[[int], object]) -> Callable[[Mapping[int, bool]], dict[int, Cells]]:
-    """What a table loads its cells by, of a function that gives the array of a position."""
-    return lambda wanted: {p: cells_of(column(p), number) for p, number in wanted.items()}
 
 
 def load_whole(table: Table, wanted: Mapping[int, bool]) -> dict[int, Cells]:

@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping
 from contextlib import closing
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
 from bayescal._core.errors import InputError
-from bayescal._tables.header_rows import LOOKED_AT, header_rows
-from bayescal._tables.raw_table import Header, Table, as_format, loads, refuse_large, unusable
+from bayescal._tables.cells import cell_text
+from bayescal._tables.csv_reader import parse_text, table_of
+from bayescal._tables.raw_table import Table, as_format, in_one_line, refuse_large, unusable
 from bayescal._tables.unpacked import refuse_hdf5, refuse_matlab, refuse_zip
 
 
@@ -32,74 +33,46 @@ def open_excel(path: Path, file: str, max_bytes: int) -> Table:
         with closing(load_workbook(handle, read_only=True, data_only=True)) as book:
             sheets = book.worksheets
             filled = ((s, rows) for s in sheets if (rows := _rows_of(s, file, max_bytes)))
-            sheet, rows = next(filled, (None, []))
+            sheet, rows = next(filled, (None, {}))
     if sheet is None:
         raise unusable(file, "is empty", "a header and rows of readings were expected")
-    note = f"{file}: read from the sheet {sheet.title!r}, the first of {len(sheets)}"
-    return _of_rows(file, rows, (note,) * (len(sheets) > 1))
+    table = parse_text(_as_text(rows), file)
+    note = f"read from the sheet {sheet.title!r}, the first of {len(sheets)}"
+    return table_of(table, *[note] * (len(sheets) > 1))
 
 
-class SheetRow(NamedTuple):
-    """A row of a sheet: its number, and by their columns the cells that are not empty."""
-
-    number: int
-    cells: dict[int, Any]
-
-
-def _rows_of(sheet: Any, file: str, max_bytes: int) -> list[SheetRow]:
-    """Return the rows of a sheet that hold something, whatever size it states, in the order of their numbers."""
+def _rows_of(sheet: Any, file: str, max_bytes: int) -> dict[int, dict[int, Any]]:
+    """Return the rows of a sheet that hold something, whatever size it states: number → column → cell."""
     from openpyxl.worksheet._reader import WorkSheetParser
 
-    book, found, cells = sheet.parent, dict[int, SheetRow](), 0
+    book, found, cells = sheet.parent, dict[int, dict[int, Any]](), 0
     options = {n: getattr(book, f"_{n}") for n in ("date_formats", "timedelta_formats")}
     with sheet._get_source() as source:
         parser = WorkSheetParser(
             source, sheet._shared_strings, data_only=True, epoch=book.epoch, **options
         )
         for number, given in parser.parse():
-            filled = [(c["column"], c["value"]) for c in given if _text(c["value"]).strip()]
+            filled = [(c["column"], c["value"]) for c in given if cell_text(c["value"])]
             own = dict(filled)
             if filled and (number in found or len(own) < len(filled)):
                 raise InputError(
                     f"{file!r}, sheet {sheet.title!r}: row {number}, or a cell in it, stands there twice, and which is "
                     "meant cannot be told. Open it and save it again"
                 )
-            found |= {number: SheetRow(number, own)} if filled else {}
+            found |= {number: own} if filled else {}
             cells += len(own)
             refuse_large(file, cells, 1, max_bytes)
-    return [found[number] for number in sorted(found)]
+    return found
 
 
-def _of_rows(file: str, rows: Sequence[SheetRow], notes: tuple[str, ...]) -> Table:
-    """Make a table of rows of cells: the first that is as wide as the readings names the columns."""
-    width = max(max(row.cells) for row in rows)
-    told = [[_text(row.cells.get(i + 1)) for i in range(width)] for row in rows[:LOOKED_AT]]
-    found = next((h for i in range(len(told)) if (h := header_rows(told, i))), None)
-    first, last, names = found or (0, 0, told[0])
-    data = rows[last + 1 :]
-    if first:
-        below = f"{file}: its columns are named in row {rows[first].number}"
-        notes = (*notes, f"{below}; what stands above it is left out")
-    if last > first:
-        notes = (*notes, f"{file}: its units are taken from row {rows[last].number}")
-
-    def column(position: int) -> np.ndarray:
-        values = np.empty(len(data), dtype=object)
-        for i, row in enumerate(data):
-            value = row.cells.get(position + 1)
-            values[i] = _text(value) if hasattr(value, "isoformat") else value
-        return values
-
-    headers = tuple(map(Header.parse, [*names, *[""] * (width - len(names))]))
-    place = lambda index: f"row {data[index].number}"  # noqa: E731
-    return Table(file, headers, len(data), loads(column), place=place, notes=notes)
-
-
-def _text(value: Any) -> str:
-    """A cell as text; dates and times as in any other file."""
-    if value is None:
-        return ""
-    return value.isoformat() if hasattr(value, "isoformat") else str(value)
+def _as_text(rows: Mapping[int, Mapping[int, Any]]) -> bytes:
+    """Write rows as lines of text, each in the line of its number, that the reader of text files understands."""
+    width = max(max(cells) for cells in rows.values())
+    lines = [""] * max(rows)
+    for number, cells in rows.items():
+        told = (in_one_line(cell_text(cells.get(i + 1))).replace('"', '""') for i in range(width))
+        lines[number - 1] = "\t".join(f'"{cell}"' for cell in told)
+    return "\n".join([*lines, ""]).encode()
 
 
 def open_matlab(path: Path, file: str, max_bytes: int) -> Table:

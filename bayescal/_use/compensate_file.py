@@ -28,7 +28,7 @@ from bayescal._data.header_matching import MatchedFile
 from bayescal._data.header_rules import unit_behind
 from bayescal._data.measurements import Measurements, assemble
 from bayescal._data.read_options import ExpectedColumns, ReadOptions
-from bayescal._tables.csv_reader import CsvText, read_text
+from bayescal._tables.csv_reader import CsvText, parse_text
 from bayescal._tables.open_table import MAX_BYTES, TEXT, check_files, open_table
 from bayescal._tables.raw_table import Header, Objections, Table, bytes_text, load_whole
 from bayescal._use.compensator import Compensator, Method
@@ -203,7 +203,7 @@ def _names(
 
 def _csv(added: AddedColumns, path: Path, partial: Path, table: Table, raw: str) -> None:
     """Lines as they stand, with two fields more."""
-    text = read_text(path, table.file, added.decimal)
+    text = parse_text(path.read_bytes(), table.file, added.decimal)
     rows = added.cells(text.decimal or ".")
     with partial.open("wb") as target:
         head = text.data[: text.offset].splitlines(keepends=True)

@@ -29,7 +29,7 @@ BEHIND = {
         _core.settings: settings unusual
         _data.column: ConvertedColumns Source
         _data.column_conversion: convert_columns
-        _data.dataset_checks: refuse_backward_time refuse_one_temperature
+        _data.dataset_checks: Place backward_time same_temperature
         _data.header_matching: MatchedFile
         _data.read_options: ExpectedColumns InstrumentLike output_name unit_of unused_options
         _inference: sampled_products trust

@@ -253,8 +253,8 @@ def test_what_is_offered_beside_an_instrument_is_there(group: str) -> None:
 # it from the same part first.
 CEILINGS = {
     "bayescal/_core": 2_158,
-    "bayescal/_tables": 2_037,
-    "bayescal/_data": 5_564,
+    "bayescal/_tables": 1_999,
+    "bayescal/_data": 5_544,
     "bayescal/_model": 6_107,
     "bayescal/effects": 721,
     "bayescal/_inference": 6_428,
@@ -263,12 +263,12 @@ CEILINGS = {
     "bayescal/_search": 5_842,
     "bayescal/_report": 2_450,
     "bayescal/_cli": 1_962,
-    "bayescal/_annexes/fleet": 3_215,
+    "bayescal/_annexes/fleet": 3_213,
     "bayescal/_annexes/imu": 3_128,
     "bayescal/_annexes/metrology": 1_758,
     "bayescal/_annexes/workbench": 3_623,
     "models": 9_236,
-    "tests": 26_907,
+    "tests": 26_862,
     "benchmarks": 10_893,
 }
 WORDS = 53_974  # of docs/, README.md and CHANGELOG.md together

@@ -46,27 +46,29 @@ def slope_of(readings: bc.Measurements) -> float:
     return float(abs(slope.mean() - SLOPE) / slope.std())
 
 
+REBOOTS = {  # two reboots of unlike length, a bus error, and the first and last rows
+    "several": (
+        np.r_[0:3, 90:96, 200:212, 300:302, 398:400],
+        np.r_[[85.0] * 21, [0.0] * 2, [-127.0] * 2],
+    )
+}
+RUNS = {
+    f"{v} in {n}": (150 + np.arange(n), v)
+    for n in (1, 2, 7, 25)
+    for v in (85.0, 0.0, -127.0, -40.0)
+}
+
+
 @pytest.mark.parametrize("seed", [1, 2, 3])
-@pytest.mark.parametrize("count", [1, 2, 7, 25])
-@pytest.mark.parametrize("value", [85.0, 0.0, -127.0, -40.0])
-def test_error_value_of_some_rows_is_set_aside(value: float, count: int, seed: int) -> None:
+@pytest.mark.parametrize("rows", [*RUNS, *REBOOTS])
+def test_error_value_of_some_rows_is_set_aside(rows: str, seed: int) -> None:
+    wrong, values = {**RUNS, **REBOOTS}[rows]
     time, warm, output = log(seed)
-    spoilt, wrong = warm.copy(), 150 + np.arange(count)
-    spoilt[wrong] = value
+    spoilt = warm.copy()
+    spoilt[wrong] = values
     kept = bc.set_aside(readings_of(time, spoilt, output), needed=NEEDED)
     np.testing.assert_array_equal(kept["time"], np.delete(time, wrong))
     assert slope_of(kept) < 4
-
-
-@pytest.mark.parametrize("seed", [1, 2, 3])
-def test_power_on_values_at_several_places_are_set_aside(seed: int) -> None:
-    """Two reboots of unlike length, a bus error, and the first and last rows."""
-    time, warm, output = log(seed)
-    spoilt = warm.copy()
-    wrong = np.r_[0:3, 90:96, 200:212, 300:302, 398:400]
-    spoilt[wrong] = np.r_[[85.0] * 21, [0.0] * 2, [-127.0] * 2]
-    kept = bc.set_aside(readings_of(time, spoilt, output), needed=NEEDED)
-    np.testing.assert_array_equal(kept["time"], np.delete(time, wrong))
 
 
 def test_stuck_value_is_set_aside_where_it_ends_in_a_leap() -> None:

@@ -70,22 +70,30 @@ def test_temperatures_typed_in_as_they_were_set_are_not_held(ramps: Columns) -> 
     assert said_of({"time": time, TEMPERATURE: plateaus}) == []
 
 
-@pytest.mark.parametrize("readings", [3, 10, 30])
-def test_a_held_value(ramps: Columns, readings: int) -> None:
-    held = in_runs(ramps, lambda t: t[np.arange(len(t)) // readings * readings])
-    (said,) = said_of(ramps, temperature=held)
-    assert said == "temperature held"
+def held(count: int) -> Callable[[np.ndarray], np.ndarray]:
+    return lambda t: t[np.arange(len(t)) // count * count]
 
 
-@pytest.mark.parametrize("end", ["maximum", "minimum"])
-def test_a_converter_at_its_end(ramps: Columns, end: str) -> None:
-    cut = (
-        np.minimum(ramps[TEMPERATURE], 47.0)
-        if end == "maximum"
-        else np.maximum(ramps[TEMPERATURE], 3.0)
-    )
-    (said,) = said_of(ramps, temperature=cut)
-    assert said == "temperature saturated"
+def wrapped(warm: np.ndarray) -> np.ndarray:
+    high = warm.min() + 0.8 * np.ptp(warm)
+    return np.where(warm > high, warm - 0.8 * np.ptp(warm), warm)
+
+
+FAULTS = {
+    "held for 3 readings": (held(3), "held"),
+    "held for 10 readings": (held(10), "held"),
+    "held for 30 readings": (held(30), "held"),
+    "a converter at its maximum": (lambda t: np.minimum(t, 47.0), "saturated"),
+    "a converter at its minimum": (lambda t: np.maximum(t, 3.0), "saturated"),
+    "wrapped": (wrapped, "level"),
+    "re-seated": (lambda t: t - 3.0 * (np.arange(len(t)) > 55), "level"),
+}
+
+
+@pytest.mark.parametrize("fault", FAULTS)
+def test_a_fault_of_a_thermometer_is_named(ramps: Columns, fault: str) -> None:
+    change, code = FAULTS[fault]
+    assert said_of(ramps, temperature=in_runs(ramps, change)) == [f"temperature {code}"]
 
 
 @pytest.mark.parametrize("name", sorted(INSTRUMENTS))
@@ -97,21 +105,11 @@ def test_displays_of_few_digits_have_nothing_odd(name: str) -> None:
         assert oddities({**columns_of(readings), **rounded}) == (), step
 
 
-def wrapped(warm: np.ndarray) -> np.ndarray:
-    high = warm.min() + 0.8 * np.ptp(warm)
-    return np.where(warm > high, warm - 0.8 * np.ptp(warm), warm)
-
-
-@pytest.mark.parametrize(
-    "change", [wrapped, lambda t: t - 3.0 * (np.arange(len(t)) > 55)], ids=["wrapped", "re-seated"]
-)
-def test_a_thermometer_that_goes_on_from_another_level(ramps: Columns, change) -> None:
-    """A body does not; set-points that are written down as they were set do, and say nothing of a body."""
-    (said,) = said_of(ramps, temperature=in_runs(ramps, change))
-    assert said == "temperature level"
+def test_a_loose_contact_and_set_points_are_no_other_level(ramps: Columns) -> None:
+    """The search sees the one; set-points that are written down as they were set say nothing of a body."""
     noisy, last = ramps[TEMPERATURE].copy(), ramps["run"] == "3"
     noisy[last] += np.random.default_rng(5).normal(0.0, 7.0, last.sum())
-    assert said_of(ramps, temperature=noisy) == []  # a loose contact, which the search sees
+    assert said_of(ramps, temperature=noisy) == []
     plateaus = in_runs(ramps, lambda t: 10.0 * np.rint(t / 10.0))
     assert said_of(ramps, temperature=plateaus) == []
 

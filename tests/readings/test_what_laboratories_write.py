@@ -219,9 +219,6 @@ def test_windows_1252_is_read(put) -> None:
         bc.read(put(content.encode() + "é,1,1,1\n".encode("windows-1252")), STILL)
 
 
-# --- headers made up at random ----------------------------------------------------------------------------------
-
-
 # --- the small inputs of others ---------------------------------------------------------------------------------
 
 

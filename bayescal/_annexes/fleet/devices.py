@@ -18,7 +18,7 @@ import pandas as pd
 from bayescal import Column, InputError, Measurements
 from bayescal._data.column import ConvertedColumns, Source
 from bayescal._data.column_conversion import convert_columns
-from bayescal._data.dataset_checks import refuse_backward_time, refuse_one_temperature
+from bayescal._data.dataset_checks import Place, backward_time, same_temperature
 from bayescal._data.header_matching import MatchedFile
 from bayescal._data.read_options import (
     ExpectedColumns,
@@ -401,11 +401,9 @@ def _useless(block: DeviceBlock, instrument: InstrumentLike) -> dict[str, str]:
     need = any(c.name == "temperature" and c.required for c in instrument.columns)
     need, refused = need and "temperature" in block.values, dict[str, str]()
     for i, name in enumerate(block.names):
-        columns, file, problems = block.columns(i), f"device {name}", Objections()
-        with problems.collecting():
-            if need:
-                refuse_one_temperature(columns, file)
-            refuse_backward_time(columns, lambda row, file=file: f"reading {row + 1} of {file}")
+        columns, file = block.columns(i), f"device {name}"
+        problems = [*same_temperature(columns, file)] if need else []
+        problems += backward_time(columns, lambda row, file=file: Place(f"reading {row + 1}", file))
         if problems:
             refused[name] = str(problems[0])
     return refused
