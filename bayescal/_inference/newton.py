@@ -175,30 +175,26 @@ class ByValues:
         known = self._own and (self._exact or not exact)
         if last is not None and known and np.array_equal(last[0], v):
             return last[1]
-        exact = exact or last is None
-        steps = FIRST_DIFFERENCE * np.diag(self._scales(v))
-        found = self._differences(v, steps if last is None else self._steps(last[1]), exact)
+        exact, scale = exact or last is None, np.broadcast_to(self.scale, v.shape)
+        steps = FIRST_DIFFERENCE * scale
+        if last is not None:
+            bends = np.maximum(np.diag(last[1].curvature) * scale**2, LEAST_CURVATURE)
+            steps = DIFFERENCE * scale / np.sqrt(bends)
+        found = self._differences(v, steps, exact)
         if last is not None and found is not None and not exact:
             found = found._replace(curvature=_carried(*last, v, found.gradient, self._own))
         if found is not None:
             self._last, self._own, self._exact = (v.copy(), found), True, exact
         return found
 
-    def _scales(self, v: Float[np.ndarray, "d"]) -> Float[np.ndarray, "d"]:
-        return np.broadcast_to(self.scale, v.shape)
-
-    def _steps(self, there: Slopes) -> Float[np.ndarray, "d d"]:
-        """Return steps, its columns, along which the density falls alike."""
-        scale = self._scales(there.gradient)
-        weights, vectors = np.linalg.eigh(scale[:, None] * there.curvature * scale)
-        return DIFFERENCE * scale[:, None] * vectors / np.sqrt(np.maximum(weights, LEAST_CURVATURE))
-
     def _differences(
-        self, v: Float[np.ndarray, "d"], steps: Float[np.ndarray, "d d"], curved: bool
+        self, v: Float[np.ndarray, "d"], steps: Float[np.ndarray, "d"], curved: bool
     ) -> Slopes | None:
+        # Along the axes: what a coordinate of the noise moves is computed at columns that stay.
         dim, value = len(v), self.value(v)
         for _ in range(SHORTENINGS):
-            up, down = self.values(np.concatenate([v + steps.T, v - steps.T])).reshape(2, dim)
+            moves = np.diag(steps)
+            up, down = self.values(np.concatenate([v + moves, v - moves])).reshape(2, dim)
             bends = 2 * value - up - down
             if not np.max(np.abs([value, *up, *down])) < 1e200:
                 return None
@@ -209,17 +205,14 @@ class ByValues:
         hessian, pairs = np.diag(bends), [*itertools.combinations(range(dim), 2)]
         if curved and pairs:
             i, j = np.transpose(pairs)
-            both = steps.T[i] + steps.T[j]
+            both = np.diag(steps)[i] + np.diag(steps)[j]
             ends = self.values(np.concatenate([v + both, v - both])).reshape(2, -1)
             hessian[i, j] = hessian[j, i] = 0.5 * (
                 2 * value - ends.sum(axis=0) - bends[i] - bends[j]
             )
-        inverse = np.linalg.inv(steps)
-        curvature = inverse.T @ hessian @ inverse
-        if not np.all(np.isfinite(curvature)):
-            return None
-        gradient = inverse.T @ (0.5 * (up - down))
-        return Slopes(value, gradient, 0.5 * (curvature + curvature.T))
+        curvature = hessian / np.outer(steps, steps)
+        finite = bool(np.all(np.isfinite(curvature)))
+        return Slopes(value, 0.5 * (up - down) / steps, curvature) if finite else None
 
 
 def _carried(
