@@ -2,6 +2,9 @@
 
     a = [a10 − λbd·a20 − Σλ1w·w1 + λbd·Σλ2w·w2]/(λ1 + λbd·λ2)
 
+    devices = dp.devices_of(calibration)
+    found = dp.measure(devices, *dp.select(devices).best, outer_output, inner_output)
+
 λbd is the calibrated ratio, the posterior median. What it does not cancel is part of the uncertainty: the next record
 has another u and other departures, of the sizes that this one shows.
 """
