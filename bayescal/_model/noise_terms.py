@@ -300,15 +300,9 @@ class SmoothTerm(NoiseTerm):
         own = jnp.where(z < REACH, kept**2 * series, far)
         # beside the diagonal 2x²·e⁻²ˣ,
         cross = kept**2 * z**2 / 2
-        # and of g 1 − e⁻²ˣ·(x² + (1 − x)²). Their root, 2 × 2, is taken by hand, with the `where` of `exponential`.
+        # and of g 1 − e⁻²ˣ·(x² + (1 − x)²).
         slope = -jnp.expm1(-z) + kept**2 * (z - z**2 / 2)
-        moves = own > 0
-        first = jnp.where(moves, jnp.sqrt(jnp.where(moves, own, 1.0)), 0.0)
-        share = cross / jnp.where(moves, first, 1.0)
-        rest = jnp.where(moves, slope - share**2, 1.0)
-        # The slope's own part is a quarter of what is new in it where z is small: never near zero.
-        last = jnp.where(moves, jnp.sqrt(rest), 0.0)
-        return Block(carry, size * pairs(first, 0 * x, share, last), size * jnp.eye(2))
+        return Block(carry, size**2 * pairs(own, cross, cross, slope), size**2 * jnp.eye(2))
 
     def allan(self, values, bounds, m, step):
         """With c(a) that of exp(−a·k), (1 + a·k)·exp(−a·k) has c − a·∂c/∂a, the slope by a complex step; over short
@@ -360,7 +354,7 @@ class ToneTerm(NoiseTerm):
         c, s = jnp.cos(turn), jnp.sin(turn)
         plain = exponential(values["noise.tone.time"], values["noise.tone"] ** 2, h)
         each = jnp.eye(2)
-        return Block(plain.carry * pairs(c, s, -s, c), plain.root * each, plain.start * each)
+        return Block(plain.carry * pairs(c, s, -s, c), plain.fresh * each, plain.start * each)
 
     def spectrum(self, values, bounds, step, lam):
         if bounds.column:
@@ -452,10 +446,10 @@ class ErrorsTerm(NoiseTerm):
         return 2 * self.size(values, bounds) ** 2
 
     def block(self, values, bounds, h):
-        size, nothing = self.size(values, bounds), 0.0 * h
+        square, nothing = self.size(values, bounds) ** 2, 0.0 * h
         carry = pairs(nothing, nothing, self.passed + nothing, nothing)
-        root = pairs(size + nothing, nothing, nothing, nothing)
-        return Block(carry, root, size * jnp.eye(2), shown=True)
+        fresh = pairs(square + nothing, nothing, nothing, nothing)
+        return Block(carry, fresh, square * jnp.eye(2), shown=True)
 
 
 class RoundedAngleTerm(ErrorsTerm):
