@@ -10,14 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from bayescal._calibration.claim import Claim
 from bayescal._calibration.fitted import Fitted
-from bayescal._calibration.judgement import (
-    CONFLICTS,
-    FEW,
-    GROUPS,
-    Subject,
-    claims,
-    effects_off_scale,
-)
+from bayescal._calibration.judgement import CONFLICTS, GROUPS, Subject, claims, too_few
 from bayescal._calibration.storage import save
 from bayescal._calibration.summary import chi_squared, null_directions, summary, unknowns_parts
 from bayescal._core.flag import Flag
@@ -54,15 +47,16 @@ class Calibration(Printed, Fitted):
     @property
     def remarks(self) -> str:
         """What was not measured, the verdict, and what stands against the result, a line each."""
-        lines = [f"not measured: {one}" for one in null_directions(self)]
-        lines.append(str(self.verdict))
-        lines += [f"conflict: {words}" for words in self.conflicts]
-        lines += [f"unit? {words}" for words in self.off_scale]
         told = {(one.code, one.of) for one in self.conflicts}
-        further = [
-            w for w in self.verdict.against if not (isinstance(w, Flag) and (w.code, w.of) in told)
+        further = (
+            w for w in self.verdict.against if not isinstance(w, Flag) or (w.code, w.of) not in told
+        )
+        lines = [
+            *(f"not measured: {one}" for one in null_directions(self)),
+            str(self.verdict),
+            *(f"conflict: {words}" for words in self.conflicts),
+            *(f"not reliable: {words}" for words in further),
         ]
-        lines += [f"not reliable: {words}" for words in further]
         return "\n".join(textwrap.fill(line, WIDTH) for line in lines)
 
     def _brief(self) -> str:
@@ -72,8 +66,7 @@ class Calibration(Printed, Fitted):
 
     def _columns(self) -> dict[str, list[Any]]:
         """A row for each unknown, in its own unit; `low` and `high` bound the 95 % credible interval."""
-        coefficients, hyperparameters = summary(self)
-        rows = [*coefficients, *hyperparameters]
+        rows = [row for part in summary(self) for row in part]
         return {
             "unknown": [r["name"] for r in rows],
             **{name: [r[name] for r in rows] for name in ("effect", "unit", "mean", "sd")},
@@ -93,12 +86,7 @@ class Calibration(Printed, Fitted):
     @cached_property
     def conflicts(self) -> tuple[Claim, ...]:
         """Where readings and priors contradict each other, and what else a fit may not be."""
-        return tuple(claims((*CONFLICTS, *GROUPS, *FEW), Subject(self)))
-
-    @cached_property
-    def off_scale(self) -> tuple[Claim, ...]:
-        """Effects that at their plausible size are a million times smaller or larger than the noise."""
-        return effects_off_scale(self)
+        return tuple(claims((*CONFLICTS, *GROUPS, too_few), Subject(self)))
 
     @cached_property
     def tree(self) -> xr.DataTree:

@@ -1,28 +1,30 @@
-"""Where the model fails: residuals against every covariate, with evidence and the worst region in physical units."""
+"""Where the model fails: residuals against every covariate, with evidence and the worst region in physical units.
+
+A covariate's log Bayes factor says whether the residuals hold structure against it: the score test of a variance
+component, in the metric in which all nuisances are marginalised, averaged over the length and amplitude of an unknown
+dependence by the columns of `unknown(covariate)`.
+"""
 
 from __future__ import annotations
 
-from dataclasses import replace
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from itertools import combinations
 
 import numpy as np
-from scipy.special import bdtr, kolmogorov, ndtr, smirnov
+from scipy.special import bdtr, kolmogorov, logsumexp, ndtr, smirnov
 
+from bayescal._calibration import judgement
 from bayescal._calibration.calibration import Calibration
 from bayescal._calibration.check_result import Check, Entry, FixedComparison, Pair, Region
-from bayescal._calibration.covariate_evidence import (
-    Covariate,
-    log_bayes_factors,
-    members,
-    smooth,
-    together,
-)
 from bayescal._calibration.fit import fit
-from bayescal._calibration.judgement import uncorrelated
-from bayescal._calibration.noise_in_time import SIGNIFICANT_P, allan_check
+from bayescal._calibration.leave_group_out import leave_one_group_out
+from bayescal._calibration.noise_in_time import SIGNIFICANT_P, allan_check, noise_floor
+from bayescal._core.errors import InputError
 from bayescal._core.parallel import on_one_thread
 from bayescal._core.settings import settings
 from bayescal._inference.least_squares import LeastSquares
+from bayescal._model.unknown_effect import process_columns, process_weights, resolution
 
 ONE_SIDED_P = 0.12  # p-value of one side, whose fourth power is about that of both sides at once
 SAME_COVARIATE_CORRELATION = 0.95  # rank correlation from which two covariates are taken for one
@@ -30,13 +32,16 @@ SAME_COVARIATE_CORRELATION = 0.95  # rank correlation from which two covariates 
 # say nothing of the noise.
 TIED_CORRELATION = 0.99
 FARTHEST_SHARE = 0.1  # share of the readings, those farthest from the model, whose signs are tested
-
 DUOS = 15  # pairs of covariates, at most
 MEMBERS = 64  # of a group that is looked at member by member, at most
-ROUNDING = 1e-9  # share of a sum, below which it is the rounding of its terms
-
+ROUNDING_SHARE = 1e-9  # of a sum, below which it is the rounding of its terms
 RUN_REGION_READINGS = 8  # readings that a run needs for a region of its own where a model fails
 BINS = 12  # of a covariate
+SCALES = (3, 4)  # lengths of the process over their plausible range; in time, where that is wider
+AMPLITUDES = tuple(np.geomspace(0.15, 15.0, 7))  # in noise standard deviations
+WAVES = 2  # along each of two covariates together
+INVISIBLE = 1e-12  # I·W of a direction below this: its prior spread is lost in its uncertainty
+ROUNDING = 64 * float(np.finfo(float).eps)  # of the largest of its group: below it is only rounding
 
 
 @on_one_thread
@@ -46,44 +51,68 @@ def check(calibration: Calibration) -> Check:
     A model with fixed coefficients is judged against the noise of the same model with free coefficients (and that is
     set beside the noise known before any fit), not against a noise inflated to cover its misfit.
     """
-    judged, free_noise = _judged(calibration)
-    residual, white = judged.linear.settled, judged.linear.scores
-    noise = float(np.sqrt(np.mean(judged.linear.variance)))
+    judged, free = _judged(calibration)
+    linear, fixed = judged.linear, None
+    residual, white = linear.settled, linear.scores
+    noise, rms = float(np.sqrt(np.mean(linear.variance))), float(np.sqrt(np.mean(residual**2)))
     covariates = covariates_of(judged)
     duos = _duos(covariates)
     factors = log_bayes_factors(judged, covariates, noise)
-    of_duos = log_bayes_factors(judged, [together(a, b) for a, b in duos], noise)
-    regions = worst_regions(judged, covariates)
+    of_duos = log_bayes_factors(judged, [_together(a, b) for a, b in duos], noise)
     entries = [
-        Entry(b.name, f, region, bool(b.levels))
-        for b, f, region in zip(covariates, factors, regions, strict=True)
+        Entry(c.name, factor, _worst_region(judged, c), bool(c.levels))
+        for c, factor in zip(covariates, factors, strict=True)
     ]
     pairs = [Pair((a.name, b.name), f) for (a, b), f in zip(duos, of_duos, strict=True)]
-    loo = _leave_one_out(judged, white)
+    # Each reading predicted from the others, in standard deviations of that prediction: V⁻¹r over the root of V⁻¹'s
+    # diagonal, both from the leverages. Under correlated noise: from those before it in its run.
+    loo = white
+    if judged.model.noise.independent:
+        loo = white / np.sqrt(np.maximum(1 - np.sum(linear.directions**2, axis=1), 1e-12))
     # Where the mean is off, so are size and side of the residuals: these are judged only where it is not.
-    off, one_sided = max(factors, default=0.0) >= settings().strong_evidence, 1.0
-    if (count := int(FARTHEST_SHARE * len(loo))) and not off:  # sign test (binomial, two-sided)
-        above = int(np.sum(loo[np.argsort(-np.abs(loo))[:count]] > 0))
-        one_sided = min(1.0, 2 * float(bdtr(min(above, count - above), count, 0.5)))
+    scatter, one_sided = dict[str, float](), 1.0
+    if max(factors, default=0.0) < settings().strong_evidence:
+        scatter = _scatter_with(covariates, white, calibration.readings["output"] - residual)
+        if count := int(FARTHEST_SHARE * len(loo)):  # sign test (binomial, two-sided)
+            above = int(np.sum(loo[np.argsort(-np.abs(loo))[:count]] > 0))
+            one_sided = min(1.0, 2 * float(bdtr(min(above, count - above), count, 0.5)))
+    if free is not None:
+        fixed = FixedComparison(noise, rms, free, known_noise(calibration))
+    far = settings().outlier_sd
     return Check(
         entries=tuple(sorted(entries, key=lambda e: -e.log_bayes_factor)),
         pairs=tuple(sorted(pairs, key=lambda p: -p.log_bayes_factor)),
         unit=calibration.unit,
-        rms=float(np.sqrt(np.mean(residual**2))),
+        rms=rms,
         noise=noise,
         autocorrelation=autocorrelation(judged, white),
-        scatter_with={}
-        if off
-        else _scatter_with(covariates, white, calibration.readings["output"] - residual),
-        outliers=tuple(
-            (i, z) for i, z in enumerate(loo.tolist()) if abs(z) > settings().outlier_sd
-        ),
+        scatter_with=scatter,
+        outliers=tuple((i, z) for i, z in enumerate(loo.tolist()) if abs(z) > far),
         pit_p=_uniform(ndtr(loo)),
         one_sided=one_sided,
-        fixed=_compare_fixed(calibration, residual, noise, free_noise),
+        fixed=fixed,
         residuals=residual,
         allan=allan_check(judged),
     )
+
+
+def why_not(calibration: Calibration) -> str:
+    """Return why a calibration is not to be used; empty where it may be. One that nobody checked is checked."""
+    verdict = calibration.verdict
+    if verdict.checked or not verdict.reliable:
+        return verdict.why_not
+    known = vars(calibration)  # kept with what else is computed of it
+    if "why_not" not in known:
+        known["why_not"] = judgement.noiseless(calibration) or " ".join(_against(calibration))
+    return known["why_not"]
+
+
+def _against(calibration: Calibration) -> Sequence[judgement.Claim]:
+    if wrong := judgement.wrong_question(calibration, noise_floor(calibration)):
+        return wrong
+    doubts = tuple(judgement.doubts_of_the_mode(calibration))
+    asked = {"left_out": leave_one_group_out(calibration), "doubts": doubts}
+    return judgement.against(judgement.Subject(calibration, check=check(calibration), **asked))
 
 
 def _judged(calibration: Calibration) -> tuple[Calibration, float | None]:
@@ -91,37 +120,14 @@ def _judged(calibration: Calibration) -> tuple[Calibration, float | None]:
     held = calibration.layout.stated
     if not held:
         return calibration, None
-    free = fit(
-        calibration.model.free(*held),
-        calibration.readings,
-        LeastSquares(draws=400),
-        reference=calibration.reference,
-        strict=False,
-    )
-    noise, v = calibration.layout.positions("noise"), np.array(calibration.mode.v)
-    for i in noise:
+    method, reference = LeastSquares(draws=400), calibration.reference
+    model, readings = calibration.model.free(*held), calibration.readings
+    free = fit(model, readings, method, reference=reference, strict=False)
+    v = np.array(calibration.mode.v)
+    for i in calibration.layout.positions("noise"):
         v[i] = free.mode.v[free.layout.index_in_phi[calibration.layout.hypers[i].name]]
-    mode = calibration.mode._replace(v=v)
-    judged = replace(calibration, mode=mode) if noise else calibration
+    judged = replace(calibration, mode=calibration.mode._replace(v=v))
     return judged, float(np.sqrt(np.mean(free.linear.variance)))
-
-
-def _compare_fixed(
-    calibration: Calibration, residual: np.ndarray, noise: float, free: float | None
-) -> FixedComparison | None:
-    if free is None:
-        return None
-    return FixedComparison(
-        noise=noise,
-        free_fit=free,
-        known=known_noise(calibration),
-        mean=float(residual.mean()),
-        low=float(residual.min()),
-        high=float(residual.max()),
-        rms=float(np.sqrt(np.mean(residual**2))),
-        positive=int((residual > 0).sum()),
-        count=residual.size,
-    )
 
 
 def known_noise(calibration: Calibration) -> dict[str, float]:
@@ -131,18 +137,43 @@ def known_noise(calibration: Calibration) -> dict[str, float]:
     output = readings[readings.output]
     found = {}
     for column in sorted(calibration.model.instrument.columns, key=lambda c: c.name != "output"):
-        if not (column.known and readings.has(column.name)):
-            continue
-        slope, values = 1.0, readings[column.name]
-        if column.name != "output":
-            slope = float(np.polyfit(values, output, 1)[0]) if np.ptp(values) > 0 else 0.0
-        found |= {name: sd * abs(slope) for name, sd in column.known}
+        if column.known and readings.has(column.name):
+            slope, values = 1.0, readings[column.name]
+            if column.name != "output":
+                slope = float(np.polyfit(values, output, 1)[0]) if np.ptp(values) > 0 else 0.0
+            found |= {name: sd * abs(slope) for name, sd in column.known}
     return found
+
+
+# covariates ----------------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Covariate:
+    """A covariate and its columns."""
+
+    name: str
+    values: np.ndarray  # (n,); of a group the numbers of its members
+    columns: np.ndarray  # (n, k)
+    weights: tuple[np.ndarray, ...]  # (k,) that make columns of unit amplitude, at each length
+    unit: str = ""
+    levels: tuple[str, ...] = ()  # names of a group's members
+
+    @classmethod
+    def smooth(
+        cls, name: str, values: np.ndarray, unit: str = "", *, in_time: bool = False
+    ) -> Covariate:
+        """A smooth dependence on a covariate that takes several values."""
+        terms, plausible = resolution(in_time)
+        position = (values - values.min()) / (np.ptp(values) or 1.0)
+        lengths = np.geomspace(*plausible, SCALES[in_time])
+        weights = tuple(process_weights(length, terms) for length in lengths)
+        return cls(name, values, process_columns(position, terms), weights, unit)
 
 
 def covariates_of(calibration: Calibration) -> list[Covariate]:
     """Everything recorded or derived that residuals can be laid against."""
-    readings, frame = calibration.readings, calibration.frame
+    readings, frame, smooth = calibration.readings, calibration.frame, Covariate.smooth
     left_out = {"output", "output_uncertainty", "temperature_point", *readings.no_causes}
     found = []
     for name in readings.columns:
@@ -157,8 +188,10 @@ def covariates_of(calibration: Calibration) -> list[Covariate]:
         found.append(smooth("elapsed", elapsed, "s", in_time=True))
     for group in calibration.levels:
         levels, codes = readings.groups(group)
-        if 1 < len(levels) <= MEMBERS:
-            found.append(members(group, codes, levels))
+        if 1 < len(levels) <= MEMBERS:  # a level for each member
+            columns = (codes[:, None] == np.unique(codes[codes >= 0])).astype(float)
+            even = (np.ones(columns.shape[1]),)
+            found.append(Covariate(group, codes.astype(float), columns, even, levels=levels))
     if not readings.has("time"):
         found.append(smooth("order", np.arange(1.0, len(readings) + 1), in_time=True))
     return found
@@ -166,13 +199,57 @@ def covariates_of(calibration: Calibration) -> list[Covariate]:
 
 def _duos(covariates: list[Covariate]) -> list[tuple[Covariate, Covariate]]:
     """Pairs of covariates that are not nearly one and the same."""
-    varied = [b for b in covariates if not b.levels]
-    rank = {b.name: _ranks(b.values) for b in varied}
+    ranks = {c.name: _ranks(c.values) for c in covariates if not c.levels}
     return [
         (a, b)
-        for a, b in combinations(varied, 2)
-        if abs(np.corrcoef(rank[a.name], rank[b.name])[0, 1]) < SAME_COVARIATE_CORRELATION
+        for a, b in combinations((c for c in covariates if not c.levels), 2)
+        if abs(np.corrcoef(ranks[a.name], ranks[b.name])[0, 1]) < SAME_COVARIATE_CORRELATION
     ][:DUOS]
+
+
+def _together(first: Covariate, second: Covariate) -> Covariate:
+    """An interaction of two covariates, not explained by additive terms: products of long waves along them."""
+
+    def waves(values: np.ndarray) -> np.ndarray:
+        low, high = values.min(), values.max()
+        return np.polynomial.legendre.legvander(2 * (values - low) / (high - low) - 1, WAVES)[:, 1:]
+
+    one, two = waves(first.values), waves(second.values)
+    basis = (one[:, :, None] * two[:, None, :]).reshape(len(one), -1)
+    scale = np.sqrt(np.mean(np.sum(basis**2, axis=1)))
+    weights = (np.full(basis.shape[1], 1 / max(scale, 1e-300)),)
+    return Covariate(f"{first.name} × {second.name}", first.values, basis, weights)
+
+
+def log_bayes_factors(
+    calibration: Calibration, covariates: Sequence[Covariate], noise: float
+) -> list[float]:
+    """For each covariate the log Bayes factor of a dependence on it against none, over lengths and amplitudes.
+
+    At prior standard deviations common to all of its columns, in units of the noise (output unit), it is
+    ½ u'(W⁻¹ + I)⁻¹u − ½ log|1 + IW|, W the prior variance. A direction without information counts nothing, so that zero
+    and linearly dependent columns are allowed.
+    """
+    found, variance = [], np.square(AMPLITUDES)[:, None]
+    for covariate in covariates:
+        u, information = calibration.linear.score(covariate.columns * noise)
+        if not (np.isfinite(u).all() and np.isfinite(information).all()):
+            raise InputError("a score of columns is not finite: every prior must be proper")
+        terms = list[np.ndarray]()
+        for weight in covariate.weights:
+            inner = weight[:, None] * information * weight
+            values, vectors = np.linalg.eigh((inner + inner.T) / 2)
+            spread = variance * values
+            seen = spread > np.maximum(INVISIBLE, ROUNDING * spread[:, -1:])
+            spread = np.where(seen, spread, 0.0)
+            pulls = variance * (vectors.T @ (weight * u)) ** 2
+            energy = np.where(seen, pulls, 0.0) / (1 + spread)
+            terms.append(0.5 * np.sum(energy - np.log1p(spread), axis=1))
+        found.append(float(logsumexp(terms) - np.log(np.size(terms))))
+    return found
+
+
+# residuals as noise --------------------------------------------------------------------------------------------------
 
 
 def autocorrelation(calibration: Calibration, standardised: np.ndarray) -> tuple[float, float]:
@@ -189,8 +266,7 @@ def autocorrelation(calibration: Calibration, standardised: np.ndarray) -> tuple
     size = float(np.linalg.norm(before) * np.linalg.norm(after))
     if not size > 0:
         return 0.0, 0.0
-    directions = calibration.linear.directions[order]
-    expected, sd = _of_independent_noise(directions, first)
+    expected, sd = _of_independent_noise(calibration.linear.directions[order], first)
     product, squares = float(before @ after), 0.5 * float(before @ before + after @ after)
     found = product / size
     if sd == 0 or abs(expected) > TIED_CORRELATION:
@@ -202,16 +278,13 @@ def autocorrelation(calibration: Calibration, standardised: np.ndarray) -> tuple
 def _of_independent_noise(directions: np.ndarray, first: np.ndarray) -> tuple[float, float]:
     """Mean and standard deviation of the lag-1 autocorrelation of residuals e ~ N(0, C), C = I − G·Gᵀ.
 
-    The sum over neighbours of eᵢ·eᵢ₊₁ is eᵀBe, that of their squares, halved, eᵀDe. Their means have the ratio
-    ρ = tr(BC)/tr(DC), and the variance of eᵀKe, K = B − ρ·D, is 2·tr(KCKC).
-
-    Args:
-        directions: G (n, q), in the order of time.
-        first: where the first of each two neighbours stands.
+    G are the directions (n, q), in the order of time. The sum over neighbours of eᵢ·eᵢ₊₁ is eᵀBe, that of their
+    squares, halved, eᵀDe. Their means have the ratio ρ = tr(BC)/tr(DC), and the variance of eᵀKe, K = B − ρ·D, is
+    2·tr(KCKC). `first` is where the first of each two neighbours stands.
     """
     halves = 0.5 * np.bincount(np.append(first, first + 1), minlength=len(directions))  # D
     squares = float(halves @ (1 - np.sum(directions**2, axis=1)))
-    if squares < ROUNDING * first.size:
+    if squares < ROUNDING_SHARE * first.size:
         return 0.0, 0.0
     expected = -float(np.sum(directions[first] * directions[first + 1])) / squares
     kg = -expected * halves[:, None] * directions
@@ -219,7 +292,7 @@ def _of_independent_noise(directions: np.ndarray, first: np.ndarray) -> tuple[fl
     kg[first + 1] += 0.5 * directions[first]
     own = 0.5 * first.size + expected**2 * float(halves @ halves)  # tr(KK)
     trace = own - 2 * float(np.sum(kg**2)) + float(np.sum((directions.T @ kg) ** 2))
-    if trace < ROUNDING * first.size:
+    if trace < ROUNDING_SHARE * first.size:
         return expected, 0.0
     return expected, float(np.sqrt(2 * trace)) / squares
 
@@ -228,24 +301,12 @@ def _scatter_with(
     covariates: list[Covariate], standardised: np.ndarray, expected: np.ndarray
 ) -> dict[str, float]:
     """Covariates along which the size of the residuals changes (rank correlation), with p-values."""
-    along = {block.name: block.values for block in covariates if not block.levels}
+    along = {c.name: c.values for c in covariates if not c.levels}
     # Noise in proportion to a signal of both signs grows on both sides, which a ranking along no column shows.
     along["the output's distance from its median"] = np.abs(expected - np.median(expected))
     sizes = _ranks(np.abs(standardised))
-    found = {name: uncorrelated(sizes, _ranks(values)) for name, values in along.items()}
+    found = {name: judgement.uncorrelated(sizes, _ranks(values)) for name, values in along.items()}
     return {name: p for name, p in found.items() if p < SIGNIFICANT_P}
-
-
-def _leave_one_out(calibration: Calibration, white: np.ndarray) -> np.ndarray:
-    """Each reading predicted from the others, in standard deviations of that prediction.
-
-    Under correlated noise: each reading predicted from those before it in its run.
-    """
-    if not calibration.model.noise.independent:
-        return white
-    leverage = np.sum(calibration.linear.directions**2, axis=1)
-    # V⁻¹r over the root of V⁻¹'s diagonal, both from the leverages.
-    return white / np.sqrt(np.maximum(1 - leverage, 1e-12))
 
 
 def _ranks(values: np.ndarray) -> np.ndarray:
@@ -271,43 +332,38 @@ def _uniform(values: np.ndarray) -> float:
     return float(kolmogorov(x + 1 / (6 * root) + (x - 1) / (4 * n)))
 
 
-def worst_regions(calibration: Calibration, covariates: list[Covariate]) -> list[Region]:
-    """For each covariate the range of neighbouring bins whose mean residual is worst against its uncertainty.
+# the worst region ----------------------------------------------------------------------------------------------------
+
+
+def _worst_region(calibration: Calibration, covariate: Covariate) -> Region:
+    """The range of neighbouring bins whose mean residual is worst against its uncertainty, of all runs or of one.
 
     Means and uncertainties follow the noise law: under correlated noise a long range counts for less.
     """
     levels, codes = calibration.readings.groups("run")
-    every: list[tuple[str | None, np.ndarray]] = [(None, np.ones(len(codes), bool))]
-    runs = [(level, codes == k) for k, level in enumerate(levels)] if len(levels) > 1 else []
-    runs = [(level, own) for level, own in runs if own.sum() >= RUN_REGION_READINGS]
-    found = []
-    for covariate in covariates:
-        parts = every if covariate.levels else [*every, *runs]
-        regions = [_worst(calibration, covariate, own, run) for run, own in parts]
-        # One run's own region must be clearly worse than the common one to be named.
-        region = max(regions, key=lambda r: abs(r.z) - (r.group is not None))
-        group = covariate.levels[int(region.low)] if covariate.levels else region.group
-        found.append(replace(region, group=group))
-    return found
-
-
-def _binned(covariate: Covariate, own: np.ndarray) -> tuple[np.ndarray, int]:
-    """The bin of each reading, −1 for those that are not its own; and how many bins there are."""
-    values = covariate.values[own]
-    distinct, bins = np.unique(values), np.full(len(covariate.values), -1)
-    if covariate.levels or len(distinct) <= BINS:
-        bins[own] = np.searchsorted(distinct, values)
-        return bins, len(distinct)
-    edges = np.quantile(values, np.linspace(0, 1, BINS + 1)[1:-1])
-    bins[own] = np.searchsorted(edges, values, side="right")
-    return bins, BINS
+    region = _worst(calibration, covariate, np.ones(len(codes), bool), None)
+    if covariate.levels:
+        return replace(region, group=covariate.levels[int(region.low)])
+    for k, level in enumerate(levels if len(levels) > 1 else ()):
+        if np.sum(codes == k) >= RUN_REGION_READINGS:
+            own = _worst(calibration, covariate, codes == k, level)
+            # One run's own region must be clearly worse than the common one to be named.
+            if abs(own.z) - 1 > abs(region.z) - (region.group is not None):
+                region = own
+    return region
 
 
 def _worst(
     calibration: Calibration, covariate: Covariate, own: np.ndarray, run: str | None
 ) -> Region:
-    """Of all readings, or one run's own."""
-    bins, count = _binned(covariate, own)
+    """The worst range of the readings that a mask names."""
+    values = covariate.values[own]
+    distinct, bins = np.unique(values), np.full(len(own), -1)
+    if covariate.levels or len(distinct) <= BINS:
+        bins[own], count = np.searchsorted(distinct, values), len(distinct)
+    else:
+        edges = np.quantile(values, np.linspace(0, 1, BINS + 1)[1:-1])
+        bins[own], count = np.searchsorted(edges, values, side="right"), BINS
     pull, weight = calibration.linear.along((bins[:, None] == np.arange(count)).astype(float))
     starts, ends = np.triu_indices(count + 1, 1)
     short = ends - starts <= (1 if covariate.levels else max(1, (2 * count) // 3))
@@ -324,11 +380,5 @@ def _worst(
     z = float(scores[at])
     inside = (bins >= starts[at]) & (bins < ends[at])
     values = covariate.values[inside] if inside.any() else covariate.values
-    return Region(
-        low=float(values.min()),
-        high=float(values.max()),
-        group=run,
-        size=float(total[at] / information[at]) if z != 0 else 0.0,
-        z=z,
-        covariate_unit=covariate.unit,
-    )
+    size = float(total[at] / information[at]) if z != 0 else 0.0
+    return Region(float(values.min()), float(values.max()), run, size, z, covariate.unit)

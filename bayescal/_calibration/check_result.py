@@ -21,20 +21,13 @@ IN_TIME = ("time", "elapsed", "order", "run")  # what correlated noise seems to 
 
 @dataclass(frozen=True)
 class Region:
-    """A part of a covariate where the residuals are systematically positive or negative.
+    """A part of a covariate where the residuals are systematically positive or negative."""
 
-    Attributes:
-        low, high: of the covariate, in `covariate_unit`.
-        group: the run, where it is one run's alone; the member, where the covariate is a group.
-        size: mean residual there (weighted by the noise law), output unit.
-        z: size over its standard uncertainty.
-    """
-
-    low: float
+    low: float  # of the covariate, in `covariate_unit`
     high: float
-    group: str | None
-    size: float
-    z: float
+    group: str | None  # the run, of one run alone; the member, where the covariate is a group
+    size: float  # mean residual there (weighted by the noise law), output unit
+    z: float  # size over its standard uncertainty
     covariate_unit: str
 
 
@@ -49,21 +42,9 @@ class Entry:
 
     def data(self, unit: str) -> dict[str, Any]:
         """As in result.json; sizes in the output's unit, places in the covariate's."""
-        worst = self.worst
-        return {
-            "against": self.against,
-            "log_bayes_factor": self.log_bayes_factor,
-            "worst": {
-                "from": worst.low,
-                "to": worst.high,
-                "group": worst.group,
-                "size": worst.size,
-                "unit": unit,
-                "z": worst.z,
-                "covariate_unit": worst.covariate_unit,
-            },
-            "by_group": self.by_group,
-        }
+        worst = dict(vars(self.worst))
+        place = {"from": worst.pop("low"), "to": worst.pop("high"), "unit": unit}
+        return {**vars(self), "worst": {**place, **worst}}
 
 
 @dataclass(frozen=True)
@@ -76,25 +57,12 @@ class Pair:
 
 @dataclass(frozen=True)
 class FixedComparison:
-    """Residuals of a model with fixed coefficients, and the noise that they are judged against, output unit.
+    """What residuals of a model with fixed coefficients are judged against, output unit."""
 
-    Attributes:
-        noise: standard deviation used as the measure.
-        free_fit: noise of the same model with free coefficients.
-        known: contributions known before any fit, by name.
-        mean, low, high, rms: of the residuals.
-        positive, count: residuals above zero, and all of them.
-    """
-
-    noise: float
-    free_fit: float
-    known: dict[str, float]
-    mean: float
-    low: float
-    high: float
-    rms: float
-    positive: int
-    count: int
+    noise: float  # standard deviation used as the measure
+    rms: float  # of the residuals
+    free_fit: float  # noise of the same model with free coefficients
+    known: dict[str, float]  # contributions known before any fit, by name
 
     @property
     def wrong(self) -> bool:
@@ -146,7 +114,7 @@ class Check(Printed):
     def _brief(self) -> str:
         unit = unit_label(self.unit)
         said = f"residuals {self.rms:.3g} {unit} rms, noise {self.noise:.3g} {unit}"
-        for most in sorted(self.entries, key=lambda e: -e.log_bayes_factor)[:1]:
+        for most in self.entries[:1]:
             said += f"; most against {most.against}, log Bayes factor {most.log_bayes_factor:z.1f}"
         return said
 
@@ -158,27 +126,23 @@ class Check(Printed):
 def check_table(rows: Sequence[Mapping[str, Any]]) -> ResultTable:
     """Residuals against each covariate; of its rows as they stand in result.json."""
 
-    def of_worst(key: str) -> Callable[[Any], Any]:
-        return lambda row: row["worst"][key]
-
     def signed(places: str) -> Callable[[float | None], str]:
         return lambda value: "–" if value is None else f"{value:{places}}"
+
+    def worst_mean(row: Any) -> str:
+        return f"{signed('+.3g')(row['worst']['size'])} {unit_label(row['worst']['unit'])}"
 
     columns = (
         TableColumn("residuals against", "against"),
         TableColumn("log Bayes factor", "log_bayes_factor", signed("z.1f")),
-        TableColumn(
-            "worst mean",
-            lambda r: f"{signed('+.3g')(r['worst']['size'])} {unit_label(r['worst']['unit'])}",
-            name="",
-        ),
-        TableColumn("worst mean", of_worst("size"), None),
-        TableColumn("z", of_worst("z"), signed("+.1f")),
+        TableColumn("worst mean", worst_mean, name=""),
+        TableColumn("worst mean", lambda r: r["worst"]["size"], None),
+        TableColumn("z", lambda r: r["worst"]["z"], signed("+.1f")),
         TableColumn("where", place_in_words, name=""),
-        TableColumn("from", of_worst("from"), None),
-        TableColumn("to", of_worst("to"), None),
+        TableColumn("from", lambda r: r["worst"]["from"], None),
+        TableColumn("to", lambda r: r["worst"]["to"], None),
         TableColumn("group", lambda r: r["worst"]["group"] or "", None),
-        TableColumn("unit", of_worst("unit"), None),
+        TableColumn("unit", lambda r: r["worst"]["unit"], None),
     )
     return ResultTable(columns, rows, fold=25)
 
@@ -186,31 +150,29 @@ def check_table(rows: Sequence[Mapping[str, Any]]) -> ResultTable:
 def check_parts(check: Check, most: int | None = None) -> list[str | ResultTable]:
     """Where a model fails, the worst covariate first.
 
-    Args:
-        check: of it.
-        most: covariates that are shown; then what always stands below them (neighbours in time, probabilities of single
-            readings, Allan deviation) is left out too. None: all.
+    Of `most` covariates alone, what always stands below them (neighbours in time, probabilities of single readings,
+    Allan deviation) is left out too.
     """
     unit, rows = unit_label(check.unit), check.data()[:most]
     noise = f"judged against noise of {check.noise:.3g} {unit}"
     lines: list[str | ResultTable] = [f"residuals {check.rms:.3g} {unit} rms, {noise}"]
     if check.fixed:
-        lines += [_fixed_text(check.fixed, unit), ""]
+        lines += [_fixed_text(check.fixed, check.residuals, unit), ""]
     lines.append(check_table(rows) if rows else "no covariate varies")
-    strongest = max(
-        settings().strong_evidence, *(e.log_bayes_factor for e in check.entries), -math.inf
-    )
+    strong = settings().strong_evidence
+    strongest = max(strong, *(e.log_bayes_factor for e in check.entries), -math.inf)
     lines += [
         f"{' and '.join(p.against)} together: interaction not explained by additive terms (log Bayes factor "
         f"{p.log_bayes_factor:.1f})"
         for p in check.pairs[:2]
         if p.log_bayes_factor > strongest
     ]
-    coefficient, z = check.autocorrelation
     if most is None:
+        coefficient, z = check.autocorrelation
         lines.append(f"neighbours in time: correlation {coefficient:.2f} (z = {z:.1f})")
-    for name, p in check.scatter_with.items():
-        lines.append(f"scatter changes with {name} (p = {p:.1g})")
+    lines += [
+        f"scatter changes with {name} (p = {p:.1g})" for name, p in check.scatter_with.items()
+    ]
     if check.outliers:
         shown = ", ".join(f"row {i + 1} ({z:+.1f} sd)" for i, z in check.outliers[:5])
         lines.append(f"outliers: {shown}{' …' if len(check.outliers) > 5 else ''}")
@@ -218,25 +180,14 @@ def check_parts(check: Check, most: int | None = None) -> list[str | ResultTable
         lines.append(f"leave-one-out probabilities uniform: p = {check.pit_p:.2g}")
     if check.one_sided < SIGNIFICANT_P:
         lines.append(f"readings far from the model stand on one side (p = {check.one_sided:.1g})")
-    return [*lines, *(_allan_parts(check) if most is None else [])]
-
-
-def _allan_parts(check: Check) -> list[str | ResultTable]:
-    """Where the noise law is contradicted; and the terms of data sheets, where the curve shows any.
-
-    What a covariate explains is no noise, and has no such terms.
-    """
-    found, lines = check.allan, list[str | ResultTable]()
-    if found is None:
+    if (found := check.allan) is None or most is not None:
         return lines
+    # Where the noise law is contradicted; else its terms as data sheets give them. What a covariate
+    # explains is no noise, and has no such terms.
     if found.apart is not None:
         lines.append(textwrap.fill(found.sentence(), WIDTH, subsequent_indent="  "))
-    explained = any(
-        e.log_bayes_factor > settings().strong_evidence
-        for e in check.entries
-        if e.against not in IN_TIME
-    )
-    if not explained and any(t.value is not None for t in found.measured.terms):
+    known = (e.log_bayes_factor for e in check.entries if e.against not in IN_TIME)
+    if max(known, default=0.0) <= strong and found.apart is None:
         lines += ["", found.table()]
     return lines
 
@@ -250,24 +201,20 @@ def place_in_words(row: Mapping[str, Any]) -> str:
     if against == "order":
         return f"row {low:.0f}" if low == high else f"rows {low:.0f} to {high:.0f}"
     unit = unit_label(region["covariate_unit"])
-    place = f"{number(low, 4)} to {number(high, 4)} {unit}".rstrip()
-    if low == high:
-        place = f"at {number(low, 4)} {unit}".rstrip()
-    return place + (f" in run {group}" if group else "")
+    place = f"at {number(low, 4)}" if low == high else f"{number(low, 4)} to {number(high, 4)}"
+    return f"{place} {unit}".rstrip() + (f" in run {group}" if group else "")
 
 
-def _fixed_text(f: FixedComparison, unit: str) -> str:
+def _fixed_text(f: FixedComparison, residuals: np.ndarray, unit: str) -> str:
     known = sum(v**2 for v in f.known.values()) ** 0.5
     lines = [
-        f"with the fixed coefficients: {f.positive} of {f.count} residuals are positive, "
-        f"mean {f.mean:.2f} ({f.low:.2f} to {f.high:.2f}) {unit}, rms {f.rms:.2f}",
+        f"with the fixed coefficients: {np.sum(residuals > 0)} of {residuals.size} residuals are positive, mean "
+        f"{residuals.mean():.2f} ({residuals.min():.2f} to {residuals.max():.2f}) {unit}, rms {f.rms:.2f}",
         f"the same model with free coefficients leaves {f.free_fit:.3g} {unit}: "
         f"the rms is {f.rms / f.noise:.1f} times that",
     ]
     if known > 0:
         parts = ", ".join(f"{k} {v:.2g}" for k, v in f.known.items())
-        lines.append(
-            f"known beforehand: {known:.2g} {unit} ({parts}):\n"
-            f"  the rms is {f.rms / known:.0f} times that"
-        )
+        lines.append(f"known beforehand: {known:.2g} {unit} ({parts}):")
+        lines.append(f"  the rms is {f.rms / known:.0f} times that")
     return "\n".join(lines)

@@ -16,7 +16,7 @@ import numpy as np
 
 from bayescal._calibration.calibration import Calibration
 from bayescal._calibration.leave_group_out import LeaveOneGroupOut, leave_one_group_out, scheme
-from bayescal._calibration.predict import predict
+from bayescal._calibration.predict import Prediction, predict
 from bayescal._core.errors import InputError
 from bayescal._core.formatting import WIDTH, number
 from bayescal._core.importance_weights import stacking
@@ -33,33 +33,21 @@ SAME_CURVE = 0.15  # of the noise: the largest difference of curves that count a
 
 @dataclass(frozen=True)
 class ComparisonRow:
-    """One model.
+    """One model."""
 
-    Attributes:
-        name: given by the user.
-        effects: canonical names, with commas between.
-        rmse: of the readings with group deviations at zero, output unit.
-        group_score: sum of the joint log predictive densities, leave-one-group-out.
-        group_difference, group_error: to the best, and its standard error over groups; None over fewer than ten.
-        group_rmse: of readings predicted from the other groups, output unit.
-        loo: expected log pointwise predictive density by PSIS-LOO; its difference and error; worst Pareto k.
-        log_evidence: None where a prior is flat.
-        weight: stacking weight.
-    """
-
-    name: str
-    effects: str
-    rmse: float
-    group_score: float | None
-    group_difference: float | None
-    group_error: float | None
-    group_rmse: float | None
-    loo: float
-    loo_difference: float
-    loo_error: float
-    pareto_k: float
-    log_evidence: float | None
-    weight: float
+    name: str  # given by the user
+    effects: str  # canonical names, with commas between
+    rmse: float  # of the readings with group deviations at zero, output unit
+    group_score: float | None  # sum of the joint log predictive densities, leave-one-group-out,
+    group_difference: float | None  # that to the best,
+    group_error: float | None  # and its standard error over groups; None over fewer than ten
+    group_rmse: float | None  # of readings predicted from the other groups, output unit
+    loo: float  # expected log pointwise predictive density by PSIS-LOO,
+    loo_difference: float  # that to the best,
+    loo_error: float  # and its standard error
+    pareto_k: float  # the worst
+    log_evidence: float | None  # None where a prior is flat
+    weight: float  # by stacking
 
 
 @dataclass(frozen=True, repr=False)
@@ -134,33 +122,56 @@ def compare(calibrations: Mapping[str, Calibration] | Sequence[Calibration]) -> 
     """
     if not isinstance(calibrations, Mapping):
         calibrations = _named(calibrations)
-    names = list(calibrations)
-    _refuse_different_readings(calibrations)
+    if len(calibrations) < 2:
+        raise InputError(f"compare needs at least two calibrations, not {len(calibrations)}")
+    (one, first), *others = calibrations.items()
+    own = first.readings["output"]
+    for name, c in others:
+        if len(c.readings) != len(own) or not np.allclose(c.readings["output"], own):
+            raise InputError(
+                f"{one!r} and {name!r} were fitted to different readings ({first.readings.file}, "
+                f"{c.readings.file}): fit both to the same"
+            )
+    curves = {name: predict(c) for name, c in calibrations.items()}
     loo = {name: pointwise_loo(c) for name, c in calibrations.items()}
+    best_loo = max((points for points, _ in loo.values()), key=np.sum)
+    weights = stacking(np.stack([points for points, _ in loo.values()], axis=1))
     folds = {name: leave_one_group_out(c) for name, c in calibrations.items()}
     left_out = [f for f in folds.values() if f is not None]
-    grouped, fold = len(left_out) == len(names), next(iter(left_out), None)
-    best_loo = max((points for points, _ in loo.values()), key=np.sum)
-    best_fold = max(left_out, key=lambda f: f.log_score.sum()) if grouped else None
-    weights = stacking(np.stack([loo[n][0] for n in names], axis=1))
-    rows = [
-        _row(name, calibrations[name], loo[name], best_loo, folds[name], best_fold, float(weight))
-        for name, weight in zip(names, weights, strict=True)
-    ]
+    fold, grouped = next(iter(left_out), None), len(left_out) == len(folds)
+    best = max((f.log_score for f in left_out), key=np.sum) if grouped else None
+    rows = list[ComparisonRow]()
+    for (name, c), weight in zip(calibrations.items(), weights, strict=True):
+        (points, pareto_k), out = loo[name], folds[name]
+        gap = None if out is None or best is None else out.log_score - best
+        row = ComparisonRow(
+            name=name,
+            effects=", ".join(c.model.names),
+            rmse=curves[name].rmse,
+            group_score=out and float(out.log_score.sum()),
+            group_difference=None if gap is None else float(gap.sum()),
+            group_error=None if gap is None or len(gap) < FEWEST_GROUPS else _error(gap),
+            group_rmse=out and out.rmse,
+            loo=float(points.sum()),
+            loo_difference=float((points - best_loo).sum()),
+            loo_error=_error(points - best_loo),
+            pareto_k=pareto_k,
+            log_evidence=c.log_evidence and c.log_evidence[0],
+            weight=float(weight),
+        )
+        rows.append(row)
+    by, measured = (BY_GROUPS, "group_score") if grouped else (BY_READINGS, "loo")
     few = grouped and fold is not None and fold.count < FEWEST_GROUPS
-    by = BY_GROUPS if grouped else BY_READINGS
     if few and all(r.log_evidence is not None for r in rows):
-        by = BY_EVIDENCE
-    measured = {BY_GROUPS: "group_score", BY_EVIDENCE: "log_evidence", BY_READINGS: "loo"}[by]
+        by, measured = BY_EVIDENCE, "log_evidence"
     rows.sort(key=lambda r: -getattr(r, measured))
-    first = calibrations[names[0]]
     return Comparison(
         rows=tuple(rows),
         group=fold.group if fold else "reading",
-        groups=fold.count if fold else len(first.readings),
+        groups=fold.count if fold else len(own),
         unit=first.unit,
         chosen_by=by,
-        warnings=(*_warnings(rows, by, fold), *_alike(calibrations)),
+        warnings=(*_warnings(rows, by, fold), *_alike(curves, first.unit)),
     )
 
 
@@ -177,48 +188,6 @@ def pointwise_loo(calibration: Calibration) -> tuple[np.ndarray, float]:
     return np.asarray(found.elpd_i).ravel(), float(np.max(np.asarray(found.pareto_k)))
 
 
-def _refuse_different_readings(calibrations: Mapping[str, Calibration]) -> None:
-    names = list(calibrations)
-    if len(names) < 2:
-        raise InputError(f"compare needs at least two calibrations, not {len(names)}")
-    first = calibrations[names[0]]
-    for name in names[1:]:
-        own, other = first.readings["output"], calibrations[name].readings["output"]
-        if other.shape != own.shape or not np.allclose(other, own):
-            raise InputError(
-                f"{names[0]!r} and {name!r} were fitted to different readings "
-                f"({first.readings.file}, {calibrations[name].readings.file}): fit both to the same"
-            )
-
-
-def _row(
-    name: str,
-    calibration: Calibration,
-    loo: tuple[np.ndarray, float],
-    best_loo: np.ndarray,
-    fold: LeaveOneGroupOut | None,
-    best_fold: LeaveOneGroupOut | None,
-    weight: float,
-) -> ComparisonRow:
-    points, pareto_k = loo
-    gap = fold.log_score - best_fold.log_score if fold and best_fold else None
-    return ComparisonRow(
-        name=name,
-        effects=", ".join(calibration.model.names),
-        rmse=predict(calibration).rmse,
-        group_score=float(fold.log_score.sum()) if fold else None,
-        group_difference=None if gap is None else float(gap.sum()),
-        group_error=None if gap is None or len(gap) < FEWEST_GROUPS else _error(gap),
-        group_rmse=fold.rmse if fold else None,
-        loo=float(points.sum()),
-        loo_difference=float((points - best_loo).sum()),
-        loo_error=_error(points - best_loo),
-        pareto_k=pareto_k,
-        log_evidence=calibration.log_evidence[0] if calibration.log_evidence else None,
-        weight=weight,
-    )
-
-
 def _error(differences: np.ndarray) -> float:
     """Standard error of a sum of differences, over what was left out."""
     if differences.size < 2:
@@ -228,7 +197,7 @@ def _error(differences: np.ndarray) -> float:
 
 def _warnings(rows: list[ComparisonRow], by: str, fold: LeaveOneGroupOut | None) -> list[str]:
     """Whether what ranks the models tells the first two apart, and where another measure is not reliable or differs."""
-    said, (best, second) = [], rows[:2]
+    said, (best, second) = list[str](), rows[:2]
     differ, untold = f"{best.name!r} and {second.name!r} differ by", "it does not tell them apart."
     if fold and fold.count < FEWEST_GROUPS:
         said.append(
@@ -242,14 +211,13 @@ def _warnings(rows: list[ComparisonRow], by: str, fold: LeaveOneGroupOut | None)
         other = max(rows, key=lambda r: r.group_score or -np.inf)
         if other is not best:
             said.append(f"By leave-one-group-out {other.name!r} would come first.")
-    elif by == BY_GROUPS and second.group_difference is not None and second.group_error:
-        gap, error = -second.group_difference, second.group_error
+    elif by == BY_GROUPS and second.group_error:
+        gap, error = -(second.group_difference or 0.0), second.group_error
         if gap < 2 * error:
             said.append(f"{differ} {gap:.1f} ± {error:.1f} in leave-one-group-out score: {untold}")
+    no = "so its pointwise leave-one-out is not reliable."
     return said + [
-        f"{r.name!r}: Pareto k up to {r.pareto_k:.2f}, so its pointwise leave-one-out is not reliable."
-        for r in rows
-        if r.pareto_k > K_HAT
+        f"{r.name!r}: Pareto k up to {r.pareto_k:.2f}, {no}" for r in rows if r.pareto_k > K_HAT
     ]
 
 
@@ -263,20 +231,16 @@ def _named(calibrations: Sequence[Calibration]) -> dict[str, Calibration]:
     return named
 
 
-def _alike(calibrations: Mapping[str, Calibration]) -> list[str]:
-    """Models whose fitted curves are one and the same against the noise, said pair by pair with the first."""
-    curves = {name: predict(c) for name, c in calibrations.items()}
-    said, named = [], set()
+def _alike(curves: Mapping[str, Prediction], unit: str) -> list[str]:
+    """Models whose fitted curves are one and the same against the noise, each with the first that it is like."""
+    said, named = [], set[str]()
     for name, curve in curves.items():
-        if name in named:
-            continue
         noise = float(np.sqrt(np.mean(curve.sd**2)))
-        others = {n: c for n, c in curves.items() if n not in named}
+        others = {n: c for n, c in curves.items() if n not in {*named, name}}
         gaps = {n: float(np.max(np.abs(c.mean - curve.mean))) for n, c in others.items()}
-        same = [n for n, gap in gaps.items() if n != name and gap < SAME_CURVE * noise]
-        if same:
+        same = [n for n, gap in gaps.items() if gap < SAME_CURVE * noise]
+        if same and name not in named:
             named |= {name, *same}
-            unit = calibrations[name].unit
             said.append(
                 f"{', '.join(map(repr, [name, *same]))} are the same curve to within "
                 f"{max(gaps[n] for n in same):.2g} {unit} (noise {noise:.2g}): corrections by them are the same."

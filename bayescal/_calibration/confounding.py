@@ -37,22 +37,17 @@ SIZE = 0.5  # of a column's effect, in parts of what the model's own terms chang
 
 
 class Confounder(NamedTuple):
-    """A column that may have acted in the place of coefficients, or is off by a part of its step.
-
-    Attributes:
-        column: which.
-        coefficients: names of those that stand for themselves and are less certain for it.
-        told: part of its squares that the model's own columns leave.
-        shares: the standard uncertainty that it adds to each coefficient, by name and member, reported unit; signed, as
-            they move together.
-        step: to which it is rounded or cut off, its unit; 0 of one that ran with the model.
-    """
+    """A column that may have acted in the place of coefficients, or is off by a part of its step."""
 
     column: str
-    coefficients: list[str]
-    told: float
+    coefficients: list[str]  # names of those that stand for themselves and are less certain for it
+    told: float  # part of its squares that the model's own columns leave
+    # The standard uncertainty that it adds to each coefficient, by name and member, reported unit; signed, as they
+    # move together.
     shares: dict[str, list[float]]
-    step: float = 0.0
+    step: float = (
+        0.0  # to which it is rounded or cut off, its unit; 0 of one that ran with the model
+    )
 
     @property
     def claim(self) -> Claim:
@@ -74,15 +69,9 @@ def confounders(
     columns: Mapping[str, Float[np.ndarray, "n"]],
     steps: Mapping[str, tuple[float, Float[np.ndarray, "n"]]],
 ) -> tuple[Confounder, ...]:
-    """Of some columns those that add a fifth or more to the standard uncertainty of a coefficient of a model.
-
-    Args:
-        linear: the model about its mode.
-        columns: of no known cause (n,).
-        steps: of rounded columns the step, and the slope of the output by the column (n,).
-    """
+    """Of columns of no known cause, and of rounded ones (step, slope of the output by it), those that add a fifth or
+    more to the standard uncertainty of a coefficient of a model."""
     layout, line = linear.problem.layout, linear.line
-    blocks = layout.x_blocks
     main = stand_alone(layout)
     if not main.any():
         return ()
@@ -99,6 +88,7 @@ def confounders(
         for slot in slots
     ]
     acting += [(name, step / math.sqrt(12.0) * by, step) for name, (step, by) in steps.items()]
+    parts = {b.name: slice(b.start, b.start + b.size) for b in layout.x_blocks}
     found = list[Confounder]()
     for name, values, step in acting:
         # The column at its size, whitened; what the model's columns take of it, P, and leave, K.
@@ -112,7 +102,6 @@ def confounders(
         second_moment = acts * (1 / inner + (pull / inner) ** 2)
         added = math.sqrt(second_moment) * given_up(linear, column[:, None])[:, 0]
         if np.any(wider := widened_by(linear, added)):
-            parts = {b.name: slice(b.start, b.start + b.size) for b in blocks}
             shares = {n: added[at].tolist() for n, at in parts.items() if added[at].any()}
             concerned = [n for n, at in parts.items() if wider[at].any()]
             found.append(Confounder(name, concerned, left / whole, shares, step))
@@ -149,20 +138,16 @@ def unexplained(model: Model, readings: Measurements) -> dict[str, Float[np.ndar
     with which a search weighs it."""
     declared = {c.name for c in model.instrument.columns}
     known = declared | model.columns | {*IN_TIME}
-    units = [
-        u for n in declared & {*readings.columns} if (u := readings.unit(n)) not in (None, "1", "s")
-    ]
-
-    def another(name: str) -> bool:
+    units = [readings.unit(n) for n in declared & {*readings.columns}]
+    units = [u for u in units if u not in (None, "1", "s")]
+    found = dict[str, np.ndarray]()
+    for name, values in derived(readings).items():
         column = measured_column(name)
         unit = readings.unit(column) if readings.has(column) else None
-        return column in known or any(unit and same_dimension(unit, str(u)) for u in units)
-
-    return {
-        name: values
-        for name, values in derived(readings).items()
-        if np.ptp(values) > 0 and name not in known and not another(name)
-    }
+        alike = any(unit and same_dimension(unit, str(u)) for u in units)
+        if np.ptp(values) > 0 and name not in known and column not in known and not alike:
+            found[name] = values
+    return found
 
 
 def widened(

@@ -70,7 +70,13 @@ def fit(
     model.require(readings)
     model = model.with_nuisances(readings)
     _refuse_stuck(readings)
-    reference = with_origin(model, readings, _reference(readings, reference))
+    asked, known = reference or {}, constants_of(readings)
+    if strange := sorted({n for n, v in asked.items() if not isinstance(v, dict)} - known):
+        raise InputError(
+            f"reference: no basis has a constant {', '.join(strange)}; for these readings there are: "
+            f"{', '.join(sorted(known))}"
+        )
+    reference = with_origin(model, readings, {**reference_of(readings), **asked})
     record = record_of(model.instrument, readings, reference)
     record.require_finite(model.effects)
     model = sized(model, readings, record)
@@ -108,31 +114,17 @@ def fit(
 
 def _refuse_nothing(calibration: Calibration) -> None:
     """An effect of the user's own that adds nothing to any reading: its coefficients would stay at their priors."""
-    instrument = calibration.model.instrument
-    known = instrument.known
-    for effect in calibration.model.effects:
-        if effect.name in known or effect.is_placeholder:
-            continue
+    known, readings = calibration.model.instrument.known, calibration.readings
+    own = (e for e in calibration.model.effects if e.name not in known and not e.is_placeholder)
+    for effect in own:
         line = calibration.linear
-        own = [i for i in range(line.line.jacobian.shape[1]) if line.owners[i] == effect.name]
-        if own and not np.any(line.nuisance[:, own]):
+        at = [i for i in range(line.line.jacobian.shape[1]) if line.owners[i] == effect.name]
+        if at and not np.any(line.nuisance[:, at]):
             raise ModelError(
-                f"Effect {effect.name!r} is zero in all {len(calibration.readings)} readings of "
-                f"{calibration.readings.file}: its coefficients would stay at their priors, and the fit would seem to "
-                f"hold it. Look at its basis, and at the labels and columns that it asks for "
-                f"({', '.join(effect.columns) or 'none is named'}), or leave it out"
+                f"Effect {effect.name!r} is zero in all {len(readings)} readings of {readings.file}: its coefficients "
+                "would stay at their priors, and the fit would seem to hold it. Look at its basis, and at the labels "
+                f"and columns that it asks for ({', '.join(effect.columns) or 'none is named'}), or leave it out"
             )
-
-
-def _reference(readings: Measurements, asked: Reference | None) -> Reference:
-    """Constants of the bases: the readings' own, but for those that are asked for."""
-    asked, known = asked or {}, constants_of(readings)
-    if strange := sorted({n for n, v in asked.items() if not isinstance(v, dict)} - known):
-        raise InputError(
-            f"reference: no basis has a constant {', '.join(strange)}; for these readings there are: "
-            f"{', '.join(sorted(known))}"
-        )
-    return {**reference_of(readings), **asked}
 
 
 def _refuse_stuck(readings: Measurements) -> None:

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection, Iterable
 from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from bayescal._calibration.confounding import Confounder, confounders, unexplained, widened
 from bayescal._calibration.on_readings import Vectors, pointwise
@@ -18,11 +19,12 @@ from bayescal._data.thermometer_checks import FEW_CHANGES
 from bayescal._data.time_in_runs import on_clock
 from bayescal._inference.laplace import Mode
 from bayescal._inference.linear_model import LinearModel, linear_model
-from bayescal._inference.method import Draws, Verdict
+from bayescal._inference.method import CHAINS, Draws, Verdict
 from bayescal._inference.problem import Problem
 from bayescal._inference.record import Record, record_of
+from bayescal._inference.trust import CHAIN_DRAWS
 from bayescal._model.effect import Effect
-from bayescal._model.frame import Frame, Reference, build_frame, reference_name
+from bayescal._model.frame import GROUPS, Frame, Reference, build_frame, reference_name
 from bayescal._model.model import Model
 from bayescal._model.parameters import Layout
 from bayescal._model.unknowns import Unknowns
@@ -58,10 +60,9 @@ class Fitted:
     def with_verdict(self, **changes: Any) -> Self:
         """The same with another verdict; what was computed of it is kept."""
         made = object.__new__(type(self))
-        kept = {
-            name: value for name, value in vars(self).items() if name not in ("tree", "why_not")
-        }
-        vars(made).update(kept, verdict=replace(self.verdict, **changes))
+        vars(made).update(vars(self), verdict=replace(self.verdict, **changes))
+        for name in ("tree", "why_not"):
+            vars(made).pop(name, None)
         return made
 
     def __getstate__(self) -> dict[str, Any]:
@@ -102,16 +103,14 @@ class Fitted:
         readings, found = self.readings, dict[str, tuple[float, np.ndarray]]()
         if step := resolution(readings["output"]):
             found["output"] = step, np.ones(len(readings))
-        for name in (n for n in readings.columns if n in self.model.columns):
+        warm = (n for n in readings.columns if readings.unit(n) == "degC")
+        for name in (n for n in warm if n in self.model.columns):
             values = readings[name]
-            if (
-                readings.unit(name) != "degC"
-                or not 0 < (step := resolution(values, FEW_CHANGES)) <= COARSEST_DEGREES
-            ):
-                continue
-            frame = self.frame_of(readings.with_column(name, values + step))
-            line = self.problem_on(frame).linearise(self.mode.x, self.problem.hyper(self.mode.v))
-            found[name] = step, (line.mean - self.linear.line.mean) / step
+            if 0 < (step := resolution(values, FEW_CHANGES)) <= COARSEST_DEGREES:
+                frame = self.frame_of(readings.with_column(name, values + step))
+                hyper = self.problem.hyper(self.mode.v)
+                line = self.problem_on(frame).linearise(self.mode.x, hyper)
+                found[name] = step, (line.mean - self.linear.line.mean) / step
         return found
 
     @property
@@ -148,8 +147,7 @@ class Fitted:
     def hold_at(self) -> dict[str, float]:
         """Where the coefficients hold, by the names of the constants in the equations: T0, V0 and the like.
 
-        Those of columns that an effect depends on. Where none does, constants are means over the readings, at
-        whatever temperatures these were taken.
+        Those of columns that an effect depends on; where none does, constants are means over the readings.
         """
         return {name: value for name, (value, _) in self.held_at.items()}
 
@@ -161,46 +159,45 @@ class Fitted:
             name, unit = reference_name(column), self.readings.unit(column)
             if unit is None or column not in self.model.columns:
                 continue
+            low, high = (self.reference.get(f"{column}_{end}") for end in ("low", "high"))
             if name in self.reference:
                 found[name] = float(self.reference[name]), unit  # pyright: ignore[reportArgumentType]
-            elif (middle := self._middle(column)) is not None:
-                found[name] = middle, unit
+            elif column != "time" and isinstance(low, float) and isinstance(high, float):
+                # The middle of its range, where an effect counts the column from it: there it vanishes.
+                middle = 0.5 * (low + high)
+                if middle != 0 and self._acting(column, high) - self._acting(column, middle):
+                    found[name] = middle, unit
         return found
 
-    def _middle(self, column: str) -> float | None:
-        """The middle of a column's range, where an effect counts the column from it: there it vanishes."""
-        low, high = (self.reference.get(f"{column}_{end}") for end in ("low", "high"))
-        if column == "time" or not (isinstance(low, float) and isinstance(high, float)):
-            return None
-        middle = 0.5 * (low + high)
+    def _acting(self, column: str, at: float) -> set[str]:
+        """Names of the effects that are not zero where a column has a value."""
+        there = self._probe.with_column(column, np.full(self._probe.size, at))
+        by = (e for e in self.model.effects if column in e.columns and not e.is_placeholder)
+        return {e.name for e in by if np.any(self._basis(e, there))}
+
+    @cached_property
+    def _probe(self) -> Frame:
+        """Eight of the readings, on which effects are tried."""
         rows = np.unique(np.linspace(0, len(self.readings) - 1, 8, dtype=int))
-        few = self.frame.reordered(rows, np.arange(len(rows)), self.frame.step[rows])
+        return self.frame.reordered(rows, np.arange(len(rows)), self.frame.step[rows])
 
-        def acts(effect: Effect, at: float) -> bool:
-            shapes = {s.name: s.low for s in effect.column_shapes}
-            there = few.with_column(column, np.full(len(rows), at))
-            return bool(np.any(effect.evaluate(there, shapes)))
-
-        by = [e for e in self.model.effects if column in e.columns and not e.is_placeholder]
-        counted = middle != 0 and any(acts(e, high) and not acts(e, middle) for e in by)
-        return middle if counted else None
+    def _basis(self, effect: Effect, frame: Frame) -> Any:
+        """Return columns of an effect at the mode of its shapes."""
+        at_mode: Any = self.problem.hyper(self.mode.v)
+        shapes = {s.name: at_mode[effect.shape_name(s)] for s in effect.column_shapes}
+        return effect.evaluate(frame, shapes)
 
     @cached_property
     def dated(self) -> tuple[str, ...]:
         """Names of the effects that change with the date, whatever the time since a run's start."""
         if not self.readings.has("time"):
             return ()
-        rows = np.unique(np.linspace(0, len(self.readings) - 1, 8, dtype=int))
-        now = self.frame.reordered(rows, np.arange(len(rows)), self.frame.step[rows])
+        now = self._probe
         moved = 0.3 * float(self.reference["time_span"])  # pyright: ignore[reportArgumentType]
         later = now.with_column("time", now["time"] + moved)
-        at_mode = self.problem.hyper(self.mode.v)
-
-        def changes(effect: Effect) -> bool:
-            shapes: Any = {s.name: at_mode[effect.shape_name(s)] for s in effect.column_shapes}
-            return not np.array_equal(effect.evaluate(now, shapes), effect.evaluate(later, shapes))
-
-        return tuple(e.name for e in self.model.effects if "time" in e.columns and changes(e))
+        in_time = (e for e in self.model.effects if "time" in e.columns)
+        both = ((e.name, self._basis(e, now), self._basis(e, later)) for e in in_time)
+        return tuple(name for name, here, there in both if not np.array_equal(here, there))
 
     def on_clock(self, readings: Measurements) -> Measurements:
         """Return readings with times counted from this calibration's epoch.
@@ -215,6 +212,61 @@ class Fitted:
         if readings is self.readings:
             return self.frame
         return build_frame(self.on_clock(readings), self.reference, self.levels, self.readings)
+
+    @cached_property
+    def having(self) -> dict[str, Bool[np.ndarray, "draws"]]:
+        """Which draws are of a structure that has each effect: of an average over structures, not all are.
+
+        Of a draw whose structure has not an effect all coefficients of this effect are exactly zero.
+        """
+        x, found = self.draws().x, dict[str, np.ndarray]()
+        for e in self.model.effects:
+            own = [b for b in self.layout.x_blocks if b.effect.name == e.name]
+            any_of = [np.any(x[:, b.start : b.start + b.size] != 0, axis=1) for b in own]
+            # One that is held, or sampled with φ, is not averaged over.
+            found[e.name] = np.any(any_of, axis=0) if own else np.ones(len(x), dtype=bool)
+        return found
+
+    @property
+    def inclusion(self) -> dict[str, float]:
+        """The share of draws that have each effect; one for all, where nothing was averaged."""
+        return {name: float(there.mean()) for name, there in self.having.items()}
+
+    @property
+    def likeliest(self) -> set[str]:
+        """The effects of the most probable structure: those that most draws have together."""
+        patterns, counts = np.unique([*self.having.values()], axis=1, return_counts=True)
+        best = patterns[:, counts.argmax()]
+        return {name for name, there in zip(self.having, best, strict=True) if there}
+
+    @property
+    def usual_columns(self) -> set[str]:
+        """Columns that effects more probable than not need; a group is none: what is used is a new member of it."""
+        likely = (e for e in self.model.effects if self.inclusion[e.name] > 0.5)
+        return set().union(GROUPS, *(e.columns for e in likely))
+
+    def with_columns(self, columns: Iterable[str]) -> Self:
+        """The average over those structures that need no other columns, where that leaves enough of them."""
+        there = set(columns)
+        lacking = [e.name for e in self.model.effects if not there.issuperset(e.columns)]
+        return self.without(lacking) if lacking else self
+
+    def without(self, names: Collection[str]) -> Self:
+        """The average over the structures that have none of these effects; the same where these have nearly all."""
+        kept = np.flatnonzero(~np.any([self.having[name] for name in names], axis=0))
+        if len(kept) < CHAIN_DRAWS:
+            return self
+        effects = tuple(e for e in self.model.effects if e.name not in names)
+        layout = replace(self.layout, model=replace(self.model, effects=effects))
+        in_x, in_v = self.layout.entries_in(layout)
+        pick, mode = kept[: CHAINS * (len(kept) // CHAINS)], self.mode
+        draws, inner = self.draws(), mode.covariance[np.ix_(in_v, in_v)]
+        x, v = draws.x[pick][:, in_x], draws.v[pick][:, in_v]
+        mode = mode._replace(
+            x=x.mean(axis=0), v=mode.v[in_v], covariance=inner, flat=mode.flat[in_x]
+        )
+        joint = Draws.of(x, v)
+        return replace(self, model=layout.model, layout=layout, joint=joint, mode=mode)
 
     def draws(self, limit: int | None = None) -> Vectors:
         """Joint draws (x, v) as flat arrays, x counted from its origin, evenly thinned to `limit`."""
@@ -235,12 +287,10 @@ class Fitted:
         Raises:
             InputError: nothing is called so.
         """
-        unknowns = self.unknowns
-        if name not in unknowns.by_key and name not in unknowns.index:
-            raise InputError(
-                f"no unknown is called {name!r}; there are: {', '.join(unknowns.by_key)}"
-            )
-        return unknowns.select(flat(self.values), name)
+        known = self.unknowns.by_key
+        if name not in known and name not in self.unknowns.index:
+            raise InputError(f"no unknown is called {name!r}; there are: {', '.join(known)}")
+        return self.unknowns.select(flat(self.values), name)
 
     def log_likelihood(self, limit: int = PREDICTIVE_CELLS) -> xr.Dataset:
         """Pointwise log likelihood, draws thinned so that at most `limit` numbers come back.

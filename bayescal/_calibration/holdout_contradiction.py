@@ -16,10 +16,10 @@ import numpy as np
 from jaxtyping import Float
 
 from bayescal._calibration.calibration import Calibration
-from bayescal._calibration.mixture import with_columns
 from bayescal._calibration.predict import Prediction, replicates
 from bayescal._core.parallel import on_one_thread
 from bayescal._data.measurements import Measurements
+from bayescal._inference.problem import Problem
 from bayescal._model.effect import Effect
 from bayescal._model.instrument import factor_of
 from bayescal._model.terms import ColumnsOf
@@ -32,36 +32,23 @@ SEEN_SHARE = 1e-8  # of the longest direction's length, below which a direction 
 
 @dataclass(frozen=True)
 class HoldoutContradiction:
-    """What hold-out data say against a fit.
+    """What hold-out data say against a fit."""
 
-    Attributes:
-        p: probability of coefficients that the data pull as far, if the fit is right.
-        share: the hold-out error over what it would be, did coefficients and groups' deviations suit these data.
-        scatter: of what neither explains, the rms over its expected one.
-        most: the coefficient that they pull the farthest, by itself; empty where there is none.
-    """
-
-    p: float
-    share: float
-    scatter: float
-    most: str
+    p: float  # probability of coefficients that the data pull as far, if the fit is right
+    share: float  # hold-out error over what it would be, did coefficients and deviations suit these data
+    scatter: float  # of what neither explains, the rms over its expected one
+    most: str  # the coefficient that they pull the farthest, by itself; empty where there is none
 
 
 @dataclass(frozen=True, eq=False)
 class HoldoutTest:
-    """A fit's prediction of hold-out data, and what these say against it.
-
-    Attributes:
-        calibration: the fit.
-        readings: the hold-out data.
-        prediction: of them.
-        unseen: deviations of groups that the fit holds none of, and their plausible standard deviation: a single run
-            does not show how far runs are apart, and a few do not show it where it is small.
-    """
+    """A fit's prediction of hold-out data, and what these say against it."""
 
     calibration: Calibration
-    readings: Measurements
-    prediction: Prediction
+    readings: Measurements  # the hold-out data
+    prediction: Prediction  # of them
+    # Deviations of groups that the fit holds none of, and their plausible standard deviation: a single run does not
+    # show how far runs are apart, and a few do not show it where it is small.
     unseen: tuple[tuple[Effect, float], ...] = ()
 
     @cached_property
@@ -73,7 +60,12 @@ class HoldoutTest:
         (1948) 50). A free number for each direction is what another device or condition differs in.
         """
         errors, expected = self._errors
-        basis, whole = self._bases
+        # Columns of the coefficients that all readings share, and of the deviations of each group's members.
+        columns = self._columns
+        shared = [column for _, per, column in columns if per is None]
+        groups = [(self.readings.groups(per)[1], column) for _, per, column in columns if per]
+        own = [np.where(codes == k, c, 0.0) for codes, c in groups for k in np.unique(codes)]
+        basis, whole = _orthonormal(shared, len(errors)), _orthonormal([*shared, *own], len(errors))
         pulled, by_right = basis.T @ errors, expected @ basis
         covariance = np.atleast_2d(np.cov(by_right.T)) if basis.shape[1] else np.zeros((0, 0))
         inverse = np.linalg.pinv(covariance, rcond=1e-12, hermitian=True)
@@ -85,7 +77,7 @@ class HoldoutTest:
         share = math.sqrt(float(_squares(errors)) / left)
         away = {
             name: abs(float(column @ errors)) / max(float(np.std(expected @ column)), TINY_SQUARE)
-            for name, per, column in self._columns
+            for name, per, column in columns
             if per is None
         }
         return HoldoutContradiction(p, share, scatter, max(away, key=lambda n: away[n], default=""))
@@ -107,58 +99,42 @@ class HoldoutTest:
         return np.sqrt(np.maximum(found.sd**2 - found.model_sd**2, 1e-12 * found.sd**2))
 
     @cached_property
+    def _problem(self) -> tuple[Calibration, Problem]:
+        """Those structures of the fit that need no other columns, on the hold-out data."""
+        used = self.calibration.with_columns(self.readings.columns)
+        return used, used.problem_on(used.frame_of(self.readings))
+
+    @cached_property
     def _errors(self) -> tuple[Float[np.ndarray, "n"], Float[np.ndarray, "draws n"]]:
         """Errors over the noise, and those of replicates."""
         count = max(100, min(DRAWS, CELLS // max(len(self.readings), 1)))
         made = replicates(self.calibration, self.readings, count, self.calibration.seed)
-        made += self._deviations(len(made))
-        made -= made.mean(axis=0)
-        return self.prediction.residual / self._noise, made / self._noise
-
-    def _deviations(self, count: int) -> Float[np.ndarray, "draws n"]:
-        """What deviations of groups that the fit holds none of would add, output unit."""
-        found, random = np.zeros((count, len(self.readings))), np.random.default_rng(0)
-        if not self.unseen:
-            return found
-        calibration = with_columns(self.calibration, self.readings.columns)
-        problem = calibration.problem_on(calibration.frame_of(self.readings))
-        mode = calibration.mode
-        slopes = problem.slopes(mode.x, problem.hyper(mode.v))
+        (used, problem), random = self._problem, np.random.default_rng(0)
+        # What deviations of groups that the fit holds none of would add.
+        slopes = problem.slopes(used.mode.x, problem.hyper(used.mode.v)) if self.unseen else {}
         for effect, size in self.unseen:
             c = effect.coefficients[0]
             column = problem.record.columns(ColumnsOf.of(effect), ())[:, 0]
-            column = column * factor_of(calibration.model.instrument, effect, c)
+            column = column * factor_of(used.model.instrument, effect, c)
             codes = self.readings.groups(str(c.per))[1]
-            drawn = size * random.standard_normal((count, int(codes.max()) + 2))[:, codes]
-            found += slopes[c.slot or effect.slot] * column * drawn
-        return found
+            drawn = size * random.standard_normal((len(made), int(codes.max()) + 2))[:, codes]
+            made += slopes[c.slot or effect.slot] * column * drawn
+        made -= made.mean(axis=0)
+        return self.prediction.residual / self._noise, made / self._noise
 
-    @cached_property
+    @property
     @on_one_thread
     def _columns(self) -> list[tuple[str, str | None, Float[np.ndarray, "n"]]]:
         """Of each coefficient its name, its group, and its column over the noise, at the mean of the draws."""
-        calibration, readings = with_columns(self.calibration, self.readings.columns), self.readings
-        problem = calibration.problem_on(calibration.frame_of(readings))
-        x, v = calibration.draws()
+        used, problem = self._problem
+        x, v = used.draws()
         terms = [t for t in problem.terms if t.place == "x"]
-        hyper = problem.hyper(v.mean(axis=0))
-        slopes = problem.expected_with_slopes(x.mean(axis=0)[None], hyper, terms)[1]
-        each = (np.broadcast_to(slope, (1, len(readings)))[0] / self._noise for slope in slopes)
+        slopes = problem.expected_with_slopes(
+            x.mean(axis=0)[None], problem.hyper(v.mean(axis=0)), terms
+        )[1]
+        each = (np.broadcast_to(slope, (1, len(self._noise)))[0] / self._noise for slope in slopes)
         names = (t.known.effect.coefficient_name(t.index) for t in terms)
         return [(n, t.known.per, c) for n, t, c in zip(names, terms, each, strict=True)]
-
-    @cached_property
-    def _bases(self) -> tuple[Float[np.ndarray, "n k"], Float[np.ndarray, "n m"]]:
-        """Orthonormal columns: of the coefficients that all readings share, and of these with the deviations of each
-        group."""
-        shared, own, readings = [], [], self.readings
-        for _, per, column in self._columns:
-            if per is None:
-                shared.append(column)
-            else:
-                codes = readings.groups(per)[1]
-                own += [np.where(codes == code, column, 0.0) for code in np.unique(codes)]
-        return _orthonormal(shared, len(readings)), _orthonormal([*shared, *own], len(readings))
 
 
 def _orthonormal(columns: Sequence[np.ndarray], size: int) -> Float[np.ndarray, "n k"]:

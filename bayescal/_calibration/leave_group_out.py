@@ -7,51 +7,45 @@ of the left-out group then come from their prior, as those of any group not yet 
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
+from functools import cached_property
+from typing import Any
 
+import jax
 import numpy as np
+from jaxtyping import Float
 from scipy.special import fdtrc
 
 from bayescal._calibration.fitted import Fitted
-from bayescal._calibration.part import Part
 from bayescal._core.parallel import on_one_thread
 from bayescal._data.measurements import Measurements
 from bayescal._inference.density import Density
 from bayescal._inference.gaussian import Gram, Prior, condition
-from bayescal._inference.laplace import Mode, climb
+from bayescal._inference.laplace import Mode
+from bayescal._inference.newton import climb
 from bayescal._inference.problem import Problem
+from bayescal._inference.record import Record
+from bayescal._model.terms import ColumnsOf
 
 # Readings, below which a group's error is a matter of chance: it is three times too large once in 10⁷ groups of 5.
 FEW_IN_GROUP = 5
-
-NOTHING_LEFT = 1e-10  # that a fold's φ̂ could still gain, nats: its score, unlike its density, is at no maximum there
 BLOCKS = 5  # of neighbouring readings, where there is no group to leave out
 
 
 @dataclass(frozen=True)
 class LeaveOneGroupOut:
-    """Predictions of each group from the others.
+    """Predictions of each group from the others."""
 
-    Attributes:
-        group: what a group is: device, run, cell, "time block" or "block of rows".
-        members: names of the groups.
-        log_score: joint log predictive density of each group, (g,); NaN where the noise is not Gaussian.
-        residual: of each reading, predicted from the other groups, output unit.
-        surprise: of each group, rms of its whitened residuals over what the other groups expect of it, their
-            uncertainty of the model and of a new group's deviations included (g,); about 1 if the model is right, NaN
-            for groups of fewer than 5 readings.
-        by_chance: probability of so large a surprise in a group, if the model is right (g,); NaN where that is.
-        variance: of each reading as the model expects it: noise, and the expected output as the other groups leave it.
-    """
-
-    group: str
-    members: tuple[str, ...]
-    log_score: np.ndarray
-    residual: np.ndarray
+    group: str  # what a group is: device, run, cell, "time block" or "block of rows"
+    members: tuple[str, ...]  # names of the groups
+    log_score: np.ndarray  # joint log predictive density of each group (g,)
+    residual: np.ndarray  # of each reading, predicted from the other groups, output unit
+    # Of each group, rms of its whitened residuals over what the other groups expect of it, their uncertainty of the
+    # model and of a new group's deviations included (g,): about 1 if the model is right, NaN of fewer than 5 readings.
     surprise: np.ndarray
-    by_chance: np.ndarray
-    variance: np.ndarray
+    by_chance: np.ndarray  # probability of so large a surprise, if the model is right (g,)
+    variance: np.ndarray  # of each reading: noise, and its expectation as the other groups leave it
 
     @property
     def rmse(self) -> float:
@@ -64,6 +58,55 @@ class LeaveOneGroupOut:
     @property
     def count(self) -> int:
         return len(self.members)
+
+
+class Part(Record):
+    """Some readings of a record, by their rows; what happened between them stays in their columns."""
+
+    def __init__(self, whole: Record, rows: np.ndarray) -> None:
+        # In the order of time, the steps between them those of all readings in between, summed.
+        order, step = whole.in_time
+        place = np.full(whole.size, -1)
+        place[rows] = np.arange(len(rows))
+        kept = np.flatnonzero(place[order] >= 0)
+        steps = np.diff(np.cumsum(np.maximum(step, 0.0))[kept], prepend=0.0)
+        steps[np.diff(np.cumsum(step < 0)[kept], prepend=-1) != 0] = -1.0
+        frame = jax.tree.map(np.asarray, whole.frame).reordered(rows, place[order[kept]], steps)
+        super().__init__(whole.instrument, frame, whole.y[rows], plain=whole.plain)
+        self.whole, self.rows = whole, rows
+
+    def _computed(self, effect: ColumnsOf, values: Sequence[np.ndarray], moves, *program) -> Any:
+        return self.whole._computed(effect, values, self._spread(moves), *program)[:, self.rows]
+
+    def moved_columns(
+        self, effect: ColumnsOf, values: tuple[float, ...], moves: Mapping[str, np.ndarray]
+    ) -> tuple[Float[np.ndarray, "n k"], dict[str, Float[np.ndarray, "n k"]]]:
+        return self._kept(self.whole.moved_columns(effect, values, self._spread(moves)))
+
+    @cached_property
+    def affine(self) -> tuple[np.ndarray, dict[str, np.ndarray]] | None:
+        return self.whole.affine and self._kept(self.whole.affine)
+
+    def several(
+        self, slots: Mapping[str, np.ndarray], moves: Mapping[str, np.ndarray]
+    ) -> Float[np.ndarray, "b n"]:
+        return self.whole.several(self._spread(slots), self._spread(moves))[:, self.rows]
+
+    def _response(self, slots, moves):
+        return self._kept(self.whole._response(self._spread(slots), self._spread(moves)))
+
+    def _kept(self, of_all: tuple[np.ndarray, Mapping[str, np.ndarray]]):
+        values, slopes = of_all
+        return values[self.rows], {name: slope[self.rows] for name, slope in slopes.items()}
+
+    def _spread(self, values: Mapping[str, Any]) -> dict[str, np.ndarray]:
+        """The same on the whole record, zero where a reading is not kept."""
+        found = {}
+        for name, value in values.items():
+            kept = np.broadcast_to(value, (*np.shape(value)[:-1], self.size))
+            found[name] = np.zeros((*kept.shape[:-1], self.whole.size))
+            found[name][..., self.rows] = kept
+        return found
 
 
 def scheme(group: str) -> str:
@@ -92,8 +135,6 @@ def leave_one_group_out(calibration: Fitted) -> LeaveOneGroupOut | None:
         return None
     kind, members, codes = groups_of(calibration.readings)
     mode, whole = calibration.mode, calibration.problem
-    # Products of all readings, once: a part's are these less the others'.
-    _ = Density(whole, mode.x, mode.flat, mode.v).products
     scores, surprise, by_chance = np.full((3, len(members)), np.nan)
     residual, model = np.full((2, len(codes)), np.nan)
     for i in range(len(members)):
@@ -101,46 +142,39 @@ def leave_one_group_out(calibration: Fitted) -> LeaveOneGroupOut | None:
         found = _fold(whole, mode, np.flatnonzero(codes != i), out)
         if found is None:
             continue
-        scores[i], residual[out], model[out] = found.log_score, found.residual, found.model
+        scores[i], residual[out], model[out], squares, spectrum = found
         if len(out) >= FEW_IN_GROUP:
-            surprise[i] = math.sqrt(found.squares / found.spectrum.sum())
-            by_chance[i] = found.by_chance(len(codes) - len(out), len(members) - 1)
+            kept = len(codes) - len(out), len(members) - 1
+            surprise[i] = math.sqrt(squares / spectrum.sum())
+            by_chance[i] = _by_chance(squares, spectrum, *kept)
     variance = calibration.linear.variance + model
     return LeaveOneGroupOut(kind, members, scores, residual, surprise, by_chance, variance)
 
 
-class _Fold(NamedTuple):
-    """Readings left out, as the kept ones predict them."""
+def _by_chance(squares: float, spectrum: np.ndarray, readings: int, groups: int) -> float:
+    """Probability of squares rᵀr as large, if what was learnt of so many readings and groups is right.
 
-    log_score: float  # joint log predictive density
-    residual: np.ndarray  # output unit
-    model: np.ndarray  # variance of the expected output, output unit squared
-    squares: float  # of the whitened residuals, rᵀr
-    spectrum: (
-        np.ndarray
-    )  # eigenvalues λ of their covariance I + A·C·Aᵀ, of which Σλ is expected of rᵀr
-
-    def by_chance(self, readings: int, groups: int) -> float:
-        """Probability of squares as large, if what was learnt of so many readings and groups is right.
-
-        rᵀr/Σλ is about χ²(ν)/ν with ν = (Σλ)²/Σλ² (F. Satterthwaite, Biometrics Bull. 2 (1946) 110); Σλ was itself
-        estimated, its part of the noise from the readings kept, the rest at worst from a standard deviation between as
-        many groups less one: so an F distribution.
-        """
-        # In parts of Σλ, whose square may be no number.
-        whole = float(self.spectrum.sum())
-        own = 1 / float(np.sum((self.spectrum / whole) ** 2))
-        noise = len(self.residual) / whole
-        known = 1 / (noise**2 / readings + (1 - noise) ** 2 / max(groups - 1, 1))
-        return float(fdtrc(own, known, self.squares / whole))
+    rᵀr/Σλ is about χ²(ν)/ν with ν = (Σλ)²/Σλ² (F. Satterthwaite, Biometrics Bull. 2 (1946) 110); Σλ was itself
+    estimated, its part of the noise from the readings kept, the rest at worst from a standard deviation between as
+    many groups less one: so an F distribution.
+    """
+    # In parts of Σλ, whose square may be no number.
+    whole = float(spectrum.sum())
+    own = 1 / float(np.sum((spectrum / whole) ** 2))
+    noise = len(spectrum) / whole
+    known = 1 / (noise**2 / readings + (1 - noise) ** 2 / max(groups - 1, 1))
+    return float(fdtrc(own, known, squares / whole))
 
 
-def _fold(whole: Problem, mode: Mode, kept: np.ndarray, out: np.ndarray) -> _Fold | None:
-    """The readings left out, given the kept; None where these say nothing."""
+def _fold(
+    whole: Problem, mode: Mode, kept: np.ndarray, out: np.ndarray
+) -> tuple[float, np.ndarray, np.ndarray, float, np.ndarray] | None:
+    """Of readings left out, as the kept ones predict them, the joint log predictive density, errors, variance of what
+    is expected, sum of squares of the whitened errors, and the eigenvalues of their covariance; None of nothing."""
     parts = (Part(whole.record, rows) for rows in (kept, out))
     problems = (Problem(whole.layout, part, whole.size_factors) for part in parts)
     fitted, predicted = (Density(one, mode.x, mode.flat, mode.v) for one in problems)
-    v, _ = climb(fitted, [mode.v], mode.covariance, NOTHING_LEFT)
+    v = climb(fitted, mode.v)
     kinds = np.array(whole.kinds)
     # A law that follows a column is that of all readings: where it lies for these, the kept may have none.
     v = np.where((kinds == "noise") & bool(whole.noise.covariates), mode.v, v)
@@ -160,7 +194,7 @@ def _fold(whole: Problem, mode: Mode, kept: np.ndarray, out: np.ndarray) -> _Fol
     above = np.sort(np.linalg.eigvalsh(of_all[1].jtj))[::-1][: len(out)]
     spectrum[: len(above)] += np.maximum(above, 0.0)
     score = np.nan if joint is None else joint.log_marginal
-    return _Fold(score, given[0], of_all[2], of_all[1].rtr, spectrum)
+    return score, given[0], of_all[2], of_all[1].rtr, spectrum
 
 
 def _given(

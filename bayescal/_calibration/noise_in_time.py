@@ -35,35 +35,23 @@ RANKS = 50  # of a χ², equally probable, that stand for it
 
 @dataclass(frozen=True)
 class AllanCheck:
-    """The Allan deviation of residuals beside that which the fitted noise law lets one expect of them.
+    """The Allan deviation of residuals beside that which the fitted noise law lets one expect of them."""
 
-    Attributes:
-        measured: of the residuals.
-        law: name of the noise law.
-        expected: under the law, of the residuals of such a fit (k,), output unit.
-        low, high: between which the law puts 95 % of such estimates (k,), output unit.
-        law_terms: N, and K where the noise is correlated, as the law has them.
-        apart: index of the averaging time at which the two differ the most; None where they agree.
-    """
-
-    measured: AllanDeviation
-    law: str
-    expected: np.ndarray = field(repr=False)
-    low: np.ndarray = field(repr=False)
+    measured: AllanDeviation  # of the residuals
+    law: str  # name of the noise law
+    expected: np.ndarray = field(repr=False)  # under it, of the residuals of such a fit (k,)
+    low: np.ndarray = field(repr=False)  # between which it puts 95 % of such estimates (k,)
     high: np.ndarray = field(repr=False)
-    law_terms: tuple[AllanTerm, ...]
-    apart: int | None
+    law_terms: tuple[AllanTerm, ...]  # N, and K where the noise is correlated, as the law has them
+    apart: int | None  # averaging time at which the two differ the most; None where they agree
 
     def __str__(self) -> str:
         return f"{self.table()}\n{self.sentence()}"
 
     def table(self) -> ResultTable:
-        """The terms in the units of data sheets: of the residuals, and of the law."""
-        said = {t.symbol: str(t) for t in self.law_terms}
-        rows = [
-            [f"{t.name} {t.symbol}", str(t), said.get(t.symbol, "–")] for t in self.measured.terms
-        ]
-        return plain_table(["Allan deviation", "residuals", f"noise law ({self.law_name})"], rows)
+        """The terms of the noise law in the units of data sheets."""
+        rows = [[f"{t.name} {t.symbol}", str(t)] for t in self.law_terms]
+        return plain_table([f"noise law ({self.law_name})", "value"], rows)
 
     @property
     def law_name(self) -> str:
@@ -86,26 +74,28 @@ class AllanCheck:
 
     def data(self) -> dict[str, Any]:
         """As in result.json."""
-        m, law = self.measured, {t.symbol: t for t in self.law_terms}
-        names = ("tau", "deviation", "low", "high", "law", "law_low", "law_high")
-        columns = (m.tau, m.deviation, m.low, m.high, self.expected, self.low, self.high)
-        terms = []
-        for t in m.terms:
-            own = law.get(t.symbol, AllanTerm(t.symbol, t.name, t.unit))
-            terms.append({**vars(t), "law": own.value, "law_uncertainty": own.uncertainty})
         return {
-            "unit": m.unit,
-            "runs": m.runs,
-            "curve": [dict(zip(names, row, strict=True)) for row in zip(*columns, strict=True)],
-            "terms": terms,
+            "unit": self.measured.unit,
+            "runs": self.measured.runs,
+            "curve": allan_rows(self.measured, self.expected, self.low, self.high),
+            "terms": [vars(t) for t in self.law_terms],
             "agrees": self.apart is None,
             "in_words": self.sentence(),
         }
 
 
+def allan_rows(
+    measured: AllanDeviation, law: np.ndarray, low: np.ndarray, high: np.ndarray
+) -> list[dict[str, float]]:
+    """An Allan deviation beside that of a noise law, time by time, as in JSON."""
+    m, names = measured, ("tau", "deviation", "low", "high", "law", "law_low", "law_high")
+    rows = zip(m.tau, m.deviation, m.low, m.high, law, low, high, strict=True)
+    return [dict(zip(names, map(float, row), strict=True)) for row in rows]
+
+
 def allan_check(calibration: Fitted) -> AllanCheck | None:
     """The Allan deviation of a fit's residuals; None where readings are not evenly spaced in time, or too few."""
-    linear, readings = calibration.linear, calibration.readings
+    linear, readings, noise = calibration.linear, calibration.readings, calibration.model.noise
     try:
         runs = even_runs(readings)
         measured = of_runs(readings, linear.settled, runs)
@@ -113,7 +103,6 @@ def allan_check(calibration: Fitted) -> AllanCheck | None:
         return None
     mode = calibration.problem.hyper(calibration.mode.v)
     variance = float(np.mean(linear.variance))
-    noise = calibration.model.noise
     law = noise.allan_variance(mode, variance, runs.factors, runs.step)
     taken, _ = overlapping(linear.taken, runs)
     left = np.maximum(1 - taken / law, 0.0)  # what a fit has absorbed is not in its residuals
@@ -123,15 +112,9 @@ def allan_check(calibration: Fitted) -> AllanCheck | None:
     estimates = draws[:, None] * (chdtri(edf, ranks[:, None]) / edf)
     tail = 0.5 * (1 - CONFIDENCE)
     low, high = np.sqrt(np.quantile(estimates, [tail, 1 - tail], axis=(0, 1)))
-    return AllanCheck(
-        measured=measured,
-        law=calibration.model.noise.law,
-        expected=np.sqrt(law * left),
-        low=low,
-        high=high,
-        law_terms=_law_terms(calibration, mode, variance, runs.step),
-        apart=_apart(measured, draws, edf) if calibration.model.noise.gaussian else None,
-    )
+    terms = _law_terms(calibration, mode, variance, runs.step)
+    apart = _apart(measured, draws, edf) if noise.gaussian else None
+    return AllanCheck(measured, noise.law, np.sqrt(law * left), low, high, terms, apart)
 
 
 def _drawn(
@@ -147,10 +130,9 @@ def _drawn(
     varying = names & calibration.unknowns.by_key.keys()
     if law.independent or not varying or calibration.layout.stated:
         return law.allan_variance(mode, variance, factors, step)[None]
-    drawn = {n: calibration.samples(n) for n in varying}
-    count = len(next(iter(drawn.values())))
-    drawn = {n: v[:: -(-count // DRAWS)] for n, v in drawn.items()}
-    values = {n: drawn.get(n, np.asarray(mode[n])) for n in names}
+    every = -(-len(calibration.samples(min(varying))) // DRAWS)
+    values = {n: np.asarray(mode[n]) for n in names}
+    values |= {n: calibration.samples(n)[::every] for n in varying}
     known = max(variance - float(mode[WHITE]) ** 2 - float(law.slow_variance(mode)), 0.0)
     total = values[WHITE] ** 2 + np.asarray(law.slow_variance(values)) + known
     return law.allan_variance(values, total, factors, step)
@@ -163,33 +145,27 @@ def _apart(
     with np.errstate(divide="ignore"):
         ratio = edf * measured.deviation**2 / draws
     sides = np.stack([chdtr(edf, ratio).mean(axis=0), chdtrc(edf, ratio).mean(axis=0)])
-    rarity = 2 * sides.min(axis=0)
-    if not rarity.min() * len(rarity) < SIGNIFICANT_P:
-        return None
+    rare = 2 * sides.min(axis=0) * len(edf) < SIGNIFICANT_P
     # Of several that are all but impossible, the one that is the most standard deviations off.
     off = np.abs(np.log(np.median(ratio, axis=0) / edf)) * np.sqrt(edf / 2)
-    return int(np.argmax(np.where(rarity * len(rarity) < SIGNIFICANT_P, off, -1.0)))
+    return int(np.argmax(np.where(rare, off, -1.0))) if rare.any() else None
 
 
 def _law_terms(
     calibration: Fitted, mode: dict[str, Any], variance: float, step: float
 ) -> tuple[AllanTerm, ...]:
     """N = √(σ²·Δ) of the white part, and K = q of correlated noise, with the posterior's standard deviations."""
-
-    def error(name: str) -> float:
-        return (
-            float(calibration.samples(name).std()) if name in calibration.unknowns.by_key else 0.0
-        )
-
-    law = calibration.model.noise
-    white = max(variance - float(law.slow_variance(mode)), 0.0)
-    size = float(np.sqrt(white))
+    law, unit = calibration.model.noise, calibration.unit
+    names = {WHITE, *law.coefficients_in_time} & calibration.unknowns.by_key.keys()
+    error = {name: float(calibration.samples(name).std()) for name in names}
+    size = float(np.sqrt(max(variance - float(law.slow_variance(mode)), 0.0)))
     # Of σ² = σ₀² + what is known, only σ₀ is uncertain.
-    own = float(mode[WHITE]) / size * error(WHITE) if size > 0 and WHITE in mode else 0.0
-    found = [term("N", calibration.unit, size * step**0.5, own * step**0.5)]
-    for name, coefficient in law.coefficients_in_time.items():
-        found.append(term(coefficient, calibration.unit, float(mode[name]), error(name)))
-    return tuple(found)
+    own = float(mode[WHITE]) / size * error.get(WHITE, 0.0) if size > 0 and WHITE in mode else 0.0
+    slow = law.coefficients_in_time.items()
+    return (
+        term("N", unit, size * step**0.5, own * step**0.5),
+        *(term(symbol, unit, float(mode[n]), error.get(n, 0.0)) for n, symbol in slow),
+    )
 
 
 def noise_floor(calibration: Fitted) -> float:

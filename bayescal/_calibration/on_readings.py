@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from typing import Any, NamedTuple
 
@@ -27,46 +27,42 @@ class Vectors(NamedTuple):
 
 
 class PredictiveMoments(NamedTuple):
-    """Mean and variance of the expected output over draws; mean variance of the noise, and of what is not known of a
-    reading's inputs and groups: (n,) each."""
+    """Moments of readings over draws, (n,) each."""
 
-    mean: Float[np.ndarray, "n"]
-    variance: Float[np.ndarray, "n"]
-    noise: Float[np.ndarray, "n"]
-    beside: Float[np.ndarray, "n"]
+    mean: Float[np.ndarray, "n"]  # of the expected output,
+    variance: Float[np.ndarray, "n"]  # and its variance
+    noise: Float[np.ndarray, "n"]  # mean variance of the noise,
+    beside: Float[np.ndarray, "n"]  # and of what is not known of a reading's inputs and groups
 
 
 @on_one_thread
 def moments(
     problem: Problem, draws: Vectors, carried: Callable[[np.ndarray], np.ndarray] | None = None
 ) -> PredictiveMoments:
-    """Of readings, noise on inputs and members of groups that are not known (of code −1) beside the mean.
+    """Return moments of readings, noise on inputs and members of groups that are not known (of code −1) included.
 
-    Draws are taken a stretch at a time and never held together; sums are of differences from the first.
-
-    Args:
-        problem: the model on the readings.
-        draws: of its unknowns.
-        carried: what known readings say of the correlated noise of all, by what each draw expects of them (b, n): it
-            is added to the mean, and its variance is no part of that of the noise.
+    Draws are taken a stretch at a time and never held together; sums are of differences from the first. What known
+    readings say of the correlated noise of all, by what each draw expects of them (b, n), is `carried`: it is added to
+    the mean, and its variance is no part of that of the noise.
     """
     count, size = len(draws.x), problem.record.size
-    first, total, squares, noise, beside = np.zeros((5, size))
-    begin = True
-    for part, own_structure, some, hyper in _stretches(problem, draws):
-        mean, own = _with_beside(own_structure, some, hyper)
+    total, squares, noise, beside = np.zeros((4, size))
+    first: Any = None
+    for part, own, some, hyper in _stretches(problem, draws):
+        acting = [t for t in own.terms if t.place == "input" or _unseen(own, t).any()]
+        mean, spreads = _mean_and_spreads(own, some, hyper, acting)
         own_noise = variances(problem.noise, hyper, problem.record)
         if carried is not None:
             mean = mean + carried(mean)
             own_noise = own_noise - np.atleast_1d(problem.noise.slow_variance(hyper))[:, None]
-        first = mean[0].copy() if begin else first
-        begin = False
+        first = mean[0].copy() if first is None else first
         away = mean - first
         total += np.sum(away, axis=0)
         squares += np.einsum("bn,bn->n", away, away)
-        many = len(part)
-        noise += many * np.mean(own_noise, axis=0)
-        beside += many * np.mean(np.atleast_1d(own), axis=0)  # a single zero where there is none
+        noise += len(part) * np.mean(own_noise, axis=0)
+        if spreads:
+            squared = np.broadcast_to(sum(s**2 for s in spreads), mean.shape)
+            beside += len(part) * np.mean(squared, axis=0)
     away = total / count
     variance = np.maximum(squares / count - away**2, 0.0)
     return PredictiveMoments(first + away, variance, noise / count, beside / count)
@@ -77,7 +73,8 @@ def pointwise(problem: Problem, draws: Vectors) -> Float[np.ndarray, "b n"]:
     """Log likelihood of each reading under each draw: under correlated noise, given those before it in its run."""
     found = np.empty((len(draws.x), problem.record.size))
     for part, own, some, hyper in _stretches(problem, draws):
-        found[part] = _densities(own, some, hyper)
+        record, (mean, extra) = own.record, own.expected_and_extra(some.x, hyper)
+        found[part] = log_densities(own.noise, record, record.y - mean, hyper, extra)
     return found
 
 
@@ -90,38 +87,20 @@ def replicate(
 ) -> Float[np.ndarray, "b n"]:
     """Readings simulated by the model's own equation and noise, from each draw once.
 
-    Args:
-        problem: the model on the readings.
-        draws: joint ones.
-        random: of the noise.
-        members: by group, a code of each reading's member (n,): of those that the fit does not know deviations are
-            drawn from their prior. None where all are known.
+    Of members of groups that the fit does not know deviations are drawn from their prior; `members` has, by group, a
+    code of each reading's member (n,).
     """
-    found = np.empty((len(draws.x), problem.record.size))
+    found, members = np.empty((len(draws.x), problem.record.size)), members or {}
     for part, own, some, hyper in _stretches(problem, draws):
-        mean = _drawn_mean(own, some, hyper, random, members or {})
+        acting = [t for t in own.terms if t.place == "input" or t.known.per in members]
+        mean, spreads = _mean_and_spreads(own, some, hyper, acting)
+        for t, spread in zip(acting, spreads, strict=True):
+            codes = np.arange(mean.shape[1]) if t.place == "input" else members[str(t.known.per)]
+            normal = random.standard_normal((len(mean), int(codes.max()) + 2))
+            mean = mean + spread * normal[:, codes]  # −1: the last
         seed = int(random.integers(2**31))
         found[part] = samples(problem.noise, problem.record, mean, hyper, seed)
     return found
-
-
-def _drawn_mean(
-    problem: Problem,
-    draws: Vectors,
-    hyper: Each,
-    random: np.random.Generator,
-    members: Mapping[str, np.ndarray],
-) -> Float[np.ndarray, "b n"]:
-    """Expected outputs, noise on inputs and each unknown member's deviation drawn once for each draw."""
-    own = [t for t in _of_their_own(problem) if t.place == "input" or t.known.per in members]
-    if not own:
-        return problem.expected(draws.x, hyper)
-    mean, slopes = problem.expected_with_slopes(draws.x, hyper, own)
-    for t, slope in zip(own, slopes, strict=True):
-        codes = np.arange(mean.shape[1]) if t.place == "input" else members[str(t.known.per)]
-        normal = random.standard_normal((len(mean), int(codes.max()) + 2))[:, codes]  # −1: the last
-        mean = mean + slope * normal * _own_sd(problem, draws, hyper, t)
-    return mean
 
 
 def _stretches(
@@ -148,10 +127,9 @@ def _by_structure(
     if not held:
         yield np.arange(len(draws.x)), problem, draws
         return
-    there, which = np.unique(
-        np.asarray(draws.x)[:, [b.start for b in held]] != 0, axis=0, return_inverse=True
-    )
-    for k, has in enumerate(there):
+    there = np.asarray(draws.x)[:, [b.start for b in held]] != 0
+    patterns, which = np.unique(there, axis=0, return_inverse=True)
+    for k, has in enumerate(patterns):
         gone = {b.effect.name for b, one in zip(held, has, strict=True) if not one}
         effects = tuple(
             replace(e, coefficients=tuple(map(_by_definition, e.coefficients)))
@@ -169,37 +147,27 @@ def _by_definition(c: Coefficient) -> Coefficient:
     return replace(c, prior=Known(c.mean)) if isinstance(c.prior, Known) else c
 
 
-def _with_beside(problem: Problem, draws: Vectors, hyper: Each) -> tuple[np.ndarray, Any]:
-    """Expected output, and its variance from noise on inputs and from members that are not known."""
-    own = _of_their_own(problem)
-    if not own:
-        return problem.expected(draws.x, hyper), 0.0
-    mean, slopes = problem.expected_with_slopes(draws.x, hyper, own)
-    beside = np.zeros_like(mean)
-    for t, slope in zip(own, slopes, strict=True):
-        beside += (slope * _own_sd(problem, draws, hyper, t)) ** 2
-    return mean, beside
-
-
-def _of_their_own(problem: Problem) -> list[Term]:
-    """Terms of noise on inputs, and of members that are not known to some readings."""
-    return [t for t in problem.terms if t.place == "input" or _unseen(problem, t).any()]
-
-
-def _own_sd(problem: Problem, draws: Vectors, hyper: Each, term: Term) -> Any:
-    """Standard deviation of such a term's coefficient: zero at readings whose member is known."""
-    if term.place == "input":
-        return term.prior_sd
-    sd = problem.member_sd(term, hyper, len(draws.x)) * _there(problem, draws, term)
-    return np.where(_unseen(problem, term), sd[:, None], 0.0)
-
-
-def _there(problem: Problem, draws: Vectors, term: Term) -> Float[np.ndarray, "b"]:
-    """1 for draws of a structure that has a term's effect; of others all its coefficients are exactly zero."""
-    own = [t.at for t in problem.terms if t.place == "x" and t.known.of == term.known.of]
-    if not own:
-        return np.ones(len(draws.x))
-    return np.any([np.any(draws.x[:, at] != 0, axis=1) for at in own], axis=0).astype(float)
+def _mean_and_spreads(
+    problem: Problem, draws: Vectors, hyper: Each, terms: Sequence[Term]
+) -> tuple[Float[np.ndarray, "b n"], list[Any]]:
+    """Return expected outputs, and the standard deviation that each of some terms adds: noise on an input, or a member
+    that is not known (zero at readings whose member is)."""
+    if not terms:
+        return problem.expected(draws.x, hyper), []
+    mean, slopes = problem.expected_with_slopes(draws.x, hyper, terms)
+    spreads = list[Any]()
+    for t, slope in zip(terms, slopes, strict=True):
+        sd = t.prior_sd
+        if t.place != "input":
+            # Of an effect that a draw's structure has not, all coefficients are exactly zero.
+            own = [o.at for o in problem.terms if o.place == "x" and o.known.of == t.known.of]
+            there = (
+                np.any([np.any(draws.x[:, at] != 0, axis=1) for at in own], axis=0) if own else 1.0
+            )
+            member_sd = problem.member_sd(t, hyper, len(draws.x)) * there
+            sd = np.where(_unseen(problem, t), member_sd[:, None], 0.0)
+        spreads.append(slope * sd)
+    return mean, spreads
 
 
 def _unseen(problem: Problem, term: Term) -> np.ndarray:
@@ -207,8 +175,3 @@ def _unseen(problem: Problem, term: Term) -> np.ndarray:
     if term.known.per is None or term.place == "fixed":
         return np.zeros(1, dtype=bool)
     return problem.record.codes[term.known.per] < 0
-
-
-def _densities(problem: Problem, draws: Vectors, hyper: Each) -> Float[np.ndarray, "b n"]:
-    record, (mean, extra) = problem.record, problem.expected_and_extra(draws.x, hyper)
-    return log_densities(problem.noise, record, record.y - mean, hyper, extra)

@@ -16,10 +16,9 @@ PRIOR_DRAWS = 1000  # for the groups of ArviZ's tree, as many as a picture of a 
 TINY, FAR_SD = float(np.finfo(float).tiny), 1e150  # that a square of it is a number still
 
 
-def build_tree(calibration: Fitted) -> xr.DataTree:
+def build_tree(c: Fitted) -> xr.DataTree:
     """Compute all groups of a calibration's tree; see `Calibration.tree`."""
-    c, draws = calibration, calibration.joint
-    readings = c.readings
+    readings, dims = c.readings, ("chain", "draw", "reading")
     units = {"units": readings.unit("output")}
     thin, chains = c.thinned(PREDICTIVE_CELLS)
     made = replicate(c.problem, thin, np.random.default_rng([c.seed, 1]))
@@ -27,22 +26,23 @@ def build_tree(calibration: Fitted) -> xr.DataTree:
     groups = {
         "posterior": c.posterior,
         "log_prior": _log_prior(c),
-        "posterior_predictive": xr.Dataset({"output": (("chain", "draw", "reading"), made, units)}),
+        "posterior_predictive": xr.Dataset({"output": (dims, made, units)}),
         "sample_stats": xr.Dataset(),
         "observed_data": xr.Dataset({"output": ("reading", readings["output"], units)}),
         "constant_data": readings.to_xarray().drop_vars("output"),
-        "draws": xr.Dataset(draws_group(draws)),
+        "draws": xr.Dataset(draws_group(c.joint)),
     }
-    groups = {name: _numbered(group, draws.x.shape[1]) for name, group in groups.items()}
-    if (prior := _prior_draws(c)) is not None:
-        groups["prior"] = _numbered(named(c.unknowns, c.unknowns.values(*prior)), PRIOR_DRAWS)
-    return xr.DataTree.from_dict({n: _storable(group) for n, group in groups.items()})
+    groups = {name: _stored(group, c.joint.x.shape[1]) for name, group in groups.items()}
+    if not c.layout.improper:
+        prior = named(c.unknowns, c.unknowns.values(*_prior_draws(c)))
+        groups["prior"] = _stored(prior, PRIOR_DRAWS)
+    return xr.DataTree.from_dict(groups)
 
 
 def with_log_likelihood(tree: xr.DataTree, calibration: Fitted) -> xr.DataTree:
     """A copy of a calibration's tree with the group `log_likelihood`, all groups of the posterior thinned alike."""
     count = calibration.joint.x.shape[1]
-    density = _storable(_numbered(calibration.log_likelihood(), count))
+    density = _stored(calibration.log_likelihood(), count)
     groups = {name: child.to_dataset() for name, child in tree.children.items()}
     for name, group in groups.items():
         if name != "prior" and group.sizes.get("draw") == count:
@@ -50,22 +50,15 @@ def with_log_likelihood(tree: xr.DataTree, calibration: Fitted) -> xr.DataTree:
     return xr.DataTree.from_dict({**groups, "log_likelihood": density})
 
 
-def _storable(data: xr.Dataset) -> xr.Dataset:
-    """A data set whose variables and dimensions have names that NetCDF can hold."""
-    names = {str(n): storable(str(n)) for n in (*data.variables, *data.dims)}
-    return data.rename({old: new for old, new in names.items() if old != new})
-
-
-def _numbered(group: xr.Dataset, count: int) -> xr.Dataset:
-    """Chains and draws by number, which ArviZ's pictures count on; thinned draws by theirs among all `count`."""
-    if "draw" not in group.sizes:
-        return group
-    chains, size = group.sizes["chain"], group.sizes["draw"]
-    step = -(-count // size)
-    # Indices of pandas: xarray would load Dask to look at arrays.
-    return group.assign_coords(
-        chain=pd.RangeIndex(chains), draw=pd.RangeIndex(0, step * size, step)
-    )
+def _stored(group: xr.Dataset, count: int) -> xr.Dataset:
+    """A group under names that NetCDF can hold; chains and draws by number, thinned ones by theirs among `count`."""
+    if "draw" in group.sizes:  # ArviZ's pictures count on the numbers
+        step = -(-count // group.sizes["draw"])
+        # Indices of pandas: xarray would load Dask to look at arrays.
+        draws = pd.RangeIndex(0, step * group.sizes["draw"], step)
+        group = group.assign_coords(chain=pd.RangeIndex(group.sizes["chain"]), draw=draws)
+    names = {str(n): storable(str(n)) for n in (*group.variables, *group.dims)}
+    return group.rename({old: new for old, new in names.items() if old != new})
 
 
 def _log_prior(c: Fitted) -> xr.Dataset:
@@ -89,18 +82,15 @@ def _log_prior(c: Fitted) -> xr.Dataset:
     return xr.Dataset({n: (c.posterior[n].dims, c.unknowns.select(density, n)) for n in keys})
 
 
-def _prior_draws(calibration: Fitted) -> tuple[np.ndarray, np.ndarray] | None:
-    """Joint draws (x, v) from the prior, as one chain; none where a prior is flat."""
-    layout, problem = calibration.layout, calibration.problem
-    if layout.improper:
-        return None
-    random = np.random.default_rng([calibration.seed, 2])
-    v = random.standard_normal((PRIOR_DRAWS, len(layout.hypers)))
-    for i, h in enumerate(layout.hypers):
+def _prior_draws(c: Fitted) -> tuple[np.ndarray, np.ndarray]:
+    """Joint draws (x, v) from the prior, as one chain."""
+    random = np.random.default_rng([c.seed, 2])
+    v = random.standard_normal((PRIOR_DRAWS, len(c.layout.hypers)))
+    for i, h in enumerate(c.layout.hypers):
         if isinstance(h.prior, HalfCauchy):
             v[:, i] = random.standard_cauchy(PRIOR_DRAWS)
         if isinstance(h.prior, (HalfCauchy, HalfNormal)):
             v[:, i] = np.log(np.abs(v[:, i]))
-    sd = problem.prior(problem.hyper(v.T), np.ones(problem.size), (PRIOR_DRAWS,)).sd
-    x = problem.mean_of_x + sd * random.standard_normal(sd.shape)
+    sd = c.problem.prior(c.problem.hyper(v.T), np.ones(c.problem.size), (PRIOR_DRAWS,)).sd
+    x = c.problem.mean_of_x + sd * random.standard_normal(sd.shape)
     return x[None], v[None]

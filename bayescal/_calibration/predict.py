@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
@@ -9,7 +10,6 @@ import numpy as np
 from jaxtyping import Float
 
 from bayescal._calibration.calibration import Calibration
-from bayescal._calibration.mixture import with_columns
 from bayescal._calibration.on_readings import moments, replicate
 from bayescal._data.measurements import Measurements
 from bayescal._data.time_in_runs import going_on, run_codes
@@ -79,21 +79,38 @@ def predict(
     """
     known = readings is None
     readings = calibration.readings if readings is None else readings
-    of_runs = calibration.readings.has("run")
-    if of_runs and not readings.has("run") and new_groups and not same_record:
+    new_groups = new_groups and not same_record
+    if calibration.readings.has("run") and not readings.has("run") and new_groups:
         readings = readings.with_column("run", np.full(len(readings), "new"))
-    calibration = with_columns(calibration, readings.columns)
+    calibration = calibration.with_columns(readings.columns)
     calibration.model.require(readings)
     readings = calibration.on_clock(readings)
-    frame = calibration.frame_of(readings)
-    if same_record:
-        new_groups = False
-    if new_groups:
-        frame = _of_new_groups(frame)
-    on = None if known or same_record or not new_groups else _going_on(calibration, readings)
-    if on is not None:
-        return _continued(calibration, readings, on, draws)
-    return _predicted(calibration, readings, frame, same_record, draws)
+    correlated = not calibration.model.noise.independent
+
+    def moments_of(some: Measurements, frame: Frame, on: _GoingOn | None) -> np.ndarray:
+        """Return residual, standard uncertainties of the expected output and of a reading (3, n)."""
+        noise, spread = None, 0.0
+        if on is not None and correlated:
+            noise = _CarriedOn.of(calibration, on.past, on.later, beyond=True)
+            spread = np.append(np.zeros(len(on.past)), noise.found(np.zeros((len(on.past), 1)))[1])
+        found = moments(calibration.problem_on(frame), calibration.draws(draws), noise)
+        model = found.variance + found.beside
+        residual = np.asarray(frame["output"]) - found.mean
+        return np.stack([residual, np.sqrt(model), np.sqrt(model + found.noise + spread)])
+
+    if new_groups and not known:
+        residual, model_sd, sd = _with_past(calibration, readings, moments_of)
+    else:
+        frame = calibration.frame_of(readings)
+        frame = _of_new_groups(frame) if new_groups else frame
+        residual, model_sd, sd = moments_of(readings, frame, None)
+    made = Prediction(readings["output"] - residual, model_sd, sd, residual)
+    if not (same_record and correlated):
+        return made
+    past = np.arange(len(calibration.readings))
+    noise = _CarriedOn.of(calibration, past, readings, beyond=False)
+    mean, spread = noise.found(predict(calibration, new_groups=False).residual[:, None])
+    return replace(made, correlated_noise=mean[:, 0], correlated_noise_sd=np.sqrt(spread))
 
 
 def replicates(
@@ -102,47 +119,45 @@ def replicates(
     """Readings as a calibration expects them, simulated once from each draw: new runs, cells and devices as `predict`
     has them, with deviations of their own; readings that go on with a fitted run have its deviation, and correlated
     noise that is not told by its past."""
-    calibration, random = with_columns(calibration, readings.columns), np.random.default_rng(seed)
-    readings = calibration.on_clock(readings)
+    calibration, random = calibration.with_columns(readings.columns), np.random.default_rng(seed)
 
-    def made(some: Measurements, frame: Frame) -> np.ndarray:
+    def made(some: Measurements, frame: Frame, _: _GoingOn | None) -> np.ndarray:
         members = {per: some.groups(per)[1] for per in frame.codes}
         found = replicate(calibration.problem_on(frame), calibration.draws(draws), random, members)
         return found + (some["output"] - frame["output"])
 
-    on = _going_on(calibration, readings)
-    if on is None:
-        return made(readings, _of_new_groups(calibration.frame_of(readings)))
-    behind = made(on.whole, calibration.frame_of(on.whole))[:, len(on.past) :]
-    found = np.empty((len(behind), len(readings)))
-    found[:, on.rows] = behind
-    if len(on.others):
-        alone = readings.select(on.others)
-        found[:, on.others] = made(alone, _of_new_groups(calibration.frame_of(alone)))
-    return found
+    return _with_past(calibration, calibration.on_clock(readings), made)
 
 
 class _GoingOn(NamedTuple):
     """Readings of which some go on with fitted runs."""
 
     past: np.ndarray  # which of the fitted readings are of these runs
-    rows: np.ndarray  # which of the readings go on,
-    others: np.ndarray  # and which do not
-    later: Measurements  # those that do;
-    whole: Measurements  # and behind the past
+    later: Measurements  # readings that go on
 
 
-def _going_on(calibration: Calibration, readings: Measurements) -> _GoingOn | None:
+def _with_past(
+    calibration: Calibration,
+    readings: Measurements,
+    made: Callable[[Measurements, Frame, _GoingOn | None], np.ndarray],
+) -> Float[np.ndarray, "k n"]:
+    """What is made of readings: of those that go on with fitted runs behind their past, of others as of new runs."""
     fitted = calibration.readings
     runs = going_on(fitted, readings)
     if not runs:
-        return None
+        return made(readings, _of_new_groups(calibration.frame_of(readings)), None)
     rows = np.sort(np.concatenate([*runs.values()]))
     names, codes = run_codes(fitted)
     past = np.flatnonzero(np.isin(codes, [names.index(name) for name in runs]))
     later = readings.select(rows)
     whole = fitted.select(past).followed_by(later)
-    return _GoingOn(past, rows, np.setdiff1d(np.arange(len(readings)), rows), later, whole)
+    behind = made(whole, calibration.frame_of(whole), _GoingOn(past, later))[:, len(past) :]
+    found = np.empty((len(behind), len(readings)))
+    found[:, rows] = behind
+    if len(others := np.setdiff1d(np.arange(len(readings)), rows)):
+        alone = readings.select(others)
+        found[:, others] = made(alone, _of_new_groups(calibration.frame_of(alone)), None)
+    return found
 
 
 def _of_new_groups(frame: Frame) -> Frame:
@@ -151,69 +166,20 @@ def _of_new_groups(frame: Frame) -> Frame:
     return replace(frame, codes=codes)
 
 
-def _predicted(
-    calibration: Calibration, readings: Measurements, frame: Frame, same_record: bool, draws: int
-) -> Prediction:
-    """`predict` of a frame whose groups are known, or are not."""
-    found = moments(calibration.problem_on(frame), calibration.draws(draws))
-    model_variance = found.variance + found.beside
-    total = np.sqrt(model_variance + found.noise)
-    residual = np.asarray(frame["output"]) - found.mean
-    made = Prediction(readings["output"] - residual, np.sqrt(model_variance), total, residual)
-    if not same_record or calibration.model.noise.independent:
-        return made
-    past = np.arange(len(calibration.readings))
-    noise = _CarriedOn.of(calibration, past, readings, beyond=False)
-    left = predict(calibration, new_groups=False).residual
-    mean, spread = noise.found(left[:, None])
-    return replace(made, correlated_noise=mean[:, 0], correlated_noise_sd=np.sqrt(spread))
-
-
-def _continued(
-    calibration: Calibration, readings: Measurements, on: _GoingOn, draws: int
-) -> Prediction:
-    """Readings of which some go on with the fitted record: these behind it, with its past, the others alone."""
-    past, rows, others, later, whole = on
-    frame, noise = calibration.frame_of(whole), None
-    tail, spread = slice(len(past), None), 0.0
-    if not calibration.model.noise.independent:
-        noise = _CarriedOn.of(calibration, past, later, beyond=True)
-        spread = noise.variance
-    found = moments(calibration.problem_on(frame), calibration.draws(draws), noise)
-    model = found.variance[tail] + found.beside[tail]
-    made = {
-        "mean": (whole["output"] - frame["output"] + found.mean)[tail],
-        "model_sd": np.sqrt(model),
-        "sd": np.sqrt(model + found.noise[tail] + spread),
-    }
-    if others.size:
-        apart = predict(calibration, readings.select(others), draws=draws)
-        every = {name: np.zeros(len(readings)) for name in made}
-        for name, values in made.items():
-            every[name][rows], every[name][others] = values, getattr(apart, name)
-        made = every
-    return Prediction(**made, residual=readings["output"] - made["mean"])
-
-
 class _CarriedOn(NamedTuple):
     """What fitted readings say of the correlated noise at others of their runs, at the mode of the law's parameters.
 
     Its mean is linear in what a model leaves of the fitted readings. Each draw of the coefficients leaves its own, so
     that a level that the noise and a coefficient may both hold is uncertain in either, and not in their sum.
-
-    Attributes:
-        law, values: the noise law and its parameters.
-        parts: of each run, which of the fitted readings are its own, their times, the variance of their own noise,
-            of the others which, and their times; and what the law follows, at both.
-        output: of the fitted readings, counted from the fit's origin (n,).
-        count: of the others.
     """
 
     law: Noise
-    values: dict[str, Any]
+    values: dict[str, Any]  # its parameters
+    # Of each run: which of the fitted readings are its own, their times, the variance of their own noise, of the others
+    # which, and their times; and what the law follows, at both.
     parts: list[tuple[Any, ...]]
-    output: np.ndarray
-    count: int
+    output: np.ndarray  # of the fitted readings, counted from the fit's origin (n,)
+    count: int  # of the others
 
     @classmethod
     def of(
@@ -241,18 +207,13 @@ class _CarriedOn(NamedTuple):
         return cls(law, values, parts, np.asarray(frames[0]["output"]), len(readings))
 
     def found(self, left: Float[np.ndarray, "n b"]) -> tuple[np.ndarray, np.ndarray]:
-        """Mean (m, b) and variance (m,); NaN where nothing is said."""
+        """Mean (m, b) and variance (m,), given what is left of the fitted readings; NaN where nothing is said."""
         mean = np.full((self.count, left.shape[1]), np.nan)
         spread = np.full(self.count, np.nan)
         for rows, time, white, others, at, both in self.parts:
             found = self.law.slow_part(self.values, time, left[rows], white, at, both)
             mean[others], spread[others] = found
         return mean, spread
-
-    @property
-    def variance(self) -> Float[np.ndarray, "m"]:
-        """Of the noise, the coefficients known."""
-        return self.found(np.zeros((len(self.output), 1)))[1]
 
     def __call__(self, expected: Float[np.ndarray, "b n"]) -> Float[np.ndarray, "b n"]:
         """Its mean at all readings, the fitted ones first: zero at these, whose noise is not asked for."""

@@ -7,6 +7,7 @@ coefficient by itself the part that is its prior's is one less its contraction.
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any, NamedTuple
@@ -16,7 +17,6 @@ from jaxtyping import Float
 
 from bayescal._calibration.calibration import Calibration
 from bayescal._calibration.judgement import FREE_SIZES
-from bayescal._calibration.mixture import has_effect
 from bayescal._calibration.summary import CONCERNED_SHARE, WEAK_INFORMATION
 from bayescal._core.atomic_file import named_back
 from bayescal._core.errors import InputError
@@ -28,17 +28,13 @@ from bayescal._model.prior import coordinate_variance, slope
 from bayescal._model.unknowns import Unknown
 
 
-@dataclass(frozen=True)
-class VarianceByOrigin:
-    """Two kinds of variance that add up to that of the linearised posterior.
+class VarianceByOrigin(NamedTuple):
+    """Two kinds of variance that add up to that of the linearised posterior."""
 
-    Attributes:
-        readings: from the noise of the readings.
-        priors: from the prior of each unknown, by its name; those of nothing left out.
-    """
-
-    readings: float
-    priors: dict[str, float]
+    readings: float  # from the noise of the readings
+    priors: dict[
+        str, float
+    ]  # from the prior of each unknown, by its name; those of nothing left out
 
 
 def variance_by_origin(
@@ -49,14 +45,8 @@ def variance_by_origin(
     With J the Jacobian of the readings, Σ their noise and D the prior covariance at the fit, the linearised
     posterior covariance P = (JᵀΣ⁻¹J + D⁻¹)⁻¹ splits exactly into P·JᵀΣ⁻¹J·P and P·D⁻¹·P, a sum over priors.
 
-    Args:
-        calibration: a fit.
-        slopes: by name of the coefficient, member ("bias.run(3)") or shape, per reported unit; what is no unknown
-            of the fit is passed over.
-
-    Returns:
-        The split; None if no unknown of the fit counts. Not a number where the readings and priors leave a
-        direction open.
+    Slopes are by the names of unknowns, per reported unit; what is no unknown of the fit is passed over. Of directions
+    that readings and priors leave open nothing is said; None if no unknown of the fit counts.
     """
     layout, linear = calibration.layout, calibration.linear
     moving = layout.moving
@@ -69,38 +59,27 @@ def variance_by_origin(
             weights[layout.size + moving.index(u.v)] = slopes[u.name] * unit
     if not weights.any():
         return None
-    proper = linear.weight
-    information = linear.white_nuisance.T @ linear.white_nuisance  # in units of the priors
-    try:
-        pulled = np.linalg.solve(information + np.diag(proper), weights * linear.sd)
-    except np.linalg.LinAlgError:
-        return VarianceByOrigin(float("nan"), {})
-    readings = max(0.0, float(pulled @ information @ pulled))  # zero, but for rounding
+    pulled = linear.root @ (linear.root.T @ (weights * linear.sd))  # in units of the priors
     names = [b.name for b in layout.x_blocks for _ in range(b.size)]
     names += [layout.hypers[i].name for i in moving]
-    priors: dict[str, float] = {}
-    for name, value in zip(names, proper * pulled**2, strict=True):
-        priors[name] = priors.get(name, 0.0) + float(value)
-    return VarianceByOrigin(readings, {n: v for n, v in priors.items() if v > 0})
+    priors = Counter[str]()
+    for name, value in zip(names, linear.weight * pulled**2, strict=True):
+        priors[name] += float(value)
+    readings = float(np.sum((linear.white_nuisance @ pulled) ** 2))
+    return VarianceByOrigin(readings, {n: value for n, value in priors.items() if value > 0})
 
 
 class KnownByPrior(NamedTuple):
-    """An unknown of which its prior says more than the readings do.
-
-    Attributes:
-        name, unit: as reported.
-        effect: whose it is; None of a hyperparameter.
-        before, now: mean and standard deviation before the readings, and with them; None of a hyperparameter.
-    """
+    """An unknown of which its prior says more than the readings do."""
 
     name: str
     unit: str
-    effect: Effect | None
-    before: tuple[float, float] | None
-    now: tuple[float, float]
+    effect: Effect | None  # None of a hyperparameter
+    before: float | None  # standard deviation before the readings; None of a hyperparameter
+    now: tuple[float, float]  # mean and standard deviation with them
 
     def __str__(self) -> str:
-        before = "" if self.before is None else f", ± {number(self.before[1])} before them"
+        before = "" if self.before is None else f", ± {number(self.before)} before them"
         return (
             f"{self.name} ({with_error(*self.now)} {unit_label(self.unit)}".rstrip() + f"{before})"
         )
@@ -108,15 +87,10 @@ class KnownByPrior(NamedTuple):
 
 @dataclass(frozen=True)
 class NotMeasured:
-    """Of what a quantity is made that was not measured.
+    """Of what a quantity is made that was not measured."""
 
-    Attributes:
-        unknowns: the largest part of its variance first.
-        beside: what they are confounded with that is not of the device.
-    """
-
-    unknowns: tuple[KnownByPrior, ...]
-    beside: tuple[str, ...] = ()
+    unknowns: tuple[KnownByPrior, ...]  # the largest part of its variance first
+    beside: tuple[str, ...] = ()  # what they are confounded with that is not of the device
 
     def __str__(self) -> str:
         return f"the readings tell less of {' and '.join(map(str, self.unknowns))} than was known before"
@@ -147,25 +121,21 @@ class NotMeasured:
         A posterior covariance P and a prior's D leave P⁻¹ − D⁻¹ to the readings. What these hardly tell at all gets a
         thousand plausible sizes. The quantity follows by its regression on the unknowns.
         """
-        own = {one.name: one for one in self.unknowns}
-        draws, there, before = list[np.ndarray](), list[np.ndarray](), list[tuple[float, float]]()
-        for u, b, _ in _with_stated_priors(calibration):
-            if u.name in own:
-                draws.append(calibration.samples(u.name))
-                there.append(has_effect(calibration, u.effect))
-                before.append((b.coefficient.mean, b.coefficient.size))
-        if not draws:
+        names = {one.name for one in self.unknowns}
+        rows = [(u, b.coefficient) for u, b, _ in _with_stated_priors(calibration)]
+        rows = [(u, c) for u, c in rows if u.name in names]
+        if not rows:
             return values
-        mean, sd = np.array(before).T
-        every, present = (np.array(draws).T - mean) / sd, np.array(there).T
-        found = values.copy()
+        draws = [(calibration.samples(u.name) - c.mean) / c.size for u, c in rows]
+        there = [calibration.having[u.effect] for u, _ in rows]
+        every, present, found = np.array(draws).T, np.array(there).T, values.copy()
         for pattern in np.unique(present, axis=0):  # of an average over structures
-            rows = np.all(present == pattern, axis=1)
-            known = every[rows][:, pattern]
+            own = np.all(present == pattern, axis=1)
+            known = every[own][:, pattern]
             if not pattern.any() or len(known) <= 2 * known.shape[1]:
                 continue
             middle = known.mean(axis=0)
-            away, q = known - middle, values[rows]
+            away, q = known - middle, values[own]
             weights, axes = np.linalg.eigh(away.T @ away / len(away))
             weights = np.maximum(weights, np.finfo(float).tiny)
             told = 1 / weights - 1
@@ -175,7 +145,7 @@ class NotMeasured:
             moved = np.where(told > 0, along * wider / weights, along)
             freed = moved + (away @ axes) * np.sqrt(wider / weights)
             slope = axes / weights @ axes.T @ away.T @ (q - q.mean(axis=0)) / len(away)
-            found[rows] = q + (freed @ axes.T - known) @ slope
+            found[own] = q + (freed @ axes.T - known) @ slope
         return found
 
 
@@ -211,15 +181,14 @@ def not_measured(
         return NotMeasured((KnownByPrior(of, unknown.unit, None, None, now),))
     found, shares, counts = list[KnownByPrior](), list[np.ndarray](), list[bool]()
     total = values.var(axis=0) + scatter**2
-    there = {e.name: has_effect(calibration, e.name) for e in calibration.model.effects}
     for u, b, acting in _with_stated_priors(calibration):
-        among = there[u.effect]
+        among = calibration.having[u.effect]
         if among.mean() <= rare:
             continue
-        before, inside = (b.coefficient.mean, b.coefficient.size), values[among]
+        before, inside = b.coefficient.size, values[among]
         own = calibration.samples(u.name)[among]
         covariance = (own - own.mean()) @ (inside - inside.mean(axis=0)) / len(own)
-        part = among.mean() * (covariance / before[1]) ** 2
+        part = among.mean() * (covariance / before) ** 2
         shares.append(part / np.where(total > 0, total, np.inf))
         now = float(own.mean()), float(own.std())
         found.append(KnownByPrior(u.name, u.unit, b.effect, before, now))
@@ -266,25 +235,16 @@ def _with_stated_priors(
 def prior_sensitivity(calibration: Calibration) -> Any:
     """How much each posterior moves when the prior, or the likelihood, is scaled a little (ArviZ's psense).
 
-    Returns:
-        ArviZ's table: columns prior, likelihood (sensitivities; above 0.05 matters) and diagnosis; a row for each
-        unknown.
-
-    Raises:
-        InputError: no unknown has a proper prior.
+    A table of ArviZ's: columns prior, likelihood (sensitivities; above 0.05 matters) and diagnosis, a row for each
+    unknown. Raises InputError if no unknown has a proper prior.
     """
-    import xarray as xr
     from arviz_stats.psense import psense_summary  # a second that only this needs
 
-    priors, posterior = (calibration.tree[n].to_dataset() for n in ("log_prior", "posterior"))
-    if not len(priors.data_vars):
+    tree = calibration.with_log_likelihood()
+    if not tree["log_prior"].data_vars:
         raise InputError("every prior is flat: there is no prior to be sensitive to")
-    likelihood = calibration.log_likelihood()
-    step = -(-posterior.sizes["draw"] // likelihood.sizes["draw"])
+    posterior = tree["posterior"].to_dataset()
     spread, size = posterior.std(), abs(posterior.mean())
-    moved = [n for n in posterior.data_vars if float(spread[n]) > 1e-12 * float(size[n])]
-    posterior = posterior[moved]  # what is held at an estimate has nothing to move
-    every = slice(None, None, step)
-    thinned = {"posterior": posterior.isel(draw=every), "log_prior": priors.isel(draw=every)}
-    tree = xr.DataTree.from_dict({**thinned, "log_likelihood": likelihood})
+    held = [n for n in posterior.data_vars if not float(spread[n]) > 1e-12 * float(size[n])]
+    tree["posterior"].dataset = posterior.drop_vars(held)  # what is held has nothing to move
     return psense_summary(tree).rename(index=named_back)

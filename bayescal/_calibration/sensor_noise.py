@@ -1,31 +1,45 @@
-"""The noise of a sensor at rest as data sheets and filters want it: Q, N, B, K with intervals, and the Allan curve."""
+"""Noise of a sensor at rest: Q, N, B and K of IEEE 952 with intervals, by the likelihood of sums of noise terms.
+
+Every sum is fitted to the spectrum of the readings, levels of runs and a cubic over temperature integrated out beside
+it (restricted likelihood); the sums are weighed by their evidence, and the parameters of the probable ones drawn by
+importance sampling. Lost readings are drawn from the noise law, given the others, and the sums fitted anew (data
+augmentation).
+
+N is the density along which the Allan deviation falls with slope −½ (IEEE 952, C.1.2). A low-pass, a moving average, an
+interpolation or a held output correlates readings over times shorter than those: where the deviation falls so only from
+means of m readings on, all is read from these means. Of a process that is short against T they are white noise, but for
+a correlation of neighbours.
+
+Sources: D. Harville, J. Am. Stat. Assoc. 72 (1977) 320 (restricted likelihood); M. Tanner and W. Wong, J. Am. Stat.
+Assoc. 82 (1987) 528 (data augmentation); IEEE Std 952-1997, Annex C.
+"""
 
 from __future__ import annotations
 
+import itertools
 import math
-from collections.abc import Mapping
+from collections import Counter
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 from jaxtyping import Float
+from numpy.polynomial.legendre import legvander
+from scipy.fft import dct, idct
+from scipy.special import ndtri, softmax
 
 from bayescal._calibration.claim import Claim
-from bayescal._calibration.noise_at_rest import (
-    AVERAGED,
-    ROUNDED,
-    RestingSum,
-    WeighedNoise,
-    weigh_noise,
-)
+from bayescal._calibration.noise_in_time import allan_rows
 from bayescal._core import deadline
 from bayescal._core.errors import InputError
 from bayescal._core.formatting import number, probability
+from bayescal._core.importance_weights import resample
+from bayescal._core.parallel import on_one_thread
 from bayescal._core.result_table import Printed, ResultTable, plain_table
+from bayescal._core.settings import settings
 from bayescal._data.allan_deviation import (
-    ALLAN_READINGS,
     CONFIDENCE,
-    FULL_SHARE,
     AllanDeviation,
     EvenRuns,
     degrees_of_freedom,
@@ -33,22 +47,67 @@ from bayescal._data.allan_deviation import (
     habit,
     noise_types,
     of_runs,
+    overlapping,
 )
 from bayescal._data.measurements import Measurements
 from bayescal._data.unit_conversion import STANDARD_GRAVITY, parse, unit_label
+from bayescal._inference.density import NOWHERE
+from bayescal._inference.newton import ByValues, GaussianFit, climb, gaussian_fit
+from bayescal._inference.noise_nodes import EvenSpectrum
+from bayescal._inference.sampling import importance_draws
 from bayescal._model.noise_law import WHITE
-from bayescal._model.noise_terms import FLAT
+from bayescal._model.noise_spectrum import eigenvalues
+from bayescal._model.noise_terms import FLAT, TERMS
+from bayescal._model.prior import HalfCauchy, Positive
+from bayescal._model.summed_noise import SummedNoise, SumOfTerms
 
+# Share of the probability of the likeliest noise law of a sensor at rest, from which another one has its share of the
+# draws; a tenth of them would be too few for figures of its own.
+DRAWN_SHARE = 0.1
+# Standard deviations by which the correlation of neighbouring readings must leave that of readings farther apart,
+# before quantisation noise is tried, or means are taken.
+NEIGHBOURS_SD = 2.0
+# Standard deviations by which a frequency must stand above its neighbours in a record's spectrum, before a tone is
+# tried.
+LINE_SD = 4.5
+# Standard deviations of either, from which every sum has that term; the best one is weighed without it all the same.
+SURE_SD = 6.0
+# Slope of the Allan deviation over two octaves where it falls along N: of what is left of a low-pass of the time T it
+# is so steep from means over 3.4·T on, of which only neighbours are correlated by more than a hundredth.
+LEVEL_SLOPE = -0.35
+FEWEST_MEANS = 64  # whose slope is known to 0.1
+HELD_SHARE = 0.05  # of neighbours that are equal, from which an output with digits enough is held
+MAX_HELD_RATIO = 4.0  # of the time for which a value stands, to the mean
+SHORT_STEPS = 3.0  # correlation time, below which a process is part of N: its density is level over these octaves
+# °C, range of a temperature at rest, below which it is taken as constant: two steps of a thermometer that is read to
+# 0.1 °C.
+STIRRED_DEGREES = 0.2
+
+
+Terms = tuple[str, ...]  # names of those of a sum, beside white noise
+DEGREE = 3  # of the polynomial over temperature: a sensor's own law is rarely of more in one soak
+IMPUTATIONS = 6  # of lost readings; the first begins far from them and does not count
+SLOW = ("walk", "flicker", "correlated")  # terms of which a sum has two at most,
+NOT_TWICE = (("walk", "walk"), ("flicker", "flicker"))  # but none of these
+TONE: Terms = ("noise.tone", "noise.tone.frequency", "noise.tone.time")
+ROUNDED, AVERAGED = "quantisation", "averaging"  # of neighbouring readings alone
+# Of five values at 2 to 6: what the straight line through them has at 1.
+LINE = 0.2 - 0.3 * np.arange(-2, 3)
+WINDOW = 64  # readings of the shortest spectra in which a line is looked for; others are twice as long, and so on
+WINDOWS = 8  # of the longest, at least
+# Places of a spectrum from a line to what it stands above: a window's own width is 2.
+BESIDE = np.array([3, 4, 5, 6])
+LINE_BLOCKS = 256  # of a run, along which the phase of a line is followed
+COHERENT_SHARE = 0.25  # of the longest run, for which a line keeps its phase
+SMOOTH = 0.02  # relative, of a spectrum without lines over as many places: it bends where one noise takes over another
+STARTS = 2  # of the starts tried, those from which a maximum is looked for
+DRAWS = 2048  # of each sum
+KEPT = 2048  # of them by their weights, over all sums together
 SHOWN_PROBABILITY = 0.01  # probability from which a noise law is printed
 # Quantile of the posterior of N and K that a filter is given: noise taken as too small makes it overconfident.
 FILTER_QUANTILE = 0.95
 # Share of the law's Allan deviation, that a filter's two terms must reach at every averaging time.
 FILTER_REACHES_SHARE = 0.95
-# Times the usual change between neighbouring averages at rest, beyond which one is an event and no noise: of thirty
-# that are normal, the largest reaches it once in ten thousand records.
-EVENT_RATIO = 7.0
-
-NORMAL_MEDIAN = 0.6745  # standard deviations: the median absolute value of a normal number
 SHOWN_SUMS = 4  # sums that are printed with their probabilities
 # Averaging times at which a record may lie outside the law's 95 % interval: one in 20 does, and neighbours together.
 MAX_OUTSIDE = 2
@@ -56,26 +115,17 @@ MAX_OUTSIDE = 2
 
 @dataclass(frozen=True)
 class NoiseFigure:
-    """A number of a noise law with its 95 % credible interval, in the unit of data sheets and in SI units.
+    """A number of a noise law with its 95 % credible interval, in the unit of data sheets and in SI units."""
 
-    Attributes:
-        symbol: of IEEE 952, or what else it is.
-        name: as a data sheet says it.
-        unit, si_unit: of data sheets; and in base units.
-        value, low, high: median and interval, in `unit`.
-        si: the same three in `si_unit`.
-        bound: whether nothing of it is seen in the record: `high` alone is known, or not even that (infinite).
-    """
-
-    symbol: str
-    name: str
-    unit: str
-    value: float
+    symbol: str  # of IEEE 952, or what else it is
+    name: str  # as a data sheet says it
+    unit: str  # of data sheets
+    value: float  # the median
     low: float
     high: float
     si_unit: str
-    si: tuple[float, float, float]
-    bound: bool = False
+    si: tuple[float, float, float]  # the same three in base units
+    bound: bool = False  # nothing of it is seen: `high` alone is known, or not even that (infinite)
 
     def row(self) -> list[str]:
         """As printed."""
@@ -138,13 +188,14 @@ class SensorNoise(Printed):
     def _parts(self) -> list[str | ResultTable]:
         rows = [figure.row() for figure in self.figures]
         terms = plain_table(["term", "value", "95 % interval", "SI"], rows, fold=40)
-        likely = [(w, p) for w, p in self.probabilities.items() if p >= SHOWN_PROBABILITY][
-            :SHOWN_SUMS
+        likely = [
+            f"{w} {probability(p)}" for w, p in self.probabilities.items() if p >= SHOWN_PROBABILITY
         ]
-        laws = ", ".join(f"{words} {probability(p)}" for words, p in likely)
-        said = [f"Noise law: {laws}.", *(f"Note: {note}" for note in self.notes)]
-        unit = unit_label(self.unit)
-        m = self.measured
+        said = [
+            f"Noise law: {', '.join(likely[:SHOWN_SUMS])}.",
+            *(f"Note: {note}" for note in self.notes),
+        ]
+        m, unit = self.measured, unit_label(self.unit)
         head = ["τ [s]", "Allan deviation", "noise law", "95 % of such records"]
         columns = (m.tau, m.deviation, self.expected, self.estimate_low, self.estimate_high)
         curve = [
@@ -179,9 +230,6 @@ class SensorNoise(Printed):
 
     def data(self) -> dict[str, Any]:
         """Plain numbers, for JSON."""
-        m = self.measured
-        names = ("tau", "deviation", "low", "high", "law", "law_low", "law_high")
-        columns = (m.tau, m.deviation, m.low, m.high, self.expected, self.low, self.high)
         n, k = self.for_filter()
         return {
             "file": self.file,
@@ -190,13 +238,8 @@ class SensorNoise(Printed):
             "law": self.law,
             "probabilities": dict(self.probabilities),
             "figures": [{**vars(f), "si": list(f.si)} for f in self.figures],
-            "curve": [
-                dict(zip(names, map(float, row), strict=True)) for row in zip(*columns, strict=True)
-            ],
-            "for_filter": {
-                **{"quantile": FILTER_QUANTILE, "N": n, "K": k},
-                "horizon": self.horizon,
-            },
+            "curve": allan_rows(self.measured, self.expected, self.low, self.high),
+            "for_filter": {"quantile": FILTER_QUANTILE, "N": n, "K": k, "horizon": self.horizon},
             "claims": [claim.data() for claim in self.claims],
         }
 
@@ -226,7 +269,7 @@ def noise(readings: Measurements, *, seed: int = 0, time_limit: float | None = N
                 f"as readings.select(readings[{group!r}] == {levels[0]!r})"
             )
     with deadline.until(time_limit):
-        found = weigh_noise(readings, seed)
+        found = _weigh(readings, seed)
     step = even_runs(readings).step
     readings, runs, unit = found.readings, found.runs, readings.unit("output") or ""
     measured = of_runs(readings, np.asarray(readings["output"], float), runs)
@@ -237,15 +280,14 @@ def noise(readings: Measurements, *, seed: int = 0, time_limit: float | None = N
     random = np.random.default_rng(seed)
     spread = np.sqrt(draws * random.chisquare(edf, draws.shape) / edf)
     estimate_low, estimate_high = np.quantile(spread, [tail, 1 - tail], axis=0)
-    outside = (measured.deviation < estimate_low) | (measured.deviation > estimate_high)
-    claims = [*found.claims, *_events(readings, runs)]
+    claims, held = list(found.claims), runs.step / (found.count or 1) / step
     if found.count is None:
         claims.insert(0, Claim("noise.no_level", "N", name=habit(unit).names[0]))
     elif found.count > 1:
         claims.insert(0, Claim("noise.means", "N", time=runs.step, count=found.count))
-    held = runs.step / (found.count or 1) / step
     if held > 1:
         claims.insert(0, Claim("noise.held", "N", times=held))
+    outside = (measured.deviation < estimate_low) | (measured.deviation > estimate_high)
     if outside.sum() > MAX_OUTSIDE:
         at = tuple(number(t) for t in measured.tau[outside])
         claims.append(Claim("noise.outside", count=len(at), times=len(outside), taus=at))
@@ -268,29 +310,482 @@ def noise(readings: Measurements, *, seed: int = 0, time_limit: float | None = N
     )
 
 
-def _events(readings: Measurements, runs: EvenRuns) -> tuple[Claim, ...]:
-    """The largest change between neighbouring averages, if stationary Gaussian noise has none such."""
-    output, times = (runs.of(np.asarray(readings[name], float)) for name in ("output", "time"))
-    worst, said = EVENT_RATIO, ()
-    for own, time in zip(output, times, strict=True):
-        for m in runs.factors.astype(int):
-            count = len(own) // m
-            if count <= ALLAN_READINGS:
-                break
-            parts = own[: count * m].reshape(count, m)
-            full = np.flatnonzero(np.isfinite(parts).mean(axis=1) >= FULL_SHARE)
-            jumps = np.abs(np.diff(np.nanmean(parts[full], axis=1)))
-            usual = float(np.median(jumps)) / NORMAL_MEDIAN
-            at = int(np.argmax(jumps))
-            if jumps[at] > worst * usual > 0:
-                worst, when = (
-                    float(jumps[at]) / usual,
-                    float(time[0] + runs.step * m * full[at + 1]),
-                )
-                event = {"at": when, "over": runs.step * m, "change": float(jumps[at])}
-                unit = readings.unit("output") or ""
-                said = (Claim("noise.event", **event, unit=unit, times=worst),)
-    return said
+class RestingSum(SumOfTerms):
+    """A sum of terms on evenly spaced readings; unlike `SummedNoise` it may be white noise alone."""
+
+    shortest: float  # the step between readings,
+    longest: float  # and about that of the longest run, s
+    terms: Terms
+    scale: Positive = HalfCauchy(1.0)  # priors of standard deviations, output unit
+    correlated: Positive = HalfCauchy(1.0)
+    gaussian: ClassVar[bool] = True
+    law: ClassVar[str] = "sum_at_rest"
+    independent: ClassVar[bool] = False
+
+
+class RestNoise(NamedTuple):
+    """A sum of noise terms fitted to a channel at rest."""
+
+    terms: Terms  # beside white noise
+    draws: dict[str, np.ndarray]  # parameters, in output units and seconds (d,); equally probable
+    law: SumOfTerms  # with these parameters
+
+    def density(self, step: float) -> Float[np.ndarray, "d"]:
+        """Return N at each draw, output unit times √s, of readings `step` s apart.
+
+        White noise, as it is or averaged, and each Ornstein–Uhlenbeck process of a few steps: of the variance s² and a
+        correlation ρ of neighbours it has the spectral density s²·(1 + ρ)/(1 − ρ) per reading at low frequencies.
+        """
+        variance = self.draws[WHITE] ** 2 + self.draws.get(f"noise.{AVERAGED}", 0.0) ** 2
+        derived = {**self.draws, **self.law.derived(self.draws)}
+        for place in range(1, 1 + self.terms.count("correlated")):
+            size, time = (derived[f"noise.correlated{place}.{what}"] for what in ("size", "time"))
+            short = time <= SHORT_STEPS * step
+            variance = variance + np.where(short, size**2 / np.tanh(0.5 * step / time), 0.0)
+        return np.sqrt(variance * step)
+
+    def allan_variance(self, factors: Float[np.ndarray, "k"], step: float) -> np.ndarray:
+        """Of the law at each draw (d, k), output unit squared."""
+        total = self.draws[WHITE] ** 2 + self.law.slow_variance(self.draws)
+        return self.law.allan_variance(self.draws, total, factors, step)
+
+
+class _AtRest(NamedTuple):
+    """A channel at rest."""
+
+    columns: Sequence[np.ndarray]  # of its runs (n, r); the last the output, the others taken out
+    spectrum: EvenSpectrum
+    size: float  # standard deviation of neighbours, output unit
+    longest: float  # run, a power of two of steps, s
+    tau: np.ndarray  # averaging times, s,
+    allan: np.ndarray  # and variances, output unit squared
+    line: Mapping[str, float]  # a tone to begin with; none if empty
+
+    def law(self, terms: Terms) -> RestingSum:
+        scale = HalfCauchy(self.size)
+        return RestingSum(self.spectrum.step, self.longest, terms, scale, scale)
+
+    def log_density(self, terms: Terms) -> Callable[[Float[np.ndarray, "s d"]], np.ndarray]:
+        """Return the log posterior density of coordinates of a sum's parameters, levels and curve integrated out."""
+        law = self.law(terms)
+        priors = law.parameters()
+
+        def values(v: Float[np.ndarray, "s d"]) -> Float[np.ndarray, "s"]:
+            own = {n: p.value(v[:, i]) for i, (n, p) in enumerate(priors.items())}
+            prior = sum(p.log_density(v[:, i]) for i, p in enumerate(priors.values()))
+            found = self.spectrum.log_likelihood(law, own) + prior
+            return np.where(np.isfinite(found), found, NOWHERE)
+
+        return values
+
+
+class WeighedNoise(NamedTuple):
+    """Sums of noise terms, weighed."""
+
+    drawn: Sequence[RestNoise]  # the probable sums, draws in proportion to their probability
+    walk: np.ndarray  # draws of a random walk in the most probable sum: a bound, where it has none
+    probabilities: dict[Terms, float]  # the most probable first
+    claims: tuple[Claim, ...]  # what was done to the record
+    readings: Measurements  # the record, or means of it
+    runs: EvenRuns  # of these
+    count: int | None  # readings in a mean; None where no Allan deviation falls with slope −½
+
+
+@on_one_thread
+def _weigh(readings: Measurements, seed: int) -> WeighedNoise:
+    """Weigh sums of noise terms on a channel at rest, and draw the parameters of the probable ones; see `noise`."""
+    output = np.asarray(readings["output"], float)
+    runs = _without_repeats(output, even_runs(readings))
+    count = _level_count(output, runs)
+    # Means of a process that is short against their time are white, but for what neighbours share.
+    base: Terms = ()
+    if count is not None and count > 1:
+        readings, runs = _means_of(readings, runs, count)
+        base = (AVERAGED,)
+    columns, size, claims = _columns(readings, runs)
+    output = np.asarray(readings["output"], float)
+    clear, line = _line(output, runs)
+    limits = {"tone": (clear, LINE_SD)}
+    if not base:
+        negative = _negative(output, runs)
+        limits[ROUNDED if negative > 0 else AVERAGED] = abs(negative), NEIGHBOURS_SD
+    further = tuple(term for term, (sigmas, limit) in limits.items() if sigmas > limit)
+    kept = tuple(term for term in further if limits[term][0] > SURE_SD)
+    variance, _ = overlapping(output, runs)
+    longest = runs.step * 2.0 ** math.ceil(math.log2(max(runs.lengths)))
+    per_reading = dict(zip(TONE, (1.0, 1 / runs.step, runs.step), strict=True))
+    line = {name: per_reading[name] * value for name, value in line.items()}
+    made = size, longest, runs.factors * runs.step, variance, line
+    law, values = RestingSum(runs.step, longest, ("walk",)), {WHITE: size}
+    values["noise.walk"] = math.sqrt(3 * variance[-1] / (runs.factors[-1] * runs.step))
+    random, mean = np.random.default_rng(seed), Counter[Terms]()
+    parts = list[tuple[list[RestNoise], np.ndarray, dict[Terms, float]]]()
+    end = deadline.current()
+    end.defer_interrupt()
+    for k in range(IMPUTATIONS if runs.lost else 1):
+        filled = [_filled(own, law, values, runs.step, random) for own in columns]
+        lines = [line[TONE[1]]] if "tone" in further else []
+        channel = _AtRest(filled, EvenSpectrum(filled, runs.step, lines), *made)
+        fits: dict[Terms, GaussianFit] = {base: _fit(channel, base, {})}
+        try:
+            for terms in _sums(fits, base, further, kept):
+                end.ask()
+                fits[terms] = _fit(channel, terms, fits)
+        except deadline.TimeIsUp:
+            claims.append(Claim("noise.ended", why=end.why))
+        parts.append(_drawn_sums(channel, fits, seed + k))
+        best = parts[-1][0][0]
+        law, values = best.law, {n: float(d[0]) for n, d in best.draws.items()}
+        if end.over:
+            break
+    # The mixture of what several imputations of lost readings say.
+    parts = parts[-(IMPUTATIONS - 1) :]
+    for *_, probabilities in parts:
+        mean.update({terms: p / len(parts) for terms, p in probabilities.items()})
+    drawn = sorted((n for own, *_ in parts for n in own), key=lambda n: -mean[n.terms])
+    walk = np.concatenate([walk for _, walk, _ in parts])
+    probable = dict(mean.most_common())
+    return WeighedNoise(drawn, walk, probable, tuple(claims), readings, runs, count)
+
+
+def _sums(
+    fits: Mapping[Terms, GaussianFit], base: Terms, further: Terms, kept: Terms
+) -> Iterator[Terms]:
+    """Yield the sums that are weighed beside the least one, `base`: of two slow terms at most, and any of `further`.
+
+    All but the least have the terms `kept`; the best of those that are fitted is weighed without each of them at the
+    end, as what is correlated over a few readings looks like these terms too.
+    """
+    pairs = [p for p in itertools.combinations_with_replacement(SLOW, 2) if p not in NOT_TWICE]
+    counts = range(len(further) + 1)
+    brief = [{*some, *kept} for k in counts for some in itertools.combinations(further, k)]
+    slow = [(), *((term,) for term in SLOW), *pairs]
+    sums = {_sorted((*base, *one, *b)) for one in slow for b in brief} - {base}
+    yield from sorted(sums, key=lambda terms: (len(terms), terms))
+    best = next(iter(_totals(fits)))
+    yield from {tuple(t for t in best if t != term) for term in kept} - {*fits}
+
+
+def _drawn_sums(
+    channel: _AtRest, fits: dict[Terms, GaussianFit], seed: int
+) -> tuple[list[RestNoise], np.ndarray, dict[Terms, float]]:
+    """Draws of the probable sums, of a random walk in the most probable one, and the probability of each sum."""
+    sampled = dict[Terms, tuple[np.ndarray, np.ndarray]]()  # and their weights
+
+    def sample(terms: Terms) -> float:
+        values = channel.log_density(terms)
+        v, weights, evidence = importance_draws(values, fits[terms], seed, DRAWS)
+        sampled[terms] = v, weights
+        return evidence
+
+    while True:
+        totals = _totals(fits)
+        shares = softmax(list(totals.values()))
+        probabilities = dict(zip(totals, shares.tolist(), strict=True))
+        probable = [t for t, share in probabilities.items() if share > DRAWN_SHARE * shares[0]]
+        if not (fresh := [t for t in probable if t not in sampled]):
+            break
+        # By the weights of draws a sum whose posterior is bent has less evidence than by its curvature at the mode.
+        for terms in fresh:
+            fits[terms] = fits[terms]._replace(log_evidence=sample(terms))
+    drawn = [_drawn(channel, t, *sampled[t], seed, probabilities[t]) for t in probable]
+    walk = drawn[0]
+    if "walk" not in walk.terms:
+        further = _sorted((*walk.terms, "walk"))
+        if further not in fits:
+            fits[further] = _fit(channel, further, fits)
+        if further not in sampled:
+            sample(further)
+        walk = _drawn(channel, further, *sampled[further], seed, 1.0)
+    return drawn, walk.draws["noise.walk"], probabilities
+
+
+def _changes(output: Float[np.ndarray, "n"], runs: EvenRuns) -> Float[np.ndarray, "k"]:
+    """Return the differences of neighbouring readings."""
+    changes = np.concatenate([np.diff(own) for own in runs.of(output)])
+    return changes[np.isfinite(changes)]
+
+
+def _without_repeats(output: Float[np.ndarray, "n"], runs: EvenRuns) -> EvenRuns:
+    """Return the first reading of each value of a held output, at their mean step; of another one, all readings.
+
+    Of neighbours that differ by about m, 0.27·g/m are equal by rounding to steps of g; of a held output many more are,
+    and no value stands much longer than others, as in one that is stuck for a while.
+    """
+    changes = np.abs(_changes(output, runs))
+    changed = changes[changes > 0]
+    least = np.min(np.diff(np.unique(output)), initial=math.inf)
+    rounded = least / np.median(changed) if len(changed) else 1.0
+    there = [r[r >= 0] for r in runs.rows]
+    first = [np.append(True, np.diff(output[own]) != 0) for own in there]
+    longest = max(int(np.diff(np.flatnonzero(f), append=len(f)).max()) for f in first)
+    held = len(changed) < (1 - max(HELD_SHARE, rounded)) * len(changes)
+    if not held or longest * len(changed) > MAX_HELD_RATIO * len(changes):
+        return runs
+    span = sum(len(r) - 1 for r in runs.rows) * runs.step
+    rows = tuple(own[f] for own, f in zip(there, first, strict=True))
+    return EvenRuns(rows, span / sum(len(r) - 1 for r in rows))
+
+
+def _level_count(output: Float[np.ndarray, "n"], runs: EvenRuns) -> int | None:
+    """Return how many readings a mean has from which on the Allan deviation falls with slope −½; None if none has.
+
+    A narrow line is left out: its Allan deviation rises and falls over a period. Single readings are taken where they
+    may be level, by two standard deviations, and are not correlated with their neighbours: with others they were, too.
+    """
+    clear, line = _line(output, runs)
+    variance, _ = overlapping(output, runs)
+    if clear > LINE_SD:
+        law = SummedNoise(1.0, 2.0 * len(output), ("tone",))
+        variance -= law.allan_variance({WHITE: 0.0, **line}, line[TONE[0]] ** 2, runs.factors, 1.0)
+    limit = 4.0 ** (2 * LEVEL_SLOPE) * variance[:-2]
+    limit[:1] *= 1 + NEIGHBOURS_SD * np.sqrt(
+        2 / degrees_of_freedom(runs, np.zeros(len(variance)))[2:3]
+    )
+    level = variance[2:] <= limit
+    level[1:] &= sum(runs.lengths) >= FEWEST_MEANS * runs.factors[1:-2]
+    level[:1] &= clear > LINE_SD or _negative(output, runs) > -NEIGHBOURS_SD
+    return int(runs.factors[np.argmax(level)]) if level.any() else None
+
+
+def _means_of(readings: Measurements, runs: EvenRuns, count: int) -> tuple[Measurements, EvenRuns]:
+    """Return means of `count` readings that follow each other; one of fewer than half of them is lost."""
+    parts = [r[: len(r) // count * count].reshape(-1, count) for r in runs.rows if len(r) >= count]
+    there = [2 * np.sum(part >= 0, axis=1) >= count for part in parts]
+    full = np.concatenate([part[own] for part, own in zip(parts, there, strict=True)])
+    means = readings.select(full.max(axis=1))
+    for name in readings.columns:
+        if readings.unit(name) is not None:
+            values = np.where(full >= 0, readings[name][full], 0.0)
+            means = means.with_column(name, values.sum(axis=1) / np.sum(full >= 0, axis=1))
+    place = np.split(np.cumsum(np.concatenate(there)) - 1, np.cumsum([len(t) for t in there])[:-1])
+    rows = tuple(np.where(own, at, -1) for own, at in zip(there, place, strict=True))
+    return means, EvenRuns(rows, count * runs.step)
+
+
+def _sorted(terms: Terms) -> Terms:
+    """As a sum has them."""
+    return tuple(sorted(terms, key=list(TERMS).index))
+
+
+def _negative(output: Float[np.ndarray, "n"], runs: EvenRuns) -> float:
+    """Return how surely neighbours are correlated negatively, as rounded angles are, in standard deviations.
+
+    Half the mean square of differences k readings apart is γ₀ − γₖ, which slow noise lets rise steadily: where it
+    begins above what it comes to from two apart on (or below), neighbours are correlated negatively (or positively).
+    """
+    squares, counts = np.zeros(len(LINE) + 1), np.zeros(len(LINE) + 1)
+    for own in runs.of(output):
+        for k in range(1, min(len(own), len(squares) + 1)):
+            apart = own[k:] - own[:-k]
+            apart = apart[np.isfinite(apart)]
+            squares[k - 1] += 0.5 * float(apart @ apart)
+            counts[k - 1] += len(apart)
+    rise = squares / counts
+    expected = float(LINE @ rise[1:])
+    # Each γₖ of n readings of white noise, of the variance γ₀, has the variance γ₀²/n.
+    deviation = abs(expected) * math.sqrt((1 + float(LINE @ LINE)) / counts[0])
+    return float(rise[0] - expected) / deviation
+
+
+def _line(output: Float[np.ndarray, "n"], runs: EvenRuns) -> tuple[float, dict[str, float]]:
+    """How surely the longest run has a narrow line, in standard deviations; and a tone to begin with, for one reading.
+
+    A frequency counts against the geometric mean of both sides, which takes out any slope of the spectrum; of the mean
+    of k windows, the logarithm of this ratio has a standard deviation of about 1/√k.
+    """
+    run, best, found = max(runs.of(output), key=len), 0.0, dict[str, float]()
+    run = np.where(np.isfinite(run), run, np.nanmean(run))
+    length = WINDOW
+    while (count := len(run) // length) >= WINDOWS:
+        parts = run[: count * length].reshape(count, length)
+        window = np.hanning(length)
+        lines = np.fft.rfft((parts - parts.mean(axis=1)[:, None]) * window, axis=1)
+        # One-sided, so that its mean over frequencies to ½ per reading is twice the variance.
+        power = 2 * np.mean(np.abs(lines) ** 2, axis=0) / float(window @ window)
+        at = np.arange(BESIDE[-1] + 1, len(power) - BESIDE[-1] - 1)
+        low, high = (power[at[:, None] + sign * BESIDE].mean(axis=1) for sign in (-1, 1))
+        around = np.sqrt(low * high)
+        sigmas = np.log(power[at] / around) / (1 / math.sqrt(count) + SMOOTH)
+        if sigmas[k := int(np.argmax(sigmas))] > best:
+            # Such a window spreads a line over 1.5 places.
+            size = math.sqrt(1.5 * float(power[at[k]] - around[k]) / length)
+            best, tone = float(sigmas[k]), (size, float(at[k]) / length, float(length))
+            found = dict(zip(TONE, tone, strict=True))
+        length *= 2
+    if found:  # at the strongest place of the whole run's spectrum within that window's width
+        power = np.abs(np.fft.rfft((run - run.mean()) * np.hanning(len(run))))
+        low, high = (round((found[TONE[1]] + side / found[TONE[2]]) * len(run)) for side in (-1, 1))
+        found[TONE[1]] = (max(low, 1) + float(np.argmax(power[max(low, 1) : high]))) / len(run)
+    return best, found
+
+
+def _totals(fits: Mapping[Terms, GaussianFit]) -> dict[Terms, float]:
+    """Return log evidence and log prior of sums, the most probable first.
+
+    The least sum, the first, has one half of the prior; of the others those of one term more have half as much,
+    together.
+    """
+    (base, *others), level = fits, settings().prior_complete
+    counts = Counter(map(len, others))
+    share = {terms: 2.0 ** -len(terms) / counts[len(terms)] for terms in others}
+    prior = {base: level} | {t: (1 - level) * s / sum(share.values()) for t, s in share.items()}
+    totals = {terms: fit.log_evidence + math.log(prior[terms]) for terms, fit in fits.items()}
+    return dict(sorted(totals.items(), key=lambda item: -item[1]))
+
+
+def _columns(
+    readings: Measurements, runs: EvenRuns
+) -> tuple[list[Float[np.ndarray, "n r"]], float, list[Claim]]:
+    """Return the curve over temperature, if it moves, and the output of each run, NaN where a reading was lost;
+
+    with the standard deviation of neighbours, output unit, and what was done.
+    """
+    output, claims = np.asarray(readings["output"], float), list[Claim]()
+    changes = _changes(output, runs)
+    size = float(np.median(np.abs(changes - np.median(changes)))) * 1.4826 / math.sqrt(2)
+    if not size > 0:
+        raise InputError(
+            f"{readings.file}: more than half of the readings are equal to their neighbours, so the output is rounded "
+            "more coarsely than its noise: record it with more digits"
+        )
+    columns = (output - np.median(output))[:, None]
+    if readings.has("temperature") and float(np.ptp(readings["temperature"])) > STIRRED_DEGREES:
+        temperature = np.asarray(readings["temperature"], float)
+        place = 2 * (temperature - temperature.min()) / np.ptp(temperature) - 1
+        columns = np.column_stack([legvander(place, DEGREE)[:, 1:], columns])
+        claims.append(Claim("noise.temperature", "temperature", degree=DEGREE))
+    if runs.lost:
+        claims.append(Claim("noise.lost", share=runs.lost))
+    parts = [np.where((r < 0)[:, None], np.nan, columns[r]) for r in runs.rows if len(r) > 1]
+    return parts, size, claims
+
+
+def _filled(
+    columns: Float[np.ndarray, "n r"],
+    law: SumOfTerms,
+    values: Mapping[str, float],
+    step: float,
+    random: np.random.Generator,
+) -> Float[np.ndarray, "n r"]:
+    """Return a run whose lost readings are drawn from a noise law, given the others; its curve is interpolated.
+
+    With the precision Q = CᵀD⁻¹C, C the cosine transform and D the density in frequency (but for a run's ends), and m
+    the lost places, Q_mm·x_m = (CᵀD^(−½)·ε)_m − (Q·x)_m, where x is zero at m and ε standard normal, has their mean
+    and their covariance Q_mm⁻¹. The level is free: 1/D is taken as zero at frequency zero.
+
+    Source: G. Papandreou and A. Yuille, Advances in Neural Information Processing Systems 23 (2010) 1858.
+    """
+    lost, n = np.isnan(columns[:, -1]), len(columns)
+    if not lost.any():
+        return columns
+    from scipy.sparse.linalg import LinearOperator, cg  # a third of a second that most do without
+
+    places, (m,) = np.arange(n), np.nonzero(lost)
+    curve = [np.interp(places, places[~lost], one[~lost]) for one in columns.T[:-1]]
+    design = np.column_stack([np.ones(n), *curve])
+    mean = design @ np.linalg.lstsq(design[~lost], columns[~lost, -1], rcond=None)[0]
+    own = {name: np.array([[value]]) for name, value in values.items()}
+    terms = law.spectrum(own, step, eigenvalues(n, np.arange(n)))
+    density = own[WHITE] ** 2 + sum((term.symbol for term in terms), np.zeros((1, n)))
+    weight = np.append(0.0, 1 / density[0, 1:])
+
+    def precise(x: Float[np.ndarray, "n"]) -> Float[np.ndarray, "m"]:
+        return np.asarray(idct(weight * dct(x, norm="ortho"), norm="ortho"))[m]
+
+    q = LinearOperator((len(m), len(m)), lambda x: precise(np.bincount(m, x.ravel(), n)))
+    noise = np.where(lost, 0.0, columns[:, -1] - mean)
+    right = idct(np.sqrt(weight) * random.standard_normal(n), norm="ortho")[m] - precise(noise)
+    noise[m], _ = cg(q, right, rtol=1e-6)
+    return np.column_stack([*curve, mean + noise])
+
+
+def _fit(channel: _AtRest, terms: Terms, fits: Mapping[Terms, GaussianFit]) -> GaussianFit:
+    """Return the mode of a sum, looked for from those of sums of a term less, too, and its Laplace evidence."""
+    priors, values = channel.law(terms).parameters(), channel.log_density(terms)
+    starts = list(_starts(channel, terms, priors))
+    least = starts[-1]  # further terms as small as any start has them
+    for part in {terms[:i] + terms[i + 1 :] for i in range(len(terms))} & {*fits}:
+        known = dict(zip(channel.law(part).parameters(), fits[part].v, strict=True))
+        starts.append(np.array([known.get(n, v) for n, v in zip(priors, least, strict=True)]))
+    scale = np.ones(len(priors))
+    if "tone" in terms:  # a line is known to a part of its width
+        near = channel.line[TONE[1]] - np.array([0.1 / channel.line[TONE[2]], 0.0])
+        scale[list(priors).index(TONE[1])] = np.diff(priors[TONE[1]].coordinate(near))[0]
+    order = np.argsort(-values(np.array(starts)))[:STARTS]
+    densities = [(ByValues(values, scale), starts[i]) for i in order]
+    fits_here = (gaussian_fit(density, climb(density, at)) for density, at in densities)
+    return max(fits_here, key=lambda fit: fit.log_density)
+
+
+def _starts(channel: _AtRest, terms: Terms, priors: dict[str, Any]) -> Iterator[np.ndarray]:
+    """Coordinates, from the Allan curve: each term as large as the curve lets it be, times in several places."""
+    tau, allan, step, line = channel.tau, channel.allan, channel.spectrum.step, channel.line
+    sizes = {
+        WHITE: math.sqrt(allan[0]),
+        "noise.walk": math.sqrt(3 * allan[-1] / tau[-1]),
+        "noise.flicker": math.sqrt(float(np.min(allan)) / FLAT),
+        "noise.quantisation": tau[0] * math.sqrt(allan[0] / 3),
+        "noise.averaging": math.sqrt(allan[0]),
+        **line,
+    }
+    several = itertools.combinations([0.2, 0.5, 0.8], terms.count("correlated"))
+    memories = (0.25, 2.0, 100.0) if "tone" in terms else (1.0,)
+    for shares, memory, factor in itertools.product(several, memories, (1.0, 0.3)):
+        values, before = {n: v if n == WHITE else factor * v for n, v in sizes.items()}, step
+        if line:
+            values[TONE[1]] = line[TONE[1]]
+            values[TONE[2]] = min(memory * line[TONE[2]], 0.7 * channel.longest)
+        for k, share in enumerate(shares, 1):
+            time = step * (channel.longest / step) ** share
+            variance = 1.6 * float(np.interp(math.log(2 * time), np.log(tau), allan))
+            values[f"noise.correlated{k}.diffusion"] = factor * math.sqrt(2 * variance / time)
+            values[f"noise.correlated{k}.time"] = time
+            part = math.log(time / before) / math.log(channel.longest / before)
+            values[f"noise.correlated{k}.place"], before = float(ndtri(part)), time
+        yield np.array([float(p.coordinate(values[n])) for n, p in priors.items()])
+
+
+def _line_size(y: Float[np.ndarray, "n"], turn: float) -> float:
+    """Return the root mean square of a line in a run, less what other noise has at its frequency, output unit.
+
+    Where its phase lasts as long as the record a line is one amplitude, of which a law knows the order of magnitude and
+    the readings all: with c the largest coefficient of the periodogram near its frequency, about `turn` cycles per
+    reading, |c|²/2 is its mean square.
+    """
+    n = len(y)
+    edges = np.linspace(0, n, min(LINE_BLOCKS, n) + 1).astype(int)
+    slow = np.add.reduceat((y - y.mean()) * np.exp(-2j * math.pi * turn * np.arange(n)), edges[:-1])
+    place = 0.5 * (edges[:-1] + edges[1:]) / n
+
+    def power(offset: float) -> float:
+        """Return the periodogram, so many cycles per run from the frequency."""
+        return float(2 * abs(slow @ np.exp(-2j * math.pi * offset * place)) ** 2 / n)
+
+    offset = 0.0
+    for width in (0.8, 0.1):
+        offset = max(offset + width * np.linspace(-1, 1, 9), key=power)
+    around = np.mean([power(offset + k) for k in (*BESIDE, *-BESIDE)])
+    return math.sqrt(max(power(offset) - float(around), 0.0) / n)
+
+
+def _drawn(
+    channel: _AtRest, terms: Terms, v: np.ndarray, weights: np.ndarray, seed: int, share: float
+) -> RestNoise:
+    """Return parameters of equal probability, drawn anew by the weights of v; `share` of all draws that are kept."""
+    chosen, law = v[resample(weights, max(1, round(share * KEPT)), seed)], channel.law(terms)
+    priors = law.parameters()
+    own = {n: np.asarray(p.value(chosen[:, i])) for i, (n, p) in enumerate(priors.items())}
+    if "tone" in terms:
+        coherent = own[TONE[2]] > COHERENT_SHARE * channel.longest
+        if coherent.any():
+            turn = float(np.median(own[TONE[1]][coherent])) * channel.spectrum.step
+            run = max(channel.columns, key=len)[:, -1]
+            error = own[WHITE] / math.sqrt(len(run))
+            error = error * np.random.default_rng(seed).standard_normal(len(error))
+            size = np.abs(_line_size(run, turn) + error)
+            own[TONE[0]] = np.where(coherent, size, own[TONE[0]])
+    return RestNoise(terms, own, law)
 
 
 def _words(terms: tuple[str, ...]) -> str:
@@ -308,7 +803,7 @@ def _for_filter(found: WeighedNoise) -> tuple[np.ndarray, np.ndarray]:
         own = np.sqrt(own**2 + 3 * rounded**2)  # falls more slowly than Q, and is as much at first
         if not {*one.terms} - {ROUNDED, AVERAGED}:
             densities.append(own * step**0.5)
-            walks.append(np.resize(found.walk.draws["noise.walk"], len(own)))
+            walks.append(np.resize(found.walk, len(own)))
             continue
         whole = one.allan_variance(factors, step)
         reached = FILTER_REACHES_SHARE**2 * whole
@@ -329,52 +824,47 @@ def _for_filter(found: WeighedNoise) -> tuple[np.ndarray, np.ndarray]:
 def _figures(
     found: WeighedNoise, unit: str, curve: Float[np.ndarray, "d k"]
 ) -> tuple[NoiseFigure, ...]:
-    """Each over all probable sums that have it, if it is more probably there than not."""
-    names, best, step = habit(unit), found.drawn[0], found.runs.step
-    own = unit or "1"
-    density, walk = f"{own}/Hz^0.5", f"{own}/s^0.5"
+    """Return the figures of all terms, each over the probable sums that have it, if these are more than half."""
+    names, best, step, own = habit(unit), found.drawn[0], found.runs.step, unit or "1"
+    (density, bias, walk), (of_density, of_bias, of_walk) = names.names, names.units
+    every = sum(len(one.draws[WHITE]) for one in found.drawn)
 
     def over_all(name: str) -> np.ndarray | None:
         having = [one.draws[name] for one in found.drawn if name in one.draws]
-        every = sum(len(one.draws[WHITE]) for one in found.drawn)
         return np.concatenate(having) if 2 * sum(map(len, having)) > every else None
 
-    made = []
-    if (q := over_all("noise.quantisation")) is not None:
-        made.append(_figure("Q", "quantisation noise", names.rounded, f"{own}*s", q))
     white = np.concatenate([one.density(step) for one in found.drawn])
-    n = _figure("N", names.names[0], names.units[0], density, white)
-    if not found.count:
-        unknown = {"value": math.nan, "low": 0.0, "high": math.inf, "si": (math.nan, 0.0, math.inf)}
-        n = replace(n, **unknown, bound=True)
-    made.append(n)
-    if (b := over_all("noise.flicker")) is not None:
-        made.append(_figure("B", f"{names.names[1]} (flicker)", names.units[1], own, b))
-    lowest = np.argmin(np.median(curve, axis=0))
-    if 0 < lowest < curve.shape[1] - 1:
-        floor = np.sqrt(np.min(curve, axis=1) / FLAT)
-        name = f"{names.names[1]} (lowest Allan deviation over 0.664)"
-        made.append(_figure("", name, names.units[1], own, floor))
+    lowest, floor = np.argmin(np.median(curve, axis=0)), np.sqrt(np.min(curve, axis=1) / FLAT)
     k = over_all("noise.walk")
-    bound = found.walk.draws["noise.walk"]
-    named = ("K", names.names[2], names.units[2], walk)
-    made.append(_figure(*named, bound, bound=True) if k is None else _figure(*named, k))
-    if (tone := over_all("noise.tone")) is not None:
-        made.append(_figure("", "tone, size", names.units[1], own, tone))
-        for what, words, of in (
-            ("frequency", "frequency", "Hz"),
-            ("time", "correlation time", "s"),
-        ):
-            draws = over_all(f"noise.tone.{what}")
-            assert draws is not None
-            made.append(_figure("", f"tone, {words}", of, of, draws))
+    rows = [
+        ("Q", "quantisation noise", names.rounded, f"{own}*s", over_all("noise.quantisation")),
+        ("N", density, of_density, f"{own}/Hz^0.5", white),
+        ("B", f"{bias} (flicker)", of_bias, own, over_all("noise.flicker")),
+        (
+            *("", f"{bias} (lowest Allan deviation over 0.664)", of_bias, own),
+            floor if 0 < lowest < curve.shape[1] - 1 else None,
+        ),
+        ("K", walk, of_walk, f"{own}/s^0.5", found.walk if k is None else k),
+        ("", "tone, size", of_bias, own, over_all("noise.tone")),
+        ("", "tone, frequency", "Hz", "Hz", over_all("noise.tone.frequency")),
+        ("", "tone, correlation time", "s", "s", over_all("noise.tone.time")),
+    ]
+    derived = {**best.draws, **best.law.derived(best.draws)}
     for place in range(1, 1 + best.terms.count("correlated")):
-        derived = {**best.draws, **best.law.derived(best.draws)}
         size, time = (derived[f"noise.correlated{place}.{what}"] for what in ("size", "time"))
         name = f"Ornstein–Uhlenbeck {place}"
-        made.append(_figure("", f"{name}, size", names.units[1], own, size))
-        made.append(_figure("", f"{name}, correlation time", "s", "s", time))
-    return tuple(made)
+        rows.append(("", f"{name}, size", of_bias, own, size))
+        rows.append(("", f"{name}, correlation time", "s", "s", time))
+    bounded = {"K"} if k is None else set()
+    made = {
+        (symbol, name): _figure(symbol, name, shown, inner, draws, symbol in bounded)
+        for symbol, name, shown, inner, draws in rows
+        if draws is not None
+    }
+    if not found.count:
+        unknown = {"value": math.nan, "low": 0.0, "high": math.inf, "si": (math.nan, 0.0, math.inf)}
+        made["N", density] = replace(made["N", density], **unknown, bound=True)
+    return tuple(made.values())
 
 
 def _figure(

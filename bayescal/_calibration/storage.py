@@ -1,24 +1,23 @@
-"""Saved calibrations: one sealed NetCDF file of draws, mode and readings, checked in bytes and in parts when read.
+"""Saved calibrations: one sealed NetCDF file of draws, mode and readings, from which all else is computed.
 
-All else is computed from these when it is asked for. The file names its instrument and effects; they are resolved
-against what is installed. Nothing in it is evaluated.
+The file names its instrument and effects; they are resolved against what is installed. Nothing in it is evaluated. Its
+seal is over its bytes; its identity, over what was fitted, is computed again from what was read.
 """
 
 from __future__ import annotations
 
+import hashlib
 import io
-import itertools
 import json
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
-from dataclasses import replace
+from collections.abc import Mapping, Sequence
+from contextlib import suppress
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from bayescal._calibration.confounding import Confounder
-from bayescal._calibration.description import description, identity, model_from, of_today
 from bayescal._calibration.fitted import Fitted
 from bayescal._core.atomic_file import (
     named_back,
@@ -36,10 +35,13 @@ from bayescal._data.measurements import Measurements
 from bayescal._inference.laplace import Mode
 from bayescal._inference.method import Draws, Verdict
 from bayescal._model.effect import READING, Effect
-from bayescal._model.frame import constants_of, held_name, origins, reference_of
+from bayescal._model.formula import Formula, effect, line_of_today
+from bayescal._model.installed import installed_instrument, installed_names
 from bayescal._model.instrument import Instrument
 from bayescal._model.model import Model
-from bayescal._model.parameters import Layout, bind
+from bayescal._model.noise_law import Noise
+from bayescal._model.parameters import bind
+from bayescal._model.prior import Flat, HalfCauchy, HalfNormal, LogNormal, LogUniform, Normal
 from bayescal._tables.raw_table import ROW
 from bayescal._tables.unpacked import refuse_hdf5
 
@@ -47,8 +49,16 @@ AGAIN = "Take a copy, or fit the readings again"
 IDENTITY = "bayescal_identity"
 SCHEMA = "bayescal.calibration/2"
 SCHEMA_0_2 = "bayescal.calibration/1"  # with all groups of ArviZ's tree, which are computed now
-Groups = Mapping[str, Group]
 GROUPS = ("observed_data", "constant_data", "draws", "mode")
+# What a file may raise whose seal is right and whose parts are not as they should be.
+MISMATCHES = (
+    *(LookupError, ValueError, TypeError, AttributeError, ArithmeticError),
+    *(OSError, RuntimeError, ModelError),
+)
+UNKNOWNS = "unknowns"  # of a noise law of the user's own
+LAW_FILE = "Give the file that defines the one it was fitted with: --effects my_law.py (in Python: run it before load)"
+EFFECT_FILE = "--effects my_effects.py (in Python: load(path, effects=[…]))"
+_PRIORS = {c.__name__: c for c in (Flat, HalfCauchy, HalfNormal, LogNormal, LogUniform, Normal)}
 
 
 def save(calibration: Fitted, path: Path) -> Path:
@@ -61,11 +71,12 @@ def save(calibration: Fitted, path: Path) -> Path:
     if path.suffix != ".nc":
         raise InputError(f"A calibration is saved as NetCDF: name the file …nc, not {path.name!r}")
     readings = {storable(n): v for n, v in calibration.readings.variables().items()}
+    mode = {n: np.asarray(value, float) for n, value in calibration.mode._asdict().items()}
     groups = {
         "observed_data": {"output": readings.pop("output")},
         "constant_data": readings,
         "draws": draws_group(calibration.joint),
-        "mode": _mode_group(calibration.mode),
+        "mode": {n: Variable(tuple(f"{n}_{i}" for i in range(a.ndim)), a) for n, a in mode.items()},
     }
     described = json.dumps({**description(calibration), "schema": SCHEMA})
     content = netcdf_bytes(groups, bayescal=described, bayescal_identity=identity(calibration))
@@ -79,11 +90,6 @@ def draws_group(draws: Draws) -> Group:
     return {n: Variable(("chain", "draw", f"{n}_entry"), vars(draws)[n]) for n in "xv"}
 
 
-def _mode_group(mode: Mode) -> Group:
-    parts = {name: np.asarray(value, float) for name, value in mode._asdict().items()}
-    return {n: Variable(tuple(f"{n}_{i}" for i in range(a.ndim)), a) for n, a in parts.items()}
-
-
 def load_calibration(
     path: Path, effects: Sequence[Effect] = (), instruments: Sequence[Instrument] = ()
 ) -> dict[str, Any]:
@@ -95,148 +101,289 @@ def load_calibration(
     if not path.is_file():
         raise InputError(f"There is no file {path}: give a calibration saved by bayescal (…nc)")
     content = io.BytesIO(verified(path, "a saved calibration", AGAIN))
-    with _damage_in_words(path):
-        import h5py  # a tenth of a second that only a saved calibration needs
-
-        with h5py.File(content) as hdf5:
-            refuse_hdf5(hdf5, path.name, content.getbuffer().nbytes)
-            written = _parsed(hdf5.attrs.get("bayescal"))
-        if (schema := written.get("schema")) not in (SCHEMA, SCHEMA_0_2):
-            raise InputError(
-                f"{path.name} is no calibration of this version: its schema is {schema!r}, "
-                f"expected {SCHEMA!r}"
-            )
-        groups, attributes = netcdf_groups(content, GROUPS)
-        described = of_today(written) if schema == SCHEMA_0_2 else written
-        readings = _readings_from(groups, described)
-        model = model_from(path, described, readings, effects, instruments)
-        found = _fields(groups, described, model, readings)
-        if schema == SCHEMA and attributes.get(IDENTITY) != identity(Fitted(**found)):
-            raise ValueError("its identity is not that of what it holds")
-    return found
-
-
-@contextmanager
-def _damage_in_words(path: Path) -> Iterator[None]:
-    """A part that is not there or not as it should be: the file was changed after it was written."""
     try:
-        yield
-    except (
-        LookupError,
-        ValueError,
-        TypeError,
-        AttributeError,
-        ArithmeticError,
-        OSError,
-        RuntimeError,
-    ) as error:
+        return _read(path, content, effects, instruments)
+    except MISMATCHES as error:
         said = f"it lacks {error}" if isinstance(error, KeyError) else str(error)
         raise InputError(
             f"{path.name} is damaged, or was changed after it was saved: {said}. {AGAIN}"
         ) from None
-    except ModelError as error:
-        raise InputError(
-            f"{path.name}: its model does not go with its readings: {error}. {AGAIN}"
-        ) from None
 
 
-def _fields(
-    groups: Groups, described: dict[str, Any], model: Model, readings: Measurements
+def _read(
+    path: Path, content: io.BytesIO, effects: Sequence[Effect], instruments: Sequence[Instrument]
 ) -> dict[str, Any]:
-    """The fields of a calibration, each of the size that its model and readings ask for."""
+    import h5py  # a tenth of a second that only a saved calibration needs
+
+    with h5py.File(content) as hdf5:
+        refuse_hdf5(hdf5, path.name, content.getbuffer().nbytes)
+        described = parsed_json(hdf5.attrs.get("bayescal", "{}"))
+    if (schema := described.get("schema")) not in (SCHEMA, SCHEMA_0_2):
+        raise InputError(
+            f"{path.name} is no calibration of this version: its schema is {schema!r}, expected {SCHEMA!r}"
+        )
+    described = of_today(described) if schema == SCHEMA_0_2 else described
+    groups, attributes = netcdf_groups(content, GROUPS)
+    readings = _readings_from(groups, described)
+    model = model_from(path, described, readings, effects, instruments)
     model.require(readings)
     bound, levels = bind(model, readings, reference=described["reference"])
-    _same("group sizes", described["counts"], {**dict(bound.counts), READING: len(readings)})
-    _same("group members", described["levels"], {k: list(v) for k, v in levels.items()})
-    constants = described["reference"].keys() - origins(described["reference"])
-    _same(
-        "constants", sorted(constants - constants_of(readings)), sorted({"run_starts"} & constants)
-    )
-    added = {held_name(name) for name in readings.columns}  # since 0.2.1
-    _same("constants", sorted(reference_of(readings).keys() - constants - added), [])
     layout = replace(bound, promoted=tuple(described["promoted"]))
-    if unknown := set(layout.promoted) - {b.name for b in layout.blocks}:
-        raise ValueError(f"{', '.join(sorted(unknown))} is no coefficient of its model")
+    joint = Draws(**{n: groups["draws"][n].values for n in "xv"})
+    sizes, expected = [joint.x.shape[-1], joint.v.shape[-1]], [layout.size, len(layout.hypers)]
+    if sizes != expected:
+        raise ValueError(f"its draws are of {sizes} unknowns, its model has {expected}")
+    mode = Mode(**{n: groups["mode"][n].values for n in Mode._fields})
     verdict = Verdict.read(described["verdict"])
-    verdict = replace(verdict, against=_with_codes(verdict.against, described))
-    joint = _draws_from(groups, layout, finite=verdict.ok)
-    mode = _mode_from(groups, layout, finite=verdict.ok)
-    confounded = tuple(Confounder(**one) for one in described.get("confounded", ()))
     evidence = described["log_evidence"]
-    return {
+    found = {
         **{name: described[name] for name in ("method", "seed", "reference")},
         "start": described.get("start", {}),
-        "log_evidence": None if evidence is None else (evidence[0], evidence[1]),
+        "log_evidence": None if evidence is None else tuple(evidence),
         **{"model": model, "readings": readings, "layout": layout, "levels": levels},
-        **{"joint": joint, "verdict": verdict, "mode": mode, "confounded": confounded},
+        **{"joint": joint, "mode": mode._replace(indefinite=mode.indefinite > 0)},
+        "verdict": replace(verdict, against=_with_codes(verdict.against, described)),
+        "confounded": tuple(Confounder(**one) for one in described.get("confounded", ())),
     }
-
-
-def _same(what: str, written: object, expected: object) -> None:
-    if written != expected:
-        raise ValueError(f"its {what} are {written}, its readings have {expected}")
-
-
-def _arrays(
-    groups: Groups, group: str, shapes: Mapping[str, tuple[int | None, ...]], finite: bool = True
-) -> dict[str, np.ndarray]:
-    """Variables of a group, if they are numbers of these shapes (None: any length)."""
-    data, found = groups[group], {}
-    for name, shape in shapes.items():
-        if name not in data:
-            raise ValueError(f"its group {group} has no variable {name}")
-        values = found[name] = data[name].values
-        what = f"its {group}/{name}"
-        if values.dtype != np.float64:
-            raise ValueError(f"{what} is of type {values.dtype}, expected float64")
-        asked = itertools.zip_longest(shape, values.shape, fillvalue=-1)
-        if any(length not in (None, came) for length, came in asked):
-            expected = tuple("any" if length is None else length for length in shape)
-            raise ValueError(f"{what} has the shape {values.shape}, its model asks for {expected}")
-        if finite and not np.isfinite(values).all():
-            raise ValueError(f"{what} holds numbers that are not finite")
+    if schema == SCHEMA and attributes.get(IDENTITY) != identity(Fitted(**found)):
+        raise ValueError("its identity is not that of what it holds")
     return found
 
 
-def _draws_from(groups: Groups, layout: Layout, finite: bool) -> Draws:
-    (x,) = _arrays(groups, "draws", {"x": (None, None, layout.size)}, finite).values()
-    both = x.shape[:2]
-    if 0 in both:
-        raise ValueError("it holds no draws")
-    (v,) = _arrays(groups, "draws", {"v": (*both, len(layout.hypers))}, finite).values()
-    return Draws(x, v)
-
-
-def _parsed(text: object) -> dict[str, Any]:
-    """The description in a file, empty if it has none that can be read."""
-    try:
-        found = parsed_json(text) if isinstance(text, str) else {}
-    except ValueError:
-        return {}
-    return found if isinstance(found, dict) else {}
-
-
-def _mode_from(groups: Groups, layout: Layout, finite: bool) -> Mode:
-    p, d = layout.size, len(layout.hypers)
-    shapes = {"x": (p,), "v": (d,), "covariance": (d, d), "flat": (p,)}
-    found = _arrays(groups, "mode", shapes, finite)
-    scalars = {name: () for name in Mode._fields if name not in shapes}
-    mode = Mode(**found, **_arrays(groups, "mode", scalars, finite=False))
-    return mode._replace(indefinite=mode.indefinite > 0)
-
-
-def _with_codes(said: Sequence[str], described: dict[str, Any]) -> tuple[str, ...]:
+def _with_codes(said: Sequence[str], described: Mapping[str, Any]) -> tuple[str, ...]:
     codes = described.get("flag_codes", {})
     return tuple(Flag(words, *codes[words]) if words in codes else words for words in said)
 
 
-def _readings_from(groups: Groups, described: dict[str, Any]) -> Measurements:
-    _arrays(groups, "observed_data", {"output": (None,)})
+def _readings_from(groups: Mapping[str, Group], described: Mapping[str, Any]) -> Measurements:
     both = {**groups["constant_data"], **groups["observed_data"]}
     held = {named_back(n): v for n, v in both.items() if v.dims == (ROW,) and n != ROW}
-    if len({len(v.values) for v in held.values()}) > 1:
-        raise ValueError("its columns differ in length")
     sources = tuple(Source(**s) for s in described["sources"])
     given, flags = described.get("nominal_scale"), _with_codes(described["flags"], described)
     scale = given and NominalScale(**given)
     return Measurements.of_variables(held, sources=sources, flags=flags, scale=scale)
+
+
+# what a calibration says of itself, and the model that this names --------------------------------------------------
+
+
+def identity(c: Fitted) -> str:
+    """SHA-256 over what was fitted, to which readings, from which seed, and the draws that came of it.
+
+    A calibration has the same one before it is saved and after it is loaded; another fit has another.
+    """
+    digest = hashlib.sha256(json.dumps(description(c), sort_keys=True).encode())
+    c.readings.add_to(digest)
+    # Between x and v stood unknowns of single readings once, as a rule none: identities stay what they were.
+    for draws in (c.joint.x, np.zeros((*c.joint.x.shape[:2], len(c.readings), 0)), c.joint.v):
+        digest.update(f"{draws.shape}\n".encode())
+        digest.update(np.ascontiguousarray(draws, dtype="<f8").tobytes())
+    return digest.hexdigest()
+
+
+def sources_of(readings: Measurements) -> tuple[Source, ...]:
+    """Where readings came from, as every artefact states it: files and their hashes; of arrays, that of the values."""
+    if readings.sources:
+        return readings.sources
+    digest = hashlib.sha256()
+    readings.add_to(digest)
+    return (Source("arrays (hash of their values)", digest.hexdigest(), len(readings)),)
+
+
+def description(c: Fitted) -> dict[str, Any]:
+    """All that a calibration is but its numbers, by the names of what is installed."""
+    model, readings = c.model, c.readings
+    flags = (f for f in (*readings.flags, *c.verdict.against) if isinstance(f, Flag))
+    own = _catalogue(model.instrument)
+    # Left out where they are empty, so that identities stay what they were.
+    further = {
+        # Lines of the effects that were typed, from which they are made again.
+        "typed": {e.name: e.basis.text for e in model.effects if isinstance(e.basis, Formula)},
+        # Plausible sizes of the instrument's own effects, where these are others than its own.
+        "sizes": {e.name: e.coefficients[0].size for e in model.effects if _is_resized(e, own)},
+        # Effects that some structures of an average have not, if they have no size by which their draws say so.
+        "averaged": [e.name for e in model.effects if e.held and e == e.averaged],
+        "start": dict(c.start),
+        "confounded": [one._asdict() for one in c.confounders],
+        # Of flags that code asks for, code and names, by their words.
+        "flag_codes": {str(flag): [flag.code, *flag.of] for flag in flags},
+        "nominal_scale": asdict(scale) if (scale := readings.scale) else None,
+    }
+    return {
+        "schema": "bayescal.calibration/1",  # of 0.2: identities stay what they were
+        "instrument": model.instrument.name,
+        "settings": dict(model.instrument.settings),
+        "effects": list(model.names),
+        "unknowns": {e.name: stated(e) for e in model.effects},
+        "ranges": {
+            e.name: {s.name: [s.low, s.high] for s in e.shapes} for e in model.effects if e.shapes
+        },
+        "fixed": dict(model.fixed),
+        "noise": _noise_words(model.noise),
+        "promoted": list(c.layout.promoted),
+        "counts": {**dict(c.layout.counts), READING: len(readings)},
+        "levels": {k: list(v) for k, v in c.levels.items()},
+        "reference": c.reference,
+        "method": c.method,
+        "seed": c.seed,
+        "log_evidence": c.log_evidence,
+        "verdict": _since(asdict(c.verdict), "against", "checked"),
+        "sources": [_since(asdict(s), "columns", "units") for s in readings.sources],
+        "flags": list(readings.flags),
+        **{key: value for key, value in further.items() if value},
+    }
+
+
+def _since(fields: Mapping[str, Any], *names: str) -> dict[str, Any]:
+    """Return fields, of those that there were not at first only the ones that are not empty."""
+    return {key: value for key, value in fields.items() if key not in names or value}
+
+
+def _is_resized(e: Effect, catalogue: Mapping[str, Effect]) -> bool:
+    """Whether an effect differs from the instrument's own by its plausible size alone."""
+    known = catalogue.get(e.name)
+    if known is None or e.coefficients in (known.coefficients, _as_before(known).coefficients):
+        return bool(e.frees)
+    return replace(e, coefficients=known.coefficients, shapes=known.shapes) == known
+
+
+def _as_before(effect: Effect) -> Effect:
+    """An effect as it was when states in which runs begin had a size and no learned spread: saved ones may have it."""
+    own = (replace(c, group_sd=None) if c.initial else c for c in effect.coefficients)
+    return replace(effect, coefficients=tuple(own))
+
+
+def _catalogue(instrument: Instrument) -> dict[str, Effect]:
+    """Every effect that an instrument offers, by name."""
+    structural = [e for _, make in instrument.structures for e in make().effects]
+    return {**{e.name: e for e in structural}, **instrument.known}
+
+
+def stated(effect: Effect) -> str:
+    """What an effect says of its unknowns: units, priors, groups, shapes."""
+    return " ".join(" ".join(map(repr, (*effect.coefficients, *effect.shapes))).split())
+
+
+def name_of_today(name: str) -> str:
+    """The name of an unknown that may be one of 0.2.0, where a group's standard deviation was its spread."""
+    return f"{name.removesuffix('.spread')}.group_sd" if name.endswith(".spread") else name
+
+
+def of_today(described: dict[str, Any]) -> dict[str, Any]:
+    """A description of 0.2 with the names of unknowns, and the words of formulas, that they have now."""
+    now = {
+        "unknowns": lambda name, said: (name, str(said).replace("spread=", "group_sd=")),
+        "fixed": lambda name, value: (name_of_today(name), value),
+        "typed": lambda name, line: (name, line_of_today(line)),
+    }
+    changed = {
+        k: dict(each(*item) for item in described[k].items())
+        for k, each in now.items()
+        if k in described
+    }
+    reference = {n: v for n, v in described["reference"].items() if n != "run_starts"}
+    return described | changed | {"reference": reference}
+
+
+def _noise_words(noise: Noise) -> dict[str, Any]:
+    """A noise law by the name of its class and its fields; of one that is not bayescal's own, its unknowns too."""
+    found: dict[str, Any] = {"law": type(noise).__name__}
+    for key, value in vars(noise).items():
+        if value is False:  # files of before there was the choice hold none
+            continue
+        prior = type(value).__name__ in _PRIORS
+        found[key] = [type(value).__name__, vars(value)] if prior else value
+    if not type(noise).__module__.startswith("bayescal."):
+        found[UNKNOWNS] = {name: repr(prior) for name, prior in noise.parameters().items()}
+    return found
+
+
+def _noise_from(path: Path, described: Mapping[str, Any]) -> Noise:
+    """Return the noise law that a description names; raise InputError if it is not loaded, or another one than then."""
+    name, fields = described["law"], dict[str, Any]()
+    if name not in Noise.known:
+        raise InputError(
+            f"{path.name} was fitted with the noise law {name}, which is not loaded (there are: "
+            f"{', '.join(Noise.known)}). {LAW_FILE}"
+        )
+    for key, value in described.items():
+        if isinstance(value, list):
+            prior = len(value) == 2 and isinstance(value[1], dict)
+            value = _PRIORS[value[0]](**value[1]) if prior else tuple(value)
+        fields[key] = value
+    then = described.get(UNKNOWNS)
+    try:
+        law = Noise.known[name](**{k: v for k, v in fields.items() if k not in ("law", UNKNOWNS)})
+        if (now := _noise_words(law).get(UNKNOWNS)) != then:
+            raise TypeError(f"its unknowns were {then}; now {now}")
+    except TypeError as error:
+        raise InputError(
+            f"{path.name} was fitted with another noise law {name} than the one given now: {error}. {LAW_FILE}"
+        ) from None
+    return law
+
+
+def _instrument_from(path: Path, described, readings: Measurements, instruments) -> Instrument:
+    """Return the instrument that a description names, tailored as it was; raise InputError if it is not there."""
+    own, name = {i.name: i for i in instruments}, described["instrument"]
+    if name not in (there := list(dict.fromkeys([*installed_names(), *own]))):
+        raise InputError(
+            f"{path.name} is a calibration of {name!r}, which is not installed (installed: "
+            f"{', '.join(there)}). Install the package that offers it"
+        )
+    instrument = own[name] if name in own else installed_instrument(name)
+    if not (settings := described["settings"]):
+        return instrument
+    try:
+        if instrument.tailor is None:
+            raise TypeError("it takes none")
+        return instrument.tailor(readings, **settings)
+    except TypeError as error:
+        raise InputError(
+            f"{path.name}: the installed {name!r} cannot be made with {settings} ({error}). Install "
+            "the version that the calibration was made with"
+        ) from None
+
+
+def model_from(path: Path, described, readings: Measurements, effects, instruments) -> Model:
+    """The model that the description in a file names, of what is installed and what is given.
+
+    Raises:
+        InputError: an instrument, effect or noise law is not there, or is another one than then; names it.
+    """
+    instrument = _instrument_from(path, described, readings, instruments)
+    ranges, then = described["ranges"], described["unknowns"]
+    known, names = _catalogue(instrument), described["effects"]
+    # Of two of one name, the instrument's and one that is given, it is the one that was fitted.
+    given = {
+        e.name: e
+        for e in effects
+        if e.name not in known or stated(e.ranging(ranges.get(e.name, {}))) == then.get(e.name)
+    }
+    typed = {
+        n: effect(text, readings=readings, instrument=instrument)
+        for n, text in described.get("typed", {}).items()
+    }
+    catalogue = {**known, **given, **typed}
+    for n in names:
+        with suppress(ModelError):
+            catalogue[n] = instrument.effect(n, catalogue)
+    if missing := [n for n in names if n not in catalogue]:
+        raise InputError(
+            f"{path.name} uses the effect {', '.join(missing)}, which {instrument.name!r} does not have. Give the file "
+            f"that defines it: {EFFECT_FILE}"
+        )
+    chosen = [catalogue[n].ranging(ranges.get(n, {})) for n in names]
+    chosen = [b if stated(b := _as_before(e)) == then.get(e.name) else e for e in chosen]
+    averaged = described.get("averaged", [])
+    chosen = [e.averaged if e.name in averaged else e for e in chosen]
+    model = Model(instrument, tuple(chosen), _noise_from(path, described["noise"]), ())
+    for n, size in described.get("sizes", {}).items():
+        model = model.resize(n, size)
+    for one in model.effects:
+        if then[one.name] != (now := stated(one)):
+            raise InputError(
+                f"{path.name} was fitted with another effect {one.name!r} than the one given now: then "
+                f"{then[one.name]}; now {now}. Give the one it was fitted with: {EFFECT_FILE}"
+            )
+    return replace(model, fixed=tuple(described["fixed"].items()))

@@ -12,7 +12,6 @@ from scipy.special import chdtrc
 
 from bayescal._calibration.claim import Claim
 from bayescal._calibration.fitted import Fitted
-from bayescal._calibration.mixture import has_effect
 from bayescal._core import null_space
 from bayescal._core.formatting import WIDTH, interval, number, probability, with_error
 from bayescal._core.result_table import ResultTable, plain_table
@@ -20,7 +19,7 @@ from bayescal._data.unit_conversion import unit_label
 from bayescal._inference.linear_model import LinearModel
 from bayescal._model.frame import derived, held_name
 from bayescal._model.parameters import CoefficientBlock, Layout
-from bayescal._model.unknowns import Unknown, Unknowns
+from bayescal._model.unknowns import Unknowns
 
 # Information against the prior's, below which a direction of coefficients counts as not measured: the posterior's
 # standard deviation is then 0.95 of the prior's.
@@ -47,10 +46,10 @@ def unknowns_parts(
         *("95 % credible interval", "contraction"),
     ]
     shown = plain_table(head, rows.values()) if rows else "every unknown is fixed"
-    lines = []
-    if fixed := ", ".join(f"{name} = {value:g}" for name, value in calibration.model.fixed):
+    model, lines = calibration.model, list[str]()
+    if fixed := ", ".join(f"{name} = {value:g}" for name, value in model.fixed):
         lines.append(f"fixed: {fixed}")
-    if calibration.model.noise_as_stated:
+    if model.noise_as_stated:
         squares, freedom, chance = chi_squared(calibration)
         lines.append(
             f"noise as stated: χ² = {squares:.4g} with {freedom} degrees of freedom (as much or more by chance in "
@@ -58,13 +57,9 @@ def unknowns_parts(
         )
     if at := [f"{k} = {v:g} {unit_label(u)}" for k, (v, u) in calibration.held_at.items()]:
         lines.append("constants hold at " + ", ".join(at))
-    shaped = {
-        c
-        for e in calibration.model.effects
-        if any(s.unit == "s" for s in e.column_shapes)
-        for c in e.columns
-    }
-    if held := [n for n in sorted(shaped) if calibration.reference.get(held_name(n))]:
+    lagging = (e for e in model.effects if any(s.unit == "s" for s in e.column_shapes))
+    columns = sorted({column for e in lagging for column in e.columns})
+    if held := [n for n in columns if calibration.reference.get(held_name(n))]:
         lines.append(
             f"set in steps and held between readings: {', '.join(held)} (--reference {held_name(held[0])}=0 joins them)"
         )
@@ -93,18 +88,28 @@ def unknown_rows(
     """
     rows: dict[str, list[str]] = {}
     coefficients, hyperparameters = summary(calibration)
-    drawn, large = curves(calibration), large_groups(calibration)
+    drawn = curves(calibration)
+    groups = {name: key for key, own in large_groups(calibration).items() for name in own}
     for s in (*coefficients, *hyperparameters):
-        if effects is not None and s["effect"] not in (*effects, "noise"):
+        name, effect, unit = s["name"], s["effect"], unit_label(s["unit"])
+        key = effect if effect in drawn else groups.get(name)
+        if key in rows or (effects is not None and effect not in (*effects, "noise")):
             continue
-        block = next((b for b, names in large.items() if s["name"] in names), None)
-        if s["effect"] in drawn:
-            rows.setdefault(s["effect"], _curve_row(calibration, s["effect"]))
-        elif block is not None:
-            members = [c for c in coefficients if c["name"] in large[block]]
-            rows.setdefault(block, _group_row(block, members))
+        if effect in drawn:
+            rms, largest, covariate, at = curve_extent(calibration, effect)
+            place = place_of(calibration, covariate, at)
+            where = f"{number(rms, 2)} rms, {number(largest, 2)} at {place}"
+            rows[effect] = [effect, where, unit_label(calibration.unit), "–", "–"]
+        elif key is not None:
+            means = [c["mean"] for c in coefficients if groups.get(c["name"]) == key]
+            extent = f"{number(min(means), 3)} to {number(max(means), 3)}"
+            rows[key] = [f"{key} ({len(means)} members)", extent, unit, "–", "–"]
         else:
-            rows[s["name"]] = _unknown_row(s)
+            (low, high), mean, sd = s["interval95"], s["mean"], s["sd"]
+            skewed = low > 0 and sd > 0.5 * mean
+            value = f"about {number(mean, 2)}, skewed" if skewed else with_error(mean, sd)
+            contraction = "–" if s["contraction"] is None else f"{s['contraction']:.3f}"
+            rows[name] = [name, value, unit, interval(low, high, mean, sd), contraction]
     return rows
 
 
@@ -115,14 +120,6 @@ def chi_squared(calibration: Fitted) -> tuple[float, int, float]:
     freedom = linear.size - len(linear.owners)
     chance = float(chdtrc(freedom, squares)) if freedom > 0 else float("nan")
     return squares, freedom, chance
-
-
-def _unknown_row(s: dict[str, Any]) -> list[str]:
-    contraction = "–" if s["contraction"] is None else f"{s['contraction']:.3f}"
-    (low, high), mean, sd = s["interval95"], s["mean"], s["sd"]
-    skewed = low > 0 and sd > 0.5 * mean
-    value = f"about {number(mean, 2)}, skewed" if skewed else with_error(mean, sd)
-    return [s["name"], value, unit_label(s["unit"]), interval(low, high, mean, sd), contraction]
 
 
 def curves(calibration: Fitted) -> set[str]:
@@ -164,12 +161,6 @@ def place_of(calibration: Fitted, covariate: str, at: float | None) -> str:
     return f"{covariate} {number(at, 3)} {unit_label(unit or '1')}".rstrip()
 
 
-def _curve_row(calibration: Fitted, name: str) -> list[str]:
-    rms, largest, covariate, at = curve_extent(calibration, name)
-    where = f"{number(rms, 2)} rms, {number(largest, 2)} at {place_of(calibration, covariate, at)}"
-    return [name, where, unit_label(calibration.unit), "–", "–"]
-
-
 def large_groups(calibration: Fitted) -> dict[str, list[str]]:
     """Names of members' coefficients, by coefficient: of groups with many members, of states where runs begin."""
     large = {}
@@ -182,14 +173,6 @@ def large_groups(calibration: Fitted) -> dict[str, list[str]]:
     return large
 
 
-def _group_row(name: str, members: list[dict[str, Any]]) -> list[str]:
-    """The members of a group: from the least to the largest."""
-    means = [m["mean"] for m in members]
-    extent = f"{number(min(means), 3)} to {number(max(means), 3)}"
-    unit = unit_label(members[0]["unit"])
-    return [f"{name} ({len(members)} members)", extent, unit, "–", "–"]
-
-
 def summary(calibration: Fitted) -> tuple[list[dict[str, Any]], list[dict[str, Any]]]:
     """Coefficients, and hyperparameters (noise, group standard deviations, shapes), as rows.
 
@@ -199,30 +182,26 @@ def summary(calibration: Fitted) -> tuple[list[dict[str, Any]], list[dict[str, A
     Contraction is 1 − (posterior variance)/(prior variance): 1 where the readings said everything, 0 where they
     said nothing; None where the prior is flat or has no variance, and of a value that the method holds.
     """
-    there = {e.name: has_effect(calibration, e.name) for e in calibration.model.effects}
-    coefficients, hyperparameters = [], []
+    coefficients, hyperparameters = list[dict[str, Any]](), list[dict[str, Any]]()
     for u in (u for u in calibration.unknowns if not u.held):
         values = calibration.samples(u.name)
-        own = there.get(u.effect, np.ones(len(values), dtype=bool))
-        (hyperparameters if u.block is None else coefficients).append(_row(u, values, own))
+        own = calibration.having.get(u.effect, np.ones(len(values), dtype=bool))
+        given = values[own] if own.sum() > 1 else values
+        low, high = np.quantile(values, [0.025, 0.975])
+        sd, prior = float(values.std(ddof=1)), u.prior_sd
+        row = {
+            "name": u.name,
+            "effect": u.effect,
+            "unit": u.unit,
+            "probability": float(own.mean()),
+            "given": {"mean": float(given.mean()), "sd": float(given.std(ddof=1))},
+            "mean": float(values.mean()),
+            "sd": sd,
+            "interval95": [float(low), float(high)],
+            "contraction": None if prior is None or sd == 0 else float(1 - (sd / prior) ** 2),
+        }
+        (hyperparameters if u.block is None else coefficients).append(row)
     return coefficients, hyperparameters
-
-
-def _row(unknown: Unknown, values: np.ndarray, there: np.ndarray) -> dict[str, Any]:
-    given = values[there] if there.sum() > 1 else values
-    low, high = np.quantile(values, [0.025, 0.975])
-    sd, prior = float(values.std(ddof=1)), unknown.prior_sd
-    return {
-        "name": unknown.name,
-        "effect": unknown.effect,
-        "unit": unknown.unit,
-        "probability": float(there.mean()),
-        "given": {"mean": float(given.mean()), "sd": float(given.std(ddof=1))},
-        "mean": float(values.mean()),
-        "sd": sd,
-        "interval95": [float(low), float(high)],
-        "contraction": None if prior is None or sd == 0 else float(1 - (sd / prior) ** 2),
-    }
 
 
 def null_directions(calibration: Fitted) -> list[Claim]:
@@ -250,11 +229,34 @@ def untold(
     layout = linear.problem.layout
     if layout.size == 0:
         return []
-    names = [u.name for u in Unknowns.of(layout, levels) if u.x is not None]
+    names, found = [u.name for u in Unknowns.of(layout, levels) if u.x is not None], list[Claim]()
     exact, weak, others = null_vectors(linear, exactly)
-    found = [_exact(v * linear.sd[: len(v)], names) for v in exact]
-    found += [_weak(v, names) for v in weak]
-    return [*found, *([_of_members(others, layout)] if others else [])]
+    for v in exact:  # combinations that leave no trace, in the coefficients' own units
+        vector = v * linear.sd[: len(v)]
+        vector, order = null_space.simple(vector), np.flatnonzero(vector)
+        code = "direction.none_exactly" if len(order) == 1 else "direction.other_exactly"
+        combination = _sum([(vector[i], names[i]) for i in order])
+        found.append(Claim(code, *(names[i] for i in order), combination=combination))
+    for v in weak:  # directions that readings hardly tell, in prior standard deviations
+        v = v / np.linalg.norm(v)
+        order = [i for i in np.argsort(-np.abs(v)) if v[i] ** 2 > CONCERNED_SHARE]
+        order = order or [int(np.argmax(np.abs(v)))]
+        sign = float(np.sign(v[order[0]]))
+        combination = _sum([(sign * round(float(v[i]), 2), names[i]) for i in order])
+        told = {"combination": f"{combination}  (in prior standard deviations)"}
+        code = "direction.none" if len(order) == 1 else "direction.other"
+        found.append(Claim(code, *(names[i] for i in order), **told))
+    if others:  # all those among deviations of groups and unknown functions' coefficients
+        size = np.max(np.abs(others), axis=0)
+        several = {
+            b.effect.name: None
+            for b in layout.x_blocks
+            if not _single(b, layout)
+            and size[b.start : b.start + b.size].max() > TRACE_SHARE * size.max()
+        }
+        told = {"count": len(others), "combination": ", ".join(several)}
+        found.append(Claim("direction.members", *several, **told))
+    return found
 
 
 def null_vectors(
@@ -266,14 +268,16 @@ def null_vectors(
     unknown = linear.sd[: layout.size] > 0  # the others are numbers by definition
     white = linear.white_nuisance[:, : layout.size][:, unknown]
     exact = null_space.exact(white) if exactly else np.zeros((0, white.shape[1]))
-    both = [exact, null_space.weak(white, exact, WEAK_INFORMATION, UNMEASURED_SHARE)]
-    for i, found in enumerate(both):
-        both[i] = np.zeros((len(found), layout.size))
-        both[i][:, unknown] = found
-    exact = both[0]
-    others = [v for found in both for v in found if not _concerns(v, main)]
-    exact, weak = ([v for v in found if _concerns(v, main)] for found in both)
-    return exact, weak, others
+    weak = null_space.weak(white, exact, WEAK_INFORMATION, UNMEASURED_SHARE)
+    found: tuple[list[Direction], ...] = [], [], []
+    for kind, directions in enumerate((exact, weak)):
+        for direction in directions:
+            vector = np.zeros(layout.size)
+            vector[unknown] = direction
+            # Of coefficients that stand for themselves it has a share, or it is of members alone.
+            concerns = float(np.sum(vector[main] ** 2)) > CONCERNED_SHARE * float(vector @ vector)
+            found[kind if concerns else 2].append(vector)
+    return found[0], found[1], found[2]
 
 
 def _single(block: CoefficientBlock, layout: Layout) -> bool:
@@ -281,43 +285,6 @@ def _single(block: CoefficientBlock, layout: Layout) -> bool:
     vector = layout.model.instrument.vector
     rigs = vector is not None and block.slot in vector.rig
     return block.coefficient.group_sd is None and not block.effect.is_placeholder and not rigs
-
-
-def _concerns(vector: np.ndarray, main: np.ndarray) -> bool:
-    """Whether a direction, in prior standard deviations, has a share of coefficients that stand for themselves."""
-    return float(np.sum(vector[main] ** 2)) > CONCERNED_SHARE * float(np.sum(vector**2))
-
-
-def _of_members(vectors: list[np.ndarray], layout: Layout) -> Claim:
-    """Of all directions among deviations of groups and unknown functions' coefficients."""
-    size = np.max(np.abs(vectors), axis=0)
-    several = (b for b in layout.x_blocks if not _single(b, layout))
-    large = [
-        b for b in several if size[b.start : b.start + b.size].max() > TRACE_SHARE * size.max()
-    ]
-    names = dict.fromkeys(b.effect.name for b in large)
-    told = {"count": len(vectors), "combination": ", ".join(names)}
-    return Claim("direction.members", *names, **told)
-
-
-def _exact(vector: np.ndarray, names: list[str]) -> Claim:
-    """Of a combination that leaves no trace; `vector` in the coefficients' own units."""
-    vector, order = null_space.simple(vector), np.flatnonzero(vector)
-    code = "direction.none_exactly" if len(order) == 1 else "direction.other_exactly"
-    combination = _sum([(vector[i], names[i]) for i in order])
-    return Claim(code, *(names[i] for i in order), combination=combination)
-
-
-def _weak(vector: np.ndarray, names: list[str]) -> Claim:
-    """Of a direction that readings hardly tell; `vector` in prior standard deviations."""
-    vector = vector / np.linalg.norm(vector)
-    order = [i for i in np.argsort(-np.abs(vector)) if vector[i] ** 2 > CONCERNED_SHARE]
-    order = order or [int(np.argmax(np.abs(vector)))]
-    sign = np.sign(vector[order[0]])
-    combination = _sum([(float(sign) * round(float(vector[i]), 2), names[i]) for i in order])
-    code = "direction.none" if len(order) == 1 else "direction.other"
-    told = {"combination": f"{combination}  (in prior standard deviations)"}
-    return Claim(code, *(names[i] for i in order), **told)
 
 
 def _sum(terms: list[tuple[float, str]]) -> str:

@@ -108,10 +108,6 @@ class NoiseTerm(abc.ABC):
         """
         raise NotImplementedError(f"{self.words} noise has no spectrum here")
 
-    def fresh(self, values: Values, bounds: Bounds, step: float) -> Any:
-        """About the variance of what is new in it a usual step after the reading before; in no harm if it is rough."""
-        return self.variance(values, bounds)
-
     @abc.abstractmethod
     def allan(self, values: Values, bounds: Bounds, m: Float[np.ndarray, "k"], step: float) -> Any:
         """Allan variance of means of m evenly spaced readings; values with a last axis of one."""
@@ -199,9 +195,6 @@ class CorrelatedTerm(ExponentialTerm):
         time = self.time(values, bounds)
         return [(0.5 * values[self._name("diffusion")] ** 2 * time, time)]
 
-    def fresh(self, values, bounds, step):
-        return values[self._name("diffusion")] ** 2 * step
-
     @property
     def bounded(self) -> bool:  # pyright: ignore[reportIncompatibleVariableOverride]
         return self.place > 1
@@ -229,9 +222,6 @@ class WalkTerm(ExponentialTerm):
     def processes(self, values, bounds):
         time = ENDLESS * bounds.longest
         return [(0.5 * values["noise.walk"] ** 2 * time, time)]
-
-    def fresh(self, values, bounds, step):
-        return values["noise.walk"] ** 2 * step
 
 
 class FlickerTerm(ExponentialTerm):
@@ -284,9 +274,6 @@ class SmoothTerm(NoiseTerm):
     def variance(self, values, bounds):
         return values["noise.smooth"] ** 2
 
-    def fresh(self, values, bounds, step):
-        return 0.0
-
     def block(self, values, bounds, h):
         size, x = values["noise.smooth"], math.sqrt(3) * h / values["noise.smooth.time"]
         # f and g = f′/λ obey f′ = λ·g, g′ = −λ·f − 2λ·g and noise. Its matrix M has (M + λ)² = 0, so that over a step
@@ -303,6 +290,10 @@ class SmoothTerm(NoiseTerm):
         # and of g 1 − e⁻²ˣ·(x² + (1 − x)²).
         slope = -jnp.expm1(-z) + kept**2 * (z - z**2 / 2)
         return Block(carry, size**2 * pairs(own, cross, cross, slope), size**2 * jnp.eye(2))
+
+    def spectrum(self, values, bounds, step, lam):
+        own = self.variance(values, bounds), values["noise.smooth.time"]
+        return [noise_spectrum.matern(*own, step, lam)]
 
     def allan(self, values, bounds, m, step):
         """With c(a) that of exp(−a·k), (1 + a·k)·exp(−a·k) has c − a·∂c/∂a, the slope by a complex step; over short

@@ -107,6 +107,10 @@ class SumOfTerms(Noise, interface=True):
             (white, *(f"{c} {w}" if c > 1 else w for w, c in counts.items()))
         )
 
+    @property
+    def stationary(self) -> bool:
+        return not (self.column or self.scatter)
+
     def spectrum(
         self, values: Parameters, step: float, lam: Float[np.ndarray, "j"]
     ) -> list[SpectralTerm]:
@@ -163,9 +167,6 @@ class SumOfTerms(Noise, interface=True):
 
     def variance(self, parameters, frame):
         return self._own_variance(parameters, frame) + self.slow_variance(parameters)
-
-    def fresh_variance(self, values, step):
-        return values[WHITE] ** 2 + sum(p.fresh(values, self.bounds, step) for p in self.parts)
 
     def states(self, parameters: Parameters, step: Float[Array, "n"], z: Any = None) -> States:
         """Its states over steps, s; −1 where they begin. With the column that is followed, from −1 to 1."""

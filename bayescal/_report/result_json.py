@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 
 from bayescal._calibration.check_result import Check
-from bayescal._calibration.description import identity
 from bayescal._calibration.leave_group_out import groups_of
+from bayescal._calibration.storage import identity
 from bayescal._calibration.summary import directions_data, summary
 from bayescal._core.annex import offered
 from bayescal._core.as_json import as_json

@@ -11,7 +11,7 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
-from bayescal._calibration.description import identity
+from bayescal._calibration.storage import identity
 from bayescal._core import deadline
 from bayescal._core.as_json import as_json, write_json
 from bayescal._core.errors import InputError

@@ -13,14 +13,14 @@ import numpy as np
 from bayescal._calibration.claim import Claim, as_claim
 from bayescal._calibration.judgement import (
     CORRELATED_SD,
-    LEFT_OUT,
-    THERMOMETERS,
     AcceptanceCheck,
     Subject,
     claims,
+    odd_thermometers,
     of_runs,
     only_between_runs,
     residual_claims,
+    surprising,
 )
 from bayescal._calibration.leave_group_out import FEW_IN_GROUP, scheme
 from bayescal._core.settings import settings
@@ -28,6 +28,13 @@ from bayescal._search.search_path import WORSE_RATIO, Gate, Step
 from bayescal._search.taken_over import TakenOver, said_of_profiles, taken_over
 
 WORSE = "step.predicts_worse"
+# Probability that the model is complete, below which it is not to be used as it is.
+UNDECIDED_PROBABILITY = 0.05
+SCATTER_RATIO = (
+    2.0  # times the scatter expected of hold-out data, beyond which they are of something else
+)
+# Share of the steps of an input to a value that come from one value: of ten such steps one may be another.
+ONE_ORDER_SHARE = 0.9
 
 
 def gate(steps: Sequence[Step]) -> Gate:
@@ -57,8 +64,8 @@ def _claims_of_last(steps: Sequence[Step]) -> list[Claim]:
     judged = {"check": last.check, "left_out": last.left_out, "doubts": last.doubts}
     subject = Subject(last.calibration, **judged, first=first, missing=_may_be_missing(last))
     found = [*last.different, *residual_claims(subject), *claims(OPEN, steps)]
-    found += [*claims(THERMOMETERS, subject), *claims(WORSENED, steps)]
-    return [*found, *claims(LEFT_OUT, subject), *claims(NEW_READINGS, steps)]
+    found += [*odd_thermometers(subject), *claims(WORSENED, steps)]
+    return [*found, *surprising(subject), *claims(NEW_READINGS, steps)]
 
 
 def judged(steps: Sequence[Step]) -> tuple[tuple[Step, ...], Gate]:
@@ -140,7 +147,7 @@ def two_levels(steps: Sequence[Step]) -> Iterator[Claim]:
         yield Claim("level.which", jump.name, **told)
 
 
-def in_one_order(steps: Sequence[Step], share: float) -> Iterator[Claim]:
+def in_one_order(steps: Sequence[Step]) -> Iterator[Claim]:
     """What has no name and follows an input that always comes from the same value before it.
 
     An output that is late or smoothed holds a part of the reading before. Where that was always at the same value of
@@ -159,7 +166,7 @@ def in_one_order(steps: Sequence[Step], share: float) -> Iterator[Claim]:
         np.add.at(pairs, (here[moved], before[moved]), 1)
         visits = pairs.sum(axis=1)
         again = visits >= FEW_IN_GROUP
-        if again.any() and pairs[again].max(axis=1).sum() > share * visits[again].sum():
+        if again.any() and pairs[again].max(axis=1).sum() > ONE_ORDER_SHARE * visits[again].sum():
             yield Claim("input.one_order", effect.name, column=column)
 
 
@@ -172,19 +179,19 @@ def _may_be_missing(step: Step) -> dict[str, str]:
     return {"cure": "nothing"}
 
 
-def undecided(steps: Sequence[Step], complete: float) -> Iterator[Claim]:
+def undecided(steps: Sequence[Step]) -> Iterator[Claim]:
     """Something is missing, and the readings do not say what: neither an effect nor one of several."""
     found = steps[-1].discovery
     if found is None or found.nothing_missing is None or found.sets or found.unnamed:
         return
-    if found.nothing_missing < complete:
+    if found.nothing_missing < UNDECIDED_PROBABILITY:
         leads = [c for c in found.candidates if c.probability is not None][:3]
         told = {"named": tuple(f"{c.effect} ({c.probability:.2f})" for c in leads)}
         names = (c.effect for c in leads)
         yield Claim("complete.undecided", *names, complete=found.nothing_missing, **told)
 
 
-def worsened(steps: Sequence[Step], ratio: float) -> Iterator[Claim]:
+def worsened(steps: Sequence[Step]) -> Iterator[Claim]:
     """What an added effect made worse: the error as fitted, leave-one-group-out, of the hold-out data."""
     *earlier, last = steps
     unit, out = last.calibration.unit, last.left_out
@@ -193,7 +200,7 @@ def worsened(steps: Sequence[Step], ratio: float) -> Iterator[Claim]:
     noise = last.calibration.model.noise
     alike = [s for s in earlier if s.calibration.model.noise == noise and noise.independent]
     before = min((s.rmse_fitted for s in alike), default=math.inf)
-    if last.added is not None and last.rmse_fitted > ratio * before:
+    if last.added is not None and last.rmse_fitted > WORSE_RATIO * before:
         errors = {"then": before, "now": last.rmse_fitted, "unit": unit}
         yield Claim("step.raises_error", last.added, step=last.title, **errors)
     if out and (best := left_out_better(last, earlier)) and best.left_out:
@@ -257,42 +264,29 @@ def holdout_better(last: Step, earlier: Sequence[Step]) -> Step | None:
     return best if last.holdout_test.worse_than(best.holdout_test) < settings().holdout_p else None
 
 
-def contradicted(steps: Sequence[Step], ratio: float, scatter: float) -> Iterator[Claim]:
+def contradicted(steps: Sequence[Step]) -> Iterator[Claim]:
     """What hold-out data say against the last model itself, whatever came before."""
     test, error = steps[-1].holdout_test, steps[-1].holdout_rmse
     if test is None or error is None:
         return
     found = test.against
-    if found.p < settings().holdout_p and found.share > ratio:
+    if found.p < settings().holdout_p and found.share > WORSE_RATIO:
         before = f", {found.most} before all" if found.most else ""
         told = {"error": float(error), "other": float(error / found.share), "p": found.p}
         unit = steps[-1].calibration.unit
         yield Claim("holdout.contradicts", **told, before=before, unit=unit)
-    elif found.scatter > scatter:
+    elif found.scatter > SCATTER_RATIO:
         yield Claim("holdout.scatters", scatter=found.scatter)
 
 
-A = AcceptanceCheck
-OPEN = (
-    # Probability that the model is complete, below which it is not to be used as it is.
-    A("complete.undecided", undecided, {"complete": 0.05}),
-    A("equivalent.undecided", lambda steps: equivalent(steps, "doubt")),
-)
-WORSENED = (
-    A("term.replaced term.replaceable", replaced),
-    A(f"step.raises_error {WORSE}", worsened, {"ratio": WORSE_RATIO}),
-)
-NEW_READINGS = (
-    A("runs.unlike", runs_unlike),
-    # Times the scatter that a model expects of hold-out data, beyond which they are of something else.
-    A("holdout.contradicts holdout.scatters", contradicted, {"ratio": WORSE_RATIO, "scatter": 2.0}),
-)
-NOTES = (
-    A("profile.one", lambda steps: said_of_profiles(steps[-1].calibration)),
-    A("term.confounded", confounded),
-    A("thermometer.or_sensor", sensor_or_thermometer),
-    A("equivalent.latent", lambda steps: equivalent(steps, "note")),
-    A("level.which", two_levels),
-    # Share of the steps of an input to a value that come from one value: of ten such steps one may be another.
-    A("input.one_order", in_one_order, {"share": 0.9}),
+# What is open of the last model; what an added effect made worse; what readings that were not fitted say; what is to
+# be known of the readings.
+OPEN = (undecided, lambda steps: equivalent(steps, "doubt"))
+WORSENED = (replaced, worsened)
+NEW_READINGS = (runs_unlike, contradicted)
+NOTES: tuple[AcceptanceCheck, ...] = (
+    lambda steps: said_of_profiles(steps[-1].calibration),
+    *(confounded, sensor_or_thermometer),
+    lambda steps: equivalent(steps, "note"),
+    *(two_levels, in_one_order),
 )

@@ -18,7 +18,6 @@ import numpy as np
 from jaxtyping import Float
 
 from bayescal._calibration.calibration import Calibration
-from bayescal._calibration.mixture import has_effect
 from bayescal._core import deadline
 from bayescal._core.importance_weights import resample, smoothed
 from bayescal._core.parallel import on_one_thread
@@ -112,7 +111,7 @@ def with_latent(
         random = np.random.default_rng([found.seed, 4])
         values = random.standard_normal((len(x), len(own))) @ np.linalg.cholesky(own).T
         values += line.z[inside]
-        there = {n: has_effect(calibration, n) for n in calibration.model.names}
+        there = calibration.having
         for name in spanning:
             values *= there[name][:, None]
         for name in latent & there.keys():

@@ -25,7 +25,6 @@ from bayescal._calibration.claim import Claim
 from bayescal._core.formatting import number
 from bayescal._data.measurements import Measurements
 from bayescal._data.time_in_runs import run_codes
-from bayescal._inference.linear_model import LinearModel
 from bayescal._model.effect import Effect
 from bayescal._model.frame import measured_column
 
@@ -43,25 +42,15 @@ DWELL_LAGS = 3.0  # times the slowest lag, after which five per cent of it are l
 
 
 class TakenOver(NamedTuple):
-    """A term of the first model, and what stands for it in the last.
+    """A term of the first model, and what stands for it in the last."""
 
-    Attributes:
-        term: the first model's effect.
-        by: effects that were added.
-        left: of its squares beside the first model's others, what these leave.
-        moved: of its coefficient, former standard uncertainties.
-        kept: its coefficient, in parts of what it was.
-        runs: how many runs the readings have.
-        another: the run that would tell.
-    """
-
-    term: Effect
-    by: tuple[Effect, ...]
-    left: float
-    moved: float
-    kept: float
-    runs: int
-    another: str
+    term: Effect  # the first model's
+    by: tuple[Effect, ...]  # effects that were added
+    left: float  # of its squares beside the first model's others, what these leave
+    moved: float  # of its coefficient, former standard uncertainties
+    kept: float  # its coefficient, in parts of what it was
+    runs: int  # how many the readings have
+    another: str  # the run that would tell
 
     @property
     def measured(self) -> bool:
@@ -139,17 +128,13 @@ def _followed(
     without, beside = (
         float(column @ last.beyond(column, rest)) for rest in (others, others | theirs)
     )
-    (m0, s0), (m1, _) = _coefficient(first, term.name), _coefficient(last, term.name)
+    # Where its one coefficient stands, in the unit of its prior.
+    i, j = first.owners.index(term.name), last.owners.index(term.name)
+    m0, m1 = float(first.z[i] * first.sd[i]), float(last.z[j] * last.sd[j])
     kept = abs(m1) / abs(m0) if m0 else np.inf
-    left, moved = beside / max(without, 1e-300), abs(m1 - m0) / s0
+    left, moved = beside / max(without, 1e-300), abs(m1 - m0) / first.uncertainty(i)
     runs = len(run_codes(after.readings)[0]) if after.readings.has("time") else 1
     return TakenOver(term, tuple(by), left, moved, kept, runs, another_run(after, term.varies))
-
-
-def _coefficient(line: LinearModel, name: str) -> tuple[float, float]:
-    """Where a term's one coefficient stands, and its standard uncertainty, in the unit of its prior."""
-    i = line.owners.index(name)
-    return float(line.z[i] * line.sd[i]), line.uncertainty(i)
 
 
 def repeated(readings: Measurements, column: str) -> bool:

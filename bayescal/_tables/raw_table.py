@@ -8,19 +8,16 @@ from __future__ import annotations
 
 import re
 import shlex
-import textwrap
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
-from shutil import get_terminal_size
 from types import MappingProxyType
 from typing import Any
 
 import numpy as np
 
 from bayescal._core.errors import InputError
-from bayescal._core.formatting import WIDTH
 from bayescal._tables.cells import Cells, cells_of
 
 _SHOWN = 3  # rows that are named before the rest is counted
@@ -31,15 +28,14 @@ class Objection:
     """One thing in a file that keeps it from being read.
 
     Attributes:
-        file: its name.
-        came: what stands there, such as "reads 'x'".
+        file: its name; empty where `came` is all that is said.
+        came: what stands there, such as "reads 'x'"; of no single column as a verb goes on behind the file's name.
         expected: what was expected, such as "a number in °/s".
         cure: what to do, in words.
         option: of the command line that does it, quoted for a shell; empty if only an edit helps.
         column: its header; empty if it concerns no single column.
         rows: indices of the readings concerned; empty if it concerns no single reading.
         places: the first of them as an editor counts, "row 5".
-        sentence: the whole in words, where the parts do not make a good one.
     """
 
     file: str
@@ -50,32 +46,17 @@ class Objection:
     column: str = ""
     rows: tuple[int, ...] = ()
     places: tuple[str, ...] = ()
-    sentence: str = ""
-
-    def at(self, rows: Sequence[int], place: Callable[[int], str]) -> Objection:
-        """Return the same problem of some readings, by their indices and what names their rows."""
-        return replace(self, rows=tuple(rows), places=tuple(map(place, rows[:_SHOWN])))
-
-    @property
-    def count(self) -> int:
-        return max(len(self.rows), len(self.places))
 
     def __str__(self) -> str:
-        if self.sentence:
-            return self.sentence
         where = f"{self.places[0]} of {self.file!r}" if self.places else f"{self.file!r}"
-        where += f", column {self.column!r}" * bool(self.column)
+        where += f", column {self.column!r}:" * bool(self.column)
         expected = f", {self.expected} was expected" * bool(self.expected)
-        more = f" (and in {self.count - 1} more)" * (self.count > 1)
-        cure = f". {self.cure}" * bool(self.cure) + f" ({self.option})" * bool(self.option)
-        return f"{where}: {self.came}{more}{expected}{cure}"
-
-    @property
-    def where(self) -> str:
-        """Its rows, short: the first few, and how many there are."""
-        numbers = [place.removeprefix("row ") for place in self.places[:_SHOWN]]
-        more = f" … ({self.count} rows)" * (self.count > len(numbers))
-        return ", ".join(numbers) + more if numbers else "–"
+        count = max(len(self.rows), len(self.places))
+        more = f" (and in {count - 1} more)" * (count > 1)
+        cure = f". {self.cure}" * bool(self.cure)
+        if self.option:  # several stand in brackets already
+            cure += f" {self.option}" if self.option[0] == "(" else f" ({self.option})"
+        return f"{where} " * bool(self.file) + f"{self.came}{more}{expected}{cure}"
 
 
 class Objections(list[Objection]):
@@ -87,12 +68,12 @@ class Objections(list[Objection]):
             raise InputError(_text(self), tuple(self))
 
     @contextmanager
-    def collecting(self, file: str = "") -> Iterator[None]:
+    def collecting(self) -> Iterator[None]:
         """Keep what a check inside refuses, in place of ending with it."""
         try:
             yield
         except InputError as error:
-            self += error.problems or [Objection(file, str(error), sentence=str(error))]
+            self += error.problems or [Objection("", str(error))]
 
 
 def unusable(file: str, came: str, cure: str = "", place: str = "") -> InputError:
@@ -104,12 +85,9 @@ def unusable(file: str, came: str, cure: str = "", place: str = "") -> InputErro
         cure: what to do.
         place: the row, as an editor counts.
     """
-    where = f"{place} of {file!r}" if place else f"{file!r}"
-    joint = "" if not cure else ": " if cure[0].islower() else ". "
-    sentence, places = f"{where} {came}{joint}{cure}", (place,) if place else ()
-    cure = cure[:1].upper() + cure[1:]
-    problem = Objection(file, came, cure=cure, places=places, sentence=sentence)
-    return InputError(sentence, (problem,))
+    places = (place,) if place else ()
+    problem = Objection(file, came, cure=cure[:1].upper() + cure[1:], places=places)
+    return InputError(str(problem), (problem,))
 
 
 def option(name: str, value: str) -> str:
@@ -118,71 +96,22 @@ def option(name: str, value: str) -> str:
 
 
 def _text(problems: Sequence[Objection]) -> str:
+    """One problem as a sentence, several as a list, and the options that cure them as one line to copy."""
     if len(problems) == 1:
         return str(problems[0])
-    problems = _merge_files(problems)
-    files = list(dict.fromkeys(name for p in problems for name in p.file.split("\n") if name))
-    of = f"{files[0]!r}" if len(files) == 1 else f"{len(files)} files"
-    page = min(WIDTH, get_terminal_size((WIDTH, 24)).columns)
-    shown = "\n".join(_list_item(p, len(files), page) for p in problems)
-    options = _join_options(dict.fromkeys(p.option for p in problems if p.option))
-    by_hand = " and ".join(dict.fromkeys(_place(p) for p in problems if not p.option))
-    mended = f"{by_hand} mended and " * bool(by_hand)
-    asked = f"\n\nwith {mended}these options, if they are meant: {options}" * bool(options)
-    return f"{len(problems)} problems with {of}\n\n{shown}{asked}"
-
-
-def _join_options(options: Iterable[str]) -> str:
-    """Options in one line; those that name one header for several columns as alternatives."""
-    by_header = dict[str, list[str]]()
-    for text in options:
-        header = shlex.split(text)[1].partition("=")[2] if text.startswith("--columns ") else text
-        by_header.setdefault(header, []).append(text)
-    return " ".join(a[0] if len(a) == 1 else f"({' or '.join(a)})" for a in by_header.values())
-
-
-def _merge_files(problems: Sequence[Objection]) -> list[Objection]:
-    """Merge objections that are the same in several files; `file` then has a line for each."""
-    merged = dict[tuple[Any, ...], Objection]()
-    for problem in problems:
-        key = (problem.column, problem.came, problem.expected, problem.cure, problem.option)
-        alike = merged.get(key)
-        if alike is None or problem.file in alike.file.split("\n"):
-            merged[key if alike is None else (*key, len(merged))] = problem
-        else:
-            merged[key] = replace(alike, file=f"{alike.file}\n{problem.file}")
-    return list(merged.values())
-
-
-def _place(p: Objection) -> str:
-    """Where a problem is, short: its rows, else its column."""
-    if p.places:
-        return f"row{'s' * (len(p.places) != 1)} {p.where}"
-    return f"column {p.column!r}" if p.column else "the rest"
-
-
-def _list_item(p: Objection, count: int, page: int) -> str:
-    """A problem of `count` files as a list has it, folded to a page: where and what, then what to do."""
-    first, *others = p.file.split("\n")
-    every = "both files" if count == 2 else f"all {count} files"
-    named = (
-        first
-        if not others
-        else every
-        if len(others) + 1 == count
-        else f"{first} and {len(others)} more"
-    )
-    where = [named] * (count > 1) + [f"column {p.column!r}"] * bool(p.column)
-    where += [f"row {p.where}" if len(p.places) == 1 else f"rows {p.where}"] * bool(p.places)
-    text = (
-        f"{', '.join(where)}: " * bool(where)
-        + p.came
-        + f"; expected: {p.expected}" * bool(p.expected)
-    )
-    lines = textwrap.wrap(text, page - 2, initial_indent="- ", subsequent_indent="  ")
-    lines += [f"    {p.option}"] * bool(p.option)  # to be copied: in one line
-    cure = textwrap.wrap(p.cure, page - 4, initial_indent=" " * 4, subsequent_indent=" " * 4)
-    return "\n".join([*lines, *cure])
+    files, alike = {p.file for p in problems if p.file}, dict[Any, list[Objection]]()
+    for p in problems:  # what is the same in several files is said once
+        alike.setdefault((p.column, p.came, p.expected, p.cure, p.option), []).append(p)
+    lines = [
+        f"{same[0]}" + f" (and {len(same) - 1} more like it)" * (len(same) > 1)
+        for same in alike.values()
+    ]
+    of = f"{next(iter(files))!r}" if len(files) == 1 else f"{len(files)} files"
+    options = " ".join(dict.fromkeys(p.option for p in problems if p.option))
+    by_hand = "with the rest mended and " if not all(p.option for p in problems) else "with "
+    asked = f"\n\n{by_hand}these options, if they are meant: {options}" * bool(options)
+    count = f"{len(lines)} problem{'s' * (len(lines) > 1)} with {of}"
+    return "\n".join([f"{count}\n", *(f"- {line}" for line in lines)]) + asked
 
 
 ROW = "reading"  # the one dimension of readings
@@ -225,11 +154,6 @@ class Header:
 
 def row_place(index: int) -> str:
     return f"row {index + 1}"
-
-
-def after(rows: int, place: Callable[[int], str] = row_place) -> Callable[[int], str]:
-    """Where the readings of a stretch stand that so many precede."""
-    return lambda index: place(rows + index)
 
 
 @dataclass(frozen=True)
@@ -288,6 +212,21 @@ class Table:
         arrays = list(columns.values())
         rows = len(arrays[0]) if arrays else 0
         return cls(file, headers, rows, loads(arrays.__getitem__), **more)
+
+    def objection(
+        self,
+        column: str,
+        came: str,
+        expected: str = "",
+        cure: str = "",
+        option: str = "",
+        *,
+        rows: Sequence[int] | np.ndarray = (),
+    ) -> Objection:
+        """Return an objection to a column, given by its header; to some of its readings, if `rows` are given."""
+        at = tuple(int(row) for row in rows)
+        places = tuple(map(self.place, at[:_SHOWN]))
+        return Objection(self.file, came, expected, cure, option, column, at, places)
 
     def take(self, rows: np.ndarray) -> Table:
         """The table of some of its rows, by index."""

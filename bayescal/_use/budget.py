@@ -19,7 +19,6 @@ from typing import Any
 import numpy as np
 
 from bayescal._calibration.calibration import Calibration
-from bayescal._calibration.mixture import likeliest, without
 from bayescal._calibration.prior_influence import (
     not_measured,
     variance_by_origin,
@@ -40,6 +39,7 @@ from bayescal._use.compensator import Compensator, compensator
 from bayescal._use.operating_equation import (
     ALL_DRAWS,
     OperatingEquation,
+    linearised,
     posterior_moments,
 )
 
@@ -285,20 +285,23 @@ def _operating_point(chosen: Compensator, at: dict[str, float]) -> dict[str, flo
 
 
 def _slopes(chosen: Compensator, point: Mapping[str, float]) -> tuple[float, float, np.ndarray]:
-    """Expected output and its slope at a point, and ∂value/∂θ there."""
-    expected, slope, gradient = chosen._equation.at_point(chosen._moments.mean, point)
-    return expected, slope, 0.0 - gradient / slope
+    """Expected output and its slope at a point, and ∂value/∂θ there; inputs that are not in it are zero, as unused."""
+    equation = chosen._equation
+    inputs = {n: np.full(1, point.get(n, 0.0)) for n in equation.names}
+    at = np.full(1, float(point[chosen.stimulus])), inputs
+    expected, slope, gradient = linearised(equation, chosen._moments.mean, *at)
+    return float(expected[0]), float(slope[0]), 0.0 - np.asarray(gradient[0] / slope[0])
 
 
 def _by_source(
     chosen: Compensator, point: Mapping[str, float], gradient: np.ndarray, variance: float
 ) -> tuple[SourceShare, ...]:
     """The split by what the calibration knew: noise, each prior, each deviation that is new in use."""
-    unlikely = {e.name for e in chosen._calibration.model.effects} - likeliest(chosen._calibration)
+    unlikely = {e.name for e in chosen._calibration.model.effects} - chosen._calibration.likeliest
     parts, total = dict[tuple[str, str], float](), variance
     if unlikely:
         members = dict(chosen._equation.members)
-        chosen = compensator(without(chosen._calibration, unlikely), members=members)
+        chosen = compensator(chosen._calibration.without(unlikely), members=members)
         *_, gradient = _slopes(chosen, point)
         total = float(gradient @ chosen._moments.covariance @ gradient)
     calibration, unknowns = chosen._calibration, chosen._equation.unknowns()

@@ -31,9 +31,10 @@ BEHIND = {
         _data.column: ConvertedColumns Source
         _data.column_conversion: convert_columns
         _data.dataset_checks: refuse_backward_time refuse_one_temperature
-        _data.header_matching: ExpectedColumns InstrumentLike MatchedFile output_name unit_of unused_options
+        _data.header_matching: MatchedFile
+        _data.read_options: ExpectedColumns InstrumentLike output_name unit_of unused_options
         _inference: sampled_products trust
-        _inference.laplace: climb gaussian_fit
+        _inference.newton: ByValues climb gaussian_fit
         _inference.method: Method
         _inference.sampling: PriorShare around_mode propose
         _model: forward
@@ -51,7 +52,6 @@ BEHIND = {
         _tables.raw_table: Table as_format load_whole refuse_large
     """,
     "imu": """
-        _calibration.mixture: usual_columns with_columns
         _calibration.sensor_noise: FILTER_QUANTILE
         _cli.output: coefficients_text
         _core: deadline
@@ -64,7 +64,6 @@ BEHIND = {
         _use.compensation_program: AGAIN STIMULUS inputs_at_fit
     """,
     "metrology": """
-        _calibration.mixture: inclusion
         _calibration.prior_influence: NotMeasured coefficients_not_measured not_measured
         _use: operating_equation
         _use.budget: notes_on
@@ -76,26 +75,19 @@ BEHIND = {
         _calibration.check_result: place_in_words
         _calibration.summary: null_directions unknown_rows
         _core: deadline
-        _data.header_matching: MISSING_READINGS
         _model.effect: with_forms
         _model.formula: Formula
         _model.installed: GROUP installed_names
         _report.plot_colours: BLUE CYCLE GREEN ORANGE PURPLE RED SKY
         _report.report: Pictures
-        _report.section: of_folder
         _report.whole_folder: AGAIN
         _search.calibrate: Loop QUICK step_of
-        _search.discover: SEARCH missing
+        _search.discover: SEARCH
         _search.gate: judged
         _search.noise_laws: laws_over
-        _search.own_files: in_a_file refuse_unnamed user_effects
-        _search.preview: Preview Previews
+        _search.own_files: in_a_file
         _search.search_path: Step steps_table
         _search.structures: SIZE_FACTORS Structure
-        _tables.cells: ORDERS
-        _tables.mapping_file: ReadMapping save_mapping
-        _tables.open_table: TEXT
-        _use: correction_files
     """,
 }
 

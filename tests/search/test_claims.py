@@ -8,8 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from bayescal._calibration.claim import Claim, as_claim
-from bayescal._calibration.claim_words import WORDS, Words
+from bayescal._calibration.claim import WORDS, Claim, Words, as_claim
 
 PAGE = Path(__file__).with_name("claims.txt")
 NAMES = ("by", "column", "columns", "along", "values", "named", "taus")  # that may be several

@@ -107,7 +107,7 @@ def test_a_function_of_an_input_that_has_one_order(shuffled: bool, count: int) -
         given = given.with_column("position_angle", np.random.default_rng(1).permutation(angle))
     model = ng_accelerometer.INSTRUMENT.baseline() + "unknown(position_angle)"
     found = bc.fit(model, given, bc.LeastSquares(draws=200), strict=False)
-    told = [*in_one_order([cast(Any, SimpleNamespace(calibration=found))], 0.9)]
+    told = [*in_one_order([cast(Any, SimpleNamespace(calibration=found))])]
     assert len(told) == count
     assert all((t.code, t.of) == ("input.one_order", ("unknown(position_angle)",)) for t in told)
 

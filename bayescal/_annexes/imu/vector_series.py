@@ -27,7 +27,6 @@ from bayescal._annexes.imu.vector_correction import (
     UNKNOWN_DIRECTIONS,
     VectorCorrection,
 )
-from bayescal._calibration.mixture import usual_columns, with_columns
 from bayescal._core.jit import compiled
 from bayescal._data.pose_rows import ACROSS, MAGNITUDE, TURNED, magnitude
 from bayescal._inference.problem import Problem
@@ -61,8 +60,8 @@ def vector_correction(calibration: Calibration) -> VectorCorrection:
             f"instrument {instrument.name!r} has one output: bayescal.compensator corrects it"
         )
     effects = calibration.model.effects
-    further = {TEMPERATURE, *vector.beside} - usual_columns(calibration)
-    calibration = with_columns(calibration, set().union(*(e.columns for e in effects)) - further)
+    further = {TEMPERATURE, *vector.beside} - calibration.usual_columns
+    calibration = calibration.with_columns(set().union(*(e.columns for e in effects)) - further)
     model, readings = calibration.model, calibration.readings
     beside = vector.beside if any(set(e.columns) & {*vector.beside} for e in model.effects) else ()
     recorded = readings.has("temperature")

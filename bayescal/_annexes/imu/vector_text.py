@@ -22,9 +22,9 @@ from bayescal.workshop import (
     ResultTable,
     as_type,
     c_comment,
-    code_template,
     include_guard,
     python_words,
+    template,
 )
 
 PACKAGE = "bayescal._annexes.imu"  # whose templates these are
@@ -75,11 +75,11 @@ def vector_from_data(found: Any, file: str) -> VectorCorrection:
 
 def headers(named: Mapping[str, VectorCorrection], uncertainty: bool) -> str:
     """Corrections as C99, one after the other."""
-    template = code_template("vector.h.jinja", {"comment": c_comment}, package=PACKAGE)
+    layout = template(PACKAGE, "vector.h.jinja", {"comment": c_comment})
 
     def header(name: str, c: VectorCorrection) -> str:
         held = (c.terms.tolist(), c.covariance.tolist(), c.reference, c.low, c.high, uncertainty)
-        return template.render(
+        return layout.render(
             c=c,
             name=name,
             guard=include_guard(name, *held),
@@ -101,7 +101,7 @@ def module(named: Mapping[str, VectorCorrection], uncertainty: bool) -> str:
     for one in () if uncertainty else held.values():
         del one["covariance"]
         one.pop("covariance_with_axes_of", None)
-    return code_template("vector.py.jinja", {"comment": python_words}, package=PACKAGE).render(
+    return template(PACKAGE, "vector.py.jinja", {"comment": python_words}).render(
         named=named,
         data={n: repr(one) for n, one in held.items()},
         uncertainty=uncertainty,

@@ -42,7 +42,6 @@ from bayescal._annexes.metrology.conformity import (
     stated_limit,
     with_population,
 )
-from bayescal._calibration.mixture import inclusion
 from bayescal._calibration.prior_influence import NotMeasured, not_measured
 from bayescal._use.compensation_program import averaged_over
 from bayescal.workshop import (
@@ -185,7 +184,7 @@ def _no_answer(quantity: LimitedQuantity, calibration: Calibration, stated: floa
     if not quantity.follows_time:
         return f"the model cannot say when: nothing in it that acts on {name} changes with the time of the record"
     # A form in time that the readings drew, which ends with them.
-    shares = inclusion(calibration)
+    shares = calibration.inclusion
     for effect in calibration.model.effects:
         drawn = effect.covariate == "time" and effect.is_placeholder
         if drawn and shares[effect.name] > 1 - stated:
