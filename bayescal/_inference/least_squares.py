@@ -68,9 +68,8 @@ class LeastSquares(Method):
         reasons += [] if np.all(np.isfinite(found.covariance)) else [trust.SINGULAR]
         kind = "Gauss–Newton" if self.curvature == "gauss-newton" else "full-Hessian"
         notes = [
-            f"{kind} covariance; noise and between-group standard deviations held at their estimates (by restricted "
-            "likelihood where there are more readings than coefficients), so that intervals do not carry their "
-            "uncertainty."
+            f"{kind} covariance; noise and between-group standard deviations held at their estimates, so that "
+            "intervals do not carry their uncertainty."
         ]
         return Outcome(
             layout=layout,
@@ -79,11 +78,6 @@ class LeastSquares(Method):
             verdict=Verdict(not reasons, tuple(reasons), tuple(notes), "least squares"),
             log_evidence=None if layout.improper else (float(found.mode.log_evidence), None),
         )
-
-
-def solution_on(problem: Problem, hessian: bool = False) -> Solution:
-    """The fit of a structure whose noise the engine whitens by, on a record that others may share."""
-    return refine(problem, find_mode(problem), hessian)
 
 
 @on_one_thread  # else the last digits would hang on how many cores there are

@@ -88,6 +88,7 @@ def whole_folder(
     try:
         for left in (hidden, *left_behind(visible / "results")):
             shutil.rmtree(left, ignore_errors=True)
+        visible.mkdir(exist_ok=True)
         hidden.mkdir()
         yield hidden
         list_files(hidden, calibration)

@@ -15,9 +15,17 @@ from bayescal._annexes.imu.imu_annex import triad_text as triad_text
 from bayescal._annexes.imu.vector_correction import CorrectedVector as CorrectedVector
 from bayescal._annexes.metrology.certificate import Certificate, dcc_text
 from bayescal._annexes.metrology.certificate import d_si as d_si
+from bayescal._annexes.metrology.conformity import DrawnQuantity as DrawnQuantity
+from bayescal._annexes.metrology.conformity import Limits as Limits
+from bayescal._annexes.metrology.conformity import acceptance as acceptance
+from bayescal._annexes.metrology.conformity import global_risks as global_risks
 from bayescal._annexes.workbench.kept import Origin as Origin
 from bayescal._annexes.workbench.session import Session as Session
 from bayescal._calibration.check import autocorrelation as autocorrelation
+from bayescal._calibration.claim import WORDS as WORDS
+from bayescal._calibration.claim import Claim as Claim
+from bayescal._calibration.claim import Words as Words
+from bayescal._calibration.claim import as_claim as as_claim
 from bayescal._calibration.noise_in_time import allan_check as allan_check
 from bayescal._core.formatting import interval as interval
 from bayescal._core.importance_weights import smoothed as smoothed
