@@ -370,8 +370,8 @@ class _TypedLine:
                     negative, part = negative ^ isinstance(part.op, ast.USub), part.operand
                 base = self._tree(part, depth)
                 return self.node("neg", base)._replace(at=at) if negative else base
-            case ast.Call(func=ast.Name()):
-                return self._call(self.atoms[part.func.id].parts[0], part.args, at, depth)
+            case ast.Call(func=ast.Name() as called):
+                return self._call(self.atoms[called.id].parts[0], part.args, at, depth)
         raise self.refusal(at, "this has no meaning in a formula")
 
     def _call(self, name: str, given: Sequence[ast.expr], at: int, depth: int) -> FormulaNode:

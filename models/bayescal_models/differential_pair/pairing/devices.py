@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -95,7 +96,7 @@ def devices_of(calibration: bc.Calibration) -> Devices:
     names = [str(n) for n in calibration.tree["posterior"].to_dataset() if "reading" not in str(n)]
     samples = {n: calibration.samples(n) for n in names}
     samples |= {n: np.full(len(samples[SENSITIVITY]), v) for n, v in calibration.model.fixed}
-    readings, reference = calibration.readings, calibration.reference
+    readings, reference = calibration.readings, cast("dict[str, float]", calibration.reference)
     table = _table(readings)
     sensitivity = np.asarray(samples[SENSITIVITY])[:, table.order]
     basis = np.stack(polynomials((table.time - reference["time_mean"]) / reference["time_span"]))

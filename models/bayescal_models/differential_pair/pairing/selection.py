@@ -100,7 +100,7 @@ def judge(devices: Devices) -> Figures:
         "high": high,
         "sd": 0.5 * (upper - lower),
         "document": criteria.document_ratio(removed, outer),
-        "document_reliable": np.broadcast_to(~near, median.shape),
+        "document_reliable": np.broadcast_to(np.logical_not(near), median.shape),
     }
     return Figures(of_pair, of_ratio, left, near_zero=_near_zero(of_environment[:, outer:]))
 
