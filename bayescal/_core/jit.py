@@ -7,8 +7,6 @@ optimisations of its last stage too, a fifth, and computing at most three times 
 
 from __future__ import annotations
 
-import pickle
-import sys
 from collections.abc import Callable
 from functools import cache, partial, update_wrapper
 from typing import Any, Generic, ParamSpec, TypeVar
@@ -94,22 +92,3 @@ def by_value(function: Any) -> Any:
     except TypeError:  # an array among its arguments
         return function
     return made
-
-
-def importable(function: Any) -> bool:
-    """Whether another process can find a function by its module and name, as pickle does; a lambda it cannot."""
-    try:
-        pickle.dumps(function)
-    except Exception:  # pickle raises AttributeError, PicklingError and TypeError
-        return False
-    return True
-
-
-def written_by_value() -> bool:
-    """Whether what pickles writes functions themselves, as cloudpickle (joblib, Dask) does, and needs no names."""
-    frame = sys._getframe(1)
-    while frame is not None:
-        if "cloudpickle" in frame.f_globals.get("__name__", ""):
-            return True
-        frame = frame.f_back
-    return False

@@ -15,7 +15,7 @@ from typing import Any, Literal
 from jaxtyping import Array, Float
 
 from bayescal._core.errors import ModelError
-from bayescal._core.jit import by_value, importable, written_by_value
+from bayescal._core.jit import by_value
 from bayescal._core.xp import xp
 from bayescal._data.measurements import Measurements
 from bayescal._model.frame import Frame
@@ -249,17 +249,6 @@ class Effect:
                 f"effect {self.name!r}: its basis must take the readings and then its shapes "
                 f"{sorted(shapes)} by name; it takes {list(taken)}"
             )
-
-    def __getstate__(self) -> dict[str, Any]:
-        """As pickle writes it: its functions by module and name, if another process can import them."""
-        for role in FUNCTIONS:
-            if not importable(getattr(self, role)) and not written_by_value():
-                raise ModelError(
-                    f"effect {self.name!r} cannot be pickled, because its {role} is a lambda or a local function, "
-                    "which another process cannot import: define it with `def` at the top of a module, with "
-                    "functools.partial for what it is given beforehand"
-                )
-        return dict(vars(self))
 
     def __repr__(self) -> str:
         said = f"{self.name} [{self.coefficients[0].unit}]"

@@ -89,9 +89,7 @@ class Dimension(NamedTuple):
 
 
 NUMBER = Dimension((), 1.0)
-Checked = tuple[
-    FormulaNode, Dimension | None
-]  # a part, and its dimension; None for a plain literal
+Checked = tuple[FormulaNode, Dimension | None]  # a part; its dimension, None for a plain literal
 
 
 def _number(text: str, refusal: Callable[[str], InputError] = InputError) -> float:
@@ -106,99 +104,6 @@ def _number(text: str, refusal: Callable[[str], InputError] = InputError) -> flo
     ):
         return value
     raise refusal(f"{text} is a number too {'large' if abs(value) > 1 else 'small'}")
-
-
-class _Text:
-    """What is typed, of which a place is marked where it is refused."""
-
-    def __init__(self, text: str) -> None:
-        self.text = text
-
-    def refusal(self, at: int, why: str) -> InputError:
-        return InputError(f"effect {self.text[:at]!r} ▸ {self.text[at:]!r}: {why}")
-
-    def node(self, kind: str, *parts: FormulaNode, name: str = "") -> FormulaNode:
-        """Return a node of these parts: a function's, an operator's; of numbers alone, their value.
-
-        Raises:
-            InputError: it has none: a division by zero, the root of a negative number, a number too large or too small.
-        """
-        at = parts[0].at
-        if name in _OF_COLUMNS or any(part.kind != "number" for part in parts):
-            return FormulaNode(kind, (name, *parts) if name else parts, at)
-        of = _FUNCTIONS[name] if name else _OPERATORS[kind]
-        try:
-            with np.errstate(all="raise"):
-                value = float(of(*(np.float64(part.parts[0]) for part in parts)))
-        except FloatingPointError as error:
-            raise self.refusal(at, f"this number has no value: {error}") from None
-        if not math.isfinite(value):
-            raise self.refusal(at, f"this number has no value: it is {value}")
-        return FormulaNode("number", (value,), at)
-
-    def parsed(self) -> FormulaNode:
-        """Return the formula as a tree.
-
-        Raises:
-            InputError: it is none.
-        """
-        if len(self.text) > LONGEST_LINE:
-            raise InputError(f"a formula of {len(self.text)} characters: {LONGEST_LINE} at most")
-        # To Python go operators and brackets alone, each name and number as n0, n1, …: no keyword, no other literal.
-        self.atoms, self.places, source = dict[str, FormulaNode](), list[int](), ""
-        for token in _TOKEN.finditer(self.text):
-            kind = str(token.lastgroup)
-            value, at = token[kind], token.start(kind)
-            if kind == "other":
-                raise self.refusal(at, f"{value!r} has no meaning in a formula")
-            word = value.replace("^", "**") if kind == "sign" else f"n{len(self.atoms)}"
-            if kind == "number":
-                number = _number(value, partial(self.refusal, at))
-                self.atoms[word] = FormulaNode("number", (number,), at)
-            elif kind != "sign":
-                self.atoms[word] = FormulaNode("name", (value,), at)
-            source += word + " "
-            self.places += [at] * (len(word) + 1)
-        try:
-            return self._tree(ast.parse(source, mode="eval").body)
-        except (SyntaxError, MemoryError, RecursionError) as error:
-            column = (getattr(error, "offset", None) or 1) - 1
-            at = self.places[column] if column < len(self.places) else len(self.text)
-            why = "this makes no formula: is an operator, a number, a name or a bracket missing?"
-            raise self.refusal(at, why) from None
-
-    def _tree(self, part: ast.expr, depth: int = 0) -> FormulaNode:
-        at = self.places[part.col_offset]
-        if depth > DEEPEST:
-            raise self.refusal(at, f"powers and brackets deeper than {DEEPEST}")
-        match part:
-            case ast.Name():
-                return self.atoms[part.id]
-            case ast.BinOp() if sign := _SIGNS.get(type(part.op)):
-                return self.node(
-                    sign, self._tree(part.left, depth), self._tree(part.right, depth + 1)
-                )
-            case ast.UnaryOp():
-                negative = False
-                while isinstance(part, ast.UnaryOp):
-                    negative, part = negative ^ isinstance(part.op, ast.USub), part.operand
-                base = self._tree(part, depth)
-                return self.node("neg", base)._replace(at=at) if negative else base
-            case ast.Call(func=ast.Name()):
-                return self._call(self.atoms[part.func.id].parts[0], part.args, at, depth)
-        raise self.refusal(at, "this has no meaning in a formula")
-
-    def _call(self, name: str, given: Sequence[ast.expr], at: int, depth: int) -> FormulaNode:
-        known = (*_FUNCTIONS, *_OF_COLUMNS)
-        if name == "lag":
-            raise self.refusal(at, _LAG)
-        if name not in known:
-            raise self.refusal(at, f"there is no function {name!r}; there are {', '.join(known)}")
-        count = 2 if name in (*_OF_TWO, *_OF_A_BODY) else 1
-        if len(given) != count:
-            raise self.refusal(at, f"{name} takes {count} argument{'s' * (count > 1)}")
-        arguments = (self._tree(one, depth + 1) for one in given)
-        return self.node("call", *arguments, name=name)._replace(at=at)
 
 
 def _inside(node: FormulaNode) -> Iterator[FormulaNode]:
@@ -347,7 +252,7 @@ def _apart(name: str, formula: str, given: Mapping[str, str]) -> tuple[str, str,
     return name, formula, given
 
 
-class _TypedLine(_Text):
+class _TypedLine:
     """A formula with what is said of its names, and the readings or instrument that it is for.
 
     Attributes:
@@ -367,8 +272,7 @@ class _TypedLine(_Text):
         readings: Measurements | None,
         instrument: Instrument | None,
     ) -> None:
-        self.name, formula, self.given = _apart(name, formula, given)
-        super().__init__(formula)
+        self.name, self.text, self.given = _apart(name, formula, given)
         self.readings, self.instrument = readings, instrument
         self.tree = self.parsed()
         self.columns = self._columns()
@@ -382,7 +286,7 @@ class _TypedLine(_Text):
         named = _names(self.tree)
         if unused := sorted(set(self.given) - named):
             raise InputError(
-                f"effect {self.name!r}: {', '.join(unused)} is given, and does not stand in {formula!r}"
+                f"effect {self.name!r}: {', '.join(unused)} is given, and does not stand in {self.text!r}"
             )
         unknowns = named - set(self.columns)
         bent = _bent(self.tree) & unknowns
@@ -395,6 +299,92 @@ class _TypedLine(_Text):
         self.units = {n: Dimension.of(u) if u else None for n, (_, u) in self.columns.items()}
         self.units |= {n: Dimension.of(s.unit) for n, s in self.shapes.items()}
         self.coefficients = {n: self._checked(part) for n, part in linear.items()}
+
+    def refusal(self, at: int, why: str) -> InputError:
+        return InputError(f"effect {self.text[:at]!r} ▸ {self.text[at:]!r}: {why}")
+
+    def node(self, kind: str, *parts: FormulaNode, name: str = "") -> FormulaNode:
+        """Return a node of these parts: a function's, an operator's; of numbers alone, their value.
+
+        Raises:
+            InputError: it has none: a division by zero, the root of a negative number, a number too large or too small.
+        """
+        at = parts[0].at
+        if name in _OF_COLUMNS or any(part.kind != "number" for part in parts):
+            return FormulaNode(kind, (name, *parts) if name else parts, at)
+        of = _FUNCTIONS[name] if name else _OPERATORS[kind]
+        try:
+            with np.errstate(all="raise"):
+                value = float(of(*(np.float64(part.parts[0]) for part in parts)))
+        except FloatingPointError as error:
+            raise self.refusal(at, f"this number has no value: {error}") from None
+        if not math.isfinite(value):
+            raise self.refusal(at, f"this number has no value: it is {value}")
+        return FormulaNode("number", (value,), at)
+
+    def parsed(self) -> FormulaNode:
+        """Return the formula as a tree.
+
+        Raises:
+            InputError: it is none; the place is marked.
+        """
+        if len(self.text) > LONGEST_LINE:
+            raise InputError(f"a formula of {len(self.text)} characters: {LONGEST_LINE} at most")
+        # To Python go operators and brackets alone, each name and number as n0, n1, …: no keyword, no other literal.
+        self.atoms, self.places, source = dict[str, FormulaNode](), list[int](), ""
+        for token in _TOKEN.finditer(self.text):
+            kind = str(token.lastgroup)
+            value, at = token[kind], token.start(kind)
+            if kind == "other":
+                raise self.refusal(at, f"{value!r} has no meaning in a formula")
+            word = value.replace("^", "**") if kind == "sign" else f"n{len(self.atoms)}"
+            if kind == "number":
+                number = _number(value, partial(self.refusal, at))
+                self.atoms[word] = FormulaNode("number", (number,), at)
+            elif kind != "sign":
+                self.atoms[word] = FormulaNode("name", (value,), at)
+            source += word + " "
+            self.places += [at] * (len(word) + 1)
+        try:
+            return self._tree(ast.parse(source, mode="eval").body)
+        except (SyntaxError, MemoryError, RecursionError) as error:
+            column = (getattr(error, "offset", None) or 1) - 1
+            at = self.places[column] if column < len(self.places) else len(self.text)
+            why = "this makes no formula: is an operator, a number, a name or a bracket missing?"
+            raise self.refusal(at, why) from None
+
+    def _tree(self, part: ast.expr, depth: int = 0) -> FormulaNode:
+        at = self.places[part.col_offset]
+        if depth > DEEPEST:
+            raise self.refusal(at, f"powers and brackets deeper than {DEEPEST}")
+        match part:
+            case ast.Name():
+                return self.atoms[part.id]
+            case ast.BinOp() if sign := _SIGNS.get(type(part.op)):
+                return self.node(
+                    sign, self._tree(part.left, depth), self._tree(part.right, depth + 1)
+                )
+            case ast.UnaryOp():
+                negative = False
+                while isinstance(part, ast.UnaryOp):
+                    negative, part = negative ^ isinstance(part.op, ast.USub), part.operand
+                base = self._tree(part, depth)
+                return self.node("neg", base)._replace(at=at) if negative else base
+            case ast.Call(func=ast.Name() as called):
+                return self._call(self.atoms[called.id].parts[0], part.args, at, depth)
+        raise self.refusal(at, "this has no meaning in a formula")
+
+    def _call(self, name: str, given: Sequence[ast.expr], at: int, depth: int) -> FormulaNode:
+        known = (*_FUNCTIONS, *_OF_COLUMNS)
+        if name == "lag":
+            raise self.refusal(at, _LAG)
+        if name not in known:
+            raise self.refusal(at, f"there is no function {name!r}; there are {', '.join(known)}")
+        count = 2 if name in (*_OF_TWO, *_OF_A_BODY) else 1
+        if len(given) != count:
+            raise self.refusal(at, f"{name} takes {count} argument{'s' * (count > 1)}")
+        arguments = (self._tree(one, depth + 1) for one in given)
+        return self.node("call", *arguments, name=name)._replace(at=at)
 
     def effect(self, source: str) -> Effect:
         slot, slot_unit, cause = self._slot()
@@ -519,10 +509,9 @@ class _TypedLine(_Text):
             return node, unit
         if name == "sqrt":
             return node, unit and unit.raised(0.5)
-        angle = (
-            name in ("sin", "cos", "tan") and unit is not None and unit.powers == (("rad", 1.0),)
-        )
-        if name not in ("step", "sign") and unit is not None and unit.powers and not angle:
+        powers = () if unit is None or name in ("step", "sign") else unit.powers
+        angle = name in ("sin", "cos", "tan") and powers == (("rad", 1.0),)
+        if powers and not angle:
             why = f"{name} takes a plain number, this is {unit}: divide it by one"
             raise self.refusal(first.at, why)
         return node, NUMBER
@@ -555,19 +544,14 @@ class _TypedLine(_Text):
             InputError: the readings have no such column of numbers, or its unit is not known.
         """
         readings, given, there = self.readings, self.given, dict(_UNITS)
-        for c in self.instrument.columns if self.instrument else ():
-            if c.unit not in (None, ANY) and c.name != "output":
-                there[c.name] = str(c.unit)
+        columns = self.instrument.columns if self.instrument else ()
+        declared = {c.name: c.unit for c in columns if c.name != "output"}
+        there |= {n: str(unit) for n, unit in declared.items() if unit not in (None, ANY)}
         if readings is not None:
             units = {n: readings.unit(n) for n in readings.columns if n != readings.output}
             there = {n: str(unit) for n, unit in units.items() if unit}
             there |= {"elapsed": "s"} if "time" in there else {}
         self.there = there
-        declared = (
-            {c.name for c in self.instrument.columns if c.name != "output"}
-            if self.instrument
-            else {}
-        )
         own = {n: v for n, v in given.items() if not re.match(r"[-+.\d]", v)}
         found: dict[str, tuple[str, str]] = {}
         for node in (n for n in _inside(self.tree) if n.kind == "name"):

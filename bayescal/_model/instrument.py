@@ -17,7 +17,6 @@ from jaxtyping import Array, Float
 import bayescal._model.independent_noise  # the laws that there are: a search weighs them, files name them
 import bayescal._model.summed_noise  # noqa: F401
 from bayescal._core.errors import InputError, ModelError
-from bayescal._core.jit import importable, written_by_value
 from bayescal._data.column import Column, NominalScale
 from bayescal._data.measurements import Measurements
 from bayescal._data.unit_conversion import ANY, basis_factor
@@ -150,11 +149,6 @@ class Instrument:
                 mine, its = vars(self), vars(value)
                 more = {f: mine[f] for f in mine if mine[f] is not its[f]}
                 return _again, (module, name, more, {})
-        if not importable((*vars(self).values(),)) and not written_by_value():
-            raise ModelError(
-                f"instrument {self.name!r} cannot be pickled: another process finds an instrument by name, so give it "
-                "one at the top of the module that its response stands in, INSTRUMENT = bayescal.Instrument(…)"
-            )
         return object.__reduce_ex__(self, protocol)
 
     def __repr__(self) -> str:

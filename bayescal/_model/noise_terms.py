@@ -287,15 +287,9 @@ class SmoothTerm(NoiseTerm):
         own = jnp.where(z < REACH, kept**2 * series, far)
         # beside the diagonal 2x²·e⁻²ˣ,
         cross = kept**2 * z**2 / 2
-        # and of g 1 − e⁻²ˣ·(x² + (1 − x)²). Their root, 2 × 2, is taken by hand, with the `where` of `exponential`.
+        # and of g 1 − e⁻²ˣ·(x² + (1 − x)²).
         slope = -jnp.expm1(-z) + kept**2 * (z - z**2 / 2)
-        moves = own > 0
-        first = jnp.where(moves, jnp.sqrt(jnp.where(moves, own, 1.0)), 0.0)
-        share = cross / jnp.where(moves, first, 1.0)
-        rest = jnp.where(moves, slope - share**2, 1.0)
-        # The slope's own part is a quarter of what is new in it where z is small: never near zero.
-        last = jnp.where(moves, jnp.sqrt(rest), 0.0)
-        return Block(carry, size * pairs(first, 0 * x, share, last), size * jnp.eye(2))
+        return Block(carry, size**2 * pairs(own, cross, cross, slope), size**2 * jnp.eye(2))
 
     def spectrum(self, values, bounds, step, lam):
         own = self.variance(values, bounds), values["noise.smooth.time"]
@@ -351,7 +345,7 @@ class ToneTerm(NoiseTerm):
         c, s = jnp.cos(turn), jnp.sin(turn)
         plain = exponential(values["noise.tone.time"], values["noise.tone"] ** 2, h)
         each = jnp.eye(2)
-        return Block(plain.carry * pairs(c, s, -s, c), plain.root * each, plain.start * each)
+        return Block(plain.carry * pairs(c, s, -s, c), plain.fresh * each, plain.start * each)
 
     def spectrum(self, values, bounds, step, lam):
         if bounds.column:
@@ -427,15 +421,35 @@ def _excess(
     return power / usual
 
 
-class RoundedAngleTerm(NoiseTerm):
-    """Quantisation noise of IEEE 952, Q: readings are differences of an angle that each has an error of its own.
+class ErrorsTerm(NoiseTerm):
+    """Independent errors of one size, each shown by its own reading and, times `passed`, by the next.
 
-    States: an error, and the one before with the other sign. It takes readings as evenly spaced.
+    States: an error, and the one before, times `passed`. It takes readings as evenly spaced.
     """
+
+    passed: ClassVar[float]
+
+    @abc.abstractmethod
+    def size(self, values: Values, bounds: Bounds) -> Any:
+        """Return their standard deviation, output unit."""
+
+    def variance(self, values, bounds):
+        return 2 * self.size(values, bounds) ** 2
+
+    def block(self, values, bounds, h):
+        square, nothing = self.size(values, bounds) ** 2, 0.0 * h
+        carry = pairs(nothing, nothing, self.passed + nothing, nothing)
+        fresh = pairs(square + nothing, nothing, nothing, nothing)
+        return Block(carry, fresh, square * jnp.eye(2), shown=True)
+
+
+class RoundedAngleTerm(ErrorsTerm):
+    """Quantisation noise of IEEE 952, Q: readings are differences of an angle that each has an error of its own."""
 
     words: ClassVar[str] = "quantisation"
     symbol: ClassVar[str] = "Q"
     bounded: ClassVar[bool] = True
+    passed: ClassVar[float] = -1.0
 
     def parameters(self, bounds: Bounds) -> dict[str, Any]:
         return {"noise.quantisation": multiplied(bounds.correlated, bounds.shortest)}
@@ -443,41 +457,34 @@ class RoundedAngleTerm(NoiseTerm):
     def unit(self, name: str, output: str) -> str:
         return f"{output}*s"
 
-    def variance(self, values, bounds):
-        return 2 * (values["noise.quantisation"] / bounds.shortest) ** 2
-
-    def block(self, values, bounds, h):
-        return _of_errors(values["noise.quantisation"] / bounds.shortest, -1.0, h)
+    def size(self, values, bounds):
+        return values["noise.quantisation"] / bounds.shortest
 
     def spectrum(self, values, bounds, step, lam):
-        size = values["noise.quantisation"] / bounds.shortest
-        return [noise_spectrum.difference_of_errors(size, lam)]
+        return [noise_spectrum.difference_of_errors(self.size(values, bounds), lam)]
 
     def allan(self, values, bounds, m, step):
         # IEEE 952: σ²(τ) = 3·Q²/τ², τ = m·step.
         return 3 * (values["noise.quantisation"] / (m * step)) ** 2
 
 
-class AveragingTerm(NoiseTerm):
+class AveragingTerm(ErrorsTerm):
     """White noise under the sensor's own low-pass, which takes into a reading a part of what the one before has shown.
 
     Readings are means of an error each and of the one before: neighbours are correlated, and no others. Beside white
     noise this is a moving average of any length up to two steps, with correlations of neighbours from 0 to ½. The first
     unknown is the white noise that is averaged, as a reading would have it: at low frequencies its density is the same.
-    It takes readings as evenly spaced.
     Source: G. Box and G. Jenkins, Time Series Analysis (1976), §3.3 (moving averages of first order).
     """
 
     words: ClassVar[str] = "averaging"
+    passed: ClassVar[float] = 1.0
 
     def parameters(self, bounds: Bounds) -> dict[str, Any]:
         return {"noise.averaging": bounds.correlated}
 
-    def variance(self, values: Values, bounds: Bounds) -> Any:
-        return 0.5 * values["noise.averaging"] ** 2
-
-    def block(self, values, bounds, h):
-        return _of_errors(0.5 * values["noise.averaging"], 1.0, h)
+    def size(self, values, bounds):
+        return 0.5 * values["noise.averaging"]
 
     def spectrum(self, values, bounds, step, lam):
         return [noise_spectrum.mean_of_errors(values["noise.averaging"], lam)]
@@ -485,13 +492,6 @@ class AveragingTerm(NoiseTerm):
     def allan(self, values, bounds, m, step):
         # A mean of m readings has (2m − 1)/2m² of s², and shares 1/4m² with the next.
         return values["noise.averaging"] ** 2 * (m - 0.75) / m**2
-
-
-def _of_errors(size: Any, passed: float, h: Float[Array, "n"]) -> Block:
-    """Errors of one size, each shown by its own reading and, times `passed`, by the next."""
-    nothing, new = 0.0 * h, size + 0.0 * h
-    carry = pairs(nothing, nothing, passed + nothing, nothing)
-    return Block(carry, pairs(new, nothing, nothing, nothing), size * jnp.eye(2), shown=True)
 
 
 def allan_of_exponential(m: Float[np.ndarray, "k"], a: Any) -> Any:

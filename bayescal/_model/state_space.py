@@ -16,27 +16,23 @@ class Block(NamedTuple):
 
     Attributes:
         carry: what is kept of each state, by all (n, k, k).
-        root: what is new is `root` times independent standard normal numbers (n, k, k).
-        start: a root of the stationary covariance (k, k).
+        fresh: covariance of what is new (n, k, k).
+        start: the stationary covariance (k, k).
         shown: whether a reading shows all of them together, or the first alone.
     """
 
     carry: Float[Array, "n k k"]
-    root: Float[Array, "n k k"]
+    fresh: Float[Array, "n k k"]
     start: Float[Array, "k k"]
     shown: bool = False
 
 
 def exponential(time: Any, variance: Any, h: Float[Array, "n"]) -> Block:
     """Ornstein–Uhlenbeck processes of these times and variances."""
-    time, size = jnp.atleast_1d(time), jnp.sqrt(jnp.atleast_1d(variance))
+    time, variance = jnp.atleast_1d(time), jnp.atleast_1d(variance)
     steps, each = h[:, None] / time, jnp.eye(len(time))
-    # At a run's first reading the step is zero and nothing is new. The inner `where` keeps the root's slope finite
-    # there: automatic differentiation computes both branches, and 0·∞ is no number.
-    fall = jnp.where(steps > 0, -jnp.expm1(-2 * steps), 0.0)
-    root = jnp.where(fall > 0, jnp.sqrt(jnp.where(fall > 0, fall, 1.0)), 0.0)
-    kept, new = jnp.exp(-steps)[..., None] * each, (size * root)[..., None] * each
-    return Block(kept, new, size * each, shown=True)
+    kept, fresh = jnp.exp(-steps), -jnp.expm1(-2 * steps) * variance
+    return Block(kept[..., None] * each, fresh[..., None] * each, variance * each, shown=True)
 
 
 def pairs(a: Array, b: Array, c: Array, d: Array) -> Float[Array, "n 2 2"]:
@@ -49,12 +45,12 @@ class States(NamedTuple):
 
     Attributes:
         carry: what is kept over the step before (n, p, p).
-        root: of the covariance of what is new (n, p, p).
+        fresh: covariance of what is new (n, p, p).
         shown: how much of each state a reading shows (p,).
     """
 
     carry: Float[Array, "n p p"]
-    root: Float[Array, "n p p"]
+    fresh: Float[Array, "n p p"]
     shown: Float[np.ndarray, "p"]
 
 
@@ -64,27 +60,28 @@ def states_of(blocks: Sequence[Block], step: Float[Array, "n"]) -> States:
     There nothing is kept and the states have their stationary covariance: runs are independent.
     """
     first, at, count = (step < 0)[:, None, None], 0, sum(len(block.start) for block in blocks)
-    carry = root = jnp.zeros((step.shape[0], count, count))
+    carry = fresh = jnp.zeros((step.shape[0], count, count))
     shown = np.zeros(count)
     for block in blocks:
         own = slice(at, at + len(block.start))
         carry = carry.at[:, own, own].set(jnp.where(first, 0.0, block.carry))
-        root = root.at[:, own, own].set(jnp.where(first, block.start, block.root))
+        fresh = fresh.at[:, own, own].set(jnp.where(first, block.start, block.fresh))
         shown[own if block.shown else at] = 1.0
         at = own.stop
-    return States(carry, root, shown)
+    return States(carry, fresh, shown)
 
 
 def drawn(key: Array, states: States) -> Float[Array, "n"]:
     """What readings show of states, drawn."""
-    normal = jax.random.normal(key, states.root.shape[:2])
+    values, vectors = jnp.linalg.eigh(states.fresh)  # of which some may be zero
+    normal = jnp.sqrt(jnp.maximum(values, 0.0)) * jax.random.normal(key, values.shape)
 
     def advance(state, row):
         kept, own = row
         made = kept @ state + own
         return made, made @ jnp.asarray(states.shown)
 
-    rows = states.carry, jnp.einsum("nij,nj->ni", states.root, normal)
+    rows = states.carry, jnp.einsum("nij,nj->ni", vectors, normal)
     return jax.lax.scan(advance, jnp.zeros(len(states.shown)), rows)[1]
 
 
@@ -133,8 +130,7 @@ def _forward(states: States, white: Float[Array, "n"], columns: Float[Array, "n 
         new = row - jnp.sum(made * seen[:, None], axis=0)
         return made + gain[:, None] * new, (new, made)
 
-    fresh = jnp.einsum("nij,nkj->nik", states.root, states.root)
-    nothing, rows = jnp.zeros((count, count)), (states.carry, fresh, white)
+    nothing, rows = jnp.zeros((count, count)), (states.carry, states.fresh, white)
     total, gain, covariance = jax.lax.scan(ahead, nothing, rows, unroll=2)[1]
     nothing, rows = jnp.zeros((count, columns.shape[1])), (states.carry, gain, columns)
     new, mean = jax.lax.scan(further, nothing, rows, unroll=2)[1]

@@ -6,10 +6,7 @@ What an instrument says of itself, and that its algebra is what it declares.
 from __future__ import annotations
 
 import inspect
-import os
 import re
-import shutil
-import subprocess
 import sys
 import tomllib
 from pathlib import Path
@@ -28,9 +25,6 @@ from tests.support.tiers import slow_but
 ROOT = Path(__file__).resolve().parents[2]
 # Differences of all candidates of an instrument take seconds to compile.
 SMALL_FIRST = slow_but(("mems_gyro", "inclinometer", "still_sensor"), INSTRUMENTS)
-EXAMPLES = (ROOT / "models" / "bayescal_models").glob(
-    "*/example.py"
-)  # of functions of an instrument's own
 CANONICAL = re.compile(r"[a-z][a-z0-9_]*\.[a-z][a-z0-9_]*")
 
 
@@ -197,21 +191,3 @@ def test_every_slot_is_linear_in_its_coefficients(case: Case) -> None:
 def _feeds_slots(case: Case, effect: bc.Effect) -> bool:
     slots = {s.name for s in case.instrument.slots}
     return all((c.slot or effect.slot) in slots for c in effect.coefficients)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("case", sorted(p.parent.name for p in EXAMPLES), indirect=True)
-def test_the_example_runs_on_its_own(case: Case, tmp_path: Path) -> None:
-    shutil.copy(case.folder / "example.py", tmp_path)
-    paths = os.pathsep.join([str(ROOT), str(ROOT / "models")])
-    ran = subprocess.run(
-        [sys.executable, "-W", "error::DeprecationWarning", "example.py"],
-        cwd=tmp_path,
-        env={**os.environ, "PYTHONPATH": paths},
-        capture_output=True,
-        text=True,
-        timeout=300,
-        check=False,
-    )
-    assert ran.returncode == 0, ran.stderr[-3000:]
-    assert len(ran.stdout.splitlines()) > 5

@@ -82,6 +82,3 @@ def test_an_end_that_is_missing_doubled_or_of_another_file_is_refused(
     write_sealed(whole, path)
     with pytest.raises(bc.InputError):
         bc.load(path)
-
-
-# Pieces that were changed, in a file whose checksum is right.

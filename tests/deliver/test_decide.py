@@ -266,6 +266,3 @@ def test_at_the_stated_date_as_many_devices_conform_as_stated() -> None:
         conform.append(stats.norm.cdf((12 - y) / spread) - stats.norm.cdf((-12 - y) / spread))
     assert len(conform) > 100
     assert 0.93 <= np.mean(conform) <= 0.97, f"{np.mean(conform):.3f} of {len(conform)}"
-
-
-# In the report.

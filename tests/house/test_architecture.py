@@ -252,10 +252,10 @@ def test_what_is_offered_beside_an_instrument_is_there(group: str) -> None:
 # Lines of Python that each part may have: lowered by whoever takes lines out, never raised. What needs more room takes
 # it from the same part first.
 CEILINGS = {
-    "bayescal/_core": 2_158,
+    "bayescal/_core": 2_137,
     "bayescal/_tables": 1_999,
     "bayescal/_data": 5_544,
-    "bayescal/_model": 6_107,
+    "bayescal/_model": 6_083,
     "bayescal/effects": 721,
     "bayescal/_inference": 6_428,
     "bayescal/_calibration": 5_336,
@@ -265,10 +265,10 @@ CEILINGS = {
     "bayescal/_cli": 1_962,
     "bayescal/_annexes/fleet": 3_213,
     "bayescal/_annexes/imu": 3_128,
-    "bayescal/_annexes/metrology": 1_758,
+    "bayescal/_annexes/metrology": 1_727,
     "bayescal/_annexes/workbench": 3_623,
-    "models": 9_236,
-    "tests": 26_862,
+    "models": 8_983,
+    "tests": 26_817,
     "benchmarks": 10_893,
 }
 WORDS = 53_974  # of docs/, README.md and CHANGELOG.md together

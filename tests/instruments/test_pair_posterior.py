@@ -48,9 +48,9 @@ def test_the_environment_and_the_pairs_residual_are_recovered(calibration, batch
     off = devices.environment.mean(axis=0) - batch.environment
     assert np.sqrt(np.mean(off**2)) < 25.0  # µg, of 1 mg; the noise of a reading is 18
     found = judge(devices)
-    true = criteria.residual(batch.environment, batch.scale, found.calibrated)
+    true = criteria.residual(batch.environment, batch.scale, found.of_ratio["median"])
     sd = found.residual.std(axis=0)
-    assert np.abs((true - found.expected) / sd).max() < 4
+    assert np.abs((true - found.of_pair["expected_residual"]) / sd).max() < 4
 
 
 def test_a_pair_measures_acceleration_within_its_uncertainty(calibration, batch) -> None:

@@ -28,7 +28,7 @@ def test_probabilities_add_up_and_the_first_pair_is_the_best(criterion: str) -> 
 @pytest.mark.parametrize("seed", [1, 2, 3])
 def test_the_set_of_pairs_is_disjoint_and_optimal(seed: int) -> None:
     devices = made_up(seed)
-    table, cost = dp.select(devices), judge(devices).expected
+    table, cost = dp.select(devices), judge(devices).of_pair["expected_residual"]
     for side in zip(*table.matching, strict=True):
         assert len(set(side)) == 3
     total = sum(table.of(*pair).expected_residual for pair in table.matching)

@@ -181,8 +181,6 @@ def test_what_poses_do_not_tell_keeps_the_width_of_its_prior(
     shares = {n: calibration.samples(n).std() / sizes[n.partition("[")[0]] for n in NAMES}
     assert all(shares[name] < 0.1 for name in told)
     assert all(0.8 < shares[name] < 1.2 for name in not_told)
-    if kind == "planar":
-        pass
 
 
 @pytest.mark.slow
@@ -341,6 +339,3 @@ def test_a_log_is_read_as_poses() -> None:
     mean, sd = estimates(bc.fit(MODEL, readings))
     true = np.array([12.0, -20.0, 35.0, 8000.0, -5000.0, 12000.0, 0.0, 0.0, 0.0])
     assert np.max(np.abs(mean - true) / sd) < 4
-
-
-# what is refused ------------------------------------------------------------------------------------------------

@@ -24,9 +24,6 @@ def readings_of(instrument: bc.Instrument, runs: list[np.ndarray], **columns: An
     return bc.Measurements.from_arrays(instrument, run=labels, time=time, **{**more, **columns})
 
 
-# Priors.
-
-
 # The limit of a random walk, where readings know the diffusion and nothing of the time.
 
 

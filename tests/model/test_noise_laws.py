@@ -165,9 +165,6 @@ def test_known_uncertainty_of_a_reading_adds_in_quadrature(law) -> None:
         assert found[i] == pytest.approx(log_density(noise, alone, y[i : i + 1], 0.0)[0], rel=1e-10)
 
 
-# Priors of scales, in their coordinates.
-
-
 # Fits.
 
 

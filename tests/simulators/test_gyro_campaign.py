@@ -124,6 +124,3 @@ def test_resonance_of_the_table_s_slope_is_nearly_straight() -> None:
     assert slope == pytest.approx(0.0535, rel=0.01) and middle == pytest.approx(21.5, abs=0.01)
     bend = sim.noise_free - np.polyval([slope, middle], temperature - 55.0)
     assert 1e-4 < np.abs(bend).max() < 0.003
-
-
-# Refusals.

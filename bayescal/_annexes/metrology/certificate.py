@@ -210,6 +210,8 @@ def dcc_text(
         autoescape=True,
         finalize=lambda value: value if isinstance(value, Markup) else xml_text(value),
     )
+    read = sources_of(calibration.readings)
+    files = (("other", f"SHA-256 of {s.file}", s.sha256) for s in read)
     written = layout.render(
         schema=SCHEMA,
         version=__version__,
@@ -220,13 +222,7 @@ def dcc_text(
             if "name" in one
         ],
         conditions={name: said for name, said in conditions.items() if said},
-        hashes=[
-            ("other", "calibration, SHA-256", identity(calibration)),
-            *(
-                ("other", f"SHA-256 of {s.file}", s.sha256)
-                for s in sources_of(calibration.readings)
-            ),
-        ],
+        hashes=[("other", "calibration, SHA-256", identity(calibration)), *files],
         model=calibration.model,
         description="Coefficients of the measurement equation, with U = k*u, k = "
         f"{K:g}; each effect adds its equation, times its coefficients, to a slot. Effects: "

@@ -308,16 +308,7 @@ class Decisions(Printed):
 
     def data(self) -> dict[str, Any]:
         """As JSON."""
-        return {
-            "schema": "bayescal.decisions/1",
-            "calibration": self.calibration,
-            "rule": self.rule,
-            "rule_in_words": self.rule_in_words,
-            "false_accept": self.false_accept,
-            "conforms": self.conforms,
-            "decisions": as_json(self.decisions),
-            "notes": list(self.notes),
-        }
+        return {"schema": "bayescal.decisions/1", "conforms": self.conforms} | as_json(self)
 
     def _brief(self) -> str:
         said = ", ".join(f"{d.quantity} {d.decision}" for d in self.decisions)
@@ -379,12 +370,9 @@ def statement_lines(d: Decision) -> list[str]:
     """Each in a line: the decision and its risk, where it holds, the population's risks, when to calibrate again."""
     said = [f"{d.limit}: {d.decision}; {d.why}."]
     if d.at:
-        scatter = f"; single readings scatter by {number(d.scatter)} {unit_label(d.unit)}" * (
-            d.scatter > 0
-        )
-        said.append(
-            f"  at {', '.join(_place(name, *place) for name, place in d.at.items())}{scatter}"
-        )
+        scatter = f"; single readings scatter by {number(d.scatter)} {unit_label(d.unit)}"
+        places = ", ".join(_place(name, *place) for name, place in d.at.items())
+        said.append(f"  at {places}{scatter * (d.scatter > 0)}")
     if (g := d.global_risks) is not None:
         which = f" {with_error(*d.population)} {unit_label(d.unit)}" if d.population else ""
         said.append(
@@ -496,17 +484,10 @@ class _How:
     def __post_init__(self) -> None:
         if self.rule not in get_args(Rule):
             raise InputError(f"rule {self.rule!r} is none: choose {', '.join(get_args(Rule))}")
+        small, usual = 0 < self.false_accept < 0.5, 0.5 <= self.conformity < 1
         for name, right, wanted in (
-            (
-                "false_accept",
-                0 < self.false_accept < 0.5,
-                "a probability above 0 and below 0.5, such as 0.025",
-            ),
-            (
-                "conformity",
-                0.5 <= self.conformity < 1,
-                "a probability from 0.5 and below 1, such as 0.95",
-            ),
+            ("false_accept", small, "a probability above 0 and below 0.5, such as 0.025"),
+            ("conformity", usual, "a probability from 0.5 and below 1, such as 0.95"),
             ("capability", 0 < self.capability < math.inf, "a positive ratio, such as 3"),
         ):
             if not right:
@@ -565,9 +546,7 @@ def _decision(
         scatter=float(drawn.scatter.max()),
         probability=p,
         probability_error=drawn.probability_error(p),
-        guard_bands=None
-        if guarded is None
-        else (guarded.low - limits.low, limits.high - guarded.high),
+        guard_bands=guarded and (guarded.low - limits.low, limits.high - guarded.high),
         accepted=accepted,
         decision=decision,
         why=why,
@@ -607,24 +586,18 @@ def _decided(
     if how.rule == "shared-risk":
         index = capability_index(drawn, limits)
         if index is None:
-            return (
-                UNDECIDED,
-                "a capability index needs two limits, and there is one: agree on another rule",
-            )
+            why = "a capability index needs two limits, and there is one: agree on another rule"
+            return UNDECIDED, why
         if index < how.capability:
             return UNDECIDED, (
                 f"the capability index T/(4u) = {number(index)} is below {how.capability:g}, on which the risk is "
                 "shared"
             )
     if limits.hold(*drawn.estimate):
-        return (
-            ACCEPT,
-            f"the estimate is inside the limits; specific risk of false acceptance {fails}",
-        )
-    return (
-        REJECT,
-        f"the estimate is outside the limits; specific risk of false rejection {conforms}",
-    )
+        where, decided, risk = "inside", ACCEPT, f"acceptance {fails}"
+    else:
+        where, decided, risk = "outside", REJECT, f"rejection {conforms}"
+    return decided, f"the estimate is {where} the limits; specific risk of false {risk}"
 
 
 def _alike(p: float, other: float, risk: float) -> bool:

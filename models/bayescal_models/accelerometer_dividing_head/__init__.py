@@ -1,8 +1,4 @@
-"""A pendulous accelerometer on a dividing head: K0, K1, K2, K3 and the head's zero over temperature.
-
-What its files hold stands here, at hand before the instrument is loaded; the public names, in `__init__.pyi`, load
-on first use.
-"""
+"""A pendulous accelerometer on a dividing head: K0, K1, K2, K3 and the head's zero over temperature."""
 
 import lazy_loader
 

@@ -1,8 +1,4 @@
-"""Three accelerometers in poses at rest: bias, scale factors and misalignments over temperature.
-
-What its files hold stands here, at hand before the instrument is loaded; the public names, in `__init__.pyi`, load
-on first use.
-"""
+"""Three accelerometers in poses at rest: bias, scale factors and misalignments over temperature."""
 
 import lazy_loader
 

@@ -1,8 +1,4 @@
-"""Differential pair: two accelerometers of one type, mounted opposed, whose difference cancels the environment.
-
-What its files hold stands here, at hand before the instrument is loaded; the public names, in `__init__.pyi`, load
-on first use.
-"""
+"""Differential pair: two accelerometers of one type, mounted opposed, whose difference cancels the environment."""
 
 import lazy_loader
 

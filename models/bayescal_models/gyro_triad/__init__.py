@@ -1,8 +1,4 @@
-"""Three gyroscopes on a rate table, or in moves between poses, and at rest: bias, scale factors and misalignments.
-
-What its files hold stands here, at hand before the instrument is loaded; the public names, in `__init__.pyi`, load
-on first use.
-"""
+"""Three gyroscopes on a rate table, or in moves between poses, and at rest: bias, scale factors and misalignments."""
 
 import lazy_loader
 

@@ -142,40 +142,31 @@ EARTH_ROTATION = family(
 )
 
 # Sizes are those of consumer MEMS parts.
+AS_GIVEN = "the standard uncertainty of the mounting, as given with the readings"
+TOWARD_G = "IEEE Std 1431-2004, acceleration-sensitive drift; data sheet of BMI088; size ours"
+NONLINEAR = "IEEE Std 1431-2004, scale-factor nonlinearity; size ours, 0.1 % at 100 °/s"
+OF_THE_EARTH = "15.041 °/h in an unknown direction"
+
 EFFECTS = EffectTable.of(
     SHEETS,
     baseline=(
         ("bias.constant", constant(BIAS), 3.0, "deg/s"),
         ("scale.constant", constant(SCALE), 20000.0, "ppm"),
         ("misalignment.constant", constant(ANGLES), 20.0, "mrad"),
-        (
-            *("turn.mounting", MOUNTED, 1.0, "1"),
-            "the standard uncertainty of the mounting, as given with the readings",
-        ),
+        ("turn.mounting", MOUNTED, 1.0, "1", AS_GIVEN),
     ),
     candidates=(
         ("bias.temperature", over_temperature(BIAS), 0.03, "deg/s/degC", TEMPCO),
         ("scale.temperature", over_temperature(SCALE), 200.0, "ppm/degC", TEMPCO),
         ("misalignment.temperature", over_temperature(ANGLES), 0.02, "mrad/degC", PLASTIC),
         ("bias.temperature_quadratic", over_temperature(BIAS, 2), 3e-4, "deg/s/degC^2", TEMPCO),
-        (
-            *("bias.g_sensitivity", TOWARD_GRAVITY, 0.1, "deg/s/g"),
-            "IEEE Std 1431-2004, acceleration-sensitive drift; data sheet of BMI088; size ours",
-        ),
+        ("bias.g_sensitivity", TOWARD_GRAVITY, 0.1, "deg/s/g", TOWARD_G),
         ("bias.thermal_lag", behind(BIAS), 0.03, "deg/s/degC", TEMPCO),
-        (
-            *("square.constant", constant(SQUARE, "K2·ω²"), 10.0, "ppm*s/deg"),
-            "IEEE Std 1431-2004, scale-factor nonlinearity; size ours, 0.1 % at 100 °/s",
-        ),
+        ("square.constant", constant(SQUARE, "K2·ω²"), 10.0, "ppm*s/deg", NONLINEAR),
         ("bias.drift", with_time(BIAS), 0.05, "deg/s", "ours"),
         ("bias.run", of_run(BIAS), 0.1, "deg/s", "ours; turn-on to turn-on of consumer parts"),
     ),
-    others=(
-        (
-            *("earth.rotation", EARTH_ROTATION, 15.041 / 3600 / 3**0.5, "deg/s"),
-            "15.041 °/h in an unknown direction",
-        ),
-    ),
+    others=(("earth.rotation", EARTH_ROTATION, 15.041 / 3600 / 3**0.5, "deg/s", OF_THE_EARTH),),
 )
 
 

@@ -1,8 +1,4 @@
-"""Two-axis quartz inclinometer: zero offset against placement angle, and its on-line compensation.
-
-What its files hold stands here, at hand before the instrument is loaded; the public names, in `__init__.pyi`, load
-on first use.
-"""
+"""Two-axis quartz inclinometer: zero offset against placement angle, and its on-line compensation."""
 
 import math
 

@@ -1,5 +1,8 @@
 """On-line compensation of a two-axis inclinometer: readings of both axes in, tilts and their uncertainty out.
 
+    made = inclinometer.compensate(calibration, reading_x, reading_y)
+    made.x, made.sd_x                  rad
+
 Two laws:
 
 - "document" (source 4, with our sign): x' = x − S_x(y), y' = y − S_y(x), S the calibrated zero at the other axis'

@@ -143,6 +143,7 @@ def _of_placement(power: int) -> tuple[Any, ...]:
     return partial(_angle_to, power), f"c·ω{('', '²', '³')[power - 1]}", "placement_angle"
 
 
+CURVED = _each(*_of_placement(2), kind="quadratic")
 FORWARD = _each(
     _sweep,
     "+c in forward sweeps, −c in backward ones",
@@ -200,12 +201,7 @@ EFFECTS = EffectTable.of(
         ("zero.run", _drawn("run"), 2.0, "arcsec"),
     ),
     candidates=(
-        (
-            "zero.placement_quadratic",
-            _each(*_of_placement(2), kind="quadratic"),
-            0.005,
-            "arcsec/deg^2",
-        ),
+        ("zero.placement_quadratic", CURVED, 0.005, "arcsec/deg^2"),
         ("zero.projection", PROJECTED, 100.0, "arcsec"),
         ("zero.temperature", WARM, 2.0, "arcsec/degC"),
         ("zero.hysteresis", FORWARD, 2.0, "arcsec"),

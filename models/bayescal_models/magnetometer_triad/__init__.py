@@ -1,8 +1,4 @@
-"""Three magnetometers in a constant field: hard iron, soft iron and misalignments over temperature.
-
-What its files hold stands here, at hand before the instrument is loaded; the public names, in `__init__.pyi`, load
-on first use.
-"""
+"""Three magnetometers in a constant field: hard iron, soft iron and misalignments over temperature."""
 
 import lazy_loader
 

@@ -45,6 +45,7 @@ def _response(slots, r):
 IRON = "ours: hard and soft iron of a small vehicle"
 TEMPCO = "data sheets of RM3100, LIS3MDL and BMM150, change with temperature; size ours"
 FIELD = "ours: a battery's or a motor's field that changes"
+PLASTIC = "ours: 5 mrad in 50 °C"
 
 EFFECTS = EffectTable.of(
     IRON,
@@ -56,10 +57,7 @@ EFFECTS = EffectTable.of(
     candidates=(
         ("bias.temperature", over_temperature(BIAS), 0.1, "uT/degC", TEMPCO),
         ("scale.temperature", over_temperature(SCALE), 500.0, "ppm/degC", TEMPCO),
-        (
-            *("misalignment.temperature", over_temperature(UPPER), 0.1, "mrad/degC"),
-            "ours: 5 mrad in 50 °C",
-        ),
+        ("misalignment.temperature", over_temperature(UPPER), 0.1, "mrad/degC", PLASTIC),
         ("bias.temperature_quadratic", over_temperature(BIAS, 2), 0.001, "uT/degC^2", TEMPCO),
         ("misalignment.frame", frame_of_sensors(LOWER), 100.0, "mrad"),
         ("bias.drift", with_time(BIAS), 1.0, "uT", FIELD),

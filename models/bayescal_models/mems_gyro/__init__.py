@@ -1,8 +1,4 @@
-"""MEMS gyroscope: zero-rate drift over temperature.
-
-What its files hold stands here, at hand before the instrument is loaded; the public names, in `__init__.pyi`, load
-on first use.
-"""
+"""MEMS gyroscope: zero-rate drift over temperature."""
 
 import math
 

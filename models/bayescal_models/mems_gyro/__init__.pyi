@@ -8,7 +8,6 @@ from .model import RESONANCE as RESONANCE
 from .model import RESONANCE_FORCE as RESONANCE_FORCE
 from .model import simulate as simulate
 from .tables import TABLE as TABLE
-from .tables import TABLE_VOLTS as TABLE_VOLTS
 
 COLUMNS: tuple[bc.Column, ...]
 NOMINAL_SCALE: bc.NominalScale

@@ -1,8 +1,4 @@
-"""ng accelerometer on a tilted table: bias and scale factor over temperature.
-
-What its files hold stands here, at hand before the instrument is loaded; the public names, in `__init__.pyi`, load
-on first use.
-"""
+"""ng accelerometer on a tilted table: bias and scale factor over temperature."""
 
 import lazy_loader
 

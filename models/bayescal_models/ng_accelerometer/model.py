@@ -256,6 +256,7 @@ POSITION = effect(
     *("position_angle", "temperature"),
     parts=LOBES,
 )
+LEVEL = _base(one, "c, one for each component", kind="constant")
 LABORATORY = _base(_laboratory, "c·(L − L0), one c for each component", "lab_temperature")
 WARM_BASE = _base(centred, "c·(T − T0), one c for each component", "temperature", kind="linear")
 SETTLING = _base(
@@ -280,6 +281,9 @@ WOBBLE = effect(
     slot="fixture_tilt",
     parts=LOBES,
 )
+TWO_MINUTES = "source 0: within 2′, taken as 95 %"
+TIDES = "periods: the constituents' own; ±200 nrad in all: source 0; the shares ours"
+ONE_SECOND = "source 0: the table's angle is good to 1″"
 
 EFFECTS = EffectTable.of(
     "PHYSICS §1 after source 0; size ours",
@@ -290,17 +294,9 @@ EFFECTS = EffectTable.of(
         ("scale.constant", catalogue.constant, 10000.0, "ppm"),
         ("scale.temperature", catalogue.linear, 1000.0, "ppm/degC"),
         ("scale.cell", CELL, 100.0, "ppm"),
-        (
-            *("fixture_tilt.constant", catalogue.constant, 291.0, "urad"),
-            "source 0: within 2′, taken as 95 %",
-        ),
+        ("fixture_tilt.constant", catalogue.constant, 291.0, "urad", TWO_MINUTES),
         ("fixture_tilt.cell", CELL, 5.0, "urad"),
-        (
-            "base_tilt.constant",
-            _base(one, "c, one for each component", kind="constant"),
-            1.0,
-            "arcsec",
-        ),
+        ("base_tilt.constant", LEVEL, 1.0, "arcsec"),
         ("base_tilt.cell", CELL_OF_BASE, 1.0, "urad"),
         ("rotation.constant", catalogue.constant, 0.1, "deg"),
         ("tilt.setting", SETTING, 1.0, "arcsec", "source 0: the table's angles are good to 1″"),
@@ -322,19 +318,13 @@ EFFECTS = EffectTable.of(
         ("fixture_tilt.position", POSITION, 0.3, "urad/degC"),
         ("base_tilt.lab_temperature", LABORATORY, 5.0, "urad/degC"),  # source 0: below 47
         ("base_tilt.temperature", WARM_BASE, 1.0, "urad/degC"),
-        (
-            *("base_tilt.tide", _tide, 50.0, "nrad"),
-            "periods: the constituents' own; ±200 nrad in all: source 0; the shares ours",
-        ),
+        ("base_tilt.tide", _tide, 50.0, "nrad", TIDES),
         ("base_tilt.drift", SETTLING, 5.0, "urad"),
         ("second_order", K2, 0.05, "ug/mg^2"),
         ("third_order", K3, 0.01, "ug/mg^3"),
         ("cross_coupling", KIP, 1e-4, "1/g"),
         ("cross_coupling.temperature", WARM_KIP, 1e-5, "1/g/degC"),
-        (
-            *("rotation.harmonic", DIVIDING, 1.0, "arcsec"),
-            "source 0: the table's angle is good to 1″",
-        ),
+        ("rotation.harmonic", DIVIDING, 1.0, "arcsec", ONE_SECOND),
         ("rotation.wobble", WOBBLE, 1.0, "arcsec"),
         # The lag may itself be slow.
         *catalogue.recorded(

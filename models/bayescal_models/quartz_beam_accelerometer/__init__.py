@@ -1,8 +1,4 @@
-"""Quartz resonant beam accelerometer: bias and scale factor over temperature, with two thermometers.
-
-What its files hold stands here, at hand before the instrument is loaded; the public names, in `__init__.pyi`, load
-on first use.
-"""
+"""Quartz resonant beam accelerometer: bias and scale factor over temperature, with two thermometers."""
 
 import lazy_loader
 

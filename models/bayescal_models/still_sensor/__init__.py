@@ -1,8 +1,4 @@
-"""Any sensor at rest: one output, temperature and time.
-
-What its files hold stands here, at hand before the instrument is loaded; the public names, in `__init__.pyi`, load
-on first use.
-"""
+"""Any sensor at rest: one output, temperature and time."""
 
 import lazy_loader
 

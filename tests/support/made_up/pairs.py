@@ -33,7 +33,6 @@ def made_up(
         ),
         "outer": outer,
         "time": time,
-        "weights": np.full(draws, 1 / draws),
         "scale": scale,
         "sensitivity": sensitivity,
         "shared": u + np.zeros((draws, 1)),

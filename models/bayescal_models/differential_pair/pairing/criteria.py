@@ -68,17 +68,3 @@ def document_ratio(removed: Array, outer: int) -> Array:
     """
     total = removed.sum(axis=-1)
     return total[:outer, None] / total[None, outer:]
-
-
-def median(values: Array, weights: Array) -> Array:
-    """Weighted median over the first axis."""
-    return quantile(values, weights, 0.5)
-
-
-def quantile(values: Array, weights: Array, level: float) -> Array:
-    """Weighted quantile over the first axis."""
-    order = np.argsort(values, axis=0)
-    ladder = np.cumsum(weights[order], axis=0)
-    at = np.argmax(ladder >= level * ladder[-1], axis=0)
-    ordered = np.take_along_axis(values, order, axis=0)
-    return np.take_along_axis(ordered, at[None], axis=0)[0]

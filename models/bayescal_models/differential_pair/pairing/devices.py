@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -33,7 +33,6 @@ class Devices:
         names: of the devices, (K,).
         outer: number of outer devices.
         time: of the readings, s, (T,).
-        weights: of the draws, adding up to one, (d,).
         scale: 1 + κ, (d, K).
         sensitivity: λd, (d, K).
         shared: u(t), µg, (d, T).
@@ -50,7 +49,6 @@ class Devices:
     names: tuple[str, ...]
     outer: int
     time: Array
-    weights: Array
     scale: Array
     sensitivity: Array
     shared: Array
@@ -95,73 +93,36 @@ def devices_of(calibration: bc.Calibration) -> Devices:
             f"the model has no {SHARED.name!r} (it has: {', '.join(calibration.model.names)}): pairs are chosen "
             "by it. Fit the instrument's baseline"
         )
-    names = [n for n in calibration.tree["posterior"].to_dataset() if "reading" not in str(n)]
-    samples = {str(n): calibration.samples(str(n)) for n in names}
-    samples |= {
-        n: np.broadcast_to(value, (len(samples[SENSITIVITY]),))
-        for n, value in calibration.model.fixed
-    }
-    made = devices_from(samples, calibration.readings, reference=calibration.reference)
-    fitted = bc.predict(calibration, calibration.readings, new_groups=False).mean
-    table = _table(calibration.readings)
-    known = fitted[table.rows] - np.einsum("d,dkt->kt", made.weights, made.environment)
-    others = tuple(n for n in calibration.model.names if n not in MEASURABLE)
-    return Devices(**{**vars(made), "known": known, "others": others})
-
-
-def devices_from(
-    samples: Mapping[str, Array],
-    readings: bc.Measurements,
-    *,
-    weights: Array | None = None,
-    reference: Mapping[str, Any] | None = None,
-) -> Devices:
-    """The devices from draws by name, such as `bc.weighted_draws` gives; the baseline is the known part.
-
-    Args:
-        samples: of every unknown.
-        readings: that they were fitted to.
-        weights: of the draws; equal if not given.
-        reference: constants of the bases; those of the readings if not given.
-
-    Raises:
-        InputError: the readings cannot be paired.
-    """
+    names = [str(n) for n in calibration.tree["posterior"].to_dataset() if "reading" not in str(n)]
+    samples = {n: calibration.samples(n) for n in names}
+    samples |= {n: np.full(len(samples[SENSITIVITY]), v) for n, v in calibration.model.fixed}
+    readings, reference = calibration.readings, cast("dict[str, float]", calibration.reference)
     table = _table(readings)
     sensitivity = np.asarray(samples[SENSITIVITY])[:, table.order]
-    count = len(sensitivity)
-    weights = np.full(count, 1 / count) if weights is None else np.asarray(weights)
-    reference = reference or {
-        "time_mean": float(readings["time"].mean()),
-        "time_span": float(np.ptp(readings["time"])),
-    }
-    progress = (table.time - reference["time_mean"]) / reference["time_span"]
-    basis = np.stack(polynomials(progress))
+    basis = np.stack(polynomials((table.time - reference["time_mean"]) / reference["time_span"]))
     u = (np.stack([samples[n] for n in order_names(SHARED.name)], axis=1) @ basis)[:, None, :]
     if "environment.temperature" in samples:
         warmth = readings["temperature"][table.rows] - reference["T0"]
         u = u + np.asarray(samples["environment.temperature"])[:, None, None] * warmth
     own, departure = _departures(samples, table, basis)
+    environment = sensitivity[:, :, None] * u + own
     zero = np.zeros_like(sensitivity)
-    scale = 1.0 + 1e-6 * np.asarray(samples.get("scale.device", zero))[..., table.order]
-    bias = np.asarray(samples.get("bias.device", zero))[..., table.order]
-    commanded = readings["acceleration"][table.rows]
-    sign = np.where(np.arange(len(table.names)) < table.outer, 1.0, -1.0)
+    fitted = bc.predict(calibration, readings, new_groups=False).mean
     return Devices(
         table.names,
         table.outer,
         table.time,
-        weights,
-        scale=scale,
+        scale=1.0 + 1e-6 * np.asarray(samples.get("scale.device", zero))[..., table.order],
         sensitivity=sensitivity,
         shared=u.mean(axis=1),
-        environment=sensitivity[:, :, None] * u + own,
+        environment=environment,
         departure=departure,
-        bias=bias,
+        bias=np.asarray(samples.get("bias.device", zero))[..., table.order],
         noise=np.asarray(samples["noise.white"]),
-        commanded=commanded.mean(axis=0),
+        commanded=readings["acceleration"][table.rows].mean(axis=0),
         records=readings["output"][table.rows],
-        known=(sign * (weights @ scale))[:, None] * commanded + (weights @ bias)[:, None],
+        known=fitted[table.rows] - environment.mean(axis=0),
+        others=tuple(n for n in calibration.model.names if n not in MEASURABLE),
     )
 
 

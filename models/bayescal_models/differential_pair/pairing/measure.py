@@ -2,6 +2,9 @@
 
     a = [a10 − λbd·a20 − Σλ1w·w1 + λbd·Σλ2w·w2]/(λ1 + λbd·λ2)
 
+    devices = dp.devices_of(calibration)
+    found = dp.measure(devices, *dp.select(devices).best, outer_output, inner_output)
+
 λbd is the calibrated ratio, the posterior median. What it does not cancel is part of the uncertainty: the next record
 has another u and other departures, of the sizes that this one shows.
 """
@@ -14,7 +17,6 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 import bayescal as bc
-from bayescal_models.differential_pair.pairing import criteria
 from bayescal_models.differential_pair.pairing.devices import Devices, devices_of
 
 Array = NDArray[np.float64]
@@ -67,14 +69,13 @@ def measure(
             f"the outputs of {outer!r} and {inner!r} have shapes {one.shape} and {two.shape}: give one reading of "
             "each at the same times"
         )
-    weights, sensitivity = devices.weights, devices.sensitivity
-    ratio = float(criteria.median(sensitivity[:, i] / sensitivity[:, j], weights))
+    sensitivity = devices.sensitivity
+    ratio = float(np.median(sensitivity[:, i] / sensitivity[:, j]))
     divisor = devices.scale[:, i] + ratio * devices.scale[:, j]
     bias = devices.bias[:, i] - ratio * devices.bias[:, j]
     draws = ((one - ratio * two)[None, :] - bias[:, None]) / divisor[:, None]
-    mean = weights @ draws
     size = np.mean(devices.shared**2, axis=1)  # of u, in a record like this one
     left = (sensitivity[:, i] - ratio * sensitivity[:, j]) ** 2 * size
     left = left + (devices.departure**2 + devices.noise**2) * (1 + ratio**2)
-    variance = weights @ (draws - mean) ** 2 + weights @ (left / divisor**2)
-    return Measured(mean, np.sqrt(variance), ratio)
+    variance = draws.var(axis=0) + np.mean(left / divisor**2)
+    return Measured(draws.mean(axis=0), np.sqrt(variance), ratio)

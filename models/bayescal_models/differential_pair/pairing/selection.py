@@ -8,7 +8,9 @@ the assignment problem (scipy.optimize.linear_sum_assignment).
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import math
+from functools import partial
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -41,132 +43,101 @@ def select(found: bc.Calibration | Devices, *, criterion: str = "residual") -> P
         )
     devices = found if isinstance(found, Devices) else devices_of(found)
     figures = judge(devices)
-    places = np.ndindex(figures.calibrated.shape)
-    made = sorted(
-        (_pair(devices, figures, i, j) for i, j in places), key=lambda p: _rank(p, criterion)
+    places = np.ndindex(figures.residual.shape[1:])
+    made = sorted((_pair(devices, figures, *at) for at in places), key=partial(_rank, criterion))
+    return PairTable(
+        tuple(made),
+        made[0].names,
+        _matching(devices, figures, criterion),
+        criterion,
+        remarks=remarks(made, devices.commanded),
     )
-    matching = _matching(devices, figures, criterion)
-    said = remarks(made, devices.commanded)
-    return PairTable(tuple(made), made[0].names, matching, criterion, remarks=said)
 
 
-@dataclass(frozen=True)
-class Figures:
-    """All that is computed of the pairs; arrays (outer, inner) unless said otherwise.
+class Figures(NamedTuple):
+    """What is computed of all pairs.
 
     Attributes:
-        ratios: draws of λbd, (d, outer, inner).
-        calibrated: posterior medians of λbd.
+        of_pair, of_ratio: figures of `Pair` and of `Ratio` by their names, (outer, inner).
         residual: draws, µg, (d, outer, inner).
-        probability: of being the best, by criterion.
-        expected, loss: of the residual, µg.
-        document: variances of ratios from the records as they are: "ratio-variance" and "ratio-variance-raw".
-        denominators: posterior mean of each inner coefficient over its standard deviation, (inner, 4).
-        step2: the document's λbd.
-        step2_sure: mean over standard deviation of its denominators, (inner,).
+        near_zero: whether the denominator of an order is, (inner, 4).
     """
 
-    ratios: Array
-    calibrated: Array
+    of_pair: dict[str, Array]
+    of_ratio: dict[str, Array]
     residual: Array
-    probability: dict[str, Array]
-    expected: Array
-    loss: Array
-    document: dict[str, Array]
-    denominators: Array
-    step2: Array
-    step2_sure: Array
+    near_zero: Array
 
 
 def judge(devices: Devices) -> Figures:
     """Every pair under every criterion, draw by draw."""
-    outer, weights, time = devices.outer, devices.weights, devices.time
+    outer, time = devices.outer, devices.time
     ratios = devices.sensitivity[:, :outer, None] / devices.sensitivity[:, None, outer:]
-    calibrated = criteria.median(ratios, weights)
-    left = criteria.residual(devices.environment, devices.scale, calibrated)
+    median = np.median(ratios, axis=0)
+    left = criteria.residual(devices.environment, devices.scale, median)
     of_environment = criteria.polynomial(time, devices.environment)
-    moved = devices.scale - weights @ devices.scale  # of the commanded part, draw by draw
+    moved = devices.scale - devices.scale.mean(axis=0)  # of the commanded part, draw by draw
     of_known = criteria.polynomial(time, devices.known)
     of_commanded = criteria.polynomial(time, devices.commanded)
     raw = of_known + (devices.sign * moved)[..., None] * of_commanded + of_environment
     removed = devices.records - devices.known
-    measures = {
-        "residual": left,
-        "ratio-variance": criteria.ratio_variance(of_environment, outer),
-        "ratio-variance-raw": criteria.ratio_variance(raw, outer),
+    of_pair = {
+        "probability_residual": _share_best(left),
+        "expected_residual": left.mean(axis=0),
+        "expected_loss": left.mean(axis=0) - left.min(axis=(1, 2)).mean(),
     }
-    below = of_environment[:, outer:]
-    mean = np.einsum("d,dki->ki", weights, below)
-    spread = np.sqrt(np.einsum("d,dki->ki", weights, (below - mean) ** 2))
-    total = devices.environment[:, outer:].mean(axis=-1)
-    middle = weights @ total
-    width = np.sqrt(weights @ (total - middle) ** 2)
-    expected = np.einsum("d,dij->ij", weights, left)
-    least = np.min(left, axis=(1, 2))
-    return Figures(
-        ratios=ratios,
-        calibrated=calibrated,
-        residual=left,
-        probability={name: _share_best(values, weights) for name, values in measures.items()},
-        expected=expected,
-        loss=expected - weights @ least,
-        document={
-            name: criteria.ratio_variance(criteria.polynomial(time, records), outer)
-            for name, records in (
-                ("ratio-variance", removed),
-                ("ratio-variance-raw", devices.records),
-            )
-        },
-        denominators=mean / np.maximum(spread, 1e-300),
-        step2=criteria.document_ratio(removed, outer),
-        step2_sure=middle / np.maximum(width, 1e-300),
-    )
+    for name, draws, records in (
+        ("ratio_variance", of_environment, removed),
+        ("ratio_variance_raw", raw, devices.records),
+    ):
+        of_pair[f"probability_{name}"] = _share_best(criteria.ratio_variance(draws, outer))
+        of_pair[name] = criteria.ratio_variance(criteria.polynomial(time, records), outer)
+    low, lower, upper, high = np.quantile(ratios, (0.025, 0.1587, 0.8413, 0.975), axis=0)
+    near = _near_zero(devices.environment[:, outer:].mean(axis=-1))
+    of_ratio = {
+        "median": median,
+        "low": low,
+        "high": high,
+        "sd": 0.5 * (upper - lower),
+        "document": criteria.document_ratio(removed, outer),
+        "document_reliable": np.broadcast_to(np.logical_not(near), median.shape),
+    }
+    return Figures(of_pair, of_ratio, left, near_zero=_near_zero(of_environment[:, outer:]))
 
 
-def _share_best(values: Array, weights: Array) -> Array:
+def _near_zero(draws: Array) -> Array:
+    """Whether denominators are, by their draws (d, …)."""
+    return np.abs(draws.mean(axis=0)) < SURE * draws.std(axis=0)
+
+
+def _share_best(values: Array) -> Array:
     """How often each pair has the least value, (outer, inner)."""
-    shape = values.shape[1:]
-    least = np.argmin(values.reshape(len(values), -1), axis=1)
-    found = np.bincount(least, weights, minlength=shape[0] * shape[1])
-    return np.asarray(found, dtype=float).reshape(shape)
+    count, *shape = values.shape
+    least = np.argmin(values.reshape(count, -1), axis=1)
+    return np.bincount(least, minlength=math.prod(shape)).reshape(shape) / count
 
 
-def _rank(pair: Pair, criterion: str) -> tuple[float, float]:
+def _rank(criterion: str, pair: Pair) -> tuple[float, float]:
     if criterion == "residual":
         return (pair.expected_residual, 0.0)
-    raw = criterion == "ratio-variance-raw"
-    share = pair.probability_ratio_variance_raw if raw else pair.probability_ratio_variance
-    return (-share, pair.ratio_variance_raw if raw else pair.ratio_variance)
+    name = criterion.replace("-", "_")
+    return (-getattr(pair, f"probability_{name}"), getattr(pair, name))
 
 
 def _pair(devices: Devices, figures: Figures, i: int, j: int) -> Pair:
-    draws, weights = figures.ratios[:, i, j], devices.weights
-    q = [float(criteria.quantile(draws, weights, p)) for p in (0.025, 0.1587, 0.8413, 0.975)]
-    ratio = Ratio(
-        float(figures.calibrated[i, j]),
-        low=q[0],
-        high=q[3],
-        sd=0.5 * (q[2] - q[1]),
-        document=float(figures.step2[i, j]),
-        document_reliable=bool(abs(figures.step2_sure[j]) > SURE),
-    )
-    near = tuple(int(n) for n in np.flatnonzero(np.abs(figures.denominators[j]) < SURE))
-    measured = {f"probability_{n}": share for n, share in figures.probability.items()}
-    measured |= figures.document
-    measured |= {"expected_residual": figures.expected, "expected_loss": figures.loss}
     return Pair(
         devices.names[i],
         devices.names[devices.outer + j],
-        **{n.replace("-", "_"): float(values[i, j]) for n, values in measured.items()},
-        near_zero=near,
-        ratio=ratio,
+        **{name: float(values[i, j]) for name, values in figures.of_pair.items()},
+        near_zero=tuple(np.flatnonzero(figures.near_zero[j]).tolist()),
+        ratio=Ratio(**{name: values[i, j].item() for name, values in figures.of_ratio.items()}),
     )
 
 
 def _matching(devices: Devices, figures: Figures, criterion: str) -> tuple[tuple[str, str], ...]:
     """Disjoint pairs of the least total residual, or of the greatest total probability."""
-    residual = criterion == "residual"
-    cost = figures.expected if residual else -figures.probability[criterion]
+    share = figures.of_pair[f"probability_{criterion.replace('-', '_')}"]
+    cost = figures.of_pair["expected_residual"] if criterion == "residual" else -share
     rows, columns = linear_sum_assignment(cost)
     chosen = sorted(zip(rows, columns, strict=True), key=lambda at: cost[at])
     return tuple((devices.names[i], devices.names[devices.outer + j]) for i, j in chosen)
