@@ -32,9 +32,7 @@ ROUGHLY = 0.01  # and where nothing hangs on it
 # Of a direction's squared length beside spreads, up to which it is one of spreads.
 SPREAD_SHARE = 0.1
 
-Values = Callable[
-    [Float[np.ndarray, "s d"]], Float[np.ndarray, "s"]
-]  # log density of several points
+Values = Callable[[np.ndarray], np.ndarray]  # log density of several points, (s, d) → (s,)
 
 
 class Climbable(Protocol):
