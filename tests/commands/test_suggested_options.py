@@ -79,8 +79,6 @@ def test_three_axes_by_the_names_that_the_file_has(tmp_path: Path) -> None:
     head = ",".join(["time [s]", *header])
     np.savetxt(path, np.column_stack(table), "%.9g", ",", header=head, comments="")
     done = run("imu", path, "--baseline")
-    assert done.status == 2
-    done = run("imu", path, "--baseline", *pasted(done.err))
     assert done.status == 0, done.err
 
 
