@@ -182,12 +182,12 @@ def check_parts(check: Check, most: int | None = None) -> list[str | ResultTable
         lines.append(f"readings far from the model stand on one side (p = {check.one_sided:.1g})")
     if (found := check.allan) is None or most is not None:
         return lines
-    # Where the noise law is contradicted; and the terms of data sheets, where the curve shows any: what a covariate
-    # explains is no noise, and has no such terms.
+    # Where the noise law is contradicted; else its terms as data sheets give them: what a covariate explains is no
+    # noise, and has no such terms.
+    known = (e.log_bayes_factor for e in check.entries if e.against not in IN_TIME)
     if found.apart is not None:
         lines.append(textwrap.fill(found.sentence(), WIDTH, subsequent_indent="  "))
-    known = (e.log_bayes_factor for e in check.entries if e.against not in IN_TIME)
-    if max(known, default=0.0) <= strong and any(t.value is not None for t in found.measured.terms):
+    elif max(known, default=0.0) <= strong:
         lines += ["", found.table()]
     return lines
 

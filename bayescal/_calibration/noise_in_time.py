@@ -49,12 +49,9 @@ class AllanCheck:
         return f"{self.table()}\n{self.sentence()}"
 
     def table(self) -> ResultTable:
-        """The terms in the units of data sheets: of the residuals, and of the law."""
-        said = {t.symbol: str(t) for t in self.law_terms}
-        rows = [
-            [f"{t.name} {t.symbol}", str(t), said.get(t.symbol, "–")] for t in self.measured.terms
-        ]
-        return plain_table(["Allan deviation", "residuals", f"noise law ({self.law_name})"], rows)
+        """The terms of the noise law in the units of data sheets."""
+        rows = [[f"{t.name} {t.symbol}", str(t)] for t in self.law_terms]
+        return plain_table([f"noise law ({self.law_name})", "value"], rows)
 
     @property
     def law_name(self) -> str:
@@ -77,17 +74,11 @@ class AllanCheck:
 
     def data(self) -> dict[str, Any]:
         """As in result.json."""
-        own = {t.symbol: t for t in self.law_terms}
-        law = (own.get(t.symbol, AllanTerm(t.symbol, t.name, t.unit)) for t in self.measured.terms)
-        terms = [
-            {**vars(t), "law": of_law.value, "law_uncertainty": of_law.uncertainty}
-            for t, of_law in zip(self.measured.terms, law, strict=True)
-        ]
         return {
             "unit": self.measured.unit,
             "runs": self.measured.runs,
             "curve": allan_rows(self.measured, self.expected, self.low, self.high),
-            "terms": terms,
+            "terms": [vars(t) for t in self.law_terms],
             "agrees": self.apart is None,
             "in_words": self.sentence(),
         }

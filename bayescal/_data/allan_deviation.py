@@ -1,10 +1,7 @@
-"""Allan deviation of a record, overlapping, over the runs whose readings are evenly spaced in time; and its terms.
+"""Allan deviation of a record, overlapping, over the runs whose readings are evenly spaced in time.
 
-IEEE Std 952 (Annex C) and 1139; W. Riley, Handbook of Frequency Stability Analysis, NIST SP 1065 (2008).
-
-The terms are white noise N, bias instability B and random walk K, as data sheets give them, with names and units of
-IEEE Std 952 (gyroscopes) and 1293 (accelerometers): σ²(τ) = N²/τ + (2·ln 2/π)·B² + K²·τ/3, IEEE Std 952, Annex C. The
-slopes of a curve say which of these there are, and least squares of their sum how large.
+IEEE Std 952 (Annex C) and 1139; W. Riley, Handbook of Frequency Stability Analysis, NIST SP 1065 (2008). Terms of noise
+are N, B and K as data sheets give them, with names and units of IEEE Std 952 (gyroscopes) and 1293 (accelerometers).
 """
 
 from __future__ import annotations
@@ -12,13 +9,11 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from itertools import combinations
 from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
-from scipy.linalg import cholesky, solve_triangular
-from scipy.special import chdtrc, gammaincinv
+from scipy.special import gammaincinv
 
 from bayescal._core.errors import InputError
 from bayescal._core.formatting import number, with_error
@@ -29,21 +24,11 @@ from bayescal._data.unit_conversion import parse, unit_label
 
 # Readings of the longest run, below which no slope of an Allan deviation is told from another.
 ALLAN_READINGS = 30
-# From the slope of one kind of noise on log axes to where that of the next begins: half of ½.
-ALLAN_SLOPE = 0.25
 FULL_SHARE = 0.5  # of the readings of an average, that must be there
 CUT_STEPS = 1.5  # of a grid, over which the stamps of readings may lie about it; two readings on one stamp are over 1
 # Of the places of a run's grid, that may have no reading: drivers lose some per cent.
 LOST_SHARE = 0.2
-ALLAN_COVERAGE = 2.0  # standard uncertainties, as everywhere that an interval of 95 % is meant
-# p-value of a line through part of an Allan deviation, below which it is none.
-ALLAN_STRAIGHT_P = 1e-3
-
 SYMBOLS = "NBK"
-SLOPES = {"N": -0.5, "B": 0.0, "K": 0.5}  # of log σ over log τ
-FLAT = 2 * np.log(2) / np.pi  # σ² of flicker noise over B²; its root is the 0.664 of data sheets
-FREQUENCIES = 4096  # of an integral over a spectrum; twice as many change no digit that is printed
-ROUNDS = 5  # of weighting anew; more change nothing to three digits
 
 
 class Habit(NamedTuple):
@@ -56,22 +41,19 @@ class Habit(NamedTuple):
 
 @dataclass(frozen=True)
 class AllanTerm:
-    """One term (N, B or K) of an Allan curve, in the unit of data sheets, with the name of IEEE 952 and 1293.
+    """One term (N, B or K) of noise, in the unit of data sheets, with the name of IEEE 952 and 1293.
 
     Attributes:
-        value: None where the curve of this record has no such slope.
         uncertainty: standard uncertainty of the value.
     """
 
     symbol: str
     name: str
     unit: str
-    value: float | None = None
-    uncertainty: float | None = None
+    value: float
+    uncertainty: float
 
     def __str__(self) -> str:
-        if self.value is None or self.uncertainty is None:
-            return "not seen in this record"
         return f"{with_error(self.value, self.uncertainty)} {unit_label(self.unit)}".strip()
 
 
@@ -96,129 +78,12 @@ def habit(unit: str) -> Habit:
     return Habit(names, (f"{own}/Hz^0.5", own, f"{own}/s^0.5"), f"{own}*s")
 
 
-def term(symbol: str, unit: str, value: float | None, uncertainty: float | None) -> AllanTerm:
+def term(symbol: str, unit: str, value: float, uncertainty: float) -> AllanTerm:
     """Return a term in its data-sheet unit; values in the output's unit times √s (N), as it is (B), per √s (K)."""
     i, known = SYMBOLS.index(symbol), habit(unit)
     # Both in base units, of which the second is one and the hertz its inverse.
     factor = parse(unit or "1").factor / parse(known.units[i]).factor
-    scaled = (None if v is None else v * factor for v in (value, uncertainty))
-    return AllanTerm(symbol, known.names[i], known.units[i], *scaled)
-
-
-class Curve(NamedTuple):
-    """An Allan curve: factors averaged, step (s), readings of the longest run, variances (output unit²) and edf."""
-
-    factors: Float[np.ndarray, "k"]
-    step: float
-    readings: int
-    variance: Float[np.ndarray, "k"]
-    edf: Float[np.ndarray, "k"]
-
-
-class _Stretch(NamedTuple):
-    first: int
-    last: int
-    uncertainty: float  # of its slope
-
-
-def _stretches(curve: Curve) -> dict[str, _Stretch]:
-    """Find where the curve has the slope of each term, if anywhere."""
-    octaves, height = np.log2(curve.factors), 0.5 * np.log2(curve.variance)
-    error = 1 / (np.log(2) * np.sqrt(2 * curve.edf))
-    lowest = int(np.argmin(height))
-    found: dict[str, _Stretch] = {}
-    for symbol in ("K", "B", "N"):
-        fitting = []
-        for i, j in combinations(range(len(octaves)), 2):
-            # The flat part is the lowest; and what falls again after a rise is no white noise of single readings.
-            late = symbol == "N" and "K" in found and i >= found["K"].first
-            if late or (symbol == "B" and not i <= lowest <= j):
-                continue
-            x, y, e = (a[i : j + 1] for a in (octaves, height, error))
-            centred = x - np.average(x, weights=e**-2)
-            uncertainty = float(np.sum((centred / e) ** 2)) ** -0.5
-            slope = float(np.sum(centred * y / e**2)) * uncertainty**2
-            bend = y - np.average(y, weights=e**-2) - slope * centred
-            straight = _described(float(np.sum((bend / e) ** 2)), j - i - 1)
-            off = abs(slope - SLOPES[symbol]) + ALLAN_COVERAGE * uncertainty
-            if straight and off < ALLAN_SLOPE:  # nearer to this than to another noise's
-                fitting.append(_Stretch(i, j, uncertainty))
-        if fitting:
-            found[symbol] = min(fitting, key=lambda s: s.uncertainty)
-    return found
-
-
-def _described(misfit: float, spare: int) -> bool:
-    """Whether a sum of squares is no rarer than one in a thousand for a χ² of so many degrees of freedom."""
-    return spare == 0 or bool(chdtrc(spare, misfit) > ALLAN_STRAIGHT_P)
-
-
-def _sizes(found: dict[str, _Stretch], curve: Curve) -> dict[str, tuple[float, float]]:
-    """Terms, and their standard uncertainties, whose sum is the curve from the first of their slopes to the last.
-
-    Where the sum does not describe the curve, as beside noise of a correlation time, the term of the longest times
-    goes out; so does one that is not above zero.
-    """
-    left = dict(found)
-    while left:
-        part = slice(min(s.first for s in left.values()), max(s.last for s in left.values()) + 1)
-        squares, error, misfit = _least_squares(list(left), curve, part)
-        faint = int(np.argmin(squares / error))
-        spare = part.stop - part.start - len(left)
-        if len(left) > 1 and not _described(misfit, spare):
-            left.pop(max(left, key=lambda s: left[s].last))
-        elif squares[faint] <= ALLAN_COVERAGE * error[faint]:
-            left.pop(list(left)[faint])
-        else:
-            sizes = np.sqrt(squares)
-            errors = error / 2 / sizes
-            return {s: (float(sizes[i]), float(errors[i])) for i, s in enumerate(left)}
-    return {}
-
-
-def _least_squares(
-    symbols: list[str], curve: Curve, part: slice
-) -> tuple[Float[np.ndarray, "t"], Float[np.ndarray, "t"], float]:
-    """Squared sizes, their standard uncertainties and the sum of squares: generalised, the weights those of the sum."""
-    # From the frequency of the longest run to half of one per reading, by equal factors.
-    f, m = np.geomspace(0.25 / curve.readings, 0.5, FREQUENCIES), curve.factors
-    tau, half, measured = curve.step * m, np.sin(np.pi * f), curve.variance[part]
-    # Of a term of size one: its Allan variance, of a random walk as readings taken at moments see it, and its spectral
-    # density, per reading.
-    of_one = {
-        "N": (1 / tau, np.full(len(f), 1 / curve.step)),
-        "B": (np.full(len(m), FLAT), 1 / (2 * np.pi * f)),
-        "K": (tau / 3 * (1 + 0.5 / m**2), curve.step / (2 * half) ** 2),
-    }
-    design = np.stack([of_one[s][0][part] for s in symbols], axis=1)
-    spectra = np.stack([of_one[s][1] for s in symbols])
-    # How much of each frequency is in each Allan variance, but for a factor: of its square, that of its band.
-    m = m[part, None]
-    responses = np.sqrt(f) * np.sin(np.pi * f * m) ** 4 / (m * half) ** 2
-    expected, squares = measured, np.ones(len(symbols))
-    for _ in range(ROUNDS):
-        root = _root(responses * (squares @ spectra), expected, curve.edf[part])
-        white = solve_triangular(root, np.column_stack([design, measured]), lower=True)
-        squares = np.maximum(np.linalg.lstsq(white[:, :-1], white[:, -1], rcond=None)[0], 0.0)
-        if not np.any(squares > 0):
-            break
-        expected = design @ squares
-    error = np.sqrt(np.diag(np.linalg.pinv(white[:, :-1].T @ white[:, :-1])))
-    return squares, error, float(np.sum((white[:, -1] - white[:, :-1] @ squares) ** 2))
-
-
-def _root(
-    passed: Float[np.ndarray, "k f"], expected: Float[np.ndarray, "k"], edf: Float[np.ndarray, "k"]
-) -> Float[np.ndarray, "k k"]:
-    """L with L·Lᵀ the covariance of estimated Allan variances.
-
-    An estimate of v with e degrees of freedom has the variance 2·v²/e. Two are correlated as far as the same
-    frequencies pass through both: as the integral of the product of the spectra that do.
-    """
-    shared = passed @ passed.T
-    size = np.sqrt(np.diag(shared))
-    deviation = expected * np.sqrt(2 / edf)
-    return cholesky(shared / np.outer(size, size) * np.outer(deviation, deviation), lower=True)
+    return AllanTerm(symbol, known.names[i], known.units[i], value * factor, uncertainty * factor)
 
 
 SHARE = 4  # of the longest run that is averaged, at most: Riley's stop ratio of this estimator
@@ -261,7 +126,6 @@ class AllanDeviation:
         deviation, low, high: (k,), and the ends of its 95 % confidence interval.
         differences: of neighbouring averages (k,).
         edf: equivalent degrees of freedom (k,) of the squared deviation, by Greenhall & Riley (2003).
-        terms: N, B and K in the units of data sheets.
     """
 
     unit: str
@@ -273,7 +137,6 @@ class AllanDeviation:
     high: np.ndarray = field(repr=False)
     differences: np.ndarray = field(repr=False)
     edf: np.ndarray = field(repr=False)
-    terms: tuple[AllanTerm, ...]
 
     def __str__(self) -> str:
         unit = unit_label(self.unit)
@@ -281,9 +144,7 @@ class AllanDeviation:
             [number(t), f"{number(d)} {unit}".rstrip(), f"{number(low)} to {number(high)}"]
             for t, d, low, high in zip(self.tau, self.deviation, self.low, self.high, strict=True)
         ]
-        curve = plain_table(["τ [s]", "Allan deviation", "95 % interval"], rows, left=0)
-        terms = [[f"{t.name} {t.symbol}", str(t)] for t in self.terms]
-        return f"{plain_table(['term', 'value'], terms, fold=25)}\n\n{curve}"
+        return str(plain_table(["τ [s]", "Allan deviation", "95 % interval"], rows, left=0))
 
 
 def allan_deviation(
@@ -305,7 +166,6 @@ def of_runs(
     readings: Measurements, values: Float[np.ndarray, "n"], runs: EvenRuns
 ) -> AllanDeviation:
     """Compute the Allan deviation of runs that are known to be even; raise InputError where values do not change."""
-    factors, unit = runs.factors, readings.unit("output") or ""
     variance, differences = overlapping(values, runs)
     if not np.all(variance > 0):
         raise InputError(
@@ -314,19 +174,16 @@ def of_runs(
     edf = degrees_of_freedom(runs, noise_types(variance))
     tail = 0.5 * (1 - CONFIDENCE)
     low, high = (np.sqrt(variance * edf / (2 * gammaincinv(edf / 2, p))) for p in (1 - tail, tail))
-    curve = Curve(factors, runs.step, max(runs.lengths), variance, edf)
-    shown = _sizes(_stretches(curve), curve)  # each only where the curve has its slope
     return AllanDeviation(
-        unit=unit,
+        unit=readings.unit("output") or "",
         step=runs.step,
         runs=sum(n >= 3 for n in runs.lengths),
-        tau=factors * runs.step,
+        tau=runs.factors * runs.step,
         deviation=np.sqrt(variance),
         low=low,
         high=high,
         differences=differences,
         edf=edf,
-        terms=tuple(term(s, unit, *shown.get(s, (None, None))) for s in SYMBOLS),
     )
 
 

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import re
 import unicodedata
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -17,6 +18,7 @@ from bayescal._data.column import (
     UNCERTAINTY,
     Column,
     ConvertedColumns,
+    NominalScale,
     overloads,
     placeholders,
 )
@@ -29,17 +31,17 @@ from bayescal._data.counter_wrap import (
     unwrap_option,
     wrap_period,
 )
-from bayescal._data.header_matching import (
+from bayescal._data.header_matching import MatchedFile
+from bayescal._data.header_rules import DAYS, channels_beside, plain
+from bayescal._data.pose_rows import MAGNITUDE
+from bayescal._data.read_options import (
     InstrumentLike,
-    MatchedFile,
     ReadOptions,
     output_name,
     parse_begin,
     period_of,
     unit_of,
 )
-from bayescal._data.header_rules import DAYS, channels_beside, plain
-from bayescal._data.pose_rows import MAGNITUDE
 from bayescal._data.records import RECORD, record_codes
 from bayescal._data.thermometer_checks import allowed_changes
 from bayescal._data.unit_conversion import (
@@ -62,10 +64,6 @@ _MOST_AT_REST = 20.0  # g; a sensor that takes any unit is at rest, or nearly so
 _COLDEST = 100.0  # K; no inertial sensor is tested below, and no difference between two of its temperatures is above
 _SINCE_1904 = 2_082_844_800.0  # s, from 1904 to 1970
 _EARLIEST_1904 = 946_684_800.0 + _SINCE_1904  # s; the year 2000 counted from 1904
-_LIKELY_UNITS = (
-    *("deg", "arcsec", "rad", "deg/s", "rad/s", "g", "mg", "ug", "degC", "K", "degF"),
-    *("s", "ms", "us", "min", "h", "V", "mV", "Hz", "kHz", "1", "%", "ppm"),
-)
 
 
 def convert_columns(
@@ -81,80 +79,111 @@ def convert_columns(
     """
     own = Objections() if problems is None else problems
     before = len(own)
-    converted = _converted(table, instrument, options, own)
+    file = MatchedFile(table, instrument, options, own)
+    extra, flags = ({}, []) if file.note_missing() else file.further_columns()
+    own += table.problems
+    converted = ConvertedColumns((file.table,), flags=[*file.table.notes, *flags])
+    cells = _load(file, extra) if table.readable else {}
+    _read_expected(file, cells, converted)
+    _read_further(file, extra, cells, converted)
+    _note_gravity(file, converted)
+    _note_channels(file, extra, converted)
     if converted.missing and len(own) == before:
-        _drop(table, converted, own)
+        _drop(file.table, converted, own)
     if problems is None:
         own.refuse()
     return converted
 
 
-def _converted(
-    table: Table, instrument: InstrumentLike, options: ReadOptions, problems: Objections
-) -> ConvertedColumns:
-    file = MatchedFile(table, instrument, options, problems)
-    offered, proposed = file.note_missing()
-    file.fix_units(offered)
-    extra, flags = file.further_columns(proposed)
-    table, expected, positions = file.table, file.expected, file.positions
-    converted = ConvertedColumns((table,), flags=[*table.notes, *flags])
-    found = {n: c for n, c in (expected | extra).items() if n in positions}
-    problems += table.problems
-    found |= {n: expected[n] for n in offered}  # looked at already, whether or not they are meant
-    positions |= {name: position for name, (position, _) in offered.items()}
-    if not table.readable:
-        found = {}
-    wanted = {positions[n]: c.unit is not None for n, c in found.items()}
+def _load(file: MatchedFile, extra: Mapping[str, Column]) -> dict[str, Cells]:
+    """Load the cells of the columns that are read; times of day on the days of a column beside them."""
+    table, positions = file.table, file.positions
+    columns = {n: c for n, c in (file.expected | extra).items() if n in positions}
+    wanted = {positions[n]: c.unit is not None for n, c in columns.items()}
     days = [i for i, h in enumerate(table.headers) if plain(h.name) in DAYS and not h.unit]
-    days = [i for i in days if "time" in found and i != positions["time"]]  # beside times of day
-    cells = load_whole(table, wanted | dict.fromkeys(days, True) if len(days) == 1 else wanted)
-    if len(days) == 1:
-        times = cells[positions["time"]]
-        cells[positions["time"]] = times.on_days(cells[days[0]], options.date_order)
+    days = [i for i in days if "time" in columns and i != positions["time"]]
+    beside = dict.fromkeys(days, True) if len(days) == 1 else {}
+    cells = load_whole(table, wanted | beside)
+    found = {name: cells[positions[name]] for name in columns}
+    for day in beside:
+        found["time"] = found["time"].on_days(cells[day], file.options.date_order)
+    return found
 
-    def reader(name: str) -> ColumnReader:
-        header = offered[name][1] if name in offered else file.header(name)
-        return ColumnReader(file, header, found[name], converted)
 
-    for name, column in expected.items():
-        if name in found:
-            reader(name).read(cells[positions[name]])
-            converted.unread |= {name} - set(converted.values)
+def _read_expected(
+    file: MatchedFile, cells: Mapping[str, Cells], converted: ConvertedColumns
+) -> None:
+    """Read the instrument's columns, in its order; those that the file lacks and that have a default hold that."""
+    for name, column in file.expected.items():
         default = column.default
-        if name == MAGNITUDE and options.local_field is not None:
-            if name in found:
+        if name in cells:
+            header, (problems, options) = file.header(name), (file.problems, file.options)
+            ColumnReader(file, header, column, converted, problems, options).read(cells[name])
+            converted.unread |= {name} - set(converted.values)
+        if name == MAGNITUDE and file.options.local_field is not None:
+            if name in cells:
                 raise InputError(
-                    f"{table.file} has the local field in its column {file.header(name).raw!r}, and --local-field says "
-                    "it too: leave one out (the column by --ignore)"
+                    f"{file.table.file} has the local field in its column {file.header(name).raw!r}, and --local-field "
+                    "says it too: leave one out (the column by --ignore)"
                 )
-            default = options.local_field
+            default = file.options.local_field
         if name not in converted.values and default is not None:
             kind = object if column.unit is None else np.float64
-            converted.values[name] = np.full(table.rows, default, dtype=kind)
+            converted.values[name] = np.full(file.table.rows, default, dtype=kind)
             converted.units[name] = column.unit
             converted.filled.add(name)
-    for name in (n for n in extra if n in found):
-        reader(name).read_if_sound(cells[positions[name]])
-    outputs = getattr(instrument, "outputs", ()) or (output_name(instrument),)
-    assumed = options.local_gravity is None and converted.by_gravity.intersection(outputs)
-    if assumed and ASSUMED_GRAVITY in expected and MAGNITUDE not in converted.by_gravity:
-        converted.values[ASSUMED_GRAVITY] = np.ones(table.rows)
+
+
+def _read_further(
+    file: MatchedFile,
+    extra: Mapping[str, Column],
+    cells: Mapping[str, Cells],
+    converted: ConvertedColumns,
+) -> None:
+    """Read columns that no instrument asked for; one of which a cell is no number is left out with a flag."""
+    options = replace(file.options, missing="refuse")
+    for name in (n for n in extra if n in cells):
+        problems, flags = Objections(), len(converted.flags)
+        header = file.header(name)
+        ColumnReader(file, header, extra[name], converted, problems, options).read(cells[name])
+        if problems:
+            del converted.flags[flags:]
+            why = " ".join((*problems[0].places[:1], problems[0].came))
+            converted.flags.append(f"{file.table.file}: column {header.raw!r} ignored: {why}")
+
+
+def _note_gravity(file: MatchedFile, converted: ConvertedColumns) -> None:
+    """Mark readings that were divided by a local gravity that nobody stated, where scale factors depend on it."""
+    outputs = getattr(file.instrument, "outputs", ()) or (output_name(file.instrument),)
+    assumed = file.options.local_gravity is None and converted.by_gravity.intersection(outputs)
+    if assumed and ASSUMED_GRAVITY in file.expected and MAGNITUDE not in converted.by_gravity:
+        converted.values[ASSUMED_GRAVITY] = np.ones(file.table.rows)
         converted.units[ASSUMED_GRAVITY] = "1"
         converted.filled.add(ASSUMED_GRAVITY)
-        said = f"{options.gravity:g} m/s² was taken for local gravity, which nobody stated (--local-gravity)"
+        gravity = file.options.gravity
+        said = (
+            f"{gravity:g} m/s² was taken for local gravity, which nobody stated (--local-gravity)"
+        )
         why = "scale factors are as uncertain as it is on Earth, 9.780 to 9.832 m/s²"
-        converted.flags.append(Flag(f"{table.file}: {said}: {why}", "gravity.assumed", *outputs))
-    if (output := output_name(instrument)) in converted.values:
-        own = file.header(output).name
-        others = {n: u for n, u in converted.units.items() if n in extra}
-        converted.beside.update(channels_beside(own, others, converted.units[output]))
-        if converted.beside:
-            names = ", ".join(sorted(converted.beside))
-            converted.flags.append(
-                f"{table.file}: {names}: other channels beside the output {own!r}, not taken as its causes "
-                "(--covariates NAME, in Python covariates=, to let one be)"
-            )
-    return converted
+        converted.flags.append(
+            Flag(f"{file.table.file}: {said}: {why}", "gravity.assumed", *outputs)
+        )
+
+
+def _note_channels(
+    file: MatchedFile, extra: Mapping[str, Column], converted: ConvertedColumns
+) -> None:
+    """Note the other channels of the unit whose output this is: they are no causes of it."""
+    if (output := output_name(file.instrument)) not in converted.values:
+        return
+    own = file.header(output).name
+    others = {n: u for n, u in converted.units.items() if n in extra}
+    converted.beside.update(channels_beside(own, others, converted.units[output]))
+    if converted.beside:
+        converted.flags.append(
+            f"{file.table.file}: {', '.join(sorted(converted.beside))}: other channels beside the output {own!r}, not "
+            "taken as its causes (--covariates NAME, in Python covariates=, to let one be)"
+        )
 
 
 def _drop(table: Table, converted: ConvertedColumns, problems: Objections) -> None:
@@ -189,87 +218,162 @@ class ColumnReader:
     header: Header
     column: Column
     converted: ConvertedColumns
+    problems: Objections
+    options: ReadOptions
 
     def read(self, cells: Cells) -> None:
-        """A column of the instrument; one that is empty and not required is left out."""
+        """Read a column; one that is empty and not required is left out."""
         if self.column.unit is None:
-            self._labels(cells.values)
+            self._read_labels(cells.values)
             return
         if not self.column.required and not cells.bad and np.isnan(cells.values).all():
             self._flag("is empty and was left out")
             return
-        before, cells = len(self.file.problems), self._as_numbers(self._in_order(cells))
+        before, cells = len(self.problems), self._in_order(cells)
+        if cells.dates and not self._is_time:  # dates are numbers of the time alone
+            cells = _as_text(cells)
         unit = self._unit(cells)
-        codes = overloads(cells.values)
-        raw = self._without(cells.values, codes, _OVERLOAD)
-        held = placeholders(raw)
+        raw, noted = cells.values, set(cells.bad)
         self._note_text(cells, unit)
-        raw = self._unwrapped(self._without(raw, held, _PLACEHOLDER), unit)
+        for find, said in ((overloads, _OVERLOAD), (placeholders, _PLACEHOLDER)):
+            if (rows := find(raw)).size:
+                self._note_missing(rows, said.format(raw[rows[0]]))
+                noted |= {*rows.tolist()}
+                raw = raw.copy()
+                raw[rows] = np.nan
+        raw = self._unwrapped(raw, unit)
         self._note_unsigned(raw)
         self._note_mass(raw, unit)
         with np.errstate(over="ignore"):
             values = raw if cells.dates or unit is None else self._convert(raw, unit)
         if values is None:
             return
-        self._note_not_finite(raw, values, unit, {*cells.bad, *held.tolist(), *codes.tolist()})
+        self._note_not_finite(raw, values, unit, noted)
         if unit is not None:
             self._note_implausible(raw, values, unit)
         # without a unit, the order of times can be looked at all the same
-        if len(self.file.problems) == before or (unit is None and not cells.bad):
+        if len(self.problems) == before or (unit is None and not cells.bad):
             if self._is_time:
-                values, self.converted.origin = from_first(values)
-                self._note_epoch(cells)
-                values = self._from_begin(values)
+                values = self._on_clock(values, cells.dates)
             self.converted.values[self.column.name] = values
             self.converted.units[self.column.name] = self.column.unit
-
-    def read_if_sound(self, cells: Cells) -> None:
-        """Read a column that no instrument asked for, or leave it out with a flag unless every cell is a number."""
-        name, fixed, gravity = self.column.name, self.column.unit, self.file.options.gravity
-        unit = unit_of(self.header, name, self.file.options)
-        assert unit is not None and fixed is not None  # `further_columns` keeps no other
-        values = convert(cells.values, unit, fixed, local_gravity=gravity)
-        unusable = np.union1d(np.flatnonzero(self._not_finite(values)), overloads(cells.values))
-        if cells.bad or unusable.size or cells.dates:
-            index = next(iter(cells.bad), int(unusable[0]) if unusable.size else 0)
-            text = cells.bad.get(index)
-            seen = f"reads {text!r}" if cells.bad else _reading(float(cells.values[index]))
-            self._flag(f"ignored: {self.file.table.place(index)} {seen}")
-            return
-        if needs_gravity(unit, fixed):
-            self._flag(f"turned into local g by {gravity:g} m/s²")
-        self.converted.values[name], self.converted.units[name] = values, fixed
 
     @property
     def _is_time(self) -> bool:
         return self.column.name == "time" and self.column.unit == "s"
 
+    @property
+    def _is_output(self) -> bool:
+        return self.column.name == output_name(self.file.instrument)
+
+    @property
+    def _names(self) -> tuple[str, str, str]:
+        return self.header.raw, self.header.name, self.column.name
+
     def _problem(self, came: str, *about: str, **more: Any) -> None:
-        self.file.problem(self.header.raw, came, *about, **more)
+        self.problems.append(self.file.table.objection(self.header.raw, came, *about, **more))
 
     def _flag(self, said: str) -> None:
         self.converted.flags.append(f"{self.file.table.file}: column {self.header.raw!r} {said}")
 
-    def _missing(self, rows: np.ndarray, came: str, expected: str = "") -> None:
-        """Readings that are missing: a problem, unless such rows are dropped."""
-        earlier = self.converted.missing.get(self.column.name, rows[:0])
-        self.converted.missing[self.column.name] = np.union1d(earlier, rows)
-        if self.file.options.missing == "refuse":
+    def _note_missing(self, rows: np.ndarray, came: str, expected: str = "") -> None:
+        """Note readings that are missing: a problem, unless such rows are dropped."""
+        if self.options.missing == "refuse":
             cure, given = "Fill it in, or drop such rows", option("--missing", "drop")
             self._problem(came, expected, cure, given, rows=rows)
+            return
+        earlier = self.converted.missing.get(self.column.name, rows[:0])
+        self.converted.missing[self.column.name] = np.union1d(earlier, rows)
 
-    def _without(self, raw: np.ndarray, rows: np.ndarray, said: str) -> np.ndarray:
-        """Numbers without those that stand for a missing reading."""
-        if not rows.size:
-            return raw
-        self._missing(rows, said.format(raw[rows[0]]))
-        raw = raw.copy()
-        raw[rows] = np.nan
-        return raw
+    def _read_labels(self, labels: np.ndarray) -> None:
+        if not self.column.required and (labels == "").all():
+            self._flag("is empty and was left out")
+            return
+        empty, allowed = np.flatnonzero(labels == ""), self.column.allowed
+        if empty.size:
+            self._note_missing(empty, "is empty", "a label")
+        before = len(self.problems)
+        for label in dict.fromkeys(labels.tolist()):
+            rows = np.flatnonzero(labels == label)
+            if any(unicodedata.category(character) in ("Cc", "Cs") for character in label):
+                came = f"reads {label!r}, which holds a control character"
+                self._problem(came, cure="Remove it", rows=rows)
+            elif label and allowed and label not in allowed:
+                known = f"one of {', '.join(allowed)}"
+                self._problem(f"reads {label!r}, an unknown label", known, "Correct it", rows=rows)
+        if len(self.problems) == before:
+            self.converted.values[self.column.name] = labels
+            self.converted.units[self.column.name] = None
+
+    def _in_order(self, cells: Cells) -> Cells:
+        """Dates whose day and month are dates apart: by one above 12, or as the user says; a problem if by neither."""
+        if not (self._is_time and cells.orders):
+            return cells
+        dates, fitting = cells.in_order(self.options.date_order), cells.fitting_orders
+        if dates.orders:
+            came = "its dates are not all dates in one order of month, day and year"
+            if fitting:
+                came = "its dates leave open which number is the day, or whether they are times"
+            orders = fitting or [n for n, v in cells.orders.items() if not np.isnan(v).all()]
+            firsts = {n: date_text(float(np.nanmin(cells.orders[n]))).split() for n in orders}
+            begin = ", ".join(f"{n} if it begins {f[n == 'hms']}" for n, f in firsts.items())
+            cure = f"Say in which order they are: {begin}"
+            expected = "a day above 12 in one of them, or the year first"
+            self._problem(came, expected, cure, option("--date-order", orders[0]))
+        return dates
+
+    def _unit(self, cells: Cells) -> str | None:
+        """Return the unit of the numbers; None, and a problem, if there is none or the text is none."""
+        unit = unit_of(self.header, self.column.name, self.options)
+        asked = option("--unit", f"{self.header.raw}=UNIT")
+        if cells.dates:
+            return "s"
+        if unit is None and self._is_time and (shown := unit_of_counts(cells.values)):
+            self._flag(f"taken as {pretty(shown)} since 1970, as its size shows")
+            return shown
+        if unit is None:
+            if not (self._is_time and cells.bad and np.isnan(cells.values).all()):
+                own = self.column.example
+                cure = f"UNIT is what its numbers are in, such as {own}; in a header, '{self.header.name} [{own}]'"
+                self._problem("the header has no unit", "one", cure, asked)
+            return None  # dates of another form are said as such
+        if self.column.unit != ANY:
+            unit = unit_in(unit, (str(self.column.unit),)) or unit
+        try:
+            parse(unit)
+        except InputError as error:
+            sentence = f"{self._where}: {error}. Correct the header, or say the unit"
+            near = "".join(re.findall(r"\(([^()]*meant\?)\)", str(error))[:1])
+            came, expected = f"the unit [{unit}]", "a unit known here"
+            self._problem(came, expected, near, asked, sentence=sentence)
+            return None
+        if self.header.unit and unit != self.header.unit:
+            self._flag(f"taken as [{unit}], as --unit says")
+        return unit
+
+    @property
+    def _where(self) -> str:
+        return f"{self.file.table.file!r}, column {self.header.raw!r}"
+
+    def _note_text(self, cells: Cells, unit: str | None) -> None:
+        """Note the cells that hold text."""
+        if not cells.bad:
+            return
+        expected = _number_in(unit)
+        if self._is_time and cells.dates:
+            expected = f"a date such as {EXAMPLE}, with a zone everywhere or nowhere"
+        elif self._is_time:
+            expected = f"a date such as {EXAMPLE}" if unit is None else f"{expected}, or a date"
+        texts = list(dict.fromkeys(cells.bad.values()))
+        hint = "Correct the cell, or remove the row"
+        if any(re.fullmatch(r"[+-]?\d*,\d+([eE][+-]?\d+)?", text) for text in texts):
+            hint = "If that is a decimal comma, say so (--decimal ,), or export the file with decimal points"
+        came = ", ".join(repr(text[:60]) for text in texts[:_TEXTS]) + " …" * (len(texts) > _TEXTS)
+        self._problem(f"reads {came}", expected, hint, rows=sorted(cells.bad))
 
     def _unwrapped(self, raw: np.ndarray, unit: str | None) -> np.ndarray:
         """Undo a counter's wraps, or a sign that was lost, where the user says so."""
-        given = self.file.options.unwrap
+        given = self.options.unwrap
         said = next((given[n] for n in self._names if n in given), None)
         if said is None or unit is None:
             return raw
@@ -297,31 +401,32 @@ class ColumnReader:
         known = {n: v for n, v in self.converted.values.items() if n in RECORD}
         return record_codes(known) if known else np.zeros(len(raw), np.int64)
 
-    def _note_epoch(self, cells: Cells) -> None:
-        """Count from 1904, as LabVIEW does, where seconds since 1970 would lie so far ahead that nobody measured."""
-        since = self.converted.origin
-        if since is not None and since > _EARLIEST_1904 and not cells.dates:
-            self.converted.origin = since - _SINCE_1904
-            begin = date_text(since)[:10]
-            self._flag(f"taken as since 1904 (LabVIEW): since 1970 it would begin {begin}")
+    def _on_clock(self, values: np.ndarray, dates: bool) -> np.ndarray:
+        """Count times from the first reading, if they are dates, and from when that was taken, where the user says so.
 
-    def _from_begin(self, values: np.ndarray) -> np.ndarray:
-        """Count times from when the first reading was taken, where the user says that."""
-        options, file = self.file.options, self.file.table.file
-        text = options.begin.get(file, options.begin.get("", ""))
+        Seconds that lie so far ahead since 1970 that nobody measured count from 1904, as LabVIEW's do.
+        """
+        values, since = from_first(values)
+        if since is not None and since > _EARLIEST_1904 and not dates:
+            begin = date_text(since)[:10]
+            since -= _SINCE_1904
+            self._flag(f"taken as since 1904 (LabVIEW): since 1970 it would begin {begin}")
+        self.converted.origin = since
+        begins, file = self.options.begin, self.file.table.file
+        text = begins.get(file, begins.get("", ""))
         if not text or not np.isfinite(values).any():
             return values
         begin, dated = parse_begin(text)
-        if dated and self.converted.origin is not None and file not in options.begin:
+        if dated and since is not None and file not in begins:
             return values
         self._flag(f"is counted from its first reading at {text} (--begin)")
-        self.converted.origin = begin if dated else options.epoch
+        self.converted.origin = begin if dated else self.options.epoch
         return values - np.nanmin(values) + (0.0 if dated else begin)
 
     def _note_mass(self, raw: np.ndarray, unit: str | None) -> None:
         """Note a g that is hardly that of gravity, where the instrument takes whatever unit there is."""
         anything = {c.name for c in self.file.instrument.columns if c.unit == ANY}
-        said = self.file.options.units.keys() & {*self._names}
+        said = self.options.units.keys() & {*self._names}
         if unit is None or self.column.name not in anything or said:
             return
         powers, known = parse(unit).powers, raw[np.isfinite(raw)]
@@ -332,142 +437,34 @@ class ColumnReader:
             came = f"reads {known[0]:.4g} {pretty(unit)}, and g is gravity here: hardly an acceleration"
             cure = f"Is it a mass? Its unit is {mass}; if it is gravity, say so: "
             cure += option("--unit", f"{self.header.raw}={unit}")
-            asked = option("--unit", f"{self.header.raw}={mass}")
-            self._problem(came, cure=cure, option=asked)
+            self._problem(came, cure=cure, option=option("--unit", f"{self.header.raw}={mass}"))
 
     def _note_unsigned(self, raw: np.ndarray) -> None:
         """Note signed counts that were written as unsigned: at both ends of the bits, and never between."""
         known = raw[np.isfinite(raw)]
-        if self.column.name != output_name(self.file.instrument) or not known.size:
+        if not self._is_output or not known.size or (known != np.round(known)).any():
             return
         low, high = float(known.min()), float(known.max())
         bits = next((b for b in (12, 16, 20, 24, 32) if high < 2.0**b), 0)
         ends = 2.0**bits / 16
-        first, last = known < ends, known >= 2.0**bits - ends
-        if not bits or low < 0 or high < ends * 15 or first.all() or not (first | last).all():
-            return
-        if (known == np.round(known)).all() and np.count_nonzero(first) > 1:
+        first, last = known < ends, known >= 15 * ends
+        if (
+            bits
+            and low >= 0
+            and last.any()
+            and np.count_nonzero(first) > 1
+            and (first | last).all()
+        ):
             came = f"holds whole numbers near 0 and near 2^{bits}, and none between: signed counts read as unsigned"
             asked = option("--unwrap", f"{self.header.raw}=2^{bits}")
             self._problem(came, cure="Undo it, if that is so", option=asked)
 
-    def _labels(self, labels: np.ndarray) -> None:
-        if not self.column.required and (labels == "").all():
-            self._flag("is empty and was left out")
-            return
-        empty, allowed = np.flatnonzero(labels == ""), self.column.allowed
-        if empty.size:
-            self._missing(empty, "is empty", "a label")
-        before = len(self.file.problems)
-        for label in dict.fromkeys(labels.tolist()):
-            came, expected, cure = f"reads {label!r}, ", "", "Remove it"
-            if any(unicodedata.category(character) in ("Cc", "Cs") for character in label):
-                came += "which holds a control character"
-            elif label and allowed and label not in allowed:
-                came, expected, cure = (
-                    f"{came}an unknown label",
-                    f"one of {', '.join(allowed)}",
-                    "Correct it",
-                )
-            else:
-                continue
-            rows = np.flatnonzero(labels == label)
-            self._problem(came, expected, cure, rows=rows)
-        if len(self.file.problems) == before:
-            self.converted.values[self.column.name] = labels
-            self.converted.units[self.column.name] = None
-
-    def _in_order(self, cells: Cells) -> Cells:
-        """Dates whose day and month are dates apart: by one above 12, or as the user says; a problem if by neither."""
-        if not (self._is_time and cells.orders):
-            return cells
-        dates, fitting = cells.in_order(self.file.options.date_order), cells.fitting_orders
-        if dates.orders:
-            came = "its dates are not all dates in one order of month, day and year"
-            if fitting:
-                came = "its dates leave open which number is the day, or whether they are times"
-            orders = fitting or [n for n, v in cells.orders.items() if not np.isnan(v).all()]
-            firsts = {n: date_text(float(np.nanmin(cells.orders[n]))).split() for n in orders}
-            begin = ", ".join(f"{n} if it begins {f[n == 'hms']}" for n, f in firsts.items())
-            expected, cure = (
-                "a day above 12 in one of them, or the year first",
-                f"Say in which order they are: {begin}",
-            )
-            asked = option("--date-order", orders[0])
-            self._problem(came, expected, cure, asked)
-        return dates
-
-    def _as_numbers(self, cells: Cells) -> Cells:
-        """Dates are numbers of the time alone; elsewhere they are text."""
-        if not cells.dates or self._is_time:
-            return cells
-        there = np.flatnonzero(~np.isnan(cells.values))
-        dates = {int(i): date_text(float(cells.values[i])) for i in there[:MOST_BAD]}
-        return Cells(np.full(len(cells.values), np.nan), {**dates, **cells.bad})
-
-    def _unit(self, cells: Cells) -> str | None:
-        """The unit of the numbers; None, and a problem, if there is none or the text is none."""
-        unit = unit_of(self.header, self.column.name, self.file.options)
-        asked = option("--unit", f"{self.header.raw}=UNIT")
-        if cells.dates:
-            return "s"
-        if unit is None and self._is_time and (shown := unit_of_counts(cells.values)):
-            self._flag(f"taken as {pretty(shown)} since 1970, as its size shows")
-            return shown
-        if unit is None and self._is_time and cells.bad and np.isnan(cells.values).all():
-            return None  # dates of another form, which are said as such
-        if unit is None:
-            own = self.column.example
-            cure = f"UNIT is what its numbers are in, such as {own}; in a header, '{self.header.name} [{own}]'"
-            self._problem("the header has no unit", "one", cure, asked)
-            return None
-        if self.column.unit not in (None, ANY):
-            unit = unit_in(unit, (self.column.unit,)) or unit
-        try:
-            parse(unit)
-        except InputError as error:
-            sentence = f"{self._where}: {error}. Correct the header, or say the unit"
-            near = "".join(re.findall(r"\(([^()]*meant\?)\)", str(error))[:1])
-            came, expected = f"the unit [{unit}]", "a unit known here"
-            self._problem(came, expected, near, asked, sentence=sentence)
-            return None
-        if self.header.unit and unit != self.header.unit:
-            self._flag(f"taken as [{unit}], as --unit says")
-        return unit
-
-    @property
-    def _names(self) -> tuple[str, str, str]:
-        return self.header.raw, self.header.name, self.column.name
-
-    @property
-    def _where(self) -> str:
-        return f"{self.file.table.file!r}, column {self.header.raw!r}"
-
-    def _note_text(self, cells: Cells, unit: str | None) -> None:
-        """Note the cells that hold text."""
-        expected = _number_in(unit)
-        if self._is_time and cells.dates:
-            expected = f"a date such as {EXAMPLE}, with a zone everywhere or nowhere"
-        elif self._is_time:
-            expected = f"a date such as {EXAMPLE}" if unit is None else f"{expected}, or a date"
-        texts = list(dict.fromkeys(cells.bad.values()))
-        hint = "Correct the cell, or remove the row"
-        if any(re.fullmatch(r"[+-]?\d*,\d+([eE][+-]?\d+)?", text) for text in texts):
-            hint = "If that is a decimal comma, say so (--decimal ,), or export the file with decimal points"
-        came = ", ".join(repr(text[:60]) for text in texts[:_TEXTS]) + " …" * (len(texts) > _TEXTS)
-        if cells.bad:
-            rows = sorted(cells.bad)
-            self._problem(f"reads {came}", expected, hint, rows=rows)
-
     def _convert(self, values: np.ndarray, unit: str) -> np.ndarray | None:
         """Numbers in `unit` in the column's, or by the nominal scale; None, and a problem, if neither can be."""
-        target, gravity = self.column.unit or "1", self.file.options.gravity
-        own = self.file.options.nominal_scale
-        difference, asked = (
-            self.column.name == UNCERTAINTY,
-            option("--unit", f"{self.header.raw}=UNIT"),
-        )
+        target, gravity = self.column.unit or "1", self.options.gravity
+        own, difference = self.options.nominal_scale, self.column.name == UNCERTAINTY
         scale = own or self.file.instrument.nominal_scale
+        asked = option("--unit", f"{self.header.raw}=UNIT")
         if same_dimension(unit, target):
             if needs_gravity(unit, target):
                 self.converted.by_gravity.add(self.column.name)
@@ -478,83 +475,73 @@ class ColumnReader:
                 if (absolute := _above_zero(values, unit, target)) is not None:
                     self._flag(f"[{unit}] taken as temperatures above absolute zero")
                     return absolute
-                said = f"{self._where}: {error}"
-                self._problem(str(error), option=asked, sentence=said)
+                self._problem(str(error), option=asked, sentence=f"{self._where}: {error}")
                 return None
-        raw_output = self.column.name == output_name(self.file.instrument) or difference
-        if raw_output and scale is not None and same_dimension(unit, scale.unit):
-            shifted = scale.offset and not difference
-            reading = f"(reading − {scale.offset:g})" if shifted else "reading"
-            of = "" if own else f" of {self.file.instrument.name}"
-            other = "" if own else " (another sensor's: --nominal-scale and --nominal-zero)"
-            self._flag(
-                f"turned into {pretty(target)} by the nominal scale{of}: {reading}/{scale.gain:g}, reading in "
-                f"{pretty(scale.unit)}{other}"
-            )
-            if scale.by_gravity:
-                self.converted.by_gravity.add(self.column.name)
-            raw = convert(values, unit, scale.unit, local_gravity=gravity, difference=difference)
-            return scale.apply(raw, difference=difference)
-        also = (
-            f", or {scale.unit}, which the nominal scale converts" if raw_output and scale else ""
-        )
-        per = f"({target})" if "/" in target else target
-        how = option("--nominal-scale", f"250 {unit}/{per}")
-        hint = f" Or say how many {unit} one {target} is, such as {how}" * raw_output
+        raw_output, also, hint = self._is_output or difference, "", ""
+        if raw_output and scale is not None:
+            if same_dimension(unit, scale.unit):
+                return self._by_scale(values, unit, scale, difference)
+            also = f", or {scale.unit}, which the nominal scale converts"
+        if raw_output:
+            per = f"({target})" if "/" in target else target
+            how = option("--nominal-scale", f"250 {unit}/{per}")
+            hint = f" Or say how many {unit} one {target} is, such as {how}"
         cure = f"Correct the header, or give the unit that is meant.{hint}"
         came, expected = f"its unit is [{unit}]", f"one that converts to {target}{also}"
         self._problem(came, expected, cure, asked)
         return None
 
-    def _not_finite(self, values: np.ndarray) -> np.ndarray:
-        """Readings that are no number; a temperature point may be empty."""
-        return np.isinf(values) if self.column.name == MAY_BE_EMPTY else ~np.isfinite(values)
+    def _by_scale(
+        self, values: np.ndarray, unit: str, scale: NominalScale, difference: bool
+    ) -> np.ndarray:
+        """Turn raw outputs into the instrument's by the nominal scale, and say so."""
+        own = self.options.nominal_scale is not None
+        shifted = scale.offset and not difference
+        reading = f"(reading − {scale.offset:g})" if shifted else "reading"
+        of = "" if own else f" of {self.file.instrument.name}"
+        other = "" if own else " (another sensor's: --nominal-scale and --nominal-zero)"
+        self._flag(
+            f"turned into {pretty(self.column.unit or '1')} by the nominal scale{of}: {reading}/{scale.gain:g}, "
+            f"reading in {pretty(scale.unit)}{other}"
+        )
+        if scale.by_gravity:
+            self.converted.by_gravity.add(self.column.name)
+        gravity = self.options.gravity
+        raw = convert(values, unit, scale.unit, local_gravity=gravity, difference=difference)
+        return scale.apply(raw, difference=difference)
 
     def _note_not_finite(
         self, raw: np.ndarray, values: np.ndarray, unit: str | None, noted: set[int]
     ) -> None:
-        """Note what is empty as missing, and what is infinite as wrong."""
+        """Note what is empty as missing, and what is infinite as wrong; a temperature point may be empty."""
         expected = _number_in(unit)
-        wrong = np.setdiff1d(np.flatnonzero(self._not_finite(values)), list(noted))
+        bad = np.isinf(values) if self.column.name == MAY_BE_EMPTY else ~np.isfinite(values)
+        wrong = np.setdiff1d(np.flatnonzero(bad), list(noted))
         none = np.isnan(raw[wrong])
         if none.any() and len(noted) < MOST_BAD:
-            self._missing(wrong[none], _EMPTY, expected)
+            self._note_missing(wrong[none], _EMPTY, expected)
         if (infinite := wrong[~none]).size:
             first = float(raw[infinite[0]])
-            came = _reading(first) + ", too large" * bool(np.isfinite(first))
-            cure = "Fill it in, or remove the row"
-            self._problem(came, expected, cure, rows=infinite)
+            came = f"reads {first:g}" + ", too large" * bool(np.isfinite(first))
+            self._problem(came, expected, "Fill it in, or remove the row", rows=infinite)
 
     def _note_implausible(self, raw: np.ndarray, values: np.ndarray, unit: str) -> None:
         low = -np.inf if self.column.low is None else self.column.low
         high = np.inf if self.column.high is None else self.column.high
-        wrong = (values < low) | (values > high)
-        if not wrong.any():
+        wrong = np.flatnonzero((values < low) | (values > high))
+        if not wrong.size:
             return
-        index, target = int(np.argmax(wrong)), self.column.unit or "1"
+        index, target = int(wrong[0]), self.column.unit or "1"
         limits = f"at least {low:g}" if high == np.inf else f"at most {high:g}"
         limits = f"{low:g} … {high:g}" if low > -np.inf and high < np.inf else limits
         shown = pretty(target)
         internal = f", that is {values[index]:.6g} {shown}" * (pretty(unit) != shown)
-
-        def plausible(other: str) -> bool:
-            if other == unit or not same_dimension(other, target):
-                return False
-            own = convert(raw, other, target, local_gravity=self.file.options.gravity)
-            return bool(np.all(np.isnan(own) | ((own >= low) & (own <= high))))
-
-        likely = _LIKELY_UNITS if wrong.mean() >= 0.5 else ()  # a single slip says nothing of units
-        better = next(filter(plausible, likely), None)
         came = f"reads {raw[index]:.6g} {pretty(unit)}{internal}; plausible is {limits} {shown}"
         cure, given = "Check the unit and the number", ""
-        if better:
-            cure = f"Are the numbers in {better}? Then write '{self.header.name} [{better}]'"
-            given = option("--unit", f"{self.header.raw}={better}")
-        elif target == "degC" and (period := self._period(values, low, high)):
+        if target == "degC" and (period := self._period(values, low, high)):
             came = f"{came}; a counter of {period:g} °C that began anew"
             cure, given = "Undo it, if that is so", unwrap_option(self.header.raw, period)
-        rows = np.flatnonzero(wrong)
-        self._problem(came, "", cure, given, rows=rows)
+        self._problem(came, "", cure, given, rows=wrong)
 
     def _period(self, values: np.ndarray, low: float, high: float) -> float | None:
         """The period, °C, of a counter without whose wraps all temperatures are plausible; None where there is none."""
@@ -570,13 +557,15 @@ class ColumnReader:
         return None
 
 
+def _as_text(dates: Cells) -> Cells:
+    """Dates as cells that hold no number."""
+    there = np.flatnonzero(~np.isnan(dates.values))[:MOST_BAD]
+    texts = {int(i): date_text(float(dates.values[i])) for i in there}
+    return Cells(np.full(len(dates.values), np.nan), {**texts, **dates.bad})
+
+
 def _number_in(unit: str | None) -> str:
     return "a number" if unit is None else f"a number in {pretty(unit)}"
-
-
-def _reading(value: float) -> str:
-    """What a cell that holds no finite number reads."""
-    return _EMPTY if np.isnan(value) else f"reads {value:g}"
 
 
 def _above_zero(values: np.ndarray, unit: str, target: str) -> np.ndarray | None:

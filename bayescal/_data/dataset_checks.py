@@ -12,7 +12,6 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.lib.stride_tricks import sliding_window_view
 
 from bayescal._core.errors import InputError
 from bayescal._core.settings import settings
@@ -93,6 +92,7 @@ def _wrapped(converted: ConvertedColumns, output: str) -> Iterator[Objection]:
     columns, units, where = converted.values, converted.units, row_namer(converted.tables)
     warm = [n for n in columns if units[n] == "degC" and n != MAY_BE_EMPTY]
     others = [v for n, v in columns.items() if units[n] and n not in (*warm, "time", output)]
+    others = [v for v in others if np.isfinite(v).all()]  # a temperature point may be empty
     for name in warm if "time" in columns else ():
         values, codes = columns[name], record_codes(columns)
         allowed = allowed_changes(columns, values)
@@ -372,42 +372,6 @@ def _of_size(record: CheckedRecord) -> Iterator[str]:
             )
 
 
-# Of readings at even distances in the file that lie apart: robust standard deviations beyond which one does, fewest of
-# them, and the distances.
-PERIODIC_SD, PERIODIC_READINGS, PERIODIC_ROWS = 8.0, 6, (4, 200)
-# Share of the places at such a distance that they hold, of so many rows at most.
-PERIODIC_SHARE, PERIODIC_LOOKED = 0.8, 20_000
-
-
-def _of_periods(record: CheckedRecord) -> Iterator[str]:
-    """Readings at even distances that lie apart from their neighbours; none where a column was set as often."""
-    columns, output, (low, high) = record.columns, record.output, PERIODIC_ROWS
-    values = columns.get(output, np.zeros(0))[:PERIODIC_LOOKED]
-    if len(values) < PERIODIC_READINGS * low:
-        return
-    windows = sliding_window_view(np.pad(values, 2, mode="reflect"), 5)
-    off = np.abs(values - np.median(windows, axis=1))
-    # of normal noise seven tenths lie within about one standard deviation of the median of five
-    rows = np.flatnonzero(off > PERIODIC_SD * max(float(np.quantile(off, 0.7)), 1e-300))
-    period = int(np.median(np.diff(rows))) if len(rows) >= PERIODIC_READINGS else 0
-    if not low <= period <= high:
-        return
-    places = np.arange(int(np.median(rows % period)), len(values), period)
-    held = np.isin(rows, places)
-    if min(held.mean(), held.sum() / len(places)) < PERIODIC_SHARE:
-        return
-    for name in columns.keys() - {output, "time"}:
-        unit = record.units.get(name)
-        own = columns[name] if unit else label_codes(columns, [name])
-        changes, few = np.count_nonzero(own[1:] != own[:-1]), len(np.unique(own)) < len(own) / 2
-        if unit != "degC" and few and changes * 2 * period > len(own):
-            return  # something was set as often
-    yield (
-        f"column {output!r}: every {period}th reading lies {np.median(off[rows[held]]):.3g} from its neighbours, "
-        f"{int(held.sum())} in all: another channel of the logger, or read while it switched? Leave these rows out"
-    )
-
-
 # Share of the readings that have the time of the one before, from which a clock is too coarse or has too few digits:
 # most changes are lost.
 SAME_TICK_SHARE = 0.5
@@ -472,7 +436,7 @@ def _of_runs(record: CheckedRecord) -> Iterator[str]:
 
 CHECKS: tuple[Callable[[CheckedRecord], Iterator[str]], ...] = (
     *(_of_saturation, _of_plateaus, _of_copied_records, _of_thermometers, _of_standstills),
-    *(_of_size, _of_periods, _of_clocks, _of_pauses, _of_runs),
+    *(_of_size, _of_clocks, _of_pauses, _of_runs),
 )
 
 # Share of all readings that distinct values are at most where values occur again by rounding.

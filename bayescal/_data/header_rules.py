@@ -9,9 +9,8 @@ from __future__ import annotations
 
 import re
 import unicodedata
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
-from difflib import get_close_matches
 from functools import lru_cache
 
 import numpy as np
@@ -19,10 +18,7 @@ import numpy as np
 from bayescal._data.column import UNCERTAINTY, Column
 from bayescal._data.unit_conversion import (
     ANY,
-    KNOWN,
-    SPELLINGS,
     WHERE_EXPECTED,
-    alike,
     parse,
     same_dimension,
     unit_in,
@@ -58,7 +54,7 @@ COMMANDED = "setpoint set soll sollwert solltemperatur consigne target command c
 NO_UNIT = frozenset(
     ["", "1", "-", "#", "no", "no.", "nr", "nr.", "n", "№", "id", "text", "label", "index", "none"]
 )
-FEWEST_IN_BLOCK = 3.0  # readings, on average, that have one label before the next
+MIN_READINGS_PER_LABEL = 3.0  # readings, on average, that have one label before the next
 # How names begin under which what is missing is logged, by its unit.
 BEGINNINGS = {
     "deg/s": ("gyr", "rate", "omega", "gx", "gy", "gz", "wx", "wy", "wz"),
@@ -77,8 +73,6 @@ WORDS = frozenset(  # units that may be other words
     ["min", "day", "days", "bar", "rev", "count", "counts", "second", "minute", "hour", "degree"]
     + ["atm", "psi", "gram", "grams", "lb", "cc", "kp", "mol"]
 )
-_LONG_UNITS = [u.lower() for u in (*KNOWN, *SPELLINGS) if len(u) > 3 and u not in WORDS]
-
 _LONGEST = 80  # characters of a header, from its end, in which a unit is looked for
 _BRACKETS = [
     re.compile(rf"(.+?)[\s_,:/]*\{a}\s*(.+?)\s*\{b}", re.DOTALL)
@@ -140,18 +134,14 @@ def longest_unit(header: Header) -> Header | None:
 def like_a_unit(header: Header) -> str | None:
     """What a header without a known unit ends in that may be meant as one; None if there is nothing of that kind.
 
-    That is what stands in brackets, unless it is a number, and behind a gap what is written nearly as a unit is.
+    That is what stands in brackets, unless it is a number, and behind a gap what is a unit where one is expected.
     """
     end = header.raw[-_LONGEST:]
     if found := next((f for p in _BRACKETS if (f := p.fullmatch(end))), None):
         return None if found[2].strip().isdigit() else found[2].strip()
     known = {text for texts in WHERE_EXPECTED.values() for text in texts if text.isascii()}
-    for reading in readings_of(header):
-        unit = reading.unit or ""
-        near = get_close_matches(unit.lower(), _LONG_UNITS, 1, 0.8) if len(unit) > 3 else []
-        if (unit in known and unit not in ("G", "g")) or unit == "K" or near:
-            return unit
-    return None
+    meant = known.difference(("G", "g")) | {"K"}
+    return next((r.unit for r in readings_of(header) if r.unit in meant), None)
 
 
 def plain(name: str) -> str:
@@ -190,7 +180,7 @@ def like_labels(texts: np.ndarray, in_turn: bool = False) -> bool:
     levels = set(texts.tolist())
     blocks = len(levels) if in_turn else 1 + int(np.count_nonzero(texts[1:] != texts[:-1]))
     whole = all(re.fullmatch(r"[^.,]*[^\d.,][^.,]*|[+-]?\d+(?:[.,]0*)?", text) for text in levels)
-    return whole and len(levels) > 1 and FEWEST_IN_BLOCK * blocks <= len(texts)
+    return whole and len(levels) > 1 and MIN_READINGS_PER_LABEL * blocks <= len(texts)
 
 
 def called(headers: Sequence[Header], name: str) -> int | None:
@@ -204,23 +194,6 @@ def called(headers: Sequence[Header], name: str) -> int | None:
         if len(found) == 1:
             return found[0]
     return None
-
-
-def raw_unit(header: Header) -> str | None:
-    """The unit of a sensor's raw output that a header ends in; None if there is none."""
-    return next((r.unit for r in readings_of(header) if _is_raw(r.unit or "")), None)
-
-
-def _is_raw(unit: str) -> bool:
-    known = unit_in(unit, (ANY,))
-    return bool(known) and any(alike(str(known), kind) for kind in RAW)
-
-
-def fits(unit: str, kind: str) -> bool:
-    """Whether a unit is of this kind; one that is of another kind too (deg) is not."""
-    own = kind != ANY and alike(unit, kind)
-    other = bool(unit_in(unit, (ANY,))) and not own
-    return bool(unit_in(unit, (kind,))) and (kind == ANY or not other)
 
 
 @dataclass(frozen=True)
@@ -282,32 +255,23 @@ class ColumnRule:
         }
         return found.popitem()[1] if len(found) == 1 and header.raw not in given else None
 
-    def resembled(self, headers: Sequence[Header]) -> list[Header]:
-        """Headers that may mean it: by a name nearly its own, by what is usual, or by their unit."""
-        unit, word = self.column.unit, plain(self.column.name)
+    def candidates(self, headers: Sequence[Header]) -> list[Header]:
+        """Return the headers that may mean it: in a unit of its kind, else in none; of these those that share a word
+        with its name, if any does."""
+        word = plain(self.column.name)
         if word.startswith("temperature"):
             told = {*COMMANDED.split()}
             headers = [h for h in headers if told.isdisjoint(plain(h.name).split("_"))]
-
-        def with_unit(accepted: Callable[[str], bool]) -> list[Header]:
-            return [h for h in headers if any(accepted(r.unit or "") for r in readings_of(h))]
-
-        names = {h.raw: {plain(r.name) for r in readings_of(h)} for h in headers}
-        known = [name for own in names.values() for name in own]
-        close = {*get_close_matches(word, known, 1, 0.75)}
-        close |= {n for n in known if word in n.split("_")}
-        fitting = with_unit(lambda own: fits(own, unit or ""))
-        best = {h.raw for h in fitting}
-        if near := [h for h in headers if not names[h.raw].isdisjoint(close)]:
-            return [h for h in near if h.raw in best] or near
-        if unit is None:
-            return []
-        begun = [words for kind, words in BEGINNINGS.items() if unit == ANY or alike(kind, unit)]
-        usual = [h for h in headers for words in begun if plain(h.name).startswith(words)]
-        likely = [h for h in usual if h.raw in best] or usual or fitting
-        known = with_unit(lambda own: bool(unit_in(own, (ANY,))))
-        unknown = [h for h in headers if h not in known and like_a_unit(h)]
-        return likely or self.output * [*with_unit(_is_raw), *unknown]
+        tiers = (MOTION, self.kinds) if ANY in self.kinds else (self.kinds, RAW * self.output)
+        units = {h: {r.unit or "" for r in readings_of(h)} for h in headers}
+        tried = (
+            [h for h in headers if any(unit_in(u, kinds) for u in units[h])] for kinds in tiers
+        )
+        fitting = next(filter(None, tried), [])
+        unknown = [h for h in headers if not longest_unit(h)]
+        named = [h for h in (fitting or unknown) if _share_a_word(plain(h.name), word)]
+        unsaid = [h for h in unknown if self.column.unit and not like_a_unit(h)]
+        return named or fitting or unsaid
 
     def could_be(self, header: Header) -> bool:
         """Whether a header names it in part; of a label or a known uncertainty none does."""
@@ -320,37 +284,10 @@ class ColumnRule:
         return any(name in names or parts <= set(name.split("_")) for name in words)
 
 
-def told_apart(alike: Mapping[str, Sequence[Header]]) -> dict[str, list[Header]]:
-    """The headers that look like each missing column, by its name: those alone that share a word with it, where some
-    do and some do not ("Beschl. X" with `output_x`, "U_out" with `output`), and no other's only one."""
-    found = dict[str, list[Header]]()
-    for name, headers in alike.items():
-        near = [h for h in headers if _share_a_word(plain(h.name), name)]
-        found[name] = near or [*headers]
-    while True:
-        single = {h[0].raw: name for name, h in found.items() if len(h) == 1}
-        fewer = {
-            name: [h for h in headers if single.get(h.raw, name) == name] or headers
-            for name, headers in found.items()
-        }
-        if fewer == found:
-            return found
-        found = fewer
-
-
 def _share_a_word(theirs: str, ours: str) -> bool:
     """Whether names share a word, or the beginning of one, of three letters or more; of one letter, such as an axis."""
     words = [(a, b) for a in theirs.split("_") for b in ours.split("_") if a and b]
     return any(a == b or (min(len(a), len(b)) > 2 and b.startswith(a)) for a, b in words)
-
-
-def is_channel(header: Header, other: Header) -> bool:
-    """Return whether a header says a unit of motion, or one of the kind of another header's; or both say none."""
-    own, its = (longest_unit(h) for h in (header, other))
-    unit = (own and own.unit) or ""
-    return (own is None and its is None) or any(
-        alike(unit, kind) for kind in (*MOTION, (its and its.unit) or "")
-    )
 
 
 def channels_beside(output: str, columns: Mapping[str, str | None], unit: str | None) -> list[str]:

@@ -19,7 +19,32 @@ def joined(parts: Sequence[ConvertedColumns], labels: Sequence[str]) -> Converte
     if len(parts) == 1:
         return parts[0]
     _label_runs(parts, labels)
-    whole = _end_to_end(parts)
+    whole = ConvertedColumns(tuple(table for part in parts for table in part.tables))
+    whole.flags = [flag for part in parts for flag in part.flags]
+    whole.filled = set.intersection(*(part.filled for part in parts))
+    whole.beside = set().union(*(part.beside for part in parts))
+    whole.origin = _on_one_clock(parts)
+    for name, unit in {name: unit for part in parts for name, unit in part.units.items()}.items():
+        for part in parts:
+            if part.units.get(name, unit) != unit:
+                raise InputError(
+                    f"column {name!r} is in {part.units[name]} in {part.tables[0].file!r} and in {unit} in another "
+                    "file: give it one kind of unit, or rename one"
+                )
+        with_it, without = _first_files(parts, [name in part.values for part in parts])
+        if without and unit is None:
+            raise InputError(
+                f"{without!r} lacks the column {name!r} that {with_it!r} has: label every file, or none"
+            )
+        if without and name == MAY_BE_EMPTY:
+            whole.flags.append(f"{without}: no {name!r}: its readings belong to no cell (a ramp)")
+        elif without and name != ASSUMED_GRAVITY:
+            whole.flags.append(f"column {name!r} left out: {with_it} has it, {without} has not")
+            continue
+        fill = 0.0 if name == ASSUMED_GRAVITY else np.nan
+        missing = (np.full(table.rows, fill) for table in whole.tables)
+        own = [p.values.get(name, none) for p, none in zip(parts, missing, strict=True)]
+        whole.values[name], whole.units[name] = np.concatenate(own), unit
     first: dict[str, str] = {}
     for table in whole.tables:
         if (other := first.setdefault(table.sha256, table.file)) != table.file:
@@ -45,43 +70,6 @@ def _label_runs(parts: Sequence[ConvertedColumns], labels: Sequence[str]) -> Non
         seen = dict.fromkeys(runs, table.file) | seen
 
 
-def _end_to_end(parts: Sequence[ConvertedColumns]) -> ConvertedColumns:
-    """Files one after the other; labels in some files only, or one column in two dimensions, are refused."""
-    tables = [table for part in parts for table in part.tables]
-    joined = ConvertedColumns(tuple(tables), flags=[flag for part in parts for flag in part.flags])
-    joined.filled = set.intersection(*(part.filled for part in parts))
-    joined.beside = set().union(*(part.beside for part in parts))
-    joined.origin = _on_one_clock(parts)
-    units = {name: unit for part in parts for name, unit in part.units.items()}
-    for name, unit in units.items():
-        for table, part in zip(tables, parts, strict=True):
-            if part.units.get(name, unit) != unit:
-                raise InputError(
-                    f"column {name!r} is in {part.units[name]} in {table.file!r} and in {unit} in "
-                    "another file: give it one kind of unit, or rename one"
-                )
-        with_it, without = _first_files(parts, [name in part.values for part in parts])
-        if without and unit is None:
-            raise InputError(
-                f"{without!r} lacks the column {name!r} that {with_it!r} has: label every file, or "
-                "none"
-            )
-        if without and name == ASSUMED_GRAVITY:
-            for table, part in zip(tables, parts, strict=True):
-                part.values.setdefault(name, np.zeros(table.rows))
-        elif without and name == MAY_BE_EMPTY:
-            joined.flags.append(f"{without}: no {name!r}: its readings belong to no cell (a ramp)")
-        elif without:
-            joined.flags.append(f"column {name!r} left out: {with_it} has it, {without} has not")
-            continue
-        empty = [np.full(table.rows, np.nan) for table in tables]
-        joined.values[name] = np.concatenate(
-            [p.values.get(name, e) for p, e in zip(parts, empty, strict=True)]
-        )
-        joined.units[name] = unit
-    return joined
-
-
 def _first_files(
     parts: Sequence[ConvertedColumns], have: Sequence[bool]
 ) -> tuple[str | None, str | None]:
@@ -102,7 +90,6 @@ def _on_one_clock(parts: Sequence[ConvertedColumns]) -> float | None:
             f"{with_it!r} has dates in its column 'time', {without!r} has none: say when its first reading was taken, "
             f"--begin '{without}=2026-05-13 10:14:20', or read them one by one"
         )
-    for part in timed:
-        assert part.origin is not None
-        part.values["time"] = np.round(part.values["time"] + (part.origin - min(origins)), 6)
+    for part, origin in zip(timed, origins, strict=True):
+        part.values["time"] = np.round(part.values["time"] + (origin - min(origins)), 6)
     return min(origins)

@@ -28,9 +28,9 @@ from bayescal._data.column import (
 )
 from bayescal._data.column_conversion import convert_columns
 from bayescal._data.dataset_checks import flags_of, problems_of_whole, repeated_rows
-from bayescal._data.header_matching import InstrumentLike, ReadOptions, output_name, unused_options
 from bayescal._data.joined_files import joined
 from bayescal._data.pose_rows import MAGNITUDE, MAGNITUDE_READ, scalar_readings
+from bayescal._data.read_options import InstrumentLike, ReadOptions, output_name, unused_options
 from bayescal._data.records import distinct
 from bayescal._data.thermometer_checks import Oddity, oddities
 from bayescal._data.unit_conversion import ANY, parse

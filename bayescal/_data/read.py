@@ -11,13 +11,13 @@ from typing import Any, overload
 from bayescal._core.errors import InputError
 from bayescal._core.quoting import one_line
 from bayescal._data.column import NominalScale
-from bayescal._data.header_matching import (
+from bayescal._data.measurements import Measurements, measured
+from bayescal._data.read_options import (
     InstrumentLike,
     ReadOptions,
     expected_columns,
     output_name,
 )
-from bayescal._data.measurements import Measurements, measured
 from bayescal._tables.open_table import MAX_BYTES, check_files, open_table
 from bayescal._tables.raw_table import Objections, Table
 

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 
 from bayescal._core.errors import InputError
 from bayescal._data.column import Column, NominalScale
-from bayescal._data.header_matching import InstrumentLike
+from bayescal._data.read_options import InstrumentLike
 
 if TYPE_CHECKING:
     from bayescal._model.instrument import Instrument

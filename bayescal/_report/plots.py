@@ -542,8 +542,8 @@ def allan(given: Check | Calibration | AllanDeviation) -> Figure:
     _measured(ax, measured, fmt="o-", lw=1.2, label=what)
     if isinstance(found, AllanCheck) and (i := found.apart) is not None:
         ax.plot(measured.tau[i], measured.deviation[i], "o", ms=7, color=RED, zorder=3)
-    told = [f"{t.symbol} = {t}" for t in measured.terms if t.value is not None]
-    return _labelled(ax, measured.unit, told)
+    terms = found.law_terms if isinstance(found, AllanCheck) else ()
+    return _labelled(ax, measured.unit, [f"{t.symbol} = {t}" for t in terms])
 
 
 def noise(found: SensorNoise) -> Figure:

@@ -1,7 +1,6 @@
-"""CSV as a table, in two passes.
+"""CSV as a table. The file's bytes are held as one text; a first pass finds what is wrong and on which line.
 
-The first finds what is wrong and on which line, and keeps nothing but counts, so that a file is refused before it takes
-memory. The second reads what the first let pass, a stretch of rows at a time. The first line is row 1, as in an editor.
+Columns are then parsed a stretch of rows at a time. The first line is row 1, as in an editor.
 """
 
 from __future__ import annotations
@@ -12,31 +11,26 @@ import hashlib
 import io
 import math
 import re
-from bisect import bisect_right
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, field, replace
-from functools import partial
+from dataclasses import dataclass, field
 from itertools import islice
 from pathlib import Path
-from typing import BinaryIO
 
 import numpy as np
 
-from bayescal._core.atomic_file import sha256_of
 from bayescal._core.errors import InputError
 from bayescal._core.quoting import csv_cell_read
 from bayescal._tables.cells import MOST_BAD, Cells, number_of, numbers_of
 from bayescal._tables.header_rows import LOOKED_AT, HeaderRows, header_rows, with_units
-from bayescal._tables.raw_table import Header, Objection, Table, after, refuse_many, unusable
+from bayescal._tables.raw_table import Header, Objection, Table, refuse_many, unusable
 
-_BLOCK = 1 << 24  # bytes looked at together, and the longest line allowed
+_LONGEST_LINE = 1 << 24  # bytes
 _MARK = b"\xef\xbb\xbf"  # of UTF-8
 _ASCII = bytes(range(128))
 _LEGACY = "windows-1252"  # what Excel writes as CSV in the west of Europe and in America
 _NO_LEGACY = {0x81, 0x8D, 0x8F, 0x90, 0x9D}  # bytes that it does not use
 _BEYOND = re.compile(rb"[\xc2-\xdf][\x80-\xbf]|[\xe0-\xef][\x80-\xbf]{2}|[\xf0-\xf4][\x80-\xbf]{3}")
-_MOST_HELD = 500_000_000  # bytes: it is held whole
 _SAVE = "Save it as 'CSV UTF-8'"
 _LABVIEW = "***End_of_Header***"
 # A comma that parts no thousands, behind a separator that is none: 20,5 or 0,125 or 1234,567, but not 1,234.
@@ -53,7 +47,7 @@ _ROWS = 100_000  # rows whose text is held at a time
 
 
 def open_csv(path: Path, file: str, decimal: str = "") -> Table:
-    """Scan a CSV file: comma, semicolon, tab or blanks between fields.
+    """Open a text file: comma, semicolon, tab, bar or blanks between fields.
 
     Args:
         path: where it is.
@@ -67,94 +61,62 @@ def open_csv(path: Path, file: str, decimal: str = "") -> Table:
     Raises:
         InputError: it is empty, in an encoding that cannot be told, or ends lines in a way that cannot be counted.
     """
-    scan = scan_csv(path, file, decimal)
-
-    def load(wanted: Mapping[int, bool]) -> dict[int, Cells]:
-        with opened(path, scan.encoding, scan.blank_runs) as handle:
-            handle.seek(scan.offset)
-            return scan.cells(handle, wanted)
-
+    text = read_text(path, file, decimal)
     notes = {
-        f"read as {scan.encoding}": scan.encoding != "utf-8",
-        "its fields are parted by blanks": scan.blank_runs is not None,
-        "its numbers have decimal commas": scan.decimal == ",",
-        f"its columns are named in row {scan.named}; what stands above it is left out": scan.above,
-        f"its units are taken from row {scan.named + 1}": scan.first - scan.named > 1,
+        f"read as {text.encoding}": text.encoding != "utf-8",
+        "its fields are parted by blanks": text.blank_runs is not None,
+        "its numbers have decimal commas": text.decimal == ",",
+        f"its columns are named in row {text.named}; what stands above it is left out": text.above,
+        f"its units are taken from row {text.named + 1}": text.first - text.named > 1,
     }
     return Table(
         file,
-        scan.headers,
-        scan.lines - len(scan.blanks),
-        load,
-        scan.sha256,
-        scan.place,
+        text.headers,
+        len(text.readings),
+        text.cells,
+        text.sha256,
+        text.place,
         notes=tuple(f"{file}: {note}" for note, holds in notes.items() if holds),
-        problems=ragged_rows(scan),
-        readable=len(scan.passed_over) == len(scan.ragged),
+        problems=_ragged_rows(text),
+        readable=text.readable,
     )
 
 
-@dataclass(frozen=True)
-class CsvLines:
-    """Some lines of a file as they stand, with their ends, a tab for blanks between fields; blank ones among them.
+@dataclass
+class CsvText:
+    """A text file, and how its lines are parted; rows are line numbers.
 
     Attributes:
-        table: their readings; None for the header.
-        separator, decimal: between fields, and between the whole and its parts.
-        encoding: of the lines, "utf-8" or "windows-1252".
-        before, behind: of the header: the lines above it; the row of units below it, and such.
+        data: its bytes; those of UTF-16 as UTF-8, with tabs where runs of blanks part the fields.
+        commented: whether a comment names its columns.
+        blank_runs: what parts its fields, where blanks do.
+        decimal: a point or a comma; empty until a number shows it.
+        named: row of the header.
+        above: whether lines that tell of the test stand above it.
+        first, offset: row and byte of the first line after the header.
+        ragged: row, text and number of fields where that is not the header's.
+        skipped: blank rows, and ragged ones where there are others to look at.
+        readings: rows of readings (n,).
+        readable: whether these can be looked at.
     """
 
-    lines: list[bytes]
-    table: Table | None
-    separator: str
-    decimal: str = "."
-    encoding: str = "utf-8"
-    before: list[bytes] = field(default_factory=list)
-    behind: list[bytes] = field(default_factory=list)
-
-
-def csv_parts(path: Path, file: str, rows: int, decimal: str = "") -> Iterator[CsvLines]:
-    """Yield a file that `open_csv` let pass: its header, then its readings, at most `rows` at a time."""
-    scan, done = scan_csv(path, file, decimal), 0
-    with opened(path, scan.encoding, scan.blank_runs) as handle:
-        above: list[bytes] = []
-        while handle.tell() < scan.offset:
-            above.append(handle.readline())
-        named = scan.named - 1
-        before, header, behind = above[:named], above[named], above[named + 1 :]
-        written = scan.written_in
-        yield CsvLines([header], None, scan.separator, ".", written, before, behind)
-        while lines := list(islice(handle, rows)):
-            while not any(line.strip() for line in lines) and (more := handle.readline()):
-                lines.append(more)  # a stretch of blank lines is no table
-            if count := sum(bool(line.strip()) for line in lines):
-                load, place = partial(scan.cells, lines), after(done, scan.place)
-                table = Table(file, scan.headers, count, load, scan.sha256, place)
-                yield CsvLines(lines, table, scan.separator, scan.decimal or ".", written)
-            done += count
-
-
-@dataclass
-class CsvScan:
-    """What the first pass found; rows are line numbers."""
-
     file: str
+    data: bytes
+    encoding: str = "utf-8"
+    sha256: str = ""
     header: list[str] = field(default_factory=list)
     separator: str = ","
-    encoding: str = "utf-8"
-    commented: bool = False  # whether a comment names its columns
-    blank_runs: re.Pattern[bytes] | None = None  # that part its fields
-    decimal: str = ""  # a point or a comma; empty until a number shows it
-    named: int = 0  # row of the header
-    above: bool = False  # whether lines that tell of the test stand above it
-    first: int = 0  # row of the first line after the header
-    offset: int = 0  # its byte
-    lines: int = 0  # after the header
-    blanks: list[int] = field(default_factory=list)
-    ragged: list[tuple[int, str, int]] = field(default_factory=list)  # row, text, number of fields
-    passed_over: frozenset[int] = frozenset()  # ragged rows, where there are others to look at
-    sha256: str = ""
+    commented: bool = False
+    blank_runs: re.Pattern[bytes] | None = None
+    decimal: str = ""
+    named: int = 0
+    above: bool = False
+    first: int = 0
+    offset: int = 0
+    ragged: list[tuple[int, str, int]] = field(default_factory=list)
+    skipped: frozenset[int] = frozenset()
+    readings: np.ndarray = field(default_factory=lambda: np.zeros(0, int))
+    readable: bool = True
 
     @property
     def blank(self) -> bytes:
@@ -163,26 +125,26 @@ class CsvScan:
 
     @property
     def written_in(self) -> str:
-        """The encoding of its lines as `opened` gives them."""
+        """The encoding of `data`."""
         return _LEGACY if self.encoding == _LEGACY else "utf-8"
-
-    def text(self, line: bytes) -> str:
-        """A line that was looked through."""
-        return line.decode(self.written_in)
 
     @property
     def headers(self) -> tuple[Header, ...]:
         return tuple(Header.parse(csv_cell_read(text)) for text in self.header)
 
-    def cells(self, lines: Iterable[bytes], wanted: Mapping[int, bool]) -> dict[int, Cells]:
-        """Parse the wanted columns of lines below the header; one stretch of rows is held as text at a time."""
+    def rows(self) -> Iterable[bytes]:
+        """Its lines below the header."""
+        return io.BytesIO(self.data[self.offset :])
+
+    def cells(self, wanted: Mapping[int, bool]) -> dict[int, Cells]:
+        """Parse the wanted columns; one stretch of rows is held as text at a time."""
         parts: dict[int, list[Cells]] = {position: [] for position in wanted}
-        if self.passed_over:
-            numbered = enumerate(lines, self.first)
-            lines = (line for row, line in numbered if row not in self.passed_over)
-        filled = (line for line in lines if line.strip(self.blank))
-        while stretch := list(islice(filled, _ROWS)):
-            text = self.text(b"".join(stretch)).replace("\r\n", "\n").removesuffix("\n")
+        numbered = enumerate(self.rows(), self.first)
+        lines = (line for row, line in numbered if row not in self.skipped)
+        while stretch := list(islice(lines, _ROWS)):
+            text = (
+                b"".join(stretch).decode(self.written_in).replace("\r\n", "\n").removesuffix("\n")
+            )
             if '"' in text:
                 rows = csv.reader(text.split("\n"), delimiter=self.separator)
                 fields = [field for row in rows for field in row]
@@ -210,99 +172,90 @@ class CsvScan:
             raise unusable(self.file, came, f"Close or remove it{cure}", f"row {row}") from error
 
     def place(self, index: int) -> str:
-        """Return the row of a reading; blank lines count as rows but hold none."""
-        row, passed = self.first + index, 0
-        while (blanks := bisect_right(self.blanks, row)) > passed:
-            row, passed = row + blanks - passed, blanks
-        return f"row {row}"
+        """Return the row of a reading; lines that are skipped count as rows but hold none."""
+        return f"row {self.readings[index]}"
 
 
-def scan_csv(path: Path, file: str, decimal: str) -> CsvScan:
-    """Scan a file: its layout, its rows, and which of them are blank or have another number of fields."""
-    scan = CsvScan(file, encoding=encoding_of(path), decimal=decimal)
-    _find_layout(path, scan)
-    with opened(path, scan.encoding, scan.blank_runs) as handle:
-        digest, rest = hashlib.sha256(_read_header(handle, scan)), b""
-        while block := handle.read(_BLOCK):
-            digest.update(block)
-            block = rest + block
-            end = block.rfind(b"\n") + 1
-            if not end and len(block) > _BLOCK:
-                place = f"row {scan.first + scan.lines}"
-                raise unusable(file, f"is longer than {_BLOCK} bytes", "is it a CSV file?", place)
-            rest = block[end:]
-            _scan_lines(scan, block[:end])
-        if rest:
-            _scan_lines(scan, rest + b"\n")
-    # of UTF-16 and of blanks, what was scanned are not the bytes of the file
-    changed = scan.blank_runs or scan.encoding == "utf-16"
-    scan.sha256 = sha256_of(path) if changed else digest.hexdigest()
-    odd = [row for row, _, _ in scan.ragged]
-    if len(odd) < min(MOST_BAD, scan.lines - len(scan.blanks)):
-        scan.passed_over = frozenset(odd)
-        scan.blanks = sorted([*scan.blanks, *odd])
-    return scan
+def read_text(path: Path, file: str, decimal: str) -> CsvText:
+    """Read a file: its layout, its rows, and which of them are blank or have another number of fields.
+
+    It is in windows-1252 where bytes beyond ASCII make no character in UTF-8 anywhere: these have two and more such
+    bytes side by side in hardly any word. A file with characters of both was joined of two, and is refused.
+    """
+    data = path.read_bytes()
+    text = CsvText(file, data, sha256=hashlib.sha256(data).hexdigest(), decimal=decimal)
+    beyond = set(data.translate(None, _ASCII))
+    if data.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
+        text.encoding = "utf-16"
+        try:
+            text.data = data.decode("utf-16").encode()
+        except UnicodeError as error:
+            raise unusable(
+                file, "is UTF-16 text that breaks off", "save it as 'CSV UTF-8'"
+            ) from error
+    elif beyond and beyond.isdisjoint(_NO_LEGACY) and not _BEYOND.search(data):
+        text.encoding = _LEGACY
+    _find_layout(text)
+    text.data = _with_tabs(text.data, text.blank_runs)
+    _read_header(text)
+    _scan_lines(text)
+    return text
 
 
-def _read_header(handle: BinaryIO, scan: CsvScan) -> bytes:
-    """Find the header, leave the file where the readings begin, and return the bytes above them.
+def _read_header(text: CsvText) -> None:
+    """Find the header, and check that all of the file is text.
 
     It is the first line that is neither blank nor a '#' comment, unless that tells of the test and names of columns
     stand further down, or no line but a comment names them.
     """
-    first_lines = _first_lines(handle, scan)
-    handle.seek(0)
+    first_lines = _first_lines(text)
     if not first_lines:
-        _decode(handle.read(), scan, 1)
+        _refuse_undecodable(text)
         expected = "a header 'name [unit], …' and rows of readings were expected"
-        raise unusable(scan.file, "is empty", expected)
-    texts, units = [text for _, text, _ in first_lines], list[str]()
-    found, separator = _header_among(texts)
-    scan.separator = separator or max(_separators_of(texts[0]), key=texts[0].count)
+        raise unusable(text.file, "is empty", expected)
+    lines, units = [line for _, line, _ in first_lines], list[str]()
+    found, separator = _header_among(lines)
+    text.separator = separator or max(_separators_of(lines[0]), key=lines[0].count)
     if found:
-        units = _labview_units([_fields_of(t, separator) for t in texts[: found.first]])
-    row, text, end = first_lines[found.first if found else 0]
-    last, _, end = first_lines[found.last] if found else (row, text, end)
-    above = handle.read(end)
-    _decode(above.removeprefix(_MARK), scan, 1)
-    refuse_many(scan.file, 1 + text.count(scan.separator))
-    fields = text.split(scan.separator), text.split()
+        units = _labview_units([_fields_of(line, separator) for line in lines[: found.first]])
+    row, line, end = first_lines[found.first if found else 0]
+    last, _, end = first_lines[found.last] if found else (row, line, end)
+    _refuse_undecodable(text, end)
+    refuse_many(text.file, 1 + line.count(text.separator))
+    fields = line.split(text.separator), line.split()
     if any(not any(map(math.isnan, map(number_of, own))) for own in fields):
         cure = (
             "Write one that names the columns, such as 'time [s],temperature [degC],output [deg/s]'"
         )
-        raise unusable(scan.file, f"has no header: its first row, row {row}, is numbers", cure)
-    scan.header = scan.split(text, row, called=", in the header")
-    if found and (found.last > found.first or len(found.names) != len(scan.header)):
-        scan.header = found.names
-    scan.header = with_units(scan.header, units)
-    scan.first, scan.offset, scan.named = last + 1, end, row
-    scan.above = row > first_lines[0][0]
-    return above
+        raise unusable(text.file, f"has no header: its first row, row {row}, is numbers", cure)
+    text.header = text.split(line, row, called=", in the header")
+    if found and (found.last > found.first or len(found.names) != len(text.header)):
+        text.header = found.names
+    text.header = with_units(text.header, units)
+    text.first, text.offset, text.named = last + 1, end, row
+    text.above = row > first_lines[0][0]
 
 
-def _find_layout(path: Path, scan: CsvScan) -> None:
+def _find_layout(text: CsvText) -> None:
     """Find whether blanks part the fields, or a comment names the columns, where nothing else makes a header."""
-    with opened(path, scan.encoding) as handle:
-        texts = [text for _, text, _ in _first_lines(handle, replace(scan, commented=True))]
-        handle.seek(0)
-        plain = [text for _, text, _ in _first_lines(handle, scan)]
-    for commented, lines in ((False, plain), (True, texts)):
+    for text.commented in (False, True):
+        lines = [line for _, line, _ in _first_lines(text)]
         for runs in (None, *_BLANKS):
-            if _header_among([_with_tabs(t.encode(), runs).decode() for t in lines])[0]:
-                scan.commented, scan.blank_runs = commented, runs
+            if _header_among([_with_tabs(x.encode(), runs).decode() for x in lines])[0]:
+                text.blank_runs = runs
                 return
+    text.commented = False
 
 
-def _first_lines(handle: BinaryIO, scan: CsvScan) -> list[tuple[int, str, int]]:
+def _first_lines(text: CsvText) -> list[tuple[int, str, int]]:
     """Return row, text and the byte behind it of the first lines that are neither blank nor comments."""
-    there, row = [], 0
-    while len(there) < LOOKED_AT and (line := handle.readline(_BLOCK)):
+    handle, there, row = io.BytesIO(text.data), [], 0
+    while len(there) < LOOKED_AT and (raw := handle.readline(_LONGEST_LINE)):
         row += 1
-        text = line.removeprefix(_MARK if row == 1 else b"").decode(scan.written_in, "replace")
-        text = text.removeprefix("#").lstrip() if scan.commented else text
-        if text.strip() and not text.startswith("#"):
-            there.append((row, text.rstrip("\r\n"), handle.tell()))
+        line = raw.removeprefix(_MARK if row == 1 else b"").decode(text.written_in, "replace")
+        line = line.removeprefix("#").lstrip() if text.commented else line
+        if line.strip() and not line.startswith("#"):
+            there.append((row, line.rstrip("\r\n"), handle.tell()))
     return there
 
 
@@ -348,101 +301,66 @@ def _separators_of(line: str) -> list[str]:
     return sorted(there, key=lambda one: (one == ",", -line.count(one))) or [","]
 
 
-def _decode(data: bytes, scan: CsvScan, row: int) -> None:
-    """Raise InputError where whole lines, the first of which is `row`, are no text that is known."""
+def _refuse_undecodable(text: CsvText, end: int | None = None) -> None:
+    """Raise InputError where the file, up to a byte, is no text that is known, or ends lines by no line feed."""
+    data = text.data[:end]
 
-    def refuse(came: str, before: bytes, cure: str = "") -> InputError:
-        place = row + before.count(b"\n")
-        return unusable(scan.file, came, _SAVE + cure, f"row {place}")
+    def refuse(came: str, at: int, cure: str = "") -> InputError:
+        row = 1 + data.count(b"\n", 0, at)
+        return unusable(text.file, came, _SAVE + cure, f"row {row}")
 
     if (zero := data.find(b"\0")) >= 0:
-        raise refuse("holds a zero byte: it is UTF-16 text or no text at all", data[:zero])
-    unix = data.replace(b"\r\n", b"\n")
-    if (lone := unix.find(b"\r")) >= 0:
+        raise refuse("holds a zero byte: it is UTF-16 text or no text at all", zero)
+    if lone := re.search(rb"\r(?!\n)", data):
         came = "holds a carriage return that ends no line: lines must end in LF or CR LF"
-        raise refuse(came, unix[:lone])
+        raise refuse(came, lone.start())
     try:
-        scan.text(data)
+        data.decode(text.written_in)
     except UnicodeDecodeError as error:
         line = data[data.rfind(b"\n", 0, error.start) + 1 : error.start]
         came = f"is not UTF-8: byte {len(line) + 1} of the row is 0x{data[error.start]:02x}"
         came += f", after {line[-20:].decode('utf-8', 'replace')!r}"
-        cure = "; do not join files of different encodings"
-        raise refuse(came, data[: error.start], cure) from error
+        raise refuse(came, error.start, "; do not join files of different encodings") from error
 
 
-def _scan_lines(scan: CsvScan, data: bytes) -> None:
-    """Check whole lines: their encoding, and that each has as many fields as the header."""
-    row = scan.first + scan.lines
-    _decode(data, scan, row)
-    if not scan.decimal and scan.separator != "," and _DECIMAL_COMMA.search(data):
-        scan.decimal = ","
-    lines = data.split(b"\n")[:-1]
-    separator, expected = scan.separator.encode(), len(scan.header)
-    for index, line in enumerate(lines):
+def _scan_lines(text: CsvText) -> None:
+    """Check the lines of readings: their encoding, and that each has as many fields as the header."""
+    _refuse_undecodable(text)
+    separator, expected = text.separator.encode(), len(text.header)
+    if not text.decimal and separator != b"," and _DECIMAL_COMMA.search(text.data, text.offset):
+        text.decimal = ","
+    row, blanks = text.first - 1, set[int]()
+    for row, line in enumerate(text.rows(), text.first):
+        if len(line) > _LONGEST_LINE:
+            came = f"is longer than {_LONGEST_LINE} bytes"
+            raise unusable(text.file, came, "is it a CSV file?", f"row {row}")
         if b'"' in line:
-            text, cure = scan.text(line).rstrip("\r"), "; a field cannot run over several lines"
-            fields = len(scan.split(text, row + index, cure=cure))
-        elif line.strip(scan.blank):
+            decoded, cure = line.decode(text.written_in), "; a field cannot run over several lines"
+            fields = len(text.split(decoded.rstrip("\r\n"), row, cure=cure))
+        elif line.strip(text.blank):
             fields = line.count(separator) + 1
         else:
-            scan.blanks.append(row + index)
+            blanks.add(row)
             continue
-        if fields != expected and len(scan.ragged) < MOST_BAD:
-            scan.ragged.append((row + index, scan.text(line).strip()[:80], fields))
-    scan.lines += len(lines)
+        if fields != expected and len(text.ragged) < MOST_BAD:
+            text.ragged.append((row, line.decode(text.written_in).strip()[:80], fields))
+    rows, odd = np.arange(text.first, row + 1), {row for row, _, _ in text.ragged}
+    text.readable = len(odd) < min(MOST_BAD, max(1, len(rows) - len(blanks)))
+    text.skipped = frozenset(blanks | odd if text.readable else blanks)
+    text.readings = np.setdiff1d(rows, [*text.skipped])
 
 
-def ragged_rows(scan: CsvScan) -> tuple[Objection, ...]:
+def _ragged_rows(text: CsvText) -> tuple[Objection, ...]:
     """Return the rows that have not one field for each column, as one problem."""
-    if not scan.ragged:
+    if not text.ragged:
         return ()
-    _, text, fields = scan.ragged[0]
-    expected = len(scan.header)
-    comma = scan.separator == "," and fields > expected
+    _, line, fields = text.ragged[0]
+    expected = len(text.header)
+    comma = text.separator == "," and fields > expected
     cure = "If its numbers have decimal commas, export them with decimal points. " * comma
-    if any(expected < n for _, _, n in scan.ragged):
+    if any(expected < n for _, _, n in text.ragged):
         cure += "If the first lines only tell of the test, begin each with #. "
     cure += "Give every row one field for each column"
-    came = f"{fields} field{'s' * (fields != 1)}, {text!r}, its header has {expected}"
-    places = tuple(f"row {row}" for row, _, _ in scan.ragged)
-    return (Objection(scan.file, came, cure=cure, places=places),)
-
-
-def encoding_of(path: Path) -> str:
-    """By its mark "utf-16"; "windows-1252" where bytes beyond ASCII make no character in UTF-8 anywhere; else "utf-8".
-
-    Windows-1252 has two and more of such bytes side by side in hardly any word, and in none that are UTF-8 throughout:
-    a file that has characters of both was joined of two, and is refused as what it is not.
-    """
-    beyond = set[int]()
-    with path.open("rb") as handle:
-        if handle.read(2) in (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE):
-            return "utf-16"
-        handle.seek(0)
-        while block := handle.read(_BLOCK):
-            block += handle.readline()  # no character lies across blocks
-            beyond.update(block.translate(None, _ASCII))
-            if _BEYOND.search(block) or not beyond.isdisjoint(_NO_LEGACY):
-                return "utf-8"
-    return _LEGACY if beyond else "utf-8"
-
-
-def opened(path: Path, encoding: str, runs: re.Pattern[bytes] | None = None) -> BinaryIO:
-    """Open a file's bytes; those of UTF-16 as UTF-8, with tabs where runs of blanks part the fields.
-
-    Raises:
-        InputError: text that has to be held and is too large, or UTF-16 that is broken.
-    """
-    if runs is None and encoding != "utf-16":
-        return path.open("rb")
-    what = "UTF-16 text" if runs is None else "text whose fields are parted by blanks"
-    if path.stat().st_size > _MOST_HELD:
-        cure = f"{_SAVE}, with commas between fields"
-        raise unusable(path.name, f"is {what} of more than 500 MB", cure)
-    data = path.read_bytes()
-    try:
-        data = data.decode("utf-16").encode() if encoding == "utf-16" else data
-    except UnicodeError as error:
-        raise unusable(path.name, f"is {what} that breaks off", "save it as 'CSV UTF-8'") from error
-    return io.BytesIO(_with_tabs(data, runs))
+    came = f"{fields} field{'s' * (fields != 1)}, {line!r}, its header has {expected}"
+    places = tuple(f"row {row}" for row, _, _ in text.ragged)
+    return (Objection(text.file, came, cure=cure, places=places),)

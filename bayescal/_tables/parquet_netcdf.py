@@ -15,10 +15,10 @@ from bayescal._tables.raw_table import (
     ROW,
     Header,
     Table,
-    after,
     as_format,
     refuse_large,
     refuse_many,
+    row_place,
 )
 from bayescal._tables.unpacked import ARRAYS, refuse_hdf5, refuse_unpacked
 
@@ -56,8 +56,8 @@ def parquet_parts(path: Path, file: str, rows: int) -> Iterator[tuple[pa.RecordB
                 }
 
             if batch.num_rows:
-                headers = arrow_headers(batch.schema)
-                yield batch, Table(file, headers, batch.num_rows, load, place=after(done))
+                headers, place = arrow_headers(batch.schema), lambda i, n=done: row_place(n + i)
+                yield batch, Table(file, headers, batch.num_rows, load, place=place)
             done += batch.num_rows
 
 

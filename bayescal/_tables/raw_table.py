@@ -8,19 +8,16 @@ from __future__ import annotations
 
 import re
 import shlex
-import textwrap
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
-from shutil import get_terminal_size
 from types import MappingProxyType
 from typing import Any
 
 import numpy as np
 
 from bayescal._core.errors import InputError
-from bayescal._core.formatting import WIDTH
 from bayescal._tables.cells import Cells, cells_of
 
 _SHOWN = 3  # rows that are named before the rest is counted
@@ -52,30 +49,19 @@ class Objection:
     places: tuple[str, ...] = ()
     sentence: str = ""
 
-    def at(self, rows: Sequence[int], place: Callable[[int], str]) -> Objection:
-        """Return the same problem of some readings, by their indices and what names their rows."""
-        return replace(self, rows=tuple(rows), places=tuple(map(place, rows[:_SHOWN])))
+    def __str__(self) -> str:
+        return self.sentence or self.parts
 
     @property
-    def count(self) -> int:
-        return max(len(self.rows), len(self.places))
-
-    def __str__(self) -> str:
-        if self.sentence:
-            return self.sentence
+    def parts(self) -> str:
+        """Where it is, what came, what was expected, and what to do."""
         where = f"{self.places[0]} of {self.file!r}" if self.places else f"{self.file!r}"
         where += f", column {self.column!r}" * bool(self.column)
         expected = f", {self.expected} was expected" * bool(self.expected)
-        more = f" (and in {self.count - 1} more)" * (self.count > 1)
+        count = max(len(self.rows), len(self.places))
+        more = f" (and in {count - 1} more)" * (count > 1)
         cure = f". {self.cure}" * bool(self.cure) + f" ({self.option})" * bool(self.option)
         return f"{where}: {self.came}{more}{expected}{cure}"
-
-    @property
-    def where(self) -> str:
-        """Its rows, short: the first few, and how many there are."""
-        numbers = [place.removeprefix("row ") for place in self.places[:_SHOWN]]
-        more = f" … ({self.count} rows)" * (self.count > len(numbers))
-        return ", ".join(numbers) + more if numbers else "–"
 
 
 class Objections(list[Objection]):
@@ -118,71 +104,22 @@ def option(name: str, value: str) -> str:
 
 
 def _text(problems: Sequence[Objection]) -> str:
+    """One problem as a sentence, several as a list, and the options that cure them as one line to copy."""
     if len(problems) == 1:
         return str(problems[0])
-    problems = _merge_files(problems)
-    files = list(dict.fromkeys(name for p in problems for name in p.file.split("\n") if name))
-    of = f"{files[0]!r}" if len(files) == 1 else f"{len(files)} files"
-    page = min(WIDTH, get_terminal_size((WIDTH, 24)).columns)
-    shown = "\n".join(_list_item(p, len(files), page) for p in problems)
-    options = _join_options(dict.fromkeys(p.option for p in problems if p.option))
-    by_hand = " and ".join(dict.fromkeys(_place(p) for p in problems if not p.option))
-    mended = f"{by_hand} mended and " * bool(by_hand)
-    asked = f"\n\nwith {mended}these options, if they are meant: {options}" * bool(options)
-    return f"{len(problems)} problems with {of}\n\n{shown}{asked}"
-
-
-def _join_options(options: Iterable[str]) -> str:
-    """Options in one line; those that name one header for several columns as alternatives."""
-    by_header = dict[str, list[str]]()
-    for text in options:
-        header = shlex.split(text)[1].partition("=")[2] if text.startswith("--columns ") else text
-        by_header.setdefault(header, []).append(text)
-    return " ".join(a[0] if len(a) == 1 else f"({' or '.join(a)})" for a in by_header.values())
-
-
-def _merge_files(problems: Sequence[Objection]) -> list[Objection]:
-    """Merge objections that are the same in several files; `file` then has a line for each."""
-    merged = dict[tuple[Any, ...], Objection]()
-    for problem in problems:
-        key = (problem.column, problem.came, problem.expected, problem.cure, problem.option)
-        alike = merged.get(key)
-        if alike is None or problem.file in alike.file.split("\n"):
-            merged[key if alike is None else (*key, len(merged))] = problem
-        else:
-            merged[key] = replace(alike, file=f"{alike.file}\n{problem.file}")
-    return list(merged.values())
-
-
-def _place(p: Objection) -> str:
-    """Where a problem is, short: its rows, else its column."""
-    if p.places:
-        return f"row{'s' * (len(p.places) != 1)} {p.where}"
-    return f"column {p.column!r}" if p.column else "the rest"
-
-
-def _list_item(p: Objection, count: int, page: int) -> str:
-    """A problem of `count` files as a list has it, folded to a page: where and what, then what to do."""
-    first, *others = p.file.split("\n")
-    every = "both files" if count == 2 else f"all {count} files"
-    named = (
-        first
-        if not others
-        else every
-        if len(others) + 1 == count
-        else f"{first} and {len(others)} more"
-    )
-    where = [named] * (count > 1) + [f"column {p.column!r}"] * bool(p.column)
-    where += [f"row {p.where}" if len(p.places) == 1 else f"rows {p.where}"] * bool(p.places)
-    text = (
-        f"{', '.join(where)}: " * bool(where)
-        + p.came
-        + f"; expected: {p.expected}" * bool(p.expected)
-    )
-    lines = textwrap.wrap(text, page - 2, initial_indent="- ", subsequent_indent="  ")
-    lines += [f"    {p.option}"] * bool(p.option)  # to be copied: in one line
-    cure = textwrap.wrap(p.cure, page - 4, initial_indent=" " * 4, subsequent_indent=" " * 4)
-    return "\n".join([*lines, *cure])
+    files, alike = {p.file for p in problems if p.file}, dict[Any, list[Objection]]()
+    for p in problems:  # what is the same in several files is said once
+        alike.setdefault((p.column, p.came, p.expected, p.cure, p.option), []).append(p)
+    lines = [
+        same[0].parts + f" (and {len(same) - 1} more like it)" * (len(same) > 1)
+        for same in alike.values()
+    ]
+    of = f"{problems[0].file!r}" if len(files) == 1 else f"{len(files)} files"
+    options = " ".join(dict.fromkeys(p.option for p in problems if p.option))
+    by_hand = "with the rest mended and " if not all(p.option for p in problems) else "with "
+    asked = f"\n\n{by_hand}these options, if they are meant: {options}" * bool(options)
+    count = f"{len(lines)} problem{'s' * (len(lines) > 1)} with {of}"
+    return "\n".join([f"{count}\n", *(f"- {line}" for line in lines)]) + asked
 
 
 ROW = "reading"  # the one dimension of readings
@@ -225,11 +162,6 @@ class Header:
 
 def row_place(index: int) -> str:
     return f"row {index + 1}"
-
-
-def after(rows: int, place: Callable[[int], str] = row_place) -> Callable[[int], str]:
-    """Where the readings of a stretch stand that so many precede."""
-    return lambda index: place(rows + index)
 
 
 @dataclass(frozen=True)
@@ -288,6 +220,22 @@ class Table:
         arrays = list(columns.values())
         rows = len(arrays[0]) if arrays else 0
         return cls(file, headers, rows, loads(arrays.__getitem__), **more)
+
+    def objection(
+        self,
+        column: str,
+        came: str,
+        expected: str = "",
+        cure: str = "",
+        option: str = "",
+        *,
+        sentence: str = "",
+        rows: Sequence[int] | np.ndarray = (),
+    ) -> Objection:
+        """Return an objection to a column, given by its header; to some of its readings, if `rows` are given."""
+        at = tuple(int(row) for row in rows)
+        places = tuple(map(self.place, at[:_SHOWN]))
+        return Objection(self.file, came, expected, cure, option, column, at, places, sentence)
 
     def take(self, rows: np.ndarray) -> Table:
         """The table of some of its rows, by index."""

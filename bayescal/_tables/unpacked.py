@@ -70,7 +70,7 @@ def refuse_hdf5(opened: Any, file: str, size: int) -> None:
 
 # Elements of a MATLAB file up to 7.2, and classes of arrays that hold others: cells, structures, objects, functions,
 # opaque ones ("MAT-File Format", The MathWorks, 1999 to 2024, chapter 1).
-_COMPRESSED, _HOLDS_OTHERS = 15, b"\x01\x02\x03\x10\x11"
+_COMPRESSED, _HOLDS_OTHERS = 15, b"[\x01\x02\x03\x10\x11]"
 _MOST_HOLDING = 2000  # of these in a file: their reader calls itself, and some thousands in each other end the process
 
 
@@ -83,7 +83,7 @@ def refuse_matlab(path: Path, file: str) -> None:
             return
         order = ">" if head[126:] == b"MI" else "<"
         # The array's flags with its class, then its dimensions: as a long element, or as a short one.
-        kinds = b"..." * (order == ">") + b"[" + re.escape(_HOLDS_OTHERS) + b"]"
+        kinds = b"..." * (order == ">") + _HOLDS_OTHERS
         flags = re.compile(re.escape(struct.pack(f"{order}II", 6, 8)) + kinds, re.DOTALL)
         while len(tag := handle.read(8)) == 8:
             kind, length = struct.unpack(f"{order}II", tag)
@@ -91,8 +91,9 @@ def refuse_matlab(path: Path, file: str) -> None:
                 raise ValueError("a variable is longer than the file")
             data = handle.read(length)
             if kind == _COMPRESSED:
-                unpacker = zlib.decompressobj()
-                data = unpacker.decompress(data, int(max(ARRAYS[1], ARRAYS[0] * size)) + 1)
+                data = zlib.decompressobj().decompress(
+                    data, int(max(ARRAYS[1], ARRAYS[0] * size)) + 1
+                )
                 total += len(data)
                 refuse_unpacked(file, size, total, ARRAYS)
             for found in flags.finditer(data):
@@ -100,7 +101,7 @@ def refuse_matlab(path: Path, file: str) -> None:
                 count = _entries(data[found.start() + 16 :], order)
                 if holding > _MOST_HOLDING or 8 * count > len(data):
                     came = f"has over {_MOST_HOLDING:,} cells and structures, or states {count:,} that it does not hold"
-                    raise unusable(file, came, "save the readings as CSV")
+                    raise unusable(file, came, _AS_CSV)
 
 
 def _entries(data: bytes, order: str) -> int:

@@ -1,7 +1,7 @@
 """Compensate a file: every column and row as they were, and two columns more.
 
-Text and Parquet go through a stretch of rows at a time, unless the calibration needs the past of the record or its
-time; then the columns that it needs are held whole, never the file. What cannot be written as it was (Excel, MATLAB)
+Parquet goes through a stretch of rows at a time, unless the calibration needs the past of the record or its time; then
+the columns that it needs are held whole. What cannot be written as it was (Excel, MATLAB)
 becomes CSV. Rows with a missing reading are gaps, and come out empty. The new file is written beside its place and
 renamed.
 """
@@ -25,10 +25,11 @@ from bayescal._core.quoting import csv_line
 from bayescal._data.column import ConvertedColumns, NominalScale, Source
 from bayescal._data.column_conversion import convert_columns
 from bayescal._data.dataset_checks import problems_of_whole
-from bayescal._data.header_matching import ExpectedColumns, MatchedFile, ReadOptions
+from bayescal._data.header_matching import MatchedFile
 from bayescal._data.header_rules import unit_behind
 from bayescal._data.measurements import Measurements, assemble
-from bayescal._tables.csv_reader import CsvLines, csv_parts
+from bayescal._data.read_options import ExpectedColumns, ReadOptions
+from bayescal._tables.csv_reader import CsvText, read_text
 from bayescal._tables.open_table import MAX_BYTES, TEXT, check_files, open_table
 from bayescal._tables.parquet_netcdf import parquet_parts
 from bayescal._tables.raw_table import Header, Objections, Table, bytes_text, load_whole
@@ -63,9 +64,7 @@ class _FileCompensation:
     noise: bool
     expected: ExpectedColumns
     done: CompensationSummary
-    all: np.ndarray | None = (
-        None  # value and uncertainty of rows that could not be taken by themselves (2, n)
-    )
+    all: np.ndarray | None = None  # value and uncertainty of rows whose past counts (2, n)
     start: int = 0  # of the next rows among them
 
     def rows(self, table: Table) -> np.ndarray:
@@ -219,22 +218,20 @@ def _names(
 
 def _csv(job: _FileCompensation, path: Path, partial: Path, table: Table, raw: str) -> None:
     """Lines as they stand, with two fields more."""
-    unit = job.compensator.unit
+    text = read_text(path, table.file, job.options.decimal)
+    added = [f"{name} [{job.compensator.unit}]" for name in job.done.columns]
+    head = text.data[: text.offset].splitlines(keepends=True)
+    rows = iter(job.rows(table).T.tolist())
     with partial.open("wb") as target:
-        for part in csv_parts(path, table.file, ROWS, job.options.decimal):
-            if part.table is None:  # comments and the header
-                added = [f"{name} [{unit}]" for name in job.done.columns]
-                target.writelines(part.before)
-                target.write(_longer(part.lines[0], added, part))
-                target.writelines(_longer(line, ["", ""], part) for line in part.behind)
+        for row, line in enumerate(head, 1):  # comments, the header, a row of units
+            empty = added if row == text.named else ["", ""]
+            target.write(line if row < text.named else _longer(line, empty, text))
+        for line in text.rows():
+            if not line.strip(text.blank):
+                target.write(line)
                 continue
-            rows = iter(job.rows(part.table).T.tolist())
-            for line in part.lines:
-                if not line.strip():
-                    target.write(line)
-                    continue
-                fields = [_number(v, part.decimal) for v in next(rows)]
-                target.write(_longer(line, fields, part))
+            fields = [_number(v, text.decimal or ".") for v in next(rows)]
+            target.write(_longer(line, fields, text))
 
 
 def _number(value: float, decimal: str = ".") -> str:
@@ -242,12 +239,12 @@ def _number(value: float, decimal: str = ".") -> str:
     return "" if value != value else repr(value).replace(".", decimal)
 
 
-def _longer(line: bytes, fields: list[str], part: CsvLines) -> bytes:
+def _longer(line: bytes, fields: list[str], text: CsvText) -> bytes:
     """A line with fields more, in the encoding of its file."""
     body = line.rstrip(b"\r\n")
     end = line[len(body) :] or b"\n"
-    more = part.separator + csv_line(fields, part.separator)
-    return body + more.encode(part.encoding) + end
+    more = text.separator + csv_line(fields, text.separator)
+    return body + more.encode(text.written_in) + end
 
 
 def _parquet(job: _FileCompensation, path: Path, partial: Path, table: Table, raw: str) -> None:

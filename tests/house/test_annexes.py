@@ -31,7 +31,8 @@ BEHIND = {
         _data.column: ConvertedColumns Source
         _data.column_conversion: convert_columns
         _data.dataset_checks: refuse_backward_time refuse_one_temperature
-        _data.header_matching: ExpectedColumns InstrumentLike MatchedFile output_name unit_of unused_options
+        _data.header_matching: MatchedFile
+        _data.read_options: ExpectedColumns InstrumentLike output_name unit_of unused_options
         _inference: sampled_products trust
         _inference.laplace: climb gaussian_fit
         _inference.method: Method
@@ -74,7 +75,7 @@ BEHIND = {
         _calibration.check_result: place_in_words
         _calibration.summary: null_directions unknown_rows
         _core: deadline
-        _data.header_matching: MISSING_READINGS
+        _data.read_options: MISSING_READINGS
         _model.effect: with_forms
         _model.formula: Formula
         _model.installed: GROUP installed_names

@@ -122,21 +122,6 @@ def test_a_period_is_a_number_with_a_unit(put) -> None:
         bc.read(path, STILL, unwrap={"tim": "2^32us"})
 
 
-def test_every_tenth_reading_that_lies_apart_is_said(put) -> None:
-    noise = 1e-3 * np.random.default_rng(1).normal(size=60)
-    bad = 0.5 + STEPS / 1e4 + noise + 0.2 * (np.arange(60) % 10 == 3)
-    found = bc.read(put(at_rest(**{"time [s]": STEPS, "output [deg/s]": bad})), STILL)
-    assert any("lies" in flag for flag in found.flags)
-    for more in ({}, {"rate [rpm]": np.arange(60) % 10 == 3}):
-        good = bad if more else 0.5 + STEPS / 1e4 + noise
-        columns = {
-            "time [s]": STEPS,
-            "output [deg/s]": good,
-            **{n: v * 1.0 for n, v in more.items()},
-        }
-        assert not any("lies" in flag for flag in bc.read(put(at_rest(**columns)), STILL).flags)
-
-
 # --- labels -----------------------------------------------------------------------------------------------------
 
 
@@ -176,7 +161,7 @@ def test_degrees_of_a_column_that_the_user_names_are_known(put, head) -> None:
 def test_axes_are_told_apart_by_the_letters_in_their_names(put, heads) -> None:
     rows = numbers()
     path = put("\n".join([heads, *(";".join(map(str, row)) for row in rows)]))
-    found = bc.read(path, TRIAD, **options_of(options_said(path, TRIAD)))
+    found = bc.read(path, TRIAD)
     x = 0 if "X" in heads else 2
     assert np.allclose(found["output_x"], [row[x] for row in rows])
 

@@ -20,10 +20,10 @@ from bayescal._core.settings import settings
 from bayescal._data.column import ConvertedColumns, Source
 from bayescal._data.column_conversion import convert_columns
 from bayescal._data.dataset_checks import refuse_backward_time, refuse_one_temperature
-from bayescal._data.header_matching import (
+from bayescal._data.header_matching import MatchedFile
+from bayescal._data.read_options import (
     ExpectedColumns,
     InstrumentLike,
-    MatchedFile,
     output_name,
     unit_of,
     unused_options,

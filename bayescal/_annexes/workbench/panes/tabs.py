@@ -42,7 +42,7 @@ from bayescal._annexes.workbench.parts.pieces import (
     row,
     words,
 )
-from bayescal._data.header_matching import MISSING_READINGS
+from bayescal._data.read_options import MISSING_READINGS
 from bayescal._report.plot_colours import GREEN, ORANGE, RED
 from bayescal._report.report import Pictures
 from bayescal._search.search_path import steps_table
