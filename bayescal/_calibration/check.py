@@ -10,20 +10,42 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
+from typing import Any
 
 import numpy as np
-from scipy.special import bdtr, kolmogorov, logsumexp, ndtr, smirnov
+from jaxtyping import Float
+from scipy.special import bdtr, chdtr, chdtrc, chdtri, kolmogorov, logsumexp, ndtr, smirnov
 
 from bayescal._calibration import judgement
 from bayescal._calibration.calibration import Calibration
-from bayescal._calibration.check_result import Check, Entry, FixedComparison, Pair, Region
+from bayescal._calibration.check_result import (
+    SIGNIFICANT_P,
+    AllanCheck,
+    Check,
+    Entry,
+    FixedComparison,
+    Pair,
+    Region,
+)
 from bayescal._calibration.fit import fit
+from bayescal._calibration.fitted import Fitted
 from bayescal._calibration.leave_group_out import leave_one_group_out
-from bayescal._calibration.noise_in_time import SIGNIFICANT_P, allan_check, noise_floor
 from bayescal._core.errors import InputError
 from bayescal._core.parallel import on_one_thread
 from bayescal._core.settings import settings
+from bayescal._data.allan_deviation import (
+    CONFIDENCE,
+    AllanDeviation,
+    AllanTerm,
+    degrees_of_freedom,
+    even_runs,
+    noise_types,
+    of_runs,
+    overlapping,
+    term,
+)
 from bayescal._inference.least_squares import LeastSquares
+from bayescal._model.noise_law import WHITE
 from bayescal._model.unknown_effect import process_columns, process_weights, resolution
 
 ONE_SIDED_P = 0.12  # p-value of one side, whose fourth power is about that of both sides at once
@@ -41,6 +63,8 @@ SCALES = (3, 4)  # lengths of the process over their plausible range; in time, w
 AMPLITUDES = tuple(np.geomspace(0.15, 15.0, 7))  # in noise standard deviations
 WAVES = 2  # along each of two covariates together
 INVISIBLE = 1e-12  # I·W of a direction below this: its prior spread is lost in its uncertainty
+LAW_DRAWS = 100  # of a correlated law's parameters
+RANKS = 50  # of a χ², equally probable, that stand for it
 ROUNDING = 64 * float(np.finfo(float).eps)  # of the largest of its group: below it is only rounding
 
 
@@ -330,6 +354,104 @@ def _uniform(values: np.ndarray) -> float:
     root = np.sqrt(n)
     x = root * apart
     return float(kolmogorov(x + 1 / (6 * root) + (x - 1) / (4 * n)))
+
+
+def allan_check(calibration: Fitted) -> AllanCheck | None:
+    """The Allan deviation of a fit's residuals; None where readings are not evenly spaced in time, or too few."""
+    linear, readings, noise = calibration.linear, calibration.readings, calibration.model.noise
+    try:
+        runs = even_runs(readings)
+        measured = of_runs(readings, linear.settled, runs)
+    except InputError:
+        return None
+    mode = calibration.problem.hyper(calibration.mode.v)
+    variance = float(np.mean(linear.variance))
+    law = noise.allan_variance(mode, variance, runs.factors, runs.step)
+    taken, _ = overlapping(linear.taken, runs)
+    left = np.maximum(1 - taken / law, 0.0)  # what a fit has absorbed is not in its residuals
+    draws = _drawn(calibration, mode, variance, runs.factors, runs.step) * left
+    edf = degrees_of_freedom(runs, noise_types(law))
+    ranks = (np.arange(RANKS) + 0.5) / RANKS
+    estimates = draws[:, None] * (chdtri(edf, ranks[:, None]) / edf)
+    tail = 0.5 * (1 - CONFIDENCE)
+    low, high = np.sqrt(np.quantile(estimates, [tail, 1 - tail], axis=(0, 1)))
+    terms = _law_terms(calibration, mode, variance, runs.step)
+    apart = _apart(measured, draws, edf) if noise.gaussian else None
+    return AllanCheck(measured, noise.law, np.sqrt(law * left), low, high, terms, apart)
+
+
+def _drawn(
+    calibration: Fitted, mode: dict[str, Any], variance: float, factors: np.ndarray, step: float
+) -> Float[np.ndarray, "d k"]:
+    """Allan variances under the law's parameters drawn from the posterior, or at the mode.
+
+    White noise is known better than any of its averages, and stays at the mode. So does a law that was taken over from
+    the same model with free coefficients.
+    """
+    law = calibration.model.noise
+    names = set(law.parameters())
+    varying = names & calibration.unknowns.by_key.keys()
+    if law.independent or not varying or calibration.layout.stated:
+        return law.allan_variance(mode, variance, factors, step)[None]
+    every = -(-len(calibration.samples(min(varying))) // LAW_DRAWS)
+    values = {n: np.asarray(mode[n]) for n in names}
+    values |= {n: calibration.samples(n)[::every] for n in varying}
+    known = max(variance - float(mode[WHITE]) ** 2 - float(law.slow_variance(mode)), 0.0)
+    total = values[WHITE] ** 2 + np.asarray(law.slow_variance(values)) + known
+    return law.allan_variance(values, total, factors, step)
+
+
+def _apart(
+    measured: AllanDeviation, draws: Float[np.ndarray, "d k"], edf: Float[np.ndarray, "k"]
+) -> int | None:
+    """Where the measured curve is the rarest under the law, if it is rare among all averaging times (Bonferroni)."""
+    with np.errstate(divide="ignore"):
+        ratio = edf * measured.deviation**2 / draws
+    sides = np.stack([chdtr(edf, ratio).mean(axis=0), chdtrc(edf, ratio).mean(axis=0)])
+    rare = 2 * sides.min(axis=0) * len(edf) < SIGNIFICANT_P
+    # Of several that are all but impossible, the one that is the most standard deviations off.
+    off = np.abs(np.log(np.median(ratio, axis=0) / edf)) * np.sqrt(edf / 2)
+    return int(np.argmax(np.where(rare, off, -1.0))) if rare.any() else None
+
+
+def _law_terms(
+    calibration: Fitted, mode: dict[str, Any], variance: float, step: float
+) -> tuple[AllanTerm, ...]:
+    """N = √(σ²·Δ) of the white part, and K = q of correlated noise, with the posterior's standard deviations."""
+    law, unit = calibration.model.noise, calibration.unit
+    names = {WHITE, *law.coefficients_in_time} & calibration.unknowns.by_key.keys()
+    error = {name: float(calibration.samples(name).std()) for name in names}
+    size = float(np.sqrt(max(variance - float(law.slow_variance(mode)), 0.0)))
+    # Of σ² = σ₀² + what is known, only σ₀ is uncertain.
+    own = float(mode[WHITE]) / size * error.get(WHITE, 0.0) if size > 0 and WHITE in mode else 0.0
+    slow = law.coefficients_in_time.items()
+    return (
+        term("N", unit, size * step**0.5, own * step**0.5),
+        *(term(symbol, unit, float(mode[n]), error.get(n, 0.0)) for n, symbol in slow),
+    )
+
+
+def noise_floor(calibration: Fitted) -> float:
+    """Noise that no model of smooth effects could remove, output unit.
+
+    From each residual against the mean of its two neighbours (in time within a run; in temperature where there
+    is no time), as in a von Neumann ratio: what varies slowly cancels.
+    """
+    residual = calibration.linear.settled
+    readings = calibration.readings
+    if readings.has("time"):
+        order, step = calibration.problem.record.in_time
+        linked = step >= 0
+    else:
+        key = readings["temperature"] if readings.has("temperature") else np.arange(len(readings))
+        order, linked = np.argsort(key, kind="stable"), np.ones(len(readings), bool)
+        linked[0] = False
+    r = residual[order]
+    inner = linked[1:-1] & linked[2:]
+    bend = (r[1:-1] - 0.5 * (r[:-2] + r[2:]))[inner]
+    if bend.size < 3:
+        return float(np.sqrt(np.mean(residual**2)))
+    return float(np.sqrt(np.mean(bend**2) / 1.5))
 
 
 # the worst region ----------------------------------------------------------------------------------------------------

@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Float
 
 from bayescal._calibration.calibration import Calibration
-from bayescal._calibration.on_readings import moments, replicate
+from bayescal._calibration.fitted import moments, replicate
 from bayescal._data.measurements import Measurements
 from bayescal._data.time_in_runs import going_on, run_codes
 from bayescal._inference.noise_on_record import variance

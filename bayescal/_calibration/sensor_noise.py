@@ -29,8 +29,8 @@ from numpy.polynomial.legendre import legvander
 from scipy.fft import dct, idct
 from scipy.special import ndtri, softmax
 
+from bayescal._calibration.check_result import allan_rows
 from bayescal._calibration.claim import Claim
-from bayescal._calibration.noise_in_time import allan_rows
 from bayescal._core import deadline
 from bayescal._core.errors import InputError
 from bayescal._core.formatting import number, probability

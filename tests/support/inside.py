@@ -17,8 +17,8 @@ from bayescal._annexes.metrology.certificate import Certificate, dcc_text
 from bayescal._annexes.metrology.certificate import d_si as d_si
 from bayescal._annexes.workbench.kept import Origin as Origin
 from bayescal._annexes.workbench.session import Session as Session
+from bayescal._calibration.check import allan_check as allan_check
 from bayescal._calibration.check import autocorrelation as autocorrelation
-from bayescal._calibration.noise_in_time import allan_check as allan_check
 from bayescal._core.formatting import interval as interval
 from bayescal._core.importance_weights import smoothed as smoothed
 from bayescal._data.allan_deviation import EvenRuns as EvenRuns
