@@ -20,7 +20,7 @@ import itertools
 import math
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
@@ -128,14 +128,17 @@ class NoiseFigure:
 
     def row(self) -> list[str]:
         """As printed."""
-        value, si = f"{number(self.value)}", f"{number(self.si[0])}"
-        extent = f"{number(self.low)} to {number(self.high)}"
+        name, extent = (
+            f"{self.name} {self.symbol}".strip(),
+            f"{number(self.low)} to {number(self.high)}",
+        )
+        value, si = number(self.value), number(self.si[0])
         if self.bound and not math.isfinite(self.high):
-            return [f"{self.name} {self.symbol}", "", "not seen", ""]
+            return [name, "", "not seen", ""]
         if self.bound:
             value, extent, si = f"< {number(self.high)}", "not seen", f"< {number(self.si[2])}"
-        said = f"{value} {unit_label(self.unit)}", extent, f"{si} {unit_label(self.si_unit)}"
-        return [f"{self.name} {self.symbol}".strip(), *(s.strip() for s in said)]
+        units = unit_label(self.unit), unit_label(self.si_unit)
+        return [name, f"{value} {units[0]}".strip(), extent, f"{si} {units[1]}".strip()]
 
 
 @dataclass(frozen=True, repr=False)
@@ -179,21 +182,14 @@ class SensorNoise(Printed):
         """The most probable sum of noise terms, in words."""
         return _words(self.terms)
 
-    @property
-    def notes(self) -> tuple[str, ...]:
-        """The claims in words."""
-        return tuple(map(str, self.claims))
-
     def _parts(self) -> list[str | ResultTable]:
         rows = [figure.row() for figure in self.figures]
         terms = plain_table(["term", "value", "95 % interval", "SI"], rows, fold=40)
         likely = [
             f"{w} {probability(p)}" for w, p in self.probabilities.items() if p >= SHOWN_PROBABILITY
         ]
-        said = [
-            f"Noise law: {', '.join(likely[:SHOWN_SUMS])}.",
-            *(f"Note: {note}" for note in self.notes),
-        ]
+        said = [f"Noise law: {', '.join(likely[:SHOWN_SUMS])}."]
+        said += [f"Note: {claim}" for claim in self.claims]
         m, unit = self.measured, unit_label(self.unit)
         head = ["τ [s]", "Allan deviation", "noise law", "95 % of such records"]
         columns = (m.tau, m.deviation, self.expected, self.estimate_low, self.estimate_high)
@@ -831,16 +827,15 @@ def _figures(
         return np.concatenate(having) if 2 * sum(map(len, having)) > every else None
 
     white = np.concatenate([one.density(step) for one in found.drawn])
-    lowest, floor = np.argmin(np.median(curve, axis=0)), np.sqrt(np.min(curve, axis=1) / FLAT)
+    white = white if found.count else np.full(1, math.nan)  # not even a bound
+    inside = 0 < np.argmin(np.median(curve, axis=0)) < curve.shape[1] - 1
+    floor = np.sqrt(np.min(curve, axis=1) / FLAT) if inside else None
     k = over_all("noise.walk")
     rows = [
         ("Q", "quantisation noise", names.rounded, f"{own}*s", over_all("noise.quantisation")),
         ("N", density, of_density, f"{own}/Hz^0.5", white),
         ("B", f"{bias} (flicker)", of_bias, own, over_all("noise.flicker")),
-        (
-            *("", f"{bias} (lowest Allan deviation over 0.664)", of_bias, own),
-            floor if 0 < lowest < curve.shape[1] - 1 else None,
-        ),
+        ("", f"{bias} (lowest Allan deviation over 0.664)", of_bias, own, floor),
         ("K", walk, of_walk, f"{own}/s^0.5", found.walk if k is None else k),
         ("", "tone, size", of_bias, own, over_all("noise.tone")),
         ("", "tone, frequency", "Hz", "Hz", over_all("noise.tone.frequency")),
@@ -852,16 +847,12 @@ def _figures(
         name = f"Ornstein–Uhlenbeck {place}"
         rows.append(("", f"{name}, size", of_bias, own, size))
         rows.append(("", f"{name}, correlation time", "s", "s", time))
-    bounded = {"K"} if k is None else set()
-    made = {
-        (symbol, name): _figure(symbol, name, shown, inner, draws, symbol in bounded)
+    bounded = {"K": k is None, "N": not found.count}
+    return tuple(
+        _figure(symbol, name, shown, inner, draws, bounded.get(symbol, False))
         for symbol, name, shown, inner, draws in rows
         if draws is not None
-    }
-    if not found.count:
-        unknown = {"value": math.nan, "low": 0.0, "high": math.inf, "si": (math.nan, 0.0, math.inf)}
-        made["N", density] = replace(made["N", density], **unknown, bound=True)
-    return tuple(made.values())
+    )
 
 
 def _figure(
@@ -871,7 +862,7 @@ def _figure(
     tail = 0.5 * (1 - CONFIDENCE)
     low, middle, high = np.quantile(draws, [tail, 0.5, 1 - tail])
     if bound:  # all of what is left below
-        low, high = 0.0, np.quantile(draws, CONFIDENCE)
+        low, high = 0.0, np.nan_to_num(np.quantile(draws, CONFIDENCE), nan=math.inf)
     factor = parse(own).factor / parse(unit).factor
     base, to_base = _base(own)
     value, lowest, highest = (float(v) * factor for v in (middle, low, high))

@@ -16,7 +16,6 @@ import numpy as np
 from bayescal._calibration.calibration import Calibration
 from bayescal._calibration.check import check, noise_floor
 from bayescal._calibration.fit import fit
-from bayescal._calibration.holdout_contradiction import HoldoutTest
 from bayescal._calibration.judgement import (
     GROUPS,
     PRIOR,
@@ -26,7 +25,7 @@ from bayescal._calibration.judgement import (
     wrong_question,
 )
 from bayescal._calibration.leave_group_out import leave_one_group_out, scheme
-from bayescal._calibration.predict import predict
+from bayescal._calibration.predict import HoldoutTest, predict
 from bayescal._core import deadline
 from bayescal._core.errors import InputError
 from bayescal._core.formatting import probability
