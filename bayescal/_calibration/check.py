@@ -14,7 +14,8 @@ from typing import Any
 
 import numpy as np
 from jaxtyping import Float
-from scipy.special import bdtr, chdtr, chdtrc, chdtri, kolmogorov, logsumexp, ndtr, smirnov
+from scipy.special import chdtr, chdtrc, chdtri, logsumexp
+from scipy.stats import binomtest, kstest, spearmanr
 
 from bayescal._calibration import judgement
 from bayescal._calibration.calibration import Calibration
@@ -48,7 +49,6 @@ from bayescal._inference.least_squares import LeastSquares
 from bayescal._model.noise_law import WHITE
 from bayescal._model.unknown_effect import process_columns, process_weights, resolution
 
-ONE_SIDED_P = 0.12  # p-value of one side, whose fourth power is about that of both sides at once
 SAME_COVARIATE_CORRELATION = 0.95  # rank correlation from which two covariates are taken for one
 # Expected lag-1 autocorrelation, from which neighbours are what the fit leaves, such as two about a free level, and
 # say nothing of the noise.
@@ -97,9 +97,9 @@ def check(calibration: Calibration) -> Check:
     scatter, one_sided = dict[str, float](), 1.0
     if max(factors, default=0.0) < settings().strong_evidence:
         scatter = _scatter_with(covariates, white, calibration.readings["output"] - residual)
-        if count := int(FARTHEST_SHARE * len(loo)):  # sign test (binomial, two-sided)
+        if count := int(FARTHEST_SHARE * len(loo)):  # sign test
             above = int(np.sum(loo[np.argsort(-np.abs(loo))[:count]] > 0))
-            one_sided = min(1.0, 2 * float(bdtr(min(above, count - above), count, 0.5)))
+            one_sided = float(binomtest(above, count).pvalue)
     if free is not None:
         fixed = FixedComparison(noise, rms, free, known_noise(calibration))
     far = settings().outlier_sd
@@ -112,7 +112,7 @@ def check(calibration: Calibration) -> Check:
         autocorrelation=autocorrelation(judged, white),
         scatter_with=scatter,
         outliers=tuple((i, z) for i, z in enumerate(loo.tolist()) if abs(z) > far),
-        pit_p=_uniform(ndtr(loo)),
+        pit_p=float(kstest(loo, "norm").pvalue),
         one_sided=one_sided,
         fixed=fixed,
         residuals=residual,
@@ -223,12 +223,9 @@ def covariates_of(calibration: Calibration) -> list[Covariate]:
 
 def _duos(covariates: list[Covariate]) -> list[tuple[Covariate, Covariate]]:
     """Pairs of covariates that are not nearly one and the same."""
-    ranks = {c.name: _ranks(c.values) for c in covariates if not c.levels}
-    return [
-        (a, b)
-        for a, b in combinations((c for c in covariates if not c.levels), 2)
-        if abs(np.corrcoef(ranks[a.name], ranks[b.name])[0, 1]) < SAME_COVARIATE_CORRELATION
-    ][:DUOS]
+    pairs = combinations((c for c in covariates if not c.levels), 2)
+    alike = ((a, b, spearmanr(a.values, b.values).statistic) for a, b in pairs)
+    return [(a, b) for a, b, r in alike if abs(r) < SAME_COVARIATE_CORRELATION][:DUOS]
 
 
 def _together(first: Covariate, second: Covariate) -> Covariate:
@@ -328,32 +325,9 @@ def _scatter_with(
     along = {c.name: c.values for c in covariates if not c.levels}
     # Noise in proportion to a signal of both signs grows on both sides, which a ranking along no column shows.
     along["the output's distance from its median"] = np.abs(expected - np.median(expected))
-    sizes = _ranks(np.abs(standardised))
-    found = {name: judgement.uncorrelated(sizes, _ranks(values)) for name, values in along.items()}
-    return {name: p for name, p in found.items() if p < SIGNIFICANT_P}
-
-
-def _ranks(values: np.ndarray) -> np.ndarray:
-    """1 for the smallest; equal values share the mean of their ranks."""
-    _, place, count = np.unique(values, return_inverse=True, return_counts=True)
-    return (np.cumsum(count) - 0.5 * (count - 1))[place]
-
-
-def _uniform(values: np.ndarray) -> float:
-    """p-value of values drawn uniformly from 0 to 1, two-sided, by Kolmogorov and Smirnov.
-
-    By the exact one-sided one where both sides at once are rare; else the limit of many values at an argument corrected
-    for their number (Vrbik, Pioneer J. Theor. Appl. Stat. 15 (2018) 15). Good to three digits from a hundred values on.
-    """
-    n, ordered = len(values), np.sort(values)
-    steps = np.arange(n + 1) / n
-    apart = float(max(np.max(steps[1:] - ordered), np.max(ordered - steps[:-1])))
-    one_sided = float(smirnov(n, apart))
-    if one_sided < ONE_SIDED_P:
-        return 2 * (one_sided - one_sided**4)
-    root = np.sqrt(n)
-    x = root * apart
-    return float(kolmogorov(x + 1 / (6 * root) + (x - 1) / (4 * n)))
+    varied = {n: values for n, values in along.items() if np.ptp(values) > 0 and len(values) > 2}
+    found = {n: spearmanr(np.abs(standardised), values).pvalue for n, values in varied.items()}
+    return {name: float(p) for name, p in found.items() if p < SIGNIFICANT_P}
 
 
 def allan_check(calibration: Fitted) -> AllanCheck | None:

@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
-from scipy.special import stdtr
+from scipy.stats import pearsonr
 
 from bayescal._calibration.check_result import Check
 from bayescal._calibration.claim import Claim
@@ -291,21 +291,14 @@ def following_members(subject: Subject) -> Iterator[Claim]:
             total = np.bincount(own[own >= 0], column[own >= 0], minlength=len(values))
             there = count > 0
             mean, deviations = total[there] / count[there], values[there]
-            if (chance := uncorrelated(mean, deviations)) < RARE_P:
+            if len(mean) < 3 or not (np.ptp(mean) and np.ptp(deviations)):
+                continue
+            r, chance = map(float, pearsonr(mean, deviations))
+            if chance < RARE_P:
                 told = {"term": term.name, "along": term.varies, "group": b.coefficient.per}
-                told |= {"r": float(np.corrcoef(mean, deviations)[0, 1]), "p": chance}
+                told |= {"r": r, "p": chance}
                 names_of = b.effect.name, term.name
                 yield Claim("group.follows_column", *names_of, **told, members=int(there.sum()))
-
-
-def uncorrelated(one: np.ndarray, other: np.ndarray) -> float:
-    """Return the p-value of two uncorrelated columns, by Student's t; not a number where one is constant."""
-    free = len(one) - 2
-    if np.ptp(one) == 0 or np.ptp(other) == 0 or free < 1:
-        return float("nan")
-    r = float(np.clip(np.corrcoef(one, other)[0, 1], -1, 1))
-    with np.errstate(divide="ignore"):
-        return float(2 * stdtr(free, -abs(r) * np.sqrt(free / np.float64((1 - r) * (1 + r)))))
 
 
 def too_few(subject: Subject) -> Iterator[Claim]:

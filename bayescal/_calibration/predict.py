@@ -6,10 +6,10 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Float
+from scipy.linalg import orth
 
 from bayescal._calibration.calibration import Calibration
 from bayescal._calibration.fitted import moments, replicate
@@ -21,13 +21,13 @@ from bayescal._inference.problem import Problem
 from bayescal._model.effect import Effect
 from bayescal._model.frame import Frame
 from bayescal._model.instrument import factor_of
-from bayescal._model.noise_law import Noise
 from bayescal._model.terms import ColumnsOf
 
 ROUNDING = 1e-12  # of a variance: what is left of it as white noise, if a law has none
 DRAWS = 1000  # replicates, fewer of many readings: p-values to a thousandth
 REPLICATED_CELLS = 10_000_000  # replicates × readings, held together
 TINY_SQUARE = 1e-300  # squares of an error that is none
+NONE = np.zeros(0, dtype=int)  # of the fitted readings
 SEEN_SHARE = 1e-8  # of the longest direction's length, below which a direction is rounding
 
 
@@ -98,13 +98,24 @@ def predict(
     readings = calibration.on_clock(readings)
     correlated = not calibration.model.noise.independent
 
-    def moments_of(some: Measurements, frame: Frame, on: _GoingOn | None) -> np.ndarray:
+    def moments_of(some: Measurements, frame: Frame, past: np.ndarray) -> np.ndarray:
         """Return residual, standard uncertainties of the expected output and of a reading (3, n)."""
-        noise, spread = None, 0.0
-        if on is not None and correlated:
-            noise = _CarriedOn.of(calibration, on.past, on.later, beyond=True)
-            spread = np.append(np.zeros(len(on.past)), noise.found(np.zeros((len(on.past), 1)))[1])
-        found = moments(calibration.problem_on(frame), calibration.draws(draws), noise)
+        count, carried, spread = len(past), None, 0.0
+        if count and correlated:
+            later = some.select(np.arange(count, len(some)))
+            noise, output = (
+                _noise_at(calibration, past, later, beyond=True),
+                frame["output"][:count],
+            )
+            spread = np.append(np.zeros(count), noise(np.zeros((count, 1)))[1])
+
+            def carried(expected: np.ndarray) -> np.ndarray:
+                # Each draw of the coefficients leaves its own, so that a level that the noise and a coefficient may
+                # both hold is uncertain in either, and not in their sum. Of the past noise is not asked for.
+                found = noise((np.asarray(output) - expected[:, :count]).T)[0].T
+                return np.concatenate([np.zeros_like(expected[:, :count]), found], axis=1)
+
+        found = moments(calibration.problem_on(frame), calibration.draws(draws), carried)
         model = found.variance + found.beside
         residual = np.asarray(frame["output"]) - found.mean
         return np.stack([residual, np.sqrt(model), np.sqrt(model + found.noise + spread)])
@@ -114,13 +125,13 @@ def predict(
     else:
         frame = calibration.frame_of(readings)
         frame = _of_new_groups(frame) if new_groups else frame
-        residual, model_sd, sd = moments_of(readings, frame, None)
+        residual, model_sd, sd = moments_of(readings, frame, NONE)
     made = Prediction(readings["output"] - residual, model_sd, sd, residual)
     if not (same_record and correlated):
         return made
     past = np.arange(len(calibration.readings))
-    noise = _CarriedOn.of(calibration, past, readings, beyond=False)
-    mean, spread = noise.found(predict(calibration, new_groups=False).residual[:, None])
+    noise = _noise_at(calibration, past, readings, beyond=False)
+    mean, spread = noise(predict(calibration, new_groups=False).residual[:, None])
     return replace(made, correlated_noise=mean[:, 0], correlated_noise_sd=np.sqrt(spread))
 
 
@@ -132,7 +143,7 @@ def replicates(
     noise that is not told by its past."""
     calibration, random = calibration.with_columns(readings.columns), np.random.default_rng(seed)
 
-    def made(some: Measurements, frame: Frame, _: _GoingOn | None) -> np.ndarray:
+    def made(some: Measurements, frame: Frame, _: np.ndarray) -> np.ndarray:
         members = {per: some.groups(per)[1] for per in frame.codes}
         found = replicate(calibration.problem_on(frame), calibration.draws(draws), random, members)
         return found + (some["output"] - frame["output"])
@@ -140,34 +151,27 @@ def replicates(
     return _with_past(calibration, calibration.on_clock(readings), made)
 
 
-class _GoingOn(NamedTuple):
-    """Readings of which some go on with fitted runs."""
-
-    past: np.ndarray  # which of the fitted readings are of these runs
-    later: Measurements  # readings that go on
-
-
 def _with_past(
     calibration: Calibration,
     readings: Measurements,
-    made: Callable[[Measurements, Frame, _GoingOn | None], np.ndarray],
+    made: Callable[[Measurements, Frame, np.ndarray], np.ndarray],
 ) -> Float[np.ndarray, "k n"]:
-    """What is made of readings: of those that go on with fitted runs behind their past, of others as of new runs."""
+    """What is made of readings, their frame, and the fitted readings before them that their runs begin with: of those
+    that go on with fitted runs behind their past, of others as of new runs."""
     fitted = calibration.readings
     runs = going_on(fitted, readings)
     if not runs:
-        return made(readings, _of_new_groups(calibration.frame_of(readings)), None)
+        return made(readings, _of_new_groups(calibration.frame_of(readings)), NONE)
     rows = np.sort(np.concatenate([*runs.values()]))
     names, codes = run_codes(fitted)
     past = np.flatnonzero(np.isin(codes, [names.index(name) for name in runs]))
-    later = readings.select(rows)
-    whole = fitted.select(past).followed_by(later)
-    behind = made(whole, calibration.frame_of(whole), _GoingOn(past, later))[:, len(past) :]
+    whole = fitted.select(past).followed_by(readings.select(rows))
+    behind = made(whole, calibration.frame_of(whole), past)[:, len(past) :]
     found = np.empty((len(behind), len(readings)))
     found[:, rows] = behind
     if len(others := np.setdiff1d(np.arange(len(readings)), rows)):
         alone = readings.select(others)
-        found[:, others] = made(alone, _of_new_groups(calibration.frame_of(alone)), None)
+        found[:, others] = made(alone, _of_new_groups(calibration.frame_of(alone)), NONE)
     return found
 
 
@@ -177,34 +181,24 @@ def _of_new_groups(frame: Frame) -> Frame:
     return replace(frame, codes=codes)
 
 
-class _CarriedOn(NamedTuple):
-    """What fitted readings say of the correlated noise at others of their runs, at the mode of the law's parameters.
+def _noise_at(
+    calibration: Calibration, past: np.ndarray, readings: Measurements, beyond: bool
+) -> Callable[[Float[np.ndarray, "n b"]], tuple[np.ndarray, np.ndarray]]:
+    """What fitted readings `past` say of the correlated noise at others of their runs, at the mode of its parameters.
 
-    Its mean is linear in what a model leaves of the fitted readings. Each draw of the coefficients leaves its own, so
-    that a level that the noise and a coefficient may both hold is uncertain in either, and not in their sum.
+    Of what a model leaves of the fitted readings (n, b) it is the mean (m, b), which is linear in that, and variance
+    (m,); NaN where nothing is said. `beyond`: also before and after a run's fitted readings.
     """
+    fitted, record = calibration.readings.select(past), calibration.problem.record
+    law, values = calibration.model.noise, calibration.problem.hyper(calibration.mode.v)
+    total = variance(law, values, record)
+    white = np.maximum(total - law.slow_variance(values), ROUNDING * total)[past]
+    (names, known), (asked, codes) = run_codes(fitted), run_codes(readings)
+    time, at = fitted["time"], readings["time"]
+    before, after = (law.followed(calibration.frame_of(some)) for some in (fitted, readings))
 
-    law: Noise
-    values: dict[str, Any]  # its parameters
-    # Of each run: which of the fitted readings are its own, their times, the variance of their own noise, of the others
-    # which, and their times; and what the law follows, at both.
-    parts: list[tuple[Any, ...]]
-    output: np.ndarray  # of the fitted readings, counted from the fit's origin (n,)
-    count: int  # of the others
-
-    @classmethod
-    def of(
-        cls, calibration: Calibration, past: np.ndarray, readings: Measurements, beyond: bool
-    ) -> _CarriedOn:
-        """Of a fit's readings `past`, at others; `beyond`: also before and after a run's fitted readings."""
-        fitted, record = calibration.readings.select(past), calibration.problem.record
-        law, values = calibration.model.noise, calibration.problem.hyper(calibration.mode.v)
-        total = variance(law, values, record)
-        white = np.maximum(total - law.slow_variance(values), ROUNDING * total)[past]
-        (names, known), (asked, codes) = run_codes(fitted), run_codes(readings)
-        time, at, parts = fitted["time"], readings["time"], []
-        frames = calibration.frame_of(fitted), calibration.frame_of(readings)
-        before, after = (law.followed(frame) for frame in frames)
+    def noise(left: Float[np.ndarray, "n b"]) -> tuple[np.ndarray, np.ndarray]:
+        mean, spread = np.full((len(at), left.shape[1]), np.nan), np.full(len(at), np.nan)
         for code, name in enumerate(asked):
             if name not in names:
                 continue
@@ -214,24 +208,12 @@ class _CarriedOn(NamedTuple):
             both = None
             if before is not None and after is not None:
                 both = np.asarray(before)[rows], np.asarray(after)[others]
-            parts.append((rows, time[rows], white[rows], others, at[others], both))
-        return cls(law, values, parts, np.asarray(frames[0]["output"]), len(readings))
-
-    def found(self, left: Float[np.ndarray, "n b"]) -> tuple[np.ndarray, np.ndarray]:
-        """Mean (m, b) and variance (m,), given what is left of the fitted readings; NaN where nothing is said."""
-        mean = np.full((self.count, left.shape[1]), np.nan)
-        spread = np.full(self.count, np.nan)
-        for rows, time, white, others, at, both in self.parts:
-            found = self.law.slow_part(self.values, time, left[rows], white, at, both)
-            mean[others], spread[others] = found
+            mean[others], spread[others] = law.slow_part(
+                values, time[rows], left[rows], white[rows], at[others], both
+            )
         return mean, spread
 
-    def __call__(self, expected: Float[np.ndarray, "b n"]) -> Float[np.ndarray, "b n"]:
-        """Its mean at all readings, the fitted ones first: zero at these, whose noise is not asked for."""
-        known = len(self.output)
-        found = np.zeros_like(expected)
-        found[:, known:] = self.found((self.output - expected[:, :known]).T)[0].T
-        return found
+    return noise
 
 
 # hold-out data --------------------------------------------------------------------------------------------------------
@@ -354,8 +336,7 @@ def _orthonormal(columns: Sequence[np.ndarray], size: int) -> Float[np.ndarray, 
     each = [c / length for c in columns if (length := float(np.linalg.norm(c))) > 0]
     if not each:
         return np.zeros((size, 0))
-    left, values, _ = np.linalg.svd(np.array(each).T, full_matrices=False)
-    return left[:, values > SEEN_SHARE * values[0]]
+    return orth(np.array(each).T, rcond=SEEN_SHARE)
 
 
 def _squares(rows: np.ndarray) -> np.ndarray:

@@ -27,6 +27,7 @@ import numpy as np
 from jaxtyping import Float
 from numpy.polynomial.legendre import legvander
 from scipy.fft import dct, idct
+from scipy.signal import welch
 from scipy.special import ndtri, softmax
 
 from bayescal._calibration.check_result import allan_rows
@@ -593,11 +594,8 @@ def _line(output: Float[np.ndarray, "n"], runs: EvenRuns) -> tuple[float, dict[s
     run = np.where(np.isfinite(run), run, np.nanmean(run))
     length = WINDOW
     while (count := len(run) // length) >= WINDOWS:
-        parts = run[: count * length].reshape(count, length)
-        window = np.hanning(length)
-        lines = np.fft.rfft((parts - parts.mean(axis=1)[:, None]) * window, axis=1)
         # One-sided, so that its mean over frequencies to ½ per reading is twice the variance.
-        power = 2 * np.mean(np.abs(lines) ** 2, axis=0) / float(window @ window)
+        _, power = welch(run, window=np.hanning(length), noverlap=0, detrend="constant")
         at = np.arange(BESIDE[-1] + 1, len(power) - BESIDE[-1] - 1)
         low, high = (power[at[:, None] + sign * BESIDE].mean(axis=1) for sign in (-1, 1))
         around = np.sqrt(low * high)
