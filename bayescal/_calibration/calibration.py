@@ -12,7 +12,7 @@ from bayescal._calibration.claim import Claim
 from bayescal._calibration.fitted import Fitted
 from bayescal._calibration.judgement import CONFLICTS, GROUPS, Subject, claims, too_few
 from bayescal._calibration.storage import save
-from bayescal._calibration.summary import chi_squared, null_directions, summary, unknowns_parts
+from bayescal._calibration.summary import null_directions, summary, unknowns_parts
 from bayescal._core.flag import Flag
 from bayescal._core.formatting import WIDTH
 from bayescal._core.result_table import Printed, ResultTable
@@ -74,14 +74,6 @@ class Calibration(Printed, Fitted):
             "high": [r["interval95"][1] for r in rows],
             "contraction": [r["contraction"] for r in rows],
         }
-
-    @property
-    def chi_squared(self) -> tuple[float, int, float]:
-        """χ² of the residuals against their known variance, its degrees of freedom, the chance of as much or more.
-
-        The variance is that of the noise law and of uncertain inputs: of use where `noise.white` is fixed.
-        """
-        return chi_squared(self)
 
     @cached_property
     def conflicts(self) -> tuple[Claim, ...]:

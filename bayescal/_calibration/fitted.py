@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple, Self
 
 import numpy as np
 from jaxtyping import Bool, Float
+from scipy.special import chdtrc
 
 from bayescal._calibration.confounding import Confounder, confounders, unexplained, widened
 from bayescal._core.errors import InputError
@@ -148,6 +149,16 @@ class Fitted:
     def linear(self) -> LinearModel:
         """The fitted structure as a linear model about its mode."""
         return linear_model(self.problem, self.mode)
+
+    @property
+    def chi_squared(self) -> tuple[float, int, float]:
+        """χ² of the residuals against their known variance, its degrees of freedom, the chance of as much or more.
+
+        The variance is that of the noise law and of uncertain inputs: of use where `noise.white` is fixed.
+        """
+        squares = float(np.sum(self.linear.residual**2 / self.linear.variance))
+        freedom = self.linear.size - len(self.linear.owners)
+        return squares, freedom, float(chdtrc(freedom, squares)) if freedom > 0 else float("nan")
 
     @property
     def unit(self) -> str:

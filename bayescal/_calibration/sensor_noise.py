@@ -181,7 +181,7 @@ class SensorNoise(Printed):
     @property
     def law(self) -> str:
         """The most probable sum of noise terms, in words."""
-        return _words(self.terms)
+        return RestingSum(1.0, 2.0, self.terms).in_words
 
     def _parts(self) -> list[str | ResultTable]:
         rows = [figure.row() for figure in self.figures]
@@ -292,7 +292,7 @@ def noise(readings: Measurements, *, seed: int = 0, time_limit: float | None = N
         unit=unit,
         step=step,
         terms=found.drawn[0].terms,
-        probabilities={_words(t): p for t, p in found.probabilities.items()},
+        probabilities={RestingSum(1.0, 2.0, t).in_words: p for t, p in found.probabilities.items()},
         figures=_figures(found, unit, draws),
         measured=measured,
         expected=middle,
@@ -777,10 +777,6 @@ def _drawn(
             size = np.abs(_line_size(run, turn) + error)
             own[TONE[0]] = np.where(coherent, size, own[TONE[0]])
     return RestNoise(terms, own, law)
-
-
-def _words(terms: tuple[str, ...]) -> str:
-    return RestingSum(1.0, 2.0, terms).in_words
 
 
 def _for_filter(found: WeighedNoise) -> tuple[np.ndarray, np.ndarray]:

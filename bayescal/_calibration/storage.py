@@ -271,18 +271,14 @@ def name_of_today(name: str) -> str:
 
 def of_today(described: dict[str, Any]) -> dict[str, Any]:
     """A description of 0.2 with the names of unknowns, and the words of formulas, that they have now."""
-    now = {
-        "unknowns": lambda name, said: (name, str(said).replace("spread=", "group_sd=")),
-        "fixed": lambda name, value: (name_of_today(name), value),
-        "typed": lambda name, line: (name, line_of_today(line)),
+    said, typed = described["unknowns"].items(), described.get("typed", {}).items()
+    return {
+        **described,
+        "unknowns": {name: str(words).replace("spread=", "group_sd=") for name, words in said},
+        "fixed": {name_of_today(name): value for name, value in described["fixed"].items()},
+        "typed": {name: line_of_today(line) for name, line in typed},
+        "reference": {n: v for n, v in described["reference"].items() if n != "run_starts"},
     }
-    changed = {
-        k: dict(each(*item) for item in described[k].items())
-        for k, each in now.items()
-        if k in described
-    }
-    reference = {n: v for n, v in described["reference"].items() if n != "run_starts"}
-    return described | changed | {"reference": reference}
 
 
 def _noise_words(noise: Noise) -> dict[str, Any]:

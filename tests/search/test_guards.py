@@ -204,12 +204,6 @@ def codes(found: Any) -> set[str]:
     return {claim.code for claim in found.claims}
 
 
-def test_outliers_on_one_side_shut_the_gate(line) -> None:
-    both = steps(line, {}, {})
-    both[-1].check.one_sided = 1e-6
-    assert codes(gate(both)) == {"noise.one_sided"}
-
-
 def test_a_fit_without_a_definite_curvature_shuts_the_gate(line) -> None:
     assert judgement.doubts_of_the_mode(line) == []
     mended = replace(line, mode=line.mode._replace(indefinite=True))
@@ -261,6 +255,7 @@ def test_hold_out_data_are_judged_by_a_test(line, p: float, ok: bool) -> None:
     [
         ({"scatter_with": {"temperature": 1e-6}}, "noise.scatter"),
         ({"pit_p": 1e-6}, "noise.tails"),
+        ({"one_sided": 1e-6}, "noise.one_sided"),
         (
             {"entries": [SimpleNamespace(log_bayes_factor=11.0, against="run")]},
             "residuals.depend",
