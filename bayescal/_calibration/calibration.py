@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from bayescal._calibration.claim import Claim
 from bayescal._calibration.fitted import Fitted
-from bayescal._calibration.judgement import CONFLICTS, GROUPS, Subject, claims, too_few
+from bayescal._calibration.judgement import Subject, conflicts, group_conflicts, too_few
 from bayescal._calibration.storage import save
 from bayescal._calibration.summary import null_directions, summary, unknowns_parts
 from bayescal._core.flag import Flag
@@ -78,7 +78,8 @@ class Calibration(Printed, Fitted):
     @cached_property
     def conflicts(self) -> tuple[Claim, ...]:
         """Where readings and priors contradict each other, and what else a fit may not be."""
-        return tuple(claims((*CONFLICTS, *GROUPS, too_few), Subject(self)))
+        subject = Subject(self)
+        return (*conflicts(subject), *group_conflicts(subject), *too_few(subject))
 
     @cached_property
     def tree(self) -> xr.DataTree:

@@ -17,10 +17,9 @@ from bayescal._calibration.calibration import Calibration
 from bayescal._calibration.check import check, noise_floor
 from bayescal._calibration.fit import fit
 from bayescal._calibration.judgement import (
-    GROUPS,
     PRIOR,
     Subject,
-    claims,
+    group_conflicts,
     noiseless,
     wrong_question,
 )
@@ -448,7 +447,7 @@ def step_of(
         check=checked,
         discovery=None,
         against=wrong_question(calibration, floor, accepted),
-        different=tuple(claims(GROUPS, Subject(calibration, accepted))),
+        different=tuple(group_conflicts(Subject(calibration, accepted))),
     )
 
 
