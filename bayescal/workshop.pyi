@@ -25,13 +25,11 @@ from ._cli.options import named_values as named_values
 from ._cli.options import names_in as names_in
 from ._cli.options import refuse_missing as refuse_missing
 from ._cli.options import refuse_unknown_method as refuse_unknown_method
-from ._cli.request import Early as Early
 from ._cli.request import compose as compose
 from ._cli.request import instrument_named as instrument_named
 from ._cli.request import method_named as method_named
 from ._cli.request import open_request as open_request
 from ._cli.request import own_effects as own_effects
-from ._cli.request import read_early as read_early
 from ._cli.request import reference_of as reference_of
 from ._cli.request import searched as searched
 from ._cli.saved import CALIBRATION as CALIBRATION
@@ -119,5 +117,4 @@ from ._use.correction_files import in_form as in_form
 from ._use.correction_files import load_correction as load_correction
 from ._use.correction_files import names_in_unit as names_in_unit
 from ._use.correction_files import sensor_name as sensor_name
-from ._use.program_text import code_template as code_template
 from ._use.program_text import include_guard as include_guard

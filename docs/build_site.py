@@ -162,9 +162,9 @@ def commands(_: str = "") -> str:
     """Every command with its arguments and options, as its own `--help` has them."""
     import typer
 
-    from bayescal._cli.main import app
+    from bayescal._cli.main import application
 
-    group: Any = typer.main.get_command(app)
+    group: Any = typer.main.get_command(application())
     return "\n\n".join(_command(name, command) for name, command in group.commands.items())
 
 

@@ -160,7 +160,7 @@ def contradicted_alone(subject: Subject) -> list[Claim]:
         fit.mode,
     )
     starts = [there.v, np.zeros_like(there.v)]
-    mode = find_mode(problem, starts, there.covariance, there.x, still=0.01)
+    mode = find_mode(problem, starts, there.x, still=0.01)
     _, found = Density(problem, mode.x, mode.flat, mode.v).at(mode.v)
     if found is None:
         return []
@@ -363,7 +363,7 @@ def doubts_of_the_mode(fit: Fitted) -> list[Claim]:
     tried = np.concatenate([prior_draws(problem), *across(problem, mode.v)])
     starts = [v for v in tried if far(v).any()] if shapes else []
     for start in np.array(starts)[np.argsort(-density.values(np.array(starts)))[:STARTS_TRIED]]:
-        other = find_mode(problem, [start], None, mode.x, still=0.01)
+        other = find_mode(problem, [start], mode.x, still=0.01)
         behind = mode.log_evidence - other.log_evidence
         if far(other.v).any() and behind < NEARLY_NATS:
             apart = (problem.hypers[i] for i in np.array(shapes)[far(other.v)])

@@ -7,7 +7,7 @@ of the left-out group then come from their prior, as those of any group not yet 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -20,17 +20,16 @@ from scipy.special import fdtrc
 from bayescal._calibration.fitted import Fitted
 from bayescal._core.parallel import on_one_thread
 from bayescal._data.measurements import Measurements
-from bayescal._inference.column_products import ColumnProducts
 from bayescal._inference.density import Density
 from bayescal._inference.gaussian import Gram, Prior, condition
-from bayescal._inference.laplace import Mode, climb
+from bayescal._inference.laplace import Mode
+from bayescal._inference.newton import climb
 from bayescal._inference.problem import Problem
-from bayescal._inference.record import Basis, Record
+from bayescal._inference.record import Record
 from bayescal._model.terms import ColumnsOf
 
 # Readings, below which a group's error is a matter of chance: it is three times too large once in 10⁷ groups of 5.
 FEW_IN_GROUP = 5
-NOTHING_LEFT = 1e-10  # that a fold's φ̂ could still gain, nats: its score, unlike its density, is at no maximum there
 BLOCKS = 5  # of neighbouring readings, where there is no group to leave out
 
 
@@ -76,12 +75,8 @@ class Part(Record):
         super().__init__(whole.instrument, frame, whole.y[rows], plain=whole.plain)
         self.whole, self.rows = whole, rows
 
-    def columns(self, effect: ColumnsOf, values: tuple[float, ...]) -> Float[np.ndarray, "n k"]:
-        return self.whole.columns(effect, values)[self.rows]
-
-    def basis_along(self, effect: ColumnsOf) -> Basis | None:
-        found = self.whole.basis_along(effect)
-        return found and found._replace(columns=found.columns[self.rows])
+    def _computed(self, effect: ColumnsOf, values: Sequence[np.ndarray], moves, *program) -> Any:
+        return self.whole._computed(effect, values, self._spread(moves), *program)[:, self.rows]
 
     def moved_columns(
         self, effect: ColumnsOf, values: tuple[float, ...], moves: Mapping[str, np.ndarray]
@@ -91,10 +86,6 @@ class Part(Record):
     @cached_property
     def affine(self) -> tuple[np.ndarray, dict[str, np.ndarray]] | None:
         return self.whole.affine and self._kept(self.whole.affine)
-
-    @cached_property
-    def products(self) -> ColumnProducts:
-        return self.whole.products.of_rows(self.rows)
 
     def several(
         self, slots: Mapping[str, np.ndarray], moves: Mapping[str, np.ndarray]
@@ -144,8 +135,6 @@ def leave_one_group_out(calibration: Fitted) -> LeaveOneGroupOut | None:
         return None
     kind, members, codes = groups_of(calibration.readings)
     mode, whole = calibration.mode, calibration.problem
-    # Products of all readings, once: a part's are these less the others'.
-    _ = Density(whole, mode.x, mode.flat, mode.v).products
     scores, surprise, by_chance = np.full((3, len(members)), np.nan)
     residual, model = np.full((2, len(codes)), np.nan)
     for i in range(len(members)):
@@ -185,7 +174,7 @@ def _fold(
     parts = (Part(whole.record, rows) for rows in (kept, out))
     problems = (Problem(whole.layout, part, whole.size_factors) for part in parts)
     fitted, predicted = (Density(one, mode.x, mode.flat, mode.v) for one in problems)
-    v, _ = climb(fitted, [mode.v], mode.covariance, NOTHING_LEFT)
+    v = climb(fitted, mode.v)
     kinds = np.array(whole.kinds)
     # A law that follows a column is that of all readings: where it lies for these, the kept may have none.
     v = np.where((kinds == "noise") & bool(whole.noise.covariates), mode.v, v)

@@ -53,8 +53,9 @@ from bayescal._data.allan_deviation import (
 from bayescal._data.measurements import Measurements
 from bayescal._data.unit_conversion import STANDARD_GRAVITY, parse, unit_label
 from bayescal._inference.density import NOWHERE
-from bayescal._inference.newton import GaussianFit, climb, importance_draws
+from bayescal._inference.newton import ByValues, GaussianFit, climb, gaussian_fit
 from bayescal._inference.noise_nodes import EvenSpectrum
+from bayescal._inference.sampling import importance_draws
 from bayescal._model.noise_law import WHITE
 from bayescal._model.noise_spectrum import eigenvalues
 from bayescal._model.noise_terms import FLAT, TERMS
@@ -706,7 +707,9 @@ def _fit(channel: _AtRest, terms: Terms, fits: Mapping[Terms, GaussianFit]) -> G
         near = channel.line[TONE[1]] - np.array([0.1 / channel.line[TONE[2]], 0.0])
         scale[list(priors).index(TONE[1])] = np.diff(priors[TONE[1]].coordinate(near))[0]
     order = np.argsort(-values(np.array(starts)))[:STARTS]
-    return max((climb(values, starts[i], scale) for i in order), key=lambda fit: fit.log_density)
+    densities = [(ByValues(values, scale), starts[i]) for i in order]
+    fits_here = (gaussian_fit(density, climb(density, at)) for density, at in densities)
+    return max(fits_here, key=lambda fit: fit.log_density)
 
 
 def _starts(channel: _AtRest, terms: Terms, priors: dict[str, Any]) -> Iterator[np.ndarray]:

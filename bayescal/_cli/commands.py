@@ -64,7 +64,7 @@ def instruments(
     readings: list[Path] | None = None,
     seed: int = 0,
 ) -> Answer:
-    """List the installed instruments, columns and effects of one of them, or check one of your own."""
+    """List installed instruments, describe one, or check your own."""
     from bayescal._model.installed import installed_instruments
 
     if check is not None:
@@ -83,7 +83,7 @@ def instruments(
 
 @commands.example("bayescal effects --instrument mems_gyro")
 def effects(instrument: str, effects_file: Path | None = None) -> Answer:
-    """List an instrument's effects: equation, unit, plausible size, columns needed, source."""
+    """List an instrument's effects with their sizes and sources."""
     from bayescal._cli.output import effects_listed
 
     chosen = instrument_named(instrument)
@@ -102,7 +102,7 @@ def simulate(
     noise_law: str = "white",
     seed: int = 0,
 ) -> Answer:
-    """Simulate a test campaign, with effects hidden in it if you like."""
+    """Simulate a test campaign, with effects hidden in it."""
     chosen = instrument_named(instrument)
     if chosen.simulator is None:
         raise InputError(f"instrument {chosen.name!r} has no simulator")
@@ -134,7 +134,7 @@ def pairs(
     average: str | None = None,
     seed: int = 0,
 ) -> Answer:
-    """Which two devices make the best pair, each pair with its probability."""
+    """Rank pairs of devices by their probability to be the best."""
     asked = ReadRequest(instrument, files, columns, ModelOptions(add=add), average)
     chosen, model, readings = request.open_request(asked)
     select = offered(PAIR_SELECTIONS, chosen.name)
@@ -148,7 +148,7 @@ def pairs(
 
 @commands.example("bayescal demo --out demo_output")
 def demo(out: Path = Path("demo_output"), seed: int = 0, json_: bool = False) -> Answer:
-    """The main job on a simulated gyroscope: a hidden effect is found and added, and the error falls."""
+    """Find an effect that is hidden in simulated readings."""
     files = out / "readings.csv", out / "holdout.csv"
     with result_folder(out):
         for number, file in enumerate(files, 1):
@@ -187,7 +187,7 @@ def calibrate(
     output_unit: str | None = None,
     json_: bool = False,
 ) -> Answer:
-    """The whole loop: fit, see where it fails, find what is missing, add it, see the error fall.
+    """Fit, find what is missing, add it, see the error fall.
 
     The first table stands as soon as the first fit does; Ctrl-C then ends the search with the best so far. Channels of
     one unit are searched together: structures and noise of their own, one body for all.
@@ -291,7 +291,7 @@ def fit(
 
 @commands.example("bayescal check result/calibration.nc")
 def check(calibration: Path, own: OwnParts) -> Answer:
-    """Where a fitted model fails."""
+    """Say where a fitted model fails."""
     checked = bc.check(saved.load_saved(calibration, own))
     return Answer(checked, [{"step": 0, **row} for row in checked.data()])
 
@@ -307,7 +307,7 @@ def discover(
     covariates: str | None = None,
     next_experiment: bool = False,
 ) -> Answer:
-    """Which effect is missing from a fitted model; and which experiment would tell rivals apart."""
+    """Say which effect is missing, and how to tell rivals apart."""
     loaded = saved.load_saved(calibration, own)
     choice = ModelOptions(effects_file=own.effects_file, typed=typed)
     effects = request.own_effects(choice, loaded.model.instrument, loaded.readings)
@@ -346,7 +346,7 @@ def compare(
     time_limit: float | None = None,
     seed: int = 0,
 ) -> Answer:
-    """Set model structures side by side: leave-one-group-out, leave-one-out, evidence, weights."""
+    """Compare structures by leave-one-group-out and evidence."""
     choice = ModelOptions(effects_file=effects_file, typed=typed)
     asked = ReadRequest(instrument, files, columns, replace(choice, typed=None), average)
     chosen, _, readings = request.open_request(asked)
@@ -422,7 +422,7 @@ def noise(
     out: Path | None = None,
     json_: bool = False,
 ) -> Answer:
-    """Noise density, bias instability and random walk of a sensor at rest, with 95 % intervals."""
+    """Estimate noise density, bias instability and random walk."""
     if not 0 < quantile < 1:
         raise InputError(
             f"--quantile {quantile:g}: give a probability between 0 and 1, such as 0.95"

@@ -12,8 +12,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import typer
-
 from bayescal._core.as_json import as_json, json_text
 from bayescal._core.atomic_file import folder_made
 from bayescal._core.errors import InputError, NotDrawn
@@ -47,7 +45,7 @@ class Answer:
     written: Callable[[], str] | None = None  # says, once that is done, which files there are
 
     def tell(self, json_: bool) -> bool:
-        """Print it, and make what is drawn of it; whether that could be."""
+        """Print it, and make what is drawn of it; whether it may be used and all was drawn: if not, the status is 1."""
         if json_ and self.data is not None:
             print_result(self.data)
         elif json_ and hasattr(self.shown, "data"):
@@ -57,20 +55,11 @@ class Answer:
         made = self.pictures is None or self.pictures()
         if self.written is not None and not json_:
             print(f"\nwritten: {self.written()}")
-        return made
-
-    def leave(self, made: bool) -> None:
-        """Leave with status 1 if the result is not reliable, or not all of it could be drawn.
-
-        Raises:
-            typer.Exit: so it is.
-        """
         if not self.ok:
             print(f"bayescal: result not reliable: {self.why}", file=sys.stderr)
         elif self.doubt:
             print_notes([self.doubt])
-        if not (self.ok and made and not self.doubt):
-            raise typer.Exit(1)
+        return self.ok and made and not self.doubt
 
 
 def drawn(make: Callable[..., Any], *given: Any) -> bool:

@@ -37,7 +37,7 @@ def compensate(
     columns: ColumnOptions,
     own: InUse,
 ) -> Answer:
-    """Turn readings back into what was measured, with standard uncertainty: two columns more."""
+    """Turn readings back into what was measured."""
     from bayescal._use.compensate_file import compensate_file
 
     chosen = saved.compensator_from(calibration, own)
@@ -71,7 +71,7 @@ def compensate(
 
 @commands.example("bayescal export result/calibration.nc --format c --out gyro.h", data=False)
 def export(asked: saved.ExportRequest) -> Answer:
-    """Write the calibration for use elsewhere: C99, Python, JSON, autopilot parameters, a certificate.
+    """Write C99, Python, JSON, parameters or a certificate.
 
     Of three axes too, also YAML; those of a unit together in one file.
     """
@@ -100,7 +100,7 @@ def budget(
     prior_sensitivity: bool = False,
     own: InUse,
 ) -> Answer:
-    """The uncertainty budget of a compensated value (JCGM 100): who contributes how much."""
+    """Split the uncertainty of a compensated value (JCGM 100)."""
     from bayescal._calibration.prior_influence import prior_sensitivity as influence
 
     chosen = saved.compensator_from(calibration, own)
@@ -125,7 +125,7 @@ def report(
     output_unit: str | None = None,
     own: OwnParts,
 ) -> Answer:
-    """Write the report for sign-off: a one-page summary with appendices, in one HTML file."""
+    """Write the report for sign-off, in one HTML file."""
     stated = decided = None
     if certificate:
         stated = first_offered("certificate", "--certificate")(certificate)

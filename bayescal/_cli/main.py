@@ -21,7 +21,8 @@ from typing import NoReturn
 
 import typer
 
-from bayescal._cli import commands, deliverables
+from bayescal._cli import commands as basic
+from bayescal._cli import deliverables
 from bayescal._core.annex import absent_annexes, offered
 from bayescal._core.errors import BayescalError, NotConverged, NotDrawn
 from bayescal._core.jax_setup import obey_no_folder
@@ -35,18 +36,22 @@ INTERRUPTED = 130  # 128 + SIGINT, as shells have it
 TOO_LITTLE_MEMORY = "too little memory: give fewer readings (--average), or allow more (ulimit -v)"
 OUT_OF_MEMORY = re.compile("RESOURCE_EXHAUSTED|bad_alloc")  # of XLA, and of C++ beneath it
 
-app = typer.Typer(
-    name="bayescal",
-    help="Bayesian calibration of inertial and tilt sensors: compare, see where the model fails, "
-    "find the missing effect, add it, watch the error fall.",
-    epilog="Start with: bayescal demo",
-    no_args_is_help=True,
-    add_completion=False,
-    rich_markup_mode="rich",
-    pretty_exceptions_enable=False,
-)
-for group in (commands.commands, deliverables.commands, *offered("commands")):
-    app.add_typer(group)
+
+def application(asked: str | None = None) -> typer.Typer:
+    """Every command; with the options of one alone, if one is asked for: those of all take as long as loading typer."""
+    app = typer.Typer(
+        name="bayescal",
+        help="Bayesian calibration of inertial and tilt sensors: compare, see where the model fails, "
+        "find the missing effect, add it, watch the error fall.",
+        epilog="Start with: bayescal demo",
+        no_args_is_help=True,
+        add_completion=False,
+        rich_markup_mode=None,
+        pretty_exceptions_enable=False,
+    )
+    for commands in (basic.commands, deliverables.commands, *offered("commands")):
+        commands.add_to(app, asked)
+    return app
 
 
 def main() -> NoReturn:
@@ -95,7 +100,8 @@ def command() -> int:
     obey_no_folder()
     gc.set_threshold(OBJECTS)
     try:
-        status = app(standalone_mode=False, prog_name="bayescal")
+        asked = next((word for word in sys.argv[1:] if not word.startswith("-")), "")
+        status = application(asked)(standalone_mode=False, prog_name="bayescal")
         sys.stdout.flush()
         return status if isinstance(status, int) else 0
     except (NotConverged, NotDrawn) as error:

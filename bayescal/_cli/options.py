@@ -6,7 +6,6 @@ place of a parameter of a group (a data class) the fields of the group. Light: `
 
 from __future__ import annotations
 
-import functools
 import inspect
 import math
 import os
@@ -14,7 +13,7 @@ from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack
 from dataclasses import dataclass, is_dataclass
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, NamedTuple
 
 import typer
 
@@ -27,21 +26,12 @@ from bayescal._tables.mapping_file import load_mapping, save_mapping
 METHODS = {"marginal": "Marginal", "least-squares": "LeastSquares", "nuts": "NUTS"}  # public names
 
 
-def named_values(given: list[str] | None, option: str) -> dict[str, str]:
-    """name=value options as a dictionary.
+def said_values(given: list[str] | None, option: str) -> dict[str, list[str]]:
+    """name=value options, every value of a name.
 
     Raises:
-        InputError: one is not of that form, or a name has two values.
+        InputError: one is not of that form.
     """
-    found = said_values(given, option)
-    for name, values in found.items():
-        if len(values) > 1:
-            raise InputError(f"{option} says {name} twice, {' and '.join(values)}: say it once")
-    return {name: values[0] for name, values in found.items()}
-
-
-def said_values(given: list[str] | None, option: str) -> dict[str, list[str]]:
-    """name=value options, every value of a name."""
     values = dict[str, list[str]]()
     for one in given or []:
         name, equals, value = (part.strip() for part in one.partition("="))
@@ -50,6 +40,15 @@ def said_values(given: list[str] | None, option: str) -> dict[str, list[str]]:
         if value not in values.setdefault(name, []):
             values[name].append(value)
     return values
+
+
+def named_values(given: list[str] | None, option: str) -> dict[str, str]:
+    """name=value options as a dictionary; a name that has two values is refused too."""
+    found = said_values(given, option)
+    for name, values in found.items():
+        if len(values) > 1:
+            raise InputError(f"{option} says {name} twice, {' and '.join(values)}: say it once")
+    return {name: value for name, (value,) in found.items()}
 
 
 def named_numbers(given: list[str] | None, option: str) -> dict[str, float]:
@@ -90,8 +89,10 @@ def channel_names(given: str | None) -> list[str]:
 
 def causes(ignore: list[str] | None, covariates: str | None) -> dict[str, Any]:
     """--ignore and --covariates as `calibrate` and `discover` take them."""
-    named = None if covariates is None else names_in(covariates)
-    return {"ignore": tuple(ignore or ()), "covariates": named}
+    return {
+        "ignore": ignore or (),
+        "covariates": None if covariates is None else names_in(covariates),
+    }
 
 
 def refuse_missing(files: list[Path] | None) -> list[Path] | None:
@@ -127,12 +128,12 @@ def _refuse_no_duration(text: str | None) -> str | None:
     return text
 
 
-Options = Mapping[str, str | Mapping[str, Any]]
+Options = Mapping[str, str | tuple[str, str] | Mapping[str, Any]]
 BY_NAME = inspect.Parameter.KEYWORD_ONLY  # so that a required one may follow others
 ARGUMENTS = ("files", "file", "calibration", "calibrations", "named")  # which are no options
 
-# By the parameter's name, or as "command.name" where a command means something else by it: its words, or these with
-# what typer is told beside them; `names` where an option is not called after its parameter.
+# By the parameter's name, or as "command.name" where a command means something else by it: its words, with what stands
+# for its value, or with all that typer is told; `names` where an option is not called after its parameter.
 # fmt: off
 OPTIONS: Options = {
     "accept_conflict": "bias.constant: may differ greatly from its plausible size; repeat for others.",
@@ -141,39 +142,28 @@ OPTIONS: Options = {
     "average": {"help": "1s, 0.5s or 2min: means over this time in place of single readings; spikes are set aside "
         "first.", "metavar": "TIME", "callback": _refuse_no_duration},
     "axis": "gyro_x=a.nc: calibration of an axis, where its readings do not name it.",
+    "begin": ("FILE=DATE, or the DATE alone of files without dates: when the first reading was taken; or a time on the "
+        "clock of the calibration, '9 days'; repeat for more.", "'FILE=DATE'"),
     "calibration": "A folder of results, or its calibration (.nc).",
-    "begin": {"help": "FILE=DATE, or the DATE alone of files without dates: when the first reading was taken; or a "
-        "time on the clock of the calibration, '9 days'; repeat for more.", "metavar": "'FILE=DATE'"},
-    "certificate": (
-        "TOML file of what a certificate states: device, serial number, place, operator, conditions, standards, dates."
-    ),
-    "channels": {"help": "Columns of the file that are outputs of one unit, searched together: "
-        "gyro_x,gyro_y,gyro_z.", "metavar": "NAME,NAME,…"},
-    "check": {"help": "Try this instrument on itself: simulate its plausible sizes, fit them, say what came "
-        "back.", "metavar": "my.py:INSTRUMENT"},
+    "certificate": "TOML file of what a certificate states: device, place, operator, conditions, standards, dates.",
+    "channels": ("Columns that are outputs of one unit, searched together: gyro_x,gyro_y,gyro_z.", "NAME,NAME,…"),
+    "check": ("Simulate this instrument, fit what was simulated, and say what came back.", "my.py:INSTRUMENT"),
     "columns": "output=gyro_x: our column = the file's; repeat for more, and where files call one differently.",
-    "compare.structure": (
-        "Structure to set beside the others, or with effects added, as line+bias.thermal_lag; repeat. All of the "
-        "instrument's if none is given."
-    ),
+    "compare.structure": "Structure to compare, or with effects added, as line+bias.thermal_lag; repeat; all if none.",
     "compensate.calibration": "Folder of results, its calibration (.nc), or a JSON export.",
     "compensate.out": {"help": "File to write, of the same format (Excel, MATLAB: .csv).", "names": ["--out", "-o"]},
-    "covariates": {"help": "Of the columns that the instrument does not know, those that may be causes; all but other "
-        "channels of the unit if not given.", "metavar": "NAME,NAME,…"},
+    "covariates": ("Of the columns that the instrument does not know, those that may be causes; all but other channels "
+        "of the unit if not given.", "NAME,NAME,…"),
     "criterion": "residual, ratio-variance or ratio-variance-raw.",
-    "date_order": {"help": "Of dates such as 05/06/2026, where no day above 12 shows it; hms for times such as "
-        "10.11.12.", "metavar": "mdy|dmy|ymd|hms"},
-    "decimal": {"help": "In numbers of text files, where they do not show it.", "metavar": ".|,"},
-    "demo.instrument": "Whose demonstration.",
+    "date_order": ("Of dates such as 05/06/2026, where no day above 12 shows it; hms for times such as 10.11.12.",
+        "mdy|dmy|ymd|hms"),
+    "decimal": ("In numbers of text files, where they do not show it.", ".|,"),
     "demo.json_": "Print result.json on stdout, and the story on stderr.",
     "device_id": "gyro=3670026: PX4's number of a sensor; repeat.",
-    "discover.ignore": {"help": "A column that is no cause; repeat for more.", "metavar": "COLUMN"},
+    "discover.ignore": ("Exclude this column as a possible cause; repeatable.", "COLUMN"),
     "effect": "name=size: an effect to hide; repeat for more.",
     "effects_file": {"help": "Python file with effects or a noise law of your own.", "names": ["--effects"]},
-    "export.calibrations": (
-        "A folder of results, its calibration (.nc) or JSON export; for parameters, one for each axis; the triads of "
-        "a unit."
-    ),
+    "export.calibrations": "Folders of results, calibrations (.nc), JSON exports: one, one an axis, or a unit's.",
     "export.out": {"help": "File to write; standard output if not given.", "names": ["--out", "-o"]},
     "false_accept": "Probability of a false acceptance that 'guarded' allows.",
     "file": "Readings: text, .parquet, .nc, .xlsx or .mat.",
@@ -181,75 +171,55 @@ OPTIONS: Options = {
         ".db3.", "callback": refuse_missing},
     "first_order": "Propagate mean and covariance, as exports do, not draws.",
     "fix": "bias.temperature=0.041: hold an unknown at a value, in its unit; repeat.",
-    "format_": (
-        "json, c or python, else by the suffix of --out; of three axes yaml (Kalibr), openvins, realsense, ros; "
-        "px4-params or ardupilot-params; dcc."
-    ),
+    "format_": "json, c or python; of three axes yaml, openvins, realsense, ros; px4-params or ardupilot-params; dcc.",
     "holdout": {"help": "Hold-out data, only read after the last step; repeat for more.", "callback": refuse_missing},
-    "ignore": {"help": "Column to leave out; repeat for more.", "metavar": "HEADER"},
+    "ignore": ("Column to leave out; repeat for more.", "HEADER"),
     "instrument": "Name of an installed instrument, or my.py:INSTRUMENT.",
-    "instrument_file": {"help": "my.py:INSTRUMENT, if the calibration is of an instrument that is not "
-        "installed.", "names": ["--instrument"]},
+    "instrument_file": {"help": "my.py:INSTRUMENT, if that of the calibration is not installed.",
+        "names": ["--instrument"]},
     "json_": "Print the result as JSON on stdout.",
     "k": {"help": "Coverage factor of the expanded uncertainty.", "names": ["-k"]},
     "keep_spikes": "Keep single readings far from both neighbours, and those of a wrong thermometer.",
     "limit": "Also decide whether it conforms, as `bayescal decide`; of one result.",
-    "local_field": {"help": "Local magnetic field, '48.2 uT', that magnetometers are turned in; ratios of scales "
-        "without it.", "metavar": "'48.2 uT'"},
-    "local_gravity": {"help": "Local gravity, m/s², for files in m/s²; 9.80665, with its uncertainty on Earth, if "
-        "not given.", "min": 1.0},
+    "local_field": ("Local magnetic field that magnetometers are turned in; ratios of scales without it.", "'48.2 uT'"),
+    "local_gravity": {"help": "Local gravity, m/s², for files in m/s²; 9.80665, with its uncertainty on Earth, if not "
+        "given.", "min": 1.0},
     "mapping": "TOML file that --save-mapping wrote; options on the command line take precedence.",
     "max_effects": {"help": "Most effects that may be missing.", "min": 1},
     "member": "device=A17: which device is used; repeat for more.",
     "method": {"help": "marginal, least-squares or nuts.", "callback": refuse_unknown_method},
-    "missing": {"help": "Rows with a missing reading: refuse the file, or drop them (a "
-        "gap).", "metavar": "refuse|drop"},
-    "name": (
-        "Of the sensor, with which all names in C begin; that of its instrument if not given. Of a unit, before those "
-        "of its instruments."
-    ),
+    "missing": ("Rows with a missing reading: refuse the file, or drop them (a gap).", "refuse|drop"),
+    "name": "Of the sensor or unit, with which all names in C begin; that of its instrument if not given.",
+    "named": ("One instrument, of which columns and effects are listed; all of them if not given.", "NAME"),
     "next_experiment": "Rank feasible campaigns by how well they tell rivals apart.",
-    "noise": {"help": "Noise law by name: student_t, ornstein_uhlenbeck, heteroscedastic(temperature), or one of "
-        "--effects.", "metavar": "NAME"},
-    "noise.channels": {"help": "Columns that are outputs, one after another: gyro_x,acc_x.",
-        "metavar": "NAME,NAME,…"},
+    "noise": ("Noise law: student_t, ornstein_uhlenbeck, heteroscedastic(temperature), or one of --effects.", "NAME"),
+    "noise.channels": ("Columns that are outputs, one after another: gyro_x,acc_x.", "NAME,NAME,…"),
     "noise_law": "white, student_t or ornstein_uhlenbeck.",
-    "named": {"help": "One instrument, of which columns and effects are listed; all of them if not "
-        "given.", "metavar": "NAME"},
-    "nominal_scale": {"help": "Raw output per unit of output, in place of the instrument's own: turns V, mV, Hz, "
-        "counts into it.", "metavar": "'250 V/g'"},
-    "nominal_zero": {"help": "Raw output at zero; 0 if not given.", "metavar": "'1.21 V'"},
-    "one_structure": {"help": "'average' over the structures that share the probability, where the folder has "
-        "several; or 'best', the one of calibration.nc.", "names": ["--structure"]},
+    "nominal_scale": ("Raw output per unit of output, in place of the instrument's own: turns V, mV, Hz, counts into "
+        "it.", "'250 V/g'"),
+    "nominal_zero": ("Raw output at zero; 0 if not given.", "'1.21 V'"),
+    "one_structure": {"help": "'average' over the structures that share the probability, or 'best', the one of "
+        "calibration.nc.", "names": ["--structure"]},
     "out": "Folder to write to.",
-    "output_unit": (
-        "Errors and coefficients in this unit of the output too, such as the file's mV; raw units by the nominal "
-        "scale. JSON stays as it is."
-    ),
+    "output_unit": "Errors and coefficients in this unit of the output too, such as the file's mV; JSON stays.",
     "pairs.instrument": "Whose devices are chosen in pairs.",
     "predict.out": "File to write: .csv, .parquet or .nc.",
     "prior_sensitivity": "Also how much the priors matter (psense).",
     "quantile": "Of the posterior, that the numbers for Kalibr are.",
-    "readings": {"help": "With --check: files whose columns, the output aside, are taken in place of made-up "
-        "ones.", "callback": refuse_missing},
+    "readings": {"help": "With --check: files whose columns, the output aside, are taken in place of made-up ones.",
+        "callback": refuse_missing},
     "reference": "T0=0: reference temperature of the bases, °C.",
     "report.calibrations": "Saved calibrations (.nc), or folders that `bayescal calibrate --out` wrote.",
     "report.out": {"help": "HTML file to write.", "names": ["--out", "-o"]},
     "rule": "Of decisions: guarded, simple or shared-risk, as agreed on beforehand.",
-    "same_record": (
-        "The readings are of the record that was fitted, on its clock: between fitted readings the correlated noise "
-        "that these show is given, in columns of its own."
-    ),
+    "same_record": "The readings are of the record that was fitted: give its correlated noise between fitted readings.",
     "save_mapping": "TOML file to keep these options in, for --mapping.",
     "seed": {"help": "Seed of every random number.", "min": 0},
-    "simple_noise": (
-        "Where noise is correlated, leave out sums of terms (random walk, flicker, two times, a tone): faster on long "
-        "records."
-    ),
+    "simple_noise": "Where noise is correlated, leave out sums of terms: faster on long records.",
     "simulate.out": "File to write: .csv, .parquet or .nc.",
     "structure": "A model structure of the instrument in place of its baseline.",
-    "time_limit": {"help": "End after this time with what there is, as Ctrl-C does at any time, and say what was left "
-        "out.", "metavar": "SECONDS", "callback": _refuse_no_time},
+    "time_limit": {"help": "End after this time with what there is, as Ctrl-C does at any time.", "metavar": "SECONDS",
+        "callback": _refuse_no_time},
     "title": "Of the report.",
     "topic": "Of the messages, for Kalibr.",
     "typed": {"help": "An effect of your own in one line, as a candidate: 'supply: s * (supply_voltage - 5); s = 0.1 "
@@ -394,8 +364,17 @@ class SearchRequest(ReadRequest):
         }
 
 
-class Commands(typer.Typer):
-    """Commands, each with a line of its use, whose options have their words from the table here.
+class Command(NamedTuple):
+    """A function as a command: how it is called, whether --json prints its answer, whether it tells what it does."""
+
+    function: Callable[..., Answer | None]
+    line: str
+    data: bool
+    endless: bool
+
+
+class Commands(list[Command]):
+    """Commands whose options have their words from the table here.
 
     Args:
         own: options that these alone have, or of which they say something else, as `OPTIONS`.
@@ -408,7 +387,7 @@ class Commands(typer.Typer):
     def example(
         self, line: str, *, data: bool = True, endless: bool = False
     ) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
-        """Have a function as a command, as `typer.Typer.command` does; it stays callable.
+        """Have a function as a command; it stays callable.
 
         Args:
             line: how it is called, for the end of its help.
@@ -416,40 +395,44 @@ class Commands(typer.Typer):
             endless: whether it says itself what it does.
         """
 
-        def taken(command: Callable[..., Any]) -> Callable[..., Any]:
-            answered = answering(command, data, endless, self.options)
-            self.command(epilog=f"Example: {line}")(answered)
-            return command
+        def taken(function: Callable[..., Any]) -> Callable[..., Any]:
+            self.append(Command(function, line, data, endless))
+            return function
 
         return taken
 
+    def add_to(self, app: typer.Typer, asked: str | None = None) -> None:
+        """Have an application run them; all but the one that is asked for, if one is, by name and words alone."""
+        for one in self:
+            name = one.function.__name__
+            whole = asked in (None, name)
+            shown = answering(one, self.options) if whole else lambda: None
+            words = inspect.getdoc(one.function)
+            app.command(name, help=words, epilog=f"Example: {one.line}")(shown)
 
-def answering(
-    command: Callable[..., Answer | None], data: bool, endless: bool, options: Options
-) -> Callable[..., None]:
+
+def answering(command: Command, options: Options) -> Callable[..., None]:
     """The command as typer is to see it: its options with their words, those of a group in place of the group.
 
     What it answers is printed; its time limit, if it has one, is that of everything.
     """
-    declared = _parameters(command)
+    function, name = command.function, command.function.__name__
+    declared = _parameters(function)
     shown = [p for one in declared.values() for p in _single(one)]
-    if data and "json_" not in {p.name for p in shown}:
+    if command.data and "json_" not in {p.name for p in shown}:
         shown.append(inspect.Parameter("json_", BY_NAME, default=False, annotation=bool))
-    seen = [_told(p, command.__name__, options) for p in shown]
 
-    @functools.wraps(command)
     def run(**values: Any) -> None:
         with ExitStack() as during:
-            if not endless:
-                during.enter_context(stage(command.__name__, EVERY))
+            if not command.endless:
+                during.enter_context(stage(name, EVERY))
                 during.enter_context(deadline.until(values.get("time_limit")))
-            answer = command(**{n: _taken(p.annotation, n, values) for n, p in declared.items()})
-            if answer is None:
-                return
-            made = answer.tell(values.get("json_", False))
-        answer.leave(made)
+            answer = function(**{n: _taken(p.annotation, n, values) for n, p in declared.items()})
+            if answer is not None and not answer.tell(values.get("json_", False)):
+                raise typer.Exit(1)
 
-    run.__signature__ = inspect.Signature(seen)  # pyright: ignore[reportAttributeAccessIssue]
+    run.__signature__ = inspect.Signature([_told(p, name, options) for p in shown])  # pyright: ignore[reportAttributeAccessIssue]
+    run.__annotations__ = {}
     return run
 
 
@@ -469,7 +452,10 @@ def _single(parameter: inspect.Parameter) -> Iterator[inspect.Parameter]:
 def _told(parameter: inspect.Parameter, command: str, options: Options) -> inspect.Parameter:
     """A parameter with its words, by name alone."""
     own = options.get(f"{command}.{parameter.name}") or options[parameter.name]
-    how = {"help": own} if isinstance(own, str) else dict(own)
+    if isinstance(own, Mapping):
+        how = dict(own)
+    else:
+        how = dict(zip(("help", "metavar"), (own,) if isinstance(own, str) else own, strict=False))
     names = how.pop("names", [f"--{parameter.name.strip('_').replace('_', '-')}"])
     required = parameter.default is parameter.empty
     kind: Any = typer.Option

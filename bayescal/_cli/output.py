@@ -34,12 +34,9 @@ SHOWN_CHECKS = 3  # covariates that a first model is checked against, the worst
 
 def instruments_listed(known: Mapping[str, Instrument]) -> tuple[str, dict[str, Any]]:
     """Installed instruments as text, and as data."""
-    rows = [[name, unit_label(i.unit), i.title] for name, i in known.items()]
-    text = str(plain_table(["instrument", "output", "measures"], rows, left=2, fold=40))
-    return text, {
-        name: {**_about(i), "columns": [column.name for column in i.columns]}
-        for name, i in known.items()
-    }
+    data = {n: {**_about(i), "columns": [c.name for c in i.columns]} for n, i in known.items()}
+    rows = [[name, unit_label(one["unit"]), one["title"]] for name, one in data.items()]
+    return str(plain_table(["instrument", "output", "measures"], rows, left=2, fold=40)), data
 
 
 def _about(one: Instrument) -> dict[str, Any]:

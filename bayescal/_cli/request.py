@@ -5,7 +5,6 @@ A bad file is refused first, before the instrument loads, and JAX with it; no sa
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -30,7 +29,6 @@ if TYPE_CHECKING:
     from bayescal._model.model import Model
     from bayescal._model.noise_law import Noise
 
-Early = tuple[dict[str, Any] | None, Any]  # readings; by which columns they were read
 LONG_LOG = 20_000  # readings, beyond which means over short times say as much and are sooner done
 LONG_BYTES = 50_000_000  # bytes of files that take longer to read than an instrument takes to load
 
@@ -46,22 +44,23 @@ def open_request(asked: ReadRequest) -> tuple[Instrument, Model, Measurements]:
 
 
 def open_channels(
-    names: Sequence[str], asked: ReadRequest, early: Early | None = None
+    names: Sequence[str], asked: ReadRequest
 ) -> tuple[Instrument, dict[str, Model], dict[str, Measurements]]:
     """Instrument, models and readings of the channels of one unit; a model has it tailored to its readings.
 
     Args:
         names: of the channels; none: a single output, called "".
         asked: what is.
-        early: what `read_early` gave, where it was called already.
 
     Raises:
         InputError, ModelError: something in it cannot be used; says what.
     """
-    from bayescal._model.installed import FileColumns
+    from bayescal._model.installed import FileColumns, file_columns
 
-    # A file that cannot be used is refused before the instrument loads.
-    found, holds = read_early(asked, names) if early is None else early
+    # A file that cannot be used is refused before the instrument loads, unless reading takes longer than that.
+    holds = None if in_a_file(asked.instrument) else file_columns(asked.instrument)
+    short = sum(path.stat().st_size for path in asked.files if path.is_file()) <= LONG_BYTES
+    found = _read(asked.files, holds, asked, names) if holds and short else None
     general, choice = instrument_named(asked.instrument), asked.choice
     if found is None or holds != FileColumns.of(general):
         found = _read(asked.files, general, asked, names)
@@ -100,20 +99,6 @@ def _read(
     return found if names else {"": found}  # pyright: ignore[reportReturnType]
 
 
-def read_early(asked: ReadRequest, names: Sequence[str] = ()) -> Early:
-    """What `read` gives before the instrument loads, and by which columns; None where that cannot be, or takes long.
-
-    Raises:
-        InputError: a file cannot be used, or no instrument is of that name.
-    """
-    from bayescal._model.installed import file_columns
-
-    name = asked.instrument
-    holds = None if in_a_file(name) else file_columns(name)
-    short = sum(path.stat().st_size for path in asked.files if path.is_file()) <= LONG_BYTES
-    return (_read(asked.files, holds, asked, names) if holds and short else None), holds
-
-
 def averaged(
     readings: Measurements, average: str | None, keep_spikes: bool = False
 ) -> Measurements:
@@ -127,20 +112,11 @@ def averaged(
 
 def long_log(readings: Measurements) -> list[str]:
     """A sentence that proposes --average, where there are more readings than a calibration has use for."""
-    if len(readings) <= LONG_LOG or not readings.has("time"):
-        return []
-    import numpy as np
-
-    steps = np.diff(readings["time"])
-    usual = float(np.median(steps[steps > 0])) if (steps > 0).any() else 0.0
-    least = usual * max(10.0, len(readings) / LONG_LOG)  # ten readings to a mean, and a short log
-    power = math.floor(math.log10(least)) if usual else 0
-    step = next((r for m in (1, 2, 5, 10) if (r := m * 10.0**power) >= least * (1 - 1e-9)), least)
-    means = f"{float(f'{len(readings) * usual / step:.2g}'):,.0f}"
-    return [
-        f"{readings.file}: {len(readings):,} readings: --average {step:g}s would leave about {means} "
-        "with nearly the same information"
-    ] * (usual > 0)
+    count = len(readings)
+    said = f"{readings.file}: {count:,} readings: --average TIME, means of {-(-count // LONG_LOG)} or more, "
+    return [f"{said}leaves nearly the same information"] * (
+        count > LONG_LOG and readings.has("time")
+    )
 
 
 def compose(instrument: Instrument, choice: ModelOptions, own: Sequence[Effect] = ()) -> Model:
@@ -202,10 +178,10 @@ def reference_of(given: list[str] | None, readings: Measurements) -> Reference:
 
 
 def searched(
-    names: Sequence[str], asked: SearchRequest, early: Early | None = None
+    names: Sequence[str], asked: SearchRequest
 ) -> tuple[dict[str, Model], dict[str, Measurements], dict[str, Measurements]]:
     """Models, readings and hold-out data by channel ("" where there is one output); what is to be noted is said."""
-    general, models, readings = open_channels(names, asked, early)
+    general, models, readings = open_channels(names, asked)
     kept = {}
     if asked.holdout:
         of = general if names else models[""].instrument

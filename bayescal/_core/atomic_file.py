@@ -20,9 +20,6 @@ from bayescal._core.errors import InputError
 MAGIC = b"\n# bayescal sha256 "
 TRAILER = re.compile(re.escape(MAGIC) + rb"([0-9a-f]{64})\n\Z")
 LENGTH = len(MAGIC) + 64 + 1
-LARGE = 2**20  # bytes of a file, from which on its digest is kept while the process lasts
-# By place on the disk, size, and when it was last written to.
-_DIGESTS: dict[tuple[int, ...], str] = {}
 FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)  # a full disk, a used-up quota, a limit
 
 
@@ -48,23 +45,20 @@ def replacing(path: Path) -> Iterator[Path]:
 
 def left_behind(path: Path) -> list[Path]:
     """What processes that were killed left beside a file or folder; what others are writing is not."""
-    found = {
-        left: left.name.removesuffix(".partial").rpartition(".")[2]
-        for left in path.parent.glob(f".{glob.escape(path.name)}.*.partial")
-    }
-    return [left for left, process in found.items() if process.isdecimal() and not _runs(process)]
+    names = path.parent.glob(f".{glob.escape(path.name)}.*.partial")
+    return [left for left in names if not _runs(left.name.split(".")[-2])]
 
 
 def _runs(process: str) -> bool:
-    """Whether a process of this number runs."""
-    if os.name != "posix":
-        return True  # only there can one ask without sending it a signal
+    """Whether a process of this number may run; only POSIX says so without sending it a signal."""
+    if os.name != "posix" or not process.isdecimal():
+        return True
     try:
         os.kill(int(process), 0)
     except (ProcessLookupError, OverflowError):
         return False
     except OSError:  # it is another user's
-        return True
+        pass
     return True
 
 
@@ -132,16 +126,9 @@ def to_disk(path: Path) -> None:
 
 
 def sha256_of(path: Path) -> str:
-    """SHA-256 of a file's bytes, read in pieces; of a large one once, until it is written to."""
-    at = path.stat()
-    key = at.st_dev, at.st_ino, at.st_size, at.st_mtime_ns
-    if key not in _DIGESTS:
-        with path.open("rb") as file:
-            digest = hashlib.file_digest(file, "sha256").hexdigest()
-        if at.st_size < LARGE:
-            return digest
-        _DIGESTS[key] = digest
-    return _DIGESTS[key]
+    """SHA-256 of a file's bytes, read in pieces."""
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
 
 
 def storable(name: str) -> str:
@@ -181,8 +168,7 @@ def verified(path: Path, what: str, instead: str) -> memoryview:
             f"{path.name} cannot be read: {error.strerror or error}. {instead}"
         ) from None
     content = memoryview(found)[: max(0, len(found) - LENGTH)]
-    # The trailer is looked for at the very end: HDF5 passes over what follows its own end, so that both read the same
-    # bytes.
+    # At the very end: HDF5 passes over what follows its own end, so that both read the same bytes.
     trailer = TRAILER.fullmatch(found[len(content) :])
     if trailer is None:
         said = (
@@ -194,7 +180,7 @@ def verified(path: Path, what: str, instead: str) -> memoryview:
         raise InputError(f"{path.name} {said}. Expected {what}. {instead}")
     if hashlib.sha256(content).hexdigest().encode() != trailer[1]:
         raise InputError(
-            f"{path.name} is damaged: its bytes do not have the checksum that stands at its end. {instead}"
+            f"{path.name} is damaged: its bytes do not have the checksum at its end. {instead}"
         )
     if TRAILER.fullmatch(found[max(0, len(content) - LENGTH) : len(content)]):
         raise InputError(f"{path.name} has two checksums at its end, expected one. {instead}")

@@ -116,11 +116,10 @@ def until(limit: float | None = None, words: str = "time limit of {:g} s") -> It
 
 
 @contextmanager
-def sooner(share: float = 1.0, keep: float = 0.0) -> Iterator[Deadline]:
-    """Set an earlier deadline: a share of the time left, and not its last `keep` seconds."""
+def sooner(share: float) -> Iterator[Deadline]:
+    """Set an earlier deadline: a share of the time left."""
     end, now = current(), time.monotonic()
-    left = end.ends_at - now
-    with _set(replace(end, ends_at=now + min(share * left, left - keep))) as made:
+    with _set(replace(end, ends_at=now + share * (end.ends_at - now))) as made:
         yield made
 
 

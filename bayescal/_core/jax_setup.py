@@ -14,6 +14,7 @@ Environment variables:
 from __future__ import annotations
 
 import os
+import shutil
 import sys
 from contextlib import suppress
 from functools import cache
@@ -87,7 +88,7 @@ def configure_jax() -> None:
 
     Every program is kept, however small: JAX's own threshold of one second of compilation would
     keep almost none of ours. A folder that cannot be written means no cache, never an error. The
-    folder may be deleted at any time; what has grown beyond `MOST_KEPT` is dropped here.
+    folder may be deleted at any time; one that has grown beyond `MOST_KEPT` is emptied here.
     """
     import jax  # heavy: not before something computes
 
@@ -97,35 +98,22 @@ def configure_jax() -> None:
     folder = cache_folder()
     if folder is None or not _writable(folder / "jax"):
         return
-    drop_oldest(folder / "jax", MOST_KEPT)
+    drop_if_large(folder / "jax", MOST_KEPT)
     jax.config.update("jax_compilation_cache_dir", str(folder / "jax"))
     jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
     jax.config.update("jax_persistent_cache_min_entry_size_bytes", -1)
 
 
-def drop_oldest(folder: Path, most: int) -> None:
-    """Delete the programs in a folder that were not used for longest, until the rest fit into `most` bytes.
+def drop_if_large(folder: Path, most: int) -> None:
+    """Delete the programs in a folder once they take more than `most` bytes.
 
     JAX can bound its cache itself, but then reads a file for every program kept whenever it keeps one more: 0.1 s
-    each time with 2,000 of them. Where the file system does not note when a file is read, the oldest go.
+    each time with 2,000 of them.
     """
-    kept: list[tuple[float, int, str]] = []
-    with suppress(OSError), os.scandir(folder) as entries:
-        for entry in entries:
-            with suppress(OSError):  # another process may have deleted it
-                if entry.name.endswith("-cache") and entry.is_file():
-                    found = entry.stat()
-                    # Where a file system is mounted without access times, st_atime stands still and the time of
-                    # writing decides.
-                    used = max(found.st_atime, found.st_mtime)
-                    kept.append((used, found.st_size, entry.path))
-    excess = sum(size for _, size, _ in kept) - most
-    for _, size, path in sorted(kept):
-        if excess <= 0:
-            return
-        with suppress(OSError):
-            os.unlink(path)
-        excess -= size
+    with suppress(OSError), os.scandir(folder) as entries:  # another process may delete them too
+        if sum(entry.stat().st_size for entry in entries) > most:
+            shutil.rmtree(folder, ignore_errors=True)
+            folder.mkdir()
 
 
 def spare_memory_maps() -> None:

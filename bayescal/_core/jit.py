@@ -37,9 +37,7 @@ class compiled(Generic[P, R]):
 
     def __init__(self, function: Callable[P, R], many: int = MANY_NUMBERS):
         self.function, self.many = function, many
-        self._jitted = cache(
-            lambda few: eqx.filter_jit(function, **_options(QUICK if few else ALWAYS))
-        )
+        self._jitted = cache(lambda few: eqx.filter_jit(function, **_options(few)))
         update_wrapper(self, function)
 
     def __call__(self, *args: P.args, **kwargs: P.kwargs) -> R:
@@ -50,8 +48,8 @@ class compiled(Generic[P, R]):
         return self._jitted(sum(a.size for a in numbers) < self.many)(*args, **kwargs)
 
 
-def _options(options: dict[str, Any]) -> dict[str, Any]:
-    return {"compiler_options": known(options)}
+def _options(few: bool) -> dict[str, Any]:
+    return {"compiler_options": known(QUICK if few else ALWAYS)}
 
 
 def known(options: dict[str, Any]) -> dict[str, Any]:

@@ -47,7 +47,13 @@ def as_type(value: Any, kind: Any, where: str = "") -> Any:
     if kind is Any:
         return value
     if origin in (Union, UnionType):
-        return _as_one_of(value, args, where)
+        refused = list[ValueError]()
+        for one in args:
+            try:
+                return as_type(value, one, where)
+            except ValueError as error:
+                refused.append(error)  # that at the deepest place is of the type that was meant
+        raise max(refused, key=lambda error: len(str(error).partition(" is ")[0]))
     if origin in (list, tuple):
         each = args if origin is tuple and args[-1] is not ... else None
         if not isinstance(value, list) or (each and len(value) != len(each)):
@@ -61,17 +67,6 @@ def as_type(value: Any, kind: Any, where: str = "") -> Any:
     if not right or (kind is str and _SURROGATE.search(value)):
         raise _unexpected(value, _NAMES[NoneType if kind is None else kind], where)
     return float(value) if kind is float else value
-
-
-def _as_one_of(value: Any, kinds: tuple[Any, ...], where: str) -> Any:
-    """The value as the first type that it is of; else the complaint at the deepest place, which is of the one meant."""
-    refused = list[ValueError]()
-    for kind in kinds:
-        try:
-            return as_type(value, kind, where)
-        except ValueError as error:
-            refused.append(error)
-    raise max(refused, key=lambda error: len(str(error).partition(" is ")[0]))
 
 
 def _as_table(value: Any, kind: Any, where: str) -> Any:
@@ -98,19 +93,6 @@ def _unexpected(value: Any, what: str, where: str) -> ValueError:
     return ValueError(f"{where or 'it'} is {kind or repr(value)[:60]}, {what} was expected")
 
 
-def _refuse_unusable(value: Any) -> None:
-    """Refuse lists and tables in each other deeper than anything written here, and larger numbers."""
-    level = [value]
-    for _ in range(DEEPEST):
-        if any(type(one) is int and abs(one) >= MOST_WHOLE for one in level):
-            raise ValueError("it holds a whole number of more than 64 bits")
-        held = [list(one.values()) if isinstance(one, dict) else one for one in level]
-        level = [inner for one in held if isinstance(one, list) for inner in one]
-        if not level:
-            return
-    raise ValueError(f"it is nested deeper than {DEEPEST}")
-
-
 def parsed_json(text: str | bytes) -> Any:
     """JSON as a value.
 
@@ -125,7 +107,14 @@ def _parsed(parse: Callable[[Any], Any], text: str | bytes) -> Any:
         found = parse(text)
     except RecursionError:
         raise ValueError(f"it is nested deeper than {DEEPEST}") from None
-    _refuse_unusable(found)
+    level = [found]
+    for _ in range(DEEPEST):
+        if any(type(one) is int and abs(one) >= MOST_WHOLE for one in level):
+            raise ValueError("it holds a whole number of more than 64 bits")
+        held = [list(one.values()) if isinstance(one, dict) else one for one in level]
+        level = [inner for one in held if isinstance(one, list) for inner in one]
+    if level:
+        raise ValueError(f"it is nested deeper than {DEEPEST}")
     return found
 
 
@@ -157,16 +146,12 @@ def read_toml(path: Path, kind: Any, called: str, cure: str) -> Any:
         if path.stat().st_size > LARGEST_TOML:
             raise ValueError(f"it is larger than {LARGEST_TOML / 1e3:.0f} kB")
         text = path.read_text("utf-8-sig")
-        longest = max(map(len, text.splitlines()), default=0)
-        if longest > LONGEST_LINE:
-            raise ValueError(
-                f"it has a line of {longest:,} characters, longer than {LONGEST_LINE:,}"
-            )
+        if max(map(len, text.splitlines()), default=0) > LONGEST_LINE:
+            raise ValueError(f"it has a line of more than {LONGEST_LINE:,} characters")
         found = _parsed(tomllib.loads, text)
     except OSError as error:
-        raise InputError(
-            f"{called} cannot be read: {error.strerror or error}. Check the name and the folder"
-        ) from None
+        said = f"cannot be read: {error.strerror or error}. Check the name and the folder"
+        raise InputError(f"{called} {said}") from None
     except ValueError as error:
         raise InputError(f"{called} is not TOML: {error}") from None
     try:

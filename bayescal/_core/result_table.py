@@ -10,6 +10,7 @@ import textwrap
 import unicodedata
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import chain, groupby, zip_longest
 from typing import TYPE_CHECKING, Any
 
 from bayescal._core.formatting import WIDTH
@@ -128,33 +129,30 @@ def plain_table(
 
 
 def _text(head: list[str], rows: list[list[str]], flush_left: Sequence[bool], fold: int = 0) -> str:
-    widths = [
-        max(_width(t) for r in [head, *rows] for t in r[i].split("\n")) for i in range(len(head))
-    ]
+    each = [[cell.split("\n") for cell in row] for row in (head, *rows)]
+    widths = [max(_width(t) for row in each for t in row[i]) for i in range(len(head))]
     if fold:
         room = WIDTH - sum(widths[:-1]) - 2 * (len(head) - 1)
         widths[-1] = min(widths[-1], max(room, fold))
-    indent = " " * (sum(widths[:-1]) + 2 * (len(widths) - 1))
+        last = widths[-1]
+        for row in each:
+            parts = ([t] if _width(t) <= last else textwrap.wrap(t, last) for t in row[-1])
+            row[-1] = [*chain(*parts)]
 
-    def line(cells: list[str]) -> str:
-        *most, last = cells
-        folded = [t for part in last.split("\n") for t in _folded(part, widths[-1] if fold else 0)]
+    def aligned(texts: Sequence[str]) -> str:
         parts = []
-        for cell, width, flush in zip([*most, folded[0]], widths, flush_left, strict=True):
-            space = " " * (width - _width(cell))
-            parts.append(cell + space if flush else space + cell)
-        return "\n".join(["  ".join(parts).rstrip(), *(indent + rest for rest in folded[1:])])
+        for text, width, flush in zip(texts, widths, flush_left, strict=True):
+            space = " " * (width - _width(text))
+            parts.append(text + space if flush else space + text)
+        return "  ".join(parts).rstrip()
 
-    return "\n".join([line(head), "  ".join("─" * w for w in widths), *map(line, rows)])
+    lines = [aligned(texts) for row in each for texts in zip_longest(*row, fillvalue="")]
+    return "\n".join([lines[0], "  ".join("─" * w for w in widths), *lines[1:]])
 
 
 def _width(text: str) -> int:
     """Columns that a text takes: the mark over a letter takes none."""
     return sum(not unicodedata.combining(c) for c in text)
-
-
-def _folded(text: str, width: int) -> list[str]:
-    return [text] if _width(text) <= width or not width else textwrap.wrap(text, width)
 
 
 class Printed:
@@ -198,13 +196,10 @@ class Printed:
 
 def as_html(parts: Sequence[str | ResultTable]) -> str:
     """Lines and tables as HTML, everything in them escaped."""
-    made, lines = [], list[str]()
-    for part in [*parts, None]:
-        if isinstance(part, str):
-            lines.append(part)
-            continue
-        if text := "\n".join(lines).strip("\n"):
+    made = list[str]()
+    for tables, some in groupby(parts, key=lambda part: isinstance(part, ResultTable)):
+        if tables:
+            made += [part.html() for part in some if isinstance(part, ResultTable)]
+        elif text := "\n".join(map(str, some)).strip("\n"):
             made.append(f"<p>{html_text(text).replace(chr(10), '<br>')}</p>")
-        made += [] if part is None else [part.html()]
-        lines = []
     return "".join(made)

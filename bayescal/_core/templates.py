@@ -5,9 +5,13 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from typing import Any
 
+from bayescal._core.quoting import number_text
+
 
 def template(package: str, file: str, filters: Mapping[str, Callable[..., Any]], **how: Any) -> Any:
     """A template in the folder `templates` of a package; what it asks for and is not given is an error.
+
+    In it `digits` writes a number with all its digits.
 
     Args:
         package, file: where it is.
@@ -21,7 +25,8 @@ def template(package: str, file: str, filters: Mapping[str, Callable[..., Any]],
         undefined=StrictUndefined,
         trim_blocks=True,
         lstrip_blocks=True,
+        keep_trailing_newline=True,
         **how,
     )
-    environment.filters |= filters
+    environment.filters |= {"digits": number_text, **filters}
     return environment.get_template(file)

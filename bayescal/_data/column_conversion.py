@@ -192,7 +192,7 @@ def _drop(table: Table, converted: ConvertedColumns, problems: Objections) -> No
     gone = np.unique(np.concatenate(list(missing.values())))
     if len(gone) == table.rows:
         counts = ", ".join(f"{name} in {len(rows)}" for name, rows in missing.items())
-        came = f"no row without a missing reading: {counts} of {table.rows} rows"
+        came = f"has no row without a missing reading: {counts} of {table.rows} rows"
         problems.append(Objection(table.file, came))
         return
     converted.kept = np.setdiff1d(np.arange(table.rows), gone)
@@ -342,18 +342,11 @@ class ColumnReader:
         try:
             parse(unit)
         except InputError as error:
-            sentence = f"{self._where}: {error}. Correct the header, or say the unit"
-            near = "".join(re.findall(r"\(([^()]*meant\?)\)", str(error))[:1])
-            came, expected = f"the unit [{unit}]", "a unit known here"
-            self._problem(came, expected, near, asked, sentence=sentence)
+            self._problem(str(error), "", "Correct the header, or say the unit", asked)
             return None
         if self.header.unit and unit != self.header.unit:
             self._flag(f"taken as [{unit}], as --unit says")
         return unit
-
-    @property
-    def _where(self) -> str:
-        return f"{self.file.table.file!r}, column {self.header.raw!r}"
 
     def _note_text(self, cells: Cells, unit: str | None) -> None:
         """Note the cells that hold text."""
@@ -475,7 +468,7 @@ class ColumnReader:
                 if (absolute := _above_zero(values, unit, target)) is not None:
                     self._flag(f"[{unit}] taken as temperatures above absolute zero")
                     return absolute
-                self._problem(str(error), option=asked, sentence=f"{self._where}: {error}")
+                self._problem(str(error), option=asked)
                 return None
         raw_output, also, hint = self._is_output or difference, "", ""
         if raw_output and scale is not None:

@@ -58,9 +58,9 @@ def problems_of_whole(
     needed = effects is None or any("temperature" in effect.varies for effect in effects)
     required = any(c.name == "temperature" and c.required for c in instrument.columns)
     if needed and required and not one_temperature and "temperature" in converted.values:
-        with problems.collecting(files[0]):
+        with problems.collecting():
             refuse_one_temperature(converted.values, file_names([f for f in files if f != ARRAYS]))
-    with problems.collecting(files[0]):
+    with problems.collecting():
         refuse_backward_time(converted.values, row_namer(converted.tables))
     problems += _wrapped(converted, getattr(instrument, "output", "output"))
     return problems
@@ -120,9 +120,10 @@ def refuse_one_temperature(columns: Columns, names: str) -> None:
             "another (files given together are read together)"
         )
         came = f"reads {seen} °C, one temperature only"
-        said = f"{names}, column 'temperature': {came}. {cure}"  # of files, or of a device
-        problem = Objection(names, came, cure=cure, column="temperature", sentence=said)
-        raise InputError(said, (problem,))
+        problem = Objection(
+            names, came, cure=cure, column="temperature"
+        )  # of files, or of a device
+        raise InputError(str(problem), (problem,))
 
 
 # What clocks hold when they begin anew, s: counters of 32, 24 and 16 bits, a GPS week, a day.

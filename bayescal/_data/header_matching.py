@@ -283,11 +283,13 @@ class MatchedFile:
             for name, column in self.expected.items()
             if _needed(column) and name not in self.positions and name not in self.options.columns
         ]
+        has = f"It has: {names_in(self.table)}. "
         for column in lacking:
-            self._note_lack(column, self.rule(column.name).candidates(free))
+            self._note_lack(column, self.rule(column.name).candidates(free), has)
+            has = ""  # it is said once
         return bool(lacking)
 
-    def _note_lack(self, column: Column, candidates: Sequence[Header]) -> None:
+    def _note_lack(self, column: Column, candidates: Sequence[Header], has: str) -> None:
         asked = f"{column.name} [{column.example}]" if column.unit else column.name
         choices = [self._as_column(column, header) for header in candidates[:SHOWN_HEADERS]]
         given, advice = choices[0] if len(choices) == 1 else f"({' or '.join(choices)})", ""
@@ -301,15 +303,10 @@ class MatchedFile:
             if len(moving) > 1 and column.name == output_name(self.instrument):
                 together = option("--channels", ",".join(moving))
                 advice += f"Together, as channels of one unit: {together}. "
-        meaning = f" ({column.meaning})" if column.meaning else ""
-        say = f", or say which one it is {given if len(choices) > 1 else f'({given})'}"
-        sentence = (
-            f"{self.table.file!r} lacks the column {column.name!r}{meaning} that {self.instrument.name!r} needs; it "
-            f"has: {names_in(self.table)}. {advice}Add a column {asked!r}{say if candidates else ''}"
-        )
-        cure = f"{advice}Add such a column{', or say which it is' if candidates else ''}"
+        asked += f" ({column.meaning})" * bool(column.meaning)
+        cure = f"{has}{advice}Add such a column{', or say which it is' if candidates else ''}"
         given = given if candidates else ""
-        self.problem(column.name, "no such column", asked, cure, given, sentence=sentence)
+        self.problem(column.name, "no such column", asked, cure, given)
 
     def _as_column(self, column: Column, header: Header) -> str:
         """Return the options that say that a header is a column; what the file cannot tell is left to fill in."""

@@ -416,7 +416,7 @@ def measured(
         unused_options(tables, options, problems)
     own = [options.of_file(table, tables) for table in tables]
     for table, of_it in zip(tables, own, strict=True):
-        with problems.collecting(table.file):
+        with problems.collecting():
             part = convert_columns(table, instrument, of_it, problems)
             parts.append(part)
             records_known = part.unread.isdisjoint(("run", "device", "axis"))

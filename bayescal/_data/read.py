@@ -128,7 +128,7 @@ def read(  # pyright: ignore[reportInconsistentOverload]
         known = (name for c in instrument.columns for name in (c.name, *c.also))
         asked = (*options.headers, *known)
         for path, name in zip(paths, names, strict=True):
-            with problems.collecting(name):
+            with problems.collecting():
                 tables.append(open_table(path, name, max_bytes, options.decimal, asked))
         return measured(tables, instrument, options, allow_one_temperature, _runs(paths), problems)
 

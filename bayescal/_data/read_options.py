@@ -289,7 +289,7 @@ def unused_options(tables: Sequence[Table], options: ReadOptions, problems: Obje
     known = {n for h in headers for n in (h.raw, *(r.name for r in readings_of(h)))}
     known |= {*options.columns, *options.headers} | ({"time"} & options.unwrap.keys())
     if "" in options.begin and others:
-        came = f"one begin, {options.begin['']!r}, for {len(tables)} files"
+        came = f"has one begin, {options.begin['']!r}, for {len(tables)} files"
         asked = option("--begin", f"{first}={options.begin['']}")
         problems.append(Objection(first, came, cure="Say of each", option=asked))
     said = {name: option("--unit", f"{name}={unit}") for name, unit in options.units.items()}

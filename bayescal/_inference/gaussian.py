@@ -86,15 +86,6 @@ class Conditional:
         self.chol, self.z = chol, z
         self.rest, self.squares = float(rest), float(squares)
 
-    def first(self, p: int) -> Conditional:
-        """The same of the first p coefficients, where those after them have a prior of no width."""
-        if p == len(self.z):
-            return self
-        # The leading block of L is that of the leading block of A, and coefficients whose prior has no width leave no
-        # trace in it: their rows of A are those of the unit matrix.
-        args = self.mean[:p], self.sd[:p], self.chol[:p, :p], self.z[:p]
-        return Conditional(self.log_marginal, *args, self.rest, self.squares)
-
     @cached_property
     def root_of_z(self) -> Float[np.ndarray, "p p"]:
         """L⁻ᵀ, a square root of the covariance of z."""
@@ -104,10 +95,6 @@ class Conditional:
     def root(self) -> Float[np.ndarray, "p p"]:
         """A square root of the covariance of x."""
         return self.sd[:, None] * self.root_of_z
-
-    @property
-    def variance_of_z(self) -> Float[np.ndarray, "p"]:
-        return np.einsum("ij,ij->i", self.root_of_z, self.root_of_z)
 
     @property
     def covariance(self) -> Float[np.ndarray, "p p"]:

@@ -1,16 +1,15 @@
 """Least squares: the maximum a posteriori point by Gauss–Newton, its covariance by Laplace.
 
-Shapes are estimated together with the coefficients, in their standard-normal coordinates. Noise and learned
-spreads are set by marginal (restricted) likelihood with everything else integrated out, so that the noise is
-divided by the degrees of freedom that the coefficients leave. The two go on in turn until both rest. All solves are
-by QR of whitened tables, never by JᵀJ, so that no condition number is squared.
+Shapes are estimated together with the coefficients, in their standard-normal coordinates. Learned spreads and noise
+stand where the marginal likelihood has its maximum; one standard deviation of all readings by restricted likelihood,
+squares divided by the degrees of freedom that the coefficients leave, in turn until both rest. All solves are by QR of
+whitened tables, never by JᵀJ, so that no condition number is squared.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from functools import partial
 from typing import Any, ClassVar, Literal, NamedTuple
 
 import equinox as eqx
@@ -23,17 +22,15 @@ from scipy.linalg.lapack import dgeqrf, dtrtri, dtrtrs  # pyright: ignore[report
 from bayescal._core.parallel import on_one_thread
 from bayescal._core.progress import stage
 from bayescal._inference import trust
-from bayescal._inference.density import Density, by_parameter, turn
-from bayescal._inference.gaussian import LOG_2PI, Prior
+from bayescal._inference.gaussian import Prior
 from bayescal._inference.laplace import NOTHING_KNOWN, Mode, find_mode
 from bayescal._inference.method import CHAINS, Draws, Method, Outcome, Verdict
 from bayescal._inference.noise_on_record import Independent, Whitening, variance, whitening
-from bayescal._inference.problem import ABSENT, LARGEST_COORDINATE, Problem, differences
+from bayescal._inference.problem import Problem, differences
 from bayescal._model import forward
 from bayescal._model.composition import Linearised
 from bayescal._model.noise_law import in_time
 from bayescal._model.parameters import Layout
-from bayescal._model.prior import LogUniform, Normal
 
 STILL_SD = 1e-6  # standard deviations: a further step smaller than this is none
 # Share of the residuals in the tangent plane, at which a point counts as the optimum.
@@ -44,8 +41,6 @@ ROUND_STEPS = 200  # of θ in a round
 TOLERANCE = 1e-12  # of optimistix's solvers, relative and absolute
 STEPS_FROM_AFAR = 5000  # steps from afar: along a curved valley they are short
 SHIFT = 1e-4  # of a coordinate, for slopes by differences
-# Coordinate of a time between bounds, from which it stands at one: nothing stops it.
-EDGE_COORDINATE = 5.0
 
 
 class LeastSquares(Method):
@@ -73,9 +68,8 @@ class LeastSquares(Method):
         reasons += [] if np.all(np.isfinite(found.covariance)) else [trust.SINGULAR]
         kind = "Gauss–Newton" if self.curvature == "gauss-newton" else "full-Hessian"
         notes = [
-            f"{kind} covariance; noise and between-group standard deviations held at their estimates (by restricted "
-            "likelihood where there are more readings than coefficients), so that intervals do not carry their "
-            "uncertainty."
+            f"{kind} covariance; noise and between-group standard deviations held at their estimates, so that "
+            "intervals do not carry their uncertainty."
         ]
         return Outcome(
             layout=layout,
@@ -84,11 +78,6 @@ class LeastSquares(Method):
             verdict=Verdict(not reasons, tuple(reasons), tuple(notes), "least squares"),
             log_evidence=None if layout.improper else (float(found.mode.log_evidence), None),
         )
-
-
-def solution_on(problem: Problem, hessian: bool = False) -> Solution:
-    """The fit of a structure whose noise the engine whitens by, on a record that others may share."""
-    return refine(problem, find_mode(problem), hessian)
 
 
 @on_one_thread  # else the last digits would hang on how many cores there are
@@ -167,12 +156,10 @@ class Solution(NamedTuple):
 class _Given(NamedTuple):
     """θ integrated out of the model linearised somewhere, given φ."""
 
-    log_marginal: float
     theta: Float[np.ndarray, "q"]
     root: Float[np.ndarray, "q q"]  # times its transpose, the covariance
     squares: float  # of the whitened residuals at the mean, without the prior's
     spent: float  # degrees of freedom
-    slopes: Float[np.ndarray, "d"]  # of log_marginal by the scales' coordinates
 
 
 @on_one_thread
@@ -204,7 +191,7 @@ def refine(
             if not converged:  # how long its steps are hangs on the size of the noise
                 usual = np.where([kind == "noise" for kind in problem.kinds], 0.0, v)
                 theta, converged = fit.from_afar(usual)
-        moved = fit.fit_scales(theta, _put(theta[problem.size :], fit.places, v))
+        moved = fit.fit_noise(theta, _put(theta[problem.size :], fit.places, v))
         change = float(np.max(np.abs(moved - v), initial=0.0))
         v = moved
         if not change > ROUND_CHANGE:
@@ -224,15 +211,15 @@ class _Refinement:
 
     def __init__(self, problem: Problem, mode: Mode) -> None:
         self.problem, self.mode = problem, mode
-        self.density = Density(problem, mode.x, mode.flat)
+        # One variance for all readings: products over them do not depend on it.
+        self.even = problem.noise.even(problem.record.frame) and not problem.noisy
         layout, self.gaussian = problem.layout, problem.noise.gaussian
-        # Of a law that is not Gaussian they stay where the marginal likelihood of the mode has them.
-        # So they do where coefficients of stated sizes explain any readings: the restricted likelihood of the noise has
-        # no maximum there, and its prior alone says how large it is.
+        # All scales stay where the marginal likelihood of the mode has them, but for one standard deviation of all
+        # readings; where coefficients of stated sizes explain any readings its prior alone says how large it is.
         stated = sum(b.size for b in layout.x_blocks if b.coefficient.group_sd is None)
-        undetermined = problem.record.size <= stated
-        scales = self.gaussian and not undetermined
-        self.scales = layout.positions("noise", "group_sd") if scales else []
+        one = self.gaussian and self.even and problem.record.size > stated
+        noise = layout.positions("noise") if one else []
+        self.noise_place = noise[0] if len(noise) == 1 else None
         self.places = layout.moving
 
     def prior(self, v: Float[np.ndarray, "d"]) -> Prior:
@@ -343,24 +330,23 @@ class _Refinement:
         return self.fit_theta(self.solved(begin, v, afar=True), v)
 
     def conditional(self, theta: np.ndarray, v: np.ndarray) -> Callable[..., _Given]:
-        """A function of φ's coordinates: θ integrated out of the model linearised here, by QR; with slopes if asked."""
+        """A function of φ's coordinates: θ integrated out of the model linearised here, by QR."""
         table, extra = self.table(theta, v)
         # With one variance for all readings R of the plain table stands for it: whitening only divides by σ.
-        size, even = len(table), self.density.even
+        even = self.even
         upper = np.triu(dgeqrf(table)[0][: table.shape[1]]) if even else table
-        lost, unknown = np.full((theta.size, theta.size), np.nan), np.full(len(v), np.nan)
-        nowhere = _Given(-math.inf, np.full(theta.size, np.nan), lost, np.nan, np.nan, unknown)
+        lost = np.full((theta.size, theta.size), np.nan)
+        nowhere = _Given(np.full(theta.size, np.nan), lost, np.nan, np.nan)
 
-        def given(v: np.ndarray, sloped: bool = False) -> _Given:
-            prior, white = self.prior(v), None
+        def given(v: np.ndarray) -> _Given:
+            prior = self.prior(v)
             if even:
                 variance = float(self.problem.noise.shared_variance(self.problem.hyper(v)))
                 if not variance > np.finfo(float).tiny:
                     return nowhere
-                made, logdet = upper / math.sqrt(variance), size * math.log(variance)
+                made = upper / math.sqrt(variance)
             else:
-                white = self.whiten(v, extra, table[:, -1])
-                made, logdet = white.both(upper)
+                made = self.whiten(v, extra, table[:, -1])(upper)
             offset, far = prior.from_point(theta, np.sum(made[:, :-1] ** 2, axis=0))
             own = np.column_stack([made[:, :-1] * prior.sd, made[:, -1] - made[:, :-1] @ offset])
             rows = np.column_stack([np.diag(prior.weight), far])
@@ -370,88 +356,22 @@ class _Refinement:
             step = found.solution
             z = step - far
             inverse = dtrtri(found.root)[0] if z.size else found.root
-            of_z = inverse @ inverse.T
-            root = prior.sd[:, None] * inverse
-            # The same closed form as `gaussian.condition`, by R in place of L: log|A| = 2·Σ log|Rᵢᵢ|, the sum of
-            # squares is what of [r; −z] lies outside of the columns.
-            log_sd = np.log(np.where(prior.weight > 0, 1.0, prior.sd))
-            flat = (1 - prior.weight) @ (log_sd + 0.5 * LOG_2PI)
-            volume = logdet + 2 * float(np.sum(np.log(np.abs(np.diag(found.root)))))
-            rest = found.outside**2
-            total = float(flat) - 0.5 * (size * LOG_2PI + volume + rest)
-            mean = theta + offset + prior.sd * step
-            squares = rest - float(prior.weight @ z**2)
+            squares = found.outside**2 - float(prior.weight @ z**2)
             # Degrees of freedom: the trace of the hat matrix, q − tr W·var z; all q where priors say nothing.
-            spent, slopes = z.size - float(np.diag(of_z) @ prior.weight), np.zeros(0)
-            if sloped:
-                excess = (z**2 + np.diag(of_z) - 1) * prior.weight
-                slopes = self._slopes(v, excess, (squares, spent))
-            if sloped and isinstance(white, Whitening):
-                turned = table @ turn(root, theta - mean)
-                slopes += by_parameter(self.problem, v, white.slopes(turned)[0])
-            return _Given(total, mean, root, squares, spent, slopes)
+            spent = z.size - float(prior.weight @ np.sum(inverse**2, axis=1))
+            mean = theta + offset + prior.sd * step
+            return _Given(mean, prior.sd[:, None] * inverse, squares, spent)
 
         return given
 
-    def fit_scales(self, theta: np.ndarray, v: np.ndarray) -> np.ndarray:
-        """v with its scales where the restricted likelihood, times the prior of the spreads, is greatest."""
-        if not self.scales:
+    def fit_noise(self, theta: np.ndarray, v: np.ndarray) -> np.ndarray:
+        """v with the one standard deviation of independent noise: squares over the degrees of freedom left.
+
+        θ is integrated out (restricted likelihood: H. Patterson and R. Thompson, Biometrika 58 (1971) 545).
+        """
+        if self.noise_place is None:
             return v
-        given, problem = self.conditional(theta, v), self.problem
-        if self.density.even and [problem.kinds[i] for i in self.scales] == ["noise"]:
-            return self._noise(given, v)
-        from scipy import optimize  # a quarter of a second that other methods do without
-
-        # Restricted likelihood: θ is integrated out, so that σ² is divided by the degrees of freedom that are left
-        # (H. Patterson and R. Thompson, Biometrika 58 (1971) 545). A minimiser on values stops where these have no
-        # digits; a root of the slopes goes on.
-        hypers = [(i, problem.hypers[i]) for i in self.scales]
-        # The priors of the noise's own positive parameters do not count.
-        priors = [i for i, h in hypers if h.kind != "noise" or isinstance(h.prior, Normal)]
-        if not math.isfinite(given(v).log_marginal):
-            return v
-
-        def value(scales: np.ndarray) -> tuple[float, np.ndarray]:
-            """Minus the log density, and its slopes."""
-            there = _put(scales, self.scales, v)
-            found = given(there, sloped=True)
-            slopes = found.slopes[self.scales]
-            counts = np.isin(self.scales, priors)
-            slopes += counts * problem.log_prior_slope(there)[self.scales]
-            own = sum(float(problem.hypers[i].prior.log_density(there[i])) for i in priors)
-            return -found.log_marginal - own, -slopes
-
-        def slope(scales: np.ndarray) -> np.ndarray:
-            return value(scales)[1]
-
-        best = v[self.scales]
-        if np.max(np.abs(slope(best))) > 1e-3:
-            found = optimize.minimize(value, best, jac=True)
-            best = found.x if found.fun <= value(best)[0] else best
-        sharper = optimize.root(slope, best, jac=partial(differences, slope, step=SHIFT)).x
-        best = min(best, sharper, key=lambda v: np.linalg.norm(slope(v)))
-        # Where one of them is best at zero, nothing but its logarithm would go on for ever.
-        bounded = [isinstance(h.prior, LogUniform) for _, h in hypers]
-        low = np.where(bounded, -EDGE_COORDINATE, ABSENT)
-        high = np.where(bounded, EDGE_COORDINATE, LARGEST_COORDINATE)
-        return _put(np.clip(best, low, high), self.scales, v)
-
-    def _slopes(
-        self, v: np.ndarray, excess: np.ndarray, spent: tuple[float, float]
-    ) -> Float[np.ndarray, "d"]:
-        """By the spreads' coordinates, and by that of one white standard deviation for all readings."""
-        problem, found = self.problem, np.zeros(len(v))
-        for i, log_sd in problem.log_sd_slopes(v, problem.hyper(v)):
-            found[i] = excess[: problem.size] @ log_sd
-        if self.density.even:
-            left = sum(spent) - problem.record.size
-            for i in problem.layout.positions("noise"):
-                found[i] = 0.5 * left * problem.log_variance_slope(v, i)
-        return found
-
-    def _noise(self, given: Callable[[np.ndarray], _Given], v: np.ndarray) -> np.ndarray:
-        """The one standard deviation of independent noise: squares over the degrees of freedom left."""
-        (place,), y = self.scales, self.problem.record.y
+        given, place, y = self.conditional(theta, v), self.noise_place, self.problem.record.y
         least = (np.finfo(float).eps * float(np.max(np.abs(y)))) ** 2  # what the digits can tell
         # Its maximum is σ² = squares/(n − spent); priors make `spent` follow σ, hence the rounds.
         for _ in range(100):

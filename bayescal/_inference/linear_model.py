@@ -14,6 +14,7 @@ from bayescal._data.measurements import Measurements
 from bayescal._inference.density import Density
 from bayescal._inference.gaussian import column_scale
 from bayescal._inference.laplace import Mode, flat_scales
+from bayescal._inference.noise_nodes import InFrequency
 from bayescal._inference.noise_on_record import (
     Independent,
     Whitening,
@@ -81,6 +82,14 @@ class LinearModel:
     def at_rest(self) -> Record:
         """What is left of the readings, as the output of a channel at rest: what noise laws are tried on."""
         return self.problem.record.of_noise(self.residual)
+
+    def decorrelate(self, columns: Float[np.ndarray, "n k"]) -> Float[np.ndarray, "n k"]:
+        """Return columns whitened and turned by a matrix that is the same for all: for products, not row by row."""
+        problem = self.problem
+        nodes = None if problem.noisy else problem.record.nodes(problem.noise)
+        if isinstance(nodes, InFrequency):
+            return nodes.whitened(problem.noise, problem.hyper(self.mode.v), columns)
+        return self.whiten(columns)
 
     @cached_property
     def white_residual(self) -> Float[np.ndarray, "n"]:
@@ -258,7 +267,7 @@ def linear_model(problem: Problem, mode: Mode) -> LinearModel:
     # Where x stands in units of its prior: a prior of no width has its coefficient at the mean.
     z = np.where(prior.sd > 0, (x - prior.mean) / np.where(prior.sd > 0, prior.sd, 1.0), 0.0)
     own = [t.known.of for t in problem.in_x for _ in range(t.at.start, t.at.stop)]
-    extra = density.extra(line)
+    extra = problem.extra(line)
     return LinearModel(
         problem=problem,
         mode=mode,

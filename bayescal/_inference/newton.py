@@ -1,7 +1,8 @@
-"""Mode, Laplace evidence and weighted draws of a log density of few coordinates, of which many cost little at once.
+"""The mode of a log density of few coordinates by Newton's method, and the Gaussian fit there.
 
-Slopes and curvatures are central differences, in coordinates in which the density is about standard normal: so a step
-is right whether the readings know a coordinate to a tenth or to a billionth.
+Coordinates are about standard normal a priori. Where gradient and curvature have no closed form they are differences
+(`ByValues`), with steps of a twentieth of what the density itself allows: right whether the readings know a coordinate
+to a tenth or to a billionth.
 """
 
 from __future__ import annotations
@@ -9,29 +10,48 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Callable
-from typing import NamedTuple
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
-from jaxtyping import Float
-from scipy.special import logsumexp
+from jaxtyping import Bool, Float
 
-from bayescal._core.importance_weights import smoothed
 from bayescal._inference.gaussian import LOG_2PI
-from bayescal._inference.laplace import Mode
-from bayescal._inference.sampling import adapted, propose
 
 FIRST_DIFFERENCE = 0.02  # of a coordinate over its scale,
-DIFFERENCE = 0.1  # and of one that is about standard normal
-LEAST_CURVATURE = 0.05  # in scaled coordinates, that counts as one
-LONGEST_STEP = 1.5  # of a scaled coordinate
-STEP_SHARES = np.array([1.0, 2.0, 0.5, 0.2, 0.05])  # of a Newton step that are tried
-ITERATIONS = 40  # at most; five are usual
-CONVERGED_NATS = 1e-4  # that a Newton step would gain, below which the mode is found
-ROUNDS = 4  # of proposals that are adapted, at most
+DIFFERENCE = 0.05  # and of one in which the density is about standard normal
+LEAST_CURVATURE = 0.05  # that counts as one
+LONGEST_STEP = 1.5  # in prior standard deviations
+STEPS, SHORTENINGS, SHORTER = (
+    100,
+    8,
+    0.3,
+)  # uphill at most; of a step that leads down, by how much each
+AS_PROMISED = 0.5, 2.0  # of what a parabola gains on a step
+CONVERGED_NATS = 1e-7  # that a step would gain, below which the mode is found,
+ROUGHLY = 0.01  # and where nothing hangs on it
+# Of a direction's squared length beside spreads, up to which it is one of spreads.
+SPREAD_SHARE = 0.1
 
 Values = Callable[
     [Float[np.ndarray, "s d"]], Float[np.ndarray, "s"]
 ]  # log density of several points
+
+
+class Climbable(Protocol):
+    """A log density with gradient and curvature; `scale` is of its coordinates."""
+
+    scale: Any
+
+    def value(self, v: Float[np.ndarray, "d"]) -> float: ...
+    def evaluate(self, v: Float[np.ndarray, "d"], exact: bool = False) -> Any: ...
+
+
+class Slopes(NamedTuple):
+    """A log density at a point, its gradient, and its negative curvature."""
+
+    log_density: float
+    gradient: Float[np.ndarray, "d"]
+    curvature: Float[np.ndarray, "d d"]
 
 
 class GaussianFit(NamedTuple):
@@ -39,89 +59,175 @@ class GaussianFit(NamedTuple):
 
     Attributes:
         v: the mode (d,).
-        root: L of the inverse Hessian L·Lᵀ (d, d).
+        covariance: inverse curvature (d, d).
         log_density: at the mode.
         log_evidence: by Laplace's approximation.
+        indefinite: whether the curvature had to be mended.
     """
 
     v: Float[np.ndarray, "d"]
-    root: Float[np.ndarray, "d d"]
+    covariance: Float[np.ndarray, "d d"]
     log_density: float
     log_evidence: float
+    indefinite: bool
 
 
-def climb(values: Values, v: Float[np.ndarray, "d"], scale: Float[np.ndarray, "d"]) -> GaussianFit:
-    """Return the mode by Newton's method with a line search.
+def climb(
+    density: Climbable, v: Float[np.ndarray, "d"], wanted_from: float = -math.inf
+) -> Float[np.ndarray, "d"]:
+    """Return the mode uphill from v.
+
+    Directions that the density bends up along are gone the other way, those that it hardly bends along as if it did
+    (J. Nocedal and S. Wright, Numerical Optimization, 2006, §3.4).
 
     Args:
-        values: log density.
+        density: which.
         v: where to begin.
-        scale: of each coordinate, in which its prior is about standard normal or wider.
+        wanted_from: log density, below which a mode found to a hundredth of a nat will do.
     """
-    root, difference, value = np.eye(len(v)), FIRST_DIFFERENCE, float(values(v[None])[0])
-    for _ in range(ITERATIONS):
-        slope, hessian = _differences(values, v, value, scale[:, None] * root * difference)
-        inverse = np.linalg.inv(root) / difference
-        slope, hessian = inverse.T @ slope, inverse.T @ hessian @ inverse
-        if not np.all(np.isfinite(hessian)):
+    scale, doubtful = np.broadcast_to(density.scale, v.shape), False
+    for _ in range(STEPS if len(v) else 0):
+        if (here := density.evaluate(v, exact=doubtful)) is None:
             break
-        weights, vectors = np.linalg.eigh(hessian)
-        root = vectors / np.sqrt(np.maximum(weights, LEAST_CURVATURE))
-        step = root @ (root.T @ slope)
-        converged = difference == DIFFERENCE and 0.5 * float(slope @ step) < CONVERGED_NATS
-        step *= min(1.0, LONGEST_STEP / max(float(np.max(np.abs(step))), 1e-300))
-        tries = v + STEP_SHARES[:, None] * step * scale
-        found = values(tries)
-        best, difference = int(np.argmax(found)), DIFFERENCE
-        if found[best] > value:
-            v, value = tries[best], float(found[best])
-        elif converged or float(slope @ step) < CONVERGED_NATS:
-            converged = True
-        if converged:
+        bend, vectors = np.linalg.eigh(scale[:, None] * here.curvature * scale)
+        slope = scale * here.gradient
+        step = vectors @ (vectors.T @ slope / np.maximum(np.abs(bend), LEAST_CURVATURE))
+        gain = float(step @ slope)
+        if 0.5 * gain < (CONVERGED_NATS if here.log_density > wanted_from else ROUGHLY):
             break
-    root = scale[:, None] * root
-    volume = 0.5 * len(v) * LOG_2PI + float(np.linalg.slogdet(root)[1])
-    return GaussianFit(v, root, value, value + volume)
+        share = min(1.0, LONGEST_STEP / float(np.max(np.abs(step))))
+        for _ in range(SHORTENINGS):
+            further = v + share * scale * step
+            gained = density.value(further) - here.log_density
+            # Sufficient increase: some of what the slope promised (same, eq. 3.4).
+            if gained >= 1e-4 * share * gain:
+                break
+            share *= SHORTER
+        else:
+            if doubtful:
+                break
+            doubtful = True
+            continue
+        # Far from what a parabola gains, or on no hill: a curvature that is carried on would not be right.
+        low, high = AS_PROMISED
+        doubtful = bend[0] < 0 or not low < gained / (share * (1 - 0.5 * share) * gain) < high
+        v = further
+    return v
 
 
-def _differences(
-    values: Values, v: Float[np.ndarray, "d"], value: float, steps: Float[np.ndarray, "d d"]
-) -> tuple[Float[np.ndarray, "d"], Float[np.ndarray, "d d"]]:
-    """Return slopes of a log density along steps, its columns, and its negative curvatures."""
-    dim = len(v)
-    pairs = list(itertools.combinations(range(dim), 2))
-    first, second = (list(p) for p in zip(*pairs, strict=True)) if pairs else ([], [])
-    moves = np.concatenate([steps.T, steps.T[first] + steps.T[second]])
-    up, down = values(np.concatenate([v + moves, v - moves])).reshape(2, -1)
-    bends = 2 * value - up - down
-    hessian = np.diag(bends[:dim])
-    hessian[first, second] = 0.5 * (bends[dim:] - bends[first] - bends[second])
-    return 0.5 * (up - down)[:dim], hessian + np.triu(hessian, 1).T
+def gaussian_fit(
+    density: Climbable, v: Float[np.ndarray, "d"], spreads: Bool[np.ndarray, "d"] | bool = False
+) -> GaussianFit:
+    """Return the Gaussian fit at a mode.
+
+    Where the curvature had to be mended along `spreads` alone, which lie flat on the way to zero, it does not count.
+    Source: L. Tierney and J. Kadane, JASA 81 (1986) 82 (Laplace).
+    """
+    found = density.evaluate(v, exact=True)
+    if found is None:  # a step away the density is nowhere: no hill that a Gaussian describes
+        return GaussianFit(v, np.full((len(v), len(v)), np.nan), density.value(v), -math.inf, True)
+    scale = np.broadcast_to(density.scale, v.shape)
+    weights, vectors = np.linalg.eigh(scale[:, None] * found.curvature * scale)
+    # Less than a twentieth is no hill but the flank of one, such as a spread's way to zero: mended, its proposals stay
+    # finite.
+    mended = np.maximum(weights, LEAST_CURVATURE)
+    covariance = (vectors / mended) @ vectors.T * np.outer(scale, scale)
+    volume = 0.5 * len(v) * LOG_2PI - 0.5 * float(np.sum(np.log(mended / scale**2)))
+    share = np.sum(vectors[~np.broadcast_to(spreads, len(v))] ** 2, axis=0)
+    indefinite = bool(np.any((weights < LEAST_CURVATURE) & (share > SPREAD_SHARE)))
+    covariance, value = 0.5 * (covariance + covariance.T), found.log_density
+    return GaussianFit(v, covariance, value, value + volume, indefinite)
 
 
-def importance_draws(
-    values: Values, fit: GaussianFit, seed: int, count: int
-) -> tuple[Float[np.ndarray, "s d"], Float[np.ndarray, "s"], float]:
-    """Return draws (s, d), their smoothed weights, summing to one, and the log evidence.
+class ByValues:
+    """Slopes and curvature of a log density by central differences.
 
-    Proposals are adapted in the coordinates of the Gaussian fit.
+    Of a point that is asked for by a climb the curvature is carried on from the one before it, by what the gradient
+    changed on the way (BFGS: J. Nocedal and S. Wright, Numerical Optimization, 2006, eq. 6.19).
 
     Args:
-        values: log density.
-        fit: at its mode.
-        seed: of every random number.
-        count: of draws.
+        values: log density of several points.
+        scale: of each coordinate, in which its prior is about standard normal or wider.
+        like: of a density that is much alike, whose curvature is carried on.
     """
-    dim, random = len(fit.v), np.random.default_rng(seed)
-    origin, identity = np.zeros(dim), np.eye(dim)
-    mode = Mode(origin[:0], origin, identity, fit.log_density, 0.0, 0.0, origin[:0], False)
 
-    def centred(u: Float[np.ndarray, "s d"]) -> Float[np.ndarray, "s"]:
-        return values(fit.v + u @ fit.root.T)
+    def __init__(
+        self,
+        values: Values,
+        scale: Float[np.ndarray, "d"] | float = 1.0,
+        like: ByValues | None = None,
+    ) -> None:
+        self.values, self.scale = values, scale
+        self._last: tuple[np.ndarray, Slopes] | None = None if like is None else like._last
+        self._own = False  # whether this is of the density itself
+        self._exact = False  # whether its curvature is by differences
 
-    mixture = adapted(mode, centred, None, random, count // 2, ROUNDS, math.inf)
-    u, log_proposal = propose(mixture, None, random, count)
-    log_weight = centred(u) - log_proposal
-    evidence = float(np.asarray(logsumexp(log_weight))) - math.log(count)
-    evidence += float(np.linalg.slogdet(fit.root)[1])
-    return fit.v + u @ fit.root.T, smoothed(log_weight)[0], evidence
+    def value(self, v: Float[np.ndarray, "d"]) -> float:
+        return float(self.values(v[None])[0])
+
+    def evaluate(self, v: Float[np.ndarray, "d"], exact: bool = False) -> Slopes | None:
+        """Return value, gradient and curvature; the latest are kept. None where the density is nowhere."""
+        last = self._last
+        known = self._own and (self._exact or not exact)
+        if last is not None and known and np.array_equal(last[0], v):
+            return last[1]
+        exact = exact or last is None
+        steps = FIRST_DIFFERENCE * np.diag(self._scales(v))
+        found = self._differences(v, steps if last is None else self._steps(last[1]), exact)
+        if last is not None and found is not None and not exact:
+            found = found._replace(curvature=_carried(*last, v, found.gradient, self._own))
+        if found is not None:
+            self._last, self._own, self._exact = (v.copy(), found), True, exact
+        return found
+
+    def _scales(self, v: Float[np.ndarray, "d"]) -> Float[np.ndarray, "d"]:
+        return np.broadcast_to(self.scale, v.shape)
+
+    def _steps(self, there: Slopes) -> Float[np.ndarray, "d d"]:
+        """Return steps, its columns, along which the density falls alike."""
+        scale = self._scales(there.gradient)
+        weights, vectors = np.linalg.eigh(scale[:, None] * there.curvature * scale)
+        return DIFFERENCE * scale[:, None] * vectors / np.sqrt(np.maximum(weights, LEAST_CURVATURE))
+
+    def _differences(
+        self, v: Float[np.ndarray, "d"], steps: Float[np.ndarray, "d d"], curved: bool
+    ) -> Slopes | None:
+        dim, value = len(v), self.value(v)
+        for _ in range(SHORTENINGS):
+            up, down = self.values(np.concatenate([v + steps.T, v - steps.T])).reshape(2, dim)
+            bends = 2 * value - up - down
+            if not np.max(np.abs([value, *up, *down])) < 1e200:
+                return None
+            # In place of a step that was long against what the density allows, one that is right.
+            if not np.any(long := bends > 4 * DIFFERENCE**2):
+                break
+            steps = steps * np.where(long, DIFFERENCE / np.sqrt(np.where(long, bends, 1.0)), 1.0)
+        hessian, pairs = np.diag(bends), [*itertools.combinations(range(dim), 2)]
+        if curved and pairs:
+            i, j = np.transpose(pairs)
+            both = steps.T[i] + steps.T[j]
+            ends = self.values(np.concatenate([v + both, v - both])).reshape(2, -1)
+            hessian[i, j] = hessian[j, i] = 0.5 * (
+                2 * value - ends.sum(axis=0) - bends[i] - bends[j]
+            )
+        inverse = np.linalg.inv(steps)
+        curvature = inverse.T @ hessian @ inverse
+        if not np.all(np.isfinite(curvature)):
+            return None
+        gradient = inverse.T @ (0.5 * (up - down))
+        return Slopes(value, gradient, 0.5 * (curvature + curvature.T))
+
+
+def _carried(
+    before: Float[np.ndarray, "d"],
+    there: Slopes,
+    v: Float[np.ndarray, "d"],
+    gradient: Float[np.ndarray, "d"],
+    same: bool,
+) -> Float[np.ndarray, "d d"]:
+    """Return the curvature at v, by BFGS from that at a point before; as it is where that is of another density."""
+    step, bent, lost = v - before, there.curvature @ (v - before), there.gradient - gradient
+    along, by = float(step @ lost), float(step @ bent)
+    if not same or not along > 1e-12 or not by > 1e-12:
+        return there.curvature
+    return there.curvature + np.outer(lost, lost) / along - np.outer(bent, bent) / by

@@ -1,140 +1,353 @@
-"""Products of evenly spaced runs at nodes of frequency: the likelihood of every stationary law without its readings.
+"""Products of columns at nodes of one variable, from which they follow at every setting of a noise law.
 
-After a cosine transform of each run a covariance is Σ(θ) = D(θ) − U·M·Uᵀ (`noise_spectrum`), D a smooth function of
-λ = 2 − 2·cos(πk/n). With ℓ_c Lagrange's polynomials at nodes λ_c, 1/D(λ) = Σ_c ℓ_c(λ)/D(λ_c), so that, made once,
+After an orthonormal transform of the columns a covariance is Σ(θ) = D(θ) − U·M·Uᵀ, D diagonal and a smooth function of
+one variable z of each row. With ℓ_c Lagrange's polynomials at nodes z_c, 1/D(z) = Σ_c ℓ_c(z)/D(z_c), so that
 
-    B_c = Σ_k ℓ_c(λ_k)·t_k·t_kᵀ,   n_c = Σ_k ℓ_c(λ_k),
+    B_c = Σ_rows ℓ_c(z)·t·tᵀ,
 
-give TᵀΣ(θ)⁻¹T = Σ_c B_c/D(λ_c) and log|Σ(θ)| = Σ_c n_c·log D(λ_c), both with the ends of runs, for every θ. A level of
-each run under a flat prior is an infinite D at k = 0, which is left out: this is the restricted likelihood.
+give TᵀΣ(θ)⁻¹T = Σ_c B_c/D(z_c) and log|Σ(θ)| = Σ_c n_c·log D(z_c), both with the ends of runs, for every θ.
 
-D has singular points near λ = 0 (a random walk), λ = 4 (averages of neighbours) and narrow lines. Around each of them
-single frequencies are nodes, then Chebyshev's points in the logarithm of the distance, to a half decade.
+| noise | variable | transform |
+|---|---|---|
+| one variance | one node | none |
+| scatter along a column | the column's place, 25 nodes | none |
+| stationary, even steps | λ = 2 − 2·cos(πk/n), about 76 nodes | cosine transform of each run |
+
+Weights at the nodes are right to 2e-8, with Matérn's process to 4e-6.
 """
 
 from __future__ import annotations
 
 import itertools
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 from scipy.fft import dct
+from scipy.linalg import block_diag
 
-from bayescal._inference.chebyshev import lagrange, points
-from bayescal._model.noise_law import WHITE
+from bayescal._data.time_in_runs import EVEN_STEPS
+from bayescal._inference.chebyshev import nodes_and_shares
+from bayescal._model.noise_law import WHITE, Noise
 from bayescal._model.noise_spectrum import eigenvalues, end_transform
-from bayescal._model.summed_noise import SumOfTerms
 
-SINGLE_FREQUENCIES = 16  # on either side of a singular point, each a node of its own
-SEGMENT_RATIO = (
-    10**0.5
-)  # of distances from a singular point from end to end of a segment of the others,
+SINGLE_FREQUENCIES = 16  # the lowest of a run, each a node of its own
+SEGMENT_RATIO = 10.0  # of λ from end to end of a segment of the others,
+FINE_RATIO = 10**0.5  # the same about all singular points, of distances from them,
 SEGMENT_NODES = 12  # which has so many nodes
 CHUNK_NUMBERS = 2_000_000  # of what is computed at once for several settings
 SIGNS = (1, -1)  # of the two combinations of a run's ends
+COLUMN_NODES = 25  # along a column that the scatter follows
+
+Columns = Float[np.ndarray, "n k"]
+Values = Mapping[str, Any]  # parameters of a law by name: a number, or (s,) of several settings
 
 
-class EqualRuns(NamedTuple):
-    """Runs of one length.
+class Weights(NamedTuple):
+    """A law at s settings.
 
     Attributes:
-        length, count: readings in each; how many runs.
-        nodes: their place among all nodes.
-        end_squares: of the transform of e± at the nodes (2, i).
-        ends: products of e± with the columns of each run (2, u, i, r).
+        inverse: 1/D at the nodes (s, j).
+        log_det: log|Σ| (s,).
+        ends: 1/D times the end functions at the nodes of each length of run, by (length, sign) (s, q, j').
+        inner: (I − M·Z)⁻¹·M, by (length, sign) (s, q, q).
     """
 
-    length: int
-    count: int
-    nodes: slice
-    end_squares: Float[np.ndarray, "2 i"]
-    ends: Float[np.ndarray, "2 u i r"]
+    inverse: Float[np.ndarray, "s j"]
+    log_det: Float[np.ndarray, "s"]
+    ends: dict[tuple[int, int], Float[np.ndarray, "s q i"]]
+    inner: dict[tuple[int, int], Float[np.ndarray, "s q q"]]
 
 
-class EvenSpectrum:
-    """Columns of runs of even steps, as products at nodes of frequency.
+class OneNode:
+    """Independent noise of one variance."""
+
+    count = 1
+
+    def __init__(self, size: int) -> None:
+        self.size = size
+
+    def transform(self, columns: Columns) -> list[Columns]:
+        """Return the columns as products are made of them, one array for each run."""
+        return [columns]
+
+    def products(self, a: list[Columns], b: list[Columns]) -> Float[np.ndarray, "j ka kb"]:
+        """Return products of transformed columns at the nodes."""
+        return (a[0].T @ b[0])[None]
+
+    def end_products(self, a: list[Columns]) -> dict[tuple[int, int], Float[np.ndarray, "r i k"]]:
+        """Return products of transformed columns with the ends of each run, by (length, sign)."""
+        return {}
+
+    def weights(self, law: Noise, values: Values) -> Weights:
+        """Return the law at some settings of its parameters."""
+        variance = np.asarray(law.shared_variance(values), float).reshape(-1, 1)
+        return Weights(1 / variance, self.size * np.log(variance[:, 0]), {}, {})
+
+
+class AlongColumn(OneNode):
+    """Independent noise whose variance is a smooth function of a place z (`Noise.variance_place`)."""
+
+    count = COLUMN_NODES
+
+    def __init__(self, z: Float[np.ndarray, "n"]) -> None:
+        super().__init__(len(z))
+        low, high = float(np.min(z)), float(np.max(z))
+        high = high if high > low else low + 1.0
+        self.nodes, self.share = nodes_and_shares(low, high, COLUMN_NODES, z)
+        self.rows = self.share.sum(axis=0)
+
+    def products(self, a, b):
+        wide = (self.share.T[:, :, None] * a[0]).transpose(0, 2, 1).reshape(-1, self.size)
+        return (wide @ b[0]).reshape(self.count, a[0].shape[1], b[0].shape[1])
+
+    def weights(self, law, values):
+        own = {name: np.reshape(np.asarray(v, float), (-1, 1)) for name, v in values.items()}
+        variance = law.variance_along(own, self.nodes)
+        return Weights(1 / variance, np.log(variance) @ self.rows, {}, {})
+
+
+class Segment(NamedTuple):
+    """A stretch of a run's frequencies.
 
     Attributes:
+        rows: which.
+        places: of its nodes, in frequencies (c,).
+        share: Lagrange's polynomials of the nodes at the frequencies (rows, c).
+    """
+
+    rows: slice
+    places: Float[np.ndarray, "c"]
+    share: Float[np.ndarray, "k c"]
+
+
+class InFrequency(OneNode):
+    """Stationary noise within runs of even steps, of any lengths.
+
+    Attributes:
+        runs: rows of each run, in the order of time.
         step: between readings, s.
-        lam: λ of each node (j,).
+        lam: λ of each node (j,); those of runs of one length stand together.
     """
 
     def __init__(
-        self, runs: Sequence[Float[np.ndarray, "n r"]], step: float, lines: Sequence[float] = ()
+        self,
+        runs: Sequence[Int[np.ndarray, "r"]],
+        step: float,
+        segments: Callable[[int], Iterator[Segment]] | None = None,
     ) -> None:
-        """Transform the runs.
-
-        Args:
-            runs: columns of each; the last column is the output, others are taken out under a flat prior.
-            step: between readings, s.
-            lines: frequencies of narrow lines, Hz.
+        """Args:
+        runs: rows of each run, in the order of time.
+        step: between readings, s.
+        segments: of a run's frequencies, by its length; the usual ones if not given.
         """
-        self.step, self.groups = step, list[EqualRuns]()
-        lam, rows, products = [], [], []
-        self.width = runs[0].shape[1]
-        for n in sorted({len(run) for run in runs}):
-            own = np.stack([np.asarray(dct(r, axis=0, norm="ortho")) for r in runs if len(r) == n])
-            e = np.stack([end_transform(n, sign) for sign in SIGNS])
-            squares, ends, first = [], [], sum(map(len, lam))
-            for part, places, share in _segments(n, [2 * f * step * n for f in lines]):
-                t = own[:, part]
-                lam.append(eigenvalues(n, places))
-                rows.append(len(own) * share.sum(axis=0))
-                pairs = np.einsum("ukr,uks->krs", t, t).reshape(t.shape[1], -1)
-                products.append(share.T @ pairs)
-                squares.append(e[:, part] ** 2 @ share)
-                ends.append(np.einsum("kc,ek,ukr->eucr", share, e[:, part], t, optimize=True))
-            here = slice(first, sum(map(len, lam)))
-            made = np.concatenate(squares, axis=1), np.concatenate(ends, axis=2)
-            self.groups.append(EqualRuns(n, len(own), here, *made))
-        self.lam, self.rows = np.concatenate(lam), np.concatenate(rows)
-        self._products = np.concatenate(products)
+        super().__init__(sum(map(len, runs)))
+        self.runs, self.step = list(runs), step
+        lengths = [len(run) for run in runs]
+        self.times = {n: lengths.count(n) for n in sorted(set(lengths))}
+        self.segments, self.at, lam = dict[int, list[Segment]](), dict[int, slice](), []
+        for n in self.times:
+            first = sum(map(len, lam))
+            self.segments[n] = [*(segments or _segments)(n)]
+            lam += [eigenvalues(n, s.places) for s in self.segments[n]]
+            self.at[n] = slice(first, sum(map(len, lam)))
+        self.lam = np.concatenate(lam)
+        self.count = len(self.lam)
+        self.rows = np.zeros(self.count)
+        self.end_squares = {}
+        for n, times in self.times.items():
+            self.rows[self.at[n]] = times * self._onto_nodes(n, np.ones((n, 1)))[:, 0]
+            for sign in SIGNS:
+                squares = end_transform(n, sign)[:, None] ** 2
+                self.end_squares[n, sign] = self._onto_nodes(n, squares)[:, 0]
 
-    def log_likelihood(self, law: SumOfTerms, values: Mapping[str, Any]) -> Float[np.ndarray, "s"]:
-        """Return the restricted log likelihood of a law at s settings, but for a constant.
+    def _onto_nodes(self, n: int, values: Columns) -> Float[np.ndarray, "i k"]:
+        """Return Σ_rows ℓ_c·values at the nodes of a run of n readings."""
+        return np.concatenate([s.share.T @ values[s.rows] for s in self.segments[n]])
 
-        Args:
-            law: stationary.
-            values: its parameters by name (s,).
-        """
+    def transform(self, columns):
+        return [np.asfortranarray(dct(columns[r], axis=0, norm="ortho")) for r in self.runs]
+
+    def products(self, a, b):
+        found = np.zeros((self.count, a[0].shape[1], b[0].shape[1]))
+        for run, left, right in zip(self.runs, a, b, strict=True):
+            node = self.at[len(run)].start
+            for rows, places, share in self.segments[len(run)]:
+                nodes, node = range(node, node + len(places)), node + len(places)
+                if share.shape[0] == share.shape[1]:  # each frequency is a node
+                    found[nodes.start : nodes.stop] += left[rows, :, None] * right[rows, None]
+                    continue
+                count = max(1, CHUNK_NUMBERS // left[rows].size)  # nodes side by side
+                for c in range(0, len(nodes), count):
+                    some = share[:, c : c + count].T
+                    wide = (some[:, None] * left[rows].T).reshape(-1, len(share))
+                    at = slice(nodes[c], nodes[c] + len(some))
+                    found[at] += (wide @ right[rows]).reshape(len(some), left.shape[1], -1)
+        return found
+
+    def end_products(self, a):
+        found = {}
+        for n, sign in self.end_squares:
+            end = end_transform(n, sign)[:, None]
+            own = [t for run, t in zip(self.runs, a, strict=True) if len(run) == n]
+            found[n, sign] = np.array([self._onto_nodes(n, end * t) for t in own])
+        return found
+
+    def weights(self, law, values):
         own = {name: np.reshape(np.asarray(v, float), (-1, 1)) for name, v in values.items()}
-        count = len(own[WHITE])
-        each = max(1, CHUNK_NUMBERS // (12 * len(self.lam)))
-        chunks = [slice(at, at + each) for at in range(0, count, each)]
-        with np.errstate(all="ignore"):
-            found = [self._of_chunk(law, {n: v[c] for n, v in own.items()}) for c in chunks]
-        return np.concatenate(found)
-
-    def _of_chunk(
-        self, law: SumOfTerms, values: Mapping[str, np.ndarray]
-    ) -> Float[np.ndarray, "s"]:
-        terms = law.spectrum(values, self.step, self.lam)
-        diagonal = values[WHITE] ** 2 + sum((t.symbol for t in terms), np.zeros_like(self.lam))
+        terms = law.spectrum(own, self.step, self.lam)
+        diagonal = own[WHITE] ** 2 + sum((t.symbol for t in terms), np.zeros_like(self.lam))
         inverse, count = 1 / diagonal, len(diagonal)
         log_det = np.log(diagonal) @ self.rows
-        gram = (inverse @ self._products).reshape(count, self.width, self.width)
+        ends, inner = {}, {}
         functions = [np.broadcast_to(u, diagonal.shape) for t in terms for u in t.ends]
-        u = np.stack(functions, axis=1) if functions else np.zeros((count, 0, len(self.lam)))
+        if not functions:
+            return Weights(inverse, log_det, ends, inner)
+        u = np.stack(functions, axis=1)  # (s, q, j)
         whitened = u * inverse[:, None]
-        for group, (k, sign) in itertools.product(self.groups, enumerate(SIGNS) if terms else ()):
-            m = _block_diagonal([t.correction(group.length, sign) for t in terms], count)
-            here = whitened[:, :, group.nodes]
-            z = (here * group.end_squares[k]) @ u[:, :, group.nodes].transpose(0, 2, 1)
+        for (n, sign), squares in self.end_squares.items():
+            here = self.at[n]
+            m = _block_diagonal([t.correction(n, sign) for t in terms], count)
+            z = (whitened[:, :, here] * squares) @ u[:, :, here].transpose(0, 2, 1)
             core = np.eye(u.shape[1]) - m @ z
             positive, log_core = np.linalg.slogdet(core)
-            log_det = log_det + group.count * np.where(positive > 0, log_core, np.inf)
-            inner = np.linalg.solve(np.where(np.isfinite(core), core, np.eye(len(core[0]))), m)
-            at_ends = here[:, None] @ group.ends[k]  # (s, runs, q, r)
-            gram = gram + np.sum(at_ends.swapaxes(2, 3) @ (inner[:, None] @ at_ends), axis=1)
-        rss = gram[:, -1, -1]
-        if self.width > 1:
-            known, cross = gram[:, :-1, :-1], gram[:, :-1, -1:]
-            known = np.where(np.isfinite(known), known, np.eye(self.width - 1))
-            log_det = log_det + np.linalg.slogdet(known)[1]
-            rss = rss - (cross.swapaxes(1, 2) @ np.linalg.solve(known, cross))[:, 0, 0]
-        return -0.5 * (log_det + rss)
+            log_det = log_det + self.times[n] * np.where(positive > 0, log_core, np.inf)
+            core = np.where(np.isfinite(core), core, np.eye(len(core[0])))
+            inner[n, sign] = np.linalg.solve(core, m)
+            ends[n, sign] = whitened[:, :, here]
+        return Weights(inverse, log_det, ends, inner)
+
+    def whitened(self, law: Noise, values: Values, columns: Columns) -> Columns:
+        """Return Σ^(−½) times columns at one setting, in frequency, run after run: their products are whitened ones.
+
+        A run's Σ⁻¹ is E·(I + V·K·Vᵀ)·E with E = D^(−½); I + V·K·Vᵀ, of few columns V, has a root of the same form.
+        """
+        own = {name: np.reshape(np.asarray(v, float), (1, 1)) for name, v in values.items()}
+        weights, roots, found = self.weights(law, values), dict[int, Any](), []
+        for run in self.runs:
+            n = len(run)
+            if n not in roots:
+                terms = law.spectrum(own, self.step, eigenvalues(n, np.arange(n)))
+                scale = 1 / np.sqrt(own[WHITE] ** 2 + sum(t.symbol for t in terms))[0]
+                u = np.array([np.broadcast_to(e, (1, n))[0] for t in terms for e in t.ends])
+                ends = np.concatenate([scale * u * end_transform(n, sign) for sign in SIGNS])
+                base, r = np.linalg.qr(ends.T)
+                inner = block_diag(*(weights.inner[n, sign][0] for sign in SIGNS))
+                size, vectors = np.linalg.eigh(r @ inner @ r.T)
+                roots[n] = scale[:, None], base @ vectors, np.sqrt(1 + size)[:, None] - 1
+            scale, base, more = roots[n]
+            whitened = scale * dct(columns[run], axis=0, norm="ortho")
+            found.append(whitened + base @ (more * (base.T @ whitened)))
+        return np.concatenate(found)
+
+
+def in_frequency(order: Int[np.ndarray, "n"], step: Float[np.ndarray, "n"]) -> InFrequency | None:
+    """Return the nodes of stationary noise; None where steps are uneven or a run has fewer than 3 readings.
+
+    Args:
+        order: of the readings in time, run after run.
+        step: since the reading before, s; −1 at a run's first.
+    """
+    first, inside = np.flatnonzero(step < 0), step[step >= 0]
+    usual = float(np.median(inside)) if len(inside) else 0.0
+    runs = np.split(order, first[1:])
+    even = usual > 0 and np.max(np.abs(inside - usual)) <= EVEN_STEPS * usual
+    return InFrequency(runs, float(np.mean(inside))) if even and min(map(len, runs)) >= 3 else None
+
+
+class Products:
+    """Products of some columns at the nodes, and with the ends of runs: TᵀΣ⁻¹T at any setting.
+
+    Attributes:
+        at_nodes: (j, r, r).
+        ends: by (length, sign) (runs, j', r).
+    """
+
+    def __init__(
+        self,
+        at_nodes: Float[np.ndarray, "j r r"],
+        ends: Mapping[tuple[int, int], Float[np.ndarray, "u i r"]],
+    ) -> None:
+        self.width, self.ends = at_nodes.shape[1], ends
+        self._flat = np.ascontiguousarray(at_nodes).reshape(len(at_nodes), -1)
+
+    @classmethod
+    def of(cls, nodes: OneNode, columns: Columns) -> Products:
+        """Return the products of columns (n, r) with each other."""
+        transformed = nodes.transform(columns)
+        return cls(nodes.products(transformed, transformed), nodes.end_products(transformed))
+
+    def gram(self, weights: Weights, settings: slice = slice(None)) -> Float[np.ndarray, "s r r"]:
+        """Return TᵀΣ⁻¹T at some of the settings."""
+        found = (weights.inverse[settings] @ self._flat).reshape(-1, self.width, self.width)
+        for key, runs in self.ends.items():
+            inner = weights.inner[key][settings] if key in weights.inner else None
+            for run in runs if inner is not None else ():
+                at_ends = weights.ends[key][settings] @ run  # (s, q, r)
+                found += at_ends.transpose(0, 2, 1) @ (inner @ at_ends)
+        return found
+
+    def traces(self, weights: Weights, e: Float[np.ndarray, "r r"]) -> Float[np.ndarray, "s"]:
+        """Return tr(E·TᵀΣ⁻¹T) at all settings."""
+        found = weights.inverse @ (self._flat @ e.ravel())
+        for key, runs in self.ends.items():
+            for run in runs if key in weights.inner else ():
+                at_ends = weights.ends[key] @ run
+                found = found + np.einsum("sqr,sqr->s", weights.inner[key] @ at_ends, at_ends @ e)
+        return found
+
+
+def _segments(n: int) -> Iterator[Segment]:
+    """Cut the frequencies of a run into segments: the lowest alone, decades of the others."""
+    every, start = eigenvalues(n, np.arange(n)), 0
+    while start < n:
+        if start == 0:
+            stop = min(SINGLE_FREQUENCIES, n)
+        else:
+            stop = max(start + 1, int(np.searchsorted(every, every[start] * SEGMENT_RATIO)))
+            stop = n if stop > 0.8 * n else stop
+        rows, places = slice(start, stop), np.arange(start, stop)
+        if start == 0 or len(places) <= SEGMENT_NODES + 2:
+            yield Segment(rows, places, np.eye(len(places)))
+        else:
+            x = np.log(every[rows])
+            nodes, share = nodes_and_shares(x[0], x[-1], SEGMENT_NODES, x)
+            angle = np.arcsin(0.5 * np.exp(0.5 * nodes))
+            yield Segment(rows, 2 * n / np.pi * angle, share)
+        start = stop
+
+
+def _fine_segments(n: int, lines: Sequence[float]) -> Iterator[Segment]:
+    """Cut the frequencies 1 … n − 1 of a run into segments.
+
+    A spectrum has singular points near λ = 0 (a random walk), λ = 4 (averages of neighbours) and narrow lines. Around
+    each of them single frequencies are nodes, then Chebyshev's points in the logarithm of the distance.
+    """
+    singular = sorted({0, n, *(round(k) for k in lines if 0 < round(k) < n)})
+    graded = [0, *_graded(n)]
+    for low, high in itertools.pairwise(singular):
+        half = (high - low) // 2
+        for point, sign, reach in ((low, 1, half), (high, -1, high - low - half)):
+            cuts = [d for d in graded if d < reach] + [reach]
+            for near, far in itertools.pairwise(cuts):
+                begin, end = sorted((point + sign * near, point + sign * far))
+                begin = max(begin, 1)
+                places = np.arange(begin, end)
+                if near == 0 or len(places) <= SEGMENT_NODES + 2:
+                    yield Segment(slice(begin, end), places, np.eye(len(places)))
+                    continue
+                x = np.log(np.abs(places - point))
+                nodes, share = nodes_and_shares(x.min(), x.max(), SEGMENT_NODES, x)
+                yield Segment(slice(begin, end), point + sign * np.exp(nodes), share)
+
+
+def _graded(n: int) -> Iterator[int]:
+    """Yield distances from a singular point at which segments begin."""
+    distance: float = SINGLE_FREQUENCIES
+    while distance < n:
+        yield round(distance)
+        distance *= FINE_RATIO
 
 
 def _block_diagonal(parts: Sequence[Any], count: int) -> Float[np.ndarray, "s q q"]:
@@ -147,32 +360,55 @@ def _block_diagonal(parts: Sequence[Any], count: int) -> Float[np.ndarray, "s q 
     return found
 
 
-def _segments(
-    n: int, lines: Sequence[float]
-) -> Iterator[tuple[slice, Float[np.ndarray, "c"], Float[np.ndarray, "k c"]]]:
-    """Cut the frequencies 1 … n − 1 of a run into segments: which; places of nodes; Lagrange's polynomials there."""
-    singular = sorted({0, n, *(round(k) for k in lines if 0 < round(k) < n)})
-    graded = [0, *_graded(n)]
-    for low, high in itertools.pairwise(singular):
-        half = (high - low) // 2
-        for point, sign, length in ((low, 1, half), (high, -1, high - low - half)):
-            cuts = [d for d in graded if d < length] + [length]
-            for near, far in itertools.pairwise(cuts):
-                begin, end = sorted((point + sign * near, point + sign * far))
-                begin = max(begin, 1)
-                places = np.arange(begin, end)
-                if near == 0 or len(places) <= SEGMENT_NODES + 2:
-                    yield slice(begin, end), places, np.eye(len(places))
-                    continue
-                x = np.log(np.abs(places - point))
-                middle, reach = 0.5 * (x.min() + x.max()), 0.5 * np.ptp(x)
-                nodes = point + sign * np.exp(middle + reach * points(SEGMENT_NODES))
-                yield slice(begin, end), nodes, lagrange((x - middle) / reach, SEGMENT_NODES)
+class EvenSpectrum:
+    """Columns of runs of even steps, their levels and all columns but the last taken out under flat priors.
 
+    A level of each run is an infinite D at k = 0, which is left out: this is the restricted likelihood.
 
-def _graded(n: int) -> Iterator[int]:
-    """Yield distances from a singular point at which segments begin."""
-    distance: float = SINGLE_FREQUENCIES
-    while distance < n:
-        yield round(distance)
-        distance *= SEGMENT_RATIO
+    Attributes:
+        step: between readings, s.
+    """
+
+    def __init__(
+        self, runs: Sequence[Float[np.ndarray, "n r"]], step: float, lines: Sequence[float] = ()
+    ) -> None:
+        """Transform the runs.
+
+        Args:
+            runs: columns of each; the last column is the output.
+            step: between readings, s.
+            lines: frequencies of narrow lines, Hz.
+        """
+
+        def segments(n: int) -> Iterator[Segment]:
+            return _fine_segments(n, [2 * f * step * n for f in lines])
+
+        self.step, self._width = step, runs[0].shape[1]
+        rows = np.split(np.arange(sum(map(len, runs))), np.cumsum([*map(len, runs)])[:-1])
+        self._nodes = InFrequency(rows, step, segments)
+        self._products = Products.of(self._nodes, np.concatenate(runs))
+
+    def log_likelihood(self, law: Noise, values: Values) -> Float[np.ndarray, "s"]:
+        """Return the restricted log likelihood of a law at s settings, but for a constant.
+
+        Args:
+            law: stationary.
+            values: its parameters by name (s,).
+        """
+        own = {name: np.reshape(np.asarray(v, float), -1) for name, v in values.items()}
+        each = max(1, CHUNK_NUMBERS // (12 * self._nodes.count))
+        chunks = [slice(at, at + each) for at in range(0, len(own[WHITE]), each)]
+        with np.errstate(all="ignore"):
+            found = [self._of_chunk(law, {n: v[c] for n, v in own.items()}) for c in chunks]
+        return np.concatenate(found)
+
+    def _of_chunk(self, law: Noise, values: Values) -> Float[np.ndarray, "s"]:
+        weights = self._nodes.weights(law, values)
+        gram, log_det = self._products.gram(weights), weights.log_det
+        rss = gram[:, -1, -1]
+        if self._width > 1:
+            known, cross = gram[:, :-1, :-1], gram[:, :-1, -1:]
+            known = np.where(np.isfinite(known), known, np.eye(self._width - 1))
+            log_det = log_det + np.linalg.slogdet(known)[1]
+            rss = rss - (cross.swapaxes(1, 2) @ np.linalg.solve(known, cross))[:, 0, 0]
+        return -0.5 * (log_det + rss)

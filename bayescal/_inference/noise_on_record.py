@@ -7,7 +7,7 @@ and their share of a log determinant or density is left out.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from functools import partial
 from typing import Any, NamedTuple
 
@@ -27,7 +27,6 @@ WIDTH = 8  # columns that a table is padded to at least, else to twice as many, 
 CELLS = 2_000_000  # numbers in the tables of several draws that are held at once
 FEWEST_DRAWS_TOGETHER = 8  # draws that are worked out together where there are few
 KEYS_TOGETHER = 4096  # of draws, made by one program
-ABREAST = 4  # draws whose filters run in one loop: half the time of one after another; more leave the cache
 
 
 class Whitening(NamedTuple):
@@ -49,33 +48,10 @@ class Whitening(NamedTuple):
 
     def both(self, table: Float[np.ndarray, "n m"]) -> tuple[Float[np.ndarray, "n m"], float]:
         """L⁻¹ times a table, and log|Σ|."""
-        in_time, logdet = self._in_time(table)
-        return _back(self.law, self.record, in_time), logdet
-
-    def gram(self, table: Float[np.ndarray, "n m"]) -> tuple[Float[np.ndarray, "m m"], float]:
-        """TᵀΣ⁻¹T of a table, and log|Σ|."""
-        in_time, logdet = self._in_time(table)
-        return in_time.T @ in_time, logdet
-
-    def _in_time(self, table: Float[np.ndarray, "n m"]) -> tuple[np.ndarray, float]:
-        """`both`, the rows as the law takes them."""
         made, log_sd = _whitened(*self._arguments(table))
         n, m = table.shape
-        return np.asarray(made)[:n, :m], 2.0 * float(np.sum(np.asarray(log_sd)[:n]))
-
-    def slopes(
-        self, table: Float[np.ndarray, "n m"]
-    ) -> tuple[dict[str, float], Float[np.ndarray, "n m"]]:
-        """Of −½·(trace of TᵀΣ⁻¹T + log|Σ|) by each of the law's parameters, the table T held; and Σ⁻¹T."""
-        n, own = len(table), table
-        # Σᵢ|tᵢ|²/σᵢ² of independent readings hangs on the norms of the rows alone: a column of these stands for T.
-        if self.law.independent:
-            own = np.sqrt(np.einsum("ij,ij->i", table, table))[:, None]
-        made, by_table = _slopes(*self._arguments(own), np.float64(self.record.size))
-        pulled = -_back(self.law, self.record, np.asarray(by_table)[:n, : own.shape[1]])
-        if self.law.independent:
-            pulled = table * (pulled / np.where(own > 0, own, 1.0))
-        return {name: float(one) for name, one in made.items()}, pulled
+        white = _back(self.law, self.record, np.asarray(made)[:n, :m])
+        return white, 2.0 * float(np.sum(np.asarray(log_sd)[:n]))
 
     def _arguments(self, table: np.ndarray) -> tuple[Any, ...]:
         law, record = self.law, self.record
@@ -166,68 +142,11 @@ def _whitened(law: Noise, frame: Frame, table, extra, values):
     return law.whiten(table, extra, values, frame)
 
 
-@program
-def _slopes(law: Noise, frame: Frame, table, extra, values, size):
-    # Rows of zeros whiten to zero; only the log determinant of readings that pad a record must be left out.
-    counted = jnp.arange(frame.size) < size
-
-    def value(values, table):
-        white, log_sd = law.whiten(table, extra, values, frame)
-        return -0.5 * jnp.sum(white**2) - jnp.sum(jnp.where(counted, log_sd, 0.0))
-
-    return jax.grad(value, argnums=(0, 1))(values, table)
-
-
-@program
-def _grams(law: Noise, frame: Frame, tables, values):
-    def of(table, own):
-        white, log_sd = law.whiten(table, 0.0, own, frame)
-        return white.T @ white, log_sd
-
-    # A filter is a long loop of few operations: those of some draws are worked out in one, which costs little more.
-    if tables.shape[0] == 1:
-        return jax.lax.map(lambda own: of(tables[0], own), values, batch_size=ABREAST)
-    return jax.lax.map(lambda given: of(*given), (tables, values), batch_size=ABREAST)
-
-
-def grams(
-    law: Noise, record: Record, tables: Float[np.ndarray, "... n m"], hyper: Each, count: int
-) -> tuple[Float[np.ndarray, "b m m"], Float[np.ndarray, "b"]]:
-    """TᵀΣ⁻¹T and log|Σ| at each of several φ.
-
-    Args:
-        law: the noise law, Gaussian.
-        record: the readings.
-        tables: T, one for each φ, or one for all.
-        hyper: φ by name, one value a draw.
-        count: of draws.
-    """
-    n, m = record.size, tables.shape[-1]
-    found, volume = np.empty((count, m, m)), np.empty(count)
-    several = tables.ndim == 3 and len(tables) > 1
-    together = max(1, min(64, CELLS // (record.padded_size * (m + WIDTH))))
-    together = max(together // ABREAST * ABREAST, min(together, ABREAST - 1))
-    single = None if several else _padded(law, record, tables.reshape(n, m))
-    for start in range(0, count, together):
-        pick = np.minimum(start + np.arange(together), count - 1)
-        own = {name: np.asarray(hyper[name])[pick] for name in law.parameters()}
-        some = single[None] if single is not None else _stacked(law, record, tables[pick])
-        made, log_sd = _grams(*record.for_law(law), some, own)
-        stop = min(start + together, count)
-        found[start:stop] = np.asarray(made)[: stop - start, :m, :m]
-        volume[start:stop] = 2 * np.sum(np.asarray(log_sd)[: stop - start, :n], axis=1)
-    return found, volume
-
-
-def _stacked(law: Noise, record: Record, tables: Float[np.ndarray, "b n m"]) -> np.ndarray:
-    return np.stack([_padded(law, record, table) for table in tables])
-
-
 def _of_readings(
     what, law: Noise, values: Values, record: Record, extra: Any, *arrays: np.ndarray
 ) -> Any:
-    """What a program gives for each reading at one φ, without those that pad the record."""
-    own = {name: np.float64(values[name]) for name in law.parameters()}
+    """What a program gives for each reading, at one φ or at several, without those that pad the record."""
+    own = {name: np.asarray(values[name], float) for name in law.parameters()}
     made = what(*record.for_law(law), *map(record.longer, arrays), _longer(record, extra), own)
     return jax.tree.map(lambda a: np.asarray(a)[..., : record.size], made)
 
@@ -244,87 +163,68 @@ class Terms(NamedTuple):
     less, and negative for an outlier.
     """
 
-    log_density: Float[np.ndarray, "n"]
-    highest: Float[np.ndarray, "n"]  # log density where nothing is left of a reading
-    slope: Float[np.ndarray, "n"]  # −∂/∂left: what pulls the expected output toward the reading
-    curvature: Float[np.ndarray, "n"]
+    log_density: Float[np.ndarray, "*b n"]
+    highest: Float[np.ndarray, "*b n"]  # log density where nothing is left of a reading
+    slope: Float[np.ndarray, "*b n"]  # −∂/∂left: what pulls the expected output toward the reading
+    curvature: Float[np.ndarray, "*b n"]
 
     @property
-    def squares(self) -> float:
+    def squares(self) -> Any:
         """What stands for the sum of squares of whitened residuals: twice what the log density lost to them."""
-        return 2 * float(np.sum(self.highest - self.log_density))
+        return 2 * np.sum(self.highest - self.log_density, axis=-1)
 
     @property
-    def logdet(self) -> float:
+    def logdet(self) -> Any:
         """What stands for log|Σ|."""
-        return -2 * float(np.sum(self.highest)) - len(self.highest) * LOG_2PI
+        return -2 * np.sum(self.highest, axis=-1) - self.highest.shape[-1] * LOG_2PI
 
     def weight(self, left: Float[np.ndarray, "n"]) -> Float[np.ndarray, "n"]:
         """The precision of each reading; at no residual its limit, the curvature."""
-        near = np.abs(left) < 1e-12 * np.max(np.abs(left), initial=0.0)
+        near = np.abs(left) < 1e-12 * np.max(np.abs(left), axis=-1, keepdims=True, initial=0.0)
         made = np.where(near, self.curvature, self.slope / np.where(near, 1.0, left))
         return np.maximum(made, 0.0)
 
 
 @program
 def _terms(law: Noise, frame: Frame, y, left, extra, values):
-    def density(left):
-        return log_density_beside(law, y, y - left, extra, values, frame)
-
     # Readings are independent given the expected output: one derivative along a vector of ones holds each one's own.
     one = jnp.ones(frame.size)
 
-    def slope(left):
-        return jax.jvp(density, (left,), (one,))[1]
+    def of(left, extra, values):
+        def density(left):
+            return log_density_beside(law, y, y - left, extra, values, frame)
 
-    first, second = jax.jvp(slope, (left,), (one,))
-    return density(left), density(jnp.zeros(frame.size)), -first, -second
+        def slope(left):
+            return jax.jvp(density, (left,), (one,))[1]
+
+        first, second = jax.jvp(slope, (left,), (one,))
+        return density(left), density(jnp.zeros(frame.size)), -first, -second
+
+    return of(left, extra, values) if left.ndim == 1 else jax.vmap(of)(left, extra, values)
 
 
 def density_terms(
-    law: Noise, values: Values, record: Record, left: np.ndarray, extra: Any = 0.0
+    law: Noise, values: Values, record: Record, left: Float[np.ndarray, "*b n"], extra: Any = 0.0
 ) -> Terms:
-    """Of what the expected output leaves of the readings, independent of each other given it."""
-    return Terms(*_of_readings(_terms, law, values, record, extra, record.y, left))
+    """Of what the expected output leaves of the readings, independent of each other given it; at one φ or at several.
 
-
-class Bends(NamedTuple):
-    """Further derivatives of the log density f of each reading by what is left of it, and by the law's parameters.
-
-    third (n,): f‴; by_parameter: of each parameter, ∂f, ∂f′ and ∂f″ (3, n).
+    Args:
+        law: which.
+        values: its parameters by name, (b,) each at several φ.
+        record: the readings.
+        left: output unit.
+        extra: variance of each reading beside the law's, or a single zero.
     """
-
-    third: Float[np.ndarray, "n"]
-    by_parameter: dict[str, Float[np.ndarray, "3 n"]]
-
-
-@program
-def _bends(law: Noise, frame: Frame, y, left, extra, values):
-    one = jnp.ones(frame.size)
-
-    def along(function):
-        return lambda left, values: jax.jvp(lambda at: function(at, values), (left,), (one,))[1]
-
-    def density(left, values):
-        return log_density_beside(law, y, y - left, extra, values, frame)
-
-    first = along(density)
-    second = along(first)
-
-    def three(values):
-        return jnp.stack([f(left, values) for f in (density, first, second)])
-
-    zero = {name: jnp.zeros_like(value) for name, value in values.items()}
-    moved = {
-        name: jax.jvp(three, (values,), ({**zero, name: jnp.ones_like(value)},))[1]
-        for name, value in values.items()
-    }
-    return along(second)(left, values), moved
-
-
-def bends(law: Noise, values: Values, record: Record, left: np.ndarray, extra: Any = 0.0) -> Bends:
-    """Of what the expected output leaves of the readings, independent of each other given it."""
-    return Bends(*_of_readings(_bends, law, values, record, extra, record.y, left))
+    if left.ndim == 1:
+        return Terms(*_of_readings(_terms, law, values, record, extra, record.y, left))
+    # Of few lengths, so that no program is compiled for each number of φ.
+    count = len(left)
+    length = next((k for k in (1, 16, 64) if count <= k), -(-count // 64) * 64)
+    pick = np.minimum(np.arange(length), count - 1)
+    own = {name: np.broadcast_to(values[name], (count,))[pick] for name in law.parameters()}
+    extra = extra[pick] if np.ndim(extra) else extra
+    what = partial(_of_readings, _terms, law, own, record, extra)
+    return Terms(*(made[:count] for made in what(record.y, left[pick])))
 
 
 @program
@@ -454,51 +354,6 @@ def _by_draws(
         stop = min(start + together, count)
         found[:, start:stop] = made[: stop - start, : record.size].T
     return _back(law, record, found).T
-
-
-@program
-def _sloped(law: Noise, frame: Frame, y, left, values, size):
-    counted = jnp.arange(frame.size) < size
-
-    def value(own):
-        return jnp.sum(jnp.where(counted, law.log_density(y, y - left, own, frame), 0.0))
-
-    if len(next(iter(values.values()))) == 1:
-        one = jax.value_and_grad(value)({name: v[0] for name, v in values.items()})
-        return jax.tree.map(lambda a: a[None], one)
-    return jax.vmap(jax.value_and_grad(value))(values)
-
-
-def sloped_log_densities(
-    law: Noise, record: Record, left: Float[np.ndarray, "n"], hyper: Each
-) -> tuple[Float[np.ndarray, "b"], dict[str, Float[np.ndarray, "b"]]]:
-    """Log density of all readings together at what is left of them, and its slopes by the law's parameters.
-
-    Args:
-        law: which.
-        record: the readings.
-        left: of them, output unit.
-        hyper: φ by name, one value a draw.
-    """
-    what, frame = record.for_law(law)
-    arrays = [record.longer(_forth(law, record, a, 0)) for a in (record.y, left)]
-    own = {name: np.atleast_1d(hyper[name]).astype(float) for name in law.parameters()}
-    count = max(map(len, own.values()))
-    # A call costs as much as a few values of a short record: one program serves one value and some.
-    together = FEWEST_DRAWS_TOGETHER if law.independent and not frame.long else 1
-    if count > 1 and not law.independent:
-        together = ABREAST
-    found = []
-    for start in range(0, count, together):
-        pick = np.minimum(start + np.arange(together), count - 1)
-        some = {name: v[pick] for name, v in own.items()}
-        found.append(_sloped(what, frame, *arrays, some, np.float64(record.size)))
-
-    def joined(parts: Iterable[Any]) -> np.ndarray:
-        return np.concatenate([np.asarray(part) for part in parts])[:count]
-
-    slopes = {name: joined(by_name[name] for _, by_name in found) for name in own}
-    return joined(value for value, _ in found), slopes
 
 
 def total_log_density(

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -26,21 +26,8 @@ from bayescal._model.parameters import MOVING, Layout
 from bayescal._model.terms import Sizes, Term, terms_of
 
 Values = dict[str, float]
-# Coordinates of a standard deviation: one that is not there (1e-13 of its scale), and the largest that is a number yet
-# where it is squared and summed.
-ABSENT, LARGEST_COORDINATE = -30.0, 100.0
-NUDGE = 1e-6  # of a coordinate, for derivatives of priors,
-SHIFT = 1e-4  # and of columns of the expected output
-STEP = 1e-5  # of the same on one side: rounding of an output a million times its noise errs as much as curvature does
-
-
-class Moved(NamedTuple):
-    """Slopes by one coordinate of φ: of columns of the Jacobian, of the expected output, of those by noisy inputs."""
-
-    at: Int[np.ndarray, "k"]
-    columns: Float[np.ndarray, "n k"]
-    mean: Float[np.ndarray, "n"]
-    inputs: Float[np.ndarray, "n r"]
+ABSENT = -30.0  # coordinate of a standard deviation that is not there (1e-13 of its scale)
+NUDGE = 1e-6  # of a coordinate, for derivatives of priors
 
 
 class Host:
@@ -146,38 +133,6 @@ class Problem:
         """Slope of one entry of φ by its coordinate."""
         value = self._coordinates[i][1]
         return float(value(v[i] + NUDGE) - value(v[i] - NUDGE)) / (2 * NUDGE)
-
-    def log_variance_slope(self, v: np.ndarray, i: int) -> float:
-        """Slope of the logarithm of the variance that all readings share, by one coordinate."""
-
-        def log_variance(one: np.ndarray) -> float:
-            moved = np.concatenate([v[:i], one, v[i + 1 :]])
-            return float(np.log(self.noise.shared_variance(self.hyper(moved))))
-
-        return float(differences(log_variance, v[[i]], NUDGE)[0])
-
-    def log_sd_slopes(
-        self, v: np.ndarray, hyper: Values
-    ) -> Iterator[tuple[int, Float[np.ndarray, "p"]]]:
-        """Slopes of the logarithms of x's prior standard deviations, by each coordinate that moves any of them."""
-        # Sizes move with learned spreads, all members of a group alike, and with shapes that weigh coefficients.
-        places = self.layout.index_in_phi
-        for name, members in self.sizes.members.items():
-            if (i := places.get(name)) is not None:
-                yield i, self.value_slope(v, i) * members
-        for name in self.sizes.weighing:
-            if (i := places.get(name)) is not None:
-                value = self._coordinates[i][1]
-                up, down = (
-                    self.sizes.log_weights(name, {**hyper, name: value(v[i] + s)})
-                    for s in (NUDGE, -NUDGE)
-                )
-                yield i, (up - down) / (2 * NUDGE)
-
-    def log_prior_slope(self, v: np.ndarray) -> np.ndarray:
-        pairs = zip(self._coordinates, v, strict=True)
-        found = [float(d(one + NUDGE) - d(one - NUDGE)) / (2 * NUDGE) for (*_, d), one in pairs]
-        return np.array(found)
 
     @cached_property
     def in_x(self) -> tuple[Term, ...]:
@@ -301,45 +256,6 @@ class Problem:
         """Variance that noise on inputs adds to each reading, output unit squared."""
         return variance_of_inputs(self.terms, line) if self.noisy else 0.0
 
-    @property
-    def _apart(self) -> bool:
-        """Whether what moves some terms leaves what the others add as it is."""
-        return self.affine and not self.noisy
-
-    @cached_property
-    def _hanging(self) -> list[tuple[int, tuple[Term, ...], Int[np.ndarray, "q"]]]:
-        """Each coordinate of φ that moves the output, the terms by which it does, and where these stand in x."""
-        found, places = [], np.arange(self.size)
-        for i in self.moving:
-            name, terms = self.hypers[i].name, self._acting
-            own = [
-                t
-                for t in terms
-                if name in t.known.shape_names
-                or (t.place == "phi" and name in (*t.members, t.group_sd_name))
-            ]
-            if own:
-                terms = tuple(own) if self._apart else terms
-                at = [places[t.at] for t in terms if t.place == "x"]
-                found.append((i, terms, np.concatenate([places[:0], *at])))
-        return found
-
-    def moved(
-        self, x: Float[np.ndarray, "p"], v: Float[np.ndarray, "d"], hyper: Values
-    ) -> list[tuple[int, Moved]]:
-        """What each coordinate of φ moves that moves columns, at an x and v."""
-        found = []
-        whole = None if self._apart or not self.moving else self.acted(x, hyper)
-        for i, terms, places in self._hanging:
-            here = self.acted(x, hyper, terms) if whole is None else whole
-            further = v.copy()
-            further[i] += STEP
-            there = self.acted(x, self.hyper(further), terms)
-            mean, columns, inputs = ((b - a) / STEP for a, b in zip(here, there, strict=True))
-            which = np.flatnonzero(np.any(columns != 0, axis=0))
-            found.append((i, Moved(places[which], columns[:, which], mean, inputs)))
-        return found
-
     # joint draws: x (b, p), φ by name, one value a draw or one for all -----------------------------
 
     def expected(self, x, hyper: Mapping[str, Any]) -> Float[np.ndarray, "b n"]:
@@ -370,17 +286,6 @@ class Problem:
         mean, slopes = self.expected_with_slopes(x, hyper, inputs)
         added = [(s * t.prior_sd) ** 2 for t, s in zip(inputs, slopes, strict=True)]
         return mean, np.broadcast_to(sum(added), mean.shape)
-
-    def linearise_draws(
-        self, x: Float[np.ndarray, "p"], hyper: Mapping[str, Any], count: int
-    ) -> Float[np.ndarray, "b n q"]:
-        """J beside what the expected output at an x leaves, for several φ; no column may be corrected."""
-        x = np.broadcast_to(x, (count, self.size))
-        made = self.composed(self.terms, x, hyper, sloped=True)
-        mean, jacobian, _ = linearised(self.host, self.terms, made)
-        left = self.record.y - mean
-        # A column's numbers lie together in memory, as in the Jacobian.
-        return np.concatenate([np.swapaxes(jacobian, 1, 2), left[:, None]], axis=1).swapaxes(1, 2)
 
 
 def differences(f: Callable[[np.ndarray], Any], at: np.ndarray, step: Any) -> np.ndarray:

@@ -157,16 +157,6 @@ def columns_along(basis: Basis, frame: Frame, shapes: ByName, moves: ByName) -> 
 
 
 @program
-def several_along(
-    bases: tuple[Basis, ...], frame: Frame, shapes: list[ByName], moves: ByName
-) -> list[Array]:
-    """Columns (s, n, k) of several effects, each at several values of its shapes, the readings' columns moved alike."""
-    frame = _moved(frame, moves)
-    at = [partial(matrix, *basis, frame) for basis in bases]
-    return [jax.vmap(f)(own) if own else f({})[None] for f, own in zip(at, shapes, strict=True)]
-
-
-@program
 def responses(
     response: Callable[..., Any], frame: Frame, slots: ByName, moves: ByName
 ) -> Float[Array, "b n"]:

@@ -6,9 +6,7 @@ from collections import OrderedDict
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from itertools import chain
-from types import MappingProxyType
-from typing import Any, NamedTuple
+from typing import Any
 from weakref import WeakValueDictionary
 
 import jax
@@ -16,53 +14,25 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from bayescal._core.errors import ModelError
-from bayescal._core.parallel import on_one_thread
+from bayescal._data.column import UNCERTAINTY
 from bayescal._data.measurements import Measurements
 from bayescal._inference import programs
-from bayescal._inference.chebyshev import BETWEEN, NODES, REACH, weights
-from bayescal._inference.column_products import ColumnProducts
+from bayescal._inference.column_table import ColumnTable
+from bayescal._inference.expansion import Expansions
 from bayescal._inference.host_columns import HostColumns
+from bayescal._inference.noise_nodes import AlongColumn, OneNode, in_frequency
 from bayescal._model.channel_at_rest import CHANNEL
 from bayescal._model.composition import columns_read
 from bayescal._model.effect import Effect
 from bayescal._model.frame import Frame, Reference, build_frame
 from bayescal._model.instrument import Instrument
 from bayescal._model.noise_law import Noise
-from bayescal._model.terms import ColumnsOf, Correction, coordinates
+from bayescal._model.terms import ColumnsOf
 
-NOTHING_ACTS: Mapping[Correction, tuple[float, ...]] = MappingProxyType({})
 KEPT_BYTES = 256 * 2**20  # bytes of columns at shapes, of which the latest are kept
 AFFINE = 1e-9  # change of a slope, relative to the largest, up to which it does not change
 DRAWS_A_CALL = 48  # draws in one call of a program, or half of that,
 CALL_NUMBERS = 16_384  # and more of a short record: draws times readings, up to which the call itself is what costs
-# As good as this part of the largest number in a column, tried between some nodes.
-INTERPOLATED = 1e-9
-RANKED_ROWS = 4096  # of many readings, by which the sums are chosen
-KEPT_OF_IT = 1e-10  # part of the largest singular value, down to which the columns are sums of singular vectors
-
-
-class Basis(NamedTuple):
-    """Columns of an effect along its shape, as sums of a few.
-
-    Attributes:
-        columns: for each coefficient, those that its column is a sum of (n, k, r).
-        shares: of these at the nodes of the shape's coordinate (r, s); None where there is no shape, and r is one.
-    """
-
-    columns: Float[np.ndarray, "n k r"]
-    shares: Float[np.ndarray, "r s"] | None
-
-    @property
-    def rank(self) -> int:
-        return self.columns.shape[2]
-
-    def at(self, v: float | Float[np.ndarray, "b"]) -> Float[np.ndarray, "*b n k"]:
-        """The columns at coordinates of the shape."""
-        assert self.shares is not None
-        amounts = weights(v) @ self.shares.T
-        found = self.columns.reshape(-1, self.rank) @ amounts.T
-        n, k, _ = self.columns.shape
-        return found.reshape(n, k) if amounts.ndim == 1 else found.T.reshape(-1, n, k)
 
 
 @dataclass(eq=False)
@@ -80,9 +50,9 @@ class Record:
     y: np.ndarray
     _fixed: dict[programs.Basis, np.ndarray] = field(default_factory=dict)
     _shaped: OrderedDict[Any, np.ndarray] = field(default_factory=OrderedDict)
-    _bases: dict[Any, Basis | None] = field(default_factory=dict)
     _bytes: int = 0
-    _latest: dict[Any, tuple[float, np.ndarray]] = field(default_factory=dict)
+    _expansions: dict[Any, Expansions] = field(default_factory=dict)
+    _nodes: dict[Any, OneNode | None] = field(default_factory=dict)
     _last: tuple[Any, Any] | None = None  # slots, and what the instrument responded to them
     _for_laws: dict[Noise, tuple[Noise, programs.Leaves]] = field(default_factory=dict)
     plain: dict[Any, Any] = field(default_factory=dict)  # what problems know of a coefficient
@@ -116,10 +86,11 @@ class Record:
 
     def beside(self, frame: Frame | None = None) -> Record:
         """The same readings once more, with columns that no shape moves, or those of another membership in groups."""
-        own = {"_fixed": self._fixed, "_bases": self._bases, "of": self}
+        own = {"_fixed": self._fixed, "of": self}
         made = Record(self.instrument, self.frame if frame is None else frame, self.y, **own)
         if frame is None:
-            vars(made).update(codes=self.codes, on_host=self.on_host, _for_laws=self._for_laws)
+            same = {"_for_laws": self._for_laws, "_nodes": self._nodes}
+            vars(made).update(codes=self.codes, on_host=self.on_host, **same)
         return made
 
     def require_finite(self, effects: Iterable[Effect]) -> None:
@@ -149,7 +120,7 @@ class Record:
 
     def of_noise(self, left: Float[np.ndarray, "n"]) -> Record:
         """What a model leaves of the readings, as the output of a channel at rest: a fit of noise alone."""
-        made = Record(CHANNEL, self.frame, left, _for_laws=self._for_laws)
+        made = Record(CHANNEL, self.frame, left, _for_laws=self._for_laws, _nodes=self._nodes)
         one = {slot: np.ones(self.size) for slot in made.slots}
         vars(made)["affine"] = np.zeros(self.size), one  # nothing to compile
         return made
@@ -169,9 +140,52 @@ class Record:
         return bool(np.all(np.diff(self.in_time[0]) == 1))
 
     @cached_property
-    def products(self) -> ColumnProducts:
-        """Columns of an affine output that structures share, and their products."""
-        return ColumnProducts(self.y - self.affine[0])  # pyright: ignore[reportOptionalSubscript]
+    def table(self) -> ColumnTable:
+        """Columns of an affine output that structures share, and their products at nodes of noise laws."""
+        return ColumnTable(self.y - self.affine[0])  # pyright: ignore[reportOptionalSubscript]
+
+    def expansions(self, effect: ColumnsOf, held: tuple[float | None, ...]) -> Expansions:
+        """Return an effect's columns as functions of the coordinates of its free shapes.
+
+        Args:
+            effect: whose.
+            held: values of shapes that are not free; None for those that are.
+        """
+        key = effect.key, held
+        if key not in self._expansions:
+
+            def columns(v: Float[np.ndarray, "s d"]) -> Float[np.ndarray, "s n k"]:
+                if not held:
+                    return self.columns(effect, ())[None]
+                along = iter(v.T)
+                values = [
+                    np.full(len(v), h) if h is not None else prior.value(next(along))
+                    for h, prior in zip(held, effect.priors, strict=True)
+                ]
+                return self._computed(effect, values, {})
+
+            self._expansions[key] = Expansions(columns, sum(h is None for h in held))
+        return self._expansions[key]
+
+    def nodes(self, law: Noise) -> OneNode | None:
+        """Return the nodes at which products tell all settings of a noise law; None where none do."""
+        place = law.variance_place(self.frame)
+        if law.even(self.frame):
+            key: Any = "even"
+        elif place is not None:
+            key = place.tobytes()
+        elif UNCERTAINTY in self.frame.columns or not law.stationary:
+            return None
+        else:
+            key = "in frequency"
+        if key not in self._nodes:
+            if key == "even":
+                self._nodes[key] = OneNode(self.size)
+            elif place is not None:
+                self._nodes[key] = AlongColumn(place)
+            else:
+                self._nodes[key] = in_frequency(*self.in_time)
+        return self._nodes[key]
 
     @cached_property
     def read(self) -> frozenset[str]:
@@ -189,22 +203,9 @@ class Record:
         return programs.Responding(self.instrument.response, self.instrument.vector is not None)
 
     def columns(self, effect: ColumnsOf, values: tuple[float, ...]) -> Float[np.ndarray, "n k"]:
-        """Columns of an effect at values of its shapes, on the readings as measured; not to be written to.
-
-        Those of one shape are interpolated along it where they run smoothly.
-        """
+        """Columns of an effect at values of its shapes, on the readings as measured; not to be written to."""
         if not effect.shapes:
             return self._fixed_columns(effect.basis)
-        near = len(values) == 1 and abs(v := effect.priors[0].coordinate(values[0])) <= REACH
-        if near and (basis := self.basis_along(effect)) is not None:
-            last = self._latest.get(effect.key)
-            if last is None or last[0] != v:
-                self._latest[effect.key] = last = v, basis.at(v)
-            return last[1]
-        return self._kept_at(effect, values)
-
-    def _kept_at(self, effect: ColumnsOf, values: tuple[float, ...]) -> Float[np.ndarray, "n k"]:
-        """Columns at shapes, of which the latest are kept."""
         key = (effect.key, values)
         found = self._shaped.pop(key, None)
         if found is None:
@@ -213,74 +214,6 @@ class Record:
             while self._bytes > KEPT_BYTES and self._shaped:
                 self._bytes -= self._shaped.popitem(last=False)[1].nbytes
         self._shaped[key] = found
-        return found
-
-    def keep_along(self, effect: ColumnsOf, values: Sequence[float]) -> None:
-        """Columns at many values of the only shape, in one program, for when each is asked for."""
-        if effect.corrections or len(values) * self.size * 8 > KEPT_BYTES / 2:
-            return
-        left = [value for value in values if (effect.key, (value,)) not in self._shaped]
-        if left:
-            made = self._computed(effect, [np.array(left)], {})
-            self._bytes += made.nbytes
-            self._shaped |= {(effect.key, (v,)): one for v, one in zip(left, made, strict=True)}
-
-    def basis_along(self, effect: ColumnsOf) -> Basis | None:
-        """Columns as sums of a few along one shape; None where they run too sharply, or along several shapes."""
-        if not effect.shapes:
-            return Basis(self.columns(effect, ())[:, :, None], None)
-        if len(effect.shapes) > 1 or effect.ragged:
-            return None
-        if effect.key not in self._bases:
-            self._bases[effect.key] = self._interpolated(effect)
-        return self._bases[effect.key]
-
-    @on_one_thread
-    def _interpolated(self, effect: ColumnsOf) -> Basis | None:
-        """The singular vectors of columns at the nodes, where they interpolate between some of these."""
-        at_nodes = effect.priors[0].value(np.append(NODES, BETWEEN))
-        found = self._computed(effect, [at_nodes], {})
-        count = found.shape[2]
-        found = found.reshape(len(found), -1)
-        nodes, there = found[: len(NODES)], found[len(NODES) :]
-        apart = np.max(np.abs(weights(BETWEEN) @ nodes - there))
-        largest = np.max(np.abs(nodes), initial=1e-300)
-        if not apart <= INTERPOLATED * largest:
-            return None
-        # A family of columns that runs smoothly along its shape has low numerical rank. The right singular vectors are
-        # the shares at the nodes, and times these the columns are sums of few; some rows of many tell them as well,
-        # where all others are then found to be such sums.
-        for step in {max(1, nodes.shape[1] // RANKED_ROWS): None, 1: None}:
-            _, size, vh = np.linalg.svd(np.linalg.qr(nodes.T[::step], mode="r"))
-            shares = vh[: max(1, int(np.sum(size > KEPT_OF_IT * size[0])))]
-            columns = nodes.T @ shares.T
-            if step == 1 or np.max(np.abs(columns @ shares - nodes.T)) <= KEPT_OF_IT * largest:
-                break
-        return Basis(columns.reshape(self.size, count, len(shares)), shares)
-
-    def columns_of_several(
-        self,
-        effects: Sequence[ColumnsOf],
-        values: Sequence[Sequence[np.ndarray]],
-        acting: Mapping[Correction, tuple[float, ...]] = NOTHING_ACTS,
-    ) -> list[Float[np.ndarray, "s n k"]]:
-        """Columns of several effects, each at several values of its shapes; those of JAX's own bases in one program.
-
-        Args:
-            effects: whose.
-            values: of each one's shapes, (s,) each.
-            acting: what corrects columns of the readings for all, with its shapes.
-        """
-        shapes = [dict(zip(of.own, v, strict=True)) for of, v in zip(effects, values, strict=True)]
-        of_any = effects[0].on([*acting]), [*values[0], *chain(*acting.values())]
-        bases, shifts = [of.basis for of in effects], self._corrected(*of_any)
-        each = zip(bases, shapes, strict=True)
-        found: list[Any] = [self.on_host.along(basis, own, shifts) for basis, own in each]
-        if left := [i for i, columns in enumerate(found) if columns is None]:
-            traced, own = tuple(bases[i] for i in left), [shapes[i] for i in left]
-            made = programs.several_along(traced, self.padded, own, self._longer(shifts))
-            for i, columns in zip(left, made, strict=True):
-                found[i] = np.asarray(columns)[:, : self.size]
         return found
 
     def _fixed_columns(self, key: programs.Basis) -> Float[np.ndarray, "n k"]:
@@ -389,16 +322,6 @@ class Record:
         if not values and not moves:
             return self.columns(effect, ())
         values = _one_a_draw(values, moves)
-        count = max(len(v) for v in (*values, *moves.values()))
-        basis = self.basis_along(effect) if not moves and len(values) == 1 else None
-        if basis is not None:
-            at = coordinates(effect.priors[0], values[0])
-            near = np.abs(at) <= REACH
-            found = np.empty((count, self.size, basis.columns.shape[1]))
-            found[near] = basis.at(at[near])
-            if not np.all(near):
-                found[~near] = self._computed(effect, [values[0][~near]], moves)
-            return found
         return self._computed(effect, values, moves)
 
     def _computed(

@@ -2,7 +2,7 @@
 
 φ is proposed from Student-t mixtures, first around its Laplace fit, then around many draws of the round before:
 spreads that readings know only by their sum of squares have a density with arms, which one ellipse does not cover.
-All proposals are evaluated at once, and the log evidence comes for free. What nonlinearity and interpolated products
+All proposals are evaluated at once, and the log evidence comes for free. What nonlinearity
 leave is corrected by the same weights: each joint draw (x, φ) carries the true density over what it was drawn from.
 Source: A. Owen and Y. Zhou, JASA 95 (2000) 135 (defensive mixtures); M. West, J. R. Stat. Soc. B 55 (1993) 409
 (mixtures around weighted draws).
@@ -22,21 +22,21 @@ from bayescal._core import deadline
 from bayescal._core.importance_weights import Corrections, effective_size, smoothed
 from bayescal._core.parallel import on_one_thread
 from bayescal._core.settings import settings
-from bayescal._inference.density import NOWHERE, Density, about
+from bayescal._inference.density import NOWHERE, Density
 from bayescal._inference.gaussian import Drawn, Gram, draw
 from bayescal._inference.joint import FREEDOM, correction, normal_numbers
 from bayescal._inference.laplace import Mode, find_mode
-from bayescal._inference.noise_on_record import grams
+from bayescal._inference.newton import GaussianFit, Values
 from bayescal._inference.problem import Problem
-from bayescal._inference.products import Products
 from bayescal._inference.trust import K_HAT
 from bayescal._model.prior import Flat, FlatLine, HalfCauchy, HalfNormal
 
-# Log density above the mode's, from which on a draw shows that it was not the highest: more than what interpolated
-# products are off by (0.03), less than would matter.
+# Log density above the mode's, from which on a draw shows that it was not the highest: more than what columns as
+# polynomials put it off by (0.02), less than would matter.
 HIGHER_NATS = 1.0
 
 USUAL_ROUNDS = 3  # rounds of adaptation; more only where the last one's weights are unsound
+ROUNDS_OF_FEW = 4  # at most, of a density that costs little
 KERNELS = 256  # draws of the round before, around each of which the next one proposes;
 FEWEST_KERNELS = 128  # in a few dimensions
 KERNEL = 0.7  # width of each, in standard deviations of φ: so wide that the mixture is heavier than what it follows
@@ -49,13 +49,10 @@ NUMBERS = 1_000_000  # in what is computed at once, to bound memory,
 IN_CACHE = 150_000  # and to stay in the cache
 FIRST_DRAWS = 256  # draws of a nonlinear model whose corrections are looked at before those of the others are computed
 DISTANCES_TOGETHER = 512  # draws whose distances to all kernels are taken at once
+# Numbers in columns of draws beyond where polynomials were fitted, of which a random share is computed where more are.
+FAR_NUMBERS = 40_000
 NEGLIGIBLE = 40.0  # below the largest log weight, from which a draw counts nothing
-FAR_NATS = 10.0  # below the largest log density, from which products need not be exact where polynomials end
-TABLES = 2_000_000  # numbers in tables of the readings that are computed at once
 COSTLY_READINGS = 1000  # readings, from which on a pass over them costs
-CLOSE_NATS = 0.03  # log density, within which polynomials are good,
-# The same of a long record, where a draw's own correction costs more than many products.
-CLOSER_NATS = 0.001
 PROPOSALS, FEWER_PROPOSALS, FEWEST_PROPOSALS = 8192, 4096, 2048  # by what each costs,
 OF_A_PART = 128  # and at least where a structure is part of an average
 # Share of an average from which on uneven weights of a structure are worth another climb.
@@ -132,86 +129,49 @@ class ManyPhi:
     """The log density of many φ at once, x integrated out, and x given each.
 
     Attributes:
-        products: as functions of φ; None where each φ costs a pass over the readings.
+        table: of products about the mode; None where each φ costs columns, or a pass over the readings.
         exact: whether the closed form is that of φ itself.
     """
 
-    def __init__(self, problem: Problem, mode: Mode, proposals: float | None = None) -> None:
+    def __init__(self, problem: Problem, mode: Mode) -> None:
         self.problem, self.mode, self.size = problem, mode, problem.record.size
         self.density = Density(problem, mode.x, mode.flat, mode.v)
-        self.products = self.density.products
-        if self.products is None and problem.noise.gaussian:
-            close = CLOSE_NATS if self.size <= COSTLY_READINGS else CLOSER_NATS
-            expected = FEWER_PROPOSALS if proposals is None else proposals
-            self.products = about(self.density, mode.v, mode.covariance, close, expected)
-        self.polynomial = self.products is not None and self.products.outer is not None
-        self.exact = problem.noise.gaussian and not self.polynomial
+        whole, self.table = self.density.tabulated, None
+        if whole is not None and np.all(np.isfinite(mode.covariance)):
+            self.table = whole.about(mode.v, mode.covariance, mode.flat)
+        self.exact = problem.noise.gaussian
         self.together = max(16, NUMBERS // (problem.size + 1) ** 2)
-        if self.products is None:  # few at a time, so that the deadline is asked
+        if self.table is None:  # few at a time, so that the deadline is asked
             self.together = min(self.together, max(16, IN_CACHE // self.size))
         self.highest, self.top = float(mode.log_density), mode.v
+        self.random = np.random.default_rng(0)
+        self.far_share = min(1.0, FAR_NUMBERS / (PRIOR * PROPOSALS * self.size))
 
     def at(self, v: Float[np.ndarray, "b d"], normal: np.ndarray) -> tuple[np.ndarray, Drawn]:
         """Log density of each φ, and the x that standard normal numbers stand for given it."""
         prior = self.problem.log_priors(v)
-        if self.products is None:
-            found = self._by_readings(v, normal)
-            total = _sum(found.log_marginal, prior)
+        if self.table is None:
+            found = self._drawn(self.density.grams(v), v, normal)
         else:
-            total, found = self._by_products(self.products, v, normal, prior)
-        if total[best := int(np.argmax(total))] > self.highest:
-            self.highest, self.top = float(total[best]), v[best]
-        return total, found
-
-    def _by_products(
-        self, products: Products, v: Float[np.ndarray, "b d"], normal: np.ndarray, prior: np.ndarray
-    ) -> tuple[np.ndarray, Drawn]:
-        held = len(products.at) - self.problem.size
-        hyper = self.problem.hyper(v.T)
-        with_held = np.pad(normal, [(0, 0), (0, held)])
-        own = products.prior(self.problem.prior(hyper, self.mode.flat, (len(v),)))
-        found = draw(products.grams(v, hyper), self.size, own, products.at, with_held)
-        found = found._replace(x=found.x[:, : self.problem.size])
+            found = self._drawn(self.table.grams(v), v, normal)
+            # A random share of these stands for all: a hill far from the mode is seen, at a bounded cost.
+            beyond = ~self.table.reaches(v)
+            computed = beyond & (self.random.random(len(v)) < self.far_share)
+            found.log_marginal[beyond] = NOWHERE
+            if computed.any():
+                exact = self._drawn(self.density.grams(v[computed]), v[computed], normal[computed])
+                for all_of_it, new in zip(found, exact, strict=True):
+                    all_of_it[computed] = new
         total = _sum(found.log_marginal, prior)
-        # Where interpolation or polynomials end or have lost their definiteness, φ that may count are computed.
-        beyond = ~products.reaches(v)
-        if self.polynomial:
-            beyond = (beyond & (total > self.highest - FAR_NATS)) | (total <= NOWHERE)
-        if beyond.any():
-            exact = self._by_readings(v[beyond], normal[beyond])
-            for all_of_it, new in zip(found, exact, strict=True):
-                all_of_it[beyond] = new
-            total = _sum(found.log_marginal, prior)
+        if len(v) and total[best := int(np.argmax(total))] > self.highest:
+            self.highest, self.top = float(total[best]), v[best]
+        if self.table is not None:
+            total[computed] -= math.log(self.far_share)
         return total, found
 
-    def inside(self, v: Float[np.ndarray, "b d"]) -> np.ndarray:
-        """Which φ nothing but nonlinearity corrects, or lie where polynomials were fitted to a long record."""
-        if self.exact:
-            return np.ones(len(v), dtype=bool)
-        if self.size <= COSTLY_READINGS or not self.polynomial:
-            return np.zeros(len(v), dtype=bool)
-        assert self.products is not None
-        return self.products.reaches(v)
-
-    def _by_readings(self, v: Float[np.ndarray, "b d"], normal: np.ndarray) -> Drawn:
-        """The same from products that are computed for each φ."""
-        problem = self.problem
-        if problem.corrected or problem.noisy or not problem.noise.gaussian:
-            made = [self.density.gram(one, problem.hyper(one)) for one in v]
-            grams = Gram(*(np.stack([np.asarray(g[i]) for g in made]) for i in range(4)))
-        else:
-            together = max(8, TABLES // (self.size * (problem.size + 1)))
-            parts = [self._computed(part) for part in np.array_split(v, -(-len(v) // together))]
-            grams = Gram(*(np.concatenate([part[i] for part in parts]) for i in range(4)))
-        prior = problem.prior(problem.hyper(v.T), self.mode.flat, (len(v),))
-        return draw(grams, self.size, prior, self.mode.x, normal)
-
-    def _computed(self, v: Float[np.ndarray, "b d"]) -> Gram:
-        problem, record = self.problem, self.problem.record
-        hyper, count = problem.hyper(v.T), len(v) if problem.moving else 1
-        table = problem.linearise_draws(self.mode.x, hyper, count)
-        each = {name: np.broadcast_to(value, len(v)) for name, value in hyper.items()}
-        return Gram.of(*grams(problem.noise, record, table, each, len(v)))
+    def _drawn(self, grams: Gram, v: Float[np.ndarray, "b d"], normal: np.ndarray) -> Drawn:
+        prior = self.problem.prior(self.problem.hyper(v.T), self.mode.flat, (len(v),))
+        return draw(grams, self.size, prior, self.density.origin, normal)
 
     def stretches(self, v: Float[np.ndarray, "s d"]) -> list[np.ndarray]:
         return np.array_split(v, -(-len(v) // self.together))
@@ -374,8 +334,7 @@ def weighted_draws(
     """
     # Further draws have random numbers of their own: the same ones again would tell nothing.
     random = np.random.default_rng(seed if earlier is None else [seed, len(earlier.v)])
-    expected = part * FEWER_PROPOSALS if proposals is None else proposals
-    density = ManyPhi(problem, mode, expected)
+    density = ManyPhi(problem, mode)
     share, above = _prior_share(problem), HIGHER_NATS
     heavy = heavy or not problem.noise.gaussian
     known = None if earlier is None else earlier.rounds
@@ -395,7 +354,7 @@ def weighted_draws(
         # proposed: the climb may have ended on a lower one, and begins anew there.
         mode = find_mode(problem, [start], x=density.mode.x)
         if mode.log_density > higher:
-            density, known = ManyPhi(problem, mode, expected), None
+            density, known = ManyPhi(problem, mode), None
         elif found is not None:
             return found
         else:  # higher in the linear form about the old mode alone
@@ -432,7 +391,7 @@ def _fill(
     Ends early where a draw lies higher than the mode may.
     """
     mode, prior, first = density.mode, pool.prior, not pool.mixtures
-    direct = density.products is None
+    direct = density.table is None
     if direct and len(mode.v):
         mode = mode._replace(covariance=_as_wide_as_it_is(density))
     if not first:
@@ -466,7 +425,7 @@ def proposals_of(density: ManyPhi) -> int:
     """How many: fewer where each costs a pass over many readings, or a large matrix."""
     # A pass over many readings for each φ buys fewer proposals in the same time; weights that are uneven ask for
     # more.
-    problem, direct = density.problem, density.products is None
+    problem, direct = density.problem, density.table is None
     long = problem.record.size > COSTLY_READINGS
     if direct and (long or not problem.noise.gaussian):
         return FEWEST_PROPOSALS
@@ -516,19 +475,13 @@ def _placed(
 def _corrected(
     density: ManyPhi, v, found: Drawn, normal, of_phi, judged: Corrections, heavy: bool
 ) -> Float[np.ndarray, "b"]:
-    """`correction` of draws; the same for all where it is known.
-
-    Where polynomials end it is not: there each draw has its own.
-    """
-    problem, exact, inside = density.problem, density.exact, density.inside(v)
-    if not judged.alike:
-        made = correction(problem, found, normal, problem.hyper(v.T), exact, heavy)
-        judged.add(of_phi[inside], made[inside])
-        return made
-    made, out = np.full(len(v), judged.mean), ~inside
-    if out.any():
-        hyper = problem.hyper(v[out].T)
-        made[out] = correction(problem, found.of(out), normal[out], hyper, exact, heavy)
+    """`correction` of draws; the same for all where it is known."""
+    if density.exact and judged.alike:
+        return np.full(len(v), judged.mean)
+    hyper = density.problem.hyper(v.T)
+    made = correction(density.problem, found, normal, hyper, density.exact, heavy)
+    if density.exact:
+        judged.add(of_phi, made)
     return made
 
 
@@ -598,3 +551,32 @@ def _match(mode: Mode, v: np.ndarray, log_weight: np.ndarray) -> Mixture:
     pick = np.minimum(np.searchsorted(np.cumsum(weight), ladder), weight.size - 1)
     wide = WIDE_RATIO * np.linalg.cholesky(mode.covariance)
     return Mixture(v[pick], KERNEL * chol, mode.v, wide, 0.1)
+
+
+def importance_draws(
+    values: Values, fit: GaussianFit, seed: int, count: int
+) -> tuple[Float[np.ndarray, "s d"], Float[np.ndarray, "s"], float]:
+    """Return draws (s, d), their smoothed weights, summing to one, and the log evidence.
+
+    Proposals are adapted in the coordinates of the Gaussian fit.
+
+    Args:
+        values: log density.
+        fit: at its mode.
+        seed: of every random number.
+        count: of draws.
+    """
+    dim, random = len(fit.v), np.random.default_rng(seed)
+    origin, identity = np.zeros(dim), np.eye(dim)
+    root = np.linalg.cholesky(fit.covariance)
+    mode = Mode(origin[:0], origin, identity, fit.log_density, 0.0, 0.0, origin[:0], False)
+
+    def centred(u: Float[np.ndarray, "s d"]) -> Float[np.ndarray, "s"]:
+        return values(fit.v + u @ root.T)
+
+    mixture = adapted(mode, centred, None, random, count // 2, ROUNDS_OF_FEW, math.inf)
+    u, log_proposal = propose(mixture, None, random, count)
+    log_weight = centred(u) - log_proposal
+    evidence = float(np.asarray(logsumexp(log_weight))) - math.log(count)
+    evidence += float(np.linalg.slogdet(root)[1])
+    return fit.v + u @ root.T, smoothed(log_weight)[0], evidence

@@ -334,19 +334,13 @@ def live(function, *arguments: Any) -> list[bool]:
 
 def columns_read(instrument: Instrument, frame: Frame) -> frozenset[str]:
     """Columns of the readings that an instrument's response takes itself, beside its slots."""
-    columns = _Asked(frame.columns)
+    asked = set[str]()
+
+    class Asked(dict[str, Any]):
+        def __getitem__(self, name: str) -> Any:
+            asked.add(name)
+            return super().__getitem__(name)
+
     slots = {s.name: np.zeros(frame.size) for s in instrument.slots}
-    instrument.response(slots, replace(frame, columns=columns))
-    return frozenset(columns.names)
-
-
-class _Asked(dict[str, Any]):
-    """Columns that know which of them were asked for."""
-
-    def __init__(self, columns: Mapping[str, Any]) -> None:
-        super().__init__(columns)
-        self.names = set[str]()
-
-    def __getitem__(self, name: str) -> Any:
-        self.names.add(name)
-        return super().__getitem__(name)
+    instrument.response(slots, replace(frame, columns=Asked(frame.columns)))
+    return frozenset(asked)

@@ -1,17 +1,18 @@
 """An effect from one typed line: "supply: s * (supply_voltage - 5); s = 0.1 mV/V".
 
-The line is parsed by the grammar below and by nothing else: what it can do is what `_FUNCTIONS` lists. Units are
+Python's parser reads the line, and of its tree nothing is taken but what `_FUNCTIONS` and `_OPERATORS` list. Units are
 checked before anything is computed. Unknowns that the formula is linear in become coefficients, the others shapes.
 """
 
 from __future__ import annotations
 
+import ast
 import difflib
 import inspect
 import math
 import operator
 import re
-from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from typing import Any, NamedTuple
@@ -27,7 +28,7 @@ from bayescal._model.frame import Frame, build_frame, reference_of
 from bayescal._model.instrument import Instrument
 from bayescal._model.prior import Normal
 
-LONGEST_LINE, DEEPEST = 500, 40  # characters of a line, brackets in each other
+LONGEST_LINE, DEEPEST = 500, 40  # characters of a line; powers and arguments in each other
 TINY = float(np.finfo(float).tiny)  # below which numbers lose digits
 MAGNITUDE = 10.0  # a shape of which one value is said lies between a tenth and ten times that
 _FUNCTIONS: dict[str, Callable[..., Any]] = {
@@ -43,8 +44,9 @@ _ALIASES = {"T": "temperature", "t": "time"}
 _UNITS = {"time": "s", "elapsed": "s", "temperature": "degC"}  # known without readings
 _TOKEN = re.compile(
     r"\s*(?:(?P<number>(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)|(?P<name>[^\W\d]\w*)|`(?P<quoted>[^`]+)`"
-    r"|(?P<sign>\*\*|[-+*/^(),]))"
+    r"|(?P<sign>\*\*|[-+*/^(),])|(?P<other>\S))"
 )
+_SIGNS = {ast.Add: "+", ast.Sub: "-", ast.Mult: "*", ast.Div: "/", ast.Pow: "^"}
 _GIVEN = re.compile(r"\s*([^\W\d]\w*|`[^`]+`)\s*=\s*(.*\S)\s*")
 _VALUE = r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?"
 _SIZE = re.compile(rf"({_VALUE})(?:\s*(?:±|\+-|\+/-)\s*({_VALUE}))?\s*(\D.*)?")
@@ -134,107 +136,69 @@ class _Text:
             raise self.refusal(at, f"this number has no value: it is {value}")
         return FormulaNode("number", (value,), at)
 
+    def parsed(self) -> FormulaNode:
+        """Return the formula as a tree.
 
-class _Parser(_Text):
-    """sum = product (± product)*, product = factor (× or ÷ factor)*, factor = ± atom, or ± atom ^ factor."""
+        Raises:
+            InputError: it is none.
+        """
+        if len(self.text) > LONGEST_LINE:
+            raise InputError(f"a formula of {len(self.text)} characters: {LONGEST_LINE} at most")
+        # To Python go operators and brackets alone, each name and number as n0, n1, …: no keyword, no other literal.
+        self.atoms, self.places, source = dict[str, FormulaNode](), list[int](), ""
+        for token in _TOKEN.finditer(self.text):
+            kind = str(token.lastgroup)
+            value, at = token[kind], token.start(kind)
+            if kind == "other":
+                raise self.refusal(at, f"{value!r} has no meaning in a formula")
+            word = value.replace("^", "**") if kind == "sign" else f"n{len(self.atoms)}"
+            if kind == "number":
+                number = _number(value, partial(self.refusal, at))
+                self.atoms[word] = FormulaNode("number", (number,), at)
+            elif kind != "sign":
+                self.atoms[word] = FormulaNode("name", (value,), at)
+            source += word + " "
+            self.places += [at] * (len(word) + 1)
+        try:
+            return self._tree(ast.parse(source, mode="eval").body)
+        except (SyntaxError, MemoryError, RecursionError) as error:
+            column = (getattr(error, "offset", None) or 1) - 1
+            at = self.places[column] if column < len(self.places) else len(self.text)
+            why = "this makes no formula: is an operator, a number, a name or a bracket missing?"
+            raise self.refusal(at, why) from None
 
-    def __init__(self, text: str) -> None:
-        super().__init__(text)
-        if len(text) > LONGEST_LINE:
-            raise InputError(f"a formula of {len(text)} characters: {LONGEST_LINE} at most")
-        self.ahead, self.depth = self._tokens(), 0
-        self._next()
-
-    def whole(self) -> FormulaNode:
-        found = self._sum()
-        if self.kind != "end":
-            raise self.refusal(self.begins, "an operator or the end was expected")
-        return found
-
-    def _tokens(self) -> Iterator[tuple[str, str, int]]:
-        at = 0
-        while rest := self.text[at:].lstrip():
-            if not (found := _TOKEN.match(self.text, at)):
-                raise self.refusal(
-                    len(self.text) - len(rest), f"{rest[0]!r} has no meaning in a formula"
+    def _tree(self, part: ast.expr, depth: int = 0) -> FormulaNode:
+        at = self.places[part.col_offset]
+        if depth > DEEPEST:
+            raise self.refusal(at, f"powers and brackets deeper than {DEEPEST}")
+        match part:
+            case ast.Name():
+                return self.atoms[part.id]
+            case ast.BinOp() if sign := _SIGNS.get(type(part.op)):
+                return self.node(
+                    sign, self._tree(part.left, depth), self._tree(part.right, depth + 1)
                 )
-            kind, at = str(found.lastgroup), found.end()
-            yield kind, found[kind], found.start(kind)
-        yield "end", "", len(self.text)
+            case ast.UnaryOp():
+                negative = False
+                while isinstance(part, ast.UnaryOp):
+                    negative, part = negative ^ isinstance(part.op, ast.USub), part.operand
+                base = self._tree(part, depth)
+                return self.node("neg", base)._replace(at=at) if negative else base
+            case ast.Call(func=ast.Name()):
+                return self._call(self.atoms[part.func.id].parts[0], part.args, at, depth)
+        raise self.refusal(at, "this has no meaning in a formula")
 
-    def _next(self) -> None:
-        self.kind, self.value, self.begins = next(self.ahead)
-
-    def _taken(self, *signs: str) -> str:
-        if self.kind == "sign" and self.value in signs:
-            value = self.value
-            self._next()
-            return value
-        return ""
-
-    def _deeper(self, what: str, read: Callable[[], FormulaNode]) -> FormulaNode:
-        self.depth += 1
-        if self.depth > DEEPEST:
-            raise self.refusal(self.begins, f"{what} deeper than {DEEPEST}")
-        found = read()
-        self.depth -= 1
-        return found
-
-    def _chain(self, signs: str, part: Callable[[], FormulaNode]) -> FormulaNode:
-        found = part()
-        while sign := self._taken(*signs):
-            found = self.node(sign, found, part())
-        return found
-
-    def _sum(self) -> FormulaNode:
-        return self._deeper("brackets", lambda: self._chain("+-", self._product))
-
-    def _product(self) -> FormulaNode:
-        return self._chain("*/", self._factor)
-
-    def _factor(self) -> FormulaNode:
-        at, negative = self.begins, False
-        while sign := self._taken("+", "-"):
-            negative ^= sign == "-"
-        base = self._atom()
-        if self._taken("^", "**"):
-            base = self.node("^", base, self._deeper("powers", self._factor))
-        return self.node("neg", base)._replace(at=at) if negative else base
-
-    def _atom(self) -> FormulaNode:
-        kind, value, at = self.kind, self.value, self.begins
-        if self._taken("("):
-            found = self._sum()
-            self._close()
-            return found
-        if kind not in ("number", "name", "quoted"):
-            raise self.refusal(at, "a number, a name or a bracket was expected")
-        self._next()
-        if kind == "number":
-            return FormulaNode("number", (_number(value, partial(self.refusal, at)),), at)
-        if kind == "name" and self.kind == "sign" and self.value == "(":
-            return self._call(value, at)
-        return FormulaNode("name", (value,), at)
-
-    def _call(self, name: str, at: int) -> FormulaNode:
+    def _call(self, name: str, given: Sequence[ast.expr], at: int, depth: int) -> FormulaNode:
         known = (*_FUNCTIONS, *_OF_COLUMNS)
+        if name == "lag":
+            raise self.refusal(at, _LAG)
         if name not in known:
-            if name == "lag":
-                raise self.refusal(at, _LAG)
             raise self.refusal(at, f"there is no function {name!r}; there are {', '.join(known)}")
-        self._next()
-        arguments = [self._sum()]
-        while self._taken(","):
-            arguments.append(self._sum())
-        self._close()
         count = 2 if name in (*_OF_TWO, *_OF_A_BODY) else 1
-        if len(arguments) != count:
+        if len(given) != count:
             raise self.refusal(at, f"{name} takes {count} argument{'s' * (count > 1)}")
+        arguments = (self._tree(one, depth + 1) for one in given)
         return self.node("call", *arguments, name=name)._replace(at=at)
-
-    def _close(self) -> None:
-        if not self._taken(")"):
-            raise self.refusal(self.begins, "a closing bracket was expected")
 
 
 def _inside(node: FormulaNode) -> Iterator[FormulaNode]:
@@ -313,106 +277,6 @@ _OPERATORS: dict[str, Callable[..., Any]] = {
 
 def _column(r: Frame, name: str) -> Any:
     return r.elapsed if name == "elapsed" else r[name]
-
-
-class _CheckedFormula(_Text):
-    """Units of a formula's parts: literals take the unit that they are added to or compared with."""
-
-    def __init__(
-        self, text: str, units: Mapping[str, Dimension | None], shapes: Collection[str]
-    ) -> None:
-        super().__init__(text)
-        self.units, self.shapes = units, shapes
-
-    def of(self, node: FormulaNode) -> Checked:
-        """The part with its literals in base units, and its dimension; None for a plain literal."""
-        if node.kind == "number":
-            return node, None
-        if node.kind == "name":
-            return node, self.units[node.parts[0]]
-        if node.kind == "call":
-            return self._call(node, *node.parts)
-        (a, left), *more = (self.of(part) for part in node.parts)
-        if node.kind == "neg":
-            return node._replace(parts=(a,)), left
-        ((b, right),) = more
-        if node.kind == "^":
-            unit = self._raised(left, right, b, node.parts[1].at)
-        elif node.kind in "+-":
-            a, b, unit = self._alike(a, left, b, right, node.parts[1].at)
-        else:
-            sign, plain = (1.0 if node.kind == "*" else -1.0), left is None and right is None
-            unit = None if plain else (left or NUMBER).times(right or NUMBER, sign)
-        return node._replace(parts=(a, b)), unit
-
-    def _alike(
-        self,
-        a: FormulaNode,
-        left: Dimension | None,
-        b: FormulaNode,
-        right: Dimension | None,
-        at: int,
-    ) -> tuple[FormulaNode, FormulaNode, Dimension | None]:
-        """Two parts that are added or compared, plain literals in the unit of the other."""
-        if left is not None and right is not None and left.powers != right.powers:
-            why = f"this is {right}, what it is added to or compared with {left}"
-            raise self.refusal(at, why)
-        unit = left or right
-        factor = 1.0 if unit is None else unit.factor
-        return (
-            _times(a, factor) if left is None else a,
-            _times(b, factor) if right is None else b,
-            unit,
-        )
-
-    def _raised(
-        self, unit: Dimension | None, of: Dimension | None, exponent: FormulaNode, at: int
-    ) -> Dimension | None:
-        if of is not None and of.powers:
-            raise self.refusal(at, f"an exponent is a plain number, this is {of}")
-        if unit is None or not unit.powers:
-            return unit if of is None else NUMBER
-        if exponent.kind != "number" or abs(exponent.parts[0]) > 10:
-            raise self.refusal(at, f"of {unit} only a power such as 2 or 0.5 has a unit")
-        return unit.raised(exponent.parts[0])
-
-    def _call(
-        self, node: FormulaNode, name: str, first: FormulaNode, *rest: FormulaNode
-    ) -> Checked:
-        if name in _OF_COLUMNS:
-            return node, self._of_past(name, first, *rest)
-        (a, unit), *more = (self.of(argument) for argument in (first, *rest))
-        if name in _OF_TWO:
-            ((b, right),) = more
-            a, b, unit = self._alike(a, unit, b, right, rest[0].at)
-            return node._replace(parts=(name, a, b)), unit
-        node = node._replace(parts=(name, a))
-        if name == "abs" or (name == "sqrt" and unit is None):
-            return node, unit
-        if name == "sqrt":
-            return node, unit and unit.raised(0.5)
-        angle = (
-            name in ("sin", "cos", "tan") and unit is not None and unit.powers == (("rad", 1.0),)
-        )
-        if name not in ("step", "sign") and unit is not None and unit.powers and not angle:
-            why = f"{name} takes a plain number, this is {unit}: divide it by one"
-            raise self.refusal(first.at, why)
-        return node, NUMBER
-
-    def _of_past(self, name: str, column: FormulaNode, *rest: FormulaNode) -> Dimension:
-        unit = self.units[column.parts[0]] or Dimension.of("degC")
-        if name == "rate":
-            if unit.powers != (("K", 1.0),):
-                raise self.refusal(column.at, "rate is of a temperature")
-            return unit.times(Dimension.of("s"), -1.0)
-        (time,) = rest
-        tau = str(time.parts[0])
-        of = self.units.get(tau) if time.kind == "name" and tau in self.shapes else None
-        if of is None or of.powers != (("s", 1.0),):
-            raise self.refusal(
-                time.at, f"the second argument of {name} is a time constant, such as tau"
-            )
-        return unit
 
 
 def _times(node: FormulaNode, factor: float) -> FormulaNode:
@@ -506,7 +370,7 @@ class _TypedLine(_Text):
         self.name, formula, self.given = _apart(name, formula, given)
         super().__init__(formula)
         self.readings, self.instrument = readings, instrument
-        self.tree = _Parser(formula).whole()
+        self.tree = self.parsed()
         self.columns = self._columns()
         past = [
             n.parts for n in _inside(self.tree) if n.kind == "call" and n.parts[0] in _OF_COLUMNS
@@ -528,10 +392,9 @@ class _TypedLine(_Text):
             why = f"this is multiplied by no coefficient, whose size would be found{near}"
             raise self.refusal(linear[""].at, why)
         self.shapes = {n: self._shape(n) for n in sorted(bent)}
-        units = {n: Dimension.of(u) if u else None for n, (_, u) in self.columns.items()}
-        units |= {n: Dimension.of(s.unit) for n, s in self.shapes.items()}
-        checked = _CheckedFormula(formula, units, self.shapes)
-        self.coefficients = {n: checked.of(part) for n, part in linear.items()}
+        self.units = {n: Dimension.of(u) if u else None for n, (_, u) in self.columns.items()}
+        self.units |= {n: Dimension.of(s.unit) for n, s in self.shapes.items()}
+        self.coefficients = {n: self._checked(part) for n, part in linear.items()}
 
     def effect(self, source: str) -> Effect:
         slot, slot_unit, cause = self._slot()
@@ -585,6 +448,99 @@ class _TypedLine(_Text):
         if self.readings is not None and unsaid:
             why += f". {' and '.join(map(self._no_column, unsaid))}"
         raise self.refusal(node.at, why)
+
+    def _checked(self, node: FormulaNode) -> Checked:
+        """Return a part with its literals in base units, and its dimension; None for a plain literal.
+
+        Literals take the unit that they are added to or compared with.
+        """
+        if node.kind == "number":
+            return node, None
+        if node.kind == "name":
+            return node, self.units[node.parts[0]]
+        if node.kind == "call":
+            return self._checked_call(node, *node.parts)
+        (a, left), *more = (self._checked(part) for part in node.parts)
+        if node.kind == "neg":
+            return node._replace(parts=(a,)), left
+        ((b, right),) = more
+        if node.kind == "^":
+            unit = self._raised(left, right, b, node.parts[1].at)
+        elif node.kind in "+-":
+            a, b, unit = self._alike(a, left, b, right, node.parts[1].at)
+        else:
+            sign, plain = (1.0 if node.kind == "*" else -1.0), left is None and right is None
+            unit = None if plain else (left or NUMBER).times(right or NUMBER, sign)
+        return node._replace(parts=(a, b)), unit
+
+    def _alike(
+        self,
+        a: FormulaNode,
+        left: Dimension | None,
+        b: FormulaNode,
+        right: Dimension | None,
+        at: int,
+    ) -> tuple[FormulaNode, FormulaNode, Dimension | None]:
+        """Two parts that are added or compared, plain literals in the unit of the other."""
+        if left is not None and right is not None and left.powers != right.powers:
+            why = f"this is {right}, what it is added to or compared with {left}"
+            raise self.refusal(at, why)
+        unit = left or right
+        factor = 1.0 if unit is None else unit.factor
+        return (
+            _times(a, factor) if left is None else a,
+            _times(b, factor) if right is None else b,
+            unit,
+        )
+
+    def _raised(
+        self, unit: Dimension | None, of: Dimension | None, exponent: FormulaNode, at: int
+    ) -> Dimension | None:
+        if of is not None and of.powers:
+            raise self.refusal(at, f"an exponent is a plain number, this is {of}")
+        if unit is None or not unit.powers:
+            return unit if of is None else NUMBER
+        if exponent.kind != "number" or abs(exponent.parts[0]) > 10:
+            raise self.refusal(at, f"of {unit} only a power such as 2 or 0.5 has a unit")
+        return unit.raised(exponent.parts[0])
+
+    def _checked_call(
+        self, node: FormulaNode, name: str, first: FormulaNode, *rest: FormulaNode
+    ) -> Checked:
+        if name in _OF_COLUMNS:
+            return node, self._of_past(name, first, *rest)
+        (a, unit), *more = (self._checked(argument) for argument in (first, *rest))
+        if name in _OF_TWO:
+            ((b, right),) = more
+            a, b, unit = self._alike(a, unit, b, right, rest[0].at)
+            return node._replace(parts=(name, a, b)), unit
+        node = node._replace(parts=(name, a))
+        if name == "abs" or (name == "sqrt" and unit is None):
+            return node, unit
+        if name == "sqrt":
+            return node, unit and unit.raised(0.5)
+        angle = (
+            name in ("sin", "cos", "tan") and unit is not None and unit.powers == (("rad", 1.0),)
+        )
+        if name not in ("step", "sign") and unit is not None and unit.powers and not angle:
+            why = f"{name} takes a plain number, this is {unit}: divide it by one"
+            raise self.refusal(first.at, why)
+        return node, NUMBER
+
+    def _of_past(self, name: str, column: FormulaNode, *rest: FormulaNode) -> Dimension:
+        unit = self.units[column.parts[0]] or Dimension.of("degC")
+        if name == "rate":
+            if unit.powers != (("K", 1.0),):
+                raise self.refusal(column.at, "rate is of a temperature")
+            return unit.times(Dimension.of("s"), -1.0)
+        (time,) = rest
+        tau = str(time.parts[0])
+        of = self.units.get(tau) if time.kind == "name" and tau in self.shapes else None
+        if of is None or of.powers != (("s", 1.0),):
+            raise self.refusal(
+                time.at, f"the second argument of {name} is a time constant, such as tau"
+            )
+        return unit
 
     def _no_column(self, name: str) -> str:
         """Return that the readings have no column of a name, and which they have."""

@@ -28,7 +28,7 @@ from bayescal._model.composition import (
 from bayescal._model.frame import Frame
 from bayescal._model.noise_law import in_time, log_density_beside
 from bayescal._model.parameters import Layout
-from bayescal._model.terms import Term, terms_of
+from bayescal._model.terms import Sizes, Term, terms_of
 
 Values = dict[str, Float[Array, "..."]]
 
@@ -45,39 +45,21 @@ def hyper_log_prior(layout: Layout, v: Float[Array, "d"]) -> Float[Array, ""]:
 
 
 def prior_mean(layout: Layout) -> Float[Array, "p"]:
-    return _fill(layout, [jnp.full(b.size, b.mean) for b in layout.x_blocks])
+    return jnp.asarray(layout.of_x([b.mean for b in layout.x_blocks]))
 
 
 def prior_sd(
     layout: Layout, hyper: Values, flat: Float[Array, "p"] | float = 1.0
 ) -> Float[Array, "p"]:
     """Prior standard deviation of x given φ; where the prior is flat, the scale `flat` of its column."""
-    flat = jnp.broadcast_to(jnp.asarray(flat), (layout.size,))
-    parts = []
-    for b in layout.x_blocks:
-        if b.coefficient.group_sd is not None:
-            sd = jnp.full(b.size, hyper[b.group_sd_name])
-        elif b.coefficient.flat:
-            sd = flat[b.start : b.start + b.size]
-        else:
-            sd = jnp.full(b.size, b.coefficient.size)
-        if b.effect.weights is not None:
-            named = {name: hyper[f"{b.effect.name}.{name}"] for name in b.effect.weight_shapes}
-            count = len(b.effect.coefficients)
-            sd = sd * jnp.broadcast_to(b.effect.weights(**named), (count,))[b.index]
-        parts.append(sd)
-    return _fill(layout, parts)
+    terms = [Term.of_block(b, {}, {}) for b in layout.x_blocks]
+    sd = Sizes(terms, layout.model.effects, layout.size).at(hyper)
+    return jnp.where(prior_weight(layout) > 0, sd, flat * sd)
 
 
 def prior_weight(layout: Layout) -> Float[Array, "p"]:
     """1 where the prior of x is proper, 0 where it is flat."""
-    return _fill(
-        layout, [jnp.full(b.size, 0.0 if b.coefficient.flat else 1.0) for b in layout.x_blocks]
-    )
-
-
-def _fill(layout: Layout, parts: list[Float[Array, "..."]]) -> Float[Array, "p"]:
-    return jnp.concatenate(parts) if parts else jnp.zeros(0)
+    return jnp.asarray(layout.of_x([float(not b.coefficient.flat) for b in layout.x_blocks]))
 
 
 def coefficients(layout: Layout, x: Float[Array, "p"], hyper: Values) -> Values:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import jax
 import jax.numpy as jnp
@@ -12,6 +12,7 @@ import numpy as np
 from jax.scipy.special import betainc, gammaln
 from jaxtyping import Array, Float
 
+from bayescal._core.xp import xp
 from bayescal._data.column import UNCERTAINTY
 from bayescal._model.frame import Frame, measured_column, reference_name
 from bayescal._model.noise_law import (
@@ -60,6 +61,13 @@ class White(Noise):
 
     def shared_variance(self, values):
         return values[WHITE] ** 2
+
+    def variance_place(self, frame):
+        known = frame.columns.get(UNCERTAINTY)
+        return None if known is None or not np.all(known > 0) else np.log(np.asarray(known))
+
+    def variance_along(self, values, place):
+        return values[WHITE] ** 2 + np.exp(2 * place)
 
     def variance(self, parameters, frame):
         return own_variance(parameters, frame)
@@ -135,11 +143,22 @@ class Heteroscedastic(Noise):
     def unit(self, name: str, output: str) -> str:
         return "1" if name in (SLOPE, CURVATURE) else output
 
+    def _place(self, frame: Frame) -> Float[Array, "n"]:
+        return self._share(frame) if self.proportional else place_along(frame, self.column)
+
+    def variance_place(self, frame):
+        return None if UNCERTAINTY in frame.columns else np.asarray(self._place(frame))
+
+    def variance_along(self, values, place):
+        if self.proportional:
+            return values[WHITE] ** 2 + (values[PROPORTIONAL] * place) ** 2
+        return (values[WHITE] * scatter(values, place)) ** 2
+
     def variance(self, parameters, frame):
         if not self.proportional:
             return scattered_variance(parameters, frame, self.column)
         return (
-            own_variance(parameters, frame) + (parameters[PROPORTIONAL] * self._share(frame)) ** 2
+            own_variance(parameters, frame) + (parameters[PROPORTIONAL] * self._place(frame)) ** 2
         )
 
 
@@ -153,11 +172,20 @@ def followed_columns(column: str) -> tuple[str, ...]:
 
 def scattered_variance(parameters: Parameters, frame: Frame, column: str) -> Float[Array, "n"]:
     """Variance of each reading by itself, its white part as `Heteroscedastic` has it, output unit squared."""
-    z = jnp.clip(2 * frame.position(column) - 1, -1.0, 1.0)
-    # Legendre's P₁ and P₂ of z have no mean over the range: log σ is the mean of the logarithm of the scatter, and a
-    # and b change the form alone.
-    growth = parameters[SLOPE] * z + parameters[CURVATURE] * (1.5 * z**2 - 0.5)
-    return own_variance({WHITE: parameters[WHITE] * jnp.exp(growth)}, frame)
+    growth = scatter(parameters, place_along(frame, column))
+    return own_variance({WHITE: parameters[WHITE] * growth}, frame)
+
+
+def place_along(frame: Frame, column: str) -> Float[Array, "n"]:
+    """Return the places of readings along a column, −1 to 1 over its range at the fit."""
+    return xp.clip(2 * frame.position(column) - 1, -1.0, 1.0)
+
+
+def scatter(values: Parameters, place: Any) -> Any:
+    """Return the standard deviation at places along a column, over its geometric mean."""
+    # Legendre's P₁ and P₂ have no mean over the range: log σ is the mean of the logarithm of the scatter, and a and b
+    # change the form alone.
+    return xp.exp(values[SLOPE] * place + values[CURVATURE] * (1.5 * place**2 - 0.5))
 
 
 @offered

@@ -169,9 +169,21 @@ class Noise(abc.ABC):
         """Of every reading where they are `even`, output unit squared."""
         raise NotImplementedError(f"readings under {self.name} noise share no variance")
 
-    def fresh_variance(self, values: Parameters, step: float) -> Any:
-        """About that of what is new in a reading, a usual step after the one before; in no harm if it is rough."""
-        return values[self.amplitudes[0]] ** 2 if self.amplitudes else 1.0
+    def variance_place(self, frame: Frame) -> Float[np.ndarray, "n"] | None:
+        """Return the place of each reading that its variance is a smooth function of; None where it is of none.
+
+        Only of independent Gaussian noise: `variance_along` is that function.
+        """
+        return None
+
+    def variance_along(self, values: Parameters, place: Float[np.ndarray, "j"]) -> Any:
+        """Return the variance at some places, output unit squared; values are (s, 1)."""
+        raise NotImplementedError(f"the variance of {self.name} noise follows no place")
+
+    @property
+    def stationary(self) -> bool:
+        """Whether it is a function of frequency on readings of even steps (`spectrum`)."""
+        return False
 
     def whiten(
         self,

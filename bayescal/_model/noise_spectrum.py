@@ -85,13 +85,45 @@ def _symbol(x: Any, lam: Lambda) -> Any:
 def _inner(variance: Any, x: Any, n: int, sign: int) -> Any:
     """Return m± of an exponential correlation with a = exp(x), (s,)."""
     a = np.exp(x)
-    return np.reshape(1 / (variance * ((1 + a) / a + _end_of_exponential(x, n, sign))), -1)
+    return np.reshape(1 / (variance * ((1 + a) / a + _end_of_exponential(x, n, sign)[0])), -1)
 
 
-def _end_of_exponential(x: Any, n: int, sign: int) -> Any:
-    """Return e±ᵀN e± of a unit variance with a = exp(x), in closed form by images."""
-    a, far, inside = np.exp(x), np.exp((n - 1) * x), np.exp((2 * n - 1) * x)
-    return ((1 + a) * (1 + inside) + sign * far * (1 + a) ** 2) / -np.expm1(2 * n * x)
+def matern(variance: Any, time: Any, step: float, lam: Lambda) -> SpectralTerm:
+    """Return Matérn's process of order 3/2 of correlation (1 + x)·exp(−x), x = √3·Δt/time.
+
+    (1 + x)·e⁻ˣ is e⁻ˣ − ∂e⁻ˣ/∂log r, x = r·Δt: the exponential's formulas less their slopes by log r.
+    """
+    x = -math.sqrt(3) * step / time
+    a, gap = np.exp(x), -np.expm1(x)
+    slope_of_a = x * a  # ∂a/∂log r, and of 1 − a with the other sign
+    top, slope_of_top = gap * (2 - gap), -2 * a * slope_of_a
+    low, slope_of_low = gap**2 + a * lam, (lam - 2 * gap) * slope_of_a
+    symbol = variance * top / low
+    slope = variance * (slope_of_top / low - top * slope_of_low / low**2)
+
+    def correction(n: int, sign: int) -> Any:
+        at_end, slope_at_end = _end_of_exponential(x, n, sign)
+        inverse = (1 + a) / a + at_end
+        m = 1 / (variance * inverse)
+        slope_of_m = m * (slope_of_a / a**2 - slope_at_end) / inverse
+        flat = [np.reshape(one, -1) for one in (m - slope_of_m, -m)]
+        return np.array([[flat[0], flat[1]], [flat[1], np.zeros_like(flat[1])]])
+
+    return SpectralTerm(symbol - slope, (symbol, slope), correction)
+
+
+def _end_of_exponential(x: Any, n: int, sign: int) -> tuple[Any, Any]:
+    """Return e±ᵀN e± of a unit variance with a = exp(x), in closed form by images, and its slope by log(−x)."""
+    a, far = np.exp(x), np.exp((n - 1) * x)
+    inside, whole = np.exp((2 * n - 1) * x), -np.expm1(2 * n * x)
+    top = (1 + a) * (1 + inside) + sign * far * (1 + a) ** 2
+    slope_of_top = x * (
+        a * (1 + inside)
+        + (1 + a) * (2 * n - 1) * inside
+        + sign * far * ((n - 1) * (1 + a) ** 2 + 2 * (1 + a) * a)
+    )
+    slope_of_whole = -2 * n * x * (1 - whole)
+    return top / whole, (slope_of_top - top * slope_of_whole / whole) / whole
 
 
 def difference_of_errors(size: Any, lam: Lambda) -> SpectralTerm:

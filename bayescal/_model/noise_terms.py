@@ -75,13 +75,11 @@ class NoiseTerm(abc.ABC):
 
     Attributes:
         words: as a person reads it.
-        output: which of its states a reading shows.
         symbol: of IEEE 952, where its first unknown is that coefficient.
         bounded: whether its states hang on the bounds of the record.
     """
 
     words: ClassVar[str]
-    output: ClassVar[tuple[int, ...]] = (0,)
     symbol: ClassVar[str] = ""
     bounded: ClassVar[bool] = False
 
@@ -110,10 +108,6 @@ class NoiseTerm(abc.ABC):
         """
         raise NotImplementedError(f"{self.words} noise has no spectrum here")
 
-    def fresh(self, values: Values, bounds: Bounds, step: float) -> Any:
-        """About the variance of what is new in it a usual step after the reading before; in no harm if it is rough."""
-        return self.variance(values, bounds)
-
     @abc.abstractmethod
     def allan(self, values: Values, bounds: Bounds, m: Float[np.ndarray, "k"], step: float) -> Any:
         """Allan variance of means of m evenly spaced readings; values with a last axis of one."""
@@ -132,8 +126,31 @@ class NoiseTerm(abc.ABC):
         return {}
 
 
+class ExponentialTerm(NoiseTerm):
+    """A sum of independent Ornstein–Uhlenbeck processes, which a reading shows together."""
+
+    @abc.abstractmethod
+    def processes(self, values: Values, bounds: Bounds) -> list[tuple[Any, Any]]:
+        """Return the variance, output unit squared, and the correlation time, s, of each."""
+
+    def variance(self, values, bounds):
+        return sum(variance for variance, _ in self.processes(values, bounds))
+
+    def block(self, values, bounds, h):
+        variances, times = map(jnp.asarray, zip(*self.processes(values, bounds), strict=True))
+        return exponential(times, variances, h)
+
+    def spectrum(self, values, bounds, step, lam):
+        each = self.processes(values, bounds)
+        return [noise_spectrum.exponential(variance, t, step, lam) for variance, t in each]
+
+    def allan(self, values, bounds, m, step):
+        each = self.processes(values, bounds)
+        return sum(variance * allan_of_exponential(m, step / time) for variance, time in each)
+
+
 @static
-class CorrelatedTerm(NoiseTerm):
+class CorrelatedTerm(ExponentialTerm):
     """Ornstein–Uhlenbeck noise; of several, each has a longer time than the one before.
 
     Of one before it with the time τ' it has τ = τ'·(longest/τ')^u, u uniform from 0 to 1: so they cannot exchange.
@@ -174,22 +191,9 @@ class CorrelatedTerm(NoiseTerm):
             time = time ** (1 - share) * bounds.longest**share
         return time
 
-    def variance(self, values: Values, bounds: Bounds) -> Any:
-        return 0.5 * values[self._name("diffusion")] ** 2 * self.time(values, bounds)
-
-    def fresh(self, values, bounds, step):
-        return values[self._name("diffusion")] ** 2 * step
-
-    def block(self, values, bounds, h):
-        return exponential(self.time(values, bounds), self.variance(values, bounds), h)
-
-    def spectrum(self, values, bounds, step, lam):
-        own = self.variance(values, bounds), self.time(values, bounds)
-        return [noise_spectrum.exponential(*own, step, lam)]
-
-    def allan(self, values, bounds, m, step):
+    def processes(self, values, bounds):
         time = self.time(values, bounds)
-        return self.variance(values, bounds) * allan_of_exponential(m, step / time)
+        return [(0.5 * values[self._name("diffusion")] ** 2 * time, time)]
 
     @property
     def bounded(self) -> bool:  # pyright: ignore[reportIncompatibleVariableOverride]
@@ -200,7 +204,7 @@ class CorrelatedTerm(NoiseTerm):
         return size if self.place < 2 else {**size, self._name("time"): self.time(values, bounds)}
 
 
-class WalkTerm(NoiseTerm):
+class WalkTerm(ExponentialTerm):
     """A random walk (IEEE 952: rate random walk, K) that has gone on for long before the record."""
 
     words: ClassVar[str] = "random walk"
@@ -213,27 +217,14 @@ class WalkTerm(NoiseTerm):
     def unit(self, name: str, output: str) -> str:
         return f"{output}/s^0.5"
 
-    def variance(self, values, bounds):
-        return 0.5 * values["noise.walk"] ** 2 * ENDLESS * bounds.longest
-
-    def fresh(self, values, bounds, step):
-        return values["noise.walk"] ** 2 * step
-
     # An Ornstein–Uhlenbeck process that returns after thirty spans: stationary as the other terms, and within a
     # record of one span a walk of the diffusion K, since K² = 2·σ²/τ.
-    def block(self, values, bounds, h):
-        return exponential(ENDLESS * bounds.longest, self.variance(values, bounds), h)
-
-    def spectrum(self, values, bounds, step, lam):
-        own = self.variance(values, bounds), ENDLESS * bounds.longest
-        return [noise_spectrum.exponential(*own, step, lam)]
-
-    def allan(self, values, bounds, m, step):
-        size = self.variance(values, bounds)
-        return size * allan_of_exponential(m, step / (ENDLESS * bounds.longest))
+    def processes(self, values, bounds):
+        time = ENDLESS * bounds.longest
+        return [(0.5 * values["noise.walk"] ** 2 * time, time)]
 
 
-class FlickerTerm(NoiseTerm):
+class FlickerTerm(ExponentialTerm):
     """Flicker (1/f) noise over the record's octaves (IEEE 952: bias instability, B), a ladder of equal steps in time.
 
     Equal variances s² at times apart by a factor r have about the spectrum s²/(f·ln r), one-sided; flicker noise has
@@ -256,28 +247,9 @@ class FlickerTerm(NoiseTerm):
 
     # One-sided, a term of variance s² and time τ has the spectrum 4·s²·τ/(1 + (2πfτ)²). Summed over times whose
     # logarithms are ln r apart: ∫ 4·s²/(1 + (2πfτ)²)·dτ/ln r = s²/(f·ln r), which is B²/(π·f) for s² = B²·ln r/π.
-    def _size(self, values: Values) -> Any:
-        return values["noise.flicker"] ** 2 * math.log(RUNGS) / math.pi
-
-    def variance(self, values, bounds):
-        return self._size(values) * len(self.times(bounds))
-
-    def block(self, values, bounds, h):
-        times = self.times(bounds)
-        return exponential(times, self._size(values) * jnp.ones(len(times)), h)
-
-    def spectrum(self, values, bounds, step, lam):
-        size = self._size(values)
-        return [noise_spectrum.exponential(size, t, step, lam) for t in self.times(bounds)]
-
-    @property
-    def output(self) -> Any:  # pyright: ignore[reportIncompatibleVariableOverride]
-        return ...
-
-    def allan(self, values, bounds, m, step):
-        return self._size(values) * sum(
-            allan_of_exponential(m, step / time) for time in self.times(bounds)
-        )
+    def processes(self, values, bounds):
+        size = values["noise.flicker"] ** 2 * math.log(RUNGS) / math.pi
+        return [(size, time) for time in self.times(bounds)]
 
 
 class SmoothTerm(NoiseTerm):
@@ -302,9 +274,6 @@ class SmoothTerm(NoiseTerm):
     def variance(self, values, bounds):
         return values["noise.smooth"] ** 2
 
-    def fresh(self, values, bounds, step):
-        return 0.0
-
     def block(self, values, bounds, h):
         size, x = values["noise.smooth"], math.sqrt(3) * h / values["noise.smooth.time"]
         # f and g = f′/λ obey f′ = λ·g, g′ = −λ·f − 2λ·g and noise. Its matrix M has (M + λ)² = 0, so that over a step
@@ -327,6 +296,10 @@ class SmoothTerm(NoiseTerm):
         # The slope's own part is a quarter of what is new in it where z is small: never near zero.
         last = jnp.where(moves, jnp.sqrt(rest), 0.0)
         return Block(carry, size * pairs(first, 0 * x, share, last), size * jnp.eye(2))
+
+    def spectrum(self, values, bounds, step, lam):
+        own = self.variance(values, bounds), values["noise.smooth.time"]
+        return [noise_spectrum.matern(*own, step, lam)]
 
     def allan(self, values, bounds, m, step):
         """With c(a) that of exp(−a·k), (1 + a·k)·exp(−a·k) has c − a·∂c/∂a, the slope by a complex step; over short
@@ -377,8 +350,8 @@ class ToneTerm(NoiseTerm):
         turn = 2 * math.pi * self._frequency(values, bounds, z) * h
         c, s = jnp.cos(turn), jnp.sin(turn)
         plain = exponential(values["noise.tone.time"], values["noise.tone"] ** 2, h)
-        root = plain.root[:, :, None] * jnp.eye(2)
-        return Block(plain.carry[:, :, None] * pairs(c, s, -s, c), root, plain.start * jnp.eye(2))
+        each = jnp.eye(2)
+        return Block(plain.carry * pairs(c, s, -s, c), plain.root * each, plain.start * each)
 
     def spectrum(self, values, bounds, step, lam):
         if bounds.column:
@@ -461,7 +434,6 @@ class RoundedAngleTerm(NoiseTerm):
     """
 
     words: ClassVar[str] = "quantisation"
-    output: ClassVar[tuple[int, ...]] = (0, 1)
     symbol: ClassVar[str] = "Q"
     bounded: ClassVar[bool] = True
 
@@ -497,7 +469,6 @@ class AveragingTerm(NoiseTerm):
     """
 
     words: ClassVar[str] = "averaging"
-    output: ClassVar[tuple[int, ...]] = (0, 1)
 
     def parameters(self, bounds: Bounds) -> dict[str, Any]:
         return {"noise.averaging": bounds.correlated}
@@ -518,10 +489,9 @@ class AveragingTerm(NoiseTerm):
 
 def _of_errors(size: Any, passed: float, h: Float[Array, "n"]) -> Block:
     """Errors of one size, each shown by its own reading and, times `passed`, by the next."""
-    new, nothing = jnp.broadcast_to(size, h.shape), jnp.zeros_like(h)
-    return Block(
-        jnp.zeros((*h.shape, 2)), jnp.stack([new, nothing], -1), size * jnp.ones(2), passed
-    )
+    nothing, new = 0.0 * h, size + 0.0 * h
+    carry = pairs(nothing, nothing, passed + nothing, nothing)
+    return Block(carry, pairs(new, nothing, nothing, nothing), size * jnp.eye(2), shown=True)
 
 
 def allan_of_exponential(m: Float[np.ndarray, "k"], a: Any) -> Any:

@@ -156,10 +156,14 @@ class Layout:
     def x_blocks(self) -> tuple[CoefficientBlock, ...]:
         return tuple(b for b in self.blocks if b.place == "x")
 
+    def of_x(self, values: Sequence[float]) -> Float[np.ndarray, "p"]:
+        """Return a value for each entry of x, of one for each block in x."""
+        return np.repeat(np.asarray(values, float), [b.size for b in self.x_blocks])
+
     @property
     def origin_of_x(self) -> Float[np.ndarray, "p"]:
         """What the entries of x are counted from, in their units."""
-        return np.repeat([b.origin for b in self.x_blocks], [b.size for b in self.x_blocks])
+        return self.of_x([b.origin for b in self.x_blocks])
 
     @property
     def size(self) -> int:

@@ -12,30 +12,31 @@ from jaxtyping import Array, Float
 
 
 class Block(NamedTuple):
-    """States of a term over the steps before n readings; all independent of each other, or a pair.
+    """States of a term over the steps before n readings.
 
     Attributes:
-        carry: what is kept of each state (n, k); or of a pair by a pair (n, 2, 2).
-        root: what is new is `root` times independent standard normal numbers (n, k); or (n, 2, 2).
-        start: stationary standard deviations (k,); or a root of the covariance (2, 2).
-        passed: of a chain of two states, how much of the first the second has after the step; a chain stands last.
+        carry: what is kept of each state, by all (n, k, k).
+        root: what is new is `root` times independent standard normal numbers (n, k, k).
+        start: a root of the stationary covariance (k, k).
+        shown: whether a reading shows all of them together, or the first alone.
     """
 
-    carry: Float[Array, "n *k"]
-    root: Float[Array, "n *k"]
-    start: Float[Array, "*k"]
-    passed: float = 0.0
+    carry: Float[Array, "n k k"]
+    root: Float[Array, "n k k"]
+    start: Float[Array, "k k"]
+    shown: bool = False
 
 
 def exponential(time: Any, variance: Any, h: Float[Array, "n"]) -> Block:
     """Ornstein–Uhlenbeck processes of these times and variances."""
     time, size = jnp.atleast_1d(time), jnp.sqrt(jnp.atleast_1d(variance))
-    steps = h[:, None] / time
+    steps, each = h[:, None] / time, jnp.eye(len(time))
     # At a run's first reading the step is zero and nothing is new. The inner `where` keeps the root's slope finite
     # there: automatic differentiation computes both branches, and 0·∞ is no number.
     fall = jnp.where(steps > 0, -jnp.expm1(-2 * steps), 0.0)
     root = jnp.where(fall > 0, jnp.sqrt(jnp.where(fall > 0, fall, 1.0)), 0.0)
-    return Block(jnp.exp(-steps), size * root, size)
+    kept, new = jnp.exp(-steps)[..., None] * each, (size * root)[..., None] * each
+    return Block(kept, new, size * each, shown=True)
 
 
 def pairs(a: Array, b: Array, c: Array, d: Array) -> Float[Array, "n 2 2"]:
@@ -47,196 +48,97 @@ class States(NamedTuple):
     """All states of a sum, a row for each reading; those of a run's first reading begin anew.
 
     Attributes:
-        carry: what is kept over the step before: of each state (n, p), or of all by all (n, p, p).
-        fresh: covariance of what is new: (n, p) of each state, or (n, p, p).
+        carry: what is kept over the step before (n, p, p).
+        root: of the covariance of what is new (n, p, p).
         shown: how much of each state a reading shows (p,).
-        last: how much of each state the last one takes up over the step before (n, p), where none else does of another.
     """
 
-    carry: Float[Array, "n *p"]
-    fresh: Float[Array, "n *p"]
+    carry: Float[Array, "n p p"]
+    root: Float[Array, "n p p"]
     shown: Float[np.ndarray, "p"]
-    last: Float[Array, "n p"] | None = None
 
 
-def joined(blocks: Sequence[Block], step: Float[Array, "n"]) -> tuple[Any, Any, Any]:
-    """What is kept of all states; what is new in them, per independent standard normal number; and `States.last`.
+def states_of(blocks: Sequence[Block], step: Float[Array, "n"]) -> States:
+    """The states of blocks over steps, s; −1 where they begin.
 
-    At a run's first reading, of step −1, nothing is kept and the states have their stationary covariance: runs are
-    independent.
+    There nothing is kept and the states have their stationary covariance: runs are independent.
     """
-    carry, root = [], []
+    first, at, count = (step < 0)[:, None, None], 0, sum(len(block.start) for block in blocks)
+    carry = root = jnp.zeros((step.shape[0], count, count))
+    shown = np.zeros(count)
     for block in blocks:
-        first = jnp.expand_dims(step < 0, range(1, block.carry.ndim))
-        carry.append(jnp.where(first, 0.0, block.carry))
-        root.append(jnp.where(first, block.start, block.root))
-    apart = all(block.carry.ndim == 2 for block in blocks)
-    together = (lambda a: jnp.concatenate(a, 1)) if apart else _diagonal
-    kept, new = together(carry), together(root)
-    if not (passed := blocks[-1].passed):
-        return kept, new, None
-    last = jnp.zeros(kept.shape[:2]).at[:, -2].set(jnp.where(step < 0, 0.0, passed))
-    return (kept, new, last) if apart else (kept.at[:, -1].add(last), new, None)
+        own = slice(at, at + len(block.start))
+        carry = carry.at[:, own, own].set(jnp.where(first, 0.0, block.carry))
+        root = root.at[:, own, own].set(jnp.where(first, block.start, block.root))
+        shown[own if block.shown else at] = 1.0
+        at = own.stop
+    return States(carry, root, shown)
 
 
-def states_of(
-    blocks: Sequence[Block], step: Float[Array, "n"], shown: Float[np.ndarray, "p"]
-) -> States:
-    """The states of blocks over steps, s; −1 where they begin."""
-    carry, root, last = joined(blocks, step)
-    fresh = root**2 if root.ndim == 2 else root @ jnp.swapaxes(root, 1, 2)
-    return States(carry, fresh, shown, last)
-
-
-def drawn(
-    key: Array, blocks: Sequence[Block], step: Float[Array, "n"], shown: Float[np.ndarray, "p"]
-) -> Float[Array, "n"]:
-    """What readings show of the states of blocks, drawn."""
-    carry, root, last = joined(blocks, step)
-    normal = jax.random.normal(key, (step.shape[0], len(shown)))
-    push = root * normal if root.ndim == 2 else jnp.einsum("nij,nj->ni", root, normal)
+def drawn(key: Array, states: States) -> Float[Array, "n"]:
+    """What readings show of states, drawn."""
+    normal = jax.random.normal(key, states.root.shape[:2])
 
     def advance(state, row):
-        kept, taken, own = row
-        made = (kept * state if kept.ndim == 1 else kept @ state) + own
-        if taken is not None:
-            made = made.at[-1].add(taken @ state)
-        return made, made @ jnp.asarray(shown)
+        kept, own = row
+        made = kept @ state + own
+        return made, made @ jnp.asarray(states.shown)
 
-    return jax.lax.scan(advance, jnp.zeros(len(shown)), (carry, last, push))[1]
+    rows = states.carry, jnp.einsum("nij,nj->ni", states.root, normal)
+    return jax.lax.scan(advance, jnp.zeros(len(states.shown)), rows)[1]
 
 
 def filtered(
     states: States, white: Float[Array, "n"], columns: Float[Array, "n m"]
 ) -> tuple[Float[Array, "n m"], Float[Array, "n"]]:
-    """Columns as the Kalman filter whitens them, and the logarithm of each reading's standard deviation by then.
+    """Whiten columns by the Kalman filter; return them, and the log standard deviation of each innovation.
 
-    Its variances and gains hang on no column: they are found first, once for all. With P that of the states given the
-    readings before: g = P·1 over the states shown, s = 1ᵀg + w of the reading, gain g/s; P goes on as
-    A·(P − g·gᵀ/s)·Aᵀ + what is new.
+    With P the covariance of the states given the readings before: g = P·1 over the states shown, s = 1ᵀg + w of the
+    reading, gain g/s; P goes on as A·(P − g·gᵀ/s)·Aᵀ + what is new.
 
     Args:
         states: of a sum.
         white: variance w of each reading by itself.
         columns: in the order of time within runs.
     """
-    steps = states.carry, states.fresh, states.last
-    new, total = _innovations(tuple(states.shown), steps, white, columns)
-    return new / jnp.sqrt(total)[:, None], 0.5 * jnp.log(total)
+    passed = _forward(states, white, columns)
+    return passed.new / jnp.sqrt(passed.total)[:, None], 0.5 * jnp.log(passed.total)
 
 
-_Steps = tuple[Array, Array, Array | None]  # carry, fresh and last of `States`
+class _Passed(NamedTuple):
+    """What a pass of the filter finds at each reading."""
+
+    new: Float[Array, "n m"]  # innovation of each column
+    total: Float[Array, "n"]  # its variance
+    gain: Float[Array, "n p"]
+    covariance: Float[Array, "n p p"]  # of the states given the readings before
+    mean: Float[Array, "n p m"]  # and their mean
 
 
-def _step(kept: Array, taken: Array | None, value: Float[Array, "p m"]) -> Float[Array, "p m"]:
-    """A·value, A the step that `States` describe by what is kept and what the last state takes up."""
-    if kept.ndim == 2:
-        return _times(kept, value)
-    made = kept[:, None] * value
-    if taken is not None:
-        made = made + jnp.eye(len(kept))[:, -1:] * jnp.sum(taken[:, None] * value, axis=0)
-    return made
+def _forward(states: States, white: Float[Array, "n"], columns: Float[Array, "n m"]) -> _Passed:
+    seen, count = jnp.asarray(states.shown), len(states.shown)
 
-
-def _step_back(kept: Array, taken: Array | None, value: Float[Array, "p m"]) -> Float[Array, "p m"]:
-    """Aᵀ·value."""
-    if kept.ndim == 2:
-        return _times(kept.T, value)
-    made = kept[:, None] * value
-    return made if taken is None else made + taken[:, None] * value[-1]
-
-
-def _new(shown, steps: _Steps, white, columns) -> tuple[Array, Array]:
-    """What is new in each reading of each column (n, m), and its variance (n,)."""
-    return _forward(shown, steps, white, columns)[0]
-
-
-def _forward(shown, steps: _Steps, white, columns):
-    (carry, fresh, last), count = steps, len(shown)
-    seen = jnp.asarray(shown)
-
+    # Variances and gains hang on no column: they are found first, once for all.
     def ahead(before, reading):
-        kept, taken, more, own = reading
-        made = _step(kept, taken, _step(kept, taken, before).T)
-        made = made + (jnp.diag(more) if more.ndim == 1 else more)
+        kept, fresh, own = reading
+        made = _times(kept, _times(kept, before).T) + fresh
         column = jnp.sum(made * seen, axis=1)
         total = jnp.sum(column * seen) + own
         gain = column / total
-        return made - gain[:, None] * column, (gain, total, before)
-
-    nothing = jnp.zeros((count, count))
-    _, (gain, total, left) = jax.lax.scan(ahead, nothing, (carry, last, fresh, white), unroll=2)
+        return made - gain[:, None] * column, (total, gain, made)
 
     def further(before, reading):
-        kept, taken, own, row = reading
-        made = _step(kept, taken, before)
+        kept, gain, row = reading
+        made = _times(kept, before)
         new = row - jnp.sum(made * seen[:, None], axis=0)
-        return made + own[:, None] * new, (new, before)
+        return made + gain[:, None] * new, (new, made)
 
-    start = jnp.zeros((count, columns.shape[1]))
-    _, (new, means) = jax.lax.scan(further, start, (carry, last, gain, columns), unroll=2)
-    return (new, total), (steps, gain, total, left, new, means)
-
-
-def _backward(shown, kept_of_forward, slopes):
-    """Slopes by the steps, the white variances and the columns, from those by what is new and its variances.
-
-    The two loops of the filter, each transposed: the second one's first, since the gains come from the first. Up to
-    twice as fast as what automatic differentiation makes of them, which keeps every number between.
-    """
-    steps, gain, total, left, new, means = kept_of_forward
-    (carry, fresh, last), seen = steps, jnp.asarray(shown)
-    by_new, by_total = slopes
-
-    # Each loop keeps what it carries and nothing else; what else is asked for follows from that, of all readings at
-    # once.
-    def of_means(by_after, reading):
-        kept, taken, own, by_own = reading
-        by_own = by_own + jnp.sum(own[:, None] * by_after, axis=0)
-        return _step_back(kept, taken, by_after - seen[:, None] * by_own), by_after
-
-    start, rows = jnp.zeros_like(means[0]), (carry, last, gain, by_new)
-    by_after = jax.lax.scan(of_means, start, rows, reverse=True, unroll=2)[1]
-    by_column = by_new + jnp.sum(gain[:, :, None] * by_after, axis=1)
-    by_mean = by_after - seen[:, None] * by_column[:, None]
-    by_gain = jnp.sum(by_after * new[:, None], axis=2)
-    # Of a gain g/s the slopes by g and by s, which holds g too.
-    by_total = by_total - jnp.sum(by_gain * gain, axis=1) / total
-    by_shown = by_gain / total[:, None] + by_total[:, None] * seen
-
-    def made(by_after, own, by_own):
-        pulled = jnp.sum(by_after * own, axis=-1)
-        side = (by_own - 2 * pulled + jnp.sum(pulled * own) * seen)[:, None] * seen
-        return by_after + 0.5 * (side + side.T)
-
-    def of_variances(by_after, reading):
-        kept, taken, own, by_own = reading
-        by_made = made(by_after, own, by_own)
-        return _step_back(kept, taken, _step_back(kept, taken, by_made).T), by_after
-
-    start, rows = jnp.zeros_like(left[0]), (carry, last, gain, by_shown)
-    by_after = jax.lax.scan(of_variances, start, rows, reverse=True, unroll=2)[1]
-    by_made = jax.vmap(made)(by_after, gain, by_shown)
-    by_white = by_total + jnp.einsum("ni,nij,nj->n", gain, by_after, gain)
-    # A·x and A·P·Aᵀ by A: (by A·x)·xᵀ + 2·(by A·P·Aᵀ)·A·P; of a diagonal A its diagonal, of `last` the last row.
-    stepped = jax.vmap(_step)(carry, last, left)
-    if carry.ndim == 3:
-        by_carry = 2 * jnp.sum(by_made[:, :, :, None] * stepped[:, None], axis=2)
-        by_carry = by_carry + jnp.sum(by_mean[:, :, None] * means[:, None], axis=3)
-        by_last = None
-    else:
-        by_carry = 2 * jnp.sum(by_made * jnp.swapaxes(stepped, 1, 2), axis=2)
-        by_carry = by_carry + jnp.sum(by_mean * means, axis=2)
-        by_last = None
-        if last is not None:
-            by_last = 2 * jnp.sum(by_made[:, -1, :, None] * stepped, axis=1)
-            by_last = by_last + jnp.sum(by_mean[:, -1:] * means, axis=2)
-    by_fresh = by_made if fresh.ndim == 3 else jnp.diagonal(by_made, axis1=1, axis2=2)
-    return (by_carry, by_fresh, by_last), by_white, by_column
-
-
-_innovations = jax.custom_vjp(_new, nondiff_argnums=(0,))
-_innovations.defvjp(_forward, _backward)
+    fresh = jnp.einsum("nij,nkj->nik", states.root, states.root)
+    nothing, rows = jnp.zeros((count, count)), (states.carry, fresh, white)
+    total, gain, covariance = jax.lax.scan(ahead, nothing, rows, unroll=2)[1]
+    nothing, rows = jnp.zeros((count, columns.shape[1])), (states.carry, gain, columns)
+    new, mean = jax.lax.scan(further, nothing, rows, unroll=2)[1]
+    return _Passed(new, total, gain, covariance, mean)
 
 
 def smoothed(
@@ -251,42 +153,25 @@ def smoothed(
 
     Source: J. Durbin and S. Koopman, Time Series Analysis by State Space Methods (2012), §4.4.
     """
-    steps, seen = (states.carry, states.fresh, states.last), jnp.asarray(states.shown)
-    (new, total), (_, gain, _, left, _, means) = _forward(states.shown, steps, white, columns)
+    seen = jnp.asarray(states.shown)
 
     # r = h·v/F + (1 − k·hᵀ)ᵀ·Aᵀr and N = h·hᵀ/F + (1 − k·hᵀ)ᵀ·AᵀN·A·(1 − k·hᵀ) gather what this reading and later
     # ones say, v what is new in one, F its variance and k its gain; the state's mean moves by P·r, its covariance by
     # −P·N·P, P the covariance before the reading.
     def back(later, row):
-        (r, big), (kept, taken, more, spread, before, k, v, f) = later, row
-        made = _step(kept, taken, _step(kept, taken, spread).T)
-        column = (made + (jnp.diag(more) if more.ndim == 1 else more)) @ seen
-        passes = jnp.eye(len(seen)) - k[:, None] * seen
-        r = seen[:, None] * (v / f) + _times(passes.T, r)
-        big = seen[:, None] * seen / f + _times(_times(passes.T, big), passes)
-        mean = seen @ _step(kept, taken, before) + column @ r
+        (r, big), (kept, now) = later, row
+        column, passes = now.covariance @ seen, jnp.eye(len(seen)) - now.gain[:, None] * seen
+        r = seen[:, None] * (now.new / now.total) + _times(passes.T, r)
+        big = seen[:, None] * seen / now.total + _times(_times(passes.T, big), passes)
+        mean = seen @ now.mean + column @ r
         variance = column @ seen - column @ _times(big, column[:, None])[:, 0]
-        r = _step_back(kept, taken, r)
-        return (r, _step_back(kept, taken, _step_back(kept, taken, big).T)), (mean, variance)
+        return (_times(kept.T, r), _times(kept.T, _times(big, kept))), (mean, variance)
 
-    size = len(states.shown)
+    size = len(seen)
     nothing = jnp.zeros((size, columns.shape[1])), jnp.zeros((size, size))
-    carry, fresh, last = steps
-    rows = carry, last, fresh, left, means, gain, new, total
+    rows = states.carry, _forward(states, white, columns)
     _, (mean, variance) = jax.lax.scan(back, nothing, rows, reverse=True)
     return mean, jnp.maximum(variance, 0.0)
-
-
-def _diagonal(blocks: list[Array]) -> Float[Array, "n p p"]:
-    """Blocks along the diagonal; those of one row each are diagonals themselves."""
-    count = sum(b.shape[1] for b in blocks)
-    made, at = jnp.zeros((blocks[0].shape[0], count, count)), 0
-    for block in blocks:
-        size = block.shape[1]
-        wide = block if block.ndim == 3 else block[:, :, None] * jnp.eye(size)
-        made = made.at[:, at : at + size, at : at + size].set(wide)
-        at += size
-    return made
 
 
 def _times(a: Float[Array, "p q"], b: Float[Array, "q m"]) -> Float[Array, "p m"]:

@@ -107,6 +107,10 @@ class SumOfTerms(Noise, interface=True):
             (white, *(f"{c} {w}" if c > 1 else w for w, c in counts.items()))
         )
 
+    @property
+    def stationary(self) -> bool:
+        return not (self.column or self.scatter)
+
     def spectrum(
         self, values: Parameters, step: float, lam: Float[np.ndarray, "j"]
     ) -> list[SpectralTerm]:
@@ -164,20 +168,12 @@ class SumOfTerms(Noise, interface=True):
     def variance(self, parameters, frame):
         return self._own_variance(parameters, frame) + self.slow_variance(parameters)
 
-    def fresh_variance(self, values, step):
-        return values[WHITE] ** 2 + sum(p.fresh(values, self.bounds, step) for p in self.parts)
-
     def states(self, parameters: Parameters, step: Float[Array, "n"], z: Any = None) -> States:
         """Its states over steps, s; −1 where they begin. With the column that is followed, from −1 to 1."""
-        return states_of(*self._blocks(parameters, step, z))
-
-    def _blocks(self, parameters: Parameters, step: Float[Array, "n"], z: Any) -> tuple[Any, ...]:
-        """Of its terms; over which steps; and which of their states are shown."""
         parameters = parameters if z is None else {**parameters, self.column: z}
         h = jnp.maximum(step, 0.0)
         blocks = [part.block(parameters, self.bounds, h) for part in self.parts]
-        shown = [_shown(p, b.start.shape[0]) for p, b in zip(self.parts, blocks, strict=True)]
-        return blocks, step, np.concatenate(shown)
+        return states_of(blocks, step)
 
     def whiten(self, columns, extra, parameters, frame):
         states = self.states(parameters, frame.step, self.followed(frame))
@@ -185,7 +181,7 @@ class SumOfTerms(Noise, interface=True):
 
     def sample(self, key: Array, mean, parameters, frame):
         of_white, of_states = jax.random.split(key)
-        slow = drawn(of_states, *self._blocks(parameters, frame.step, self.followed(frame)))
+        slow = drawn(of_states, self.states(parameters, frame.step, self.followed(frame)))
         own = jnp.sqrt(self._own_variance(parameters, frame))
         return mean + own * jax.random.normal(of_white, mean.shape) + slow
 
@@ -330,13 +326,6 @@ def _parts(terms: tuple[str, ...]) -> tuple[NoiseTerm, ...]:
     return tuple(CorrelatedTerm(next(place)) if t == "correlated" else TERMS[t]() for t in terms)
 
 
-def _shown(part: NoiseTerm, count: int) -> Float[np.ndarray, "k"]:
-    """1 for each of its states that a reading shows."""
-    found = np.zeros(count)
-    found[part.output if part.output is ... else list(part.output)] = 1.0
-    return found
-
-
 def _start_of_scatter(frame: Frame, left: Float[np.ndarray, "n"], column: str) -> dict[str, float]:
     """Slope and curvature of the white part's scatter: log squares of differences of neighbours are linear in them."""
     jumps = np.diff(left)
@@ -382,24 +371,17 @@ def over_octaves(
 
 
 @offered
-def _within_runs(scale: Positive, frame: Frame) -> list[Noise]:
-    """Where there is time."""
+def _correlated(scale: Positive, frame: Frame) -> list[Noise]:
+    """One correlated term where there is time; sums of more where runs are long enough."""
     steps = np.asarray(frame.step)
     if not (steps > 0).any():
         return []
-    span = float(np.max(np.asarray(frame.columns["elapsed"])))
-    return [over_record(scale, float(np.median(steps[steps > 0])), span)]
-
-
-@offered
-def _of_two_or_more(scale: Positive, frame: Frame) -> list[Noise]:
-    """Where runs are long enough."""
-    steps = np.asarray(frame.step)
-    longest = int(np.max(np.diff(np.append(np.flatnonzero(steps < 0), steps.size))))
-    if longest < SECOND_CORRELATED_READINGS or not (steps > 0).any():
-        return []
     step, span = float(np.median(steps[steps > 0])), float(np.max(frame.columns["elapsed"]))
-    found: list[Noise] = [over_octaves(scale, step, span, terms) for terms in OFFERED]
+    found: list[Noise] = [over_record(scale, step, span)]
+    longest = int(np.max(np.diff(np.append(np.flatnonzero(steps < 0), steps.size))))
+    if longest < SECOND_CORRELATED_READINGS:
+        return found
+    found += [over_octaves(scale, step, span, terms) for terms in OFFERED]
     column = "temperature" if "temperature" in frame.columns else ""
     found.append(over_octaves(scale, step, span, ("correlated", "tone"), column))
     # What shakes or warms a sensor moves the temperature too: of all columns it is the one weighed with a sum.

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
+from bayescal._core.xp import xp
 from bayescal._model.effect import READING, Basis, Effect, basis_of
 from bayescal._model.parameters import CoefficientBlock
 from bayescal._model.prior import LogNormal, Normal
@@ -171,63 +172,58 @@ def terms_of(
     return tuple(map(term, blocks)), corrected
 
 
+class _Weighted(NamedTuple):
+    """An effect of which shapes weigh the coefficients, as a process's length does by its spectrum."""
+
+    weights: Callable[..., Any]
+    shapes: dict[str, str]  # keyword of the weights → name in φ
+    count: int  # of its coefficients
+    index: Int[np.ndarray, "p"]  # which of them each entry of x is of; −1 for none
+
+    def at(self, hyper: Mapping[str, Any], lead: tuple[int, ...] = ()) -> Any:
+        """Return what the prior standard deviations of x are multiplied by, (*lead, p)."""
+        made = self.weights(**{short: hyper[name] for short, name in self.shapes.items()})
+        made = xp.broadcast_to(made, (*lead, self.count))
+        return xp.where(self.index >= 0, made[..., self.index], 1.0)
+
+
 class Sizes:
     """Prior standard deviations of x as a function of φ's values; one where the prior is flat."""
 
     def __init__(self, terms: Sequence[Term], effects: Sequence[Effect], size: int):
         self.plain = np.ones(size)
-        for t in terms:
-            if not t.known.flat and t.group_sd_name is None:
-                self.plain[t.at] = t.prior_sd
-        self.learned = [(t.at, t.group_sd_name) for t in terms if t.group_sd_name is not None]
-        self.weighted: list[tuple[Any, list[tuple[str, str]], list[slice | None]]] = []
-        for effect in effects:
-            if effect.weights is not None:
-                names = [(name, f"{effect.name}.{name}") for name in effect.weight_shapes]
-                own = {t.index: t.at for t in terms if t.known.of == effect.name}
-                places = [own.get(i) for i in range(len(effect.coefficients))]
-                self.weighted.append((effect.weights, names, places))
         self.members: dict[str, Float[np.ndarray, "p"]] = {}  # of each learned spread, ones
-        for place, name in self.learned:
-            self.members.setdefault(name, np.zeros(size))[place] = 1.0
-        # of each shape that sizes follow
-        self.weighing = {
-            name: i for i, (_, names, _) in enumerate(self.weighted) for _, name in names
-        }
+        for t in terms:
+            if t.group_sd_name is not None:
+                self.members.setdefault(t.group_sd_name, np.zeros(size))[t.at] = 1.0
+            elif not t.known.flat:
+                self.plain[t.at] = t.prior_sd
+        self.weighing: dict[str, _Weighted] = {}  # by each shape that sizes follow
+        for effect in (e for e in effects if e.weights is not None):
+            index = np.full(size, -1)
+            for t in terms:
+                if t.known.of == effect.name:
+                    index[t.at] = t.index
+            names = {name: f"{effect.name}.{name}" for name in effect.weight_shapes}
+            own = _Weighted(effect.weights, names, len(effect.coefficients), index)
+            self.weighing |= dict.fromkeys(names.values(), own)
 
     def log_weights(self, name: str, hyper: Mapping[str, Any]) -> Float[np.ndarray, "p"]:
-        """Logarithms of what the sizes that follow a shape are multiplied by; zero for others."""
-        weights, names, places = self.weighted[self.weighing[name]]
-        # Sizes that follow a shape, as the spectrum of a Gaussian process its length, are a factor on each
-        # coefficient's sd.
-        found = np.zeros(len(self.plain))
-        made = np.broadcast_to(
-            weights(**{short: hyper[one] for short, one in names}), (len(places),)
-        )
-        for at, one in zip(places, np.log(np.maximum(made, 1e-300)), strict=True):
-            if at is not None:
-                found[at] = one
-        return found
+        """Return logarithms of what the sizes that follow a shape are multiplied by; zero for others."""
+        return np.log(np.maximum(self.weighing[name].at(hyper), 1e-300))
 
-    def at(
-        self, hyper: Mapping[str, Any], count: tuple[int, ...] = ()
-    ) -> Float[np.ndarray, "*b p"]:
-        """At one φ, its values by name; at `count` of them, the values of each (b,)."""
-
-        def each(name: str) -> Any:
-            return np.reshape(hyper[name], (-1, 1)) if count else hyper[name]
-
+    def at(self, hyper: Mapping[str, Any], count: tuple[int, ...] = ()) -> Float[Any, "*b p"]:
+        """Return them at one φ, its values by name; at `count` of them, the values of each (b,)."""
+        if count:
+            hyper = {name: np.reshape(value, (-1, 1)) for name, value in hyper.items()}
         # Fixed, then learned spreads, then the weights of what has a shape: each coefficient has one of the first
         # two.
-        sd = np.broadcast_to(self.plain, (*count, len(self.plain))).copy()
-        for place, name in self.learned:
-            sd[..., place] = each(name)
-        for weights, names, places in self.weighted:
-            made = weights(**{short: each(name) for short, name in names})
-            for i, at in enumerate(places):
-                if at is not None:
-                    sd[..., at] *= np.broadcast_to(made, (*count, len(places)))[..., i, None]
-        return sd
+        sd = self.plain
+        for name, members in self.members.items():
+            sd = xp.where(members > 0, hyper[name], sd)
+        for weighted in {id(w): w for w in self.weighing.values()}.values():
+            sd = sd * weighted.at(hyper, count)
+        return xp.broadcast_to(sd, (*count, len(self.plain)))
 
 
 def coordinates(prior: Any, values: Float[np.ndarray, "b"]) -> Float[np.ndarray, "b"]:

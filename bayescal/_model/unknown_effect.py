@@ -169,74 +169,61 @@ def process_sizes(terms: int, length: Any, amplitude: Any) -> Any:
     return amplitude * process_weights(length, terms)
 
 
-@functools.cache
-def jump(
-    slot: str, low: float, high: float, unit: str, *, covariate: str = "time", name: str = ""
-) -> Effect:
-    """A slot's value steps at one moment of the record, or at one value of a column, and stays.
+def _form(
+    kind: Kind,
+    words: str,
+    basis: Callable[..., Any],
+    shape: Callable[[str], Shape] | None,
+    says: str,
+) -> Callable[..., Effect]:
+    """Return the maker of a form along a column; the last of its shapes is the amplitude of its coefficients."""
+
+    @functools.cache
+    def made(
+        slot: str, low: float, high: float, unit: str, *, covariate: str = "time", name: str = ""
+    ) -> Effect:
+        in_time, shapes = covariate == "time", () if shape is None else (shape(covariate),)
+        below, above = (
+            ("before one moment", "after") if in_time else (f"below one {covariate}", "above")
+        )
+        return Effect(
+            name or f"unknown({covariate}, {kind})",
+            slot,
+            given(basis, covariate),
+            coefficients=standard_normals(unit, 2 if kind == "cycle" else 1),
+            shapes=(*shapes, Shape("amplitude", unit, low, high)),
+            weights=_even,
+            measure="amplitude",
+            columns=(covariate,),
+            varies=(covariate,),
+            untestable=functools.partial(_too_few, covariate),
+            equation=words.format(covariate=covariate, below=below, above=above),
+            source=SOURCE,
+            along="" if in_time else covariate,
+            family="" if in_time else f"unknown({covariate})",
+            kind=kind,
+        )
+
+    made.__name__ = made.__qualname__ = kind
+    made.__doc__ = f"""{says}
 
     Args:
-        low, high: plausible changes, in `unit`; `*OPEN` takes them from the readings.
-        covariate: the column along which it steps.
-        name: canonical; `unknown(time, jump)` if not given, with the column's name.
+        slot: that it adds to.
+        low, high: plausible amplitudes a, in `unit`; `*OPEN` takes them from the readings.
+        unit: of the slot.
+        covariate: the column along which it goes.
+        name: canonical; `unknown(humidity, {kind})` if not given, with the column's name.
     """
-    words = "−a/2 before one moment, a/2 after it"
-    if covariate != "time":
-        words = f"−a/2 below one {covariate}, a/2 above it"
-    shapes = (_place(covariate), Shape("amplitude", unit, low, high))
-    return _of_form("jump", slot, _step, 1, shapes, words, covariate, name)
-
-
-@functools.cache
-def line(
-    slot: str, low: float, high: float, unit: str, *, covariate: str, name: str = ""
-) -> Effect:
-    """A slot's value is proportional to a column.
-
-    Args:
-        low, high: plausible changes over the column's range, in `unit`; `*OPEN` takes them from the readings.
-        covariate: the column.
-        name: canonical; `unknown(humidity, line)` if not given, with the column's name.
-    """
-    words = f"a·(x − ½),  x the position in the range of {covariate}"
-    shapes = (Shape("amplitude", unit, low, high),)
-    return _of_form("line", slot, _straight, 1, shapes, words, covariate, name)
-
-
-@functools.cache
-def kink(
-    slot: str, low: float, high: float, unit: str, *, covariate: str, name: str = ""
-) -> Effect:
-    """A slot's slope along a column changes at one value of it.
-
-    Args:
-        low, high: plausible changes of the slope times the column's range, in `unit`; `*OPEN` takes them from the
-            readings.
-        covariate: the column.
-        name: canonical; `unknown(temperature, kink)` if not given, with the column's name.
-    """
-    words = f"a·max(0, x − p),  x the position in the range of {covariate}"
-    shapes = (_place(covariate), Shape("amplitude", unit, low, high))
-    return _of_form("kink", slot, _hinge, 1, shapes, words, covariate, name)
+    return made
 
 
 def _place(covariate: str) -> Shape:
-    """Of a step or a kink, in parts of the range; a moment is the same in all channels of a unit."""
+    """Return the place of a step or a kink, in parts of the range; a moment is the same in all channels of a unit."""
     return Shape("place", "1", *PLACES, scale="linear", ragged=True, shared=covariate == "time")
 
 
-@functools.cache
-def cycle(slot: str, low: float, high: float, unit: str, *, name: str = "") -> Effect:
-    """A slot's value goes up and down evenly in time.
-
-    Args:
-        low, high: plausible amplitudes, in `unit`; `*OPEN` takes them from the readings.
-        name: canonical; `unknown(time, cycle)` if not given.
-    """
-    cycles = Shape("cycles", "1", *CYCLES, ragged=True)
-    shapes = (cycles, Shape("amplitude", unit, low, high))
-    words = "a·sin(2π·cycles·t + φ)"
-    return _of_form("cycle", slot, _waves, 2, shapes, words, "time", name)
+def _cycles(covariate: str) -> Shape:
+    return Shape("cycles", "1", *CYCLES, ragged=True)
 
 
 def _step(covariate, r, place):
@@ -269,48 +256,36 @@ def standard_normals(unit: str, count: int) -> tuple[Coefficient, ...]:
 def _too_few(covariate: str, readings: Measurements) -> str | None:
     count = np.unique(readings[covariate]).size
     what = "times" if covariate == "time" else f"values of {covariate}"
-    return (
-        None
-        if count >= FEWEST_TIMES
-        else f"needs {FEWEST_TIMES} different {what}; there are {count}"
-    )
+    enough = count >= FEWEST_TIMES
+    return None if enough else f"needs {FEWEST_TIMES} different {what}; there are {count}"
 
 
-def _of_form(
-    form: Kind,
-    slot: str,
-    basis: Callable[..., Any],
-    count: int,
-    shapes: tuple[Shape, ...],
-    equation: str,
-    covariate: str,
-    name: str,
-) -> Effect:
-    """A form along a column, of so many coefficients; the last of its shapes is their amplitude."""
-    in_time = covariate == "time"
-    return Effect(
-        name or f"unknown({covariate}, {form})",
-        slot,
-        given(basis, covariate),
-        coefficients=standard_normals(shapes[-1].unit, count),
-        shapes=shapes,
-        weights=_even,
-        measure="amplitude",
-        columns=(covariate,),
-        varies=(covariate,),
-        untestable=functools.partial(_too_few, covariate),
-        equation=equation,
-        source=SOURCE,
-        along="" if in_time else covariate,
-        family="" if in_time else f"unknown({covariate})",
-        kind=form,
-    )
-
+_X = "x the position in the range of {covariate}"
+line = _form(
+    "line", f"a·(x − ½),  {_X}", _straight, None, "A slot's value is proportional to a column."
+)
+jump = _form(
+    "jump",
+    "−a/2 {below}, a/2 {above} it",
+    _step,
+    _place,
+    "A slot's value steps by a at one moment of the record, or at one value of a column, and stays.",
+)
+kink = _form(
+    "kink",
+    f"a·max(0, x − p),  {_X}",
+    _hinge,
+    _place,
+    "A slot's slope along a column changes at one value of it, by a over the column's range.",
+)
+cycle = _form(
+    "cycle",
+    "a·sin(2π·cycles·t + φ)",
+    _waves,
+    _cycles,
+    "A slot's value goes up and down evenly in time.",
+)
 
 JUMP = "time, jump"
 IN_TIME = (JUMP, "time, cycle")
-FORMS: dict[str, Callable[..., Effect]] = {
-    "line": line,
-    "jump": jump,
-    "kink": kink,
-}  # along a column
+FORMS = {"line": line, "jump": jump, "kink": kink}  # along a column

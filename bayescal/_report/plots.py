@@ -65,7 +65,7 @@ def new_figure(width: float, height: float) -> Figure:
 
 def axes_of(ax: Any, width: float, height: float) -> Any:
     """The axes to draw in: those given, or of a figure of their own, inches."""
-    return new_figure(width, height).subplots() if ax is None else ax
+    return open_sides(new_figure(width, height).subplots() if ax is None else ax)
 
 
 def plain(text: str) -> str:
@@ -83,9 +83,10 @@ def axis_label(name: str, unit: str) -> str:
     return f"{plain(name)} [{unit_label(unit) or '1'}]"
 
 
-def open_sides(ax) -> None:
-    for side in ("top", "right"):
-        ax.spines[side].set_visible(False)
+def open_sides(ax: Any) -> Any:
+    """Axes without their upper and right spines."""
+    ax.spines[["top", "right"]].set_visible(False)
+    return ax
 
 
 def save(figure: Figure, path: Path) -> Path:
@@ -224,7 +225,6 @@ def trail(found: SearchPath | Mapping[str, Any], ax: Any = None) -> Figure:
     handles, _ = ax.get_legend_handles_labels()
     handles.sort(key=lambda h: h.get_label().startswith("floor"))  # the last, as in the tables
     _legend_below(ax, handles, 2)
-    open_sides(ax)
     return ax.figure
 
 
@@ -265,7 +265,6 @@ def missing(found: Discovery | Mapping[str, Any], ax: Any = None) -> Figure:
     names = [Patch(color=KINDS.get(k or "", BLUE), label=no_formula(k or rest)) for k in kinds]
     if names:
         _legend_below(ax, names, len(names))
-    open_sides(ax)
     return ax.figure
 
 
@@ -365,16 +364,14 @@ def members(calibration: Calibration, name: str) -> Figure:
     (group,) = {str(d) for d in data.dims} - {"chain", "draw"}
     draws = data.transpose(group, ...).values.reshape(data.sizes[group], -1)
     at = np.arange(len(draws))
-    figure = new_figure(6.4, 1.0 + 0.25 * len(draws))
-    ax = figure.subplots()
+    ax = axes_of(None, 6.4, 1.0 + 0.25 * len(draws))
     for share, width in ((INTERVAL, 1.5), (0.5, 4.0)):
         ax.hlines(at, *_ends(draws, share), color=BLUE, lw=width)
     ax.plot(draws.mean(axis=1), at, "o", color=RED)
     ax.set_yticks(at, [plain(f"{group} {label}") for label in data[group].values])
     ax.invert_yaxis()
     ax.set_xlabel(axis_label(name, data.attrs["units"]))
-    open_sides(ax)
-    return figure
+    return ax.figure
 
 
 def pairs(calibration: Calibration, names: Sequence[str] | None = None) -> Figure:
@@ -418,15 +415,8 @@ def most_correlated(data: xr.Dataset) -> list[str]:
     """The unknowns of the strongest correlations, in their own order."""
     names = list(map(str, data))
     correlation = np.abs(np.corrcoef([data[n].values.ravel() for n in names]))
-    order = np.dstack(
-        np.unravel_index(np.argsort(-np.triu(correlation, 1), axis=None), correlation.shape)
-    )
-    chosen: list[int] = []
-    for i, j in order[0]:
-        chosen += [k for k in (int(i), int(j)) if k not in chosen]
-        if len(chosen) >= min(PAIRED, len(names)):
-            break
-    return [names[i] for i in sorted(chosen[:PAIRED])]
+    strongest = np.argsort(-np.max(correlation - np.eye(len(names)), axis=0), kind="stable")
+    return [names[i] for i in sorted(strongest[:PAIRED])]
 
 
 def predictive(calibration: Calibration) -> Figure:
@@ -480,7 +470,6 @@ def identifiability(calibration: Calibration, ax: Any = None) -> Figure:
     if ratio:
         ax.set_xlim(min(0.1, min(ratio)) / 2, max(2.0, 2 * max(ratio)))
     ax.set_xlabel("posterior sd / prior sd [1]")
-    open_sides(ax)
     return ax.figure
 
 
@@ -529,7 +518,7 @@ def allan(given: Check | Calibration | AllanDeviation) -> Figure:
             "there is no Allan deviation to draw: it needs runs of 30 readings or more, evenly spaced in time; "
             "bc.allan_deviation(readings) says what these lack"
         )
-    ax = new_figure(5.2, 3.6).subplots()
+    ax = axes_of(None, 5.2, 3.6)
     measured = found.measured if isinstance(found, AllanCheck) else found
     if isinstance(found, AllanCheck):
         seen = found.expected > 0
@@ -556,7 +545,7 @@ def noise(found: SensorNoise) -> Figure:
         for f in found.figures
         if f.symbol and not f.bound
     ]
-    ax, tau = new_figure(5.2, 3.6).subplots(), found.measured.tau
+    ax, tau = axes_of(None, 5.2, 3.6), found.measured.tau
     bands = (
         (found.estimate_low, found.estimate_high, GREY, 0.2, "95 % of such records"),
         (found.low, found.high, ORANGE, 0.4, "law, 95 %"),
@@ -581,7 +570,6 @@ def _labelled(ax: Any, unit: str, told: Sequence[str]) -> Figure:
     ax.set_ylabel(axis_label("Allan deviation", unit))
     ax.set_title(", ".join(told), fontsize=9, loc="left")
     ax.legend(frameon=False, fontsize=8)
-    open_sides(ax)
     return ax.figure
 
 

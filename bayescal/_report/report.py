@@ -110,13 +110,13 @@ class Pictures:
             f"deviations, {int(np.sum(residual > 2))} are beyond 2.",
         )
 
-    def error(self, chapter: Chapter) -> Picture:
-        steps = chapter.data["steps"]
+    def error(self, steps: Sequence[dict[str, Any]]) -> Picture:
+        """The errors of steps, as in result.json."""
         unit = unit_label(steps[-1]["unit"])
         told = "; ".join(f"{s['title']} {number(s['rmse_fitted'])} {unit}" for s in steps)
         floor = number(steps[-1]["noise_floor"])
         return self.draw(
-            lambda: plots.trail(chapter.data),
+            lambda: plots.trail({"steps": steps}),
             "The error, step by step",
             f"Bars of the rms error of each step, as fitted: {told}; noise floor {floor} {unit}.",
         )
@@ -175,11 +175,10 @@ def _panel(calibration: Calibration, found: Check, against: str) -> Figure:
 
 def as_svg(figure: Figure) -> str:
     """A figure as an SVG without a background."""
-    figure.patch.set_visible(False)
-    for ax in figure.axes:
-        ax.patch.set_visible(False)
+    for patch in (figure.patch, *(ax.patch for ax in figure.axes)):
+        patch.set_visible(False)
     out = io.StringIO()
-    nothing = {"Date": None, "Creator": None, "Format": None, "Type": None}
+    nothing = dict.fromkeys(("Date", "Creator", "Format", "Type"))
     FigureCanvasSVG(figure).print_svg(out, metadata=nothing)  # `savefig` would draw it twice
     return out.getvalue()
 
@@ -323,42 +322,33 @@ def _chapter(chapter: Chapter, pictures: Pictures) -> dict[str, Any]:
     may, not_for = report_text.use_and_limits(chapter)
     rows = report_text.coefficients(chapter)
     signed = report_text.signed(rows, c.model)
-    last = len(data["steps"]) - 1
     found, no_budget = _budget(chapter)
-    checks = [[r for r in data["check"] if r["step"] == step] for step in {0, last}]
+    ends = sorted({0, len(data["steps"]) - 1})
+    checks = [check_table([r for r in data["check"] if r["step"] == step]) for step in ends]
+    own = ("conclusion", "effects", "files", "ok", "skewed", "steps", "convergence", "unexplained")
     return {
+        **{name: getattr(report_text, name)(chapter) for name in own},
         "instrument": c.model.instrument,
         "devices": report_text.devices(c.readings),
         "channels": report_text.channels(c.readings),
-        "ok": report_text.ok(chapter),
         "data": data,
         "final": data["steps"][-1],
         "identity": identity(chapter.used),
         "of_the_model": None if chapter.average is None else identity(c),
         "averaged": averaged_over(chapter.used),
-        "files": sources_of(c.readings),
-        "files_table": report_text.files(chapter),
+        "sources": sources_of(c.readings),
         "groups": _groups(data),
         "signed": signed,
         "further": len(rows.rows) - len(signed.rows) + len(c.model.fixed),
         "may": may,
         "not_for": not_for,
-        "unexplained": report_text.unexplained(chapter),
-        "story": report_text.story(chapter),
         "ranges": report_text.ranges_table(report_text.ranges(chapter.used)),
-        "effects": report_text.effects(chapter),
         "noise": c.model.noise.in_words,
         "reference": [(n, f"{v:g} {unit_label(u)}") for n, (v, u) in c.held_at.items()],
         "coefficients": replace(rows, rows=rows.rows[: 4 * MOST_ROWS]),
-        "further_tables": [
-            pair for tables in offered("coefficient_tables") for pair in tables(data)
-        ],
-        "skewed": report_text.skewed(chapter),
+        "further_tables": [pair for make in offered("coefficient_tables") for pair in make(data)],
         "check": chapter.check,
-        "checks": [*zip(sorted({0, last}), map(check_table, checks), strict=True)],
-        "steps": report_text.steps(chapter),
-        "convergence": report_text.convergence(chapter),
-        "allan": chapter.check.allan,
+        "checks": [*zip(ends, checks, strict=True)],
         "discoveries": [_discovery(m, data, pictures) for m in data["missing"]],
         "budget": found,
         "budget_tables": found and [replace(t, rows=t.rows[:MOST_ROWS]) for t in found.tables()],
@@ -417,7 +407,7 @@ def _pictures(chapter: Chapter, pictures: Pictures) -> dict[str, Any]:
         "first": first,
         "last": of_last if sphere else of_last[1:],
         "front": sphere or next(iter(of_last), None),  # on the page that is signed
-        "error": pictures.error(chapter),
+        "error": pictures.error(chapter.data["steps"]),
         **{name: pictures.of_fit(name, chapter.used) for name in OF_FIT},
         "allan": pictures.allan(chapter.check, "the last model"),
     }

@@ -1,12 +1,12 @@
 """The text of a report: its tables as plain data, which a template lays out, and its sentences.
 
-The sentences are the result in one paragraph, how it came about, its use and limits, what is left open.
+The sentences are the result in one paragraph, its use and limits, what is left open.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from itertools import chain, pairwise
+from itertools import chain
 from typing import Any
 
 import numpy as np
@@ -18,12 +18,11 @@ from bayescal._calibration.storage import sources_of
 from bayescal._calibration.summary import (
     curve_extent,
     curve_weights,
-    curves,
     if_there,
-    large_groups,
     place_of,
     range_of,
     summary,
+    unknown_rows,
 )
 from bayescal._core.errors import InputError
 from bayescal._core.flag import Flag
@@ -123,40 +122,28 @@ def files(chapter: Chapter) -> ResultTable:
 def coefficients(chapter: Chapter) -> ResultTable:
     """Coefficients, then hyperparameters: k = 2 interval and 95 % credible interval, apart."""
     untold = coefficients_not_measured(chapter.used)
-
-    def row(r: dict[str, Any]) -> dict[str, Any]:
+    known, rows = {r["name"]: r for r in chain(*summary(chapter.used))}, list[dict[str, Any]]()
+    for key, (name, value, unit, *_) in unknown_rows(chapter.used).items():
+        if key not in known:  # what single coefficients mean nothing in: a curve, a large group
+            none = dict.fromkeys(("u", "k2", "credible"), "–")
+            value = f"{value} {unit}".rstrip()
+            rows.append({"name": name, "unit": "", "value": value, "contraction": None, **none})
+            continue
+        r = known[key]
         mean, sd, likely = r["mean"], r["sd"], r["probability"]
         held = not sd > 1e-9 * abs(mean)
-        note = " (held)" * held + " (mostly its prior)" * (r["name"] in untold)
         given = if_there(r, K)
+        note = " (held)" * held + " (mostly its prior)" * (name in untold)
         note += f" (if it is there {given})" if given else ""
         note += f" (probability {probability(likely)})" * (likely < 1 and not given)
-        u, k2, credible = "held", "–", "–"
+        own = {"u": "held", "k2": "–", "credible": "–"}
         if not held:
-            u, k2 = number(sd, 2), interval(mean - K * sd, mean + K * sd, mean, sd)
-            credible = interval(*r["interval95"], mean, sd)
-        own = {"u": u, "k2": k2, "credible": credible}
-        return {**r, "value": with_error(mean, K * sd), "note": note, **own}
-
-    def line(name: str, value: str) -> dict[str, Any]:
-        """What single coefficients mean nothing in: a curve, or the members of a large group."""
-        none = dict.fromkeys(("u", "k2", "credible"), "–")
-        return {"name": name, "unit": "", "value": value, "note": "", "contraction": None, **none}
-
-    rows: dict[str, dict[str, Any]] = {}
-    drawn, large = curves(chapter.used), large_groups(chapter.used)
-    every = [*chain(*summary(chapter.used))]
-    for r in every:
-        block = next((b for b, names in large.items() if r["name"] in names), None)
-        if r["effect"] in drawn:
-            extent = f"up to {_largest(chapter.used, r['effect'])}"
-            rows.setdefault(r["effect"], line(f"{r['effect']}, a curve", extent))
-        elif block is not None:
-            means = [own["mean"] for own in every if own["name"] in large[block]]
-            ends = f"{number(min(means), 2)} to {number(max(means), 2)} {unit_label(r['unit'])}"
-            rows.setdefault(block, line(f"{block}, {len(means)} members", ends.rstrip()))
-        else:
-            rows[r["name"]] = row(r)
+            own = {
+                "u": number(sd, 2),
+                "k2": interval(mean - K * sd, mean + K * sd, mean, sd),
+                "credible": interval(*r["interval95"], mean, sd),
+            }
+        rows.append({**r, "value": with_error(mean, K * sd), "note": note, **own})
     columns = (
         TableColumn("unknown", "name"),
         TableColumn("unit", "unit", unit_label, left=True),
@@ -166,7 +153,7 @@ def coefficients(chapter: Chapter) -> ResultTable:
         TableColumn("95 % credible interval", "credible"),
         TableColumn("contraction", "contraction", _percent),
     )
-    return ResultTable(columns, [*rows.values()])
+    return ResultTable(columns, rows)
 
 
 def signed(every: ResultTable, model: Model) -> ResultTable:
@@ -449,13 +436,8 @@ def _does(c: Calibration, effect: Effect) -> str:
 
 
 def _extent(c: Calibration, effect: Effect) -> str:
-    *_, covariate, at = curve_extent(c, effect.name)
-    return f"{_largest(c, effect.name)}, most at {place_of(c, covariate, at)}"
-
-
-def _largest(c: Calibration, name: str) -> str:
-    """The largest value of a curve, output unit."""
-    return measured(abs(curve_extent(c, name)[1]), c.unit, 2)
+    _, largest, covariate, at = curve_extent(c, effect.name)
+    return f"{measured(abs(largest), c.unit, 2)}, most at {place_of(c, covariate, at)}"
 
 
 def _size(c: Calibration, effect: Effect) -> str:
@@ -624,10 +606,6 @@ def _limits(chapter: Chapter, rows: list[dict[str, Any]]) -> list[str]:
         )
     candidates = (last_discovery(chapter) or {"candidates": []})["candidates"]
     blind = [c["effect"] for c in candidates if c["kind"] == "not visible" and not is_quiet(c)]
-    not_for += [
-        f"Where {listed(names, 'or')} matters: it was not tested ({reason})."
-        for reason, names in not_tested(candidates).items()
-    ]
     if blind:
         not_for.append(
             f"Where {listed(blind, 'or')} matters: it is not detectable in this experiment."
@@ -653,10 +631,9 @@ def ok(chapter: Chapter) -> bool:
 
 
 def unexplained(chapter: Chapter) -> list[str]:
-    """What the last model leaves open, a sentence each."""
+    """What the last model leaves open and the conclusion does not say, a sentence each."""
     data, unit = chapter.data, chapter.calibration.unit
-    step, first = data["steps"][-1], data["steps"][0]["holdout_rmse"]
-    rms, new, noise = step["rmse_fitted"], step["rmse"], step["noise_floor"]
+    rms, new, noise = (data["steps"][-1][k] for k in ("rmse_fitted", "rmse", "noise_floor"))
     more = "nothing beyond the noise."
     if rms > ABOVE_NOISE * noise:
         more = f"about {measured((rms**2 - noise**2) ** 0.5, unit, 2)} rms is more than noise."
@@ -667,16 +644,6 @@ def unexplained(chapter: Chapter) -> list[str]:
     if new > ABOVE_NOISE * rms:
         said.append(
             f"A new run has an rms error of {measured(new, unit, 3)}: it brings a deviation of its own."
-        )
-    if step["holdout_rmse"] is not None:
-        said.append(
-            f"Readings that no fit saw are predicted with an rms error of {measured(step['holdout_rmse'], unit, 3)} "
-            f"(first model: {measured(first, unit, 3)})."
-        )
-    for e in _depends(chapter):
-        size = f"{e.worst.size:+.2g} {unit_label(unit)}".replace("-", "−")
-        said.append(
-            f"The residuals still depend on {e.against} (up to {size}; log Bayes factor {e.log_bayes_factor:.1f})."
         )
     last, why = last_discovery(chapter), (data.get("search") or {}).get("ending")
     if last is None and not why:
@@ -693,28 +660,4 @@ def unexplained(chapter: Chapter) -> list[str]:
             )
     if outliers := len(chapter.check.outliers):
         said.append(f"{outliers} outlying readings (more than 4 standard deviations).")
-    if data["other_path"] is not None:
-        said.append(data["other_path"]["in_words"])
-    gate = [] if data["gate"]["ok"] else [data["gate"]["reason"]]
-    return [*said, *filter(None, (why,)), *gate]
-
-
-def story(chapter: Chapter) -> list[str]:
-    """The result in one paragraph, and how the last model came about, a sentence each step."""
-    steps, unit = chapter.data["steps"], chapter.calibration.unit
-    findings = {
-        m["step"]: {n for s in m["sets"] for n in s["effects"]} for m in chapter.data["missing"]
-    }
-    said = [
-        conclusion(chapter),
-        f"It began with {steps[0]['title']}: rms error as fitted {measured(steps[0]['rmse_fitted'], unit, 3)}.",
-    ]
-    for i, (before, step) in enumerate(pairwise(steps)):
-        name = step["added"]
-        if name and name in findings.get(i, ()):
-            what = f"{name} was found missing. Added, it"
-        else:
-            what = f"Adding {name}" if name else f"The step «{step['title']}»"
-        errors = (measured(s["rmse_fitted"], unit, 3) for s in (before, step))
-        said.append(f"{what} brought the rms error as fitted from {' to '.join(errors)}.")
-    return said
+    return [*said, *filter(None, (why,))]

@@ -159,21 +159,18 @@ def of_folder(
 def _read_result(path: Path) -> dict[str, Any]:
     try:
         data = read_json(path)
-    except (OSError, ValueError) as error:
-        raise InputError(f"{path} cannot be read as JSON ({error}): calibrate again") from None
-    schema = data.get("schema") if isinstance(data, dict) else None
-    if schema == FORMER:
-        rows = [{**r, "name": name_of_today(r["name"])} for r in data.pop("spreads", [])]
-        schema, data = SCHEMA, {**data, "hyperparameters": rows}
-    if schema != SCHEMA:
-        raise InputError(
-            f"{path} is no result of this version: its schema is {schema!r}, not {SCHEMA!r}"
-        )
-    try:
+        schema = data.get("schema")
+        if schema == FORMER:
+            rows = [{**r, "name": name_of_today(r["name"])} for r in data.pop("spreads", [])]
+            schema, data = SCHEMA, {**data, "hyperparameters": rows}
+        if schema != SCHEMA:
+            raise ValueError(f"its schema is {schema!r}, not {SCHEMA!r}")
         for candidate in (c for step in data["missing"] for c in step["candidates"]):
             candidate.setdefault("role", role_of(candidate["effect"]))  # since 0.2.1
-    except (AttributeError, KeyError, TypeError) as error:
-        raise InputError(f"{path} is incomplete ({error!r}): calibrate again") from None
+    except (OSError, ValueError, AttributeError, KeyError, TypeError) as error:
+        raise InputError(
+            f"{path} is no result of this version ({type(error).__name__}: {error}): calibrate again"
+        ) from None
     return data
 
 

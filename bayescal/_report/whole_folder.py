@@ -1,19 +1,15 @@
-"""A folder of results is there whole: written hidden, swapped in one step, with `manifest.json` of what belongs to it.
+"""A folder of results is one run's: written to a hidden folder in it, then moved, with `manifest.json` of it all last.
 
-On Linux the hidden folder and the visible one change places by one system call, renameat2 with RENAME_EXCHANGE; a
-process killed at any moment leaves the old results or the new. Elsewhere, and of the folder that a program works in, a
-mount point, and one whose parent cannot be written to, files are replaced one by one, the manifest last, and a reader
-refuses what does not agree with it.
+A reader refuses files that do not agree with the manifest: what a process left that was killed while it moved them is
+never taken for results.
 """
 
 from __future__ import annotations
 
-import ctypes
 import hashlib
 import os
 import re
 import shutil
-import sys
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -30,7 +26,6 @@ CALIBRATION = "calibration.nc"  # of the structure that is shown
 AVERAGED = "averaged.nc"  # the calibration averaged over structures, beside that of the one shown
 SCHEMA = "bayescal.manifest/1"
 AGAIN = "Take a copy of the whole folder, or calibrate again"
-AT_FDCWD, RENAME_EXCHANGE = -100, 2  # linux/fcntl.h, linux/fs.h
 
 
 class Manifest(TypedDict):
@@ -75,7 +70,7 @@ def is_inside(name: str) -> bool:
 def whole_folder(
     folder: Path, calibration: str | None = None, *, more: bool = False
 ) -> Iterator[Path]:
-    """A hidden folder to write to, whose files take their place in `folder` in one step.
+    """A hidden folder to write to, whose files are moved to `folder` once all are written.
 
     What else stands in `folder` stays, but for the unchanged results of a run before. The same holds in folders that
     are made in the hidden one, each with a manifest of its own (`list_files`); one that ends empty is not there.
@@ -89,18 +84,15 @@ def whole_folder(
         InputError: it cannot be written, or there is no room; the folder is as it was.
     """
     visible = Path(folder).resolve()
-    parent = visible.parent if os.access(visible.parent, os.W_OK) else visible
-    for left in left_behind(parent / visible.name):
-        shutil.rmtree(left, ignore_errors=True)
-    hidden = parent / f".{visible.name}.{os.getpid()}.partial"
-    shutil.rmtree(hidden, ignore_errors=True)
+    hidden = visible / f".results.{os.getpid()}.partial"
     try:
+        for left in (hidden, *left_behind(visible / "results")):
+            shutil.rmtree(left, ignore_errors=True)
+        visible.mkdir(exist_ok=True)
         hidden.mkdir()
-        if more:
-            _link_results(visible, hidden)
         yield hidden
         list_files(hidden, calibration)
-        _take_its_place(hidden, visible)
+        _move(hidden, visible, more)
     except OSError as error:
         raise InputError(f"the folder {folder} cannot be written: {why(error)}") from error
     except InputError as error:  # of a file in it, which the user knows by its place
@@ -120,16 +112,6 @@ def drawing(what: str) -> Iterator[None]:
         yield
     except Exception as error:
         raise NotDrawn(what, error) from error
-
-
-def _link_results(visible: Path, hidden: Path) -> None:
-    """Bring the results that stand in a folder, and in those in it, to the one that takes its place."""
-    inner = (p for p in visible.iterdir() if p.is_dir() and not p.is_symlink())
-    for place in (visible, *inner):
-        for name in sorted(_gone(place)):
-            there = hidden / place.relative_to(visible) / name
-            there.parent.mkdir(exist_ok=True)
-            _link(place / name, there)
 
 
 def files_of(folder: Path) -> dict[str, str]:
@@ -186,20 +168,17 @@ def list_files(folder: Path, calibration: str | None) -> None:
         OSError: they cannot be written.
         InputError: the manifest that stands there cannot be read.
     """
-    inner = folder / MANIFEST
-    if calibration is None and inner.is_file():
+    if calibration is None and (folder / MANIFEST).is_file():
         calibration = _manifest(folder)["calibration"]
-    paths = sorted(p for p in folder.iterdir() if p.is_file() and p != inner)
-    files = {p.name: sha256_of(p) for p in paths}
-    data = {
-        "schema": SCHEMA,
-        "identity": _identity(files),
-        "calibration": calibration,
-        "files": files,
-    }
-    write_json(data, inner)
-    for path in (*paths, inner, folder):
+    paths = sorted(p for p in folder.iterdir() if p.is_file() and p.name != MANIFEST)
+    _write_manifest(folder, {p.name: sha256_of(p) for p in paths}, calibration)
+    for path in (*paths, folder / MANIFEST, folder):
         to_disk(path)
+
+
+def _write_manifest(folder: Path, files: dict[str, str], calibration: str | None) -> None:
+    own = {"schema": SCHEMA, "identity": _identity(files), "calibration": calibration}
+    write_json({**own, "files": files}, folder / MANIFEST)
 
 
 def _identity(files: dict[str, str]) -> str:
@@ -207,74 +186,39 @@ def _identity(files: dict[str, str]) -> str:
     return hashlib.sha256(told.encode()).hexdigest()
 
 
-def _gone(folder: Path) -> set[str]:
-    """What another run replaces: results as the run before left them."""
+def _results(folder: Path) -> dict[str, str]:
+    """What a run before left and nobody changed, name → SHA-256."""
     try:
-        files = files_of(folder)
+        listed = files_of(folder)
     except InputError:
-        files = {}
-    same = {n for n, d in files.items() if (folder / n).is_file() and sha256_of(folder / n) == d}
-    return {*same, MANIFEST} if same else set()
+        return {}
+    there = {n: d for n, d in listed.items() if (folder / n).is_file()}
+    return {n: d for n, d in there.items() if sha256_of(folder / n) == d}
 
 
-def _take_its_place(hidden: Path, visible: Path) -> None:
+def _move(hidden: Path, visible: Path, more: bool) -> None:
+    """Move what is written to its place, each manifest last; results of a run before go, unless there is to be more."""
     places = [*(p.name for p in hidden.iterdir() if p.is_dir()), "."]
-    new = {place: {p.name for p in (hidden / place).iterdir()} for place in places}
-    for entry in (hidden / place / name for place in places for name in new[place]):
+    for entry in (e for place in places for e in (hidden / place).iterdir()):
         there = visible / entry.relative_to(hidden)
         if there.is_symlink() or there.is_file() if entry.is_dir() else there.is_dir():
             stands = "a file or a link" if entry.is_dir() else "a folder"
             raise InputError(
                 f"{there} cannot be written: {stands} stands in its place. Move it, or choose another --out"
             )
-    settled = {place: new[place] | _gone(visible / place) for place in places}
-    stays = hidden.parent == visible or visible.is_mount() or Path.cwd().is_relative_to(visible)
-    if sys.platform == "linux" and not stays:
-        for place in places:
-            _complete(hidden / place, visible / place, settled[place])
-        if _swapped(hidden, visible):
-            return
     for place in places:
-        (visible / place).mkdir(exist_ok=True)
-        for name in settled[place] - new[place]:
-            (visible / place / name).unlink(missing_ok=True)
-        for name in sorted(new[place] - {*places}, key=lambda n: n == MANIFEST):
-            os.replace(hidden / place / name, visible / place / name)
-        _remove_if_empty(visible / place)
-
-
-def _complete(hidden: Path, visible: Path, settled: set[str]) -> None:
-    """Bring what stays of a folder to the one that takes its place."""
-    if visible.is_dir():
-        for entry in visible.iterdir():
-            if entry.name not in settled:
-                _carry(entry, hidden / entry.name)
-        shutil.copystat(visible, hidden)
-    _remove_if_empty(hidden)
-
-
-def _remove_if_empty(folder: Path) -> None:
-    if not any(folder.iterdir()):
-        folder.rmdir()
-
-
-def _swapped(hidden: Path, visible: Path) -> bool:
-    """Whether two folders have changed places, as most file systems of Linux can have them do."""
-    names = AT_FDCWD, os.fsencode(hidden), AT_FDCWD, os.fsencode(visible)
-    exchange = getattr(ctypes.CDLL(None), "renameat2", None)
-    return exchange is not None and exchange(*names, RENAME_EXCHANGE) == 0
-
-
-def _carry(entry: Path, to: Path) -> None:
-    """A file or folder of the user's own, by hard link, or copied where there are none."""
-    if entry.is_dir() and not entry.is_symlink():
-        shutil.copytree(entry, to, symlinks=True, copy_function=_link)
-    else:
-        _link(entry, to)
-
-
-def _link(entry: str | Path, to: str | Path) -> None:
-    try:
-        os.link(entry, to, follow_symlinks=False)
-    except OSError:
-        shutil.copy2(entry, to, follow_symlinks=False)
+        source, target = hidden / place, visible / place
+        new, old = files_of(source), _results(target)
+        if more and old:
+            _write_manifest(source, old | new, _manifest(target)["calibration"])
+        target.mkdir(exist_ok=True)
+        for name in new:
+            os.replace(source / name, target / name)
+        for name in () if more else old.keys() - new.keys():
+            (target / name).unlink()
+        if (source / MANIFEST).is_file():
+            os.replace(source / MANIFEST, target / MANIFEST)
+        elif old and not more:
+            (target / MANIFEST).unlink()
+        if not any(target.iterdir()):
+            target.rmdir()

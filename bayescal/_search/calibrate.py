@@ -35,7 +35,6 @@ from bayescal._data.set_aside import said_of, set_aside
 from bayescal._data.time_in_runs import going_on, on_clock
 from bayescal._inference.laplace import NOTHING_KNOWN
 from bayescal._inference.least_squares import LeastSquares
-from bayescal._inference.marginal import NOT_SAMPLED
 from bayescal._inference.method import Method
 from bayescal._model.effect import Effect
 from bayescal._model.frame import Reference
@@ -55,7 +54,7 @@ from bayescal._search.library import Library
 from bayescal._search.posterior import OtherPath, Posterior, Search
 from bayescal._search.search_path import Gate, SearchPath, Step
 from bayescal._search.structure_average import averaged, with_latent
-from bayescal._search.structures import Structure, Structures, Weighed
+from bayescal._search.structures import Structure, Structures
 from bayescal._search.walk import explore, path
 
 QUICK = LeastSquares(draws=500)
@@ -136,7 +135,6 @@ class Loop:
 
     Attributes:
         begun: when the first step stood, by `time.monotonic`, s.
-        step_takes: s, as the first step did.
         given: effects of the model given, to be weighed anew.
         steps: models fitted so far.
         library: candidates and the structures evaluated; None where nothing can be looked for.
@@ -152,7 +150,6 @@ class Loop:
     max_effects: int
     accepted: frozenset[str]
     begun: float = 0.0
-    step_takes: float = 0.0
     given: tuple[Effect, ...] = ()
     steps: list[Step] = field(default_factory=list)
     library: Library | None = None
@@ -165,37 +162,34 @@ class Loop:
         Whether an effect belongs there is what the search is to say: kept because the search began with it, it would
         hide rivals that the same search finds from the baseline.
         """
-        before = time.monotonic()
         # Where nothing is looked for, nothing is weighed.
         looked_at = model.effects if self.max_effects > 0 else ()
         self.given = tuple(e for e in looked_at if self.weighs(e, model))
         model = reduce(sub, self.given, model)
-        method = self.quick(model)
         with deadline.finishing():  # whatever the time limit
-            first = self.step(model, method=method)
+            first = self.step(model, self.quick(model))
         deadline.current().defer_interrupt()
         self.max_effects = max(self.max_effects, len(self.given))
         self.reference = first.calibration.reference
-        self.begun = time.monotonic()
-        self.step_takes = self.begun - before
         self.steps, more = [first], self.freed(first)
         if more or not first.against:
             self.open(first, (*effects, *more), widen_noise)
 
-    def weighs(self, effect: Effect, model: Model, further: Collection[str] = ()) -> bool:
-        """Return whether an effect of a model is weighed anew; `further` candidates are, beside the instrument's."""
+    def weighs(self, effect: Effect, model: Model) -> bool:
+        """Return whether an effect of a model is weighed anew."""
         instrument, readings = model.instrument, self.readings
         if effect.is_placeholder:
             return effect.name in {e.name for e in placeholders(model, readings)}
         on_the_way = {e.name for e in instrument.effects} <= {*model.names}
         kept = (*instrument.effects, *instrument.nuisances)
-        catalogued = {*instrument.known, *further} - {e.name for e in kept}
+        catalogued = {*instrument.known} - {e.name for e in kept}
         free = (model - effect).fixed == model.fixed
         testable_here = testable(effect, readings) is None
         return on_the_way and effect.name in catalogued and free and testable_here
 
     def open(self, first: Step, effects: Sequence[Effect], widen_noise: bool) -> None:
         """Have structures to look at beyond a step that is fitted."""
+        self.begun = time.monotonic()
         self.steps, c, fixed = [first], first.calibration, first.check.fixed
         # Without convergence there are no probabilities; and a published calibration that fails is not saved.
         if not c.verdict.ok or (fixed is not None and fixed.wrong):
@@ -247,10 +241,22 @@ class Loop:
         last = given if may_be and given.effects.isdisjoint(structures.barred(given)) else None
         self.stopped = explore(self.library, self.max_effects, last, follow)
 
-    def goal(self, structures: Structures) -> Structure:
+    @property
+    def structures(self) -> Structures:
+        """Those that were opened, with what is known of each."""
+        assert self.library is not None
+        return self.library.structures
+
+    @property
+    def goal(self) -> Structure:
         """The structure to use: of a walk that ended early the best that it evaluated."""
-        posterior = Posterior.of(structures)
+        posterior = Posterior.of(self.structures)
         return posterior.best if self.stopped else posterior.chosen
+
+    def missing(self, at: Structure) -> Discovery:
+        """Return what is missing from a structure."""
+        assert self.library is not None
+        return missing(self.library, at, self.shut, self.stopped)
 
     def way(
         self, goal: Structure, start: Structure = BASE
@@ -264,8 +270,7 @@ class Loop:
             steps = steps if self.stopped else path(self.library, goal, start)
         for at in dict.fromkeys(steps):
             if here is None or at == goal or not half.over:
-                found = missing(self.library, at, self.shut, self.stopped) if asked else None
-                yield here, at, found
+                yield here, at, self.missing(at) if asked else None
                 here = at
 
     def to_best(self, follow: Callable[[SearchPath], None] = lambda _: None) -> SearchPath:
@@ -274,18 +279,16 @@ class Loop:
             why = f"{NOT_LOOKED} {' '.join(map(str, self.steps[0].against))}"
             search = Search((), 0, complete=True, stopped=why)
             return SearchPath(*judged(self.steps), self.holdout, None, search)
-        structures = self.library.structures
         # What was the best when the walk ended is what is returned: nothing is evaluated after that.
         search = self.search(stopped=self.stopped) if self.stopped else None
-        goal, found = self.goal(structures), list[Discovery | None]()
+        goal, found = self.goal, list[Discovery | None]()
         for before, at, is_missing in self.way(goal):
             found.append(is_missing)
             if before is not None:
-                fit_step = self.last if at == goal else self.fitted
-                self.steps.append(fit_step(structures.weigh(at), before, at))
+                self.steps.append(self.fitted(at, before, last=at == goal))
                 follow(self.trail(search))
         if len(self.steps) == 1 and self.method != QUICK:
-            self.steps = [self.last(structures.weigh(goal))]
+            self.steps = [self.fitted(goal, None, last=True)]
         steps = [replace(s, discovery=one) for s, one in zip(self.steps, found, strict=True)]
         return self.averaged(steps, goal, search)
 
@@ -293,12 +296,19 @@ class Loop:
         self, steps: Sequence[Step], goal: Structure, search: Search | None = None
     ) -> SearchPath:
         """Judge the last of some steps, and average it over the structures that were weighed."""
-        assert self.library is not None
-        structures, end, steps = self.library.structures, deadline.current(), [*steps]
+        structures, end, steps = self.structures, deadline.current(), [*steps]
         if (last := steps[-1].discovery) is not None:
             if why := "" if self.stopped else self.incomplete(steps):
                 steps[-1] = replace(steps[-1], discovery=last.not_stated(why))
-            steps[-1] = self.said_of_given(steps[-1])
+            known = {c.effect: c.probability for c in last.candidates}
+            names = steps[-1].calibration.model.names
+            left = [
+                f"{e.name} (probability {probability(known.get(e.name))})"
+                for e in self.given
+                if e.name not in names
+            ]
+            note = f"Weighed anew and left out of the model given: {', '.join(left)}."
+            steps[-1] = steps[-1].noted([note] if left else [])
         last, shares = steps[-1].calibration, ()
         used = last
         if self.max_effects > 0 and last.verdict.ok:
@@ -338,38 +348,16 @@ class Loop:
         found = predict(used, self.holdout)
         return replace(step, holdout_test=HoldoutTest(used, self.holdout, found, tuple(unseen)))
 
-    def said_of_given(self, step: Step) -> Step:
-        """The last step, noting what the model given has and the one to use has not."""
-        c = step.calibration
-        known = (
-            {x.effect: x.probability for x in step.discovery.candidates} if step.discovery else {}
-        )
-        left = [e.name for e in self.given if e.name not in c.model.names]
-        if not left:
-            return step
-        each = ", ".join(f"{n} (probability {probability(known.get(n))})" for n in left)
-        note = f"Weighed anew and left out of the model given: {each}."
-        return replace(step, calibration=c.with_verdict(notes=(*c.verdict.notes, note)))
-
-    def fitted(self, weighed: Weighed, before: Structure, at: Structure) -> Step:
-        """A step on the way."""
+    def fitted(self, at: Structure, before: Structure | None, last: bool = False) -> Step:
+        """Fit and check a structure, which follows another; the last one by the method asked for."""
+        weighed = self.structures.weigh(at)
         model = weighed.sized_model
-        return self.step(model, before, at, method=self.quick(model), start=weighed.phi)
-
-    def last(
-        self, weighed: Weighed, before: Structure | None = None, at: Structure | None = None
-    ) -> Step:
-        """The last step, by the method asked for; without its sampling where there is no time for that."""
-        model, start = weighed.sized_model, weighed.phi
-        sampling = not isinstance(self.method, LeastSquares)
-        with suppress(deadline.TimeIsUp), deadline.sooner(keep=self.step_takes) as end:
-            if sampling:
-                end.ask()
-                return self.step(model, before, at, method=self.method, start=start)
-        with deadline.finishing():
-            method = QUICK if sampling else self.method
-            found = self.step(model, before, at, method=method, start=start)
-        return found.noted([NOT_SAMPLED.format(end.why)]) if sampling else found
+        found = self.step(model, self.method if last else self.quick(model), weighed.phi)
+        added, changed = None, ""
+        if before is not None:
+            added = " + ".join(sorted(at.effects - before.effects)) or None
+            changed = f"noise widened: {model.noise.in_words}" if at.noise != before.noise else ""
+        return replace(found, added=added, changed=changed)
 
     def trail(self, search: Search | None = None, steps: Sequence[Step] = ()) -> SearchPath:
         """The trail while it grows: its last model says that it is not the end."""
@@ -393,25 +381,13 @@ class Loop:
         return ""
 
     def step(
-        self,
-        model: Model,
-        before: Structure | None = None,
-        at: Structure | None = None,
-        *,
-        method: Method | None,
-        start: Mapping[str, float] = NOTHING_KNOWN,
+        self, model: Model, method: Method | None, start: Mapping[str, float] = NOTHING_KNOWN
     ) -> Step:
         """Fit a model and check it, looking for its mode at `start` first."""
         how: dict[str, Any] = {"seed": self.seed, "reference": self.reference, "start": start}
         calibration = fit(model, self.readings, method, strict=False, **how)
-        added, changed = None, ""
-        if before is not None and at is not None:
-            added = " + ".join(sorted(at.effects - before.effects)) or None
-            if at.noise != before.noise:
-                changed = f"noise widened: {model.noise.in_words}"
         with stage("checking"):
-            found = step_of(calibration, self.holdout, self.accepted)
-        return replace(found, added=added, changed=changed)
+            return step_of(calibration, self.holdout, self.accepted)
 
     def search(self, *, complete: bool = False, stopped: str = "") -> Search | None:
         """How the search stands."""

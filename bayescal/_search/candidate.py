@@ -18,7 +18,7 @@ from bayescal._inference.linear_model import learned_size
 from bayescal._model.effect import Effect, Role
 from bayescal._search.library import Library
 from bayescal._search.scores import ScoredPoint, gain_of
-from bayescal._search.structures import Structure, Structures, Weighed
+from bayescal._search.structures import Structures, Weighed
 
 # Probability from which what is not found is named as a lead: odds of 1 to 4, worth a further run.
 LEAD_PROBABILITY = 0.2
@@ -90,48 +90,44 @@ def best_form(
     return found
 
 
-def by_refit(structures: Structures, name: str, at: Weighed, further: Structure) -> Candidate:
-    """One candidate without a score, as `judge`: by the structure with it, where that was evaluated."""
-    (form,) = further.effects - at.structure.effects
-    effect, with_it = structures.candidates[form], structures.visited.get(further)
-    several = len(structures.forms[name]) > 1
-    unit, form = effect.coefficients[0].unit, form if several else ""
-    found = Candidate(effect=name, form=form, unit=unit, role=effect.role)
-    if with_it is None or not math.isfinite(with_it.log_evidence):
-        return found
-    return _refitted(found, effect, at, with_it)
-
-
-def _refitted(found: Candidate, effect: Effect, at: Weighed, with_it: Weighed) -> Candidate:
-    """What the refit says: it averages over sizes and finds its shapes, where a score says where it began."""
-    factor = with_it.log_evidence - at.log_evidence
-    return replace(found, log_bayes_factor=factor, source="refit", **_by_refit(effect, with_it))
-
-
 def judge(
     library: Library,
     name: str,
+    form: str,
     points: Sequence[ScoredPoint],
     at: Weighed,
     with_it: Weighed | None,
-    form: str,
 ) -> Candidate:
-    """One candidate on its own."""
-    top, several = points[0], len(library.structures.forms[name]) > 1
-    effect, before = library.structures.candidates[top.effect], float(np.trace(top.products))
-    found = Candidate(
-        effect=name,
-        form=form if several else "",
-        log_bayes_factor=gain_of(points),
-        z=_z(top, library.grouped(top.effect)),
-        unit=effect.coefficients[0].unit,
-        shape={**top.point.shapes, **top.size.scales},
-        visibility=float(np.trace(top.information)) / before if before > 0 else 0.0,
-        minimum_detectable=_minimum_detectable(library, top),
-        role=effect.role,
-    )
+    """Return what is known of one candidate by itself.
+
+    Args:
+        library, at: the candidates, and the structure that it may be missing from.
+        name, form: its family, and the most probable form.
+        points: its scores beside that structure; none where it has no score.
+        with_it: that structure with the form, where it was evaluated.
+    """
+    structures = library.structures
+    scored, several = points[0].effect if points else form, len(structures.forms[name]) > 1
+    effect = structures.candidates[scored]
+    unit, role = effect.coefficients[0].unit, effect.role
+    found = Candidate(effect=name, form=form if several else "", unit=unit, role=role)
+    if points:
+        top, before = points[0], float(np.trace(points[0].products))
+        found = replace(
+            found,
+            log_bayes_factor=gain_of(points),
+            z=_z(top, library.grouped(scored)),
+            shape={**top.point.shapes, **top.size.scales},
+            visibility=float(np.trace(top.information)) / before if before > 0 else 0.0,
+            minimum_detectable=_minimum_detectable(library, top),
+        )
     if with_it is not None and math.isfinite(with_it.log_evidence):
-        return _refitted(found, library.structures.candidates[form], at, with_it)
+        # A refit averages over sizes and finds its shapes, where a score says where it began.
+        factor = with_it.log_evidence - at.log_evidence
+        told = _by_refit(structures.candidates[form], with_it)
+        return replace(found, log_bayes_factor=factor, source="refit", **told)
+    if not points:
+        return found
     mean, variance = _size(library, points)
     return replace(found, size=mean, size_sd=math.sqrt(variance))
 
@@ -293,24 +289,26 @@ def alike(points: Mapping[str, Sequence[ScoredPoint]]) -> dict[str, set[str]]:
     }
 
 
-def found_or_lead(candidate: Candidate, found: bool) -> Candidate:
-    """The candidate, as a finding or a lead where it is one."""
+def kind_of(candidate: Candidate, found: bool, effect: Effect | None) -> Candidate:
+    """Return the candidate with its kind: whether it is found, a lead, or not to be seen.
+
+    Args:
+        candidate: that was judged.
+        found: whether it is one of a finding.
+        effect: by which it was scored; None where it has no score.
+    """
     if found:
         return replace(candidate, kind="finding")
-    lead = (candidate.probability or 0.0) >= LEAD_PROBABILITY
-    return replace(candidate, kind="lead") if lead else candidate
-
-
-def kind_of(candidate: Candidate, found: bool, plausible: float) -> Candidate:
-    """The candidate with its kind: whether it is found, a lead, or not to be seen."""
-    candidate = found_or_lead(candidate, found)
-    if candidate.kind is not None:
+    if (candidate.probability or 0.0) >= LEAD_PROBABILITY:
+        return replace(candidate, kind="lead")
+    # What is to be seen well enough is explained by what was found.
+    if effect is None or (candidate.log_bayes_factor or 0.0) > settings().strong_evidence:
         return candidate
-    if (candidate.log_bayes_factor or 0.0) > settings().strong_evidence:
-        return candidate  # to be seen well enough, and explained by what was found
+    scales = (s.high for s in effect.shapes if s.name == effect.measure)
+    plausible = next(scales, effect.coefficients[0].size)
     # Visible means: a plausible size would be found. Where nuisances take all but a hundredth, what is left hangs on
     # their exact form, and the plausible size must be enough by itself.
-    least, hidden = (candidate.minimum_detectable, (candidate.visibility or 0.0) < UNDECIDED_SHARE)
+    least, hidden = candidate.minimum_detectable, (candidate.visibility or 0.0) < UNDECIDED_SHARE
     most = plausible * (1.0 if hidden else DETECTABLE_SIZES)
     if least is None or least > most:
         return replace(candidate, kind="not visible", reason="not detectable in this experiment")

@@ -30,6 +30,7 @@ from bayescal._model.frame import build_frame, reference_of
 from bayescal._model.instrument import Instrument
 from bayescal._model.model import Model, testable
 from bayescal._model.parameters import bind
+from bayescal._model.unknowns import Unknowns
 from bayescal._search.own_files import in_one_line
 
 BACK_SD = 4.0  # from its true value, beyond which a coefficient has not come back
@@ -69,7 +70,7 @@ class InstrumentCheck(Printed):
         instrument: its name.
         unit: of the output.
         noise: that was simulated, output unit.
-        rows: each coefficient.
+        rows: each unknown.
         errors: what is wrong with the instrument, a sentence each.
         notes: what is to be known of it.
     """
@@ -87,11 +88,10 @@ class InstrumentCheck(Printed):
         return not self.errors
 
     def _parts(self) -> list[str | ResultTable]:
-        unit = unit_label(self.unit)
-
         def came_back(row: Mapping[str, Any]) -> str:
             return "–" if row["mean"] is None else with_error(row["mean"], row["sd"] or 0.0)
 
+        unit = unit_label(self.unit)
         columns = (
             TableColumn("unknown", "name"),
             TableColumn("adds at most", "adds", number, unit or "1"),
@@ -103,8 +103,8 @@ class InstrumentCheck(Printed):
         shown = [ResultTable(columns, [vars(r) for r in self.rows], fold=24)] if self.rows else []
         said = [f"error: {e}" for e in self.errors] + [f"note: {n}" for n in self.notes]
         many = f"{len(self.errors)} error(s)" if self.errors else "no error"
-        end = f"{self.instrument}, with noise of {number(self.noise)} {unit}".rstrip() + f": {many}"
-        return [*shown, *said, end]
+        end = f"{self.instrument}, with noise of {number(self.noise)} {unit}".rstrip()
+        return [*shown, *said, f"{end}: {many}"]
 
     def _brief(self) -> str:
         return f"{self.instrument}: {len(self.rows)} unknowns, {len(self.errors)} errors"
@@ -220,23 +220,23 @@ def _recover(
     """
     model.require(readings)
     reference = reference_of(readings)
-    frame, layout = build_frame(readings, reference), bind(model, readings)[0]
+    frame, (layout, levels) = build_frame(readings, reference), bind(model, readings)
     v = jnp.zeros(len(layout.hypers))
     hyper = forward.hyper_values(layout, v)
     random, signs = np.random.default_rng(seed + 1), np.ones(layout.size)
     for n, b in enumerate(layout.x_blocks):
         alone = b.coefficient.per is None
-        own = 1 - 2 * (n % 2) if alone else random.standard_normal(b.size)
-        signs[b.start : b.start + b.size] = own
-    x = forward.prior_mean(layout) + forward.prior_sd(layout, hyper) * signs
-    jacobian = np.asarray(forward.linearise(layout, frame, x, hyper).jacobian)
+        signs[b.start : b.start + b.size] = (
+            1 - 2 * (n % 2) if alone else random.standard_normal(b.size)
+        )
+    x = np.asarray(forward.prior_mean(layout) + forward.prior_sd(layout, hyper) * signs)
     # The second of two: a seed stands for the readings that it always gave.
     key = jax.random.split(jax.random.fold_in(jax.random.key(seed), len(found.rows)))[1]
     output = np.asarray(forward.draw_readings(layout, frame, x, v, key))
     found.noise = float(np.median(np.sqrt(np.asarray(model.noise.variance(hyper, frame)))))
     if kind == "baseline":
-        by_slot = forward.slopes_by_slot(layout, frame, x, hyper)
-        unused = [s.name for s in model.instrument.slots if not np.any(np.asarray(by_slot[s.name]))]
+        slopes = forward.slopes_by_slot(layout, frame, x, hyper)
+        unused = [s.name for s in model.instrument.slots if not np.any(np.asarray(slopes[s.name]))]
         if len(unused) == len(model.instrument.slots):
             raise ModelError(
                 f"instrument {found.instrument!r}: the output is the same whatever its slots are "
@@ -250,44 +250,43 @@ def _recover(
         )
     how: dict[str, Any] = {"seed": seed, "reference": reference, "strict": False}
     fitted = fit(model, readings.with_column("output", output), LeastSquares(draws=300), **how)
-
-    def note(name: str, unit: str, adds: Any, truth: Any, draws: Any, remark: str = "") -> None:
-        mean, sd = float(draws.mean()), float(draws.std())
-        found.rows.append(Recovery(kind, name, unit, adds, truth, mean, sd, remark))
-
-    for b in (b for b in layout.x_blocks if b.effect.name in mine):
-        at, c, draws = slice(b.start, b.start + b.size), b.coefficient, fitted.samples(b.name)
-        adds = float(np.max(c.size * np.abs(jacobian[:, at]), initial=0.0))
-        shapes = {s.name: hyper[b.effect.shape_name(s)] for s in b.effect.shapes}
-        zero = not np.any(np.asarray(b.effect.evaluate(frame, shapes))[:, b.index])
-        if zero:
-            found.errors.append(
-                f"{b.name}: its basis is zero in every reading (its columns: "
-                f"{', '.join(b.effect.columns) or 'none'}). Is a label written as in the file, and declared, "
-                "allowed=(…)? Can the condition that it asks for occur?"
-            )
-        else:
-            found.errors += off_scale(b.effect, adds, found.noise, found.unit)
-        if c.per is not None:
-            spread = b.group_sd_name if c.group_sd is not None else None
-            draws = fitted.samples(spread) if spread else draws.std(axis=1)
-            truth = float(np.std(x[at] - c.mean)) if b.size > 1 else None
-            name = spread or f"{b.name}, one a {c.per}"
-            note(name, c.unit, adds, truth, draws, f"{b.size} of them")
+    jacobian = np.asarray(forward.linearise(layout, frame, x, hyper).jacobian)
+    unknowns = Unknowns.of(layout, levels)
+    values = unknowns.values(x, np.asarray(v))
+    for name, at in unknowns.by_key.items():
+        u, *others = unknowns.rows[at]
+        if u.effect not in mine or u.kind == "group_sd":
             continue
-        truth, mean, sd = float(x[b.start]), float(draws.mean()), float(draws.std())
-        remark = "its basis is zero" if zero else ""
-        if not (zero or c.flat) and 1 - (sd / c.size) ** 2 < IDENTIFIABLE_CONTRACTION:
-            remark = "not identifiable here"
-        elif not zero and abs(mean - truth) > BACK_SD * sd:
-            remark = "did not come back"
-            came = f"{number(truth)} simulated, {with_error(mean, sd)} found"
-            found.errors.append(f"{b.name} {remark}: {came}")
-        note(b.name, c.unit, adds, truth, draws, remark)
-    for effect in (e for e in model.effects if e.name in mine):
-        for shape in effect.shapes:
-            name, truth = effect.shape_name(shape), float(shape.prior.value(0.0))
-            note(name, shape.unit, None, truth, fitted.samples(name))
+        truth, draws = unknowns.select(values, name), fitted.samples(name)
+        adds, remark = None, ""
+        if (b := u.block) is not None and b.place == "x":
+            adds = b.coefficient.size * np.abs(jacobian[:, b.start : b.start + b.size])
+            adds = float(np.max(adds, initial=0.0))
+            shapes = {s.name: hyper[b.effect.shape_name(s)] for s in b.effect.shapes}
+            if not np.any(np.asarray(b.effect.evaluate(frame, shapes))[:, b.index]):
+                remark = "its basis is zero"
+                found.errors.append(
+                    f"{name}: its basis is zero in every reading (its columns: "
+                    f"{', '.join(b.effect.columns) or 'none'}). Is a label written as in the file, and declared, "
+                    "allowed=(…)? Can the condition that it asks for occur?"
+                )
+            else:
+                found.errors += off_scale(b.effect, adds, found.noise, found.unit)
+        if u.group is not None:
+            truth, draws = np.std(truth), np.std(draws, axis=1)
+            name, remark = f"{name}, one a {u.group}", f"{1 + len(others)} of them"
+        truth, mean, sd = float(truth), float(draws.mean()), float(draws.std())
+        if b is not None and u.group is None and not remark:
+            if (
+                not b.coefficient.flat
+                and 1 - (sd / b.coefficient.size) ** 2 < IDENTIFIABLE_CONTRACTION
+            ):
+                remark = "not identifiable here"
+            elif abs(mean - truth) > BACK_SD * sd:
+                remark = "did not come back"
+                came = f"{number(truth)} simulated, {with_error(mean, sd)} found"
+                found.errors.append(f"{name} {remark}: {came}")
+        found.rows.append(Recovery(kind, name, u.unit, adds, truth, mean, sd, remark))
     if not fitted.verdict.ok:
         found.notes.append(f"{', '.join(sorted(mine))}: {' '.join(fitted.verdict.reasons)}")
     if kind == "baseline":

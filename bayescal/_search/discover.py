@@ -33,8 +33,6 @@ from bayescal._search.candidate import (
     Candidate,
     alike,
     best_form,
-    by_refit,
-    found_or_lead,
     judge,
     kind_of,
     too_small_or_large,
@@ -324,34 +322,26 @@ def discovery_at(
     same = alike(points) if points else {}
     found = posterior.findings
     in_sets = {name: set(f.effects) for f in found for name in f.effects}
+    unscored = structures.unscored if scored else structures.candidates
     judged = []
-    for name in points:
+    for name in (*points, *sorted(posterior.families(unscored) - had)):
+        own, form = points.get(name, ()), posterior.form(name)
+        if not own:
+            form = form if form in structures.candidates else structures.forms[name][0]
+            if scored and not stopped:
+                structures.weigh(at.plus(form), here)
+        candidate = judge(library, name, form, own, here, structures.visited.get(at.plus(form)))
         # Confounded are those whose fitted contributions are parallel, and those that take each other's place in a
         # finding.
-        near = (same[name] | in_sets.get(name, set())) - {name}
-        form = posterior.form(name)
-        with_it = structures.visited.get(at.plus(form))
+        near = same.get(name, set()).union(in_sets.get(name, ())) - {name}
         candidate = replace(
-            judge(library, name, points[name], here, with_it, form),
-            probability=posterior.inclusion(name),
+            candidate,
+            # Without a score, a walk that ended early may have met no structure with it: nothing is known of it then.
+            probability=posterior.inclusion(name) or (0.0 if own else None),
             indistinguishable_from=tuple(sorted(near)),
         )
-        effect = structures.candidates[points[name][0].effect]
-        sizes = (s.high for s in effect.shapes if s.name == effect.measure)
-        plausible = next(sizes, effect.coefficients[0].size)
-        judged.append(kind_of(candidate, name in in_sets, plausible))
-    alone = structures.unscored if scored else structures.candidates
-    for name in sorted(posterior.families(alone) - had):
-        form = posterior.form(name)
-        further = at.plus(form if form in structures.candidates else structures.forms[name][0])
-        if scored and not stopped:
-            structures.weigh(further, here)
-        candidate = by_refit(structures, name, here, further)
-        near = tuple(sorted(in_sets.get(name, set()) - {name}))
-        # A walk that ended early may have met no structure with it: nothing is known of it then.
-        known = posterior.inclusion(name) or None
-        candidate = replace(candidate, probability=known, indistinguishable_from=near)
-        judged.append(found_or_lead(candidate, name in in_sets))
+        effect = structures.candidates[own[0].effect] if own else None
+        judged.append(kind_of(candidate, name in in_sets, effect))
     ranked = sorted(judged, key=lambda c: (-(c.probability or 0.0), -(c.log_bayes_factor or 0.0)))
     chosen = posterior.best if stopped else posterior.chosen
     new, made = chosen.effects - at.effects, structures.weigh(chosen)
@@ -364,7 +354,7 @@ def discovery_at(
     laws = {"": structures.base.noise, **structures.laws} if structures.laws else {}
     each = [LawProbability(n.name, n.in_words, posterior.noise(k)) for k, n in laws.items()]
     return Discovery(
-        nothing_missing=posterior.complete(structures, (c.effect for c in judged if c.unseen))
+        nothing_missing=posterior.complete(c.effect for c in judged if c.unseen)
         if stated
         else None,
         unnamed=(

@@ -153,23 +153,14 @@ class Library:
         if held is not None and held[0] == needed:
             return held[1][[p.index for p in points]]
         candidates, kept = self.structures.candidates, self.width * record.size <= HELD_NUMBERS
-        if needed and kept:  # of all candidates that depend on the same
-            names = [n for n in self.points if self._needed(n, acting) == needed]
-            effects = [ColumnsOf.of(candidates[n]) for n in names]
-            values = [_shapes(self.points[n]) for n in names]
-            every = record.columns_of_several(effects, values, needed)
-        else:
-            wanted = self.points[name] if kept else points
-            at = [*_shapes(wanted), *itertools.chain(*needed.values())]
-            effect = ColumnsOf.of(candidates[name]).on([*needed])
-            made = record.columns_of_draws(effect, at, {})
-            made = made[None] if made.ndim == 2 else made
-            if not kept:
-                return made
-            names, every = [name], [made]
-        for n, own in zip(names, every, strict=True):
-            self._bases[n, bool(needed)] = needed, own
-        return self._bases[name, bool(needed)][1][[p.index for p in points]]
+        at = _shapes(self.points[name] if kept else points)
+        effect = ColumnsOf.of(candidates[name]).on([*needed])
+        made = record.columns_of_draws(effect, [*at, *itertools.chain(*needed.values())], {})
+        made = made[None] if made.ndim == 2 else made
+        if not kept:
+            return made
+        self._bases[name, bool(needed)] = needed, made
+        return made[[p.index for p in points]]
 
     def _needed(
         self, name: str, acting: Mapping[Correction, tuple[float, ...]]

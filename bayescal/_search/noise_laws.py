@@ -15,7 +15,8 @@ import numpy as np
 from bayescal._core.parallel import on_one_thread
 from bayescal._core.settings import settings
 from bayescal._inference.density import Density
-from bayescal._inference.laplace import at_mode, climb
+from bayescal._inference.laplace import at_mode, best
+from bayescal._inference.newton import climb
 from bayescal._inference.problem import Problem
 from bayescal._inference.record import Record
 from bayescal._model.channel_at_rest import CHANNEL
@@ -33,7 +34,6 @@ LEVELS = (
     0.0,
     1.0,
 )  # coordinates of a law's further parameters, at which a maximum is looked for first
-CLIMBED_NATS = 1e-4  # nats that a climb's last step would gain
 
 
 def laws_over(model: Model, frame: Frame) -> dict[str, Noise]:
@@ -98,8 +98,7 @@ def on_residuals(
     at = [np.array([start[n] for n in priors]) for start in starts]
     alone = Problem(Layout(Model(CHANNEL, (), law), ()), record)
     density = Density(alone, alone.start, np.ones(0))
-    v, _ = climb(density, at, near.covariance, CLIMBED_NATS)
-    mode = at_mode(density, v, 0.0, quick=True)
+    mode = at_mode(density, climb(density, best(density, at)), 0.0)
     hint = dict(zip(priors, mode.v.tolist(), strict=True))
     return OnResiduals(float(mode.log_evidence), hint, mode.covariance)
 

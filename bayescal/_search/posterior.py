@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -28,25 +29,23 @@ class Found:
 class Posterior:
     """Structures that hold some effects, with their probabilities: refitted ones, and others by what was expected.
 
+    An effect that is asked for is asked for in all forms of its family.
+
     Attributes:
-        given: effects that all of them hold.
+        space: all structures.
+        given: effects that those here hold.
         structures: the most probable first.
         total: log evidence and log prior of each.
         probability: of each.
         refitted: those of them that were refitted.
-        family: the name under which each candidate is reported; asked of an effect, it is asked of all its forms.
-        rivals: of each effect of the most probable structure, what takes its place for all that readings tell.
-        reported: of each structure, the families of its effects and of their rivals.
     """
 
+    space: Structures
     given: frozenset[str]
     structures: tuple[Structure, ...]
     total: np.ndarray
     probability: np.ndarray
     refitted: dict[Structure, Weighed]
-    family: Callable[[str], str]
-    rivals: Mapping[str, frozenset[str]]
-    reported: tuple[frozenset[str], ...]
 
     @classmethod
     def of(cls, structures: Structures, given: Iterable[str] = ()) -> Posterior:
@@ -64,21 +63,16 @@ class Posterior:
         # Probabilities are relative evidence times prior: what was never weighed nor expected has none, so that the
         # walk must have looked wherever they could be.
         weight = np.exp(total - total[0])
-        best = next(s for s in inside if s in refitted)
-        return cls(
-            held,
-            tuple(inside),
-            total,
-            weight / weight.sum(),
-            refitted,
-            structures.family,
-            structures.rivals(best),
-            tuple(map(structures.reported, inside)),
-        )
+        return cls(structures, held, tuple(inside), total, weight / weight.sum(), refitted)
+
+    @cached_property
+    def reported(self) -> tuple[frozenset[str], ...]:
+        """Of each structure, the families of its effects and of what takes their place for all that readings tell."""
+        return tuple(map(self.space.reported, self.structures))
 
     def families(self, names: Iterable[str]) -> frozenset[str]:
         """The names under which effects are reported."""
-        return frozenset(map(self.family, names))
+        return frozenset(map(self.space.family, names))
 
     @property
     def best(self) -> Structure:
@@ -86,14 +80,14 @@ class Posterior:
         # A structure that was only expected has no mode, and cannot be used.
         return next(s for s in self.structures if s in self.refitted)
 
-    def complete(self, structures: Structures, unseen: Iterable[str] = ()) -> float:
+    def complete(self, unseen: Iterable[str] = ()) -> float:
         """Probability that the given effects are all that is there, under any noise law.
 
         A description that carries more than a small part stands for something that has no name here: a structure with
         one is not complete, also where the description is among the given, or the noise. One that does not counts for
         nothing.
         """
-        given = Structure(self.given)
+        structures, given = self.space, Structure(self.given)
         rest = structures.reported(given) | self.families({*unseen, *structures.latent(given)})
         found, each = [], zip(self.structures, self.reported, self.probability, strict=True)
         for s, own, probability in each:
@@ -124,7 +118,7 @@ class Posterior:
         mass: dict[str, float] = {}
         for s, probability in zip(self.structures, self.probability.tolist(), strict=True):
             for n in s.effects:
-                if self.family(n) == name:
+                if self.space.family(n) == name:
                     mass[n] = mass.get(n, 0.0) + probability
         return max(mass, key=lambda n: mass[n], default=name)
 
@@ -137,12 +131,12 @@ class Posterior:
 
         Each begins with an effect of the most probable structure and goes on with what can take its place.
         """
-        found = []
+        found, rivals = [], self.space.rivals(self.best)
         # Greedy: each step takes the effect with the most probability of those structures that lack all members so
         # far.
         for effect in self.best.effects - self.given:
-            name = self.family(effect)
-            members = [name, *sorted(self.families(self.rivals[effect]) - {name})]
+            name = self.space.family(effect)
+            members = [name, *sorted(self.families(rivals[effect]) - {name})]
             while self.inclusion(*members) < settings().found_probability:
                 further = self._substitute(members)
                 if further is None:
@@ -185,18 +179,20 @@ class Posterior:
             of_form: dict[str, float] = {}
             for s, p in inside:
                 for n in s.effects - effects:
-                    share[self.family(n)] = share.get(self.family(n), 0.0) + p
+                    share[self.space.family(n)] = share.get(self.space.family(n), 0.0) + p
                     of_form[n] = of_form.get(n, 0.0) + p
             likely = max(share, key=lambda n: (share[n], n), default="")
             if not likely or share[likely] <= 0.5 * sum(p for _, p in inside):
                 break
-            own = [n for n in of_form if self.family(n) == likely]
+            own = [n for n in of_form if self.space.family(n) == likely]
             likeliest = max(own, key=lambda n: (of_form[n], n))
             effects |= {likeliest}
             inside = [(s, p) for s, p in inside if likeliest in s.effects]
         there = self.families(effects)
         effects |= {
-            n for n in self.best.effects if self.family(n) in found and self.family(n) not in there
+            n
+            for n in self.best.effects
+            if self.space.family(n) in found and self.space.family(n) not in there
         }
         law = next((s for s in self.structures if s.effects >= effects), self.best).noise
         return Structure(effects, law)

@@ -58,7 +58,7 @@ class ScoredPoint:
     @cached_property
     def columns(self) -> Float[np.ndarray, "n k"]:
         """Whitened, in output units per reported unit."""
-        return self.view.white([self.point])
+        return self.view.line.whiten(self.view.columns([self.point]))
 
     @property
     def products(self) -> Float[np.ndarray, "k k"]:
@@ -90,17 +90,18 @@ class View:
     def __init__(self, library: Library, at: Weighed):
         line = library.structures.line(at)
         self.library, self.at, self.line = library, at, line
-        nuisance = line.white_nuisance
+        both = line.decorrelate(np.column_stack([line.nuisance, line.residual]))
+        nuisance, residual = both[:, :-1], both[:, -1]
         # With whitened nuisances A, residual r and a column c all scores follow from AᵀA, Aᵀc, cᵀc and cᵀr.
         self.inner = nuisance.T @ nuisance
         self.cross = np.empty((nuisance.shape[1], library.width))
         self.u = np.empty(library.width)
         products: dict[str, list[np.ndarray]] = {name: [] for name in library.points}
         for points in library.blocks():
-            white, begin = self.white(points), points[0].at.start
+            white, begin = line.decorrelate(self.columns(points)), points[0].at.start
             block = slice(begin, points[-1].at.stop)
             self.cross[:, block] = nuisance.T @ white
-            self.u[block] = white.T @ line.white_residual
+            self.u[block] = white.T @ residual
             for p in points:
                 own = white[:, p.at.start - begin : p.at.stop - begin]
                 products[p.effect].append(own.T @ own)
@@ -108,9 +109,9 @@ class View:
         self.volume = 0.0
         self.volume = self.without().volume
 
-    def white(self, points: Sequence[GridPoint]) -> Float[np.ndarray, "n k"]:
-        """Columns of candidates at some points, whitened."""
-        return self.line.whiten(self.library.columns(self.line.slopes, points, self.at.acting))
+    def columns(self, points: Sequence[GridPoint]) -> Float[np.ndarray, "n k"]:
+        """Columns of candidates at some points."""
+        return self.library.columns(self.line.slopes, points, self.at.acting)
 
     def without(self, *names: str) -> WithoutNuisances:
         """What is left where some of its effects are dropped; φ held."""
@@ -239,7 +240,7 @@ class WithoutNuisances(NamedTuple):
         columns, inside = (
             np.column_stack([part, np.zeros(len(part))])
             for part in (
-                self.view.white([p.point for p in points]),
+                self.view.line.decorrelate(self.view.columns([p.point for p in points])),
                 np.column_stack([p.inside for p in points]),
             )
         )

@@ -20,7 +20,6 @@ from bayescal._core.result_table import Printed, ResultTable, TableColumn
 from bayescal._core.settings import settings
 from bayescal._data.measurements import Measurements
 from bayescal._data.unit_conversion import unit_label
-from bayescal._search.candidate import Candidate
 from bayescal._search.discover import Discovery
 from bayescal._search.posterior import OtherPath, Search
 from bayescal._search.structure_average import StructureShare
@@ -196,16 +195,20 @@ class SearchPath(Printed):
         said = [search.stopped] if search.stopped else []
         added, most = sum(s.added is not None for s in self.steps), search.max_effects or 0
         if not said and added >= most > 0:
-            said.append(
-                f"The search has added as many effects as it may, {most} (--max-effects, in Python max_effects): "
-                "with more, more may be found."
-            )
+            said.append(f"The search has added the {most} effects that it may (--max-effects).")
         # Of candidates that these readings can test, the nearest one says how far the search was from another end.
-        tested = [c for c in found.candidates if c.probability is not None]
-        if tested:
-            said.append(_nearest(max(tested, key=lambda c: c.probability or 0.0), added))
-        elif not said:
-            said.append("These readings can test no further candidate.")
+        tested = {c.effect: c.probability for c in found.candidates if c.probability is not None}
+        nearest, sure = (
+            max(tested, key=tested.__getitem__, default=""),
+            settings().found_probability,
+        )
+        if not nearest:
+            said += [] if said else ["These readings can test no further candidate."]
+        elif tested[nearest] >= sure:
+            said.append(f"Still missing: {nearest}, probability {probability(tested[nearest])}.")
+        else:
+            highest = f"{nearest}, {probability(tested[nearest])}"
+            said.append(f"No further effect reaches probability {sure:g} (highest: {highest}).")
         return " ".join(said)
 
     if TYPE_CHECKING:
@@ -298,16 +301,3 @@ def steps_table(rows: Sequence[Mapping[str, Any]]) -> ResultTable:
         TableColumn("P(complete)", "nothing_missing", probability, name="nothing missing"),
     )
     return ResultTable(columns, rows)
-
-
-def _nearest(best: Candidate, added: int) -> str:
-    """The most probable candidate that was not added."""
-    it = f"{best.effect}, probability {probability(best.probability)}"
-    if (best.probability or 0.0) >= settings().found_probability:
-        return f"Still missing: {it}."
-    more = "Nothing more" if added else "Nothing"
-    if best.kind == "lead":
-        return (
-            f"{more} is found: {it}: a lead, below the {settings().found_probability:g} asked for."
-        )
-    return f"{more} is found: the likeliest candidate is {it}, below the {settings().found_probability:g} asked for."

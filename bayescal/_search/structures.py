@@ -15,7 +15,7 @@ import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cache, cached_property, lru_cache
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Float
@@ -25,8 +25,7 @@ from bayescal._core import deadline
 from bayescal._core.null_space import Spans
 from bayescal._core.settings import settings
 from bayescal._inference.density import Density
-from bayescal._inference.gaussian import condition
-from bayescal._inference.laplace import Mode, find_mode, flat_scales, with_fit
+from bayescal._inference.laplace import Mode, find_mode
 from bayescal._inference.linear_model import LinearModel, linear_model
 from bayescal._inference.problem import Problem
 from bayescal._inference.record import Record
@@ -53,9 +52,7 @@ SIZE_FACTORS = {1.0: 0.6, 3.0: 0.3, 10.0: 0.1}
 # Standard deviation of a coefficient whose size the readings do not tell, in plausible sizes.
 RMS_SIZE = math.sqrt(sum(p * factor**2 for factor, p in SIZE_FACTORS.items()))
 
-NOISE_COORDINATES = (-6.0, 6.0)  # coordinates of a noise's size
 STILL_SD = 0.03  # standard deviations to which a mode is found: its log evidence to 1e-3
-UNKNOWN = 0.1  # variance of a coordinate of which nothing is known
 
 
 @dataclass(frozen=True)
@@ -317,12 +314,12 @@ class Structures:
         # Of what is that far behind nothing is asked but that it is.
         wanted = self.best.total - log_prior - ROUGHLY_NATS if self.visited else -math.inf
         if near is None:
-            found = find_mode(problem, still=STILL_SD, curved=False, wanted_from=wanted)
+            found = find_mode(problem, still=STILL_SD, wanted_from=wanted)
         else:
-            known, width = carried(problem, near.problem, near.mode)
+            known = carried(problem, near.problem, near.mode)
             begin = starts(problem, near.problem, known, hints)
             x = problem.x_of(near.problem, near.mode.x)
-            found = find_mode(problem, begin, width, x, STILL_SD, False, wanted_from=wanted)
+            found = find_mode(problem, begin, x, STILL_SD, wanted_from=wanted)
         sized = [e for n, e in self.candidates.items() if n in structure.effects and has_size(e)]
         problem, mode, log_evidence = averaged(problem, found, sized, wanted)
         weighed = Weighed(structure, log_evidence, log_prior, problem, mode)
@@ -331,29 +328,6 @@ class Structures:
         ):  # something without a name, whose share of the prior is that of curves
             weighed = replace(weighed, log_prior=log_prior + math.log(UNKNOWN_SHARE))
         return weighed
-
-    def roughly(self, structure: Structure, near: Weighed) -> float:
-        """The total under independent noise of one size, all else of φ as another has it; infinite under others."""
-        from scipy.optimize import minimize_scalar  # a quarter of a second that few searches need
-
-        if structure in self.visited or not self.noise(structure).independent:
-            return math.inf
-        problem = self._bound(structure, near)
-        if problem.kinds.count("noise") != 1:
-            return math.inf
-        x = problem.x_of(near.problem, near.mode.x)
-        known, _ = carried(problem, near.problem, near.mode)
-        v = np.array([known.get(h.name, 0.0) for h in problem.hypers])
-        flat = flat_scales(problem, x, v)
-        density, of_size = Density(problem, x, flat), np.array(problem.kinds) == "noise"
-        # All of φ but the noise's size is held: the products are then those of one table, and no step of the search
-        # passes over the readings. A refit can only raise the density further.
-        found = minimize_scalar(
-            lambda size: -density.at(np.where(of_size, size, v))[0],
-            bounds=NOISE_COORDINATES,
-            method="bounded",
-        )
-        return self.log_prior(structure) - float(found.fun)
 
     def _bound(self, structure, near: Weighed | None) -> Problem:
         """A structure on the record, its effects' sizes as another structure has them."""
@@ -409,44 +383,20 @@ class Structures:
         return max(self.visited.values(), key=lambda w: w.total)
 
 
-def carried(
-    problem: Problem, near: Problem, mode: Mode
-) -> tuple[dict[str, float], Float[np.ndarray, "d d"]]:
-    """Another structure's φ̂ by name, in these priors' coordinates, and a first guess of φ's covariance.
-
-    Where the prior of a shape is another, both are moved: what the readings say, which is the other's Gaussian fit
-    without its prior, counts under this one's.
+def carried(problem: Problem, near: Problem, mode: Mode) -> dict[str, float]:
+    """Another structure's φ̂ by name, in coordinates of this one's priors.
 
     Args:
         problem: the structure to fit.
         near: the other one.
         mode: where that one has its mode.
     """
-    places = near.layout.index_in_phi
-    names = [n for n in problem.layout.index_in_phi if n in places]
-    at, there = [problem.layout.index_in_phi[n] for n in names], [places[n] for n in names]
-    scale, middle = np.ones(len(at)), np.zeros(len(at))  # of these coordinates in the other's
-    for k, (i, j) in enumerate(zip(at, there, strict=True)):
-        own, other = problem.hypers[i].prior, near.hypers[j].prior
-        if own != other:
-            # Both coordinates are linear in one another where both priors are of one family (log-normal, say): two
-            # points tell scale and middle.
-            ends = [own.coordinate(float(other.value(np.float64(v)))) for v in (0.0, 1.0)]
-            scale[k], middle[k] = ends[1] - ends[0], ends[0]
-    values = middle + scale * mode.v[there]
-    width = scale[:, None] * mode.covariance[np.ix_(there, there)] * scale
-    moved = np.array([(*pair,) != (1.0, 0.0) for pair in zip(scale, middle, strict=True)])
-    if moved.any() and np.all(np.isfinite(width)):
-        # In this structure's coordinate the other's prior is N(middle, scale²) and its own N(0, 1): one is taken out
-        # of the Gaussian fit and the other put in. Where that leaves no positive precision the fit is carried over as
-        # it is.
-        precision = np.linalg.inv(width) + np.diag(moved * (1 - scale**-2))
-        if np.all(np.linalg.eigvalsh(precision) > 0):
-            pull = np.linalg.solve(width, values) - moved * middle / scale**2
-            values, width = np.linalg.solve(precision, pull), np.linalg.inv(precision)
-    wide = UNKNOWN * np.eye(len(problem.hypers))
-    wide[np.ix_(at, at)] = width
-    return dict(zip(names, values.tolist(), strict=True)), wide
+    found, places = {}, near.layout.index_in_phi
+    for hyper in problem.hypers:
+        if (j := places.get(hyper.name)) is not None:
+            own, other, v = hyper.prior, near.hypers[j].prior, mode.v[j]
+            found[hyper.name] = float(v if own == other else own.coordinate(other.value(v)))
+    return found
 
 
 def starts(
@@ -489,77 +439,98 @@ def has_size(effect: Effect) -> bool:
 def averaged(
     problem: Problem, mode: Mode, sized: Sequence[Effect], wanted_from: float = -math.inf
 ) -> tuple[Problem, Mode, float]:
-    """The structure at its likeliest sizes, and its log evidence averaged over all.
+    """Return the structure at its likeliest sizes, its mode there, and its log evidence averaged over all.
 
     One effect's size at a time, the others' at their likeliest.
 
     Args:
         problem: the structure, its sizes those of a start.
-        mode: where it has its mode, its Gaussian fit not made.
+        mode: where it has its mode.
         sized: effects with a plausible size.
         wanted_from: log density, below which the fit that the climb left will do.
     """
-    if not math.isfinite(mode.log_evidence):
-        return problem, mode, mode.log_evidence
     begun = {e.name: (problem.size_factors or {}).get(e.name, 1.0) for e in sized}
-    at_sizes, chosen = _AtSizes(problem, mode, begun), dict(begun)
-    # Coordinate ascent over sizes: an effect that overlaps another may take its size back in the second pass.
-    for _ in range(2):
-        before = dict(chosen)
-        for name in chosen:
-            gains = at_sizes.of(name, chosen)
-            chosen[name] = max(gains, key=gains.__getitem__)
-        if chosen == before:
-            break
-    gained = at_sizes.density(chosen) - at_sizes.density(begun)
-    if mode.log_density + gained < wanted_from:
-        volume = 0.5 * float(np.linalg.slogdet(2 * np.pi * mode.covariance)[1])
-        mode = mode._replace(log_evidence=mode.log_density + volume)
-        log_evidence = mode.log_evidence + gained
+    gains = SizeGains.of(problem, mode, begun)
+    if gains is None:
+        return problem, mode, -math.inf
+    chosen = gains.likeliest()
+    if mode.log_density + gains.at(chosen) < wanted_from:
+        log_evidence = mode.log_evidence + gains.at(chosen)
     else:
         if chosen != begun:
             problem = Problem(problem.layout, problem.record, dict(chosen))
-            mode = find_mode(problem, [mode.v], mode.covariance, mode.x, STILL_SD, curved=False)
-            at_sizes = _AtSizes(problem, mode, chosen)
-        mode = with_fit(problem, mode)
+            mode = find_mode(problem, [mode.v], mode.x, STILL_SD)
+            gains = SizeGains.of(problem, mode, chosen)
+            if gains is None:
+                return problem, mode, -math.inf
         log_evidence = mode.log_evidence
     # Σ over the sizes of one effect, the others at their likeliest: as if ratios of evidence multiplied. They do
     # where effects do not overlap; where they do, one of them mostly has its size by the other's.
-    here = at_sizes.density(chosen)
-    if not math.isfinite(here):  # no digits at the sizes that the mode was found at
-        return problem, mode, -math.inf
+    here = gains.at(chosen)
     for name in chosen:
-        log_evidence += float(np.logaddexp.reduce([*at_sizes.of(name, chosen).values()])) - here
+        log_evidence += float(np.logaddexp.reduce([*gains.along(name, chosen).values()])) - here
     return problem, mode, log_evidence
 
 
-class _AtSizes:
-    """Log density at a mode's φ for other sizes of its effects, times their probabilities."""
+class SizeGains(NamedTuple):
+    """What other sizes of a structure's effects add to its log density at a φ, in closed form.
 
-    def __init__(self, problem: Problem, mode: Mode, made_at: Mapping[str, float]):
-        density, hyper = Density(problem, mode.x, mode.flat), problem.hyper(mode.v)
-        self.gram, self.at = density.gram(mode.v, hyper), mode.x
-        self.size = problem.record.size
-        self.prior, self.made_at = problem.prior(hyper, mode.flat), dict(made_at)
+    Coefficients z, in the standard deviations of their prior, have the posterior N(m, C). A prior f times as wide is a
+    factor exp(−½·δ·z²)/f, δ = 1/f² − 1, on each, of which the posterior mean is
+    |F|⁻¹·|I + ΔC|^(−½)·exp(−½·mᵀ(I + ΔC)⁻¹Δm).
+
+    Attributes:
+        begun: the factors that the posterior is of, by effect.
+        owner: of each coefficient that has a size, which of these effects has it (k,).
+        mean, covariance: of their z.
+    """
+
+    begun: dict[str, float]
+    owner: np.ndarray
+    mean: np.ndarray
+    covariance: np.ndarray
+
+    @classmethod
+    def of(cls, problem: Problem, mode: Mode, begun: Mapping[str, float]) -> SizeGains | None:
+        """Return those at a mode; None where there is no density."""
+        found = Density(problem, mode.x, mode.flat, mode.v).at(mode.v)[1]
+        if found is None or not math.isfinite(mode.log_evidence):
+            return None
         # Learned spreads are no plausible sizes: φ has them, and the evidence is averaged over them already.
-        self.places = {
-            name: [t.at for t in problem.in_x if t.known.of == name and t.group_sd_name is None]
-            for name in made_at
-        }
+        names, owner = [*begun], np.full(problem.size, -1)
+        for t in problem.in_x:
+            if t.known.of in begun and t.group_sd_name is None:
+                owner[t.at] = names.index(t.known.of)
+        own = np.flatnonzero(owner >= 0)
+        root = found.root_of_z[own]
+        return cls(dict(begun), owner[own], found.z[own], root @ root.T)
 
-    def of(self, name: str, chosen: Mapping[str, float]) -> dict[float, float]:
-        """For each size of one effect, the others as chosen."""
+    def at(self, factors: Mapping[str, float]) -> float:
+        """Return the gain at some sizes, against those begun at, without their probabilities."""
+        if not self.begun:
+            return 0.0
+        ratio = np.array([factors[n] / f for n, f in self.begun.items()])[self.owner]
+        delta = 1 / ratio**2 - 1
+        inner = np.eye(len(delta)) + delta[:, None] * self.covariance
+        squares = self.mean @ np.linalg.solve(inner, delta * self.mean)
+        volume = float(np.linalg.slogdet(inner)[1])
+        return -float(np.sum(np.log(ratio))) - 0.5 * (volume + float(squares))
+
+    def along(self, name: str, chosen: Mapping[str, float]) -> dict[float, float]:
+        """Return the gain with its log probability for each size of one effect, the others as chosen."""
         return {
-            factor: self.density({**chosen, name: factor}) + math.log(probability)
+            factor: self.at({**chosen, name: factor}) + math.log(probability)
             for factor, probability in SIZE_FACTORS.items()
         }
 
-    def density(self, factors: Mapping[str, float]) -> float:
-        """At some sizes, without their probabilities."""
-        sd = self.prior.sd.copy()
-        for name, places in self.places.items():
-            for place in places:
-                sd[place] *= factors[name] / self.made_at[name]
-        # A size is a prior standard deviation: the products are as they are, and only the small solve is done anew.
-        found = condition(self.gram, self.size, self.prior._replace(sd=sd), self.at)
-        return -math.inf if found is None else found.log_marginal
+    def likeliest(self) -> dict[str, float]:
+        """Return the likeliest sizes, by coordinate ascent: one that overlaps another may take its size back."""
+        chosen = dict(self.begun)
+        for _ in range(2):
+            before = dict(chosen)
+            for name in chosen:
+                gains = self.along(name, chosen)
+                chosen[name] = max(gains, key=gains.__getitem__)
+            if chosen == before:
+                break
+        return chosen

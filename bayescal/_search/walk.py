@@ -195,11 +195,7 @@ def _look_around(library: Library, at: Weighed, max_effects: int, among: Scope) 
     for law in filter(among.has, ("", *correlated_laws(structures))):
         other = here.under(law)
         other = other.minus(*structures.barred(other))
-        rough = structures.roughly(other, at)
-        if rough > structures.best.total - OTHER_LAW_NATS:
-            yield structures.weigh(other, at)
-        else:
-            structures.expect(other, rough)
+        yield structures.weigh(other, at)
     if not math.isfinite(at.total):
         return
     lost = yield from _weigh_forms(structures, at)

@@ -361,6 +361,6 @@ def _ragged_rows(text: CsvText) -> tuple[Objection, ...]:
     if any(expected < n for _, _, n in text.ragged):
         cure += "If the first lines only tell of the test, begin each with #. "
     cure += "Give every row one field for each column"
-    came = f"{fields} field{'s' * (fields != 1)}, {line!r}, its header has {expected}"
+    came = f"has {fields} field{'s' * (fields != 1)}, {line!r}, its header has {expected}"
     places = tuple(f"row {row}" for row, _, _ in text.ragged)
     return (Objection(text.file, came, cure=cure, places=places),)

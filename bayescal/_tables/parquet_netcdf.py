@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 
 import pyarrow as pa
@@ -18,7 +18,6 @@ from bayescal._tables.raw_table import (
     as_format,
     refuse_large,
     refuse_many,
-    row_place,
 )
 from bayescal._tables.unpacked import ARRAYS, refuse_hdf5, refuse_unpacked
 
@@ -41,24 +40,6 @@ def open_parquet(path: Path, file: str, max_bytes: int) -> Table:
         return found
 
     return Table(file, arrow_headers(schema), rows, load)
-
-
-def parquet_parts(path: Path, file: str, rows: int) -> Iterator[tuple[pa.RecordBatch, Table]]:
-    """Yield a Parquet file at most `rows` at a time: as it stands, and as a table."""
-    with as_format(file, "Parquet"), pq.ParquetFile(path) as opened:
-        done = 0
-        for batch in opened.iter_batches(batch_size=rows):
-
-            def load(wanted: Mapping[int, bool], batch=batch) -> dict[int, Cells]:
-                return {
-                    p: arrow_cells(pa.chunked_array([batch.column(p)]), n)
-                    for p, n in wanted.items()
-                }
-
-            if batch.num_rows:
-                headers, place = arrow_headers(batch.schema), lambda i, n=done: row_place(n + i)
-                yield batch, Table(file, headers, batch.num_rows, load, place=place)
-            done += batch.num_rows
 
 
 def arrow_headers(schema: pa.Schema) -> tuple[Header, ...]:

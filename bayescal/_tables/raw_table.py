@@ -28,15 +28,14 @@ class Objection:
     """One thing in a file that keeps it from being read.
 
     Attributes:
-        file: its name.
-        came: what stands there, such as "reads 'x'".
+        file: its name; empty where `came` is all that is said.
+        came: what stands there, such as "reads 'x'"; of no single column as a verb goes on behind the file's name.
         expected: what was expected, such as "a number in °/s".
         cure: what to do, in words.
         option: of the command line that does it, quoted for a shell; empty if only an edit helps.
         column: its header; empty if it concerns no single column.
         rows: indices of the readings concerned; empty if it concerns no single reading.
         places: the first of them as an editor counts, "row 5".
-        sentence: the whole in words, where the parts do not make a good one.
     """
 
     file: str
@@ -47,21 +46,17 @@ class Objection:
     column: str = ""
     rows: tuple[int, ...] = ()
     places: tuple[str, ...] = ()
-    sentence: str = ""
 
     def __str__(self) -> str:
-        return self.sentence or self.parts
-
-    @property
-    def parts(self) -> str:
-        """Where it is, what came, what was expected, and what to do."""
         where = f"{self.places[0]} of {self.file!r}" if self.places else f"{self.file!r}"
-        where += f", column {self.column!r}" * bool(self.column)
+        where += f", column {self.column!r}:" * bool(self.column)
         expected = f", {self.expected} was expected" * bool(self.expected)
         count = max(len(self.rows), len(self.places))
         more = f" (and in {count - 1} more)" * (count > 1)
-        cure = f". {self.cure}" * bool(self.cure) + f" ({self.option})" * bool(self.option)
-        return f"{where}: {self.came}{more}{expected}{cure}"
+        cure = f". {self.cure}" * bool(self.cure)
+        if self.option:  # several stand in brackets already
+            cure += f" {self.option}" if self.option[0] == "(" else f" ({self.option})"
+        return f"{where} " * bool(self.file) + f"{self.came}{more}{expected}{cure}"
 
 
 class Objections(list[Objection]):
@@ -73,12 +68,12 @@ class Objections(list[Objection]):
             raise InputError(_text(self), tuple(self))
 
     @contextmanager
-    def collecting(self, file: str = "") -> Iterator[None]:
+    def collecting(self) -> Iterator[None]:
         """Keep what a check inside refuses, in place of ending with it."""
         try:
             yield
         except InputError as error:
-            self += error.problems or [Objection(file, str(error), sentence=str(error))]
+            self += error.problems or [Objection("", str(error))]
 
 
 def unusable(file: str, came: str, cure: str = "", place: str = "") -> InputError:
@@ -90,12 +85,9 @@ def unusable(file: str, came: str, cure: str = "", place: str = "") -> InputErro
         cure: what to do.
         place: the row, as an editor counts.
     """
-    where = f"{place} of {file!r}" if place else f"{file!r}"
-    joint = "" if not cure else ": " if cure[0].islower() else ". "
-    sentence, places = f"{where} {came}{joint}{cure}", (place,) if place else ()
-    cure = cure[:1].upper() + cure[1:]
-    problem = Objection(file, came, cure=cure, places=places, sentence=sentence)
-    return InputError(sentence, (problem,))
+    places = (place,) if place else ()
+    problem = Objection(file, came, cure=cure[:1].upper() + cure[1:], places=places)
+    return InputError(str(problem), (problem,))
 
 
 def option(name: str, value: str) -> str:
@@ -111,10 +103,10 @@ def _text(problems: Sequence[Objection]) -> str:
     for p in problems:  # what is the same in several files is said once
         alike.setdefault((p.column, p.came, p.expected, p.cure, p.option), []).append(p)
     lines = [
-        same[0].parts + f" (and {len(same) - 1} more like it)" * (len(same) > 1)
+        f"{same[0]}" + f" (and {len(same) - 1} more like it)" * (len(same) > 1)
         for same in alike.values()
     ]
-    of = f"{problems[0].file!r}" if len(files) == 1 else f"{len(files)} files"
+    of = f"{next(iter(files))!r}" if len(files) == 1 else f"{len(files)} files"
     options = " ".join(dict.fromkeys(p.option for p in problems if p.option))
     by_hand = "with the rest mended and " if not all(p.option for p in problems) else "with "
     asked = f"\n\n{by_hand}these options, if they are meant: {options}" * bool(options)
@@ -229,13 +221,12 @@ class Table:
         cure: str = "",
         option: str = "",
         *,
-        sentence: str = "",
         rows: Sequence[int] | np.ndarray = (),
     ) -> Objection:
         """Return an objection to a column, given by its header; to some of its readings, if `rows` are given."""
         at = tuple(int(row) for row in rows)
         places = tuple(map(self.place, at[:_SHOWN]))
-        return Objection(self.file, came, expected, cure, option, column, at, places, sentence)
+        return Objection(self.file, came, expected, cure, option, column, at, places)
 
     def take(self, rows: np.ndarray) -> Table:
         """The table of some of its rows, by index."""

@@ -39,6 +39,7 @@ from bayescal._use.compensator import Compensator, compensator
 from bayescal._use.operating_equation import (
     ALL_DRAWS,
     OperatingEquation,
+    linearised,
     posterior_moments,
 )
 
@@ -284,9 +285,12 @@ def _operating_point(chosen: Compensator, at: dict[str, float]) -> dict[str, flo
 
 
 def _slopes(chosen: Compensator, point: Mapping[str, float]) -> tuple[float, float, np.ndarray]:
-    """Expected output and its slope at a point, and ∂value/∂θ there."""
-    expected, slope, gradient = chosen._equation.at_point(chosen._moments.mean, point)
-    return expected, slope, 0.0 - gradient / slope
+    """Expected output and its slope at a point, and ∂value/∂θ there; inputs that are not in it are zero, as unused."""
+    equation = chosen._equation
+    inputs = {n: np.full(1, point.get(n, 0.0)) for n in equation.names}
+    at = np.full(1, float(point[chosen.stimulus])), inputs
+    expected, slope, gradient = linearised(equation, chosen._moments.mean, *at)
+    return float(expected[0]), float(slope[0]), 0.0 - np.asarray(gradient[0] / slope[0])
 
 
 def _by_source(

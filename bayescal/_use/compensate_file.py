@@ -1,19 +1,18 @@
 """Compensate a file: every column and row as they were, and two columns more.
 
-Parquet goes through a stretch of rows at a time, unless the calibration needs the past of the record or its time; then
-the columns that it needs are held whole. What cannot be written as it was (Excel, MATLAB)
-becomes CSV. Rows with a missing reading are gaps, and come out empty. The new file is written beside its place and
-renamed.
+The columns that are needed are held whole, never the file. What cannot be written as it was (Excel, MATLAB) becomes
+CSV. Rows with a missing reading are gaps, and come out empty. The new file is written beside its place and renamed.
 """
 
 from __future__ import annotations
 
 import csv
 import sys
+from collections.abc import Iterator
 from contextlib import nullcontext
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import pyarrow as pa
@@ -22,7 +21,7 @@ import pyarrow.parquet as pq
 from bayescal._core.atomic_file import replacing_for_user
 from bayescal._core.errors import InputError
 from bayescal._core.quoting import csv_line
-from bayescal._data.column import ConvertedColumns, NominalScale, Source
+from bayescal._data.column import NominalScale, Source
 from bayescal._data.column_conversion import convert_columns
 from bayescal._data.dataset_checks import problems_of_whole
 from bayescal._data.header_matching import MatchedFile
@@ -31,97 +30,43 @@ from bayescal._data.measurements import Measurements, assemble
 from bayescal._data.read_options import ExpectedColumns, ReadOptions
 from bayescal._tables.csv_reader import CsvText, read_text
 from bayescal._tables.open_table import MAX_BYTES, TEXT, check_files, open_table
-from bayescal._tables.parquet_netcdf import parquet_parts
 from bayescal._tables.raw_table import Header, Objections, Table, bytes_text, load_whole
 from bayescal._use.compensator import Compensator, Method
 
 KEPT = (*TEXT, ".parquet", ".nc")  # in which a file can be written as it was
 AS_CSV = (".xlsx", ".mat")
-ROWS = 200_000  # compensated at a time
+ROWS = 200_000  # written at a time
 
 
-@dataclass
+@dataclass(frozen=True)
 class CompensationSummary:
     """What was done."""
 
     file: Path  # written
     columns: tuple[str, str]  # names of the two columns added
-    rows: int = 0  # compensated
-    # name → readings outside its calibrated range
-    outside: dict[str, int] = field(default_factory=dict)
-    unsolved: int = 0  # readings for which the equation has no solution; their value is NaN
-    missing: int = 0  # rows without a reading, or without an input; their value is empty
-    flags: tuple[str, ...] = ()  # input warnings, each a sentence
+    rows: int  # compensated
+    outside: dict[str, int]  # name → readings outside its calibrated range
+    unsolved: int  # readings for which the equation has no solution; their value is NaN
+    missing: int  # rows without a reading, or without an input; their value is empty
+    flags: tuple[str, ...]  # input warnings, each a sentence
 
 
-@dataclass
-class _FileCompensation:
-    """One file on its way: by what it is compensated, and what has been done so far."""
+class AddedColumns(NamedTuple):
+    """The two columns that a file gains."""
 
-    compensator: Compensator
-    options: ReadOptions
-    method: Method | None
-    noise: bool
-    expected: ExpectedColumns
-    done: CompensationSummary
-    all: np.ndarray | None = None  # value and uncertainty of rows whose past counts (2, n)
-    start: int = 0  # of the next rows among them
+    names: tuple[str, str]
+    unit: str
+    values: np.ndarray  # value and uncertainty of each row (2, n), NaN where there is none
+    decimal: str  # that the user says the file has; empty for nothing said
 
-    def rows(self, table: Table) -> np.ndarray:
-        """Value and uncertainty of the next rows of the file, which are in `table` (2, n)."""
-        if self.all is None:
-            converted = convert_columns(table, self.expected, self.options)
-            self.done.flags = self.done.flags or tuple(converted.flags)
-            return self._compensated(table, converted)
-        rows = slice(self.start, self.start + table.rows)
-        self.start += table.rows
-        return self.all[:, rows]
+    @property
+    def headers(self) -> list[str]:
+        return [f"{name} [{self.unit}]" for name in self.names]
 
-    def whole(self, table: Table) -> None:
-        """Compensate all rows of a table beforehand, the past of each counting."""
-        size = 8 * table.rows * len(self.expected.columns)
-        if size > MAX_BYTES:
-            raise InputError(
-                f"{table.file!r}: this calibration needs the past of the record, {bytes_text(size)} in memory; the "
-                f"limit is {bytes_text(MAX_BYTES)}. Split it by runs, or average it"
-            )
-        converted = convert_columns(table, self.expected, self.options)
-        source = Source(table.file, table.sha256, table.rows)
-        problems_of_whole(converted, self.expected, True).refuse()
-        self.done.flags = assemble(converted, self.expected, (source,)).flags
-        self.all = self._compensated(table, converted)
-
-    def _refuse_another_clock(self, readings: Measurements) -> None:
-        """Refuse times without dates that fall among those of the calibration: no device is read twice at one time."""
-        used = self.compensator
-        undated = readings.since is None and used.epoch is None and not self.options.begin
-        if not (used.dated and undated) or {s.sha256 for s in readings.sources} & used.fitted:
-            return
-        (clock,) = (i for i in used.inputs if i.name == "time")
-        low, high = float(readings["time"].min()), float(readings["time"].max())
-        if low <= clock.high and high >= clock.low:
-            raise InputError(
-                f"{readings.file}: its times, {low:.6g} to {high:.6g} s, are among those of the calibration, "
-                f"{clock.low:.6g} to {clock.high:.6g} s, at which it was not read: its clock began anew, and with "
-                f"the date changes {used.dated}. Say when its first reading was taken on the clock of the "
-                "calibration: --begin '9 days'; or --begin '0 s' where time counts from the start of each run"
-            )
-
-    def _compensated(self, table: Table, converted: ConvertedColumns) -> np.ndarray:
-        source, done = Source(table.file, table.sha256, table.rows), self.done
-        readings = Measurements(converted.values, converted.units, (source,))
-        readings = replace(readings, since=converted.origin)
-        self._refuse_another_clock(readings)
-        found = self.compensator(readings, noise=self.noise, method=self.method, warn=False)
-        done.rows += table.rows
-        done.unsolved += int(np.isnan(found.value).sum())
-        for name, mask in found.outside.items():
-            done.outside[name] = done.outside.get(name, 0) + int(mask.sum())
-        kept = slice(None) if converted.kept is None else converted.kept
-        done.missing += table.rows - len(found.value)
-        both = np.full((2, table.rows), np.nan)
-        both[:, kept] = found.value, found.uncertainty
-        return both
+    def cells(self, decimal: str = ".") -> Iterator[list[str]]:
+        """Row by row, as a file writes numbers; nothing where there is none."""
+        for row in self.values.T.tolist():
+            yield ["" if v != v else repr(v).replace(".", decimal) for v in row]
 
 
 def compensate_file(
@@ -164,7 +109,9 @@ def compensate_file(
         if suffix in AS_CSV:
             why = f"{path.name!r} can only be written as text: name a file .csv"
         raise InputError(f"{out.name!r}: {why}")
-    expected = _expected(compensator)
+    about = compensator.about
+    scale = NominalScale(*about.raw) if about.raw else None
+    expected = ExpectedColumns(about.instrument, compensator.columns, scale)
     # Nothing is left out of the file, and nothing calibrated.
     unused = ("ignore", "local_field")
     given = {n: value for n, value in how.items() if value is not None and n not in unused}
@@ -175,24 +122,61 @@ def compensate_file(
         expected, local_gravity=local_gravity, missing=missing, only=True, **given
     )
     with replacing_for_user(out) as partial:
-        limit = 1 << 62 if suffix == ".parquet" else MAX_BYTES  # that is read a stretch at a time
+        limit = (
+            1 << 62 if suffix == ".parquet" else MAX_BYTES
+        )  # of which only what is needed is held
         table = open_table(path, path.name, limit, options.decimal, options.headers)
         options = options.of_file(table)
         raw, names = _names(table, expected, options)
-        done = CompensationSummary(out, names)
-        job = _FileCompensation(compensator, options, method, noise, expected, done)
-        # Rows cannot be taken by themselves where their past counts: of history, counters, times from the first.
+        size = 8 * table.rows * len(expected.columns)
+        if size > MAX_BYTES:
+            raise InputError(
+                f"{table.file!r}: its columns take {bytes_text(size)} in memory; the limit is {bytes_text(MAX_BYTES)}. "
+                "Split it by runs, or average it"
+            )
+        converted = convert_columns(table, expected, options)
+        source, flags = Source(table.file, table.sha256, table.rows), tuple(converted.flags)
+        # Where the past of a row counts: of history, counters, times from the first.
         if compensator.history or options.unwrap or any(c.name == "time" for c in expected.columns):
-            job.whole(table)
+            problems_of_whole(converted, expected, True).refuse()
+            flags = assemble(converted, expected, (source,)).flags
+        readings = Measurements(converted.values, converted.units, (source,))
+        readings = replace(readings, since=converted.origin)
+        _refuse_another_clock(compensator, readings, bool(options.begin))
+        found = compensator(readings, noise=noise, method=method, warn=False)
+        values = np.full((2, table.rows), np.nan)
+        values[:, slice(None) if converted.kept is None else converted.kept] = (
+            found.value,
+            found.uncertainty,
+        )
         writers = {".parquet": _parquet, ".nc": _netcdf, **dict.fromkeys(AS_CSV, _as_csv)}
-        writers.get(suffix, _csv)(job, path, partial, table, raw)
-    return done
+        added = AddedColumns(names, compensator.unit, values, options.decimal)
+        writers.get(suffix, _csv)(added, path, partial, table, raw)
+    return CompensationSummary(
+        file=out,
+        columns=names,
+        rows=table.rows,
+        outside={name: int(mask.sum()) for name, mask in found.outside.items()},
+        unsolved=int(np.isnan(found.value).sum()),
+        missing=table.rows - len(found.value),
+        flags=flags,
+    )
 
 
-def _expected(compensator: Compensator) -> ExpectedColumns:
-    about = compensator.about
-    scale = NominalScale(*about.raw) if about.raw else None
-    return ExpectedColumns(about.instrument, compensator.columns, scale)
+def _refuse_another_clock(used: Compensator, readings: Measurements, begins: bool) -> None:
+    """Refuse times without dates that fall among those of the calibration: no device is read twice at one time."""
+    undated = readings.since is None and used.epoch is None and not begins
+    if not (used.dated and undated) or {s.sha256 for s in readings.sources} & used.fitted:
+        return
+    (clock,) = (i for i in used.inputs if i.name == "time")
+    low, high = float(readings["time"].min()), float(readings["time"].max())
+    if low <= clock.high and high >= clock.low:
+        raise InputError(
+            f"{readings.file}: its times, {low:.6g} to {high:.6g} s, are among those of the calibration, "
+            f"{clock.low:.6g} to {clock.high:.6g} s, at which it was not read: its clock began anew, and with "
+            f"the date changes {used.dated}. Say when its first reading was taken on the clock of the "
+            "calibration: --begin '9 days'; or --begin '0 s' where time counts from the start of each run"
+        )
 
 
 def _names(
@@ -216,27 +200,18 @@ def _names(
     return header.raw, names
 
 
-def _csv(job: _FileCompensation, path: Path, partial: Path, table: Table, raw: str) -> None:
+def _csv(added: AddedColumns, path: Path, partial: Path, table: Table, raw: str) -> None:
     """Lines as they stand, with two fields more."""
-    text = read_text(path, table.file, job.options.decimal)
-    added = [f"{name} [{job.compensator.unit}]" for name in job.done.columns]
-    head = text.data[: text.offset].splitlines(keepends=True)
-    rows = iter(job.rows(table).T.tolist())
+    text = read_text(path, table.file, added.decimal)
+    rows = added.cells(text.decimal or ".")
     with partial.open("wb") as target:
+        head = text.data[: text.offset].splitlines(keepends=True)
         for row, line in enumerate(head, 1):  # comments, the header, a row of units
-            empty = added if row == text.named else ["", ""]
-            target.write(line if row < text.named else _longer(line, empty, text))
+            fields = added.headers if row == text.named else ["", ""]
+            target.write(line if row < text.named else _longer(line, fields, text))
         for line in text.rows():
-            if not line.strip(text.blank):
-                target.write(line)
-                continue
-            fields = [_number(v, text.decimal or ".") for v in next(rows)]
-            target.write(_longer(line, fields, text))
-
-
-def _number(value: float, decimal: str = ".") -> str:
-    """As the file writes numbers; nothing where there is none."""
-    return "" if value != value else repr(value).replace(".", decimal)
+            filled = line.strip(text.blank)
+            target.write(_longer(line, next(rows), text) if filled else line)
 
 
 def _longer(line: bytes, fields: list[str], text: CsvText) -> bytes:
@@ -247,41 +222,37 @@ def _longer(line: bytes, fields: list[str], text: CsvText) -> bytes:
     return body + more.encode(text.written_in) + end
 
 
-def _parquet(job: _FileCompensation, path: Path, partial: Path, table: Table, raw: str) -> None:
-    unit = job.compensator.unit
+def _parquet(added: AddedColumns, path: Path, partial: Path, table: Table, raw: str) -> None:
     with pq.ParquetFile(path) as opened:
-        schema = opened.schema_arrow
-    in_header = raw != raw.partition(" [")[0]  # the unit of the output stands in its name
-    names = [f"{name} [{unit}]" if in_header else name for name in job.done.columns]
-    for name in names:
-        schema = schema.append(pa.field(name, pa.float64(), metadata={"units": unit}))
-    with pq.ParquetWriter(partial, schema) as writer:
-        for batch, part in parquet_parts(path, table.file, ROWS):
-            columns = [*batch.columns, *(pa.array(v) for v in job.rows(part))]
-            writer.write_table(pa.Table.from_arrays(columns, schema=schema))
+        schema, done = opened.schema_arrow, 0
+        in_header = raw != raw.partition(" [")[0]  # the unit of the output stands in its name
+        for name in added.headers if in_header else added.names:
+            schema = schema.append(pa.field(name, pa.float64(), metadata={"units": added.unit}))
+        with pq.ParquetWriter(partial, schema) as writer:
+            for batch in opened.iter_batches(batch_size=ROWS):
+                own = added.values[:, done : done + batch.num_rows]
+                columns = [*batch.columns, *map(pa.array, own)]
+                writer.write_table(pa.Table.from_arrays(columns, schema=schema))
+                done += batch.num_rows
 
 
-def _as_csv(job: _FileCompensation, path: Path, partial: Path, table: Table, raw: str) -> None:
+def _as_csv(added: AddedColumns, path: Path, partial: Path, table: Table, raw: str) -> None:
     """A sheet or vectors as CSV: its cells as text, with two columns more."""
     told = load_whole(table, dict.fromkeys(range(len(table.headers)), False))
-    unit = job.compensator.unit
     with partial.open("w", encoding="utf-8", newline="") as target:
         writer = csv.writer(target, lineterminator="\n")
-        added = [f"{name} [{unit}]" for name in job.done.columns]
-        writer.writerow([*(header.raw for header in table.headers), *added])
+        writer.writerow([*(header.raw for header in table.headers), *added.headers])
         texts = [told[i].values.tolist() for i in range(len(table.headers))]
-        values = ([_number(v) for v in vs.tolist()] for vs in job.rows(table))
-        writer.writerows(zip(*texts, *values, strict=True))
+        writer.writerows([*own, *more] for *own, more in zip(*texts, added.cells(), strict=True))
 
 
-def _netcdf(job: _FileCompensation, path: Path, partial: Path, table: Table, raw: str) -> None:
+def _netcdf(added: AddedColumns, path: Path, partial: Path, table: Table, raw: str) -> None:
     import xarray as xr
 
     with xr.open_dataset(path, engine="h5netcdf", decode_times=False) as opened:
         dataset = opened.load()
-    (dimension,) = dataset[raw].dims
-    unit = {"units": job.compensator.unit}
-    values = zip(job.done.columns, job.rows(table), strict=True)
+    (dimension,), unit = dataset[raw].dims, {"units": added.unit}
+    values = zip(added.names, added.values, strict=True)
     dataset = dataset.assign({name: (dimension, v, unit) for name, v in values})
     # In memory, because HDF5 ends the process where it writes to a full disk itself; and in this process alone: where a
     # Dask cluster is open, xarray would ask it for a lock.

@@ -11,7 +11,6 @@ The stimulus solves expected(s) = reading: one Newton step from 0 where the equa
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
@@ -38,12 +37,10 @@ from bayescal._tables.cells import date_text
 from bayescal._use.correction import NOT_RELIABLE, CorrectionInUse
 from bayescal._use.expression_graph import Graph, NotExportable, trace
 from bayescal._use.operating_equation import (
-    Folded,
     NoiseInUse,
     OperatingEquation,
     PosteriorMoments,
     Scalars,
-    equation_in_use,
     left_out,
 )
 
@@ -261,37 +258,6 @@ def limits(span: tuple[float, float]) -> tuple[float, float]:
     return low - MARGIN * (high - low), high + MARGIN * (high - low)
 
 
-def outside(
-    ranges: Mapping[str, tuple[float, float]], values: Mapping[str, np.ndarray]
-) -> dict[str, np.ndarray]:
-    """Name → where a value is outside its range, (n,); only those that are outside somewhere."""
-    found = {
-        name: (values[name] < low) | (values[name] > high)
-        for name, (low, high) in ranges.items()
-        if name in values
-    }
-    return {name: mask for name, mask in found.items() if mask.any()}
-
-
-def warn_outside(
-    masks: Mapping[str, np.ndarray], calibrated: Mapping[str, tuple[float, float, str]]
-) -> None:
-    """Warn the caller's caller of readings outside their range."""
-    spans = {
-        n: f" (calibrated: {a:.6g} to {b:.6g} {unit})" for n, (a, b, unit) in calibrated.items()
-    }
-    parts = [
-        f"{name} in {int(mask.sum())} of {len(mask)} readings{spans.get(name, '')}"
-        for name, mask in masks.items()
-    ]
-    warnings.warn(
-        f"outside the calibrated range: {'; '.join(parts)}. There the result is an extrapolation, and its "
-        "uncertainty does not say by how much the equation itself may fail",
-        OutsideCalibration,
-        stacklevel=3,
-    )
-
-
 @dataclass(frozen=True)
 class Provenance:
     """Where an export comes from and what may be done with it."""
@@ -393,10 +359,15 @@ def notes_on_use(
         notes.append(
             f"Taken as new in use, with the between-group standard deviation of the calibration: {', '.join(new)}."
         )
-    if equation.folded is not None:
-        notes.append(_left_out(calibration, equation, equation.folded))
+    if held := equation.held_inputs:
+        places = [f"{n} = {v:.6g} {unit_label(unit)}".rstrip() for n, v, unit in held]
+        rms = left_out(equation, calibration, inputs_at_fit(calibration, equation))
+        notes.append(
+            f"Held at {', '.join(places)}, which only improbable effects need. What these make of the output elsewhere "
+            f"is left out: {number(rms)} {unit_label(calibration.unit)} rms over the calibration."
+        )
     for lag in equation.lags:
-        if lag.shape:
+        if lag.shape and lag.name in equation.inputs:
             share = "" if lag.multiple == 1.0 else f"{lag.multiple:.3g} · "
             notes.append(
                 f"{lag.name} is the lag for {share}{lag.shape} = {lag.tau:.6g} s; the uncertainty of this time is "
@@ -408,18 +379,6 @@ def notes_on_use(
     elif stimulus_range is None:
         notes.append(f"The range of {stimulus} in the calibration is not stated.")
     return tuple(notes)
-
-
-def _left_out(calibration: Calibration, equation: OperatingEquation, left: Folded) -> str:
-    """Which effects count at one place alone, where that is, and how much of the output that leaves out."""
-    inputs = inputs_at_fit(calibration, equation_in_use(calibration, dict(equation.members)))
-    rms = left_out(equation, left, calibration, inputs)
-    known = {equation.use.stimulus}.union(*(e.columns for e in equation.layout.model.effects))
-    at = [f"{n} = {v:.6g} {unit_label(u)}".rstrip() for n, v, u in left.at if n not in known]
-    return (
-        f"{', '.join(left.effects)} would need further inputs, and counts as at {', '.join(at)}. What it makes of the "
-        f"output elsewhere is left out: {number(rms)} {unit_label(calibration.unit)} rms over the calibration."
-    )
 
 
 SCHEMA, VERSION = "bayescal.compensator", 3
@@ -634,7 +593,7 @@ def program_of(
     """Trace an equation in use, its derivatives and the noise of one reading.
 
     Raises:
-        ModelError: an effect, or the noise law, is made of operations that firmware has no form of; named.
+        ModelError: an effect, or the noise law, is made of operations that firmware has no form of.
     """
     graph, unknowns = Graph(), equation.unknowns()
     theta = {u.key: jnp.asarray(m) for u, m in zip(unknowns, moments.mean, strict=True)}
@@ -650,7 +609,10 @@ def program_of(
         expected, slope, *gradient = trace(graph, derivatives, (jnp.ones(()), ones), places)
         (own,) = trace(graph, of_noise, (jnp.ones(()), ones), places)
     except NotExportable as error:
-        raise ModelError(_blame(equation, theta, str(error))) from None
+        raise ModelError(
+            f"the model cannot be exported: {error}. Write bases with arithmetic, powers, exp, sin and jnp.where, take "
+            "the effect that has it out (model - name) and fit again, or compensate in Python: bayescal compensate"
+        ) from None
     acting = [i for i, node in enumerate(gradient) if graph.value(node) != 0]
     small, moved = graph.part([expected, slope, own, *(gradient[i] for i in acting)])
     needed = {n.value for n in small.nodes if n.op == "input"}
@@ -678,11 +640,9 @@ def _with_derivatives(equation: OperatingEquation, theta: Scalars) -> Callable[.
     def expected_slope_gradient(s, given):
         # Forward, because the reverse of a slice is a padding, for which there is no scalar operation.
         def along(key, value):
-            of = {STIMULUS: s, **theta}
-
             def at(v):
-                moved = {**of, key: v}
-                return equation.point({k: moved[k] for k in theta}, moved[STIMULUS], given)
+                moved = {STIMULUS: s, **theta, key: v}
+                return equation.point(moved, moved[STIMULUS], given)
 
             return jax.jvp(at, (value,), (jnp.ones(()),))
 
@@ -690,30 +650,3 @@ def _with_derivatives(equation: OperatingEquation, theta: Scalars) -> Callable[.
         return expected, slope, [along(key, value)[1] for key, value in theta.items()]
 
     return expected_slope_gradient
-
-
-def _blame(equation: OperatingEquation, theta: Scalars, reason: str) -> str:
-    """Which effect cannot be exported, and what to do."""
-    ones = {n: jnp.ones(()) for n in equation.names}
-    for effect in dict.fromkeys(b.effect for b in equation.blocks):
-
-        def basis(s, given, effect=effect):
-            frame = equation.one_reading(s, given)
-            shapes = {x.name: theta.get(effect.shape_name(x), jnp.ones(())) for x in effect.shapes}
-            return [effect.evaluate(frame, shapes)[0, i] for i in range(len(effect.coefficients))]
-
-        graph = Graph()
-        places = [graph.input(STIMULUS), *(graph.input(n) for n in sorted(ones))]
-        try:
-            trace(graph, basis, (jnp.ones(()), ones), places)
-        except NotExportable as error:
-            return (
-                f"effect {effect.name!r} cannot be exported: {error}. Write its basis with arithmetic, "
-                "powers, exp, sin and jnp.where, take the effect out (model - name) and fit again, or "
-                "compensate in Python: bayescal compensate"
-            )
-    law = equation.layout.model.noise.name
-    return (
-        f"neither the equation nor the {law} noise can be exported: {reason}. Compensate in Python: "
-        "bayescal compensate"
-    )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -19,21 +20,21 @@ from bayescal._core.errors import InputError
 from bayescal._data.column import UNCERTAINTY, Column
 from bayescal._data.measurements import Measurements
 from bayescal._data.time_in_runs import on_clock
+from bayescal._model.composition import columns_read
 from bayescal._use import operating_equation
 from bayescal._use.compensation_program import (
     PAST,
     CompensationProgram,
     Input,
+    OutsideCalibration,
     Provenance,
     gathered,
     inputs_at_fit,
     inputs_in_use,
     limits,
     notes_on_use,
-    outside,
     program_of,
     provenance_of,
-    warn_outside,
 )
 from bayescal._use.correction import NOT_RELIABLE
 from bayescal._use.correction_files import as_text, format_of, kind_of, load_correction
@@ -42,7 +43,6 @@ from bayescal._use.operating_equation import (
     OperatingEquation,
     PosteriorMoments,
     equation_in_use,
-    folded,
     noise_in_use,
     noise_variances,
     posterior_moments,
@@ -138,9 +138,30 @@ class Compensator:
         if noise:
             own = self.noise_variance({**given, self.stimulus: value})
             variance = variance + inclination * (own + given.get(UNCERTAINTY, np.zeros(1)) ** 2)
-        masks = outside(self._ranges, {**given, self.stimulus: value})
+        values = {**given, self.stimulus: value}
+        beyond = {
+            name: (values[name] < low) | (values[name] > high)
+            for name, (low, high) in self._ranges.items()
+            if name in values
+        }
+        masks = {name: mask for name, mask in beyond.items() if mask.any()}
         if warn and masks:
-            warn_outside(masks, self.calibrated)
+            spans = self.calibrated
+            parts = [
+                f"{name} in {int(mask.sum())} of {len(mask)} readings"
+                + (
+                    " (calibrated: {:.6g} to {:.6g} {})".format(*spans[name])
+                    if name in spans
+                    else ""
+                )
+                for name, mask in masks.items()
+            ]
+            warnings.warn(
+                f"outside the calibrated range: {'; '.join(parts)}. There the result is an extrapolation, and its "
+                "uncertainty does not say by how much the equation itself may fail",
+                OutsideCalibration,
+                stacklevel=2,
+            )
         return Compensated(value, np.sqrt(variance), self.unit, masks)
 
     @cached_property
@@ -219,9 +240,12 @@ class Compensator:
             stimulus = np.full(len(late), low + share * (high - low))
             given = {i.name: i.low + share * (i.high - i.low) + 0.0 * late for i in inputs}
             given = {**dict.fromkeys(self._equation.names, 0.0 * late), **given, time.name: late}
-            expected, uncertainty = operating_equation.expected_first_order(
-                self._equation, moments.mean, moments.covariance, stimulus, given
+            expected, _, gradient = map(
+                np.asarray,
+                operating_equation.linearised(self._equation, moments.mean, stimulus, given),
             )
+            variance = np.einsum("ni,ij,nj->n", gradient, moments.covariance, gradient)
+            uncertainty = np.sqrt(np.maximum(variance, 0.0))
             moves = np.abs(np.array([expected - expected[0], uncertainty - uncertainty[0]]))
             scatter = np.sqrt(self.noise_variance({self.stimulus: stimulus, **given}))
             if np.any(moves > SETTLED * uncertainty[0]) or np.ptp(scatter) > SETTLED * scatter[0]:
@@ -361,8 +385,8 @@ def compensator(
     """The compensator of a calibrated instrument.
 
     Args:
-        calibration: a fit, or an average over structures. Effects that need an input which no probable one does stand
-            in it as what they come to at the middle of the calibrated range; `notes` say what that leaves out.
+        calibration: a fit, or an average over structures. Inputs that no probable effect needs are held at the middle
+            of their calibrated range; `notes` say what that leaves out.
         draws: posterior draws to average over, at most.
         members: which member of a group is used, such as {"device": "A17"}; every other run, cell or device counts
             as a new one, whose deviation is drawn from its spread.
@@ -373,14 +397,19 @@ def compensator(
     """
     if draws < 2:
         raise InputError(f"draws={draws}: an uncertainty needs at least 2")
-    usual = calibration.usual_columns
     whole = Compensator(calibration, equation_in_use(calibration, members), draws)
-    rare = [e.name for e in calibration.model.effects if not usual.issuperset(e.columns)]
-    if not rare:
+    needed = calibration.usual_columns.union(
+        calibration.model.noise.needs,
+        columns_read(calibration.model.instrument, calibration.frame),
+    )
+    if all(needed.issuperset(e.columns) for e in calibration.model.effects):
         return whole
-    units = {whole.stimulus: whole.unit, **{i.name: i.unit for i in whole.inputs}}
-    middle = [(name, float(value), units[name]) for name, value in whole.middle.items()]
-    return replace(whole, equation=folded(whole._equation, calibration, rare, middle))
+    held = tuple(
+        (i.name, float(i.middle), i.unit)
+        for i in whole.inputs
+        if not needed.issuperset({i.column} if i.kind == "column" else {i.column, "time"})
+    )
+    return replace(whole, equation=replace(whole._equation, held_inputs=held))
 
 
 def load_compensator(path: str | Path) -> Compensator:

@@ -13,7 +13,7 @@ It is solved for the stimulus of each reading, for draws of θ or to first order
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any, NamedTuple
@@ -75,25 +75,7 @@ class UnknownInUse(NamedTuple):
     name: str  # of the coefficient or shape; "(new run)" beside it for a deviation not measured
     key: str  # under which the equation finds it
     unit: str  # in which it is reported
-    kind: str  # "coefficient", "shape", "new" for one drawn anew in use, "folded" for what folded effects come to
-
-
-class Folded(NamedTuple):
-    """Effects that stand in the equation as what they come to at one place: an unknown for each slot."""
-
-    effects: tuple[str, ...]  # by name
-    slots: tuple[tuple[str, str], ...]  # (slot, unit) that they act on
-    # (name, value, unit) of the stimulus and every input there
-    at: tuple[tuple[str, float, str], ...]
-
-    @property
-    def values(self) -> dict[str, float]:
-        """Stimulus and inputs at the place, by name."""
-        return {name: value for name, value, _ in self.at}
-
-    def name(self, slot: str) -> str:
-        """Of a slot's unknown."""
-        return f"{slot}: {', '.join(self.effects)}"
+    kind: str  # "coefficient", "shape", or "new" for one drawn anew in use
 
 
 class OperatingEquation(eqx.Module):
@@ -108,8 +90,8 @@ class OperatingEquation(eqx.Module):
     lags: tuple[Lag, ...] = eqx.field(static=True, default=())  # what the equation asks of the past
     # which of them, in the order in which bases ask; one may be asked for by several
     asked: tuple[int, ...] = eqx.field(static=True, default=())
-    # effects that it does not hold; None where it holds all
-    folded: Folded | None = eqx.field(static=True, default=None)
+    # (name, value, unit) of inputs that only improbable effects need: they are held at one place
+    held_inputs: tuple[tuple[str, float, str], ...] = eqx.field(static=True, default=())
 
     @property
     def use(self) -> Use:
@@ -142,9 +124,6 @@ class OperatingEquation(eqx.Module):
                 name = member_name(b.name, member or "new " + per)
                 kind = "new" if member is None else kind
             found.append(UnknownInUse(name, b.name, b.coefficient.unit, kind))
-        if (folded := self.folded) is not None:
-            names = ((folded.name(slot), unit) for slot, unit in folded.slots)
-            found += [UnknownInUse(name, name, unit, "folded") for name, unit in names]
         return tuple(found)
 
     @property
@@ -191,11 +170,11 @@ class OperatingEquation(eqx.Module):
             inputs: by name, in fixed units.
             slot: by name; None for the output.
         """
-        moved = dict(inputs)  # each lag, given at the mean of its τ, at the τ of θ, to first order
-        for lag in self.lags:
-            if lag.shape is not None and lag.slope in inputs:
+        moved = {**inputs, **{name: jnp.asarray(value) for name, value, _ in self.held_inputs}}
+        for lag in self.lags:  # given at the mean of its τ, taken at the τ of θ to first order
+            if lag.shape is not None and lag.slope in moved:
                 away = lag.multiple * theta[lag.shape] - lag.tau
-                moved[lag.name] = inputs[lag.name] + inputs[lag.slope] * away
+                moved[lag.name] = moved[lag.name] + moved[lag.slope] * away
         slots, corrected = self._composed(theta, self.one_reading(stimulus, moved))
         if slot is not None:
             found = slots[slot]
@@ -214,20 +193,6 @@ class OperatingEquation(eqx.Module):
         """
         frame = self.one_reading(stimulus, inputs)
         return jnp.reshape(self.layout.model.noise.variance(law, frame), ())
-
-    def at_point(
-        self, mean: np.ndarray, point: Mapping[str, float]
-    ) -> tuple[float, float, np.ndarray]:
-        """Return expected output, slope by the stimulus and gradient by θ at θ = `mean` and an operating point.
-
-        Inputs that are not in `point` are zero, since the equation makes no use of them.
-        """
-        inputs = {n: jnp.asarray(float(point.get(n, 0.0))) for n in self.names}
-        at = jnp.asarray(mean), jnp.asarray(float(point[self.use.stimulus]))
-        value, (gradient, slope) = jax.value_and_grad(
-            lambda theta, s: self.point(self.named(theta), s, inputs), argnums=(0, 1)
-        )(*at)
-        return float(value), float(slope), np.asarray(gradient)
 
     def one_reading(self, stimulus: Float[Array, ""], inputs: Scalars) -> OneReading:
         """One reading as bases see it; arguments as of `point`."""
@@ -272,10 +237,7 @@ class OperatingEquation(eqx.Module):
         values = [jnp.reshape(known[b.name], (1,)) for b in acting]
         made = compose(source, [Term.of_block(b, {}, {}) for b in acting], values, known)
         slots = {name: made.slots.get(name, jnp.zeros(1)) for name in source.slots}
-        corrected = source.moved(made.moves)
-        if (folded := self.folded) is not None:
-            slots = {**slots, **{s: slots[s] + known[folded.name(s)] for s, _ in folded.slots}}
-        return slots, corrected
+        return slots, source.moved(made.moves)
 
 
 def equation_in_use(
@@ -315,23 +277,6 @@ def equation_in_use(
     return _with_lags_of(found, calibration)
 
 
-def folded(
-    equation: OperatingEquation,
-    calibration: Calibration,
-    effects: Collection[str],
-    at: Sequence[tuple[str, float, str]],
-) -> OperatingEquation:
-    """An equation without some effects, each slot with what these come to at one place."""
-    model = equation.layout.model
-    kept = replace(model, effects=tuple(e for e in model.effects if e.name not in effects))
-    acting = {b.slot for b in equation.blocks if b.effect.name in effects}
-    slots = tuple((s.name, s.unit) for s in model.instrument.slots if s.name in acting)
-    names = tuple(e.name for e in model.effects if e.name in effects)
-    bare = replace(equation, layout=replace(equation.layout, model=kept), lags=(), asked=())
-    found = replace(_with_lags_of(bare, calibration), folded=Folded(names, slots, tuple(at)))
-    return found if slots else replace(found, folded=None)
-
-
 def _with_lags_of(found: OperatingEquation, calibration: Calibration) -> OperatingEquation:
     """Ask the equation, at the posterior mean, which lags it needs: one state for each column and time."""
     theta = _theta(found, calibration)
@@ -359,9 +304,7 @@ def _theta(equation: OperatingEquation, calibration: Calibration) -> dict[str, A
     prior = {b.name: float(b.coefficient.mean) for b in equation.blocks}
 
     def mean(u: UnknownInUse) -> float:
-        if u.kind in ("new", "folded"):
-            return prior.get(u.key, 0.0)
-        return calibration.samples(u.name).mean()
+        return prior[u.key] if u.kind == "new" else calibration.samples(u.name).mean()
 
     return {u.key: jnp.asarray(mean(u)) for u in equation.unknowns()}
 
@@ -390,16 +333,8 @@ def posterior_moments(
     step = max(1, -(-total // draws))
     values, mean = np.zeros((total, len(unknowns))), np.zeros(len(unknowns))
     new = [i for i, u in enumerate(unknowns) if u.kind == "new"]
-    at_one_place = dict[str, np.ndarray]()
-    if (left := equation.folded) is not None:
-        stimulus, inputs = left.values[equation.use.stimulus], left.values
-        at = np.full(1, stimulus), {n: np.full(1, v) for n, v in inputs.items()}
-        for slot, _ in left.slots:
-            added = _added_by_folded(equation, left, calibration, ALL_DRAWS, *at, slot)
-            at_one_place[left.name(slot)] = added[:, 0]
     for i, u in ((i, u) for i, u in enumerate(unknowns) if i not in new):
-        known = u.key in at_one_place
-        values[:, i] = at_one_place[u.key] if known else calibration.samples(u.name)
+        values[:, i] = calibration.samples(u.name)
         mean[i] = values[:, i].mean()
     thin = values[::step].copy()
     covariance = np.atleast_2d(np.cov(values.T)) if len(unknowns) else np.zeros((0, 0))
@@ -416,47 +351,27 @@ def posterior_moments(
     return PosteriorMoments(thin, mean, covariance)
 
 
-def _added_by_folded(
-    equation: OperatingEquation,
-    left: Folded,
-    calibration: Calibration,
-    draws: int,
-    stimulus: Float[np.ndarray, "n"],
-    inputs: Mapping[str, Float[np.ndarray, "n"]],
-    slot: str | None = None,
-) -> Float[np.ndarray, "d n"]:
-    """Return what the folded effects add to the output, or to a slot, at places, over draws."""
-    whole = equation_in_use(calibration, dict(equation.members))
-    theirs = {b.name for b in whole.blocks if b.effect.name in left.effects}
-    theta = posterior_moments(whole, calibration, draws).draws
-    kept = np.array([u.key not in theirs for u in whole.unknowns()])
-    at = _places(whole, {whole.use.stimulus: stimulus, **inputs})
-    each = (points_over_draws(whole, jnp.asarray(t), *at, slot) for t in (theta, theta * kept))
-    return np.asarray(np.subtract(*each))
-
-
 # Draws, and readings, over which the size of what is left out is known well enough.
 SIZE_DRAWS = 200
 
 
 def left_out(
-    equation: OperatingEquation,
-    left: Folded,
-    calibration: Calibration,
-    inputs: Mapping[str, np.ndarray],
+    equation: OperatingEquation, calibration: Calibration, inputs: Mapping[str, np.ndarray]
 ) -> float:
-    """Return what the folded effects make of the output elsewhere than at their place, rms over draws and readings.
+    """Return what the output lacks where inputs are held at one place, rms over draws and readings of the fit.
 
-    `inputs` are those of the equation that holds them, at the readings of the calibration.
+    Args:
+        equation, calibration: in use, and that it is of.
+        inputs: at the readings of the fit, those that are held among them, (n,) each.
     """
     rows = slice(None, None, -(-len(calibration.readings) // SIZE_DRAWS))
-    acting, own = _stimulus(equation, calibration)[rows], {n: v[rows] for n, v in inputs.items()}
-    there = {n: np.full(len(v), left.values.get(n, 0.0)) for n, v in own.items()}
-    elsewhere, at_place = (
-        _added_by_folded(equation, left, calibration, SIZE_DRAWS, acting, one)
-        for one in (own, there)
+    acting = {**inputs, equation.use.stimulus: _stimulus(equation, calibration)}
+    at = _places(equation, {n: v[rows] for n, v in acting.items()})
+    theta = jnp.asarray(posterior_moments(equation, calibration, SIZE_DRAWS).draws)
+    each = (
+        points_over_draws(one, theta, *at) for one in (replace(equation, held_inputs=()), equation)
     )
-    return float(np.sqrt(np.mean((elsewhere - at_place) ** 2)))
+    return float(np.sqrt(np.mean(np.subtract(*each) ** 2)))
 
 
 def _stimulus(equation: OperatingEquation, calibration: Calibration) -> Float[np.ndarray, "n"]:
@@ -532,23 +447,25 @@ def over_draws(equation: OperatingEquation, theta, output, inputs, record):
 
 
 @compiled
-def first_order(equation: OperatingEquation, theta, covariance, output, inputs, record):
-    """Stimulus at θ, its variance by first-order propagation, and its squared slope by the output, (n,) each."""
-    found, inclination = _inverted(equation, theta, output, inputs, record)
+def linearised(equation: OperatingEquation, theta, stimulus, inputs):
+    """Expected output at each place and its slope by the stimulus, (n,) each; its gradient by θ, (n, p)."""
 
-    def expected(theta):
-        return _points(equation, theta, found, _with_lags(equation, theta, inputs, record))
+    def at(s, i):
+        value, (gradient, slope) = jax.value_and_grad(
+            lambda theta, s: equation.point(equation.named(theta), s, i), argnums=(0, 1)
+        )(theta, s)
+        return value, slope, gradient
 
-    gradient = -jax.jacfwd(expected)(theta) / inclination[:, None]
-    return found, jnp.einsum("ni,ij,nj->n", gradient, covariance, gradient), inclination**-2
+    return jax.vmap(at)(stimulus, inputs)
 
 
 @compiled
-def expected_first_order(equation: OperatingEquation, theta, covariance, stimulus, inputs):
-    """Expected output at each place, and its standard uncertainty from the calibration, (n,) each."""
-    gradient = jax.jacfwd(lambda theta: _points(equation, theta, stimulus, inputs))(theta)
+def first_order(equation: OperatingEquation, theta, covariance, output, inputs):
+    """Stimulus at θ, its variance by first-order propagation, and its squared slope by the output, (n,) each."""
+    found, inclination = _inverted(equation, theta, output, inputs, None)
+    *_, gradient = linearised(equation, theta, found, inputs)
     variance = jnp.einsum("ni,ij,nj->n", gradient, covariance, gradient)
-    return _points(equation, theta, stimulus, inputs), jnp.sqrt(jnp.maximum(variance, 0.0))
+    return found, variance / inclination**2, inclination**-2
 
 
 @compiled
@@ -562,8 +479,7 @@ def errors_over_draws(equation: OperatingEquation, theta, mean, stimulus, inputs
         output = _points(equation, one, stimulus, inputs)
         return _inverted(equation, mean, output, inputs, None)[0] - stimulus
 
-    middle = equation.named(mean)
-    slope = jax.vmap(jax.grad(lambda s, i: equation.point(middle, s, i)))(stimulus, inputs)
+    _, slope, _ = linearised(equation, mean, stimulus, inputs)
     return jax.vmap(error)(theta), 1 / jnp.abs(slope)
 
 
@@ -620,18 +536,19 @@ def solved(
         record: that lags follow from; None where they are given.
         by_draws: over draws of θ; else to first order.
     """
-    lags = [] if record is None else [lag.name for lag in equation.lags]
     output = jnp.asarray(given["output"])
     inputs = {
         n: jnp.asarray(given[n]) if n in equation.inputs else jnp.zeros(len(output))
         for n in equation.names
-        if n not in lags
     }
     if by_draws:
+        if record is not None:  # lags at the time constants of each draw
+            for lag in (lag for lag in equation.lags if lag.name in equation.inputs):
+                del inputs[lag.name]
         found = over_draws(equation, jnp.asarray(moments.draws), output, inputs, record)
     else:
         mean, covariance = jnp.asarray(moments.mean), jnp.asarray(moments.covariance)
-        found = first_order(equation, mean, covariance, output, inputs, record)
+        found = first_order(equation, mean, covariance, output, inputs)
     value, variance, inclination = map(np.asarray, found)
     return value, variance, inclination
 

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import re
 import zlib
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any
 
-from bayescal._core import templates
 from bayescal._core.quoting import identifier, number_text, python_string
+from bayescal._core.templates import template
 from bayescal._data.time_in_runs import RATE_WINDOW, SILENCE_WINDOWS
 from bayescal._use.compensation_program import (
     PAST,
@@ -43,7 +43,7 @@ def program_text(
     expected, gradient = (statements(program.graph, one, names, language) for one in outputs)
     used = [program.graph.inputs(one) for one in outputs]
     filters = {"comment": language.words, "quoted": python_string}
-    return code_template(language.template, filters).render(
+    return template("bayescal._use", language.template, filters).render(
         p=program,
         about=program.about,
         name=name,
@@ -90,16 +90,6 @@ def _record(program: CompensationProgram, fields: Mapping[str, str]) -> dict[str
         "window": window * (1 + 1e-9),  # as the rate of a record has it
         "silence": SILENCE_WINDOWS * window,
     }
-
-
-def code_template(
-    file: str,
-    filters: Mapping[str, Callable[..., Any]],
-    package: str = "bayescal._use",
-) -> Any:
-    """A template of a package, in which `number` writes a number with all its digits."""
-    filters = {"number": number_text, **filters}
-    return templates.template(package, file, filters, keep_trailing_newline=True)
 
 
 def include_guard(name: str, *computed: Any) -> str:

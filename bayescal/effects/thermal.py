@@ -252,7 +252,7 @@ def body(
         _of_a_body(
             slot,
             name,
-            partial(_ACTING[len(behind.shapes)], behind.modes),
+            partial(_followed, behind.modes),
             (
                 _start(start_unit, start, slot),
                 Coefficient("1", Known(1.0)),
@@ -335,26 +335,18 @@ def _directions(column: str, r: Frame, width: Any) -> Any:
     return xp.stack(r.direction(width, column), axis=-1)
 
 
-def _stages(modes: Callable[..., Modes], column: str, r: Frame, tau: Any, ratio: Any) -> Any:
-    return _followed(modes(ratio), column, r, tau)
-
-
-def _paths(
-    modes: Callable[..., Modes], column: str, r: Frame, tau: Any, ratio: Any, share: Any
+def _followed(
+    modes: Callable[..., Modes],
+    column: str,
+    r: Frame,
+    tau: Any,
+    ratio: Any = None,
+    share: Any = None,
 ) -> Any:
-    return _followed(modes(ratio, share), column, r, tau)
-
-
-def _body(modes: Callable[..., Modes], column: str, r: Frame, tau: Any) -> Any:
-    return _followed(modes(), column, r, tau)
-
-
-_ACTING = (_body, _stages, _paths)  # by the number of shapes beside τ
-
-
-def _followed(modes: Modes, column: str, r: Frame, tau: Any) -> Any:
-    behind = sum(w * r.behind(m * tau, column) for m, w in modes)
-    return xp.stack([sum(w * xp.exp(-r.elapsed / (m * tau)) for m, w in modes), behind], axis=-1)
+    """What is left of a run's first state, and T̃ − T, of a body of modes that have up to two shapes beside τ."""
+    each = modes(*(shape for shape in (ratio, share) if shape is not None))
+    behind = sum(w * r.behind(m * tau, column) for m, w in each)
+    return xp.stack([sum(w * xp.exp(-r.elapsed / (m * tau)) for m, w in each), behind], axis=-1)
 
 
 def _lagging(column: str, r: Frame, tau: Any) -> Any:

@@ -45,7 +45,7 @@ def measure(one: tuple[str, str, int]) -> dict[str, Any]:
         "added": sorted(found.chosen.effects),
         "sets": [[list(s.effects), s.probability] for s in found.sets],
         "law": found.structures.noise(found.chosen).in_words,
-        "nothing": found.posterior.complete(found.structures),
+        "nothing": found.posterior.complete(),
     }
     if how == "wandering noise":
         white = Searched.of(instrument.baseline(), readings, widen_noise=False)

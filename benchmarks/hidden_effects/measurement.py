@@ -68,7 +68,7 @@ def stated(instrument: bc.Instrument, case: Case) -> dict[str, Any]:
         "kind": case.kind,
         "hidden": sorted(map(found.structures.family, hidden)),
         "wanders": wanders,
-        "nothing": found.posterior.complete(found.structures),
+        "nothing": found.posterior.complete(),
         "stated_wanders": found.posterior.noise(WANDER),
         "probabilities": found.probabilities,
         "sets": [[list(s.effects), s.probability] for s in found.sets],
@@ -87,7 +87,7 @@ def campaign(instrument: bc.Instrument, case: Case) -> dict[str, Any]:
     found = Searched.of(model, readings)
     final, sets, probabilities = found.chosen, found.sets, found.probabilities
     taken = time.perf_counter() - begun
-    nothing, structures = found.posterior.complete(found.structures), found.structures
+    nothing, structures = found.posterior.complete(), found.structures
     missing = [OUTSIDE[case.shape]] if case.kind == "outside" else list(case.hidden)
     truth = Structure(frozenset(missing))
     against = _against(found, missing, False)

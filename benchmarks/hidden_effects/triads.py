@@ -77,7 +77,7 @@ def measure(case: tuple[str, int]) -> dict[str, Any]:
     row = {
         "hidden": hidden,
         "final": found.reported_names(found.chosen),
-        "nothing": found.posterior.complete(found.structures),
+        "nothing": found.posterior.complete(),
         "sets": [[list(s.effects), s.probability] for s in found.sets],
     }
     if hidden:

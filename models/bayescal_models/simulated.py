@@ -217,20 +217,35 @@ def columns_of(simulator: Callable[P, Simulated]) -> Callable[P, dict[str, NDArr
     return simulated_columns
 
 
-def readings_of(
-    instrument: bc.Instrument, columns: Callable[P, Mapping[str, Any]]
-) -> Callable[P, bc.Measurements]:
-    """A simulator's columns as readings of its instrument: a function of the same arguments.
+def readings_of(instrument: bc.Instrument) -> Callable[..., bc.Measurements]:
+    """An instrument's simulator as a function of the same arguments that gives readings."""
+    assert instrument.simulator is not None
 
-    Args:
-        instrument: whose simulator it is.
-        columns: the simulator.
-    """
-
-    @wraps(columns)
-    def simulate(*args: P.args, **options: P.kwargs) -> bc.Measurements:
-        return bc.Measurements.from_arrays(instrument, **columns(*args, **options))
+    @wraps(instrument.simulator)
+    def simulate(*args: Any, **options: Any) -> bc.Measurements:
+        return instrument.simulate(*args, **options)
 
     simulate.__name__ = simulate.__qualname__ = "simulate"
     simulate.__annotations__["return"] = bc.Measurements
     return simulate
+
+
+def reference_problem(
+    instrument: bc.Instrument, campaign: Any, fuller: Any
+) -> tuple[Callable[..., bc.Model], Callable[..., bc.Measurements], Callable[..., bc.Measurements]]:
+    """Return `model`, `readings` and `hidden` of a reference problem that is the baseline, its priors as they stand.
+
+    Args:
+        instrument: whose.
+        campaign: of its readings, in which nothing is hidden.
+        fuller: in which effects are hidden; a campaign, or a function of the effects.
+    """
+
+    def readings(seed: int = 0) -> bc.Measurements:
+        return instrument.simulate(seed=seed, campaign=campaign)
+
+    def hidden(effects: Mapping[str, float], seed: int) -> bc.Measurements:
+        plan = fuller(effects) if callable(fuller) else fuller
+        return instrument.simulate(effects, seed=seed, campaign=plan)
+
+    return instrument.baseline, readings, hidden

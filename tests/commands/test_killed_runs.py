@@ -1,4 +1,4 @@
-"""Whenever a command is killed, its output is the old results or the new, and the next run ends well.
+"""Whenever a command is killed, its output is the old results, the new, or refused as mixed; the next run ends well.
 
 A kill meets a process just before it does something to a file of its output, so that each state of the files is met.
 """
@@ -13,8 +13,9 @@ from pathlib import Path
 
 import pytest
 
+import bayescal as bc
 from tests.support.command_line import needs_installation
-from tests.support.inside import MANIFEST, files_of, refuse_mixed
+from tests.support.inside import files_of, refuse_mixed
 
 pytestmark = [
     pytest.mark.nightly,
@@ -53,28 +54,35 @@ def killed(*command: str) -> bool:
     return done.returncode == -signal.SIGKILL
 
 
-def test_a_folder_is_old_or_new_at_every_moment(tmp_path: Path) -> None:
-    folder, seen = tmp_path / "place" / "out", set()
+def state(place: Path) -> tuple[set[str], set[str]] | str:
+    """The names and texts of the results in a folder, or that its files are refused as mixed."""
+    try:
+        refuse_mixed(place)
+    except bc.InputError:
+        return "mixed"
+    names = {n for n in files_of(place) if (place / n).is_file()}
+    return names, {(place / n).read_text() for n in names}
+
+
+def test_a_folder_is_old_or_new_or_refused_at_every_moment(tmp_path: Path) -> None:
+    folder, seen = tmp_path / "place" / "out", list[object]()
     mine = [folder / place / "mine.txt" for place in ("", "x", "gone")]
+    old, new = ({"a.json", "b.json"}, {"1"}), ({"a.json", "c.json"}, {"2"})
     for count in range(1, 100):
         for file in mine:
             file.parent.mkdir(parents=True, exist_ok=True)
             file.write_text("mine")
         assert not killed("-c", WRITES, str(folder), str(ALIVE), "1", *OLD)
+        assert state(folder) == state(folder / "x") == old
         if not killed("-c", WRITES, str(folder), str(count), "2", *NEW):
             break
-        there = {p for p in folder.rglob("*") if p.is_file() and p.name != MANIFEST} - {*mine}
-        names = {str(p.relative_to(folder)) for p in there}
-        texts = {p.read_text() for p in there}
-        assert (names, texts) in (({*OLD}, {"1"}), ({*NEW}, {"2"}))
+        for place in (folder, folder / "x"):
+            seen.append(state(place))
+            assert seen[-1] in (old, new, "mixed")
         assert {file.read_text() for file in mine} == {"mine"}
-        listed = {f"{place}{n}" for place in ("", "x/") for n in files_of(folder / place)}
-        assert listed == names
-        refuse_mixed(folder)
-        refuse_mixed(folder / "x")
-        seen |= texts
     else:
         pytest.fail("the writing never came to its end")
     assert count > 10
-    assert seen == {"1", "2"}, "kills met both the old folder and the new"
+    assert all(one in seen for one in (old, new, "mixed")), "kills met all three"
     assert os.listdir(folder.parent) == ["out"]
+    assert not [p for p in folder.rglob("*") if p.name.endswith(".partial")]

@@ -2,37 +2,11 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import pytest
 
 import bayescal as bc
 from bayescal_models import mems_gyro
 from tests.support.inside import interval, with_error
-
-CAMPAIGNS = {  # instrument, what is hidden, what must be said, what must not
-    "a lag": (mems_gyro, {"bias.thermal_lag": 0.05}, "The output follows the temperature with a lag of", "bends"),
-    "nothing": (mems_gyro, {}, "Nothing was found missing from the first model", "follows"),
-    "a bend": (mems_gyro, {"bias.temperature_quadratic": 2e-3}, "bends with temperature by", "lag"),
-    "a drift": (mems_gyro, {"bias.drift": 1.0}, "drifts by", "lag"),
-    "humidity": (mems_gyro, {"unlisted.humidity": 0.05}, "is proportional to humidity", "lag"),
-}  # fmt: skip
-
-
-@pytest.fixture(scope="module")
-def found():
-    made: dict[str, bc.SearchPath] = {}
-
-    def of(name: str) -> bc.SearchPath:
-        if name not in made:
-            instrument, hidden, _, _ = CAMPAIGNS[name]
-            readings, later = (instrument.INSTRUMENT.simulate(hidden, seed=s) for s in (11, 12))
-            how: dict[str, Any] = {"method": bc.LeastSquares(draws=400), "widen_noise": False}
-            baseline = instrument.INSTRUMENT.baseline()
-            made[name] = bc.calibrate(baseline, readings, holdout=later, **how)
-        return made[name]
-
-    return of
 
 
 @pytest.mark.parametrize(

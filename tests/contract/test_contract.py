@@ -28,6 +28,9 @@ from tests.support.tiers import slow_but
 ROOT = Path(__file__).resolve().parents[2]
 # Differences of all candidates of an instrument take seconds to compile.
 SMALL_FIRST = slow_but(("mems_gyro", "inclinometer", "still_sensor"), INSTRUMENTS)
+EXAMPLES = (ROOT / "models" / "bayescal_models").glob(
+    "*/example.py"
+)  # of functions of an instrument's own
 CANONICAL = re.compile(r"[a-z][a-z0-9_]*\.[a-z][a-z0-9_]*")
 
 
@@ -197,6 +200,7 @@ def _feeds_slots(case: Case, effect: bc.Effect) -> bool:
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("case", sorted(p.parent.name for p in EXAMPLES), indirect=True)
 def test_the_example_runs_on_its_own(case: Case, tmp_path: Path) -> None:
     shutil.copy(case.folder / "example.py", tmp_path)
     paths = os.pathsep.join([str(ROOT), str(ROOT / "models")])

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy import integrate, stats
 
-from bayescal._annexes.metrology.conformity import DrawnQuantity, Limits, acceptance, global_risks
+from tests.support.inside import DrawnQuantity, Limits, acceptance, global_risks
 
 QUANTILES = stats.norm.ppf((np.arange(100_000) + 0.5) / 100_000)  # a normal distribution as draws
 

@@ -117,7 +117,7 @@ def test_lags_of_a_record_carry_the_uncertainty_of_their_time_into_firmware(tmp_
     assert np.max(np.abs(without.uncertainty / want.uncertainty - 1)) > 1e-3  # it does matter
 
 
-def test_an_effect_that_firmware_cannot_compute_is_named(tmp_path) -> None:
+def test_an_effect_that_firmware_cannot_compute_is_refused(tmp_path) -> None:
     gyro = bent_sensor.gyro()
     sorting = bc.Effect(
         "bias.sorted",

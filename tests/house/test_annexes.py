@@ -34,7 +34,7 @@ BEHIND = {
         _data.header_matching: MatchedFile
         _data.read_options: ExpectedColumns InstrumentLike output_name unit_of unused_options
         _inference: sampled_products trust
-        _inference.laplace: climb gaussian_fit
+        _inference.newton: ByValues climb gaussian_fit
         _inference.method: Method
         _inference.sampling: PriorShare around_mode propose
         _model: forward
@@ -75,26 +75,19 @@ BEHIND = {
         _calibration.check_result: place_in_words
         _calibration.summary: null_directions unknown_rows
         _core: deadline
-        _data.read_options: MISSING_READINGS
         _model.effect: with_forms
         _model.formula: Formula
         _model.installed: GROUP installed_names
         _report.plot_colours: BLUE CYCLE GREEN ORANGE PURPLE RED SKY
         _report.report: Pictures
-        _report.section: of_folder
         _report.whole_folder: AGAIN
         _search.calibrate: Loop QUICK step_of
-        _search.discover: SEARCH missing
+        _search.discover: SEARCH
         _search.gate: judged
         _search.noise_laws: laws_over
-        _search.own_files: in_a_file refuse_unnamed user_effects
-        _search.preview: Preview Previews
+        _search.own_files: in_a_file
         _search.search_path: Step steps_table
         _search.structures: SIZE_FACTORS Structure
-        _tables.cells: ORDERS
-        _tables.mapping_file: ReadMapping save_mapping
-        _tables.open_table: TEXT
-        _use: correction_files
     """,
 }
 

@@ -252,26 +252,26 @@ def test_what_is_offered_beside_an_instrument_is_there(group: str) -> None:
 # Lines of Python that each part may have: lowered by whoever takes lines out, never raised. What needs more room takes
 # it from the same part first.
 CEILINGS = {
-    "bayescal/_core": 2_234,
-    "bayescal/_tables": 2_198,
-    "bayescal/_data": 5_878,
-    "bayescal/_model": 6_291,
-    "bayescal/effects": 729,
-    "bayescal/_inference": 6_443,
-    "bayescal/_calibration": 6_223,
-    "bayescal/_use": 3_361,
-    "bayescal/_search": 6_246,
-    "bayescal/_report": 2_667,
-    "bayescal/_cli": 2_076,
-    "bayescal/_annexes/fleet": 3_307,
-    "bayescal/_annexes/imu": 3_171,
-    "bayescal/_annexes/metrology": 1_812,
-    "bayescal/_annexes/workbench": 4_434,
-    "models": 9_768,
-    "tests": 27_103,
+    "bayescal/_core": 2_190,
+    "bayescal/_tables": 2_037,
+    "bayescal/_data": 5_564,
+    "bayescal/_model": 6_107,
+    "bayescal/effects": 721,
+    "bayescal/_inference": 6_440,
+    "bayescal/_calibration": 5_337,
+    "bayescal/_use": 3_198,
+    "bayescal/_search": 5_898,
+    "bayescal/_report": 2_528,
+    "bayescal/_cli": 2_030,
+    "bayescal/_annexes/fleet": 3_218,
+    "bayescal/_annexes/imu": 3_130,
+    "bayescal/_annexes/metrology": 1_758,
+    "bayescal/_annexes/workbench": 3_672,
+    "models": 9_236,
+    "tests": 26_934,
     "benchmarks": 10_894,
 }
-WORDS = 54_247  # of docs/, README.md and CHANGELOG.md together
+WORDS = 53_974  # of docs/, README.md and CHANGELOG.md together
 
 
 @pytest.mark.parametrize("part", CEILINGS)

@@ -37,7 +37,7 @@ def test_commands_exist() -> None:
     help_ = run("--help").out
     for words in re.findall(r"\| `bayescal ([^|]*?)` \|", PAGE):
         for command in re.findall(r"[a-z]+", words):
-            assert re.search(rf"^│ {command} ", help_, re.MULTILINE), command
+            assert re.search(rf"^  {command} ", help_, re.MULTILINE), command
 
 
 def test_options_of_the_shown_command_exist() -> None:

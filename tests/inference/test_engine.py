@@ -16,13 +16,13 @@ import bayescal as bc
 from bayescal import effects
 from bayescal._calibration.leave_group_out import Part
 from bayescal._inference import nuts
-from bayescal._inference.density import Density, about
+from bayescal._inference.density import Density
 from bayescal._inference.gaussian import LOG_2PI, column_scale
 from bayescal._inference.laplace import across, find_mode
 from bayescal._inference.linear_model import sized
 from bayescal._inference.noise_on_record import total_log_density, whitening
 from bayescal._inference.problem import Problem
-from bayescal._inference.record import INTERPOLATED, Record, record_of
+from bayescal._inference.record import Record, record_of
 from bayescal._inference.sampling import ManyPhi, weighted_draws
 from bayescal._model import forward
 from bayescal._model.parameters import bind
@@ -274,60 +274,57 @@ def test_flat_coefficients_are_integrated_over_the_whole_line() -> None:
     assert values[0] == pytest.approx(direct, abs=1e-7)
 
 
-def test_a_structure_as_data_and_one_computed_anew_are_the_same(monkeypatch) -> None:
-    """Where columns are interpolated, and beyond."""
-    for case in ("gyro", "gyro, held", "quartz", "inclinometer", "still"):
-        a = assembled(case)
-        _, v = somewhere(a)
-        flat = column_scale(a.linearise(a.start, a.hyper(v)).jacobian)
-        as_data, anew = Density(a, a.start, flat, v), Density(a, a.start, flat, v)
-        assert as_data.products is not None
-        monkeypatch.setitem(vars(anew), "products", None)
-        assert as_data.at(v)[0] == pytest.approx(anew.at(v)[0], rel=1e-8, abs=1e-5)
-        np.testing.assert_allclose(as_data.at(v)[1].mean, anew.at(v)[1].mean, rtol=1e-5, atol=1e-7)  # pyright: ignore[reportOptionalMemberAccess]
+TABULATED = ("gyro", "gyro, wandering", "gyro, scatter", "gyro, known uncertainties", "gyro, held")
+TABULATED = (*TABULATED, "gyro, unknown", "gyro, paths", "quartz", "inclinometer", "still", "pair")
 
 
-@pytest.mark.parametrize(
-    ("case", "promoted"),
-    [
-        pytest.param("still, wandering", (), marks=pytest.mark.slow),
-        pytest.param("gyro, scatter", (), marks=pytest.mark.slow),
-        ("gyro, thermometer", ("bias.temperature",)),
-    ],
-)
-def test_polynomials_along_outer_axes_are_the_density(monkeypatch, case, promoted) -> None:
-    a = assembled(case, *promoted)
+@pytest.mark.parametrize("case", TABULATED)
+def test_tabulated_density_is_that_of_the_readings(monkeypatch, case: str) -> None:
+    a = assembled(case)
+    x, v = somewhere(a)
+    flat = column_scale(a.linearise(a.start, a.hyper(v)).jacobian)
+    x = a.start if a.affine else x
+    table, readings = Density(a, x, flat, v), Density(a, x, flat, v)
+    monkeypatch.setitem(vars(readings), "tabulated", None)
+    assert table.at(v)[0] == pytest.approx(readings.at(v)[0], rel=1e-8, abs=1e-5)
+    np.testing.assert_allclose(table.at(v)[1].mean, readings.at(v)[1].mean, rtol=1e-5, atol=1e-7)  # pyright: ignore[reportOptionalMemberAccess]
+    vs = v + 0.3 * np.random.default_rng(2).standard_normal((3, len(v)))
+    vs = vs if a.affine else v[None]
+    one_by_one = [table.at(one)[0] for one in vs]
+    np.testing.assert_allclose(table.values(vs), one_by_one, rtol=1e-8, atol=1e-5)
+
+
+@pytest.mark.parametrize("case", TABULATED)
+def test_tabulated_curvature_is_the_difference_of_slopes(case: str) -> None:
+    a = assembled(case)
+    x, v = somewhere(a)
+    flat = column_scale(a.linearise(a.start, a.hyper(v)).jacobian)
+    density = Density(a, a.start if a.affine else x, flat, v)
+    found, step = density.evaluate(v), 1e-4
+    assert found is not None and found.curvature is not None
+    for row, unit in zip(found.curvature, step * np.eye(len(v)), strict=True):
+        ends = (density.evaluate(v + sign * unit).gradient for sign in (-1, 1))
+        difference = -np.diff(np.array([*ends]), axis=0)[0] / (2 * step)
+        np.testing.assert_allclose(row, difference, rtol=1e-3, atol=1e-3)
+    if (
+        case == "gyro, paths"
+    ):  # its columns have kinks, over which the table's slopes are differences of 0.002
+        return
+    ends = density.values(np.concatenate([v + step * np.eye(len(v)), v - step * np.eye(len(v))]))
+    slopes = -np.diff(ends.reshape(2, -1), axis=0)[0] / (2 * step)
+    np.testing.assert_allclose(found.gradient, slopes, rtol=2e-3, atol=2e-3)
+
+
+@pytest.mark.parametrize("case", ["gyro", "gyro, wandering", "gyro, scatter", "gyro, stages"])
+def test_table_about_a_mode_is_the_density(case: str) -> None:
+    a = assembled(case)
     mode = find_mode(a)
-    anew = Density(a, mode.x, mode.flat, mode.v)
-    monkeypatch.setattr("bayescal._inference.density._pay", lambda *_: True)
-    found = about(anew, mode.v, mode.covariance, 0.001, 1)
-    assert found is not None and found.polynomials is not None
     random, root = np.random.default_rng(1), np.linalg.cholesky(mode.covariance)
     vs = mode.v + random.standard_normal((5, len(mode.v))) @ root.T
-    as_data, _ = ManyPhi(a, mode).at(vs, np.zeros((5, a.size)))
-    np.testing.assert_allclose(as_data, anew.values(vs), atol=0.05)
-
-
-@pytest.mark.parametrize(
-    ("case", "promoted"),
-    [
-        *((case, ()) for case in CASES if case not in FORMS),
-        ("gyro, thermometer", ("bias.temperature",)),
-    ],
-)
-def test_slopes_of_the_density_are_its_differences(case: str, promoted) -> None:
-    a = assembled(case, *promoted)
-    mode = find_mode(a)
-    density = Density(a, mode.x, mode.flat)
-    v = mode.v + 0.1
-    found = density.slope(v)[1]
-    step = 1e-4
-    for i, slope in enumerate(found):
-        up, down = v.copy(), v.copy()
-        up[i] += step
-        down[i] -= step
-        difference = (density.at(up)[0] - density.at(down)[0]) / (2 * step)
-        assert slope == pytest.approx(difference, rel=2e-3, abs=2e-3)
+    many = ManyPhi(a, mode)
+    assert many.table is not None
+    found, _ = many.at(vs, np.zeros((5, a.size)))
+    np.testing.assert_allclose(found, many.density.values(vs), atol=0.02)
 
 
 @pytest.mark.parametrize(
@@ -403,12 +400,14 @@ def test_a_lower_maximum_is_left_where_draws_show_a_higher_one() -> None:
 
 
 @pytest.mark.parametrize("tau", [61.0, 300.0, 1150.0])
-def test_columns_along_a_shape_are_interpolated_as_well_as_they_are_computed(tau: float) -> None:
+def test_columns_in_a_box_are_as_good_as_computed(tau: float) -> None:
     a = assembled("gyro")
     effect = ColumnsOf.of(GYRO.effect("bias.thermal_lag"))
-    found = a.record.columns(effect, (tau,))
-    exact, _ = a.record.moved_columns(effect, (tau,), {})
-    assert np.max(np.abs(found - exact)) < 10 * INTERPOLATED * np.max(np.abs(exact))
+    v = np.array([effect.priors[0].coordinate(tau)])
+    box = a.record.expansions(effect, (None,)).at(v + 0.2, True)
+    exact = a.record.columns(effect, (tau,))
+    assert box.half > 0 and box.distance(v) < 1
+    assert np.max(np.abs(box.columns @ box.shares(v).value - exact)) < 1e-7 * np.max(np.abs(exact))
 
 
 @pytest.mark.parametrize("known", [False, True])

@@ -21,5 +21,5 @@ def test_noise_that_is_best_at_zero_stays_a_number() -> None:
     law = bc.OrnsteinUhlenbeck(20.0, 2000.0)
     found = bc.fit(mems_gyro.INSTRUMENT.baseline().with_noise(law), readings, bc.LeastSquares())
     assert found.mode.v.min() >= -30.0
-    assert found.samples("noise.white").max() < 1e-6 < found.samples("noise.diffusion").min()
+    assert found.samples("noise.white").max() < 0.01 * wander.std()
     assert np.isfinite(bc.predict(found).model_sd).all()

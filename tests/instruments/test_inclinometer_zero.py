@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 import bayescal as bc
+from bayescal.workshop import parse
 from bayescal_models import inclinometer
 from bayescal_models.inclinometer import model, reference_problem
 from bayescal_models.inclinometer.campaign import Accelerometer, Campaign
@@ -114,7 +115,8 @@ def test_simulated_laws_are_the_catalogues_but_for_their_physics(name: str) -> N
     shapes = {s.name: np.asarray(WARM_UP_TIME) for s in effect.shapes}
     frame = frame_of(readings, {**constants_of(readings), **AT_SUPPLY, "T0": 20.0})
     slots = {s.name: jnp.zeros(len(readings)) for s in INSTRUMENT.slots}
-    unit = model.ARCSEC_PER[effect.coefficients[0].unit]
+    units = effect.coefficients[0].unit, INSTRUMENT.slot(effect.slot).unit
+    unit = np.divide(*(parse(u).factor for u in units))
     share = np.where(readings["axis"] == "x", 1.0, -0.6)
     own = 1.0 if effect.coefficients[0].per is None or effect.slot == "base_tilt" else share
     added = size * unit * own * effect.evaluate(frame, shapes).sum(axis=1)

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from bayescal._calibration.claim import WORDS, Claim, Words, as_claim
+from tests.support.inside import WORDS, Claim, Words, as_claim
 
 PAGE = Path(__file__).with_name("claims.txt")
 NAMES = ("by", "column", "columns", "along", "values", "named", "taus")  # that may be several

@@ -104,8 +104,8 @@ def test_thermometer_errs_without_touching_the_gyro() -> None:
 
 
 def test_resonance_denominator_at_match_is_the_damping() -> None:
-    assert resonance_denominator(55.0, 8e-5, 8e-5, 1.0, 250.0, 55.0) == pytest.approx(1 / 250)
-    apart = resonance_denominator(np.array([30.0, 80.0]), 8e-5, 8e-5, 1.1, 1e9, 55.0)
+    assert resonance_denominator(0.0, 8e-5, 8e-5, 1.0, 250.0) == pytest.approx(1 / 250)
+    apart = resonance_denominator(np.array([-25.0, 25.0]), 8e-5, 8e-5, 1.1, 1e9)
     np.testing.assert_allclose(apart, 0.21 * np.array([1.002, 0.998]))
 
 

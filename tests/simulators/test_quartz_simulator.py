@@ -8,7 +8,7 @@ import pytest
 
 from bayescal_models import quartz_beam_accelerometer as quartz
 from bayescal_models.quartz_beam_accelerometer.campaign import GRID
-from bayescal_models.quartz_beam_accelerometer.world import World
+from bayescal_models.quartz_beam_accelerometer.world import COUPLING, SELF_HEATING, World
 from bayescal_models.simulated import first_order_body
 from tests.support.inside import constants_of, frame_of
 from tests.support.made_up.supply import AT_SUPPLY
@@ -57,8 +57,8 @@ def test_circuit_and_head_follow_the_chamber_and_each_other() -> None:
     soaked = world.cell >= 0
     t1, t2 = world.average(world.circuit), world.average(world.head)
     # Soaked: circuit warmer by its own heat, head by its share of that; both still.
-    np.testing.assert_allclose(t1[soaked] - world.point[soaked], plan.self_heating, atol=0.02)
-    expected = plan.coupling * plan.self_heating
+    np.testing.assert_allclose(t1[soaked] - world.point[soaked], SELF_HEATING, atol=0.02)
+    expected = COUPLING * SELF_HEATING
     np.testing.assert_allclose(t2[soaked] - world.point[soaked], expected, atol=0.02)
     assert np.abs(world.average(world.head_rate))[soaked].max() < 0.005
     # On ramps the head lags more than the circuit: the gradient goes with the rate, both ways.

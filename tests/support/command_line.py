@@ -7,7 +7,6 @@ import io
 import json
 import shlex
 import sys
-from functools import cache
 from importlib.metadata import entry_points
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -82,15 +81,11 @@ def _refuse(token: str) -> None:
     raise AssertionError(f"{token} is not JSON")
 
 
-_parser = cache(typer.main.get_command)  # made anew with each command otherwise
-
-
 def run(*arguments: object) -> Ran:
     """Run a command in this process."""
     out, err = io.StringIO(), io.StringIO()
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(sys, "argv", ["bayescal", *map(str, arguments)])
-        patch.setattr(typer.main, "get_command", _parser)
         with contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
             status = main.command()
     return Ran(status, out.getvalue(), err.getvalue())
@@ -98,7 +93,7 @@ def run(*arguments: object) -> Ran:
 
 def commands() -> dict[str, Any]:
     """Every command by its name, as typer has it."""
-    group: Any = _parser(main.app)
+    group: Any = typer.main.get_command(main.application())
     return group.commands
 
 
@@ -108,12 +103,13 @@ def options_of(said: str) -> dict[str, Any]:
     Raises:
         InputError: an option is not of its form.
     """
-    found, app = list[dict[str, Any]](), Commands()
+    found, own, app = list[dict[str, Any]](), Commands(), typer.Typer()
 
-    @app.example("", data=False)
+    @own.example("", data=False)
     def taken(columns: ColumnOptions) -> None:
         found.append(columns.for_read())
 
+    own.add_to(app)
     done = CliRunner().invoke(app, shlex.split(said))
     if done.exception is not None:
         raise done.exception

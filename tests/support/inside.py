@@ -15,10 +15,18 @@ from bayescal._annexes.imu.imu_annex import triad_text as triad_text
 from bayescal._annexes.imu.vector_correction import CorrectedVector as CorrectedVector
 from bayescal._annexes.metrology.certificate import Certificate, dcc_text
 from bayescal._annexes.metrology.certificate import d_si as d_si
+from bayescal._annexes.metrology.conformity import DrawnQuantity as DrawnQuantity
+from bayescal._annexes.metrology.conformity import Limits as Limits
+from bayescal._annexes.metrology.conformity import acceptance as acceptance
+from bayescal._annexes.metrology.conformity import global_risks as global_risks
 from bayescal._annexes.workbench.kept import Origin as Origin
 from bayescal._annexes.workbench.session import Session as Session
 from bayescal._calibration.check import allan_check as allan_check
 from bayescal._calibration.check import autocorrelation as autocorrelation
+from bayescal._calibration.claim import WORDS as WORDS
+from bayescal._calibration.claim import Claim as Claim
+from bayescal._calibration.claim import Words as Words
+from bayescal._calibration.claim import as_claim as as_claim
 from bayescal._core.formatting import interval as interval
 from bayescal._core.importance_weights import smoothed as smoothed
 from bayescal._data.allan_deviation import EvenRuns as EvenRuns
@@ -44,8 +52,6 @@ from bayescal._search.next_experiment import Outlook as Outlook
 from bayescal._search.next_experiment import divergence as divergence
 from bayescal._search.next_experiment import outlook as outlook
 from bayescal._search.noise_laws import on_residuals as on_residuals
-from bayescal._search.preview import Preview as Preview
-from bayescal._search.preview import Previews as Previews
 from bayescal._search.taken_over import taken_over as taken_over
 from bayescal._tables.mapping_file import load_mapping, save_mapping
 from bayescal._tables.raw_table import in_one_line

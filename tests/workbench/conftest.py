@@ -41,7 +41,7 @@ def campaign(tmp_path_factory: pytest.TempPathFactory) -> Campaign:
 
 @pytest.fixture
 def session(campaign: Campaign, tmp_path: Path) -> Session:
-    return Session.begin(
+    return Session.open(
         mems_gyro.INSTRUMENT.baseline(),
         campaign.readings,
         holdout=campaign.holdout,

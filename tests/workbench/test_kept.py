@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from tests.support.inside import Session, identity_of
-from tests.workbench.test_session import OWN
+from tests.workbench.test_session import TYPED, again
 
 
 def same_states(one: Session, other: Session) -> None:
@@ -19,15 +19,13 @@ def same_states(one: Session, other: Session) -> None:
 
 @pytest.mark.slow
 def test_resumed_as_it_was(session: Session) -> None:
-    session.load_draft(OWN)
-    session.add("bias.steps")
+    session.add_typed(TYPED)
     session.resize("bias.temperature", 0.2)
     session.go_to(0)
     session.noise("student_t")
     session.go_to(1)
-    again = Session.resume(session.folder)
-    same_states(session, again)
-    assert again.current.number == 1
-    assert again.script() == session.script()
-    assert again.holdout is not None and len(again.holdout) == len(session.holdout or ())
-    assert again.add("bias.drift").parent == 1
+    later = again(session, origin=session.origin)
+    same_states(session, later)
+    assert later.current.number == 1
+    assert later.script() == session.script()
+    assert later.add("bias.drift").parent == 1

@@ -16,7 +16,7 @@ from bayescal_models import mems_gyro
 from tests.support.command_line import needs_installation
 from tests.support.inside import Origin, Session, identity_of
 from tests.workbench.conftest import Campaign
-from tests.workbench.test_session import OWN
+from tests.workbench.test_session import TYPED
 
 ROOT = Path(__file__).resolve().parents[2]
 NUMBERS = """
@@ -54,11 +54,10 @@ def same(session: Session, tmp_path: Path) -> None:
 
 @pytest.mark.slow
 def test_all_that_can_be_done(session: Session, tmp_path: Path) -> None:
-    session.load_draft(OWN)
     session.add("bias.thermal_lag")
     session.fix("bias.temperature", 0.054)
     session.resize("bias.thermal_lag", 0.2)
-    session.add("bias.steps")
+    session.add_typed(TYPED)
     session.noise("ornstein_uhlenbeck")
     session.free("bias.temperature")
     session.add("unknown(elapsed)")
@@ -75,7 +74,7 @@ def test_files_as_they_were_read(campaign: Campaign, tmp_path: Path) -> None:
     how: dict[str, Any] = {"columns": {"output": "rate_z"}}
     instrument = mems_gyro.INSTRUMENT
     readings = bc.set_aside(bc.read(odd, instrument, **how)).average("1min")
-    session = Session.begin(
+    session = Session.open(
         dict(instrument.structures)["quadratic"](),
         readings,
         folder=tmp_path / "out",

@@ -40,9 +40,9 @@ class Server(Bench):
 
     def __init__(self, file: Path, folder: Path) -> None:
         super().__init__(file, *GYRO, "--out", folder)
-        found = re.search(r"http://127\.0\.0\.1:(\d+)(/\S+)/\?session=(\w+)", self.url)
+        found = re.fullmatch(r"http://127\.0\.0\.1:(\d+)(/\S+)/", self.url)
         assert found is not None, self.said
-        self.port, self.path, self.session = int(found[1]), found[2], found[3]
+        self.port, self.path = int(found[1]), found[2]
 
     def ready(self) -> str:
         """The page, once it is the workbench's own."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import threading
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -13,14 +14,14 @@ from bayescal_models import mems_gyro
 from tests.support.inside import Session
 from tests.workbench.conftest import HIDDEN, Campaign
 
-OWN = """
-import bayescal as bc
+TYPED = "bias.steps: a * board_temperature^2; a = 1e-4 deg/s/degC^2"
 
-EFFECTS = (
-    bc.Effect("bias.steps", "bias", lambda r: r["board_temperature"] ** 2 / 1e3,
-              (bc.Coefficient("deg/s", bc.Normal(0.0, 0.1)),), columns=("board_temperature",)),
-)
-"""
+
+def again(session: Session, **given: Any) -> Session:
+    """The session, as another process goes on with it."""
+    first = session.states[0].model
+    holdout = {"holdout": session.holdout}
+    return Session.open(first, session.readings, folder=session.folder, **holdout, **given)
 
 
 @pytest.mark.slow
@@ -94,7 +95,7 @@ def test_find_all_is_what_calibrate_finds(session: Session, campaign: Campaign) 
 
 def test_two_sessions_know_nothing_of_each_other(campaign: Campaign, tmp_path: Path) -> None:
     both = [
-        Session.begin(mems_gyro.INSTRUMENT.baseline(), campaign.readings, folder=tmp_path / name)
+        Session.open(mems_gyro.INSTRUMENT.baseline(), campaign.readings, folder=tmp_path / name)
         for name in ("a", "b")
     ]
     work = [
@@ -118,7 +119,7 @@ def test_what_a_look_found_is_added_at_the_size_that_it_found_likeliest(
     instrument = mems_gyro.INSTRUMENT
     stated = instrument.effect("bias.drift").coefficients[0].size
     readings = instrument.simulate({"bias.drift": 10 * stated}, seed=3)
-    session = Session.begin(instrument.baseline(), readings, folder=tmp_path / "drift")
+    session = Session.open(instrument.baseline(), readings, folder=tmp_path / "drift")
     found = session.look()
     (sized,) = (e for e in found.best if e.name.startswith("bias.drift"))  # in one of its forms
     assert sized.coefficients[0].size > 2 * stated
@@ -135,8 +136,7 @@ def test_a_typed_formula_is_drawn_before_it_is_added_and_goes_on_with_the_sessio
     assert session.current is before and not session.own and np.ptp(drawn.curve) > 0
     added = session.add_typed(line)
     assert added.title == "+ bias.square" and added.step.rmse == pytest.approx(drawn.rms, rel=0.02)
-    trusted = session.origin.python_files
-    again = Session.resume(session.folder, trust=trusted)
-    assert again.current.model == added.model and not again.not_taken
+    later = again(session)
+    assert later.current.model == added.model
     with pytest.raises(bc.InputError):
         session.typed("square: a*(temperatur - 40)^2; a = 1e-3 deg/s")

@@ -9,7 +9,7 @@ import os
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -68,63 +68,57 @@ class DevicePart:
     unreadable: dict[str, str]
 
 
-def parts_of(paths: Sequence[Path], rows: int, device: str) -> list[tuple[Piece, ...]]:
-    """Cut files, and all files in folders, into parts of about so many readings.
+def parts_of(files: Sequence[Path], rows: int, device: str) -> list[tuple[Piece, ...]]:
+    """Cut files into parts of about so many readings.
 
     Args:
-        paths: of files and folders.
+        files: of readings.
         rows: readings in a part.
         device: the files' name of the column of devices.
 
     Raises:
-        InputError: there is no file of readings in them.
+        InputError: `rows` is none.
     """
     if rows < 1:
         raise InputError(f"partition_rows is {rows}: give at least 1")
     parts: list[list[Piece]] = [[]]
-    for piece in (piece for path in files_of(paths) for piece in _pieces(path, rows, device)):
+    for piece in (piece for path in files for piece in _pieces(path, rows, device)):
         if parts[-1] and sum(p.readings for p in parts[-1]) + piece.readings > rows:
             parts.append([])
         parts[-1].append(piece)
     return [*map(tuple, parts)]
 
 
-def files_of(paths: Sequence[Path]) -> list[Path]:
-    """Files, and those in folders and the folders in these, in order of their names.
+def files_of(paths: Sequence[Path]) -> tuple[list[Path], dict[str, str]]:
+    """Return files, with those in folders and the folders in these, in order of their names; and what is not read.
+
+    Returns:
+        The files; what stands in a folder and is not read, by its place there, with the reason.
 
     Raises:
         InputError: a path is given twice, or holds no file of readings.
     """
-    files: list[Path] = []
+    files, left_out = list[Path](), dict[str, str]()
     for path in paths:
-        files += sorted(p for p, why in _entries(path) if not why) if path.is_dir() else [path]
+        if not path.is_dir():
+            files.append(path)
+            continue
+        own = list[Path]()
+        for place, folders, names in os.walk(path):
+            whys = {name: _why_not(Path(place, name)) for name in sorted((*folders, *names))}
+            folders[:] = [name for name in folders if not whys[name]]
+            own += [Path(place, name) for name in names if not whys[name]]
+            here = Path(place).relative_to(path)
+            left_out |= {one_line(here / name): why for name, why in whys.items() if why}
+        files += sorted(own)
     if not files:
-        unread = "".join(f"; {name}: {why}" for name, why in list(left_out(paths).items())[:3])
+        unread = "".join(f"; {name}: {why}" for name, why in list(left_out.items())[:3])
         raise InputError(
             f"no file of readings in {', '.join(map(str, paths))}: one of {', '.join(READ)} was expected{unread}"
         )
     if len({p.resolve() for p in files}) < len(files):
         raise InputError("a file of readings was given twice: give each file once")
-    return files
-
-
-def left_out(paths: Sequence[Path]) -> dict[str, str]:
-    """Return what stands in folders and is not read, by its place in them, and why."""
-    return {
-        one_line(place.relative_to(path)): why
-        for path in paths
-        if path.is_dir()
-        for place, why in sorted(_entries(path))
-        if why
-    }
-
-
-def _entries(folder: Path) -> Iterator[tuple[Path, str]]:
-    """Yield all that stands in a folder and in those below it, and why it is not read; "" for a file of readings."""
-    for place, folders, files in os.walk(folder):
-        whys = {name: _why_not(Path(place, name)) for name in (*folders, *files)}
-        yield from ((Path(place, n), why) for n, why in whys.items() if why or n in files)
-        folders[:] = [name for name in folders if not whys[name]]
+    return files, left_out
 
 
 def _why_not(path: Path) -> str:
@@ -132,9 +126,8 @@ def _why_not(path: Path) -> str:
     if path.name[0] in "._":
         return "its name begins with . or _, as of what programs keep for themselves"
     if path.is_dir():
-        if path.is_symlink() or not os.access(path, os.R_OK | os.X_OK):
-            return "a link to a folder, or one that cannot be looked into"
-        return ""
+        readable = os.access(path, os.R_OK | os.X_OK) and not path.is_symlink()
+        return "" if readable else "a link to a folder, or one that cannot be looked into"
     if not path.is_file():
         return "a link to nothing, a pipe or a device"
     suffix = path.suffix.lower()
@@ -215,19 +208,11 @@ def _open(piece: Piece, options: ReadOptions) -> Table:
         pa.default_memory_pool().release_unused()
         return cells
 
-    return Table(file, arrow_headers(schema), piece.readings, load, place=DeviceRows(piece))
+    @cache
+    def rows() -> np.ndarray:
+        return np.flatnonzero(pc.is_in(dataset.to_table([piece.column])[0], piece.devices))
 
+    def place(index: int) -> str:
+        return f"row {rows()[index] + 1}"
 
-class DeviceRows:
-    """Where the readings of some devices stand in their Parquet file, looked up where a message asks for it."""
-
-    def __init__(self, piece: Piece) -> None:
-        self.piece = piece
-
-    @cached_property
-    def rows(self) -> np.ndarray:
-        column = pq.read_table(self.piece.path, columns=[self.piece.column]).column(0)
-        return np.flatnonzero(pc.is_in(column, self.piece.devices).to_numpy())  # pyright: ignore
-
-    def __call__(self, index: int) -> str:
-        return f"row {self.rows[index] + 1}"
+    return Table(file, arrow_headers(schema), piece.readings, load, place=place)

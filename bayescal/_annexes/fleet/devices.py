@@ -16,7 +16,6 @@ import numpy as np
 import pandas as pd
 
 from bayescal import Column, InputError, Measurements
-from bayescal._core.settings import settings
 from bayescal._data.column import ConvertedColumns, Source
 from bayescal._data.column_conversion import convert_columns
 from bayescal._data.dataset_checks import refuse_backward_time, refuse_one_temperature
@@ -399,32 +398,14 @@ def _convert_usable(
 
 def _useless(block: DeviceBlock, instrument: InstrumentLike) -> dict[str, str]:
     """Devices with one temperature only, or with time running backwards, and what is said of them."""
-    bad = _backward(block)
     need = any(c.name == "temperature" and c.required for c in instrument.columns)
-    if need := need and "temperature" in block.values:
-        values = block.values["temperature"]
-        span = np.maximum.reduceat(values, block.starts) - np.minimum.reduceat(values, block.starts)
-        bad |= set(np.flatnonzero(span < settings().temperature_span).tolist())
-    refused = {}
-    for i in sorted(bad):
-        columns, file, problems = block.columns(i), f"device {block.names[i]}", Objections()
-        with problems.collecting(file):
+    need, refused = need and "temperature" in block.values, dict[str, str]()
+    for i, name in enumerate(block.names):
+        columns, file, problems = block.columns(i), f"device {name}", Objections()
+        with problems.collecting():
             if need:
                 refuse_one_temperature(columns, file)
             refuse_backward_time(columns, lambda row, file=file: f"reading {row + 1} of {file}")
-        refused[block.names[i]] = str(problems[0])
+        if problems:
+            refused[name] = str(problems[0])
     return refused
-
-
-def _backward(block: DeviceBlock) -> set[int]:
-    """Devices in which time runs backwards within a run of an axis."""
-    if "time" not in block.values:
-        return set()
-    device = np.repeat(np.arange(len(block.names)), block.counts)
-    record = device
-    for name in {"run", "axis"} & block.values.keys():
-        codes, levels = pd.factorize(block.values[name])
-        record = record * len(levels) + codes
-    order = np.argsort(record, kind="stable")
-    back = (np.diff(block.values["time"][order]) < 0) & (np.diff(record[order]) == 0)
-    return set(device[order[1:][back]].tolist())

@@ -19,7 +19,7 @@ from bayescal._annexes.fleet.batch_result import BatchResult, first_few
 from bayescal._annexes.fleet.device_files import (
     DevicePart,
     Piece,
-    left_out,
+    files_of,
     parts_of,
     read_part,
     repeated,
@@ -27,7 +27,6 @@ from bayescal._annexes.fleet.device_files import (
 from bayescal._annexes.fleet.devices import DEVICE, Devices, gathered
 from bayescal._annexes.fleet.engine import run_tasks
 from bayescal._annexes.fleet.find_devices import (
-    DeviceStructure,
     Find,
     common_model,
     effects_table,
@@ -94,52 +93,28 @@ class Request:
         return read_part(part, self.model, self.read_options)
 
 
-@dataclass
-class FittedParts:
-    """Fits of some parts.
-
-    Attributes:
-        fits: of their devices.
-        places: devices by the file that they stand in.
-        missing: file → why its devices have no results.
-        structures: of the devices that were searched.
-    """
-
-    fits: Fits
-    places: dict[str, tuple[str, ...]]
-    missing: dict[str, str]
-    structures: dict[str, DeviceStructure]
-
-
-def fit_part(request: Request, part: Part) -> FittedParts:
+def fit_part(request: Request, part: Part) -> Fits:
     """Read and fit the devices of a part."""
     with HOLDS_PART, use_settings(request.settings):
         read = request.read(part)
         devices, options = read.devices, request.fit_options
         fits = Fits(options, [*devices.names], dict(devices.refused))
-        fitted = FittedParts(fits, read.places, read.unreadable, {})
+        fits.places, fits.missing = read.places, read.unreadable
         if request.find is None:
             fits.fit_groups([(request.model, devices)])
-            return fitted
-        fitted.structures, groups, refused = search_devices(
+            return fits
+        fits.structures, groups, refused = search_devices(
             request.model, devices, request.find, options.reference
         )
         fits.reasons |= refused
         with deadline.finishing():
             fits.fit_groups(groups)
-        return fitted
+        return fits
 
 
 def _temperature_sums(request: Request, part: Part) -> list[tuple[str, float, int]]:
     with use_settings(request.settings):
         return temperature_sums(request.read(part).devices)
-
-
-def _tailored_model(request: Request, part: Part) -> Model | None:
-    """The model tailored to the part's first device that it can be tailored to; None where there is none."""
-    with use_settings(request.settings):
-        devices = request.read(part).devices
-        return tailored_to_first(request.model, devices) if len(devices.blocks) else None
 
 
 @dataclass(frozen=True)
@@ -169,40 +144,40 @@ class _Run:
             request = replace(request, fit_options=options.with_common(common_reference(sums)))
         if request.model.instrument.tailor is None:
             return replace(self, request=request)
-        errors = []
-        for task in self._tasks(request):
-            for outcome in run_tasks(self.client, _tailored_model, [task]):
-                if outcome.value is not None:
-                    return replace(self, request=replace(request, model=outcome.value))
-                errors += [outcome.error] * bool(outcome.error)
+        errors = list[str]()
+        for part in self.parts:
+            try:
+                model = tailored_to_first(request.model, request.read(part).devices)
+            except InputError as error:
+                errors.append(str(error))
+            else:
+                if model is not request.model:
+                    return replace(self, request=replace(request, model=model))
         if errors:
             raise InputError(f"none of the devices can be used; {errors[0]}")
         return replace(self, request=request)
 
-    def fitted(self) -> FittedParts:
+    def fitted(self) -> Fits:
         """Fit all parts, and put them together in their order."""
-        together = FittedParts(Fits(self.request.fit_options), {}, {}, {})
-        values: dict[int, FittedParts] = {}
+        values, missing = dict[int, Fits](), dict[str, str]()
         begun = last = time.monotonic()
         tasks = self._tasks(self.request)
         for count, outcome in enumerate(run_tasks(self.client, fit_part, tasks), 1):
             if outcome.error:
                 part = self.parts[outcome.index]
                 files = part.places if isinstance(part, DevicePart) else [p.name for p in part]
-                together.missing |= dict.fromkeys(files, outcome.error)
+                missing |= dict.fromkeys(files, outcome.error)
             else:
                 values[outcome.index] = outcome.value
             if time.monotonic() > last + PROGRESS_SECONDS:
                 last = time.monotonic()
-                devices = sum(len(own.fits.names) for own in values.values())
+                devices = sum(len(own.names) for own in values.values())
                 rest = (last - begun) * (len(tasks) / count - 1)
                 tell(f"{devices:,} devices, about {rest:,.0f} s left")
+        together = Fits(self.request.fit_options, missing=missing)
         for _, own in sorted(values.items()):
-            together.fits.extend(own.fits)
-            together.places |= own.places
-            together.missing |= own.missing
-            together.structures |= own.structures
-        together.fits.refuse(repeated(together.places))
+            together.extend(own)
+        together.refuse(repeated(together.places))
         return together
 
     def _tasks(self, request: Request) -> list[tuple[Request, Part]]:
@@ -269,13 +244,12 @@ def fit_batch(
     paths, unread, parts = _paths(readings), dict[str, str](), list[Part]()
     if paths:
         refuse_missing([path for path in paths if not path.is_dir()])
-        resolved, rows = [p.resolve() for p in paths], FIND_ROWS if search else ROWS
-        unread = left_out(resolved)
+        files, unread = files_of([p.resolve() for p in paths])
         for line in first_few(unread, len(unread), "not read: "):
             note(line.strip())
         device = read_options.columns.get(DEVICE, DEVICE)
-        rows = rows if partition_rows is None else partition_rows
-        parts += parts_of(resolved, rows, device)
+        usual = FIND_ROWS if search else ROWS
+        parts += parts_of(files, usual if partition_rows is None else partition_rows, device)
         if len(parts) == 1 and client is None:  # several of the steps below see its readings
             parts = [request.read(parts[0])]
     else:
@@ -301,9 +275,9 @@ def _fit(run: _Run, population: AskedPopulation) -> BatchResult:
     named = chosen(model, population)
     with stage("fitting devices"):
         fitted = run.fitted()
-    result = fitted.fits.result(model)
+    result = fitted.result(model)
     if not result.parts:
-        reasons = fitted.fits.reasons | fitted.missing
+        reasons = fitted.reasons | fitted.missing
         lines = "\n".join(first_few(reasons, len(reasons))).strip()
         raise InputError(f"none of the devices can be used; {lines or 'there is none'}")
     structures = [fitted.structures[name] for name in result.devices if name in fitted.structures]
@@ -312,7 +286,7 @@ def _fit(run: _Run, population: AskedPopulation) -> BatchResult:
     alike, compared = options.compared_at(result.facts), result
     if alike or common is not model:
         again = replace(run.request, model=common, fit_options=alike or options, find=None)
-        compared = replace(run, request=again).fitted().fits.result(common)
+        compared = replace(run, request=again).fitted().result(common)
     return replace(
         pooled(result, named, options.seed) if named else result,
         odd=odd_devices(pads.dataset(compared.rows()), result.facts, common.noise.parameters()),

@@ -476,6 +476,9 @@ class Fits:
         reasons: name → what stands against a device; refused ones too.
         facts: name → how many readings were fitted, and T0, °C.
         moments: names and units of unknowns → devices that have them, their means and covariances.
+        places: devices by the file that they stand in.
+        missing: file → why its devices have no results.
+        structures: of the devices that were searched.
     """
 
     options: FitOptions
@@ -485,6 +488,9 @@ class Fits:
     moments: dict[tuple[tuple[str, ...], tuple[str, ...]], list[tuple]] = field(
         default_factory=dict
     )
+    places: dict[str, tuple[str, ...]] = field(default_factory=dict)
+    missing: dict[str, str] = field(default_factory=dict)
+    structures: dict[str, Any] = field(default_factory=dict)
 
     def fit_groups(self, groups: Sequence[tuple[Model, Devices]]) -> None:
         """Fit groups of devices, each with a model of its own; those that the deadline leaves out are refused."""
@@ -499,8 +505,8 @@ class Fits:
     def extend(self, other: Fits) -> None:
         """Append the fits of other devices."""
         self.names += other.names
-        self.reasons |= other.reasons
-        self.facts |= other.facts
+        for name in ("reasons", "facts", "places", "missing", "structures"):
+            getattr(self, name).update(getattr(other, name))
         for kind, moments in other.moments.items():
             self.moments.setdefault(kind, []).extend(moments)
 

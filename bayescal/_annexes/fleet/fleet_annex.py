@@ -69,7 +69,7 @@ def batch(
     time_limit: float | None = None,
     seed: int = 0,
 ) -> Answer:
-    """Fit every device of files with a column 'device' by itself: one table of coefficients."""
+    """Fit every device of files with a column 'device'."""
     _refuse_place(out, files)
     chosen = instrument_named(instrument)
     own = own_effects(choice, chosen, None)

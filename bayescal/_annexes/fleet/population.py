@@ -49,7 +49,7 @@ from bayescal._core.importance_weights import smoothed
 from bayescal._core.jax_setup import configure_jax
 from bayescal._core.parallel import over
 from bayescal._inference import trust
-from bayescal._inference.laplace import climb, gaussian_fit
+from bayescal._inference.newton import ByValues, climb, gaussian_fit
 from bayescal._inference.sampling import PriorShare, around_mode, propose
 
 # Devices from which a standard deviation between them can be learned: of two, it is their distance.
@@ -430,8 +430,9 @@ class _Density:
 def _draws(density: Any, seed: int) -> tuple[np.ndarray, np.ndarray, float, Sums]:
     """Draws of the logarithms of τ, with smoothed weights and k̂, and the sums at each."""
     starts = [np.full(len(density.size), v) for v in STARTS]
-    best, _ = climb(density, starts, None)
-    covariance, *_ = gaussian_fit(density, best)
+    by_values = ByValues(density.values)
+    best = climb(by_values, starts[int(np.argmax(density.values(np.array(starts))))])
+    covariance = gaussian_fit(by_values, best).covariance
     # To the last digits, so that the order of summing does not show in what is drawn.
     for _ in range(NEWTON_STEPS):
         best = best + covariance @ density.slope(best)[1]

@@ -90,7 +90,7 @@ def triad(
     poses: bool = False,
     dry_run: bool = False,
 ) -> Answer:
-    """Calibrate three axes by poses at rest or known rates; corrections as C99, Python, JSON and YAML."""
+    """Calibrate three axes by poses at rest or known rates."""
     from bayescal.workshop import sensor_name
 
     sensor_name(asked.name, "")  # refused before anything takes time
@@ -123,7 +123,7 @@ def imu(
     gyroscopes: str | None = None,
     magnetometers: str | None = None,
 ) -> Answer:
-    """Calibrate accelerometers by poses, gyroscopes by moves between them, magnetometers: one log, one frame."""
+    """Calibrate the sensors of a unit by one log, in one frame."""
     from bayescal.workshop import LOG_FORMATS, Objections, names_in_unit, sensor_name
 
     sensor_name(asked.name, "")

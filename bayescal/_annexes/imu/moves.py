@@ -27,7 +27,6 @@ rates between samples, coning among them: J. E. Bortz, IEEE Trans. AES 7 (1971) 
 from __future__ import annotations
 
 from dataclasses import replace
-from itertools import permutations, product
 from typing import NamedTuple
 
 import numpy as np
@@ -76,7 +75,6 @@ OWN = 12  # of these what the outputs are integrated with: bias and matrix
 # Of a bias from pose to pose, rad/s, and of the angle that a move leaves over, rad: consumer parts, by hand.
 PLAUSIBLE = np.deg2rad(0.1)
 SPREADS = np.geomspace(0.1, 1000.0, 17)  # times what is known, at which these are weighed
-ASTRAY = "the outputs integrated over a move do not lead from one pose to the next"
 AT_ONCE = 20_000  # samples whose forces are corrected
 
 
@@ -253,10 +251,6 @@ def _readings(
     moved = _between(log, windows, pull, _forces(pull, correction))
     most = max(1, int(MOST_LEFT_OUT * len(moved.rate)))
     here, aside = session.nominal[:OWN], _Aside((), ())
-
-    def refused(why: str) -> InputError:
-        return InputError(_other_axes(moved, felt, session.nominal) or why)
-
     at = _closure(moved, felt, here)
     for _ in range(SWEEPS):
         line = _Line.of(session, at, here, aside)
@@ -279,18 +273,18 @@ def _readings(
             break
         aside = further
         if len(aside.moves) > most:
-            raise refused(
+            raise InputError(
                 f"more than {most} of {len(moved.rate)} moves disagree with each other by more than they scatter. Were "
                 "samples lost, is a rate beyond the gyroscopes' range, or did accelerometers and gyroscopes not turn "
                 "together?"
             )
     if not np.max(np.abs(here - session.nominal[:OWN])[3:]) < FARTHEST:
-        raise refused(
-            f"{ASTRAY}. Check the unit of the gyroscopes, that their axes are those of the accelerometers, and that no "
-            "rate is beyond their range"
+        raise InputError(
+            "the outputs integrated over a move do not lead from one pose to the next. Check the unit of the "
+            "gyroscopes, that their axes are those of the accelerometers, and that no rate is beyond their range"
         )
     if size >= SETTLED:
-        raise refused(
+        raise InputError(
             f"the integration over the moves did not settle: a further sweep would move an estimate by {size:.2g} "
             "standard uncertainties. Turn the unit less between two poses, about all three axes, and hold it still for "
             "longer; see that no rate is beyond the gyroscopes' range"
@@ -522,32 +516,6 @@ def _closure(
         np.einsum("mn,mnj->mj", moved.weight, moved.force) / moved.duration[:, None],
         np.array(world),
     )
-
-
-def _other_axes(
-    moved: _Moves, felt: Float[np.ndarray, "k 3"], nominal: Float[np.ndarray, "27"]
-) -> str:
-    """In which unit, or with which axes, the outputs would lead from pose to pose, in words; empty where in none."""
-
-    def over(matrix: Float[np.ndarray, "3 3"]) -> float:
-        """Median angle left over, rad: of moves that disagree some may be spoilt."""
-        at = _closure(moved, felt, np.concatenate([nominal[:3], matrix.ravel()]))
-        return float(np.median(np.abs(at.left) * np.repeat(at.duration, 2)))
-
-    units = {
-        "": 1.0,
-        "in rad/s, taken as deg/s": np.pi / 180,
-        "in deg/s, taken as rad/s": 180 / np.pi,
-    }
-    found, least = "", 0.5 * over(np.eye(3))
-    turns = product(permutations(range(3)), product((1, -1), repeat=3), units.items())
-    for order, signs, (unit, factor) in turns:
-        left = over(factor * np.array(signs)[:, None] * np.eye(3)[list(order)])
-        if left < least:
-            axes = ", ".join("−" * (s < 0) + AXES[i] for i, s in zip(order, signs, strict=True))
-            turned = f"with their axes as {axes} of the accelerometers" * (axes != "x, y, z")
-            found, least = " and ".join(part for part in (unit, turned) if part), left
-    return f"{ASTRAY}; {found} they nearly do: correct that (--unit, --columns)" if found else ""
 
 
 def _at_rest(

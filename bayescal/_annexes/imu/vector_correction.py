@@ -21,7 +21,14 @@ from scipy.linalg import block_diag
 from bayescal import InputError, Measurements, __version__
 from bayescal._core.inverse import stepped
 from bayescal._data.still_stretches import LoggedRun
-from bayescal.workshop import CorrectionInUse, ResultTable, TableColumn, unit_label, with_error
+from bayescal.workshop import (
+    CorrectionInUse,
+    ResultTable,
+    TableColumn,
+    as_json,
+    unit_label,
+    with_error,
+)
 
 ROUNDING = 1e-13  # of the largest term, up to which a term is none
 SIZES = (12, 30, 33)  # how many terms there are up to an order in what acts
@@ -34,6 +41,12 @@ UNKNOWN_DIRECTIONS = (
 )
 STEP = 1e-6  # of a vector's length, for central differences: 1e-10 of a slope
 NEWTON_STEPS = 4  # steps of the inverse: each squares the error
+SAVED_AS = {  # keys of the JSON of a correction, and its attributes
+    **{"calibration": "source", "instrument": "instrument", "outputs": "outputs", "unit": "unit"},
+    **{"beside": "beside", "reference_degC": "reference", "reach": "reach", "terms": "terms"},
+    **{"covariance": "covariance", "noise": "noise", "notes": "notes", "why_not": "against"},
+    "axes_of": "axes_of",
+}
 
 
 class TermSlopes(NamedTuple):
@@ -208,29 +221,16 @@ class VectorCorrection(CorrectionInUse):
         return self.instrument, self.notes, self.against
 
     def data(self) -> dict[str, Any]:
-        shared = self.shared
-        return {
+        said = {
             "made_by": f"bayescal {__version__}",
-            "calibration": self.source,
-            "instrument": self.instrument,
-            "outputs": list(self.outputs),
-            "unit": self.unit,
             "equation": "outputs = offset + matrix·f (+ higher orders) (+ beside·g), each a polynomial of T − "
             "reference",
             "order_of_terms": "offset x y z; matrix by rows; second order xx yy zz xy xz yz by rows; cubes; beside by "
             "rows",
-            "beside": list(self.beside),
-            "reference_degC": self.reference,
             "temperatures_degC": None if self.low is None else [self.low, self.high],
-            "reach": self.reach,
-            "terms": self.terms.tolist(),
-            "covariance": self.covariance.tolist(),
-            "noise": self.noise,
-            "notes": list(self.notes),
-            "why_not": self.against,
-            "axes_of": self.axes_of,
-            **({} if shared is None else {"covariance_with_axes_of": shared.tolist()}),
         }
+        shared = {} if self.shared is None else {"covariance_with_axes_of": self.shared.tolist()}
+        return said | {key: as_json(getattr(self, of)) for key, of in SAVED_AS.items()} | shared
 
     @property
     def calibrated_at(self) -> str:

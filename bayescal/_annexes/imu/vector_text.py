@@ -11,6 +11,7 @@ import numpy as np
 from bayescal import Calibration, InputError, ModelError
 from bayescal._annexes.imu.vector_correction import (
     NEWTON_STEPS,
+    SAVED_AS,
     SIZES,
     VectorCorrection,
     term_rows,
@@ -21,9 +22,9 @@ from bayescal.workshop import (
     ResultTable,
     as_type,
     c_comment,
-    code_template,
     include_guard,
     python_words,
+    template,
 )
 
 PACKAGE = "bayescal._annexes.imu"  # whose templates these are
@@ -57,7 +58,9 @@ def vector_from_data(found: Any, file: str) -> VectorCorrection:
     """A correction of three axes from JSON."""
     try:
         saved = as_type(found, SavedCorrection)
-        terms, covariance = np.array(saved.terms, float), np.array(saved.covariance, float)
+        given = {of: getattr(saved, key) for key, of in SAVED_AS.items()}
+        given |= {of: np.array(given[of], float) for of in ("terms", "covariance")}
+        terms, covariance = given["terms"], given["covariance"]
         shared = saved.covariance_with_axes_of
         fits = terms.ndim == 2 and terms.shape[1] - 9 * bool(saved.beside) in SIZES
         if not fits or covariance.shape != 2 * (terms.size,):
@@ -67,27 +70,16 @@ def vector_from_data(found: Any, file: str) -> VectorCorrection:
     except ValueError as error:
         raise InputError(f"{file} is damaged: {error}. {AGAIN}") from None
     low, high = saved.temperatures_degC or (None, None)
-    same = ("outputs", "unit", "noise", "notes", "beside", "instrument", "reach", "axes_of")
-    return VectorCorrection(
-        reference=saved.reference_degC,
-        low=low,
-        high=high,
-        terms=terms,
-        covariance=covariance,
-        source=saved.calibration,
-        shared=shared,
-        against=saved.why_not,
-        **{name: getattr(saved, name) for name in same},
-    )
+    return VectorCorrection(**given, low=low, high=high, shared=shared)
 
 
 def headers(named: Mapping[str, VectorCorrection], uncertainty: bool) -> str:
     """Corrections as C99, one after the other."""
-    template = code_template("vector.h.jinja", {"comment": c_comment}, package=PACKAGE)
+    layout = template(PACKAGE, "vector.h.jinja", {"comment": c_comment})
 
     def header(name: str, c: VectorCorrection) -> str:
         held = (c.terms.tolist(), c.covariance.tolist(), c.reference, c.low, c.high, uncertainty)
-        return template.render(
+        return layout.render(
             c=c,
             name=name,
             guard=include_guard(name, *held),
@@ -109,7 +101,7 @@ def module(named: Mapping[str, VectorCorrection], uncertainty: bool) -> str:
     for one in () if uncertainty else held.values():
         del one["covariance"]
         one.pop("covariance_with_axes_of", None)
-    return code_template("vector.py.jinja", {"comment": python_words}, package=PACKAGE).render(
+    return template(PACKAGE, "vector.py.jinja", {"comment": python_words}).render(
         named=named,
         data={n: repr(one) for n, one in held.items()},
         uncertainty=uncertainty,

@@ -30,8 +30,8 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import NamedTuple
 
@@ -70,8 +70,7 @@ FORM = (
 )
 
 
-@dataclass(frozen=True)
-class LimitedRange:
+class LimitedRange(NamedTuple):
     """A range over which a limit holds, or one value: `low` to `high` of the column `name`, "" where it is not said."""
 
     name: str
@@ -138,19 +137,14 @@ def _tolerance(said: str, text: str) -> tuple[float, float, str]:
 
 
 def _span(kind: str, place: str, text: str) -> LimitedRange:
-    if kind == "at":
-        if found := _AT.fullmatch(place):
-            value = float(found["value"])
-            return LimitedRange(found["name"], value, value, _unit(found["unit"], text))
-        raise InputError(f"limit {text!r}: write at temperature = 25 °C, not at {place!r}")
-    found = _OVER.fullmatch(place)
-    if found is None or not -math.inf < float(found["low"]) < float(found["high"]) < math.inf:
-        raise InputError(
-            f"limit {text!r}: {place!r} is no range: write over -20..60 °C, or over temperature -20..60 °C"
-        )
-    return LimitedRange(
-        found["name"], float(found["low"]), float(found["high"]), _unit(found["unit"], text)
-    )
+    found = (_AT if kind == "at" else _OVER).fullmatch(place)
+    if found is None:
+        form = "at temperature = 25 °C" if kind == "at" else "over temperature -20..60 °C"
+        raise InputError(f"limit {text!r}: {place!r} is no place: write {form}")
+    low, high = (float(found[end]) for end in (("value",) * 2 if kind == "at" else ("low", "high")))
+    if kind == "over" and not -math.inf < low < high < math.inf:
+        raise InputError(f"limit {text!r}: {place!r} is no range from a number to a larger one")
+    return LimitedRange(found["name"], low, high, _unit(found["unit"], text))
 
 
 def _unit(said: str, text: str) -> str:
@@ -210,8 +204,18 @@ def spread_of_devices(text: str) -> SpreadOfDevices:
 # Shifts, and draws, by which the most favourable one is looked for: its p_c need only be within 1/400 of the top.
 SHIFTS, SHIFT_DRAWS = 401, 400
 DEVIATIONS = np.sinh(np.linspace(-5.3, 5.3, 107))  # standard deviations of one reading, up to 100
-BISECTIONS = 60  # of bisection, each of which halves the bracket: the last is 1e-18 of it
+BISECTIONS, EDGE_RTOL = 60, 1e-15  # each halves the bracket; of an acceptance limit
 FAR_SD = 10.0  # standard deviations beyond which a normal distribution has 1e-23
+
+
+def edge(holds: Callable[[float], bool], inside: float, outside: float, rtol: float) -> float:
+    """Return where a condition ceases to hold, between a number at which it does and one at which it does not."""
+    for _ in range(BISECTIONS):
+        middle = 0.5 * (inside + outside)
+        inside, outside = (middle, outside) if holds(middle) else (inside, middle)
+        if abs(outside - inside) <= rtol * abs(outside):
+            break
+    return inside
 
 
 class Limits(NamedTuple):
@@ -245,6 +249,12 @@ class DrawnQuantity:
         """Lowest and highest posterior mean over the range."""
         middle = self.values.mean(axis=0)
         return float(middle.min()), float(middle.max())
+
+    @property
+    def uncertainty(self) -> float:
+        """Standard uncertainty; over a range, the larger of its two ends."""
+        low, high = self.values.min(axis=1), self.values.max(axis=1)
+        return float(max(np.std(low, ddof=1), np.std(high, ddof=1)))
 
     @cached_property
     def ends(self) -> DrawnQuantity:
@@ -288,11 +298,15 @@ def acceptance(drawn: DrawnQuantity, limits: Limits, false_accept: float) -> Lim
     first = limits.low - float(drawn.values.min(axis=1).max()) - reach
     last = limits.high - float(drawn.values.max(axis=1).min()) + reach
     best = _most_favourable(drawn, limits, first, last)
-    wanted = 1.0 - false_accept
-    if drawn.probability(limits, best) < wanted:
+
+    def accepts(shift: float) -> bool:
+        return drawn.probability(limits, shift) >= 1.0 - false_accept
+
+    if not accepts(best):
         return None
-    down = first if np.isinf(first) else _edge(drawn, limits, wanted, best, first)
-    up = last if np.isinf(last) else _edge(drawn, limits, wanted, best, last)
+    down, up = (
+        end if np.isinf(end) else edge(accepts, best, end, EDGE_RTOL) for end in (first, last)
+    )
     return Limits(drawn.estimate[0] + down, drawn.estimate[1] + up)
 
 
@@ -310,19 +324,6 @@ def _most_favourable(drawn: DrawnQuantity, limits: Limits, first: float, last: f
     # Of equally favourable ones the middle: about it p_c falls to both sides.
     p = np.array([drawn.probability(limits, s) for s in shifts])
     return float(np.median(shifts[p == p.max()]))
-
-
-def _edge(
-    drawn: DrawnQuantity, limits: Limits, wanted: float, inside: float, outside: float
-) -> float:
-    """Where p_c falls below what is wanted, between a shift where it does not and one where it is zero."""
-    for _ in range(BISECTIONS):
-        middle = 0.5 * (inside + outside)
-        if drawn.probability(limits, middle) >= wanted:
-            inside = middle
-        else:
-            outside = middle
-    return inside
 
 
 @dataclass(frozen=True)
@@ -381,7 +382,7 @@ HELD = "{} was held at its estimate, so that its uncertainty is not known: fit w
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class LimitedQuantity:
-    """A quantity that is limited, evaluated on draws.
+    """A quantity that is limited: an unknown of the model; or a slot, or the error of a corrected reading, at places.
 
     Attributes:
         limit: that it is of.
@@ -389,6 +390,9 @@ class LimitedQuantity:
         unit: of the quantity, fixed.
         notes: what to know, each a sentence.
         not_covered: what the limit asks for and the calibration does not know, each a clause; then nothing is decided.
+        draws: of an unknown (d,).
+        chosen: compensator with all draws, of what is in use.
+        places: the stimulus and every input by name, (g,) each.
     """
 
     limit: StatedLimit
@@ -396,54 +400,18 @@ class LimitedQuantity:
     unit: str
     notes: tuple[str, ...] = ()
     not_covered: tuple[str, ...] = ()
+    draws: np.ndarray | None = None
+    chosen: Compensator | None = None
+    places: Mapping[str, np.ndarray] = field(default_factory=dict)
 
     @property
     def place(self) -> dict[str, tuple[float, float, str]]:
         """Where it is evaluated: name → lowest value, highest value, unit; nothing for an unknown."""
-        return {}
-
-    @property
-    def follows_time(self) -> bool:
-        """Whether it changes with the time of the record."""
-        return False
-
-    @property
-    def is_error(self) -> bool:
-        """Whether it is what a correction leaves: then it is estimated as zero, whichever the device."""
-        return self.limit.quantity in (READING, MEAN)
-
-    def drawn(self, later: float = 0.0) -> DrawnQuantity:
-        """What the posterior says of it, s after the last reading of the calibration; draws in the order of that."""
-        raise NotImplementedError
-
-
-@dataclass(frozen=True, eq=False, kw_only=True)
-class LimitedUnknown(LimitedQuantity):
-    """An unknown of the model: draws (d,)."""
-
-    draws: np.ndarray
-
-    def drawn(self, later: float = 0.0) -> DrawnQuantity:
-        return DrawnQuantity(np.asarray(self.draws)[:, None], np.zeros(1))
-
-
-@dataclass(frozen=True, eq=False, kw_only=True)
-class QuantityInUse(LimitedQuantity):
-    """A slot, or the error of a corrected reading, at the places of a grid.
-
-    Attributes:
-        chosen: compensator with all draws.
-        places: the stimulus and every input by name, (g,) each.
-    """
-
-    chosen: Compensator
-    places: Mapping[str, np.ndarray]
-
-    @property
-    def place(self) -> dict[str, tuple[float, float, str]]:
-        units = {self.chosen.stimulus: self.chosen.unit}
-        units |= {i.name: i.unit for i in self.chosen.inputs if i.kind != "lag slope"}
-        shown = self._acting | ({self.chosen.stimulus} if self.is_error else set())
+        if (chosen := self.chosen) is None:
+            return {}
+        units = {chosen.stimulus: chosen.unit}
+        units |= {i.name: i.unit for i in chosen.inputs if i.kind != "lag slope"}
+        shown = self._acting | ({chosen.stimulus} if self.is_error else set())
         return {
             n: (float(self.places[n].min()), float(self.places[n].max()), unit)
             for n, unit in units.items()
@@ -453,9 +421,11 @@ class QuantityInUse(LimitedQuantity):
     @cached_property
     def _acting(self) -> set[str]:
         """Inputs, and the stimulus, that it depends on."""
-        if self.is_error:
-            return set(self.chosen._equation.inputs)
+        if self.chosen is None:
+            return set()
         equation = self.chosen._equation
+        if self.is_error:
+            return set(equation.inputs)
         theta, inputs = equation.ones()
 
         def value(s, inputs):
@@ -467,10 +437,19 @@ class QuantityInUse(LimitedQuantity):
 
     @property
     def follows_time(self) -> bool:
+        """Whether it changes with the time of the record."""
         return "time" in self._acting
 
+    @property
+    def is_error(self) -> bool:
+        """Whether it is what a correction leaves: then it is estimated as zero, whichever the device."""
+        return self.limit.quantity in (READING, MEAN)
+
     def drawn(self, later: float = 0.0) -> DrawnQuantity:
-        chosen, places = self.chosen, dict(self.places)
+        """What the posterior says of it, s after the last reading of the calibration; draws in the order of that."""
+        if (chosen := self.chosen) is None:
+            return DrawnQuantity(np.asarray(self.draws)[:, None], np.zeros(1))
+        places = dict(self.places)
         equation, moments = chosen._equation, chosen._moments
         if "time" in places:
             places["time"] = places["time"] + later
@@ -551,7 +530,7 @@ def limited_quantity(
         notes.append(
             f"{MEAN!r} is without the correlated noise, which readings close in time share: a mean keeps it."
         )
-    return QuantityInUse(
+    return LimitedQuantity(
         limit=limit,
         limits=_limits(limit, unit, local_gravity),
         unit=unit,
@@ -578,7 +557,7 @@ def _limits(limit: StatedLimit, unit: str, local_gravity: float) -> Limits:
     return Limits(*found.tolist())
 
 
-def _unknown(calibration: Calibration, limit: StatedLimit, local_gravity: float) -> LimitedUnknown:
+def _unknown(calibration: Calibration, limit: StatedLimit, local_gravity: float) -> LimitedQuantity:
     unknowns = calibration.unknowns
     if limit.quantity not in unknowns.index:
         slots = ", ".join(s.name for s in calibration.model.instrument.slots)
@@ -595,7 +574,7 @@ def _unknown(calibration: Calibration, limit: StatedLimit, local_gravity: float)
     unit = unknowns.rows[unknowns.index[limit.quantity]].unit
     not_covered = () if np.ptp(values) > 0 else (HELD.format(limit.quantity),)
     limits = _limits(limit, unit, local_gravity)
-    return LimitedUnknown(
+    return LimitedQuantity(
         limit=limit, limits=limits, unit=unit, not_covered=not_covered, draws=values
     )
 
@@ -609,25 +588,20 @@ def _resolved(
     acting = {chosen.stimulus: chosen.unit, **inputs}
     known = acting | {n: u for n in readings.columns if (u := readings.unit(n)) and n not in acting}
     known.pop("output", None)
-    if span.name:
-        if span.name not in known:
-            raise InputError(
-                f"limit {limit.text!r}: {span.name!r} is no column of this calibration; there is: {', '.join(known)}"
-            )
-        name = span.name
-    else:
-        unit = span.unit or "1"
-        past = {i.name for i in chosen.inputs if i.kind in PAST}
-        meant = [n for n, u in acting.items() if same_dimension(u, unit) and n not in past]
-        meant = meant or [n for n, u in known.items() if same_dimension(u, unit)]
-        if len(meant) != 1:
-            several = f"several could be meant: {', '.join(meant)}"
-            could = several if meant else "no column is in that unit"
-            raise InputError(
-                f"limit {limit.text!r}: of which column is the range in {unit_label(unit) or 'plain numbers'}? "
-                f"{could}. Name it: over temperature -20..60 °C"
-            )
-        name = meant[0]
+    if span.name and span.name not in known:
+        raise InputError(
+            f"limit {limit.text!r}: {span.name!r} is no column of this calibration; there is: {', '.join(known)}"
+        )
+    past = {i.name for i in chosen.inputs if i.kind in PAST}
+    alike = {n for n, u in known.items() if same_dimension(u, span.unit or "1")}
+    meant = [span.name] if span.name else [n for n in acting if n in alike - past] or sorted(alike)
+    if len(meant) != 1:
+        several = f"several could be meant: {', '.join(meant)}"
+        raise InputError(
+            f"limit {limit.text!r}: of which column is the range in {unit_label(span.unit) or 'plain numbers'}? "
+            f"{several if meant else 'no column is in that unit'}. Name it: over temperature -20..60 °C"
+        )
+    (name,) = meant
     unit = known[name]
     if not same_dimension(span.unit or "1", unit):
         raise InputError(

@@ -24,19 +24,18 @@ import textwrap
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime, timedelta
-from typing import Any, Literal, NamedTuple, get_args
+from typing import Any, Literal, get_args
 
 import numpy as np
 
-from bayescal import Calibration, Effect, InputError
+from bayescal import Calibration, InputError
 from bayescal._annexes.metrology.conformity import (
     DrawnQuantity,
     GlobalRisks,
     LimitedQuantity,
     Limits,
-    SpreadOfDevices,
-    StatedLimit,
     acceptance,
+    edge,
     global_risks,
     limited_quantity,
     spread_of_devices,
@@ -67,7 +66,7 @@ YEAR = 365.25 * DAY
 HORIZON = 10 * YEAR
 FIRST_SECONDS = 60.0  # s, the first time looked at, shorter than any interval between calibrations
 TIMES = 160  # looked at, evenly in the logarithm: each is 1.13 times the one before
-BISECTIONS = 50  # of bisection between two of them
+TIME_RTOL = 1e-6  # of the time found
 FAR_SPANS = 3.0  # spans of the record beyond which a drift is extrapolated so far that it is said
 
 CANNOT = "cannot be said from these readings"
@@ -169,19 +168,11 @@ def first_below(probability: Callable[[float], float], stated: float) -> float |
 
     A fall and rise between two of the times looked at, each 1.13 times the one before, is not seen.
     """
-    if probability(0.0) < stated:
-        return 0.0
     before = 0.0
-    for time in np.geomspace(FIRST_SECONDS, HORIZON, TIMES):
-        if probability(float(time)) < stated:
-            above, below = before, float(time)
-            for _ in range(BISECTIONS):
-                middle = 0.5 * (above + below)
-                above, below = (middle, below) if probability(middle) >= stated else (above, middle)
-                if below - above <= 1e-6 * below:
-                    break
-            return above
-        before = float(time)
+    for time in (0.0, *np.geomspace(FIRST_SECONDS, HORIZON, TIMES).tolist()):
+        if probability(time) < stated:
+            return time and edge(lambda t: probability(t) >= stated, before, time, TIME_RTOL)
+        before = time
     return None
 
 
@@ -192,17 +183,13 @@ def _no_answer(quantity: LimitedQuantity, calibration: Calibration, stated: floa
         return f"{name} is one number of the model, which holds no change of it in time"
     if not quantity.follows_time:
         return f"the model cannot say when: nothing in it that acts on {name} changes with the time of the record"
+    # A form in time that the readings drew, which ends with them.
     shares = calibration.inclusion
-    likely = (e for e in calibration.model.effects if shares[e.name] > 1 - stated)
-    forms = [e.name for e in likely if _describes_the_record(e)]
-    if forms:
-        return f"the model cannot say when: {forms[0]} describes the record and is no law of what comes after it"
+    for effect in calibration.model.effects:
+        drawn = effect.covariate == "time" and effect.is_placeholder
+        if drawn and shares[effect.name] > 1 - stated:
+            return f"the model cannot say when: {effect.name} describes the record and is no law of what comes after it"
     return ""
-
-
-def _describes_the_record(effect: Effect) -> bool:
-    """Whether an effect is a form in time that the readings drew, which ends with them."""
-    return effect.covariate == "time" and effect.is_placeholder
 
 
 def in_words(seconds: float) -> str:
@@ -262,10 +249,6 @@ class Decision:
     global_risks: GlobalRisks | None
     recalibration: Recalibration
     notes: tuple[str, ...]
-
-    def data(self) -> dict[str, Any]:
-        """As JSON; a limit that there is not is null."""
-        return as_json(self)
 
 
 @dataclass(frozen=True, repr=False)
@@ -437,16 +420,13 @@ CAPABILITY = 3.0
 CONFORMITY = 0.95  # of which a recalibration interval is stated: the usual coverage of a statement
 
 
-Population = str | SpreadOfDevices | Sequence[str | SpreadOfDevices]
-
-
 def decide(
     calibration: Calibration,
-    limits: str | StatedLimit | Sequence[str | StatedLimit],
+    limits: str | Sequence[str],
     *,
     rule: Rule = "guarded",
     false_accept: float = FALSE_ACCEPT,
-    population: Population | None = None,
+    population: str | Sequence[str] | None = None,
     capability: float = CAPABILITY,
     conformity: float = CONFORMITY,
     members: Mapping[str, str] | None = None,
@@ -471,17 +451,16 @@ def decide(
         InputError: a limit, population, rule or probability that is none; says which and what to write.
         ModelError: the instrument does not say what it measures, and a limit is on something in use.
     """
-    _refuse(rule, false_accept, capability, conformity)
-    stated = [limits] if isinstance(limits, str | StatedLimit) else list(limits)
+    how = _How(rule, false_accept, capability, conformity)
+    stated = [limits] if isinstance(limits, str) else list(limits)
     if not stated:
         raise InputError('nothing to decide: give a limit, such as "bias: ±0.5 °/s"')
-    devices = _devices(population)
-    how = _How(rule, false_accept, capability, conformity)
+    several = [population] if isinstance(population, str) else population or []
+    devices = [spread_of_devices(one) for one in several]
     found, used = [], set[int]()
     for one in stated:
-        limit = stated_limit(one) if isinstance(one, str) else one
         quantity = limited_quantity(
-            calibration, limit, members=members, local_gravity=local_gravity
+            calibration, stated_limit(one), members=members, local_gravity=local_gravity
         )
         spread = None
         for i, given in enumerate(devices):
@@ -497,7 +476,7 @@ def decide(
             )
     return Decisions(
         rule=rule,
-        rule_in_words=_rule_in_words(how),
+        rule_in_words=how.in_words,
         false_accept=false_accept,
         decisions=tuple(found),
         calibration=identity(calibration),
@@ -505,34 +484,48 @@ def decide(
     )
 
 
-class _How(NamedTuple):
-    rule: Rule
+@dataclass(frozen=True)
+class _How:
+    """A decision rule, with its numbers."""
+
+    rule: str
     false_accept: float
     capability: float
     conformity: float
 
+    def __post_init__(self) -> None:
+        if self.rule not in get_args(Rule):
+            raise InputError(f"rule {self.rule!r} is none: choose {', '.join(get_args(Rule))}")
+        for name, right, wanted in (
+            (
+                "false_accept",
+                0 < self.false_accept < 0.5,
+                "a probability above 0 and below 0.5, such as 0.025",
+            ),
+            (
+                "conformity",
+                0.5 <= self.conformity < 1,
+                "a probability from 0.5 and below 1, such as 0.95",
+            ),
+            ("capability", 0 < self.capability < math.inf, "a positive ratio, such as 3"),
+        ):
+            if not right:
+                raise InputError(f"{name} = {getattr(self, name):g}: expected {wanted}")
 
-def _refuse(rule: str, false_accept: float, capability: float, conformity: float) -> None:
-    if rule not in get_args(Rule):
-        raise InputError(f"rule {rule!r} is none: choose {', '.join(get_args(Rule))}")
-    if not 0 < false_accept < 0.5:
-        raise InputError(
-            f"false_accept = {false_accept:g}: a probability above 0 and below 0.5 was expected, such as 0.025"
+    @property
+    def in_words(self) -> str:
+        """As a certificate states it."""
+        if self.rule == "guarded":
+            return (
+                f"guarded acceptance, probability of false acceptance at most {100 * self.false_accept:g} %, undecided "
+                "where neither acceptance nor rejection is as safe (JCGM 106:2012, 8.3; ILAC-G8:09/2019)"
+            )
+        if self.rule == "simple":
+            return "simple acceptance, the estimate inside the limits, without guard bands (JCGM 106:2012, 8.2)"
+        return (
+            f"shared risk, simple acceptance agreed on with a capability index T/(4u) of at least {self.capability:g} "
+            "(JCGM 106:2012, 7.6 and 8.2)"
         )
-    if not 0.5 <= conformity < 1:
-        raise InputError(
-            f"conformity = {conformity:g}: a probability from 0.5 and below 1 was expected, such as 0.95"
-        )
-    if not 0 < capability < math.inf:
-        raise InputError(f"capability = {capability:g}: a positive ratio was expected, such as 3")
-
-
-def _devices(given: Population | None) -> list[SpreadOfDevices]:
-    """Populations as they are used."""
-    if given is None:
-        return []
-    several = [given] if isinstance(given, str | SpreadOfDevices) else list(given)
-    return [spread_of_devices(one) if isinstance(one, str) else one for one in several]
 
 
 def _decision(
@@ -547,7 +540,7 @@ def _decision(
     guarded = acceptance(drawn, limits, how.false_accept)
     accepted = guarded if how.rule == "guarded" else limits
     decision, why = _decided(calibration, quantity, drawn, p, how)
-    uncertainty = _uncertainty(drawn)
+    uncertainty = drawn.uncertainty
     notes = list(quantity.notes)
     within = accepted or Limits(math.inf, math.inf)  # where no estimate is accepted
     risks = None
@@ -640,30 +633,10 @@ def _alike(p: float, other: float, risk: float) -> bool:
     return same and abs(p - other) <= risk
 
 
-def _uncertainty(drawn: DrawnQuantity) -> float:
-    """Standard uncertainty; over a range, the larger of its two ends."""
-    low, high = drawn.values.min(axis=1), drawn.values.max(axis=1)
-    return float(max(np.std(low, ddof=1), np.std(high, ddof=1)))
-
-
 def capability_index(drawn: DrawnQuantity, limits: Limits) -> float | None:
     """Width of the tolerance over 4u (JCGM 106, 7.6); None with a single limit."""
     width = limits.high - limits.low
-    u = math.hypot(_uncertainty(drawn), float(drawn.scatter.max()))
+    u = math.hypot(drawn.uncertainty, float(drawn.scatter.max()))
     if math.isinf(width):
         return None
     return width / (4 * u) if u > 0 else math.inf
-
-
-def _rule_in_words(how: _How) -> str:
-    if how.rule == "guarded":
-        return (
-            f"guarded acceptance, probability of false acceptance at most {100 * how.false_accept:g} %, undecided "
-            "where neither acceptance nor rejection is as safe (JCGM 106:2012, 8.3; ILAC-G8:09/2019)"
-        )
-    if how.rule == "simple":
-        return "simple acceptance, the estimate inside the limits, without guard bands (JCGM 106:2012, 8.2)"
-    return (
-        f"shared risk, simple acceptance agreed on with a capability index T/(4u) of at least {how.capability:g} "
-        "(JCGM 106:2012, 7.6 and 8.2)"
-    )

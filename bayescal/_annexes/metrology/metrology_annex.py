@@ -50,7 +50,7 @@ def decide(
     local_gravity: float | None = None,
     own: InUse,
 ) -> Answer:
-    """Does it conform? Decisions about limits, with guard bands, risks and when to calibrate again.
+    """Decide whether limits are met, with guard bands and risks.
 
     Exit status: 0 where every limit is met; 1 where one is not, or is undecided.
     """

@@ -13,7 +13,7 @@ from panel.custom import JSComponent
 from bayescal._annexes.workbench.panes.fails import Fails
 from bayescal._annexes.workbench.panes.missing import Missing
 from bayescal._annexes.workbench.panes.model_pane import ModelPane
-from bayescal._annexes.workbench.panes.tabs import ERROR, ErrorPane, Tabs
+from bayescal._annexes.workbench.panes.tabs import ErrorPane, Tabs
 from bayescal._annexes.workbench.parts.pieces import CSS, DARK, INSIDE, LIGHT, choice, row, words
 from bayescal._annexes.workbench.parts.work import Work
 
@@ -21,13 +21,12 @@ HERE = Path(__file__).parent
 
 
 class Browser(JSComponent):
-    """What the browser prefers, sees and is given: its ground, its room, a server that is gone, a dropped file.
+    """What the browser prefers, sees and is given: its ground, its room, a server that is gone.
 
     Attributes:
         stale: whether what is shown is of a model that is being left; it is dimmed until the next one stands there.
         dark, wide, seen: whether it prefers a dark ground, has room for a further panel, and has said so.
         kept: folder in which everything is, for the words when the server is gone.
-        files: how often a file was dropped on the page.
         undone: how often Ctrl-Z was pressed outside a field.
     """
 
@@ -36,7 +35,6 @@ class Browser(JSComponent):
     wide = param.Boolean(default=False)
     seen = param.Boolean(default=False)
     kept = param.String(default="")
-    files = param.Integer(default=0)
     undone = param.Integer(default=0)
 
     _esm = HERE / "parts" / "browser.js"
@@ -82,7 +80,6 @@ class Workbench:
         self.light = choice(["light", "dark"], "light", "Ground")
         self.light.param.watch(lambda event: self._wear(event.new == "dark"), "value")
         self.browser.param.watch(lambda _: self._prefer(), "seen")
-        self.browser.param.watch(lambda _: self.tabs.open("File"), "files")
         self.browser.param.watch(lambda _: self.undo(), "undone")
         title = pn.pane.HTML("<h1>bayescal workbench</h1>", stylesheets=[INSIDE], margin=0)
         beside = [self.status, *([] if others is None else [others]), self.light, self.browser]
@@ -137,28 +134,13 @@ class Workbench:
         """Do something to the session beside the page, then show the state that it led to."""
         self.work.forget_preview()
         self.error.searching(False)  # what the last search found is of another path
-        told = f"{_DOING.get(name, name)} {' '.join(map(str, arguments))} …"
+        told = f"{name.replace('_', ' ')} {' '.join(map(str, arguments))} …"
         self.browser.stale = True
         job = lambda: getattr(self.session, name)(*arguments)  # noqa: E731
         self.work.begin(told, job, self.done, failed=self._fresh)
 
     def _fresh(self) -> None:
         self.browser.stale = False
-
-    def begin_with(self, readings: Any) -> None:
-        """Begin anew with other readings: a session of its own, in the place of this one."""
-
-        def begun(session: Any) -> None:
-            self.session.on_change.remove(self._changed)
-            self.session, self.beside = session, None
-            session.on_change.append(self._changed)
-            self.told.object = readings_in_words(session)
-            self.error.searching(False)
-            self.tabs.open(ERROR)
-            self.done()
-
-        begin = lambda: self.session.with_readings(readings)  # noqa: E731
-        self.run("Fitting the new readings …", begin, begun)
 
     def run(
         self, told: str, job: Callable[[], Any], then: Callable[[Any], None], reads: bool = False
@@ -218,7 +200,7 @@ class Workbench:
         def drawn(found: Any) -> None:
             if self.missing.rows.pointed == effect and self.session.current.number == shown:
                 self.fails.preview(found.curve)
-                self.missing.preview(str(found))
+                self.missing.preview(found.in_words)
 
         self.work.preview(lambda: self.session.preview(effect), drawn)
 
@@ -235,8 +217,7 @@ class Workbench:
             self.done()
 
         search, failed = lambda: self.session.find_all(follow), lambda: self.error.searching(False)
-        most = self.session.settings.time_limit
-        self.work.begin("Finding all …", search, ended, failed=failed, most=most)
+        self.work.begin("Finding all …", search, ended, failed=failed)
 
     def _searched(self, trail: Any) -> None:
         self._found = trail.progress
@@ -276,21 +257,9 @@ class Workbench:
             pane.wear(self.palette)
 
 
-_DOING = {
-    "add": "Fitting with",
-    "add_typed": "Fitting with",
-    "take_out": "Fitting without",
-    "fix": "Holding",
-    "resize": "Resizing",
-    "noise": "Fitting with noise",
-    "go_to": "Going back to step",
-    "undo": "Going back",
-}
-
-
 def readings_in_words(session: Any) -> str:
     """What a session is about."""
     readings, kept = session.readings, session.holdout
     told = f"{len(readings):,} readings of {readings.file}"
     told += f"; hold-out data: {len(kept):,} of {kept.file}" if kept is not None else ""
-    return f"{told}. As it was begun: {session.not_taken}" if session.not_taken else told
+    return told

@@ -1,12 +1,11 @@
 """A session's folder: each state as a calibration and a script, whole or not at all, so that a killed server goes on.
 
-session.json               where the readings come from, the settings of `calibrate`, which state is current
+session.json               formulas that were typed, which state is current
 state_000/                 the first state, and so on: one model with its fit; states form a tree
     calibration.nc         its fit, as `bayescal calibrate` saves one
     script.py              Python that leads to it, with the same numbers
     state.json             title, parent, time
     manifest.json          what belongs together
-drafts/                    effects of the user's own that were loaded, as code
 result_000/                reports and exports of a state, when they were asked for
 
 A state is a model; its script is the differences from each model to the next, in the words of the public functions.
@@ -19,7 +18,7 @@ import re
 import tempfile
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field
 from datetime import datetime
 from importlib.metadata import entry_points
 from itertools import takewhile
@@ -42,22 +41,18 @@ from bayescal import (
     Noise,
     __version__,
     load,
-    read,
-    set_aside,
 )
 from bayescal._model.formula import Formula
 from bayescal._model.installed import GROUP, installed_names
 from bayescal._report.whole_folder import AGAIN
 from bayescal._search.calibrate import QUICK
-from bayescal._search.own_files import in_a_file, user_effects
+from bayescal._search.own_files import in_a_file
 from bayescal._search.search_path import Step
-from bayescal._tables.mapping_file import ReadMapping
 from bayescal.workshop import (
     MANIFEST,
     ReadOptions,
     as_type,
     identity,
-    instrument_named,
     one_line,
     read_json,
     refuse_mixed,
@@ -66,31 +61,10 @@ from bayescal.workshop import (
     write_text,
 )
 
-METHODS = ("LeastSquares", "Marginal", "NUTS")
-
-
-class SavedReading(ReadMapping, total=False):
-    """How `read` is asked, as keywords."""
-
-    outputs: list[str]
-
-
-class SavedOptions(TypedDict):
-    """What `SearchOptions.data` gives."""
-
-    method: dict[str, Any] | None
-    max_effects: int
-    seed: int
-    widen_noise: bool
-    keep_spikes: bool
-    reference: dict[str, float | dict[str, float]] | None
-    time_limit: float | None
-    accept_conflicts: list[str]
-
 
 @dataclass(frozen=True)
 class Origin:
-    """What was opened. All of it is data: names of files are quoted where they stand in a script.
+    """What was opened, for scripts, in which names of files are quoted.
 
     Attributes:
         instrument: name of an installed one, or my.py:INSTRUMENT; empty where it was made in Python.
@@ -105,7 +79,7 @@ class Origin:
     instrument: str
     files: tuple[str, ...]
     holdout: tuple[str, ...] = ()
-    read: SavedReading = field(default_factory=SavedReading)
+    read: Mapping[str, Any] = field(default_factory=dict)
     average: str | None = None
     keep_spikes: bool = False
     effect_files: tuple[str, ...] = ()
@@ -128,7 +102,6 @@ class Origin:
         full = [tuple(str(Path(p).resolve()) for p in some) for some in (files, holdout or ())]
         usual = vars(ReadOptions())
         given = {k: v for k, v in (read or {}).items() if v != usual.get(k)}
-        given = {k: list(v) if isinstance(v, tuple) else v for k, v in given.items()}  # as JSON
         own = tuple(str(Path(p).resolve()) for p in effect_files)
         return cls(instrument, *full, read=given, effect_files=own, **more)
 
@@ -150,38 +123,6 @@ class Origin:
         apart = [] if holdout is None else [holdout.write(folder / "holdout.nc")]
         name = instrument.name if instrument.name in installed_names() else ""
         return cls.of(name, files, apart, keep_spikes=keep_spikes)
-
-    @property
-    def python_files(self) -> tuple[str, ...]:
-        """Those that are run where this is opened."""
-        file = self.instrument.rpartition(":")[0] if in_a_file(self.instrument) else ""
-        return (*([file] if file else []), *self.effect_files)
-
-    def open_holdout(self, instrument: Instrument) -> Measurements | None:
-        """The hold-out data as they were; None without."""
-        if not self.holdout:
-            return None
-        found = read(list(self.holdout), instrument, **self.read)
-        kept = found[self.channel] if self.channel else found
-        if self.average is not None:
-            kept = set_aside(kept, self.keep_spikes).average(self.average)
-        return kept
-
-    def open_instrument(self) -> Instrument | None:
-        """The instrument, not yet tailored; None where it was made in Python.
-
-        Raises:
-            InputError: it is no longer there.
-        """
-        return instrument_named(self.instrument) if self.instrument else None
-
-    def open_effects(self) -> dict[str, Effect]:
-        """Effects of the user's own, by name: their files are run.
-
-        Raises:
-            InputError: a file is gone, or fails.
-        """
-        return {e.name: e for path in self.effect_files for e in user_effects(Path(path))}
 
     def code(self, tailored: bool) -> list[str]:
         """Lines of Python that open the same: `instrument`, `readings`, `holdout`, `own`.
@@ -237,54 +178,9 @@ class SearchOptions:
     widen_noise: bool = True
     keep_spikes: bool = False
     seed: int = 0
-    reference: dict[str, Any] | None = None
+    reference: Mapping[str, Any] | None = None
     time_limit: float | None = None
     accept_conflicts: Collection[str] = ()
-
-    @classmethod
-    def of(cls, **given: Any) -> SearchOptions:
-        """Of keywords as `calibrate` takes them.
-
-        Raises:
-            InputError: there is no such setting.
-        """
-        known = cls.__dataclass_fields__
-        if strange := sorted(set(given) - set(known)):
-            raise InputError(
-                f"no setting is called {', '.join(strange)}: there are {', '.join(known)}"
-            )
-        return cls(**given)
-
-    def data(self) -> dict[str, Any]:
-        """As JSON has them; the method by its name and arguments."""
-        method = self.method and {"name": type(self.method).__name__, **vars(self.method)}
-        conflicts = sorted(self.accept_conflicts)
-        return {**vars(self), "method": method, "accept_conflicts": conflicts}
-
-    def instead_of(self, asked: SearchOptions | None) -> list[str]:
-        """Which of these hold in the place of others that are asked for, in words."""
-        own, others = (json.loads(json.dumps(o.data())) for o in (self, asked or self))
-        return [
-            f"{name.replace('_', ' ')} {value}, not {others[name]}"
-            for name, value in own.items()
-            if value != others[name]
-        ]
-
-    @classmethod
-    def from_data(cls, told: Mapping[str, Any]) -> SearchOptions:
-        """What `data` gave.
-
-        Raises:
-            ValueError, TypeError: it did not give this.
-        """
-        method = told["method"]
-        if method is not None:
-            given = {k: tuple(v) if isinstance(v, list) else v for k, v in method.items()}
-            name = str(given.pop("name", ""))
-            if name not in METHODS:
-                raise ValueError(f"its method {name!r} is not one of {', '.join(METHODS)}")
-            method = getattr(bayescal, name)(**given)
-        return cls(**{**told, "method": method})
 
 
 FOLDER = "state_{:03d}"  # that a state is kept in, by its number
@@ -331,15 +227,15 @@ def path_to(states: Mapping[int, Any], number: int) -> list[int]:
 
 
 SESSION, STATE, CALIBRATION, SCRIPT = "session.json", "state.json", "calibration.nc", "script.py"
-SCHEMA = "bayescal.workbench/1"
+SCHEMA = "bayescal.workbench/2"
+FIRST = "session_1"  # the folder of a session, in that of --out
 
 
 class SavedSession(TypedDict):
     """What session.json holds."""
 
     schema: str
-    origin: Origin
-    settings: SavedOptions
+    typed: list[str]
     current: int
 
 
@@ -358,15 +254,13 @@ _NUMBERED = re.compile(r"session_(\d+)")
 _STATE = re.compile(r"\.?state_(\d{3,})(\..*)?")
 
 
-def begun_folder(folder: str | Path | None) -> Path:
-    """The folder of a new session, made if need be; None: a temporary one.
+def own_folder(folder: str | Path | None) -> Path:
+    """The folder of a session, made if need be; None: a temporary one.
 
     Raises:
-        InputError: it cannot be made, or holds a session.
+        InputError: it cannot be made.
     """
     folder = Path(tempfile.mkdtemp(prefix="bayescal-") if folder is None else folder)
-    if (folder / SESSION).is_file():
-        raise InputError(f"{folder} holds a session already: resume it, or give another folder")
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
@@ -404,37 +298,17 @@ def keep_state(folder: Path, state: State, script: str) -> None:
     to_disk(folder)
 
 
-def keep_session(folder: Path, of: Origin, settings: SearchOptions, current: int) -> None:
-    """Keep what the session is about, and which state is current.
+def keep_session(folder: Path, typed: Sequence[str], current: int) -> None:
+    """Keep the formulas that were typed, and which state is current.
 
     Raises:
         InputError: it cannot be written.
     """
-    about = {"origin": asdict(of), "settings": settings.data()}
-    told = {"schema": SCHEMA, **about, "current": current}
+    told = {"schema": SCHEMA, "typed": [*typed], "current": current}
     write_text(json.dumps(told, indent=2, ensure_ascii=False) + "\n", folder / SESSION)
 
 
-def typed_code(effects: Sequence[Effect]) -> str:
-    """Python that defines the effects that were typed as formulas."""
-    lines = [f"    bc.effect({e.basis.text!r})," for e in effects if isinstance(e.basis, Formula)]
-    return "\n".join(["import bayescal as bc", "", "EFFECTS = (", *lines, ")", ""])
-
-
-def keep_draft(folder: Path, code: str) -> Path:
-    """Keep code that defines effects of the user's own.
-
-    Raises:
-        InputError: it cannot be written.
-    """
-    drafts = folder / "drafts"
-    drafts.mkdir(exist_ok=True)
-    numbers = (p.stem.rpartition("_")[2] for p in drafts.glob("draft_*.py"))
-    taken = [int(n) for n in numbers if n.isdecimal()]
-    return write_text(code, drafts / f"draft_{max(taken, default=0) + 1}.py")
-
-
-def session_in(folder: Path) -> dict[str, Any]:
+def session_in(folder: Path) -> SavedSession:
     """What session.json says.
 
     Raises:
@@ -444,26 +318,15 @@ def session_in(folder: Path) -> dict[str, Any]:
         told = read_json(folder / SESSION)
         if isinstance(told, dict) and told.get("schema") != SCHEMA:
             raise ValueError(f"its schema is {told.get('schema')!r}, expected {SCHEMA!r}")
-        session = as_type(told, SavedSession)
-        return {**session, "settings": SearchOptions.from_data(session["settings"])}
-    except (OSError, ValueError, TypeError, InputError) as error:
+        return as_type(told, SavedSession)
+    except (OSError, ValueError, TypeError, KeyError, InputError) as error:
         raise InputError(
             f"{folder} holds no session that can be gone on with ({error}): begin one in another folder"
         ) from None
 
 
-def last_step(folder: Path) -> str:
-    """What was done last in a session that is not open, in words; empty where its folder does not say."""
-    try:
-        own = folder / FOLDER.format(session_in(folder)["current"])
-        told = read_json(own / STATE, SavedState)
-        return f"step {told['number']}: {told['title']}"
-    except (OSError, ValueError, InputError):
-        return ""
-
-
 def states_in(
-    folder: Path, effects: Mapping[str, Effect], instrument: Instrument | None
+    folder: Path, effects: Sequence[Effect], instrument: Instrument
 ) -> Iterator[tuple[dict[str, Any], Calibration]]:
     """The states that were kept whole, in order: what state.json says, and the calibration.
 
@@ -471,7 +334,7 @@ def states_in(
         InputError: one of them was changed since.
     """
     numbers = {int(m[1]) for path in folder.iterdir() if (m := _STATE.fullmatch(path.name))}
-    seen: list[int] = []
+    seen, own_instrument = list[int](), instrument.name not in installed_names()
     for number in sorted(numbers):
         own = folder / FOLDER.format(number)
         if not (own / MANIFEST).is_file():  # killed before it was whole
@@ -485,28 +348,15 @@ def states_in(
         except (OSError, ValueError) as error:
             raise InputError(f"{own / STATE} is not as it was written ({error}). {AGAIN}") from None
         seen.append(number)
-        given = () if instrument is None else (instrument,)
-        yield told, load(own / CALIBRATION, effects=tuple(effects.values()), instruments=given)
+        given = (instrument,) if own_instrument else ()
+        yield told, load(own / CALIBRATION, effects=effects, instruments=given)
 
 
-def fresh_folder(parent: Path) -> Path:
-    """A new folder session_1, session_2 … in another; two callers never get the same.
-
-    Raises:
-        InputError: it cannot be written to.
-    """
-    try:
-        parent.mkdir(parents=True, exist_ok=True)
-        while True:
-            there = (m for p in parent.iterdir() if (m := _NUMBERED.fullmatch(p.name)))
-            folder = parent / f"session_{max((int(m[1]) for m in there), default=0) + 1}"
-            try:
-                folder.mkdir()
-                return folder
-            except FileExistsError:
-                continue
-    except OSError as error:
-        raise InputError(f"cannot write to the folder {parent}: {error.strerror}") from None
+def last_session(folder: Path) -> Path | None:
+    """The session worked with last of those that a folder holds; None where it holds none."""
+    there = [p for p in folder.glob(f"session_*/{SESSION}") if _NUMBERED.fullmatch(p.parent.name)]
+    last = max(there, key=lambda p: (p.stat().st_mtime_ns, p.parent.name), default=None)
+    return None if last is None else last.parent
 
 
 HEAD = '''"""What was done in the bayescal workbench, up to step {number}. It needs bayescal {version} or later."""
@@ -517,9 +367,9 @@ FITTED = '''
 calibrations = []
 
 
-def fitted(title, model, method, **start):
+def fitted(title, model, method, **how):
     """Fit a model, and print its errors: as fitted, and of the hold-out data."""
-    calibration = bc.fit(model, readings, method, {settings}, **start)
+    calibration = bc.fit(model, readings, method, strict=False{reference}, **how)
     calibrations.append(calibration)
     errors = {{"as fitted": bc.check(calibration).rms}}
     if holdout is not None:
@@ -534,7 +384,7 @@ print(bc.check(calibration))
 
 # By the method that was asked for. Where nothing more is to be added, the report and exports are of the average over
 # the structures weighed, as bc.calibrate(model, readings).calibration is.
-final = bc.fit(model, readings, {method}, {settings})
+final = bc.fit(model, readings, {method}, seed={seed}, strict=False{reference})
 print(final)
 """
 
@@ -548,15 +398,14 @@ def script(path: Sequence[State], origin: Origin, settings: SearchOptions, folde
         settings: of the fits.
         folder: that keeps the states' calibrations, for a model that no public function composes.
     """
-    how = f"seed={settings.seed}, strict=False"
-    how += f", reference={dict(settings.reference)!r}" if settings.reference else ""
+    reference = f", reference={dict(settings.reference)!r}" if settings.reference else ""
     runs = "runpy" if origin.effect_files or ".py:" in origin.instrument else ""
     imports = "\n".join([*(["import runpy", ""] if runs else []), "import bayescal as bc"])
     instrument = path[0].model.instrument
     lines = [
         HEAD.format(number=path[-1].number, version=__version__, imports=imports).rstrip("\n"),
         *origin.code(tailored=instrument.tailor is not None),
-        FITTED.format(settings=how),
+        FITTED.format(reference=reference),
     ]
     line, before = _beginning(path[0].model)
     lines.append(line)
@@ -567,10 +416,11 @@ def script(path: Sequence[State], origin: Origin, settings: SearchOptions, folde
         quick = method_code(QUICK if state.model.noise.gaussian else settings.method)
         title = f"{state.number} {state.title}"
         start = state.calibration.start
-        begun = f", start={start!r}" if start else ""
-        lines.append(f"calibration = fitted({title!r}, model, {quick}{begun})")
+        how = f", seed={state.calibration.seed}" + (f", start={start!r}" if start else "")
+        lines.append(f"calibration = fitted({title!r}, model, {quick}{how})")
         before = state.model
-    return "\n".join([*lines, LAST.format(method=method_code(settings.method), settings=how)])
+    last = {"method": method_code(settings.method), "seed": settings.seed}
+    return "\n".join([*lines, LAST.format(**last, reference=reference)])
 
 
 def _beginning(model: Model) -> tuple[str, Model]:
@@ -647,6 +497,8 @@ def _effect_code(effect: Effect, model: Model) -> tuple[str, Effect | None]:
     """An effect as it is added, at its own plausible size."""
     name, instrument = effect.name, model.instrument
     known = instrument.known
+    if isinstance(effect.basis, Formula):
+        return f"bc.effect({effect.basis.text!r}, readings=readings, instrument=instrument)", effect
     if name in known:
         return repr(name), known[name]
     made = None

@@ -8,8 +8,7 @@ from __future__ import annotations
 
 import textwrap
 import threading
-import time
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
@@ -19,9 +18,11 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
+import numpy as np
+
 from bayescal import (
-    BayescalError,
     Budget,
+    Calibration,
     Discovery,
     Effect,
     InputError,
@@ -32,8 +33,10 @@ from bayescal import (
     NotDrawn,
     SearchPath,
     budget,
+    check,
     compare,
     compensator,
+    fit,
     report,
     set_aside,
 )
@@ -46,19 +49,44 @@ from bayescal._annexes.workbench.kept import Origin, SearchOptions, State, path_
 from bayescal._calibration.summary import unknown_rows
 from bayescal._core import deadline
 from bayescal._model.effect import with_forms
-from bayescal._report.section import of_folder
+from bayescal._model.formula import Formula
 from bayescal._search.calibrate import Loop, step_of
-from bayescal._search.discover import SEARCH, missing
+from bayescal._search.discover import SEARCH
 from bayescal._search.gate import judged
 from bayescal._search.noise_laws import laws_over
-from bayescal._search.own_files import refuse_unnamed, user_effects
-from bayescal._search.preview import Preview, Previews
 from bayescal._search.search_path import Step
 from bayescal._search.structures import SIZE_FACTORS, Structure
-from bayescal._use import correction_files
-from bayescal.workshop import WIDTH, number, plain_table, save_search, unit_label
+from bayescal.workshop import WIDTH, number, plain_table, save_search, unit_label, with_error
 
-KINDS = {"add": 1, "take_out": 1, "fix": 2, "free": 1, "resize": 2, "noise": 1}
+
+class Preview:
+    """What a model would do, compared with a step that is there.
+
+    Attributes:
+        curve: by how much it changes the expected output of each reading, all coefficients estimated again, output
+            unit, (n,). Residuals less this curve are the residuals that would be left.
+        rms: of these, output unit.
+        in_words: that, with the size of the effect that is added.
+    """
+
+    def __init__(self, before: Step, after: Calibration, added: str | None) -> None:
+        left = check(after).residuals
+        self.curve, self.rms = before.check.residuals - left, float(np.sqrt(np.mean(left**2)))
+        said = f"residuals from {number(before.rmse_fitted)} to {number(self.rms)}"
+        said += f" {unit_label(after.unit)} rms"
+        known, evidence = before.calibration.log_evidence, after.log_evidence
+        if known is not None and evidence is not None:
+            said += f", log Bayes factor {evidence[0] - known[0]:z.1f}"
+        if added is not None:
+            effect = after.model.effect(added)
+            grouped = effect.coefficients[0].group_sd is not None
+            own = effect.group_sd_name(0) if grouped else effect.coefficient_name(0)
+            draws = after.samples(effect.measure_name or own)
+            draws = draws if draws.ndim == 1 else np.sqrt(np.mean(draws**2, axis=1))
+            size = with_error(float(draws.mean()), float(draws.std()))
+            unit = unit_label(effect.coefficients[0].unit)
+            said = f"{added} would be {f'{size} {unit}'.rstrip()}: {said}"
+        self.in_words = said
 
 
 @dataclass(frozen=True)
@@ -83,12 +111,12 @@ def changed(
     own: Mapping[str, Effect],
     laws: Mapping[str, Noise],
 ) -> Change:
-    """A model with a change.
+    """Return a model with a change.
 
     Args:
         model: before it.
-        kind: one of `KINDS`.
-        arguments: as many as that says.
+        kind: of the change, with its arguments: see below.
+        arguments: of the change.
         own: effects that are not as the instrument states them, by the name under which they are asked for.
         laws: noise laws, by name.
 
@@ -96,46 +124,56 @@ def changed(
         ModelError: the model cannot be changed so.
         InputError: there is no such change, or it takes other arguments.
     """
-    if KINDS.get(kind) != len(arguments):
-        takes = ", ".join(f"{name} ({count})" for name, count in KINDS.items())
-        raise InputError(f"{kind!r} with {len(arguments)} argument(s) is none of: {takes}")
-    name = str(arguments[0])
-    if kind == "add":
-        effect = own.get(name) or model.instrument.effect(name)
-        return Change(model + effect, added=effect.name)
-    if kind == "take_out":
-        return Change(model - name, in_words=f"− {name}")
-    if kind == "free":
-        return Change(model.free(name), in_words=f"{name} estimated again")
-    if kind == "noise":
-        if name not in laws:
-            raise ModelError(f"no noise law is called {name!r} here; there are: {', '.join(laws)}")
-        law = laws[name]
-        return Change(model.with_noise(law), in_words=f"noise: {law.in_words}")
-    value = float(arguments[1])
-    if kind == "fix":
-        return Change(model.fix({name: value}), in_words=f"{name} = {number(value, 6)} fixed")
-    unit = unit_label(model.effect(name).coefficients[0].unit)
-    size = f"{number(value)} {unit}".rstrip()
-    return Change(model.resize(name, value), in_words=f"{name} of plausible size {size}")
+    match (kind, *arguments):
+        case ("add", str(name)):
+            effect = own.get(name) or model.instrument.effect(name)
+            return Change(model + effect, added=effect.name)
+        case ("take_out", str(name)):
+            return Change(model - name, in_words=f"− {name}")
+        case ("free", str(name)):
+            return Change(model.free(name), in_words=f"{name} estimated again")
+        case ("noise", str(name)):
+            if (law := laws.get(name)) is None:
+                raise ModelError(
+                    f"no noise law is called {name!r} here; there are: {', '.join(laws)}"
+                )
+            return Change(model.with_noise(law), in_words=f"noise: {law.in_words}")
+        case ("fix", str(name), value):
+            said = f"{name} = {number(float(value), 6)} fixed"
+            return Change(model.fix({name: float(value)}), in_words=said)
+        case ("resize", str(name), value):
+            unit = unit_label(model.effect(name).coefficients[0].unit)
+            said = f"{name} of plausible size {number(float(value))} {unit}".rstrip()
+            return Change(model.resize(name, float(value)), in_words=said)
+    raise InputError(f"{kind!r} with {len(arguments)} argument(s) is no change of a model")
 
 
-KEPT = 4  # of the latest searches
+SEARCHES = 4  # the latest ones, that are kept
+
+
+def _structure_of(model: Model, search: Loop) -> Structure | None:
+    """Return which structure of a search a model is, of those that are part of what it chooses; None if none is."""
+    structures, goal = search.structures, search.goal
+    base, candidates = structures.base, structures.candidates
+    names = frozenset(model.names) - {*base.names}
+    laws = {n: structures.noise(Structure(noise=n)) for n in ("", goal.noise)}
+    law = next((n for n, one in laws.items() if one == model.noise), None)
+    if law is None or not names <= goal.effects or model.fixed != base.fixed:
+        return None
+    if any(e != model.effect(e.name) for e in base.effects if e.name in model.names):
+        return None
+    if not {*base.names} <= {*model.names} or not search.steps[0].calibration.verdict.ok:
+        return None
+    added = (model.effect(n) for n in names)
+    alike = all(_as_searched(e, candidates[e.name]) for e in added)
+    return Structure(names, law) if alike else None
 
 
 def _as_searched(effect: Effect, known: Effect) -> bool:
     """Return whether an effect is as known, or has one of the sizes that its evidence is averaged over."""
     first = known.coefficients[0]
     factor = 1.0 if first.flat else effect.coefficients[0].size / first.size
-    return effect == known or round(factor, 9) in SIZE_FACTORS
-
-
-SUFFIXES = {
-    format: suffix
-    for suffix, format in correction_files.ONE_OUTPUT.suffixes.items()
-    if format in correction_files.ONE_OUTPUT.writers
-}
-FORMATS = (*SUFFIXES, *AUTOPILOTS)
+    return effect.is_placeholder or effect == known or round(factor, 9) in SIZE_FACTORS
 
 
 @dataclass(eq=False)
@@ -151,7 +189,6 @@ class Session:
         settings: as of `calibrate`.
         origin: where readings and effects come from.
         own: effects of the user's own, by name.
-        not_taken: what was asked for when it was gone on with and differs from how it was begun; empty for most.
         on_change: called when a state is made or gone to, by whichever page, from whatever thread.
     """
 
@@ -161,24 +198,21 @@ class Session:
     settings: SearchOptions
     origin: Origin
     own: dict[str, Effect]
-    not_taken: str = ""
     on_change: list[Callable[[], None]] = field(default_factory=list)
     _states: dict[int, State] = field(default_factory=dict)
     _at: int = 0
     _been: list[int] = field(default_factory=list)  # current states before this one, the last last
-    _previews: dict[int, Previews] = field(default_factory=dict)
     _loops: list[Loop] = field(default_factory=list)  # with the structures weighed over models
     _followers: list[Callable[[SearchPath], None]] = field(default_factory=list)
     _trails: dict[int, SearchPath] = field(default_factory=dict)
     _decisions: dict[int, Decisions] = field(default_factory=dict)
     _lock: threading.RLock = field(default_factory=threading.RLock)  # of the tree
     _fitting: threading.Lock = field(default_factory=threading.Lock)
-    _beside: threading.RLock = field(default_factory=threading.RLock)
     _looking: threading.RLock = field(default_factory=threading.RLock)  # of the structures weighed
     _end: deadline.Deadline | None = None  # of the search that is under way
 
     @classmethod
-    def begin(
+    def open(
         cls,
         model: Model,
         readings: Measurements,
@@ -189,98 +223,59 @@ class Session:
         origin: Origin | None = None,
         **settings: Any,
     ) -> Session:
-        """A session whose first state is a model fitted to readings.
+        """A session whose first state is a model fitted to readings; or that which its folder holds, as it was left.
+
+        Nothing in a folder is run: what it needs beside its own data is given here.
 
         Args:
             model, readings, holdout, effects: as of `calibrate`.
             folder: where every state is kept; None: a temporary one.
             origin: where all this comes from; None: readings are written to the folder.
-            settings: of `calibrate`; see `SearchOptions`.
+            settings: of `calibrate`, see `SearchOptions`.
 
         Raises:
             ModelError: the readings lack what the model needs.
-            InputError: the folder cannot be written to, or holds a session.
+            InputError: the folder cannot be written to, holds a session of other readings or an effect that is not
+                given, or something in it was changed.
         """
-        asked = SearchOptions.of(**settings)
+        asked = SearchOptions(**settings)
         spikes, apart = asked.keep_spikes, None
         model.require(readings)
         if holdout is not None:
             model.require(holdout)
             apart = set_aside(holdout, spikes)
-        folder = kept.begun_folder(folder)
+        folder = kept.own_folder(folder)
         origin = origin or Origin.kept(model.instrument, readings, holdout, folder, spikes)
         own = {e.name: e for e in effects}
         session = cls(set_aside(readings, spikes), apart, folder, asked, origin, own)
-        session._become(Change(model), None)
+        if (folder / kept.SESSION).is_file():
+            session._go_on(model)
+        else:
+            session._become(Change(model), None)
         return session
 
-    @classmethod
-    def resume(
-        cls,
-        folder: str | Path,
-        effects: Sequence[Effect] = (),
-        of: Origin | None = None,
-        trust: Sequence[str | Path] = (),
-        asked: SearchOptions | None = None,
-    ) -> Session:
-        """A session as its folder has it: every state that was made, whatever ended it.
-
-        Args:
-            folder: that was given to `begin`.
-            effects: of the user's own that were given there as Python objects; those in files are run again.
-            of: what it must be of; None: anything.
-            trust: Python files that it may run, beside those that `of` names.
-            asked: what is asked for now; it goes on as it was begun, and says what of this it does not take.
-
-        Raises:
-            InputError: it holds no session, one of something else, something in it was changed, or it names a Python
-                file that is not to be trusted.
-        """
-        folder = Path(folder)
-        told = kept.session_in(folder)
-        origin, settings = told["origin"], told["settings"]
-        if of is not None and replace(of, effect_files=()) != replace(origin, effect_files=()):
-            raise InputError(
-                f"{folder} holds a session of {', '.join(origin.files)} ({origin.instrument}), and not of "
-                f"{', '.join(of.files)} ({of.instrument}) read in this way: give another folder (--out), or remove it"
-            )
-        named = (*trust, *(of.python_files if of else ()))
-        refuse_unnamed(origin.python_files, named, folder / kept.SESSION)
-        instrument = origin.open_instrument()
-        own = {e.name: e for e in effects} | origin.open_effects()
-        found = list(kept.states_in(folder, own, instrument))
-        if not found or found[0][0]["number"]:
-            raise InputError(f"{folder} holds no first step that is whole: begin in another folder")
-        first = found[0][1]
-        holdout = origin.open_holdout(instrument or first.model.instrument)
-        holdout = None if holdout is None else set_aside(holdout, settings.keep_spikes)
-        new = [f for f in (of.effect_files if of else ()) if f not in origin.effect_files]
-        left = [*settings.instead_of(asked), *(f"without {Path(f).name}" for f in new)]
-        session = cls(first.readings, holdout, folder, settings, origin, own, ", ".join(left))
-        for said, calibration in found:
-            step = step_of(calibration, holdout, settings.accept_conflicts)
+    def _go_on(self, model: Model) -> None:
+        """Take every state that the folder holds, whatever ended what made it."""
+        told = kept.session_in(self.folder)
+        for line in told["typed"]:
+            made = typed_effect(line, readings=self.readings, instrument=model.instrument)
+            self.own[made.name] = made
+        effects, accepted = tuple(self.own.values()), self.settings.accept_conflicts
+        for said, calibration in kept.states_in(self.folder, effects, model.instrument):
+            if not calibration.readings.same_as(self.readings):
+                raise InputError(
+                    f"{self.folder} holds a session of other readings, {calibration.readings.file}: give another "
+                    "folder (--out), or remove it"
+                )
+            step = step_of(calibration, self.holdout, accepted)
             step = replace(step, added=said["added"], changed=said["changed"])
-            state = State(said["number"], said["parent"], step, said["at"])
-            session._states[state.number] = state
+            self._states[said["number"]] = State(said["number"], said["parent"], step, said["at"])
+        if 0 not in self._states:
+            raise InputError(
+                f"{self.folder} holds no first step that is whole: begin in another folder"
+            )
         at = told["current"]
-        session._at = at if at in session._states else max(session._states)
-        return session
-
-    def with_readings(self, readings: Measurements) -> Session:
-        """A new session on other readings of the same instrument, in a folder beside this one's; this one stays.
-
-        Raises:
-            ModelError: the readings lack what the model needs.
-        """
-        first = self.states[0].model
-        if first.instrument.tailor is not None:
-            first = first.instrument.for_readings(readings).baseline()
-        first.require(readings)
-        folder, spikes = kept.fresh_folder(self.folder.parent), self.settings.keep_spikes
-        origin = Origin.kept(first.instrument, readings, None, folder, spikes)
-        given: dict[str, Any] = {"effects": tuple(self.own.values()), "folder": folder}
-        given["origin"] = replace(origin, effect_files=self.origin.effect_files)
-        return Session.begin(first, readings, **given, **vars(self.settings))
+        self._at = at if at in self._states else max(self._states)
 
     @property
     def states(self) -> Mapping[int, State]:
@@ -334,20 +329,25 @@ class Session:
         return {first.model.noise.name: first.model.noise, **laws_over(first.model, first.frame)}
 
     def preview(self, wanted: str | Effect) -> Preview:
-        """What adding an effect to the current state would do: see `Previews.of`; kept."""
+        """Return what adding an effect to the current state would do."""
         if isinstance(wanted, str):
-            wanted = self._named().get(wanted, wanted)
-        with self._beside:
-            return self._previews_of(self.current).of(wanted)
+            wanted = self._named().get(wanted) or self.current.model.instrument.effect(wanted)
+        return self._previewed(Change(self.current.model + wanted, added=wanted.name))
 
     def consequences(self, kind: str, *arguments: Any) -> Preview:
-        """What `act` would do, before it is done: `Previews.of_model` of the model that would come of it."""
-        if kind == "add":
-            return self.preview(*arguments)
-        state = self.current
-        wanted = changed(state.model, kind, arguments, self.own, self.laws)
-        with self._beside:
-            return self._previews_of(state).of_model(wanted.model)
+        """Return what `act` would do, before it is done."""
+        laws, model = self.laws, self.current.model
+        return self._previewed(changed(model, kind, arguments, self._named(), laws))
+
+    def _previewed(self, wanted: Change) -> Preview:
+        """Fit a model that is not made a state."""
+        loop, before = self._loop, self.current.step
+        known = before.calibration
+        start = {n: float(v) for n, v in known.problem.hyper(known.mode.v).items()}
+        how: dict[str, Any] = {"seed": loop.seed, "reference": loop.reference, "start": start}
+        method = loop.quick(wanted.model)
+        after = fit(wanted.model, self.readings, method, strict=False, **how)
+        return Preview(before, after, wanted.added)
 
     def act(self, kind: str, *arguments: Any) -> State:
         """Change the current model, and fit it; the state that comes of it is the current one.
@@ -385,7 +385,8 @@ class Session:
         number = self.current.number
         with self._in_time():  # another page may look for the same
             if (found := self.states[number].discovery) is None:
-                found = self._missing(*self._weighed(self.states[number]))
+                loop, at = self._weighed(self.states[number])
+                found = loop.missing(at)
                 self._keep_found(number, found)
         return found
 
@@ -404,13 +405,12 @@ class Session:
         try:
             with self._in_time():
                 loop, at = self._weighed(begin, go_on=True)
-                assert loop.library is not None
-                structures, steps, number = loop.library.structures, [begin.step], begin.number
-                for before, to, found in loop.way(loop.goal(structures), at):
+                steps, number = [begin.step], begin.number
+                for before, to, found in loop.way(loop.goal, at):
                     if before is None:
                         self._keep_found(number, found)
                         continue
-                    steps.append(loop.fitted(structures.weigh(to), before, to))
+                    steps.append(loop.fitted(to, before))
                     number = self._append(steps[-1], number, found).number
                     follow(loop.trail(steps=steps))
         finally:
@@ -425,47 +425,30 @@ class Session:
     def _weighed(self, state: State, go_on: bool = False) -> tuple[Loop, Structure]:
         """Return the search that says what is missing from a state, and which of its structures that state is.
 
-        Its structures differ by all that may be added, so that states on the way to the model that it chooses share one
-        posterior with it, and with `calibrate`. What was added against that posterior, or has a size of the user's, is
-        asserted: all of these hold it.
+        It is that of `calibrate` over the first model, so that states on the way to what it chooses share one posterior
+        with it. Where a state has what this search does not choose, or has otherwise, it is one over the state's model.
 
         Args:
             state: which.
             go_on: whether to go on with a search that was stopped.
         """
-        model, first, loop = state.model, self.states[0], self._loop
-        more = (*self.own.values(), *loop.freed(first.step))
-        known = {**model.instrument.known, **{e.name: e for e in more}}
-        weighed = (e for e in model.effects if loop.weighs(e, model, known))
-        given = {e.name: e for e in weighed if e.is_placeholder or _as_searched(e, known[e.name])}
-        core = reduce(sub, given.values(), model.with_noise(first.model.noise))
-        while True:
-            found = self._searched(core, given.values(), more, go_on)
-            assert found.library is not None
-            base, structures = found.steps[0].calibration, found.library.structures
-            laws, goal = {"": base.model.noise, **structures.laws}, found.goal(structures)
-            law = next((n for n in ("", goal.noise) if laws[n] == model.noise), None)
-            asserted = [n for n in given if n not in goal.effects]
-            if given and not base.verdict.ok:
-                core, given = model, {}
-            elif law is None:
-                core = core.with_noise(model.noise)
-            elif asserted:
-                core = core + [given.pop(n) for n in asserted]
-            else:
-                return found, Structure(frozenset(given), law)
+        first, loop = self.states[0], self._loop
+        given = [e for e in first.model.effects if loop.weighs(e, first.model)]
+        found = self._searched(reduce(sub, given, first.model), given, go_on)
+        if (at := _structure_of(state.model, found)) is None:
+            found, at = self._searched(state.model, (), go_on), Structure()
+        return found, at
 
-    def _searched(
-        self, core: Model, given: Collection[Effect], more: Sequence[Effect], go_on: bool
-    ) -> Loop:
-        """Weigh structures over a model, beginning with its given effects; kept."""
+    def _searched(self, core: Model, given: Sequence[Effect], go_on: bool) -> Loop:
+        """Weigh structures over a model, those with given effects among them; kept."""
         for found in self._loops:
             if found.steps[0].calibration.model == core:
                 break
         else:
             same = (s.step for s in self.states.values() if s.model == core)
-            found = replace(self._loop, stopped="not begun", begun=time.monotonic())
-            first = next(same, None) or found.step(core, method=found.quick(core))
+            found = replace(self._loop, given=tuple(given), stopped="not begun")
+            first = next(same, None) or found.step(core, found.quick(core))
+            more = (*self.own.values(), *found.freed(self.states[0].step))
             found.open(first, more, self.settings.widen_noise)
             go_on = True
         if found.stopped and go_on:
@@ -475,10 +458,8 @@ class Session:
                     follow(found.trail())
 
             with deadline.sooner(SEARCH):
-                found.given = tuple(given)
                 found.look(tell)
-                found.given = ()
-            self._loops = [*(one for one in self._loops if one is not found), found][-KEPT:]
+            self._loops = [*(one for one in self._loops if one is not found), found][-SEARCHES:]
         return found
 
     def stop(self) -> None:
@@ -495,35 +476,17 @@ class Session:
         return typed_effect(line, readings=self.readings, instrument=self.current.model.instrument)
 
     def add_typed(self, line: str) -> State:
-        """Have the effect of a typed formula among the candidates, and add it."""
+        """Have the effect of a typed formula among the candidates, and add it; what is missing is to be looked for
+        again."""
         made = self.typed(line)
-        self.load_draft(kept.typed_code([made]))
-        return self.add(made.name)
-
-    def load_draft(self, code: str) -> tuple[str, ...]:
-        """Run code that defines effects, as --effects does, and have them among the candidates; their names.
-
-        What is missing is to be looked for again.
-
-        Raises:
-            InputError, ModelError: it fails, or what it defines is of no use here; says where.
-        """
-        draft = kept.keep_draft(self.folder, code)
-        try:
-            found = user_effects(draft)
-            _ = [self.current.model + effect for effect in found]  # its slot and groups are there
-        except BayescalError:
-            draft.unlink()
-            raise
-        self.own |= {e.name: e for e in found}
-        for made in (self._previews, self._loops, self._trails):
-            made.clear()
+        _ = self.current.model + made  # its slot and groups are there
+        self.own[made.name] = made
+        self._loops.clear()
+        self._trails.clear()
         with self._lock:
-            files = (*self.origin.effect_files, str(draft.resolve()))
-            self.origin = replace(self.origin, effect_files=files)
             self._states = {n: replace(s, discovery=None) for n, s in self._states.items()}
             self._keep()
-        return tuple(e.name for e in found)
+        return self.add(made.name)
 
     def script(self) -> str:
         """Python that does what was clicked on the way to the current state, with equal numbers."""
@@ -542,28 +505,20 @@ class Session:
 
     def _judged(self, state: State) -> SearchPath:
         loop, way = self._loop, self.path(state.number)
-        step = loop.step(state.model, method=loop.method, start=state.calibration.start or {})
+        step = loop.step(state.model, loop.method, state.calibration.start or {})
         step = replace(step, added=state.step.added, changed=state.step.changed)
         weighed = None
         if step.calibration.verdict.ok:
             with suppress(deadline.TimeIsUp), self._in_time():
                 weighed = self._weighed(state)
-                self._keep_found(state.number, self._missing(*weighed))
+                self._keep_found(state.number, weighed[0].missing(weighed[1]))
                 way = self.path(state.number)
         steps = [*(s.step for s in way[:-1]), step]
         steps = [replace(s, discovery=w.discovery) for s, w in zip(steps, way, strict=True)]
-        if weighed is None or weighed[0].library is None:
-            return SearchPath(*judged(steps), self.holdout)
-        loop, at = weighed
-        if at.effects != loop.goal(weighed[0].library.structures).effects:
+        if weighed is None or weighed[1].effects != weighed[0].goal.effects:
             return SearchPath(*judged(steps), self.holdout)
         with self._looking:
-            return loop.averaged(steps, at)
-
-    @staticmethod
-    def _missing(loop: Loop, at: Structure) -> Discovery:
-        assert loop.library is not None
-        return missing(loop.library, at, loop.shut, loop.stopped)
+            return weighed[0].averaged(steps, weighed[1])
 
     def verdict(self) -> str:
         """Whether the current model may be used as it is, and how its fit went."""
@@ -600,30 +555,30 @@ class Session:
 
     def report(self) -> Path:
         """The report for sign-off, in the folder: what `bayescal report` writes of it, with what was decided."""
-        folder, decided = self._result()[0], self._decisions.get(self.current.number)
-        instrument, effects = self.origin.open_instrument(), tuple(self.own.values())
-        chapter = of_folder(folder, effects, () if instrument is None else (instrument,))
-        return report([chapter], folder / "report.html", effects=effects, decisions=decided)
+        (folder, trail), decided = self._result(), self._decisions.get(self.current.number)
+        own = tuple(self.own.values())
+        return report([trail], folder / "report.html", effects=own, decisions=decided)
 
-    def export(self, what: str) -> Path:
-        """An export of the current model, in the folder: what `bayescal export` writes; `what` is one of its formats.
+    def export(self, file: str) -> Path:
+        """An export of the current model, in the folder: what `bayescal export` writes.
+
+        Args:
+            file: its name, by the suffix a correction, or that of an autopilot.
 
         Raises:
             InputError, ModelError: there is no such format, or the model cannot be exported so.
         """
-        if what not in FORMATS:
-            raise InputError(f"{what!r} is not one of {', '.join(FORMATS)}")
         folder, trail = self._result()
-        made = compensator(trail.calibration)
-        if what in SUFFIXES:
-            return made.export(folder / f"compensation{SUFFIXES[what]}", what)
+        made, autopilot = compensator(trail.calibration), Path(file).stem
+        if autopilot not in AUTOPILOTS:
+            return made.export(folder / file)
         axis = axis_of(trail.final.calibration)
         if axis is None:
             raise InputError(
                 "these readings do not say of which axis they are, and an autopilot's parameters need it: export the "
-                f"calibration with bayescal export --format {what} --axis gyro_x=FILE"
+                f"calibration with bayescal export --format {autopilot} --axis gyro_x=FILE"
             )
-        return firmware_parameters({axis: made}, what).write(folder / f"{what}.txt")
+        return firmware_parameters({axis: made}, autopilot).write(folder / file)
 
     @property
     def _loop(self) -> Loop:
@@ -631,17 +586,10 @@ class Session:
         asked = (self.readings, self.holdout, s.method, s.seed, s.reference, s.max_effects)
         return Loop(*asked, accepted=frozenset(s.accept_conflicts))
 
-    def _previews_of(self, state: State) -> Previews:
-        """Of the effects over one state; the caller holds `_beside`."""
-        if state.number not in self._previews:
-            made = Previews(state.calibration, own=tuple(self.own.values()))
-            self._previews[state.number] = made
-        return self._previews[state.number]
-
     def _become(self, wanted: Change, parent: int | None) -> State:
         """Fit a model as a child of a state, and make it the current one."""
         loop = self._loop
-        step = loop.step(wanted.model, method=loop.quick(wanted.model))
+        step = loop.step(wanted.model, loop.quick(wanted.model))
         return self._append(replace(step, added=wanted.added, changed=wanted.in_words), parent)
 
     def _append(self, step: Step, parent: int | None, discovery: Discovery | None = None) -> State:
@@ -671,7 +619,8 @@ class Session:
             self._states[number] = replace(self._states[number], discovery=discovery)
 
     def _keep(self) -> None:
-        kept.keep_session(self.folder, self.origin, self.settings, self._at)
+        texts = [e.basis.text for e in self.own.values() if isinstance(e.basis, Formula)]
+        kept.keep_session(self.folder, texts, self._at)
 
     def _script(self, way: list[State]) -> str:
         return script(way, self.origin, self.settings, self.folder.resolve())

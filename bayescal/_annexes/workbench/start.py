@@ -21,7 +21,6 @@ if TYPE_CHECKING:
     from bayescal import Effect, Instrument, Measurements, Model
 
 LOOPBACK = "127.0.0.1"
-SESSION, FIRST = "session.json", "session_1"
 
 
 @dataclass(frozen=True)
@@ -72,9 +71,10 @@ class Address:
             "can have Python run with your rights, and the address goes over the network unencrypted"
         )
 
-    def of(self, session: str) -> str:
-        """The address of a session, for a browser."""
-        return f"http://{self.host}:{self.port}{self.path}/?session={session}"
+    @property
+    def url(self) -> str:
+        """For a browser."""
+        return f"http://{self.host}:{self.port}{self.path}/"
 
 
 FORWARD = '<!DOCTYPE html><meta http-equiv="refresh" content="0; url={0}"><a href="{0}">bayescal workbench</a>'
@@ -107,17 +107,6 @@ def refuse_without_panel() -> None:
         )
 
 
-def kept_sessions(folder: Path) -> list[str]:
-    """Names of the sessions that a folder holds, session_1 and so on, the one worked with last at the end."""
-    there = [
-        p
-        for p in folder.glob(f"session_*/{SESSION}")
-        if p.parent.name.removeprefix("session_").isdecimal()
-    ]
-    there.sort(key=lambda p: (p.stat().st_mtime_ns, p.parent.name))
-    return [p.parent.name for p in there]
-
-
 def workbench(
     readings: Measurements,
     instrument: Instrument | Model,
@@ -125,7 +114,6 @@ def workbench(
     holdout: Measurements | None = None,
     effects: Sequence[Effect] = (),
     folder: str | Path | None = None,
-    trust: Sequence[str | Path] = (),
     **settings: Any,
 ) -> Any:
     """The workbench in a notebook; in a browser it is the command `bayescal workbench`.
@@ -135,7 +123,6 @@ def workbench(
         instrument: whose baseline is the first model; or the first model itself.
         holdout, effects: as of `calibrate`.
         folder: where every state is kept; a temporary one if not given. One that holds a session is gone on with.
-        trust: Python files that a session in this folder may name, and that are run then.
         settings: of `calibrate`: method, max_effects, widen_noise, keep_spikes, seed, reference, time_limit,
             accept_conflicts.
 
@@ -156,9 +143,6 @@ def workbench(
     panel.extension(inline=True)
     given = instrument
     model = given if isinstance(given, Model) else given.for_readings(readings).baseline()
-    if folder is not None and (Path(folder) / SESSION).is_file():
-        session = Session.resume(folder, effects, trust=trust)
-    else:
-        asked = {"holdout": holdout, "effects": effects, "folder": folder, **settings}
-        session = Session.begin(model, readings, **asked)
+    asked = {"holdout": holdout, "effects": effects, "folder": folder, **settings}
+    session = Session.open(model, readings, **asked)
     return Workbench(session, framed=True).view

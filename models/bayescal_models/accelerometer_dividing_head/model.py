@@ -125,4 +125,4 @@ INSTRUMENT = bc.Instrument(
     use=bc.Use("acceleration", "ug", _in_use, ("bias", "scale", "second_order", "third_order")),
     source="IEEE Std 1293",
 )
-simulate = readings_of(INSTRUMENT, simulated_columns)
+simulate = readings_of(INSTRUMENT)

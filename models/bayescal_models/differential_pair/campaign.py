@@ -12,6 +12,13 @@ G = 1e6  # µg
 RADIUS = 1.0  # m, of the arm (ours)
 GRAVITY = 9.80665  # m/s²
 PROFILES = ("steps", "plateau")
+LEVEL = 5.0  # g, of a single plateau
+DISTURBANCE = 1000.0  # µg rms, of u over the record
+SENSITIVITY_SPREAD, SCALE_SPREAD = (
+    0.2,
+    2000.0,
+)  # standard deviations over devices, of λd and, ppm, of scale factors
+DEPARTURE = 0.05  # rms of a device's own environment, in parts of the disturbance
 
 
 @dataclass(frozen=True)
@@ -22,14 +29,9 @@ class Campaign:
         outer, inner: number of devices in each group.
         duration: of the record, s.
         samples: readings of each device, each an average over duration/samples.
-        profile: "steps", through `levels` with ramps between them; "plateau", at `level` throughout.
+        profile: "steps", through `levels` with ramps between them; "plateau", at 5 g throughout.
         levels: plateaus, g; up and down, or a slow disturbance looks like a wrong scale factor.
-        level: of the one plateau, g.
         ramp: time of a change of level, s; the speed of the arm changes smoothly.
-        disturbance: rms of u over the record, µg.
-        sensitivity_spread: standard deviation of λd over devices.
-        departure: rms of a device's own environment, in parts of `disturbance`.
-        scale_spread: standard deviation of the scale factors, ppm.
         noise: white, of an output averaged over 1 s, µg; a reading, averaged over τ seconds, has noise/√τ.
         warming: rise of the fixture's temperature, °C.
         thermometer: noise of the thermometer, °C; None leaves the column out.
@@ -42,12 +44,7 @@ class Campaign:
     samples: int = 40
     profile: str = "steps"
     levels: tuple[float, ...] = (2.0, 10.0, 4.0, 8.0, 1.0, 6.0)
-    level: float = 5.0
     ramp: float = 40.0
-    disturbance: float = 1000.0
-    sensitivity_spread: float = 0.2
-    departure: float = 0.05
-    scale_spread: float = 2000.0
     noise: float = 100.0
     warming: float = 5.0
     thermometer: float | None = 0.05

@@ -164,7 +164,7 @@ INSTRUMENT = bc.Instrument(
     simulator=simulated_columns,
     source="source 3",
 )
-simulate = readings_of(INSTRUMENT, simulated_columns)
+simulate = readings_of(INSTRUMENT)
 
 
 @dataclass(frozen=True)

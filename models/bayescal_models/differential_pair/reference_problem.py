@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import bayescal as bc
 from bayescal_models.differential_pair.campaign import Campaign
-from bayescal_models.differential_pair.model import INSTRUMENT, simulate
+from bayescal_models.differential_pair.model import INSTRUMENT
 
 # Two outer and two inner devices, 16 readings each: 64 rows.
 CAMPAIGN = Campaign(outer=2, inner=2, samples=16, thermometer=None)
@@ -17,4 +17,4 @@ def model() -> bc.Model:
 
 def readings(seed: int = 0) -> bc.Measurements:
     """64 readings, µg, of four devices on an arm that goes through six plateaus."""
-    return simulate(seed=seed, campaign=CAMPAIGN)
+    return INSTRUMENT.simulate(seed=seed, campaign=CAMPAIGN)

@@ -13,7 +13,17 @@ from typing import Any
 
 import numpy as np
 
-from bayescal_models.differential_pair.campaign import GRAVITY, RADIUS, Campaign, G
+from bayescal_models.differential_pair.campaign import (
+    DEPARTURE,
+    DISTURBANCE,
+    GRAVITY,
+    LEVEL,
+    RADIUS,
+    SCALE_SPREAD,
+    SENSITIVITY_SPREAD,
+    Campaign,
+    G,
+)
 from bayescal_models.simulated import (
     SUPPLY,
     Array,
@@ -95,10 +105,10 @@ def columns_and_truth(
     devices, environment, own, hidden, noise, thermometer, power = generators(uses, seed).values()
     fine = (np.arange(plan.samples * FINE) + 0.5) * plan.duration / (plan.samples * FINE)
 
-    sensitivity = 1.0 + plan.sensitivity_spread * devices.standard_normal(count)
-    scale = 1.0 + 1e-6 * plan.scale_spread * devices.standard_normal(count)
-    u = plan.disturbance * shared(environment, fine / plan.duration)
-    v = plan.departure * plan.disturbance * departures(own, fine / plan.duration, count)
+    sensitivity = 1.0 + SENSITIVITY_SPREAD * devices.standard_normal(count)
+    scale = 1.0 + 1e-6 * SCALE_SPREAD * devices.standard_normal(count)
+    u = DISTURBANCE * shared(environment, fine / plan.duration)
+    v = DEPARTURE * DISTURBANCE * departures(own, fine / plan.duration, count)
     if plan.alike:
         sensitivity, scale, v = np.ones(count), np.ones(count), 0.0 * v
     temperature = 25.0 + plan.warming * warming(fine / plan.duration)
@@ -136,7 +146,7 @@ def columns_and_truth(
 def acceleration(plan: Campaign, time: Array) -> Array:
     """Acceleration at the devices' radius, µg: the arm's speed goes smoothly from plateau to plateau."""
     if plan.profile == "plateau":
-        return np.full(np.shape(time), plan.level * G)
+        return np.full(np.shape(time), LEVEL * G)
     speeds = np.sqrt(np.asarray(plan.levels))
     edges = plan.duration * np.arange(1, len(speeds)) / len(speeds)
     speed = np.full(np.shape(time), speeds[0])

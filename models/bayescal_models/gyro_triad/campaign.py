@@ -21,7 +21,6 @@ class Campaign:
         mounting_uncertainty: standard deviation of the mounting's rotation about each axis, rad.
         interval: between readings, s.
         soak: before the first reading at a temperature, s.
-        body: time by which the unit's dies follow the thermometer where `bias.thermal_lag` is hidden, s.
         runs: sessions, through all of it each.
 
     Raises:
@@ -35,7 +34,6 @@ class Campaign:
     mounting_uncertainty: float = 1e-3
     interval: float = 30.0
     soak: float = 60.0
-    body: float = 200.0
     runs: int = 1
 
     def __post_init__(self) -> None:
@@ -61,11 +59,7 @@ class MovesByHand:
         rate: samples, 1/s.
         gyro_noise: of gyroscopes, white, °/s/√Hz.
         force_noise: of accelerometers, white, g/√Hz.
-        field_noise: of magnetometers, white, µT/√Hz.
-        dip: of the magnetic field below the level, °.
-        shake: standard deviation of the hand's acceleration in moves, g.
         latitude: by which the Earth turns the unit, °; None where it does not turn.
-        substeps: between samples, in which the true attitude is integrated.
 
     Raises:
         ValueError: an option is out of its range.
@@ -78,14 +72,9 @@ class MovesByHand:
     rate: float = 100.0
     gyro_noise: float = 7e-3
     force_noise: float = 1.5e-4
-    field_noise: float = 0.05
-    dip: float = 65.0
-    shake: float = 0.1
     latitude: float | None = 48.0
-    substeps: int = 16
 
     def __post_init__(self) -> None:
-        not_negative = ("gyro_noise", "force_noise", "shake")
-        positive = ("still", "move", "rate")
-        refuse_options(self, positive=positive, not_negative=not_negative, counts=("substeps",))
+        not_negative = ("gyro_noise", "force_noise")
+        refuse_options(self, positive=("still", "move", "rate"), not_negative=not_negative)
         refuse(self.poses < 2, "MovesByHand: give at least two poses.")

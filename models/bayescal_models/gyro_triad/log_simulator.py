@@ -19,6 +19,12 @@ from bayescal_models.magnetometer_triad.simulator import BASELINE as MAGNETOMETE
 from bayescal_models.triad.simulator import matrix_of, members_of
 
 EARTH = 15.041 / 3600  # °/s
+FIELD_NOISE, DIP = (
+    0.05,
+    65.0,
+)  # µT/√Hz, white, of magnetometers; °, of the magnetic field below the level
+SHAKE = 0.1  # g, standard deviation of the hand's acceleration in moves
+SUBSTEPS = 16  # between samples, in which the true attitude is integrated
 MOUNTED = (0.03, -0.05, 0.04)  # by how much the magnetometers are turned against the body, rad
 LAWS = (
     "bias.constant",
@@ -72,12 +78,12 @@ def simulate_log(
 
 def _magnetometers(plan: MovesByHand, attitude: np.ndarray, rng: np.random.Generator) -> np.ndarray:
     """Outputs (n, 3), µT, of a triad whose axes stand beside the body's, in a field of 50 µT."""
-    heading, dip = rng.uniform(0, 2 * np.pi), np.deg2rad(plan.dip)
+    heading, dip = rng.uniform(0, 2 * np.pi), np.deg2rad(DIP)
     level = [np.cos(dip) * np.cos(heading), np.cos(dip) * np.sin(heading), -np.sin(dip)]
     field = np.einsum("nij,i->nj", attitude, 50.0 * np.array(level))
     matrix = _matrix(MAGNETOMETERS)
     own = field @ _rotation(np.array(MOUNTED)).T
-    each = plan.field_noise * math.sqrt(plan.rate)
+    each = FIELD_NOISE * math.sqrt(plan.rate)
     bias = np.array(MAGNETOMETERS["bias.constant"])
     return own @ matrix.T + bias + each * rng.standard_normal(own.shape)
 
@@ -89,7 +95,7 @@ def _matrix(of: Mapping[str, Any]) -> np.ndarray:
 
 def _path(plan: MovesByHand, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Rates against the ground (n, 3) in °/s, specific force (n, 3) in g, and attitudes, body to level (n, 3, 3)."""
-    fine = plan.substeps
+    fine = SUBSTEPS
     at_rest, moving = round(plan.still * plan.rate), round(plan.move * plan.rate)
     rates, forces, attitudes = [], [], []
     attitude = _rotation(rng.standard_normal(3))
@@ -118,7 +124,7 @@ def _path(plan: MovesByHand, rng: np.random.Generator) -> tuple[np.ndarray, np.n
                 there[k // fine] = attitude
             attitude = attitude @ _rotation(steps[k])
         attitudes.append(there)
-        swing = plan.shake * np.sin(np.pi * whole) ** 2 * np.sin(6 * np.pi * whole)
+        swing = SHAKE * np.sin(np.pi * whole) ** 2 * np.sin(6 * np.pi * whole)
         felt = np.array([0.0, 0.0, 1.0]) + swing[:, None] * pushed
         forces.append(np.einsum("nij,ni->nj", there, felt))
     return np.concatenate(rates), np.concatenate(forces), np.concatenate(attitudes)

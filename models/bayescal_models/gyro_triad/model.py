@@ -211,4 +211,4 @@ INSTRUMENT = bc.Instrument(
     vector=VECTOR,
     source="IEEE Std 1431-2004, model equation; rates about the axes of a table",
 )
-simulate = readings_of(INSTRUMENT, simulated_columns)
+simulate = readings_of(INSTRUMENT)

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from bayescal_models.gyro_triad.campaign import Campaign
-from bayescal_models.triad.simulator import REFERENCE, matrix_of, members_of
+from bayescal_models.triad.simulator import BODY, REFERENCE, matrix_of, members_of
 
 # The unit that is there unless effects say otherwise: bias °/s, scale ppm, misalignment mrad.
 BASELINE = {
@@ -67,7 +67,7 @@ def simulated_columns(
             for temperature in plan.temperatures:
                 for i, rate in enumerate(plan.rates):
                     pause = plan.soak if i == 0 else plan.interval
-                    die = temperature + (die - temperature) * math.exp(-pause / plan.body)
+                    die = temperature + (die - temperature) * math.exp(-pause / BODY)
                     clock += pause
                     row = {"run": str(run + 1), "time": clock, "temperature": temperature}
                     row |= {"rate": rate, "mounting": f"{run + 1}.{place + 1}", "die": die}

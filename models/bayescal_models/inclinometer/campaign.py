@@ -51,8 +51,7 @@ class Campaign:
 
     Attributes:
         axes: accelerometers by label.
-        devices: inclinometers; further ones differ by `device_spread` and `device_slope`.
-        device_spread, device_slope: standard deviations between devices, arcsec and arcsec/deg.
+        devices: inclinometers; further ones differ.
         angles: placement angles of a sweep, deg.
         runs: mountings of each axis.
         backward: each sweep is gone through backward, too.
@@ -66,8 +65,6 @@ class Campaign:
         swing: the laboratory's temperature goes up and down by this, °C.
         period: of that swing, s.
         lag_time: of the hinge behind the thermometer, s.
-        settling_time: of a base that goes on tilting, s.
-        reversal: after turning round, hysteresis follows within this angle, deg.
 
     Raises:
         ValueError: an option is out of its range.
@@ -75,8 +72,6 @@ class Campaign:
 
     axes: tuple[tuple[str, Accelerometer], ...] = (("x", X), ("y", Y))
     devices: int = 1
-    device_spread: float = 30.0
-    device_slope: float = 0.3
     angles: tuple[float, ...] = tuple(float(a) for a in range(-45, 46, 5))
     runs: int = 2
     backward: bool = True
@@ -90,14 +85,12 @@ class Campaign:
     swing: float = 2.0
     period: float = 4 * 3600.0
     lag_time: float = 300.0
-    settling_time: float = 12 * 3600.0
-    reversal: float = 2.0
 
     def __post_init__(self) -> None:
         refuse_options(
             self,
-            positive=("interval", "period", "lag_time", "settling_time", "reversal"),
-            not_negative=("noise", "dividing", "repeatability", "swing", "pause", "device_spread"),
+            positive=("interval", "period", "lag_time"),
+            not_negative=("noise", "dividing", "repeatability", "swing", "pause"),
             counts=("devices", "runs"),
             filled=("axes",),
         )

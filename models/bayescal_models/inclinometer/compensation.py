@@ -9,12 +9,12 @@ Two laws:
 
       x = arcsin[ sin(reading_x)/(1 + κ_x) − cos x·zero_x(x, y) − m_x·sin y ],   y likewise,
 
-  by iteration from the readings. Each pass shrinks the error by the size of the zero and of its slope, in rad
-  (10⁻³ to 10⁻²), so that four or five reach 10⁻¹² rad. κ, S_e/cos x and the like count where the model has them.
+  each by `bayescal.compensator` at the other's tilt, in turn from the readings. Each pass shrinks the error by the size
+  of the zero's slope (10⁻³ to 10⁻²), so that four or five reach 10⁻¹² rad.
 
-Uncertainty: of the coefficients from posterior draws, each put through one more pass at the mean solution (what that
-leaves out is a spread of an arcsecond times 10⁻³); of a mounting not seen, from the learned spread; of the reading
-itself, from the noise. What belongs to the test rig (dividing table, base) does not act.
+Tilts are those at the posterior mean. Their uncertainty is, to first order, that of coefficients, of a mounting not
+seen, by the learned spread, and of the reading itself, by the noise. What belongs to the test rig (dividing table,
+base) does not act.
 """
 
 from __future__ import annotations
@@ -25,7 +25,6 @@ from typing import Any, Literal
 import numpy as np
 
 import bayescal as bc
-from bayescal_models.inclinometer.calibrated_axis import CalibratedAxis
 from bayescal_models.inclinometer.geometry import ARCSEC
 
 MOST = np.pi / 2 + 0.01  # rad, of a reading; of a placement angle half a turn is allowed
@@ -40,9 +39,8 @@ class Compensated:
     """Tilts, rad, one entry per pair of readings.
 
     Attributes:
-        x, y: posterior mean.
-        sd_x, sd_y: standard uncertainty, all shares together.
-        shares: of each axis, by cause: "coefficients", "mounting", "noise".
+        x, y: at the posterior mean.
+        sd_x, sd_y: standard uncertainty of coefficients, mounting and noise together.
         passes: of the iteration; 1 for the document's law.
     """
 
@@ -50,8 +48,45 @@ class Compensated:
     y: np.ndarray
     sd_x: np.ndarray
     sd_y: np.ndarray
-    shares: dict[str, dict[str, np.ndarray]]
     passes: int
+
+
+@dataclass(frozen=True)
+class _Axis:
+    """One accelerometer in use.
+
+    Attributes:
+        used: its compensator.
+        covariates: what effects need beside the tilts, by name.
+    """
+
+    used: bc.Compensator
+    covariates: dict[str, Any]
+
+    def tilt(self, reading: np.ndarray, cross: np.ndarray, **how: Any) -> Any:
+        """Compensate readings at these tilts of the other axis, rad."""
+        at = {"output": reading / ARCSEC, "placement_angle": cross, **self.covariates}
+        found = self.used(**at, method="first order", warn=False, **how)
+        if np.any(wrong := ~np.isfinite(found.value)):
+            row = int(np.argmax(wrong))
+            raise bc.InputError(
+                f"reading {row + 1}, {np.rad2deg(reading[row]):.6g}°: no tilt gives it with this calibration. Check "
+                "the unit (rad) of the readings"
+            )
+        return found
+
+    def zero(self, cross: np.ndarray, **how: Any) -> Any:
+        """Compensate a reading of zero: the tilt is −S, whatever the scale factor."""
+        return self.tilt(0.0 * cross, cross, **how)
+
+
+def _axis(
+    calibration: bc.Calibration, axis: str, device: str | None, given: dict[str, Any]
+) -> _Axis:
+    members = {"axis": axis}
+    if device in calibration.levels.get("device", ()):
+        members["device"] = str(device)
+    return _Axis(bc.compensator(calibration, members=members), given)
 
 
 def compensate(
@@ -62,7 +97,6 @@ def compensate(
     law: Law = "exact",
     axes: tuple[str, str] = ("x", "y"),
     device: str | None = None,
-    draws: int = 1000,
     **covariates: Any,
 ) -> Compensated:
     """Compensate readings of both axes.
@@ -73,42 +107,46 @@ def compensate(
         law: "exact" or "document".
         axes: labels of the two accelerometers in the calibration.
         device: the inclinometer's label, where the calibration has several; another is a new one.
-        draws: most posterior draws to use.
         covariates: what effects need beside the tilts, such as temperature=23.0 (°C).
 
     Raises:
-        InputError: unknown axis, device or law, readings of unequal length, or pairs that no tilt gives.
-        ModelError: an effect in use needs a covariate that is not given, or, under the document's law, tilts.
+        InputError: unknown axis or law, readings of unequal length, pairs that no tilt gives, or a covariate that an
+            effect in use needs is not given.
     """
     rx, ry = (np.atleast_1d(np.asarray(r, float)) for r in (reading_x, reading_y))
-    _refuse(calibration, rx, ry, law, axes)
-    calibrated = tuple(
-        CalibratedAxis(calibration, axis, device, draws=draws, covariates=covariates)
-        for axis in axes
-    )
-    if law == "exact":
-        x, y, passes = _solved(calibrated, rx, ry)
-        of_x, of_y = calibrated[0].tilts(rx, x, y), calibrated[1].tilts(ry, y, x)
-    else:
-        passes = 1
-        of_x, of_y = calibrated[0].corrected(rx, ry), calibrated[1].corrected(ry, rx)
-    each = [one.shares(values) for one, values in zip(calibrated, (of_x, of_y), strict=True)]
-    sd_x, sd_y = (np.sqrt(sum(s**2 for s in own.values())) for own in each)
-    shares = dict(zip(axes, each, strict=True))
-    return Compensated(of_x.mean(axis=0), of_y.mean(axis=0), sd_x, sd_y, shares, passes)
+    if law not in ("exact", "document"):
+        raise bc.InputError(f'law={law!r} is none: choose "exact" or "document"')
+    if rx.shape != ry.shape or rx.ndim != 1:
+        raise bc.InputError(
+            f"readings of x and y must be vectors of one length, these are {rx.shape} and {ry.shape}"
+        )
+    for axis, reading in zip(axes, (rx, ry), strict=True):
+        if np.any(wrong := ~(np.abs(reading) <= MOST)):
+            row = int(np.argmax(wrong))
+            raise bc.InputError(
+                f"reading {row + 1} of axis {axis!r} is {reading[row]:g} rad, no angle up to a right one: give "
+                "radians, such as np.deg2rad(readings)"
+            )
+    of_x, of_y = (_axis(calibration, axis, device, covariates) for axis in axes)
+    if law == "document":
+        x, y = of_x.zero(ry), of_y.zero(rx)
+        return Compensated(rx + x.value, ry + y.value, x.uncertainty, y.uncertainty, 1)
+    x, y, passes = _solved(of_x, of_y, rx, ry)
+    sd_x, sd_y = of_x.tilt(rx, y).uncertainty, of_y.tilt(ry, x).uncertainty
+    return Compensated(x, y, sd_x, sd_y, passes)
 
 
 def _solved(
-    calibrated: tuple[CalibratedAxis, ...], rx: np.ndarray, ry: np.ndarray
+    of_x: _Axis, of_y: _Axis, rx: np.ndarray, ry: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, int]:
-    """Tilts at the posterior mean, rad, and how many passes they took.
+    """Return tilts at the posterior mean, rad, and how many passes they took.
 
     Raises:
         InputError: readings that lead nowhere.
     """
     x, y = rx, ry
     for done in range(PASSES):
-        new_x, new_y = calibrated[0].tilt(rx, x, y), calibrated[1].tilt(ry, y, x)
+        new_x, new_y = of_x.tilt(rx, y).value, of_y.tilt(ry, x).value
         moved = max(np.max(np.abs(new_x - x)), np.max(np.abs(new_y - y)))
         if moved < CLOSE:
             return new_x, new_y, done + 1
@@ -126,42 +164,18 @@ def zero_of(
     *,
     axis: str,
     device: str | None = None,
-    draws: int = 1000,
     **covariates: Any,
-) -> np.ndarray:
-    """Draws of the zero S(ω) at no tilt, arcsec, (draws, n).
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return the zero S(ω) at no tilt and its standard uncertainty for a new mounting, arcsec, (n,) each.
 
     Args:
         calibration: a fit of the inclinometer.
         placement_angle: rad.
-        axis, device, draws, covariates: as of `compensate`.
+        axis, device, covariates: as of `compensate`.
 
     Raises:
-        InputError: unknown axis or device.
-        ModelError: an effect needs a covariate that is not given.
+        InputError: unknown axis, or a covariate that an effect needs is not given.
     """
     angle = np.atleast_1d(np.asarray(placement_angle, float))
-    _refuse(calibration, 0 * angle, 0 * angle, "document", (axis,) * 2)
-    one = CalibratedAxis(calibration, axis, device, draws=draws, covariates=covariates)
-    return one.slots(None, angle)["zero"] / ARCSEC
-
-
-def _refuse(calibration, rx, ry, law, axes) -> None:
-    """Refuse what cannot be compensated."""
-    if law not in ("exact", "document"):
-        raise bc.InputError(f'law={law!r} is none: choose "exact" or "document"')
-    if rx.shape != ry.shape or rx.ndim != 1:
-        raise bc.InputError(
-            f"readings of x and y must be vectors of one length, these are {rx.shape} and {ry.shape}"
-        )
-    for axis, reading in zip(axes, (rx, ry), strict=True):
-        wrong = ~(np.abs(reading) <= MOST)
-        if np.any(wrong):
-            row = int(np.argmax(wrong))
-            raise bc.InputError(
-                f"reading {row + 1} of axis {axis!r} is {reading[row]:g} rad, no angle up to a right one: give "
-                "radians, such as np.deg2rad(readings)"
-            )
-    for axis in axes:
-        if axis not in (known := calibration.levels["axis"]):
-            raise bc.InputError(f"the calibration has no axis {axis!r}; it has: {', '.join(known)}")
+    found = _axis(calibration, axis, device, covariates).zero(angle, noise=False)
+    return -found.value / ARCSEC, found.uncertainty / ARCSEC

@@ -240,13 +240,6 @@ EFFECTS = EffectTable.of(
         ("zero.placement_device", DEVICE_LINE, 1.0, "arcsec/deg"),
     ),
 )
-ARCSEC_PER = {  # what a coefficient of 1 adds to its slot: arcsec (per rad, rad², rad³), or 1
-    **dict.fromkeys(("arcsec", "arcsec/degC", "arcsec/degC^2", "arcsec/V", "arcsec/degC/V"), 1.0),
-    "arcsec/deg": np.rad2deg(1.0),
-    "arcsec/deg^2": np.rad2deg(1.0) ** 2,
-    "arcsec/deg^3": np.rad2deg(1.0) ** 3,
-    "ppm": 1e-6,
-}
 
 # Named models: accelerometers (and devices) drawn from one population; the whole equation of verification data, with
 # the exact placement angle, S_e not tilted, and the scale factor.
@@ -306,4 +299,4 @@ INSTRUMENT = bc.Instrument(
     use=bc.Use("true_angle", "rad", slots=("zero", "scale", "cross_axis")),
     source="source 4",
 )
-simulate = readings_of(INSTRUMENT, simulated_columns)
+simulate = readings_of(INSTRUMENT)

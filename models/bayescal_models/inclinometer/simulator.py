@@ -19,6 +19,12 @@ from bayescal_models.inclinometer.geometry import ARCSEC, exact_placement, sense
 MEAN_TEMPERATURE = 20.0  # °C
 STREAMS = ("noise", "run", "table", "thermometer", "device", "supply")
 WARM_UP_TIME = 900.0  # s, of the electronics in a mounting
+SETTLING_TIME = 12 * 3600.0  # s, of a base that goes on tilting
+REVERSAL = 2.0  # deg, within which hysteresis follows a change of direction
+DEVICE_SPREAD, DEVICE_SLOPE = (
+    30.0,
+    0.3,
+)  # arcsec and arcsec/deg, standard deviations between devices
 PHASES = (0.0, 0.7)  # rad, where temperature and the base's settling start: not in step
 
 
@@ -64,14 +70,14 @@ class World:
         self.thermometer = MEAN_TEMPERATURE + plan.swing * np.sin(phase) + noise
         self.warmth = plan.swing * np.sin(phase - np.arctan(turn)) / np.hypot(1.0, turn)
         self.supply = simulated.wandering_supply(random["supply"], self.time)
-        settled = 1 - np.exp(-(self.time - self.time.min()) / plan.settling_time)
+        settled = 1 - np.exp(-(self.time - self.time.min()) / SETTLING_TIME)
         self.settled = settled / max(float(settled.max()), 1e-300) - 0.5
         limit = ARCSEC * plan.dividing
         error = random["table"].uniform(-limit, limit, self.time.size)
         self.placement = self.cross = self.placement_set + error
         if plan.grid and plan.exact:
             self.placement = exact_placement(self.tilt, self.cross, np)
-        self.sweep = self.forward * (1 - 2 * np.exp(-turned / plan.reversal))
+        self.sweep = self.forward * (1 - 2 * np.exp(-turned / REVERSAL))
         self.accelerometer = self._accelerometers(random["device"])
         self.share = self.accelerometer.share
         _, codes = np.unique(self.run, return_inverse=True)
@@ -91,8 +97,8 @@ class World:
             for axis in known:
                 shift, slope = random.standard_normal(2)
                 chosen = (self.device == device) & (self.axis == axis)
-                made["constant"][chosen] += self.plan.device_spread * shift
-                made["slope"][chosen] += self.plan.device_slope * slope
+                made["constant"][chosen] += DEVICE_SPREAD * shift
+                made["slope"][chosen] += DEVICE_SLOPE * slope
         return Accelerometer(**made)  # pyright: ignore[reportArgumentType]
 
 

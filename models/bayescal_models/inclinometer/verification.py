@@ -8,44 +8,42 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 import bayescal as bc
+from bayescal_models.inclinometer import COLUMNS
 from bayescal_models.inclinometer.geometry import ARCSEC, possible
 from bayescal_models.inclinometer.model import INSTRUMENT
 
 _MOST = np.pi / 2 + 0.01  # rad; degrees under a [rad] header are refused by it
 
 
-@dataclass(frozen=True)
-class _FileOfTilts:
+OTHERS = ("device", "run", "temperature", "time")
+TILTS = {
+    "true_x": "known tilt along x",
+    "true_y": "known tilt along y",
+    "reading_x": "tilt that x reads",
+    "reading_y": "tilt that y reads",
+}
+
+
+class _FileOfTilts(NamedTuple):
     """What a file of verification data holds, as `bayescal.read` asks it of an instrument."""
 
+    columns: tuple[bc.Column, ...]
     name: str = "inclinometer verification"
     output: str = "reading_x"
     nominal_scale: bc.NominalScale | None = None
-    columns: tuple[bc.Column, ...] = (
-        *(
-            bc.Column(name, "rad", meaning, low=-_MOST, high=_MOST)
-            for name, meaning in (
-                ("true_x", "known tilt along x"),
-                ("true_y", "known tilt along y"),
-                ("reading_x", "tilt that x reads"),
-                ("reading_y", "tilt that y reads"),
-            )
-        ),
-        bc.Column("device", None, "label of the inclinometer", required=False),
-        bc.Column("run", None, "label of the run", required=False),
-        bc.Column(
-            "temperature", "degC", "of the inclinometer", required=False, low=-273.15, high=250.0
-        ),
-        bc.Column("time", "s", "one origin over all runs", required=False),
+
+
+FILE_OF_TILTS = _FileOfTilts(
+    (
+        *(bc.Column(n, "rad", words, low=-_MOST, high=_MOST) for n, words in TILTS.items()),
+        *(c for c in COLUMNS if c.name in OTHERS),
     )
-
-
-FILE_OF_TILTS = _FileOfTilts()
+)
 
 
 @dataclass(frozen=True)
@@ -68,7 +66,7 @@ class Verification:
     others: Mapping[str, np.ndarray] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        columns = {n: getattr(self, n) for n in ("true_x", "true_y", "reading_x", "reading_y")}
+        columns = {n: getattr(self, n) for n in TILTS}
         lengths = {n: np.shape(c) for n, c in {**columns, **self.others}.items()}
         if len(set(lengths.values())) != 1:
             raise bc.InputError(
@@ -152,6 +150,5 @@ def read_verification(path_or_paths: Any, **options: Any) -> Verification:
         InputError: what `bayescal.read` refuses, and tilts that no body has.
     """
     found = bc.read(path_or_paths, FILE_OF_TILTS, **options)
-    others = {n: found[n] for n in ("device", "run", "temperature", "time") if found.has(n)}
-    tilts = found["true_x"], found["true_y"], found["reading_x"], found["reading_y"]
-    return Verification(*tilts, others)
+    others = {n: found[n] for n in OTHERS if found.has(n)}
+    return Verification(*(found[n] for n in TILTS), others)

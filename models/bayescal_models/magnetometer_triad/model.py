@@ -88,4 +88,4 @@ INSTRUMENT = bc.Instrument(
     tailor=tailored,
     source="D. Gebre-Egziabher et al., J. Aerosp. Eng. 19 (2006) 87 (calibration in the magnetic field domain)",
 )
-simulate = readings_of(INSTRUMENT, simulated_columns)
+simulate = readings_of(INSTRUMENT)

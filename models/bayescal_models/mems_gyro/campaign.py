@@ -33,14 +33,9 @@ class Campaign:
         rate_input: rates of the turntable, °/s, one a step, cycled over all steps of all runs;
             None leaves the gyro at rest, and the column out.
         noise: standard deviation of the white noise of one averaged reading, °/s.
-        noise_degrees: degrees of freedom of the Student-t noise law, above 2.
-        wander: standard deviation of the Ornstein-Uhlenbeck noise law's slow part, °/s.
-        wander_time: correlation time of that part, s.
         converter_step: averaged readings are rounded to this step, V; None for no rounding.
         thermometer_noise: white error of the column `temperature`, °C (standard deviation).
         thermometer_offset: error shared by the whole column `temperature`, °C.
-        sensitivity: nominal scale factor, V/(°/s) (source 1: 0.83 mV/(°/s)).
-        null_voltage: output voltage at zero rate, V (source 1's table: 1.2000 V).
         constant: zero-rate output at `T0`, °/s.
         slope: tempco of the zero-rate output, °/s/°C (source 1's table, least squares).
         T0: temperature about which every law of the world is written, °C.
@@ -48,14 +43,8 @@ class Campaign:
         resonance: the two modes, used by `law="resonance"`.
         nonlinearity: 1 gives the world's own laws for quadratic, cubic and drift, 0 exactly
             their leading terms, numbers between or beyond a mixture.
-        package_time: time constant of the package, through which heat flows, s.
         lag_time: time constant of the die behind the ambient thermometer, s.
-        slow_time: time constant of what lags slowly, such as the chamber's load, s.
-        board_time: time constant of the electronics board, s.
-        board_heating: how much warmer than the air the powered board ends up, °C.
-        warm_up_time: time constant of the electronics' warm-up after power-on, s.
         period: period of the out-of-catalogue periodic form, s.
-        step_fraction: where the out-of-catalogue step falls, as a share of the logged time.
 
     Raises:
         ValueError: an option is out of its range, or the times do not divide one another.
@@ -72,43 +61,29 @@ class Campaign:
     average: float = 30.0
     rate_input: tuple[float, ...] | None = None
     noise: float = 0.05
-    noise_degrees: float = 4.0
-    wander: float = 0.05
-    wander_time: float = 300.0
     converter_step: float | None = None
     thermometer_noise: float = 0.0
     thermometer_offset: float = 0.0
-    sensitivity: float = 0.83e-3
-    null_voltage: float = 1.2
     constant: float = 21.5
     slope: float = 0.0535
     T0: float = 55.0
     law: str = "line"
     resonance: Resonance = field(default_factory=Resonance)
     nonlinearity: float = 1.0
-    package_time: float = 20.0
     lag_time: float = 300.0
-    slow_time: float = 2400.0
-    board_time: float = 480.0
-    board_heating: float = 2.0
-    warm_up_time: float = 600.0
     period: float = 700.0
-    step_fraction: float = 0.45
 
     def __post_init__(self) -> None:
         positive = ("dwell", "chamber_time", "chamber_ramp", "logging_interval", "average")
-        positive += ("sensitivity", "package_time", "lag_time", "slow_time", "board_time")
         step = () if self.converter_step is None else ("converter_step",)
         refuse_options(
             self,
-            positive=(*positive, *step, "warm_up_time", "wander_time", "period"),
-            not_negative=("pause", "noise", "wander", "thermometer_noise", "step_fraction"),
+            positive=(*positive, *step, "lag_time", "period"),
+            not_negative=("pause", "noise", "thermometer_noise"),
             counts=("runs",),
             filled=("temperatures",),
             law=("line", "resonance"),
         )
-        refuse(self.step_fraction > 1, "Campaign: step_fraction is a share, at most 1.")
-        refuse(self.noise_degrees <= 2, "Campaign: noise_degrees must be above 2.")
         refuse(self.rate_input == (), "Campaign: rate_input=None leaves the gyro at rest.")
         # Every time of the plan is a multiple of the next shorter one, ending at the grid.
         grid = ("the integration grid", GRID)

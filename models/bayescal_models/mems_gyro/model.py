@@ -29,6 +29,7 @@ from bayescal_models import catalogue
 from bayescal_models.catalogue import MINUTE, EffectTable, centred, effect, one
 from bayescal_models.mems_gyro import COLUMNS, NOMINAL_SCALE, THERMOMETER_SD, VOLTAGE_STEP
 from bayescal_models.mems_gyro.campaign import Campaign
+from bayescal_models.mems_gyro.resonance import resonance_denominator
 from bayescal_models.mems_gyro.simulator import simulated_columns
 from bayescal_models.simulated import experiments, readings_of
 
@@ -42,15 +43,10 @@ def _board(r):
     return r.centred("board_temperature")
 
 
-def _denominator(change, k_drive, k_sense, ratio, quality):
-    drive, sense = 1 - k_drive * change, 1 - k_sense * change
-    return xp.sqrt((ratio**2 * sense - drive) ** 2 + drive / quality**2)
-
-
 def _held_amplitude(r, k_drive, k_sense, ratio, quality):
     change = r.centred()
-    here = _denominator(change, k_drive, k_sense, ratio, quality)
-    return _denominator(0.0, k_drive, k_sense, ratio, quality) / here - 1
+    here = resonance_denominator(change, k_drive, k_sense, ratio, quality)
+    return resonance_denominator(0.0, k_drive, k_sense, ratio, quality) / here - 1
 
 
 def _held_force(r, k_drive, k_sense, ratio, quality):
@@ -170,4 +166,4 @@ INSTRUMENT = bc.Instrument(
     use=bc.Use("rate_input", "deg/s"),
     source="source 1",
 )
-simulate = readings_of(INSTRUMENT, simulated_columns)
+simulate = readings_of(INSTRUMENT)

@@ -1,4 +1,4 @@
-"""The gyro's zero-rate output from the physics of its two resonances (source 1), in NumPy.
+"""The gyro's zero-rate output from the physics of its two resonances (source 1).
 
 Drive mode x and sense mode y, per unit mass: `ẍ + b_d·ẋ + ω_d²·x = F(t)` and
 `ÿ + b_s·ẏ + ω_s²·y = −2Ω·ẋ`. Young's modulus falls with temperature,
@@ -11,42 +11,30 @@ Source: source 1 (mode equations, modulus); the K_ET values, the ratio and Q are
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from bayescal import xp
 from bayescal_models.simulated import refuse_options
 
 
-def resonance_denominator(
-    temperature: ArrayLike,
-    k_drive: float,
-    k_sense: float,
-    ratio: float,
-    quality: float,
-    T0: float,
-) -> NDArray[np.float64]:
-    """Denominator of the sense amplitude at the drive resonance, in units of ω_d0².
+def resonance_denominator(change: Any, k_drive: Any, k_sense: Any, ratio: Any, quality: Any) -> Any:
+    """Return the denominator D of the sense amplitude at the drive resonance, in units of ω_d0².
 
     `D = √[(r²(1−ε_s) − (1−ε_d))² + (1−ε_d)/Q²]`, `ε = K_ET·(T−T0)` for each mode.
 
     Args:
-        temperature: temperature of the structure, °C, any shape.
-        k_drive: K_ET of the drive mode, 1/°C.
-        k_sense: K_ET of the sense mode, 1/°C.
+        change: T − T0 of the structure, °C, any shape.
+        k_drive, k_sense: K_ET of each mode, 1/°C.
         ratio: r = ω_s0/ω_d0 at T0, without unit.
         quality: Q = ω_d0/b_s at T0, without unit.
-        T0: reference temperature, °C.
-
-    Returns:
-        D(T), without unit, in the shape of `temperature`.
 
     Source: source 1's mode equations, solved for the sense amplitude.
     """
-    change = np.asarray(temperature, dtype=float) - T0
-    drive = 1.0 - k_drive * change
-    sense = 1.0 - k_sense * change
-    return np.sqrt((ratio**2 * sense - drive) ** 2 + drive / quality**2)
+    drive, sense = 1 - k_drive * change, 1 - k_sense * change
+    return xp.sqrt((ratio**2 * sense - drive) ** 2 + drive / quality**2)
 
 
 @dataclass(frozen=True)
@@ -84,9 +72,9 @@ class Resonance:
             T0: reference temperature, °C.
             constant: zero-rate output at T0, °/s.
         """
-        modes = (self.k_drive, self.k_sense, self.ratio, self.quality, T0)
-        gain = resonance_denominator(T0, *modes) / resonance_denominator(temperature, *modes)
+        modes = (self.k_drive, self.k_sense, self.ratio, self.quality)
+        change = np.asarray(temperature, dtype=float) - T0
+        gain = resonance_denominator(0.0, *modes) / resonance_denominator(change, *modes)
         if self.held == "force":
-            change = np.asarray(temperature, dtype=float) - T0
             gain = gain / np.sqrt(1.0 - self.k_drive * change)
         return constant + self.quadrature * (gain - 1.0)

@@ -20,6 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayescal_models import simulated
+from bayescal_models.mems_gyro import NOMINAL_SCALE
 from bayescal_models.mems_gyro.campaign import GRID, Campaign
 from bayescal_models.simulated import Array, Clock, Simulated, correlated, refuse
 
@@ -28,6 +29,13 @@ SILICON_TEMPERATURE = (
     500.0  # K, characteristic temperature of the modulus in Varshni's law; ours, about silicon's
 )
 SATURATION = 60.0  # °C, temperature change over which a built-in compensation saturates; ours
+PACKAGE_TIME = 20.0  # s, of the package, through which heat flows
+SLOW_TIME = 2400.0  # s, of what lags slowly, such as the chamber's load
+BOARD_TIME, BOARD_HEATING = 480.0, 2.0  # s, of the electronics board; °C, by which it heats itself
+WARM_UP_TIME = 600.0  # s, of the electronics after power-on
+NOISE_DEGREES = 4.0  # of freedom, of Student-t noise
+WANDER, WANDER_TIME = 0.05, 300.0  # °/s and s, of correlated noise
+STEP_SHARE = 0.45  # of the logged time, at which the step that no catalogue holds falls
 
 
 class World(Clock):
@@ -68,13 +76,13 @@ class World(Clock):
     @cached_property
     def package(self) -> Array:
         """Of the package, through which heat flows, °C."""
-        return self.body(self.ambient, self.plan.package_time)
+        return self.body(self.ambient, PACKAGE_TIME)
 
     @cached_property
     def board(self) -> Array:
         """Of the electronics board, °C."""
-        around = self.ambient + self.plan.board_heating * self.powered
-        return self.body(around, self.plan.board_time, start=self.ambient[0])
+        around = self.ambient + BOARD_HEATING * self.powered
+        return self.body(around, BOARD_TIME, start=self.ambient[0])
 
     @cached_property
     def rate(self) -> Array:
@@ -152,7 +160,7 @@ def _mixed(w: World, leading: Array, law: Array) -> Array:
 def _step(w: World) -> Array:
     """A step at a share of the logged time (so never within a pause)."""
     plan = w.plan
-    run, within = divmod(plan.step_fraction * plan.runs, 1.0)
+    run, within = divmod(STEP_SHARE * plan.runs, 1.0)
     at = run * (plan.run_duration + plan.pause) + within * plan.run_duration
     return 1.0 * (w.time > at)
 
@@ -162,10 +170,10 @@ LAWS: Mapping[str, Callable[[World], Array]] = MappingProxyType(
         "bias.temperature_quadratic": _quadratic,
         "bias.temperature_cubic": _cubic,
         # stress from the heat flowing into the package: its true heating rate, °C/min
-        "bias.rate": lambda w: 60.0 * (w.ambient - w.package) / w.plan.package_time,
+        "bias.rate": lambda w: 60.0 * (w.ambient - w.package) / PACKAGE_TIME,
         # the die is not at the temperature that the ambient thermometer shows
         "bias.thermal_lag": lambda w: w.body(w.ambient, w.plan.lag_time) - w.ambient,
-        "bias.thermal_lag_slow": lambda w: w.body(w.ambient, w.plan.slow_time) - w.ambient,
+        "bias.thermal_lag_slow": lambda w: w.body(w.ambient, SLOW_TIME) - w.ambient,
         # stress between package and die, of a glue that gives way more, the warmer it is
         "bias.temperature_x_lag": lambda w: (
             (w.ambient - w.plan.T0) * (w.body(w.ambient, w.plan.lag_time) - w.ambient)
@@ -178,9 +186,7 @@ LAWS: Mapping[str, Callable[[World], Array]] = MappingProxyType(
         # the chip that gives the zero level, 1.2 V, has a linear tempco and sits on the board
         "bias.reference_voltage": lambda w: w.board - w.plan.T0,
         # electronics are off when cold, and right when they have heated themselves
-        "bias.warm_up": lambda w: (
-            1.0 - w.body(w.powered.astype(float), w.plan.warm_up_time, start=0.0)
-        ),
+        "bias.warm_up": lambda w: 1.0 - w.body(w.powered.astype(float), WARM_UP_TIME, start=0.0),
         "bias.drift": _drift,
         # turn-on repeatability: a new offset at each power-on, the size its standard deviation
         "bias.run": lambda w: w.turn_on,
@@ -273,23 +279,23 @@ def _noise(world: World, generators: Mapping[str, np.random.Generator], noise_la
     """Noise of each averaged reading, °/s."""
     campaign, generator, readings = world.plan, generators["noise"], len(world.run)
     if noise_law == "student_t":
-        degrees = campaign.noise_degrees
-        unit_variance = np.sqrt((degrees - 2.0) / degrees)
-        return campaign.noise * unit_variance * generator.standard_t(degrees, readings)
+        unit_variance = np.sqrt((NOISE_DEGREES - 2.0) / NOISE_DEGREES)
+        return campaign.noise * unit_variance * generator.standard_t(NOISE_DEGREES, readings)
     white = campaign.noise * generator.standard_normal(readings)
     if noise_law == "white":
         return white
     slow, wander = np.empty(readings), generators["wander"]
     for k in range(campaign.runs):  # the correlated noise starts anew at each power-on
-        record = world.average(correlated(wander, len(world.time), campaign.wander_time, GRID))
+        record = world.average(correlated(wander, len(world.time), WANDER_TIME, GRID))
         slow[world.run == k] = record[world.run == k]
-    return white + campaign.wander * slow
+    return white + WANDER * slow
 
 
 def _rounded(output: Array, campaign: Campaign) -> Array:
     """Output in °/s after its voltage was rounded to the converter's step, where there is one."""
     if campaign.converter_step is None:
         return output
-    volts = campaign.null_voltage + campaign.sensitivity * output
+    gain, offset = NOMINAL_SCALE.gain, NOMINAL_SCALE.offset
+    volts = offset + gain * output
     volts = campaign.converter_step * np.rint(volts / campaign.converter_step)
-    return (volts - campaign.null_voltage) / campaign.sensitivity
+    return (volts - offset) / gain

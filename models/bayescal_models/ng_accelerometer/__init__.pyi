@@ -3,7 +3,6 @@
 import bayescal as bc
 
 from .campaign import INSTRUMENT_A as INSTRUMENT_A
-from .campaign import INSTRUMENT_B as INSTRUMENT_B
 from .campaign import Campaign as Campaign
 from .campaign import fixed_point_heating as fixed_point_heating
 from .classical import classical_estimates as classical_estimates

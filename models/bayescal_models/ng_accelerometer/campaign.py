@@ -1,7 +1,7 @@
 """The plan of a test on the tilted table: positions, tilts, temperatures, runs; and what is true of the instrument.
 
 Campaign()                                   instrument A as source 0 tested it: 12 positions at 0.45°
-replace(INSTRUMENT_B, positions=4)           four positions at 0.06°
+replace(INSTRUMENT_A, positions=4)           four positions
 Campaign(tilts=(0.45 * DEGREE, -0.45 * DEGREE))    each cell at two tilts: tells γ2⊥ from the scale factor
 Campaign(tilts=(0.45 * DEGREE, 179.55 * DEGREE))   the face turned over: tells γ1 from the bias
 fixed_point_heating()                        one position a run, temperature stepped
@@ -17,8 +17,8 @@ from typing import NamedTuple
 
 from bayescal_models.simulated import DEGREE, HOUR, refuse, refuse_options
 
-GRID = 10.0
-"""Step of the grid on which the test is integrated, s."""
+GRID = 10.0  # s, step of the grid on which the test is integrated
+FULL_SCALE = 10e3  # µg, greatest input
 
 TRUTH_A: Mapping[str, float] = MappingProxyType(
     {
@@ -38,19 +38,6 @@ TRUTH_A: Mapping[str, float] = MappingProxyType(
     }
 )
 """Instrument A's true coefficients, ours, with the scatter between cells that source 0 saw (60 to 100 ppm)."""
-
-TRUTH_B: Mapping[str, float] = MappingProxyType(
-    {
-        **TRUTH_A,
-        "bias.constant": -320.0,
-        "bias.temperature": 44.0,
-        "scale.constant": -4000.0,
-        "scale.temperature": 1831.0,
-        "fixture_tilt.cell": 70.0,
-        "base_tilt.cell": 3.5,
-    }
-)
-"""Instrument B's: tempcos from source 0, and the scatter of its cells (70 µg, 3400 ppm) that their intervals imply."""
 
 
 class SetUp(NamedTuple):
@@ -79,9 +66,7 @@ class Campaign:
         soak: time at a set point before the first reading, s.
         ramp: pace of the chamber's set point, °C/min.
         reading_time: over which the output is averaged, s; a whole number of grid steps.
-        move_time: turning to a position and coming to rest, s.
         pause: between runs, power off, the chamber going to the next start, s.
-        full_scale: greatest input, µg.
         noise: standard deviation of a reading, µg.
         thermometer_noise: of an averaged temperature, °C.
         chamber_wander: standard deviation of the chamber's temperature, °C (source 0: held to 0.1 °C).
@@ -89,7 +74,6 @@ class Campaign:
         laboratory_wander: its standard deviation from hour to hour, °C.
         laboratory_daily: amplitude of its daily course, °C.
         lag_time: of the sensing element behind the device's thermometer, s.
-        warm_up_time: of the electronics after power-on, s.
         begin: start of the test, days since 2000-01-01 12:00 UT: when the Moon and the Sun stand where.
         latitude, longitude: of the laboratory, degrees north and east (source 0: Wuhan).
         truth: true baseline coefficients, by name and in their units; for `.cell`, the standard deviation.
@@ -105,9 +89,7 @@ class Campaign:
     soak: float = HOUR
     ramp: float = 1.0
     reading_time: float = 60.0
-    move_time: float = 60.0
     pause: float = 12 * HOUR
-    full_scale: float = 10e3
     noise: float = 0.5
     thermometer_noise: float = 0.002
     chamber_wander: float = 0.03
@@ -115,7 +97,6 @@ class Campaign:
     laboratory_wander: float = 0.3
     laboratory_daily: float = 0.4
     lag_time: float = 1800.0
-    warm_up_time: float = 1800.0
     begin: float = 7730.0
     latitude: float = 30.5
     longitude: float = 114.4
@@ -134,7 +115,7 @@ class Campaign:
             self.reading_time <= 0 or self.reading_time % GRID,
             f"Campaign(reading_time={self.reading_time:g}): must be a positive multiple of {GRID:g} s",
         )
-        times = ("soak", "move_time", "pause", "noise", "thermometer_noise", "chamber_wander")
+        times = ("soak", "pause", "noise", "thermometer_noise", "chamber_wander")
         counts = ("positions", "runs", "repeats")
         refuse_options(
             self, positive=("ramp",), not_negative=times, counts=counts, filled=("tilts",)
@@ -142,9 +123,9 @@ class Campaign:
         for tilt, position in self.set_ups or [(tilt, math.pi / 2) for tilt in self.tilts]:
             asked = abs(1e6 * math.sin(tilt) * math.sin(position))
             refuse(
-                asked > self.full_scale,
+                asked > FULL_SCALE,
                 f"Campaign: a tilt of {tilt / DEGREE:g}° gives {asked / 1e3:.3g} mg, beyond the full scale of "
-                f"{self.full_scale / 1e3:g} mg: tilt less, or give full_scale",
+                f"{FULL_SCALE / 1e3:g} mg: tilt less",
             )
 
     @property
@@ -155,11 +136,6 @@ class Campaign:
 
 INSTRUMENT_A = Campaign()
 """Range 10 mg, γ = 0.45° (7.9 mg), 12 positions, 20 to 40 °C by 5 °C, 1 h soak, three runs upwards (source 0)."""
-
-INSTRUMENT_B = replace(
-    INSTRUMENT_A, tilts=(0.06 * DEGREE,), full_scale=2e3, noise=0.2, truth=TRUTH_B
-)
-"""Range 2 mg, γ = 0.06° (1.05 mg), otherwise as A: source 0 gives no other plan of its test."""
 
 
 def fixed_point_heating(campaign: Campaign = INSTRUMENT_A, readings: int = 12) -> Campaign:

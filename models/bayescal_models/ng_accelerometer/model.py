@@ -404,4 +404,4 @@ INSTRUMENT = bc.Instrument(
     use=bc.Use("acceleration", "ug", _in_use, ("bias", "scale", "second_order", "third_order")),
     source="source 0",
 )
-simulate = readings_of(INSTRUMENT, simulated_columns)
+simulate = readings_of(INSTRUMENT)

@@ -9,7 +9,7 @@ from dataclasses import replace
 
 import bayescal as bc
 from bayescal_models.ng_accelerometer.campaign import INSTRUMENT_A
-from bayescal_models.ng_accelerometer.model import INSTRUMENT, simulate
+from bayescal_models.ng_accelerometer.model import INSTRUMENT
 
 PRIORS = {
     "bias.constant": bc.Normal(850.0, 200.0),
@@ -34,7 +34,7 @@ def model() -> bc.Model:
 
 def readings(seed: int = 0) -> bc.Measurements:
     """72 readings: 12 positions, three temperatures, two runs."""
-    return simulate(seed=seed, campaign=CAMPAIGN)
+    return INSTRUMENT.simulate(seed=seed, campaign=CAMPAIGN)
 
 
 def _narrowed(effect: bc.Effect) -> bc.Effect:

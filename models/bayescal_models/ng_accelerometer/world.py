@@ -22,6 +22,8 @@ WANDER_TIME, LABORATORY_WANDER_TIME = 600.0, 2 * HOUR  # s, of the Ornstein–Uh
 REVERSAL = 1.0  # °C, of path on which hysteresis follows a change of direction
 FORGETTING = 2 * HOUR  # s, in which hysteresis is lost while the power is off
 POWER_ON = 300.0  # s before the first reading of a run
+WARM_UP_TIME = 1800.0  # s, of the electronics after power-on
+MOVE_TIME = 60.0  # s, turning to a position and coming to rest
 
 
 class World:
@@ -68,7 +70,7 @@ class World:
         middle = self.time.mean(axis=1)
         self.share = (self.time - middle[0]) / (middle[-1] - middle[0])
         on = np.array([first for first, _ in done.power])[run][:, None]
-        self.warmth = np.exp(-(self.time - on) / plan.warm_up_time)
+        self.warmth = np.exp(-(self.time - on) / WARM_UP_TIME)
         wander = correlated(generators["chamber"], grid.size, WANDER_TIME, GRID)
         calm = body(_set_point(grid, done.goals, plan.ramp), CHAMBER_TIME)
         air = calm + plan.chamber_wander * wander
@@ -116,7 +118,7 @@ class _CarriedOut:
                     self.goals.append((now, point))
                     now += abs(point - order[number - 1]) / plan.ramp * 60.0 + plan.soak
                 for set_up in stay:
-                    now += plan.move_time
+                    now += MOVE_TIME
                     for _ in range(plan.repeats):
                         now = GRID * np.ceil(now / GRID)
                         self.readings.append((run, cells, point, *set_up, now))

@@ -10,7 +10,6 @@ from .model import simulate as simulate
 from .model import two_thermometers as two_thermometers
 from .model import with_rate as with_rate
 from .simulator import true_values as true_values
-from .tables import from_tables as from_tables
 
 COLUMNS: tuple[bc.Column, ...]
 NOMINAL_SCALE: bc.NominalScale

@@ -47,10 +47,6 @@ class Campaign:
         pause: time without power between runs, s.
         chamber_speed: of the chamber between soak temperatures, °C/min.
         air_time: first-order time constant of the chamber's air, s.
-        circuit_time, head_time: time constants of circuit and head, s.
-        coupling: share of the head's surroundings that is the circuit, the rest being air.
-        self_heating: how much warmer than its surroundings the powered circuit ends up, °C.
-        beam_time: the beams' lag behind the head's thermometer, s.
         device: "cubic", whose bias and scale factor follow the head's temperature by a cubic, so that the baseline
             is right unless something is hidden; or "beams", two beams with their own lag, unlike in their
             temperature coefficients, and a circuit: no polynomial.
@@ -58,7 +54,7 @@ class Campaign:
         noise_law: "white", or "ornstein_uhlenbeck" (correlated noise of the same size beside it, time 300 s).
         thermometer_noise: white error of both thermometers' readings, °C (standard deviation).
         frequency_sum: record the sum of both beams' frequencies, Hz.
-        lag_time, warm_up_time: time constants of the hidden lag and warm-up, s.
+        lag_time: time constant of the hidden lag, s.
         T0: temperature about which every law of the world is written, °C.
 
     Raises:
@@ -78,31 +74,23 @@ class Campaign:
     pause: float = 7200.0
     chamber_speed: float = 2.0
     air_time: float = 60.0
-    circuit_time: float = 300.0
-    head_time: float = 720.0
-    coupling: float = 0.15
-    self_heating: float = 4.0
-    beam_time: float = 90.0
     device: str = "cubic"
     noise: float = 5.0
     noise_law: str = "white"
     thermometer_noise: float = 0.002
     frequency_sum: bool = False
     lag_time: float = 600.0
-    warm_up_time: float = 900.0
     T0: float = 15.0
 
     def __post_init__(self) -> None:
         positive = ("soak", "position_time", "interval", "average", "chamber_speed", "air_time")
-        positive += ("circuit_time", "head_time", "beam_time", "lag_time", "warm_up_time")
         refuse_options(
             self,
-            positive=positive,
+            positive=(*positive, "lag_time"),
             not_negative=("repeats", "hold", "pause", "noise", "thermometer_noise"),
             device=DEVICES,
             noise_law=NOISE_LAWS,
         )
-        refuse(not 0 <= self.coupling < 1, "Campaign: coupling is a share, from 0 to below 1.")
         several = len(set(self.temperatures)) > 1
         refuse(not several, "Campaign: a temperature model needs at least two temperatures.")
         refuse(

@@ -352,4 +352,4 @@ INSTRUMENT = bc.Instrument(
     use=bc.Use("acceleration", "ug"),
     source="source 2",
 )
-simulate = readings_of(INSTRUMENT, simulated_columns)
+simulate = readings_of(INSTRUMENT)

@@ -30,6 +30,7 @@ from bayescal_models.simulated import Array
 BEAM_FREQUENCY = 40_000.0  # Hz, of one beam
 BEAM_TEMPCO = -20e-6  # 1/°C, of one beam's frequency: what makes the sum a thermometer
 POWERS = ("constant_head", *(f"temperature_head{n}" for n in ("", "_quadratic", "_cubic")))
+BEAM_TIME = 90.0  # s, of the beams behind the head's thermometer
 LAG_MISMATCH = 0.005  # by how much one beam lags more than the other, relative
 KELVIN = 273.15
 EINSTEIN = 400.0  # K, of the oscillators whose energy bends the circuit's tempco; ours
@@ -91,9 +92,7 @@ def _sum_of_frequencies(first: Array, second: Array) -> Array:
 
 
 def _beams(world: World) -> Truth:
-    beam, other = (
-        world.body(world.head, world.plan.beam_time * slower) for slower in (1, 1 + LAG_MISMATCH)
-    )
+    beam, other = (world.body(world.head, BEAM_TIME * slower) for slower in (1, 1 + LAG_MISMATCH))
     first, second = beam - world.plan.T0, other - world.plan.T0
     per_ug = SCALE_FACTOR * 1e-6
     unlike = (1.375e-7, 0.9e-9, 0.8e-11)  # 1/°C and powers: 55 µg/°C, 0.36 µg/°C², 0.0032 µg/°C³

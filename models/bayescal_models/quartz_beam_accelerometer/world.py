@@ -14,6 +14,11 @@ import numpy as np
 from bayescal_models.quartz_beam_accelerometer.campaign import GRID, POSITIONS, Campaign
 from bayescal_models.simulated import SUPPLY, Clock
 
+CIRCUIT_TIME, HEAD_TIME = 300.0, 720.0  # s
+COUPLING = 0.15  # share of the head's surroundings that is the circuit, the rest being air
+SELF_HEATING = 4.0  # °C, by which the powered circuit ends up warmer than its surroundings
+WARM_UP_TIME = 900.0  # s
+
 
 class World(Clock):
     """A test step by step on the grid (m,), and the readings taken of it (n,).
@@ -40,15 +45,15 @@ class World(Clock):
         powered = np.zeros(self.time.size)
         for on, off in carried_out.power:
             powered[(self.time > on) & (self.time <= off)] = 1.0
-        around_circuit = air + plan.self_heating * powered
-        self.circuit = self.body(around_circuit, plan.circuit_time, start=air[0])
-        around_head = (1 - plan.coupling) * air + plan.coupling * self.circuit
-        self.head = self.body(around_head, plan.head_time)
+        around_circuit = air + SELF_HEATING * powered
+        self.circuit = self.body(around_circuit, CIRCUIT_TIME, start=air[0])
+        around_head = (1 - COUPLING) * air + COUPLING * self.circuit
+        self.head = self.body(around_head, HEAD_TIME)
         self.uneven = self.circuit - self.head
-        self.circuit_rate = 60.0 * (around_circuit - self.circuit) / plan.circuit_time
-        self.head_rate = 60.0 * (around_head - self.head) / plan.head_time
+        self.circuit_rate = 60.0 * (around_circuit - self.circuit) / CIRCUIT_TIME
+        self.head_rate = 60.0 * (around_head - self.head) / HEAD_TIME
         self.supply = np.full(self.time.size, SUPPLY)
-        self.warmth = self.body(powered, plan.warm_up_time)
+        self.warmth = self.body(powered, WARM_UP_TIME)
         ends, run, self.point, self.acceleration = map(
             np.array, zip(*carried_out.readings, strict=True)
         )

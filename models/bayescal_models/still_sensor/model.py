@@ -26,9 +26,8 @@ known, give them: `instrument("ug", size=300.0, constant=2000.0, span=40.0, pace
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import replace
-from functools import cache
+from functools import cache, wraps
 from typing import Any
 
 import numpy as np
@@ -155,29 +154,6 @@ def _pace(readings: bc.Measurements) -> float:
 INSTRUMENT = replace(instrument(), columns=COLUMNS, tailor=tailored, settings=())
 
 
-def simulate(
-    effects: Mapping[str, float] | None = None,
-    *,
-    seed: int,
-    unit: str = "ug",
-    runs: int = 3,
-    interval: int = 10,
-    noise_law: str = "white",
-) -> bc.Measurements:
-    """Readings of ramps, 25 → −15 → 65 → 25 °C in 40 minutes, with these effects hidden in them.
-
-    Args:
-        effects: canonical name → true size, in the unit of the effect's coefficient. The line is
-            there (2000 and 40 per °C) unless given otherwise.
-        seed: seed of every random number.
-        unit: of the output; sizes and noise (20) are in it.
-        runs: how many times the ramps are gone through, an hour apart.
-        interval: between readings, s.
-        noise_law: "white" or "ornstein_uhlenbeck" (correlation time 300 s, beside white noise).
-
-    Raises:
-        ValueError: an unknown effect or noise law, no run, or no interval.
-    """
-    return instrument(unit).simulate(
-        effects, seed=seed, unit=unit, runs=runs, interval=interval, noise_law=noise_law
-    )
+@wraps(simulated_columns)
+def simulate(*args: Any, unit: str = "ug", **options: Any) -> bc.Measurements:
+    return instrument(unit).simulate(*args, unit=unit, **options)

@@ -106,9 +106,19 @@ def simulated_columns(
     interval: int = 10,
     noise_law: str = "white",
 ) -> dict[str, Any]:
-    """Columns of ramps with these effects hidden in them, by name.
+    """Columns of ramps, 25 → −15 → 65 → 25 °C in 40 minutes, with these effects hidden in them, by name.
 
-    Args and Raises: as of `simulate` in `model.py`.
+    Args:
+        effects: canonical name → true size, in the unit of the effect's coefficient. The line is
+            there (2000 and 40 per °C) unless given otherwise.
+        seed: seed of every random number.
+        unit: of the output; sizes and noise (20) are in it.
+        runs: how many times the ramps are gone through, an hour apart.
+        interval: between readings, s.
+        noise_law: "white" or "ornstein_uhlenbeck" (correlation time 300 s, beside white noise).
+
+    Raises:
+        ValueError: an unknown effect or noise law, no run, or no interval.
     """
     sizes = {**BASELINE, **(effects or {})}
     refuse_effects(sizes, _LAWS, "a sensor at rest")

@@ -1,19 +1,20 @@
 """Where it fails: output with the fit, and residuals, over columns side by side, brushed together.
 
-What is drawn are plain arrays, one source of rows for all panels. Of more readings than a screen can show some are
-drawn; an axis of time leaves out the long gaps between runs. A panel has, over one column, the output with the fit,
-and residuals with the noise, the worst region, the curve of a preview.
+What is drawn are plain arrays, one source of rows for all panels, by WebGL where the browser has it. Of very many
+readings some are drawn; an axis of time leaves out the long gaps between runs. A panel has, over one column, the output
+with the fit, and residuals with the noise, the worst region, the curve of a preview.
 """
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
 import numpy as np
-from bokeh.events import Reset, SelectionGeometry
+from bokeh.events import Reset
 from bokeh.models import (
     BoxAnnotation,
     ColumnDataSource,
@@ -113,60 +114,32 @@ def _round(value: float) -> float:
     return float(max(power * m for m in (1, 2, 5) if power * m <= value * (1 + 1e-12)))
 
 
-# Readings up to which every one is drawn: the browser moves these without a lag.
-DRAWN_READINGS = 6000
-PIXELS = 300  # columns of pixels of a panel, about
+DRAWN_READINGS = 50_000  # that a browser moves without a lag
 
 
-def drawn_rows(
-    covariates: Mapping[str, np.ndarray],
-    drawn: Sequence[np.ndarray],
-    views: Mapping[str, tuple[float, float]] | None = None,
-) -> np.ndarray:
-    """Rows to draw: all; or, of many, the lowest and the highest in each column of pixels, and evenly spaced ones
-    between them.
+def drawn_rows(*drawn: np.ndarray) -> np.ndarray:
+    """Return the rows to draw, rising: all; or, of many, the lowest and highest of each of equal stretches.
 
-    The same rows are drawn in every panel, so that what is brushed in one lights up in the others: the union over the
-    panels. Extremes are never lost; of what lies between them, an even share is drawn.
+    The same rows are drawn in every panel, so that what is brushed in one lights up in the others.
 
     Args:
-        covariates: (n,) each, by panel.
-        drawn: what is drawn over them, (n,) each: residuals, output.
-        views: lowest and highest covariate in view, by panel; all of it where none is named.
-
-    Returns:
-        Indices in rising order.
+        drawn: residuals, output, (n,) each: no extreme of one is lost.
     """
     size = drawn[0].size
     if size <= DRAWN_READINGS:
         return np.arange(size)
-    rising = [np.argsort(values) for values in drawn]
-    chosen, seen = np.zeros(size, bool), np.ones(size, bool)
-    for name, values in covariates.items():
-        low, high = (views or {}).get(name, (float(values.min()), float(values.max())))
-        in_view = (values >= low) & (values <= high)
-        seen &= in_view if name in (views or {}) else True
-        if np.count_nonzero(in_view) <= DRAWN_READINGS // len(covariates):
-            chosen |= in_view
-            continue
-        place = (values - low) / max(high - low, 1e-300)
-        pixel = np.where(in_view, np.clip(place * PIXELS, 0, PIXELS - 1), PIXELS).astype(int)
-        for order in rising:
-            end = np.full(PIXELS + 1, -1)  # of each column of pixels, and of what is out of view
-            for way in (order, order[::-1]):  # the last that is put there stays: highest, lowest
-                end[pixel[way]] = way
-                chosen[end[:PIXELS][end[:PIXELS] >= 0]] = True
-    between = np.flatnonzero(seen & ~chosen)
-    room = DRAWN_READINGS - min(int(chosen.sum()), DRAWN_READINGS // 2)
-    chosen[between[:: max(1, -(-between.size // room))]] = True
+    ends = np.linspace(0, size, DRAWN_READINGS // (2 * len(drawn)) + 1).astype(int)
+    chosen = np.zeros(size, bool)
+    for values in drawn:
+        for begin, end in itertools.pairwise(ends):
+            own = values[begin:end]
+            chosen[[begin + own.argmin(), begin + own.argmax()]] = True
     return np.flatnonzero(chosen)
 
 
 def sentence(drawn: int, of: int) -> str:
     """What is drawn, where it is not all; else empty."""
-    if drawn == of:
-        return ""
-    return f"{drawn:,} of {of:,} readings drawn: lowest and highest of every column of pixels, an even share between"
+    return "" if drawn == of else f"{drawn:,} of {of:,} readings drawn: extremes, evenly spread"
 
 
 AGAINST = "predicted output"  # over which the output is measured against predicted
@@ -231,19 +204,6 @@ class ResidualsOfState:
     def levels(self) -> Mapping[str, tuple[str, ...]]:
         """Members of the groups among them."""
         return {c.name: c.levels for c in self._columns if c.levels}
-
-    def same_readings(self, other: ResidualsOfState) -> bool:
-        """Whether another state is of the same readings, with the same columns to lay residuals against."""
-        own, others = self.covariates, other.covariates
-        same = self.measured is other.measured or np.array_equal(self.measured, other.measured)
-        return (
-            same
-            and [*own] == [*others]
-            and (self.units, self.levels, self.runs[0])
-            == (other.units, other.levels, other.runs[0])
-            and np.array_equal(self.runs[1], other.runs[1])
-            and all(np.array_equal(own[n], others[n]) for n in own if n != AGAINST)
-        )
 
     def worst(self, name: str) -> tuple[float, float] | None:
         """Where the worst region over a covariate begins and ends on its axis; None without evidence of one."""
@@ -385,6 +345,7 @@ def _figure(
         active_scroll="xwheel_zoom",
         x_range=x_range,
         y_range=y_range,
+        output_backend="webgl",
         # Their sum would be a property of the room of all, and a change of it one layout of the page more.
         min_width=0,
         min_height=0,
@@ -454,7 +415,7 @@ class Fails(Pane):
 
     def __init__(self, bench: Any) -> None:
         super().__init__(bench)
-        self._waiting = self._showing = False
+        self._showing = False
         self.choice = several([], [], "Columns that residuals are laid against")
         self.when = choice([AFTER, BEFORE, BOTH], AFTER, "Of which step")
         self.what = several(WHAT, WHAT, "What is drawn")
@@ -492,7 +453,7 @@ class Fails(Pane):
         self.when.param.update(options=options, disabled=not same, value=value)
         self.choice.param.update(options=columns, value=kept or self.shown.start())
         self._showing = False
-        if before is None or not self.shown.same_readings(before):
+        if before is None or [*before.covariates] != columns:
             self._begin()
         for made in self._made.values():
             made.show(self.shown)
@@ -538,7 +499,6 @@ class Fails(Pane):
     def _begin(self) -> None:
         """Other readings: no panel over those before is of use."""
         self._made: dict[str, ColumnPanel] = {}  # of each column that was ever ticked
-        self._views: dict[str, tuple[float, float]] = {}
         self.selected = np.array([], int)
         self._y = range_over(self.shown.residual)
         self.source: Any = ColumnDataSource({})
@@ -577,8 +537,7 @@ class Fails(Pane):
         there = [n for n, made in self._made.items() if made.room in [*self.panels]]
         names, rows = list(coming) or there, np.array([], int)
         if names:
-            covariates = {n: shown.places[n] for n in names}
-            rows = drawn_rows(covariates, [residual, shown.measured], self._views)
+            rows = drawn_rows(residual, shown.measured)
         drawn = dict.fromkeys([*names, *there])  # panels that go are drawn once more
         at: dict[str, Any] = {AT + n: shown.places[n][rows] for n in drawn}
         other = np.full(rows.size, np.nan) if before is None else before[rows]
@@ -609,50 +568,13 @@ class Fails(Pane):
     def _panel(self, name: str) -> ColumnPanel:
         made = ColumnPanel(self.shown, name, self.source, self._curves, self._y)
         made.wear(self.bench.palette)
-        for end in ("start", "end"):
-            made.x_range.on_change(end, lambda attr, old, new: self._moved(name, made.x_range))
-        for what, figure in made.figures.items():
-            brushed = lambda event, what=what: self._brushed_in_panel(name, what, event)  # noqa: E731
-            figure.on_event(SelectionGeometry, brushed)
+        for figure in made.figures.values():
             figure.on_event(Reset, lambda _: self.select(np.array([], int)))
         return made
 
-    @property
-    def _all_drawn(self) -> bool:
-        return self.shown.residual.size == len(self.source.data["row"])
-
-    def _moved(self, name: str, view: Any) -> None:
-        """A panel was zoomed: of many readings, others are drawn; once, when it rests."""
-        views = {n: ends for n, ends in self._views.items() if n != name}
-        if (view.start, view.end) != (view.reset_start, view.reset_end):
-            views[name] = (float(view.start), float(view.end))
-        moved, self._views = views != self._views, views
-        document = self.source.document
-        if document is None or self._waiting or self._all_drawn or not moved:
-            return
-        self._waiting = True
-
-        def rested() -> None:
-            self._waiting = False
-            self._fill_source()
-
-        document.add_timeout_callback(rested, 120)
-
-    def _brushed_in_panel(self, name: str, what: str, event: Any) -> None:
-        """Of many readings those that are not drawn belong to a region too; of few the browser's selection has all."""
-        place = event.geometry
-        if not event.final or place.get("type") != "rect" or self._all_drawn:
-            return
-        x, y = self.shown.places[name], self.shown.measured if what == OUTPUT else self._now()
-        low, high = sorted((place["x0"], place["x1"]))
-        bottom, top = sorted((place["y0"], place["y1"]))
-        self.selected = np.flatnonzero((x >= low) & (x <= high) & (y >= bottom) & (y <= top))
-        self._say_selected()
-
     def _brushed_in_source(self, _: str, __: Any, indices: list[int]) -> None:
-        if self._all_drawn or not indices:
-            self.selected = np.asarray(self.source.data["row"])[np.asarray(indices, int)]
-            self._say_selected()
+        self.selected = np.asarray(self.source.data["row"])[np.asarray(indices, int)]
+        self._say_selected()
 
     def _say_runs(self) -> None:
         """Which colour and shape is which run."""

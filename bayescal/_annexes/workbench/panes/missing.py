@@ -60,7 +60,7 @@ class Missing(Pane):
         def drawn(found: Any) -> None:
             if line == self.formula.value.strip():
                 bench.fails.preview(found.curve)
-                self.preview(str(found))
+                self.preview(found.in_words)
                 self.add_typed.disabled = self.rows.busy
 
         bench.work.preview(lambda: bench.session.preview(bench.session.typed(line)), drawn)

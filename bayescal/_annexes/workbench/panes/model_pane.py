@@ -103,7 +103,7 @@ class ModelPane(Pane):
         self.bench.ask(self._say_consequences, "take_out", effect)
 
     def _say_consequences(self, said: Any) -> None:
-        self.consequences.object = f"Without it: {said}"
+        self.consequences.object = f"Without it: {said.in_words}"
 
     def _other_coefficient(self) -> None:
         coefficients, others = summary(self._calibration)

@@ -2,29 +2,21 @@
 
 The error is the tree of steps with the path so far, every step to go back to, the whole search with its progress.
 Behind it are questions to the current step, answered in text (verdict, comparison, budget, decisions, next
-experiment); the Allan deviation of the residuals; report, export and Python, as the command line writes them; a file
-dropped on the page, with what `calibrate` would say of it and one form for how it is to be read.
+experiment); the Allan deviation of the residuals; report, export and Python, as the command line writes them.
 """
 
 from __future__ import annotations
 
-import re
-import shutil
-import tempfile
-import weakref
 from collections.abc import Callable, Mapping
 from io import BytesIO
 from pathlib import Path
 from typing import Any, get_args
 
 import panel as pn
-import panel.models.file_dropper  # its scripts come with the page
-from bokeh.models import ColumnDataSource, Legend, LegendItem, NumeralTickFormatter, Span
 
-from bayescal import Budget, InputError, Measurements, next_experiment, read
+from bayescal import Budget, next_experiment
 from bayescal._annexes.metrology.decide import CONFORMITY, FALSE_ACCEPT, Rule
 from bayescal._annexes.workbench.kept import path_to
-from bayescal._annexes.workbench.panes.fails import NOISE
 from bayescal._annexes.workbench.parts.pieces import (
     INSIDE,
     Palette,
@@ -37,29 +29,28 @@ from bayescal._annexes.workbench.parts.pieces import (
     download,
     field,
     halves,
-    new_figure,
-    plot,
     row,
     words,
 )
-from bayescal._data.read_options import MISSING_READINGS
-from bayescal._report.plot_colours import GREEN, ORANGE, RED
 from bayescal._report.report import Pictures
 from bayescal._search.search_path import steps_table
-from bayescal._tables.cells import ORDERS
-from bayescal._tables.mapping_file import save_mapping
-from bayescal._tables.open_table import TEXT
-from bayescal.workshop import expected_columns, open_table, pretty, unit_label
+from bayescal.workshop import pretty
 
-SERIES = (  # of a step's errors: name, marker, colour (None: the ground's blue)
-    ("as fitted", "circle", None),
-    ("new run", "square", ORANGE),
-    ("held out", "triangle", GREEN),
+WHOLE = (
+    # A picture in its room and its colours, with no ground of its own.
+    "svg, div { height: 100%; width: 100%; } text { fill: currentColor; }"
+    ' [style="fill: #ffffff"] { fill-opacity: 0; }'
 )
 
 
+def picture_room() -> pn.pane.HTML:
+    """A place for a picture of the report's, which takes the colours of the ground."""
+    room: dict[str, Any] = {"sizing_mode": "stretch_both", "margin": 0, "min_height": 0}
+    return pn.pane.HTML("", stylesheets=[INSIDE, WHOLE], **room)
+
+
 class ErrorPane(Pane):
-    """The bottom of the page."""
+    """The bottom of the page: the report's picture of the way to the current step, and the tree of steps."""
 
     def __init__(self, bench: Any) -> None:
         super().__init__(bench)
@@ -69,95 +60,18 @@ class ErrorPane(Pane):
         self.find = button("Find all", lambda _: bench.find_all(), color="primary")
         self.halt = button("Stop", lambda _: bench.stop(), disabled=True)
         self.undo = button("Undo", lambda _: bench.undo(), disabled=True)
-        self.progress = words("", "small")
-        empty: dict[str, Any] = {name: [] for name in (*(s[0] for s in SERIES), "step", "floor")}
-        self.source: Any = ColumnDataSource(empty)
-        self.branches: Any = ColumnDataSource({"xs": [], "ys": []})
-        self.numbers: Any = ColumnDataSource({"x": [], "y": [], "text": []})
-        self.figure = self._figure()
-        self.figures = [self.figure]
+        self.progress, self.picture = words("", "small"), picture_room()
         buttons = row(self.find, self.halt, self.undo, self.progress)
         kinds = ("bare", "error")
-        self.view = column(buttons, halves(plot(self.figure), self.rows), kinds=kinds)
-
-    def _figure(self) -> Any:
-        ranges: dict[str, Any] = {"x_range": (-0.3, 1.3), "y_range": (0.0, 1.0)}
-        made = new_figure("step of the path", "rms error", tools="", **ranges)
-        made.name = "the error"
-        ticks: dict[str, Any] = {"desired_num_ticks": 8, "mantissas": [1, 2, 5], "min_interval": 1}
-        made.xaxis[0].ticker.update(**ticks)
-        made.xaxis.formatter = NumeralTickFormatter(format="0")
-        made.multi_line("xs", "ys", source=self.branches, color=NOISE, line_width=1.5)
-        place: dict[str, Any] = {"x_offset": 5, "y_offset": -4, "text_font_size": "11px"}
-        self._numbers = made.text("x", "y", "text", source=self.numbers, **place)
-        items = []
-        for name, marker, colour in SERIES:
-            own = {"source": self.source, "color": colour or self.bench.palette.blue}
-            drawn = [
-                made.line("step", name, line_width=2, **own),
-                made.scatter("step", name, size=8, marker=marker, **own),
-            ]
-            items.append(LegendItem(label=name, renderers=drawn))
-        self._blue = items[0].renderers
-        dashed: dict[str, Any] = {"line_color": RED, "line_dash": "dashed"}
-        self._floor = Span(location=0, dimension="width", line_width=1.5, **dashed)
-        made.add_layout(self._floor)
-        line = made.line("step", "floor", source=self.source, **dashed)
-        items.append(LegendItem(label="floor", renderers=[line]))
-        plain: dict[str, Any] = {"border_line_alpha": 0, "background_fill_alpha": 0}
-        room: dict[str, Any] = {
-            "margin": 0,
-            "spacing": 4,
-            "glyph_width": 12,
-            "label_text_font_size": "11px",
-        }
-        self._legend: Any = Legend(items=items, orientation="horizontal", **room, **plain)
-        made.add_layout(self._legend, "above")
-        return made
+        self.view = column(buttons, halves(self.picture, self.rows), kinds=kinds)
 
     def show(self, state: Any) -> None:
-        """Show the tree of states; the figure has the path to the current one."""
+        """Show the tree of states; the picture has the path to the current one."""
         states, current = self.session.states, state.number
-        path = path_to(states, current)
-        errors = [states[n].step.errors() for n in path]
-        unit, floor = unit_label(errors[-1]["unit"]), errors[-1]["noise_floor"]
-        held_out = [e["holdout_rmse"] for e in errors]
-        kept_apart = any(v is not None for v in held_out)
-        values = {
-            "as fitted": [e["rmse_fitted"] for e in errors],
-            "new run": [e["rmse"] for e in errors],
-            "held out": [float("nan") if v is None else v for v in held_out],
-        }
-        self.source.data = {"step": list(range(len(path))), "floor": [floor] * len(path), **values}
-        largest = max(v for series in values.values() for v in series if v == v)
-        deepest, highest = self._show_branches(states, path)
-        self.figure.y_range.end = 1.2 * max(largest, floor, highest)
-        self.figure.x_range.start, self.figure.x_range.end = -0.3, max(1, deepest) + 0.3
-        self.figure.yaxis.axis_label = f"rms error [{unit}]"
-        self._floor.location = floor
-        for item in self._legend.items:
-            item.visible = item.label.value != "held out" or kept_apart
+        steps = [states[n].step.errors() for n in path_to(states, current)]
+        self.picture.object = str(Pictures().error(steps).body)
         self.rows.head, self.rows.rows = step_rows(states, current)
         self.undo.disabled = self.session.before is None
-
-    def _show_branches(self, states: Mapping[int, Any], path: list[int]) -> tuple[int, float]:
-        """Draw the steps off the path, each from its parent, and number all; the longest way, the largest error."""
-        depth = {n: len(path_to(states, n)) - 1 for n in states}
-        error = {n: float(states[n].step.errors()["rmse_fitted"]) for n in states}
-        off = [(states[n].parent, n) for n in states if n not in path]
-        at = {"x": list(depth.values()), "y": list(error.values())}
-        self.numbers.data = {**at, "text": [str(n) for n in depth]}
-        self.branches.data = {
-            "xs": [[depth[a], depth[b]] for a, b in off],
-            "ys": [[error[a], error[b]] for a, b in off],
-        }
-        return max(depth.values()), max(error.values())
-
-    def wear(self, palette: Palette) -> None:
-        super().wear(palette)
-        self._numbers.glyph.text_color = palette.ink
-        self._blue[0].glyph.line_color = palette.blue
-        self._blue[1].glyph.fill_color = self._blue[1].glyph.line_color = palette.blue
 
     def busy(self, busy: bool) -> None:
         self.rows.busy = self.find.disabled = busy
@@ -228,10 +142,6 @@ NONE = (
     "within 5 %."
 )
 
-WHOLE = (
-    "svg, div { height: 100%; width: 100%; } text { fill: currentColor; }"  # a picture in its room
-)
-
 
 class AllanPane(Pane):
     """The report's picture of the curve with its intervals and the law's band; the terms of data sheets."""
@@ -239,8 +149,7 @@ class AllanPane(Pane):
     def __init__(self, bench: Any) -> None:
         super().__init__(bench)
         self.told, self.terms = words(""), words("", "table")
-        room: dict[str, Any] = {"sizing_mode": "stretch_both", "margin": 0, "min_height": 0}
-        self.picture = pn.pane.HTML("", stylesheets=[INSIDE, WHOLE], **room)
+        self.picture = picture_room()
         self.view = halves(self.picture, column(self.told, self.terms, kinds=("bare", "scrolls")))
 
     def show(self, state: Any) -> None:
@@ -440,11 +349,11 @@ class ExperimentPane(AskPane):
 
 
 EXPORTS = {
-    "C header": ("c", "Compensation as a C99 header."),
-    "JSON": ("json", "Compensation as JSON, with its covariance."),
-    "Python function": ("python", "Compensation as a Python function."),
-    "PX4 parameters": ("px4-params", "Thermal polynomial, as PX4 takes it."),
-    "ArduPilot parameters": ("ardupilot-params", "Thermal polynomial, as ArduPilot takes it."),
+    "C header": ("compensation.h", "Compensation as a C99 header."),
+    "JSON": ("compensation.json", "Compensation as JSON, with its covariance."),
+    "Python function": ("compensation.py", "Compensation as a Python function."),
+    "PX4 parameters": ("px4-params.txt", "Thermal polynomial, as PX4 takes it."),
+    "ArduPilot parameters": ("ardupilot-params.txt", "Thermal polynomial, as ArduPilot takes it."),
 }
 
 
@@ -489,8 +398,8 @@ class ExportPane(Pane):
     def __init__(self, bench: Any) -> None:
         super().__init__(bench)
         self.written, lines = [], []
-        for label, (what, told) in EXPORTS.items():
-            write = lambda what=what: self.session.export(what)  # noqa: E731
+        for label, (file, told) in EXPORTS.items():
+            write = lambda file=file: self.session.export(file)  # noqa: E731
             one = Written(bench, label, f"Writing {label} …", write)
             one.make.min_width = 170
             self.written.append(one)
@@ -522,196 +431,6 @@ class PythonPane(Pane):
         self.code.value = self.session.script()
 
 
-LARGEST_UPLOAD = 200_000_000  # bytes of one file; larger ones are given on the command line
-MOST = f"{LARGEST_UPLOAD // 1_000_000}MB"
-OFFERED = 300  # columns of a file that a list offers; others are typed
-LONGEST_ERROR = 6000  # letters of what is wrong
-AS_FOUND = "as found"
-
-
-class Upload(pn.widgets.FileDropper):
-    """Panel's own, which trusts the browser with the size: here more than `LARGEST_UPLOAD` is not kept either."""
-
-    def _process_event(self, event: Any) -> None:
-        name, piece = event.data.get("name"), event.data.get("data")
-        kept = sum(len(part) for part in self._file_buffer.get(name, ()))
-        if piece is not None and kept + len(piece) > LARGEST_UPLOAD:
-            self._file_buffer.pop(name, None)
-            return
-        if piece is not None and event.data["chunk"] == 1:
-            self.value.clear()
-            self._file_buffer.clear()
-        if piece is not None and event.data["chunk"] != 1 and name not in self._file_buffer:
-            return
-        super()._process_event(event)
-
-
-class FilePane(Pane):
-    """Readings from a file of the user's own."""
-
-    def __init__(self, bench: Any) -> None:
-        super().__init__(bench)
-        self._instrument = instrument = bench.session.current.model.instrument
-        self._folder = Path(tempfile.mkdtemp(prefix="bayescal-"))
-        weakref.finalize(self, shutil.rmtree, self._folder, True)
-        self._path: Path | None = None
-        self._readings: Measurements | None = None
-        self.drop = Upload(
-            multiple=False,
-            max_file_size=MOST,
-            previews=[],
-            layout="compact",
-            margin=0,
-            sizing_mode="stretch_width",
-            width=None,
-            height=62,
-            stylesheets=[INSIDE],
-            chunk_size=4_000_000,
-        )
-        self.drop.param.watch(self._dropped, "value")
-        self.told = words("", "table", styles={"overflow": "auto"}, sizing_mode="stretch_both")
-        self.use = button(
-            "Begin with these readings",
-            lambda _: self._go_on(),
-            color="primary",
-            visible=False,
-        )
-        self.again = button("Read again", lambda _: self._read(), visible=False)
-        self.mapping = download(
-            "Save the mapping", callback=self._mapping, filename="mapping.toml", visible=False
-        )
-        self.form = row(visible=False)
-        self._fields: dict[str, tuple[Any, Any]] = {}
-        self._others = other_fields()
-        intro = f"Drop a file of readings of {instrument.name}, up to {MOST}; nothing leaves this computer."
-        buttons = row(self.use, self.again, self.mapping)
-        kinds = ("bare", "scrolls")
-        left = column(words(intro, "small"), self.drop, buttons, self.form, kinds=kinds)
-        self.view = halves(left, self.told, even=True)
-
-    def _dropped(self, event: Any) -> None:
-        if not event.new:
-            return
-        name, content = next(iter(event.new.items()))
-        content = content.encode() if isinstance(content, str) else bytes(content)
-        self.receive(str(name), content)
-
-    def receive(self, name: str, content: bytes) -> None:
-        """Take a file's content, and say what `calibrate` would."""
-        if len(content) > LARGEST_UPLOAD:
-            self._say(f"{name[:80]} is larger than {MOST}: give it on the command line")
-            return
-        self._path = self._folder / safe_name(name)
-        self._path.write_bytes(content)
-        self._fields = {}
-        self.form.visible = False
-        self._read()
-
-    def _read(self) -> None:
-        path, given = self._path, self.given()
-        if path is None:
-            return
-
-        def job() -> tuple[Any, tuple[str, ...]]:
-            try:
-                return read(path, self._instrument, **given), headers_of(path)
-            except InputError as error:
-                return error, headers_of(path)
-
-        self.bench.run(f"Reading {path.name} …", job, self._was_read)
-
-    def _was_read(self, told: tuple[Any, tuple[str, ...]]) -> None:
-        found, headers = told
-        well = isinstance(found, Measurements)
-        self._readings = found if well else None
-        flags = "".join(f"\nwarning: {flag}" for flag in found.flags) if well else ""
-        self._say(f"{len(found):,} readings\n{found}{flags}" if well else str(found))
-        self.use.visible = well
-        self.again.visible = self.mapping.visible = bool(headers)
-        if not self._fields and headers:
-            self._make_form(headers)
-        self.form.visible = bool(headers)
-
-    def _say(self, text: str) -> None:
-        self.told.object = (
-            text if len(text) <= LONGEST_ERROR else f"{text[:LONGEST_ERROR]}\n… and more"
-        )
-
-    def _make_form(self, headers: tuple[str, ...]) -> None:
-        """A line a column that the instrument reads: which of the file's it is, and in which unit."""
-        pairs: list[Any] = []
-        text = pn.widgets.TextInput
-        for name, known in expected_columns(self._instrument).items():
-            kind, how = pn.widgets.Select, {"options": [AS_FOUND, *headers]}
-            if len(headers) > OFFERED:
-                kind, how = text, {"placeholder": AS_FOUND}
-            which = field(kind, f"{name} is", width=150, **how)
-            unit = field(text, "in", placeholder="as in the file", width=100)
-            unit.disabled = known.unit is None
-            self._fields[name] = (which, unit)
-            pairs.append(row(which, unit, kinds=("tight",)))
-        self.form[:] = [*pairs, *self._others.values()]
-
-    def given(self) -> dict[str, Any]:
-        """What the form says, as arguments of `read`."""
-        columns = {
-            n: w.value for n, (w, _) in self._fields.items() if w.value not in ("", AS_FOUND, None)
-        }
-        units = {
-            columns.get(n, n): u.value.strip()
-            for n, (_, u) in self._fields.items()
-            if u.value.strip()
-        }
-        others = {n: f.value for n, f in self._others.items() if f.value not in ("", None)}
-        return {"columns": columns, "units": units, **others}
-
-    def _mapping(self) -> BytesIO:
-        path = self._folder / "mapping.toml"
-        save_mapping(path, self.given())
-        return BytesIO(path.read_bytes())
-
-    def _go_on(self) -> None:
-        if self._readings is not None:
-            self.bench.begin_with(self._readings)
-
-
-def other_fields() -> dict[str, Any]:
-    """What `read` takes beside columns and units, by its names."""
-    text, choose = pn.widgets.TextInput, pn.widgets.Select
-    return {
-        "nominal_scale": field(text, "nominal scale", placeholder="250 V/g", width=110),
-        "nominal_zero": field(text, "nominal zero", placeholder="1.21 V", width=110),
-        "local_gravity": field(
-            pn.widgets.FloatInput,
-            "local gravity [m/s²]",
-            value=None,
-            placeholder="9.80665, uncertain",
-            width=130,
-        ),
-        "missing": field(choose, "missing readings", options=list(MISSING_READINGS), width=110),
-        "decimal": field(choose, "decimal sign", options={"as found": "", ".": ".", ",": ","}),
-        "date_order": field(
-            choose, "dates are", options={"as found": "", **{o: o for o in ORDERS}}
-        ),
-    }
-
-
-def safe_name(name: str) -> str:
-    """A dropped file's name as the name of a file here: its last part, in letters that no system refuses."""
-    last = re.sub(r"[^\w.+ -]", "_", name.replace("\\", "/").rpartition("/")[2])[-80:].strip(". ")
-    return last if "." in last else f"readings-{last or 'without-name'}"
-
-
-def headers_of(path: Path) -> tuple[str, ...]:
-    """Names of a text file's columns; none where it cannot be opened."""
-    if path.suffix.lower() not in (*TEXT, ".parquet", ".nc", ".xlsx", ".mat"):
-        return ()
-    try:
-        return tuple(h.name for h in open_table(path, path.name).headers)
-    except InputError:
-        return ()
-
-
 ERROR = "The error"
 
 
@@ -720,7 +439,7 @@ class Tabs(Pane):
 
     def __init__(self, bench: Any) -> None:
         super().__init__(bench)
-        self.compare, self.file = ComparePane(bench), FilePane(bench)
+        self.compare = ComparePane(bench)
         self._panes: dict[str, Pane] = {
             "Side by side": self.compare,
             "Verdict": VerdictPane(bench),
@@ -731,7 +450,6 @@ class Tabs(Pane):
             "Report": ReportPane(bench),
             "Export": ExportPane(bench),
             "Python": PythonPane(bench),
-            "File": self.file,
         }
         self._state: Any = None
         self._stale = set(self._panes)

@@ -1,24 +1,5 @@
-// What the browser prefers and sees, once when the page opens; what is stale is dimmed; a banner while the server is gone; files that are dropped
-// anywhere on the page go to the field of the tab File; Ctrl-Z outside a field undoes.
-const LATE = 20000; // ms within which that field comes
-
-function find(selector, root = document) {
-  const here = root.querySelector(selector);
-  if (here) return here;
-  for (const one of root.querySelectorAll("*")) {
-    const inside = one.shadowRoot && find(selector, one.shadowRoot);
-    if (inside) return inside;
-  }
-  return null;
-}
-
-function give(files, until) {
-  const input = find("input[type=file]");
-  if (!input) return Date.now() < until && setTimeout(() => give(files, until), 50);
-  input.files = files;
-  input.dispatchEvent(new Event("change", { bubbles: true }));
-}
-
+// What the browser prefers and sees, once when the page opens; what is stale is dimmed; a banner while the server is gone; Ctrl-Z outside
+// a field undoes.
 export function render({ model, view }) {
   document.body.style.margin = "0";
   model.dark = window.matchMedia("(prefers-color-scheme: dark)").matches;
@@ -41,14 +22,6 @@ export function render({ model, view }) {
   page.on_event("connection_lost", () => { banner.hidden = false; });
   page.on_event("client_reconnected", () => { banner.hidden = true; });
 
-  window.addEventListener("dragover", (event) => event.preventDefault());
-  window.addEventListener("drop", (event) => {
-    if (!event.dataTransfer.files.length) return;
-    event.preventDefault();  // else the browser leaves the page for the file
-    if (event.composedPath().some((one) => one.classList && one.classList.contains("filepond--root"))) return;
-    model.files += 1;
-    give(event.dataTransfer.files, Date.now() + LATE);
-  });
   window.addEventListener("keydown", (event) => {
     const typed = event.composedPath()[0].matches("input:not([type=radio]):not([type=checkbox]), textarea");
     if (event.key !== "z" || event.shiftKey || !(event.ctrlKey || event.metaKey) || typed) return;

@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import panel as pn
 import param
-from bokeh.models import Legend, NoOverlap, PlainText, Range1d
+from bokeh.models import NoOverlap, PlainText, Range1d
 from bokeh.plotting import figure
 from panel.custom import JSComponent
 
@@ -86,11 +86,6 @@ def dress(made: Any, palette: Palette) -> None:
     for grid in made.grid:
         grid.grid_line_color = palette.line
         grid.grid_line_alpha = 0.6
-    if made.title is not None:
-        made.title.text_color = palette.ink
-    for legend in made.select(Legend):
-        legend.label_text_color = palette.ink
-        legend.background_fill_alpha = legend.border_line_alpha = 0
 
 
 def range_over(*values: np.ndarray, view: Range1d | None = None) -> Range1d:
@@ -232,7 +227,7 @@ class Pane:
     """A part of the page; what of this it has no use for, it leaves as it is here.
 
     Attributes:
-        bench: the whole page (`app.Workbench`), through which a pane acts.
+        bench, session: the whole page (`app.Workbench`), through which a pane acts, and what it is over.
         figures: Bokeh's, which take the colours of the ground.
         view: what Panel shows.
     """
@@ -240,13 +235,8 @@ class Pane:
     view: Any
 
     def __init__(self, bench: Any) -> None:
-        self.bench = bench
+        self.bench, self.session = bench, bench.session
         self.figures: list[Any] = []
-
-    @property
-    def session(self) -> Any:
-        """The bench's session, which another file may have replaced."""
-        return self.bench.session
 
     def show(self, state: Any) -> None:
         """Show another state, or forget what was of the one before."""

@@ -1,7 +1,6 @@
 """Work beside the page: what takes longer than a frame runs in a thread, and the page goes on.
 
-What is under way is told with the time that it has taken and, once the like of it was done here, about how long it
-still takes.
+What is under way is told with the time that it has taken.
 """
 
 from __future__ import annotations
@@ -11,8 +10,6 @@ import time
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from contextvars import copy_context
-from dataclasses import dataclass
-from threading import Lock
 from typing import Any
 
 import panel as pn
@@ -34,28 +31,6 @@ def in_words(error: Exception) -> str:
     return f"{type(error).__name__}: {error}"
 
 
-@dataclass(eq=False)
-class UnderWay:
-    """A job: what is said of it, s that the last of its kind took and that it may take at most, whether it only reads,
-    and when it began."""
-
-    words: str
-    usual: float | None
-    most: float | None
-    reads: bool = False
-    begun: float | None = None
-
-    def told(self, now: float) -> str:
-        """What is being done, for how long by now, and about how long it still takes."""
-        taken = 0.0 if self.begun is None else now - self.begun
-        left = [end - taken for end in (self.usual, self.most) if end is not None]
-        said = f"{self.words} {taken:.0f} s" if taken >= 1 else self.words
-        if not left:
-            return said
-        rest = min(left)
-        return f"{said}, about {rest:.0f} s left" if rest >= 1 else f"{said}, longer than usual"
-
-
 class Work:
     """One page's work: jobs one after the other, beside them questions that only read, a look, and at most one preview,
     the one asked for last.
@@ -74,22 +49,26 @@ class Work:
         self._context = copy_context()
         kinds = ("job", "question", "look", "preview")
         self._pools = {k: ThreadPoolExecutor(1, thread_name_prefix=f"workbench {k}") for k in kinds}
-        self._lock, self._wanted, self._ticking = Lock(), 0, None
-        self._under_way: list[UnderWay] = []
-        self._took: dict[str, float] = {}  # s, by the first word of what is said of a job
+        self._previewed, self._ticking = object(), None
+        self._under_way: list[
+            tuple[str, float, bool]
+        ] = []  # words, when it began, whether it only reads
 
     @property
     def busy(self) -> bool:
         """Whether a job is under way that may change something."""
-        return not all(one.reads for one in self._under_way)
+        return not all(reads for _, _, reads in self._under_way)
 
     def on_page(self, call: Callable[[], None]) -> None:
         """Call something in the page's own thread, soon; from any thread."""
-        document = self._document
-        if document is not None and document.session_context is not None:
-            document.add_next_tick_callback(call)
+        if self._served:
+            self._document.add_next_tick_callback(call)
         else:
             call()
+
+    @property
+    def _served(self) -> bool:
+        return self._document is not None and self._document.session_context is not None
 
     def begin(
         self,
@@ -99,56 +78,41 @@ class Work:
         failed: Callable[[], None] = nothing,
         *,
         reads: bool = False,
-        most: float | None = None,
     ) -> None:
         """Begin a job, after those that are under way; `then(result)`, or `failed()`, follows on the page.
 
         Args:
-            words: what is said of it; its first word is its kind.
+            words: what is said of it.
             job, then, failed: see above.
             reads: it changes nothing, and waits for no job that does.
-            most: s that it may take.
         """
-        kind = words.split()[0]
-        own = UnderWay(words, self._took.get(kind), most, reads)
-
-        def timed() -> Any:
-            own.begun = time.monotonic()
-            return self._timed(kind, job)
+        under_way = words, time.monotonic(), reads
 
         def ended() -> None:
-            self._under_way.remove(own)
+            self._under_way.remove(under_way)
             self._follow()
 
-        self._under_way.append(own)
+        self._under_way.append(under_way)
         self._follow()
-        self._submit("question" if reads else "job", timed, then, failed=failed, ended=ended)
-
-    def _timed(self, kind: str, job: Callable[[], Any]) -> Any:
-        begun = time.monotonic()
-        result = job()
-        self._took[kind] = time.monotonic() - begun
-        return result
+        self._submit("question" if reads else "job", job, then, failed=failed, ended=ended)
 
     def look(self, job: Callable[[], Any], then: Then) -> None:
         """Look for something beside everything else; what is pressed meanwhile is not refused."""
-        self._submit("look", lambda: self._timed("Finding", job), then)
+        self._submit("look", job, then)
 
     def preview(self, job: Callable[[], Any], then: Then) -> None:
         """Compute a preview; one that another has overtaken is dropped."""
-        ticket = self.forget_preview()
-        self._submit("preview", job, then, wanted=lambda: ticket == self._wanted)
+        own = self._previewed = object()
+        self._submit("preview", job, then, wanted=lambda: own is self._previewed)
 
-    def forget_preview(self) -> int:
-        """Drop the preview that is under way; the number of the next."""
-        with self._lock:
-            self._wanted += 1
-            return self._wanted
+    def forget_preview(self) -> None:
+        """Drop the preview that is under way."""
+        self._previewed = object()
 
-    def close(self, wait: bool = False) -> None:
-        """Take no further work; what has not begun is dropped, unless it is waited for."""
+    def close(self) -> None:
+        """Take no further work; what has not begun is dropped."""
         for pool in self._pools.values():
-            pool.shutdown(wait=wait, cancel_futures=not wait)
+            pool.shutdown(wait=False, cancel_futures=True)
 
     def _submit(
         self,
@@ -165,7 +129,7 @@ class Work:
         def run() -> None:
             if not wanted():
                 return
-            result, wrong = None, None
+            result, wrong = None, ""
             try:
                 result = job()
             except Exception as error:
@@ -173,7 +137,7 @@ class Work:
 
             def done() -> None:
                 ended()
-                if wrong is None:
+                if not wrong:
                     then(result)
                 else:
                     self._tell(wrong, True)
@@ -188,15 +152,13 @@ class Work:
         """Work began or ended: shut or open what changes the model, and tell of the time while there is some."""
         self._busy(self.busy)
         self._say()
-        document = self._document
-        if document is None or document.session_context is None:
-            return
-        if self._under_way and self._ticking is None:
-            self._ticking = document.add_periodic_callback(self._say, 1000)
+        if self._served and self._under_way and self._ticking is None:
+            self._ticking = self._document.add_periodic_callback(self._say, 1000)
         elif not self._under_way and self._ticking is not None:
-            document.remove_periodic_callback(self._ticking)
+            self._document.remove_periodic_callback(self._ticking)
             self._ticking = None
 
     def _say(self) -> None:
         now = time.monotonic()
-        self._tell("; ".join(one.told(now) for one in self._under_way), False)
+        taken = [(words, now - begun) for words, begun, _ in self._under_way]
+        self._tell("; ".join(f"{w} {s:.0f} s" if s >= 1 else w for w, s in taken), False)

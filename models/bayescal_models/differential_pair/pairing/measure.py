@@ -26,17 +26,13 @@ class Measured:
 
     Attributes:
         acceleration: along the arm, outward, µg.
-        sd: standard uncertainty of each reading, µg.
-        calibration_sd, environment_sd, noise_sd: its parts, µg: what is unknown of scale and bias; what
-            differencing leaves of the environment, rms over a record; noise of the two readings.
+        sd: standard uncertainty of each reading, µg: by what is unknown of scale and bias, by what differencing leaves
+            of the environment, rms over a record, and by the noise of the two readings.
         ratio: λbd that was used.
     """
 
     acceleration: Array
     sd: Array
-    calibration_sd: Array
-    environment_sd: float
-    noise_sd: float
     ratio: float
 
 
@@ -77,18 +73,8 @@ def measure(
     bias = devices.bias[:, i] - ratio * devices.bias[:, j]
     draws = ((one - ratio * two)[None, :] - bias[:, None]) / divisor[:, None]
     mean = weights @ draws
-    calibration = np.sqrt(weights @ (draws - mean) ** 2)
     size = np.mean(devices.shared**2, axis=1)  # of u, in a record like this one
     left = (sensitivity[:, i] - ratio * sensitivity[:, j]) ** 2 * size
-    left = left + devices.departure**2 * (1 + ratio**2)
-    environment = float(np.sqrt(weights @ (left / divisor**2)))
-    noise = float(np.sqrt(weights @ (devices.noise**2 * (1 + ratio**2) / divisor**2)))
-    total = np.sqrt(calibration**2 + environment**2 + noise**2)
-    return Measured(
-        mean,
-        total,
-        calibration,
-        environment_sd=environment,
-        noise_sd=noise,
-        ratio=ratio,
-    )
+    left = left + (devices.departure**2 + devices.noise**2) * (1 + ratio**2)
+    variance = weights @ (draws - mean) ** 2 + weights @ (left / divisor**2)
+    return Measured(mean, np.sqrt(variance), ratio)

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 import bayescal as bc
-from bayescal.workshop import plain_table
+from bayescal.workshop import as_json, plain_table
 
 Array = NDArray[np.float64]
 
@@ -154,11 +154,9 @@ class PairTable:
 
 
 def _pair_data(pair: Pair) -> dict[str, Any]:
-    found = {**vars(pair), "environment_ratio": vars(pair.ratio), "unit": UNIT}
-    found["orders_near_zero"] = list(found.pop("near_zero"))
-    del found["ratio"]
-    for name in ("ratio_variance", "ratio_variance_raw"):
-        found[name] = float(found[name]) if np.isfinite(found[name]) else None
+    found = as_json(pair) | {"unit": UNIT}  # a variance that is not finite is null
+    found["orders_near_zero"] = found.pop("near_zero")
+    found["environment_ratio"] = found.pop("ratio")
     return found
 
 
@@ -169,7 +167,7 @@ def remarks(pairs: Sequence[Pair], commanded: Array) -> tuple[str, ...]:
         pairs: the best first.
         commanded: acceleration, µg, (T,).
     """
-    said = []
+    said, best = [], pairs[0]
     physical = min(pairs, key=lambda p: p.expected_residual)
     ratios = max(pairs, key=lambda p: p.probability_ratio_variance)
     raw = max(pairs, key=lambda p: p.probability_ratio_variance_raw)
@@ -189,20 +187,16 @@ def remarks(pairs: Sequence[Pair], commanded: Array) -> tuple[str, ...]:
             f"Denominators near zero: {what}{more}. Such a ratio is heavy-tailed, without a finite mean, and the "
             "variance of ratios is then decided by that order's noise; the residual is not touched by it."
         )
+    said.append(
+        "On raw records, as printed, the commanded acceleration makes up nearly all of an order, and the variance of "
+        "ratios prefers devices of little sensitivity, alike or not, or unlike ones: here "
+        f"{raw} ({raw.expected_residual:.0f} µg)."
+    )
     if np.ptp(commanded) <= VARIES * np.abs(commanded).max():
         said.append(
-            "On raw records, as printed, order 0 carries the commanded acceleration, with the ratio −λ1/λ2, and the "
-            "other orders the environment, with +λ1d/λ2d: ideal pairs then have a variance near 0.75 and unlike "
-            f"ones less. It prefers {raw} here ({raw.expected_residual:.0f} µg). Nor can a constant "
-            "acceleration tell a device's scale factor from the constant part of its environment: record steps."
+            "A constant acceleration does not tell a device's scale factor from the constant part of its environment: "
+            "record steps."
         )
-    else:
-        said.append(
-            "On raw records, as printed, the commanded acceleration makes up nearly all of every order, and the "
-            "variance of ratios is least for devices of little sensitivity, alike or not. It prefers "
-            f"{raw} here ({raw.expected_residual:.0f} µg)."
-        )
-    best = pairs[0]
     if not best.ratio.document_reliable:
         said.append(
             f"The environment ratio of {best} by sums over the record ({best.ratio.document:.3g}) is not "

@@ -1,0 +1,576 @@
+"""A structure's log density of φ, x integrated out, from products of columns: value, gradient and exact curvature.
+
+Columns of all effects stand in one table Φ, moving ones as sums of few (`Expansion`), so that [J·sd | r] = Φ·D(φ) with
+D a matrix of row weights, one non-zero number dᵢ(φ) in a row, in the column of the row's owner. With
+G(θ) = ΦᵀΣ(θ)⁻¹Φ from products at the nodes of the noise law (`noise_nodes`) and W = DᵀGD = [[M, m], [mᵀ, s]],
+
+    log p(y, φ) = −½·(n·log 2π + log|Σ| + log|A| + ρ) + log p(φ),
+    A = M + diag(w),   ρ = s + w·f² − pᵀA⁻¹p,   p = m + w·f,
+
+x = at + sd·t, the prior t ~ N(f, 1/w). Shapes, spreads and sizes move d, the noise's parameters G. With C = A⁻¹,
+t = C·p, P = [[C + t·tᵀ, −t], [−tᵀ, 1]] (rows and columns of P by the owners of rows), Q = P ∘ G, and k, l entries of φ,
+
+    ∂ₖ = −aₖᵀQd,   −∂ₖₗ = bₖₗᵀQd + aₖᵀQaₗ − ½·tr(C·Mₖ·C·Mₗ) − qₖᵀCqₗ,   a = ∂d,  b = ∂²d,  qₖ = mₖ − Mₖt,
+
+Mₖ, mₖ the slopes of M and m: so that the curvature costs a few products. Slopes of G are central differences over
+settings of the noise, all of them one product with the nodes' weights.
+Source: derived here; the gradient is Fisher's identity.
+"""
+
+from __future__ import annotations
+
+import math
+from functools import cache, cached_property
+from typing import Any, NamedTuple
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from bayescal._inference.column_table import RESIDUAL, ColumnTable
+from bayescal._inference.expansion import (
+    TRIED_DRAWS,
+    Expansion,
+    Expansions,
+    ListedColumns,
+    PolynomialColumns,
+)
+from bayescal._inference.gaussian import Conditional, Gram, Prior, condition, draw
+from bayescal._inference.noise_nodes import OneNode, Products, Weights
+from bayescal._inference.problem import Problem, Values
+from bayescal._model.composition import by_member
+from bayescal._model.terms import Term
+
+DIFFERENCE = 1e-3  # of a coordinate, for slopes of priors, of weights of curves and of the noise
+FAR_SD = 1e3  # prior standard deviations, beyond which a fit without priors says nothing of a coefficient
+CLOSE_NATS = 0.02  # log density, within which columns as polynomials are good where a posterior is
+NUMBERS_AT_ONCE = (
+    2_000_000  # in products of several φ that are computed together, which bounds memory
+)
+KEPT_TABLES = 3  # of a structure's rows in boxes, the latest
+
+
+class Evaluation(NamedTuple):
+    """A structure at one φ.
+
+    Attributes:
+        log_density: log p(y, φ).
+        given: x given φ.
+        gradient, curvature: of −log p(y, φ) the second; by φ's coordinates; None where not asked for.
+    """
+
+    log_density: float
+    given: Conditional
+    gradient: Float[np.ndarray, "d"] | None = None
+    curvature: Float[np.ndarray, "d d"] | None = None
+
+
+class TabulatedEffect(NamedTuple):
+    """One effect of a structure: its coefficients beside each other in one block of the table.
+
+    Attributes:
+        key: of its columns, whoever has them; a number.
+        expansions: of its columns.
+        terms: its coefficients.
+        free: entries of φ that its columns move with.
+        owners: for each coefficient and group member, its place in x; the residual's of one that is held.
+        amounts: for each of these 1, or minus the value that it is held at.
+    """
+
+    key: int
+    expansions: Expansions
+    terms: tuple[Term, ...]
+    free: list[int]
+    owners: Int[np.ndarray, "m"]
+    amounts: Float[np.ndarray, "m"]
+
+
+class Tabulated:
+    """A structure's density on a table of products.
+
+    Args:
+        problem: the structure on its record.
+        nodes: of its noise law.
+        x: where a nonlinear output is linearised, at coordinates `there` of φ.
+        there: these.
+    """
+
+    def __init__(
+        self,
+        problem: Problem,
+        nodes: OneNode,
+        x: Float[np.ndarray, "p"],
+        there: Float[np.ndarray, "d"],
+    ) -> None:
+        self.problem, self.nodes = problem, nodes
+        self.places = {h.name: i for i, h in enumerate(problem.hypers)}
+        self.noise = [i for i, kind in enumerate(problem.kinds) if kind == "noise"]
+        self._tables: dict[Any, _StructureRows] = {}
+        self.slopes = problem.slopes(x, problem.hyper(there))
+        if problem.affine:
+            self.table: ColumnTable = problem.record.table
+            self.parts = self._parts(self.table)
+            self.table.take([*self._plain])
+        else:
+            self.table = self._about(x, there)
+        self.at = self._counted_from()
+
+    def _parts(self, table: ColumnTable) -> list[TabulatedEffect]:
+        problem, effects = self.problem, dict[int, list[Term]]()
+        for t in problem.terms:
+            effects.setdefault(id(t.known.effect), []).append(t)
+        found = []
+        for terms in effects.values():
+            names, fixed = terms[0].known.shape_names, problem.fixed_values
+            held = tuple(fixed.get(n) for n in names)
+            config = [(t.index, t.slot, t.factor, t.known.per, t.size) for t in terms]
+            owners = [
+                np.arange(t.at.start, t.at.stop)
+                if t.place == "x"
+                else np.full(t.size, problem.size)
+                for t in terms
+            ]
+            amounts = [np.full(t.size, 1.0 if t.place == "x" else -t.value) for t in terms]
+            found.append(
+                TabulatedEffect(
+                    table.number((terms[0].known.key, held, *config)),
+                    problem.record.expansions(terms[0].known.columns, held),
+                    tuple(terms),
+                    [self.places[n] for n in names if n not in fixed],
+                    np.concatenate(owners),
+                    np.concatenate(amounts),
+                )
+            )
+        return found
+
+    def expansion(
+        self, part: TabulatedEffect, v: Float[np.ndarray, "d"], sloped: bool
+    ) -> Expansion:
+        """Return the columns of a part's effect near φ."""
+        return part.expansions.at(v[part.free], sloped)
+
+    def _block(self, part: TabulatedEffect, expansion: Expansion) -> int:
+        """Return the number of a part's columns in the table: for each coefficient and member as many as the rank."""
+        return self.table.block((part.key, expansion), lambda: self._columns(part, expansion))
+
+    def _columns(self, part: TabulatedEffect, expansion: Expansion) -> Float[np.ndarray, "n w"]:
+        columns = []
+        for t in part.terms:
+            own = (self.slopes[t.slot] * t.factor)[:, None] * expansion.columns[:, t.index]
+            codes = None if t.known.per is None else self.problem.record.codes[t.known.per]
+            spread = by_member(np, own.T, codes, t.size)  # (r, n, members)
+            columns.append(spread.transpose(1, 2, 0).reshape(len(own), -1))
+        return np.concatenate(columns, axis=1)
+
+    @cached_property
+    def _plain(self) -> dict[int, TabulatedEffect]:
+        """Parts that nothing moves, by their blocks; without curves, whose columns are nearly alike."""
+        middle = np.zeros(len(self.problem.hypers))
+        return {
+            self._block(part, self.expansion(part, middle, False)): part
+            for part in self.parts
+            if not part.free and part.terms[0].known.effect.weights is None
+        }
+
+    def _about(self, x: Float[np.ndarray, "p"], there: Float[np.ndarray, "d"]) -> ColumnTable:
+        """Return the table of a nonlinear output linearised at x: that of plain parts counted from there."""
+        problem = self.problem
+        residual = problem.record.y - problem.linearise(x, problem.hyper(there)).mean
+        self.table = ColumnTable(residual)
+        self.parts = self._parts(self.table)
+        taken = dict.fromkeys(self._plain)
+        for part in self.parts:
+            expansion = self.expansion(part, there, False)
+            inside = part.owners < problem.size
+            amounts = np.where(inside, np.append(x, 0.0)[part.owners], -part.amounts)
+            if (number := self._block(part, expansion)) in taken:
+                taken[number] = amounts
+            else:
+                share = expansion.shares(there[part.free]).value
+                residual += self._columns(part, expansion) @ np.kron(amounts, share)
+        self.table.taken = taken
+        return self.table
+
+    def _counted_from(self) -> Float[np.ndarray, "p"]:
+        """Return where coefficients are counted from: what the table took of the readings, or their priors' means.
+
+        The means, where the prior tells more than a fit without it does.
+        """
+        problem = self.problem
+        at, weight, sd = problem.mean_of_x.copy(), problem.weight_of_x, problem.sizes.plain.copy()
+        at[weight == 0] = 0.0
+        sd[weight == 0] = np.inf
+        for members in problem.sizes.members.values():
+            sd[members > 0] = np.inf
+        for key, part in self._plain.items():
+            if (amounts := self.table.taken.get(key)) is not None:
+                inside = part.owners < problem.size
+                own, amounts = part.owners[inside], amounts[inside]
+                at[own] = np.where(np.abs(amounts - at[own]) < FAR_SD * sd[own], amounts, at[own])
+        return at
+
+    # rows -------------------------------------------------------------------------------------------------------
+
+    def rows(self, expansions: tuple[Expansion, ...]) -> _StructureRows:
+        """Return the structure's rows in some boxes; the latest are kept."""
+        if expansions not in self._tables:
+            while len(self._tables) >= KEPT_TABLES:
+                del self._tables[next(iter(self._tables))]
+            self._tables[expansions] = _StructureRows(self, expansions)
+        return self._tables[expansions]
+
+    # the density ------------------------------------------------------------------------------------------------
+
+    def weights(self, v: Float[np.ndarray, "d"], sloped: bool) -> Weights:
+        """Return the noise at φ, and about it for slopes."""
+        shifts = _stencil(len(self.noise)) if sloped else np.zeros((1, len(self.noise)))
+        return self._weights_at(v[self.noise] + shifts)
+
+    def _weights_at(self, coordinates: Float[np.ndarray, "s q"]) -> Weights:
+        problem, values = self.problem, dict[str, Any]()
+        for name in problem.noise.parameters():
+            values[name] = np.full(len(coordinates), problem.fixed_values.get(name, 0.0))
+        for k, i in enumerate(self.noise):
+            hyper = problem.hypers[i]
+            values[hyper.name] = hyper.prior.value(coordinates[:, k])
+        return self.nodes.weights(problem.noise, values)
+
+    def evaluate(
+        self, v: Float[np.ndarray, "d"], flat: Float[np.ndarray, "p"], sloped: bool = True
+    ) -> Evaluation | None:
+        """Return the log density at a φ; None where there is none.
+
+        Args:
+            v: coordinates of φ.
+            flat: scales of coefficients with flat priors.
+            sloped: whether with gradient and curvature.
+        """
+        problem, p, q = self.problem, self.problem.size, len(self.noise)
+        hyper = problem.hyper(v)
+        prior = problem.prior(hyper, flat)
+        if not np.all(np.isfinite(prior.sd)):
+            return None
+        rows = self.rows(tuple(self.expansion(part, v, sloped) for part in self.parts))
+        weights = self.weights(v, sloped)
+        if not np.isfinite(weights.log_det[0]):
+            return None
+        shares, slopes = rows.shares(v, sloped)
+        grams = rows.products.gram(weights, slice(0, 1 + 2 * q if sloped else 1))
+        gram = rows.select(grams[0])
+        unit = (
+            shares[:, None] * rows.owned
+        )  # (R, p + 1): of J itself, output unit per reported unit
+        pulled = gram @ unit
+        found = condition(
+            Gram.of(unit.T @ pulled, weights.log_det[0]), problem.record.size, prior, self.at
+        )
+        if found is None:
+            return None
+        log_prior, prior_slope, prior_bend = self._log_prior(v)
+        value = found.log_marginal + log_prior
+        if not math.isfinite(value):
+            return None
+        if not sloped:
+            return Evaluation(value, found)
+        scale = np.append(prior.sd, 1.0)
+        C, P = _moments(found, prior, self.at)
+        d = scale[rows.owner] * shares
+        U = pulled * scale  # G·D
+        P_rows = P[rows.owner[:, None], rows.owner]
+        Q = gram * P_rows
+        lines, bends = self._log_sizes(v, hyper)
+        a = lines[:, rows.owner] * d
+        for at, ks, first, _ in slopes:
+            a[np.ix_(ks, at)] = scale[rows.owner[at]] * first
+        y = Q @ d
+        gradient = prior_slope - a @ y
+        dW = rows.owned.T @ (a[:, :, None] * U)  # (d, p + 1, p + 1)
+        dW = dW + dW.transpose(0, 2, 1)
+        B = (a @ Q) @ a.T
+        # Second slopes of d, times Q·d: of sizes, of shapes, of both.
+        moved = lines.copy()
+        e = d * y
+        by_size = moved[:, rows.owner]
+        B += (by_size * e) @ by_size.T
+        B.flat[:: len(v) + 1] += bends @ (rows.owned.T @ e)
+        for at, ks, first, second in slopes:
+            across = by_size[:, at] @ (scale[rows.owner[at]] * first * y[at]).T
+            B[:, ks] += across
+            B[ks, :] += across.T
+            B[np.ix_(ks, ks)] += second @ (scale[rows.owner[at]] * y[at])
+        E = P_rows * np.outer(d, d)
+        D = d[:, None] * rows.owned
+        for k, i in enumerate(self.noise):
+            dG = rows.select(grams[1 + k] - grams[1 + q + k]) / (2 * DIFFERENCE)
+            d_log_det = (weights.log_det[1 + k] - weights.log_det[1 + q + k]) / (2 * DIFFERENCE)
+            dW[i] = D.T @ dG @ D
+            by = (P_rows * dG) @ d
+            gradient[i] -= 0.5 * (float(d @ by) + d_log_det)
+            B[i, :] = B[:, i] = a @ by
+        if self.noise:
+            traces = rows.products.traces(weights, rows.spread(E)) + weights.log_det
+            B[np.ix_(self.noise, self.noise)] = 0.5 * _second_differences(traces, q)
+        # The prior's mean is at f = (mean − at)/sd, which moves with sd: w·f in p and w·f² in ρ with it.
+        t = _from_point(found, prior, self.at)
+        far = prior.weight * (t - found.z)
+        line, z = lines[:, :p], prior.weight * found.z
+        gradient -= line @ (z * far)
+        B += (line * (far**2 - z * far)) @ line.T
+        B.flat[:: len(v) + 1] += bends[:, :p] @ (z * far)
+        dM = dW[:, :p, :p]
+        pull = dW[:, :p, p] - dM @ t - line * far
+        X = C @ dM
+        H = B - 0.5 * np.einsum("kij,lji->kl", X, X) - pull @ C @ pull.T
+        H.flat[:: len(H) + 1] -= prior_bend
+        return Evaluation(value, found, gradient, 0.5 * (H + H.T))
+
+    def grams(self, vs: Float[np.ndarray, "b d"]) -> Gram:
+        """Return weighted products of J and r, counted from `at`, at several φ."""
+        p, covers = (
+            self.problem.size,
+            [p.expansions.cover(vs[:, p.free]) for p in self.parts],
+        )
+        found, log_det = np.empty((len(vs), p + 1, p + 1)), np.empty(len(vs))
+        boxes = np.array([which for _, which in covers]).reshape(len(covers), len(vs)).T
+        for box in np.unique(boxes, axis=0):
+            own = np.flatnonzero(np.all(boxes == box, axis=1))
+            rows = self.rows(tuple(e[i] for (e, _), i in zip(covers, box, strict=True)))
+            found[own], log_det[own] = self.grams_of(rows, vs[own])
+        for part, (expansions, _) in zip(self.parts, covers, strict=True):
+            for listed in (e for e in expansions if isinstance(e, ListedColumns)):
+                self.table.drop((part.key, listed))
+        return Gram.of(found, log_det)
+
+    def grams_of(
+        self, rows: _StructureRows, vs: Float[np.ndarray, "b d"]
+    ) -> tuple[Float[np.ndarray, "b p1 p1"], Float[np.ndarray, "b"]]:
+        """Return products of [J r] and log|Σ| at several φ of some rows' boxes."""
+        made = []
+        for some in np.array_split(vs, -(-len(vs) * rows.width**2 // NUMBERS_AT_ONCE)):
+            weights = self._weights_at(some[:, self.noise])
+            gram = rows.products.gram(weights)
+            if not rows.plain:
+                gram = gram[:, rows.column[:, None], rows.column]
+            unit = rows.values(some)[:, :, None] * rows.owned
+            made.append((unit.transpose(0, 2, 1) @ (gram @ unit), weights.log_det))
+        grams, log_det = zip(*made, strict=True)
+        return np.concatenate(grams), np.concatenate(log_det)
+
+    def about(
+        self,
+        v: Float[np.ndarray, "d"],
+        covariance: Float[np.ndarray, "d d"],
+        flat: Float[np.ndarray, "p"],
+    ) -> About | None:
+        """Return the table where a Gaussian fit of φ has its draws; None where columns are no polynomials there."""
+        normal = np.random.default_rng(0).standard_normal((400, len(v)))
+        draws, expansions = v + normal @ np.linalg.cholesky(covariance).T, list[Expansion]()
+        for part in self.parts:
+            own = part.expansions.fitted(draws[:, part.free]) if part.free else None
+            if part.free and own is None:
+                return None
+            expansions.append(own or self.expansion(part, v, False))
+        found = About(self, tuple(expansions))
+        if not any(part.free for part in self.parts):
+            return found
+        some = draws[:TRIED_DRAWS]
+        there = self.log_densities(some, flat)
+        error = self._log_densities(found.grams(some), some, flat) - there
+        return (
+            found if np.max(np.abs(error[np.isfinite(there)]), initial=0.0) < CLOSE_NATS else None
+        )
+
+    def log_densities(
+        self, vs: Float[np.ndarray, "b d"], flat: Float[np.ndarray, "p"]
+    ) -> Float[np.ndarray, "b"]:
+        """Return the log density at several φ; −∞ where there is none."""
+        return self._log_densities(self.grams(vs), vs, flat)
+
+    def _log_densities(
+        self, grams: Gram, vs: Float[np.ndarray, "b d"], flat: Float[np.ndarray, "p"]
+    ) -> Float[np.ndarray, "b"]:
+        problem = self.problem
+        prior = problem.prior(problem.hyper(vs.T), flat, (len(vs),))
+        nothing = np.zeros((len(vs), problem.size))
+        made = draw(grams, problem.record.size, prior, self.at, nothing)
+        return made.log_marginal + problem.log_priors(vs)
+
+    def _log_prior(self, v: Float[np.ndarray, "d"]) -> tuple[float, np.ndarray, np.ndarray]:
+        """Return the log prior of φ, its slopes and its second slopes."""
+        h, found = DIFFERENCE, np.empty((3, len(v)))
+        for i, hyper in enumerate(self.problem.hypers):
+            found[:, i] = hyper.prior.log_density(v[i] + np.array([-h, 0.0, h]))
+        low, here, high = found
+        return float(here.sum()), (high - low) / (2 * h), (high - 2 * here + low) / h**2
+
+    def _log_sizes(
+        self, v: Float[np.ndarray, "d"], hyper: Values
+    ) -> tuple[Float[np.ndarray, "d p1"], Float[np.ndarray, "d p1"]]:
+        """Return first and second slopes of the log standard deviations of x, a zero for the residual last.
+
+        Sizes that follow several shapes are products of functions of each.
+        """
+        problem, h = self.problem, DIFFERENCE
+        first, second = np.zeros((2, len(v), problem.size + 1))
+        for name, members in problem.sizes.members.items():
+            if (i := self.places.get(name)) is not None:
+                low, here, high = np.log(problem.hypers[i].prior.value(v[i] + np.array([-h, 0, h])))
+                first[i, :-1] += (high - low) / (2 * h) * members
+                second[i, :-1] += (high - 2 * here + low) / h**2 * members
+        for name in problem.sizes.weighing:
+            if (i := self.places.get(name)) is not None:
+                value = problem.hypers[i].prior.value
+                low, here, high = (
+                    problem.sizes.log_weights(name, {**hyper, name: value(v[i] + s)})
+                    for s in (-h, 0.0, h)
+                )
+                first[i, :-1] += (high - low) / (2 * h)
+                second[i, :-1] += (high - 2 * here + low) / h**2
+        return first, second
+
+
+class About:
+    """A structure's table in the place of a Gaussian fit of φ, from which the products at many φ follow at once."""
+
+    def __init__(self, whole: Tabulated, expansions: tuple[Expansion, ...]) -> None:
+        self.whole, self.at = whole, whole.at
+        self.rows = _StructureRows(whole, expansions)
+        for part, expansion in zip(whole.parts, expansions, strict=True):
+            if part.free:  # its own
+                whole.table.drop((part.key, expansion))
+
+    def grams(self, vs: Float[np.ndarray, "b d"]) -> Gram:
+        """Return weighted products of J and r, counted from `at`, at several φ."""
+        return Gram.of(*self.whole.grams_of(self.rows, vs))
+
+    def reaches(self, vs: Float[np.ndarray, "b d"]) -> np.ndarray:
+        """Return whether each φ is where the columns were fitted."""
+        found = np.ones(len(vs), dtype=bool)
+        for part, expansion in zip(self.whole.parts, self.rows.expansions, strict=True):
+            if isinstance(expansion, PolynomialColumns):
+                found &= expansion.reaches(vs[:, part.free])
+        return found
+
+
+class _StructureRows:
+    """A structure's rows of the table in some boxes: which column each is of, whose coefficient owns it, how much."""
+
+    def __init__(self, whole: Tabulated, expansions: tuple[Expansion, ...]) -> None:
+        self.expansions, self.parts = expansions, whole.parts
+        p, table, keys = whole.problem.size, whole.table, list[int]()
+        column, owner, amount, self.slices = [], [], [], []
+        first = 0
+        for part, expansion in zip(whole.parts, expansions, strict=True):
+            key = whole._block(part, expansion)
+            keys.append(key)
+            r = expansion.rank
+            own = first + np.arange(len(part.owners) * r)
+            self.slices.append(slice(first, first + len(own)))
+            column.append(own)
+            owner.append(np.repeat(part.owners, r))
+            amount.append(np.repeat(part.amounts, r))
+            # The residual is counted from what was taken; x from `at`.
+            inside = part.owners < p
+            off = np.where(
+                inside, -whole.at[np.minimum(part.owners, max(p - 1, 0))] if p else 0.0, 0.0
+            )
+            off += table.taken.get(key, 0.0)
+            off = np.repeat(off, r)
+            put_back = np.flatnonzero(off)
+            column.append(own[put_back])
+            owner.append(np.full(len(put_back), p))
+            amount.append(off[put_back])
+            first += len(own)
+        for key in table.taken.keys() - set(keys):
+            width = table.taken[key].size
+            keys.append(key)
+            column.append(first + np.arange(width))
+            owner.append(np.full(width, p))
+            amount.append(table.taken[key])
+            first += width
+        self.column = np.concatenate([*column, [first]]).astype(int)
+        self.owner = np.concatenate([*owner, [p]]).astype(int)
+        self.amount = np.concatenate([*amount, [1.0]])
+        self.width = first + 1
+        self.owned = np.zeros((len(self.owner), p + 1))
+        self.owned[np.arange(len(self.owner)), self.owner] = 1.0
+        self.plain = np.array_equal(self.column, np.arange(self.width))
+        self.products: Products = table.products(whole.nodes, [*keys, RESIDUAL])
+
+    def select(self, gram: Float[np.ndarray, "w w"]) -> Float[np.ndarray, "R R"]:
+        """Return products of the rows of products of the columns."""
+        return gram if self.plain else gram[self.column[:, None], self.column]
+
+    def spread(self, e: Float[np.ndarray, "R R"]) -> Float[np.ndarray, "w w"]:
+        """Return numbers of pairs of rows added up by pairs of columns."""
+        if self.plain:
+            return e
+        found = np.zeros((self.width, self.width))
+        np.add.at(found, (self.column[:, None], self.column), e)
+        return found
+
+    @cached_property
+    def _moving(self) -> list[tuple[int, np.ndarray, np.ndarray]]:
+        """Return each part that moves, its rows, and which of its expansion's columns each is."""
+        found = []
+        for i, (part, own) in enumerate(zip(self.parts, self.slices, strict=True)):
+            if part.free:
+                at = np.flatnonzero((self.column >= own.start) & (self.column < own.stop))
+                found.append((i, at, (self.column[at] - own.start) % self.expansions[i].rank))
+        return found
+
+    def values(self, vs: Float[np.ndarray, "b d"]) -> Float[np.ndarray, "b R"]:
+        """Return each row's factor at several φ in these boxes."""
+        found = np.tile(self.amount, (len(vs), 1))
+        for i, at, which in self._moving:
+            found[:, at] *= self.expansions[i].values(vs[:, self.parts[i].free])[:, which]
+        return found
+
+    def shares(self, v: Float[np.ndarray, "d"], sloped: bool) -> tuple[np.ndarray, list[Any]]:
+        """Return each row's factor; and for each part that moves: rows, entries of φ, first and second slopes."""
+        found, slopes = self.amount.copy(), []
+        for i, at, which in self._moving:
+            free = self.parts[i].free
+            own = self.expansions[i].shares(v[free])
+            found[at] *= own.value[which]
+            if sloped:
+                first, second = own.first[:, which], own.second[:, :, which]
+                slopes.append((at, free, first * self.amount[at], second * self.amount[at]))
+        return found, slopes
+
+
+def _from_point(
+    found: Conditional, prior: Prior, at: Float[np.ndarray, "p"]
+) -> Float[np.ndarray, "p"]:
+    """Return t: how far the mean of x is from a point, in standard deviations of its prior."""
+    off = prior.weight * (prior.mean - at)
+    return found.z + np.where(off == 0, 0.0, off / np.where(prior.sd > 0, prior.sd, 1.0))
+
+
+def _moments(
+    found: Conditional, prior: Prior, at: Float[np.ndarray, "p"]
+) -> tuple[Float[np.ndarray, "p p"], Float[np.ndarray, "p1 p1"]]:
+    """Return C and P."""
+    root, t, p = found.root_of_z, _from_point(found, prior, at), len(at)
+    C, P = root @ root.T, np.empty((p + 1, p + 1))
+    P[:p, :p], P[:p, p], P[p, :p], P[p, p] = C + np.outer(t, t), -t, -t, 1.0
+    return C, P
+
+
+@cache
+def _stencil(q: int) -> Float[np.ndarray, "s q"]:
+    """Return shifts of the noise's coordinates: none; each up, each down; each two up, both down."""
+    unit = np.eye(q)
+    two = np.array([unit[i] + unit[j] for i in range(q) for j in range(i)]).reshape(
+        q * (q - 1) // 2, q
+    )
+    return DIFFERENCE * np.concatenate([np.zeros((1, q)), unit, -unit, two, -two])
+
+
+def _second_differences(f: Float[np.ndarray, "s"], q: int) -> Float[np.ndarray, "q q"]:
+    """Return second slopes of what was computed on the stencil."""
+    here, up, down = f[0], f[1 : 1 + q], f[1 + q : 1 + 2 * q]
+    both = f[1 + 2 * q :].reshape(2, q * (q - 1) // 2).sum(axis=0)
+    found, pairs = np.diag(up - 2 * here + down), [(i, j) for i in range(q) for j in range(i)]
+    for (i, j), two in zip(pairs, both, strict=True):
+        found[i, j] = found[j, i] = 0.5 * (two - up[i] - down[i] - up[j] - down[j] + 2 * here)
+    return found / DIFFERENCE**2
