@@ -157,15 +157,14 @@ def _judged(calibration: Calibration) -> tuple[Calibration, float | None]:
 def known_noise(calibration: Calibration) -> dict[str, float]:
     """Standard deviations known before any fit, output unit, by name: the output's own, and what the uncertainty of
     another column makes of the slope that the output has over it."""
-    readings = calibration.readings
-    output = readings[readings.output]
-    found = {}
-    for column in sorted(calibration.model.instrument.columns, key=lambda c: c.name != "output"):
-        if column.known and readings.has(column.name):
-            slope, values = 1.0, readings[column.name]
-            if column.name != "output":
-                slope = float(np.polyfit(values, output, 1)[0]) if np.ptp(values) > 0 else 0.0
-            found |= {name: sd * abs(slope) for name, sd in column.known}
+    readings, found = calibration.readings, dict[str, float]()
+    columns = (c for c in calibration.model.instrument.columns if c.known and readings.has(c.name))
+    for column in sorted(columns, key=lambda c: c.name != "output"):
+        slope, values = 1.0, readings[column.name]
+        if column.name != "output":
+            output = readings[readings.output]
+            slope = float(np.polyfit(values, output, 1)[0]) if np.ptp(values) > 0 else 0.0
+        found |= {name: sd * abs(slope) for name, sd in column.known}
     return found
 
 
@@ -224,8 +223,8 @@ def covariates_of(calibration: Calibration) -> list[Covariate]:
 def _duos(covariates: list[Covariate]) -> list[tuple[Covariate, Covariate]]:
     """Pairs of covariates that are not nearly one and the same."""
     pairs = combinations((c for c in covariates if not c.levels), 2)
-    alike = ((a, b, spearmanr(a.values, b.values).statistic) for a, b in pairs)
-    return [(a, b) for a, b, r in alike if abs(r) < SAME_COVARIATE_CORRELATION][:DUOS]
+    ranks: Any = ((a, b, spearmanr(a.values, b.values)) for a, b in pairs)
+    return [(a, b) for a, b, (r, _) in ranks if abs(r) < SAME_COVARIATE_CORRELATION][:DUOS]
 
 
 def _together(first: Covariate, second: Covariate) -> Covariate:
@@ -326,8 +325,8 @@ def _scatter_with(
     # Noise in proportion to a signal of both signs grows on both sides, which a ranking along no column shows.
     along["the output's distance from its median"] = np.abs(expected - np.median(expected))
     varied = {n: values for n, values in along.items() if np.ptp(values) > 0 and len(values) > 2}
-    found = {n: spearmanr(np.abs(standardised), values).pvalue for n, values in varied.items()}
-    return {name: float(p) for name, p in found.items() if p < SIGNIFICANT_P}
+    ranks: Any = ((n, spearmanr(np.abs(standardised), values)) for n, values in varied.items())
+    return {name: float(p) for name, (_, p) in ranks if p < SIGNIFICANT_P}
 
 
 def allan_check(calibration: Fitted) -> AllanCheck | None:

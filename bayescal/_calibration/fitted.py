@@ -192,7 +192,8 @@ class Fitted:
 
     def _acting(self, column: str, at: float) -> set[str]:
         """Names of the effects that are not zero where a column has a value."""
-        there = self._probe.with_column(column, np.full(self._probe.size, at))
+        values: Any = np.full(self._probe.size, at)
+        there = self._probe.with_column(column, values)
         by = (e for e in self.model.effects if column in e.columns and not e.is_placeholder)
         return {e.name for e in by if np.any(self._basis(e, there))}
 

@@ -100,7 +100,7 @@ def predict(
 
     def moments_of(some: Measurements, frame: Frame, past: np.ndarray) -> np.ndarray:
         """Return residual, standard uncertainties of the expected output and of a reading (3, n)."""
-        count, carried, spread = len(past), None, 0.0
+        count, noise_of, spread = len(past), None, 0.0
         if count and correlated:
             later = some.select(np.arange(count, len(some)))
             noise, output = (
@@ -115,7 +115,8 @@ def predict(
                 found = noise((np.asarray(output) - expected[:, :count]).T)[0].T
                 return np.concatenate([np.zeros_like(expected[:, :count]), found], axis=1)
 
-        found = moments(calibration.problem_on(frame), calibration.draws(draws), carried)
+            noise_of = carried
+        found = moments(calibration.problem_on(frame), calibration.draws(draws), noise_of)
         model = found.variance + found.beside
         residual = np.asarray(frame["output"]) - found.mean
         return np.stack([residual, np.sqrt(model), np.sqrt(model + found.noise + spread)])

@@ -441,7 +441,7 @@ def _weigh(readings: Measurements, seed: int) -> WeighedNoise:
         mean.update({terms: p / len(parts) for terms, p in probabilities.items()})
     drawn = sorted((n for own, *_ in parts for n in own), key=lambda n: -mean[n.terms])
     walk = np.concatenate([walk for _, walk, _ in parts])
-    probable = dict(mean.most_common())
+    probable: dict[Terms, Any] = dict(mean.most_common())
     return WeighedNoise(drawn, walk, probable, tuple(claims), readings, runs, count)
 
 
@@ -596,7 +596,8 @@ def _line(output: Float[np.ndarray, "n"], runs: EvenRuns) -> tuple[float, dict[s
     length = WINDOW
     while (count := len(run) // length) >= WINDOWS:
         # One-sided, so that its mean over frequencies to ½ per reading is twice the variance.
-        _, power = welch(run, window=np.hanning(length), noverlap=0, detrend="constant")
+        window: Any = np.hanning(length)
+        _, power = welch(run, window=window, noverlap=0, detrend="constant")
         at = np.arange(BESIDE[-1] + 1, len(power) - BESIDE[-1] - 1)
         low, high = (power[at[:, None] + sign * BESIDE].mean(axis=1) for sign in (-1, 1))
         around = np.sqrt(low * high)
@@ -860,11 +861,10 @@ def _figure(
     low, middle, high = np.quantile(draws, [tail, 0.5, 1 - tail])
     if bound:  # all of what is left below
         low, high = 0.0, np.nan_to_num(np.quantile(draws, CONFIDENCE), nan=math.inf)
-    factor = parse(own).factor / parse(unit).factor
-    base, to_base = _base(own)
-    value, lowest, highest = (float(v) * factor for v in (middle, low, high))
-    si = (float(middle) * to_base, float(low) * to_base, float(high) * to_base)
-    return NoiseFigure(symbol, name, unit, value, lowest, highest, base, si, bound)
+    (base, to_base), factor = _base(own), parse(own).factor / parse(unit).factor
+    values = np.array([middle, low, high])
+    (value, least, most), (*si,) = (factor * values).tolist(), (to_base * values).tolist()
+    return NoiseFigure(symbol, name, unit, value, least, most, base, (si[0], si[1], si[2]), bound)
 
 
 def _base(unit: str) -> tuple[str, float]:
