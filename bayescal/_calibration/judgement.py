@@ -7,12 +7,13 @@ model only a search tells; what it gets wrong shows in its residuals.
 from __future__ import annotations
 
 import math
+import warnings
 from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
-from scipy.stats import pearsonr
+from scipy.stats import NearConstantInputWarning, pearsonr
 
 from bayescal._calibration.check_result import Check
 from bayescal._calibration.claim import Claim
@@ -306,7 +307,9 @@ def following_members(subject: Subject) -> Iterator[Claim]:
             mean, deviations = total[there] / count[there], values[there]
             if len(mean) < 3 or not (np.ptp(mean) and np.ptp(deviations)):
                 continue
-            r, chance = map(float, pearsonr(mean, deviations))
+            with warnings.catch_warnings():  # nearly constant: follows what has next to no size
+                warnings.simplefilter("ignore", NearConstantInputWarning)
+                r, chance = map(float, pearsonr(mean, deviations))
             if chance < RARE_P:
                 told = {"term": term.name, "along": term.varies, "group": b.coefficient.per}
                 told |= {"r": r, "p": chance}
