@@ -222,7 +222,8 @@ def covariates_of(calibration: Calibration) -> list[Covariate]:
 
 def _duos(covariates: list[Covariate]) -> list[tuple[Covariate, Covariate]]:
     """Pairs of covariates that are not nearly one and the same."""
-    pairs = combinations((c for c in covariates if not c.levels), 2)
+    varied = (c for c in covariates if not c.levels and np.ptp(c.values) > 0)
+    pairs = combinations(varied, 2)
     ranks: Any = ((a, b, spearmanr(a.values, b.values)) for a, b in pairs)
     return [(a, b) for a, b, (r, _) in ranks if abs(r) < SAME_COVARIATE_CORRELATION][:DUOS]
 

@@ -258,7 +258,7 @@ CEILINGS = {
     "bayescal/_model": 6_107,
     "bayescal/effects": 721,
     "bayescal/_inference": 6_440,
-    "bayescal/_calibration": 5_222,
+    "bayescal/_calibration": 5_223,
     "bayescal/_use": 3_198,
     "bayescal/_search": 5_898,
     "bayescal/_report": 2_528,
