@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING, Any
 
 from bayescal._calibration.claim import Claim
 from bayescal._calibration.fitted import Fitted
-from bayescal._calibration.judgement import CONFLICTS, GROUPS, Subject, claims, too_few
+from bayescal._calibration.judgement import Subject, conflicts, group_conflicts, too_few
 from bayescal._calibration.storage import save
-from bayescal._calibration.summary import chi_squared, null_directions, summary, unknowns_parts
+from bayescal._calibration.summary import null_directions, summary, unknowns_parts
 from bayescal._core.flag import Flag
 from bayescal._core.formatting import WIDTH
 from bayescal._core.result_table import Printed, ResultTable
@@ -75,18 +75,11 @@ class Calibration(Printed, Fitted):
             "contraction": [r["contraction"] for r in rows],
         }
 
-    @property
-    def chi_squared(self) -> tuple[float, int, float]:
-        """χ² of the residuals against their known variance, its degrees of freedom, the chance of as much or more.
-
-        The variance is that of the noise law and of uncertain inputs: of use where `noise.white` is fixed.
-        """
-        return chi_squared(self)
-
     @cached_property
     def conflicts(self) -> tuple[Claim, ...]:
         """Where readings and priors contradict each other, and what else a fit may not be."""
-        return tuple(claims((*CONFLICTS, *GROUPS, too_few), Subject(self)))
+        subject = Subject(self)
+        return (*conflicts(subject), *group_conflicts(subject), *too_few(subject))
 
     @cached_property
     def tree(self) -> xr.DataTree:

@@ -10,23 +10,45 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
+from typing import Any
 
 import numpy as np
-from scipy.special import bdtr, kolmogorov, logsumexp, ndtr, smirnov
+from jaxtyping import Float
+from scipy.special import chdtr, chdtrc, chdtri, logsumexp
+from scipy.stats import binomtest, kstest, spearmanr
 
 from bayescal._calibration import judgement
 from bayescal._calibration.calibration import Calibration
-from bayescal._calibration.check_result import Check, Entry, FixedComparison, Pair, Region
+from bayescal._calibration.check_result import (
+    SIGNIFICANT_P,
+    AllanCheck,
+    Check,
+    Entry,
+    FixedComparison,
+    Pair,
+    Region,
+)
 from bayescal._calibration.fit import fit
+from bayescal._calibration.fitted import Fitted
 from bayescal._calibration.leave_group_out import leave_one_group_out
-from bayescal._calibration.noise_in_time import SIGNIFICANT_P, allan_check, noise_floor
 from bayescal._core.errors import InputError
 from bayescal._core.parallel import on_one_thread
 from bayescal._core.settings import settings
+from bayescal._data.allan_deviation import (
+    CONFIDENCE,
+    AllanDeviation,
+    AllanTerm,
+    degrees_of_freedom,
+    even_runs,
+    noise_types,
+    of_runs,
+    overlapping,
+    term,
+)
 from bayescal._inference.least_squares import LeastSquares
+from bayescal._model.noise_law import WHITE
 from bayescal._model.unknown_effect import process_columns, process_weights, resolution
 
-ONE_SIDED_P = 0.12  # p-value of one side, whose fourth power is about that of both sides at once
 SAME_COVARIATE_CORRELATION = 0.95  # rank correlation from which two covariates are taken for one
 # Expected lag-1 autocorrelation, from which neighbours are what the fit leaves, such as two about a free level, and
 # say nothing of the noise.
@@ -41,6 +63,8 @@ SCALES = (3, 4)  # lengths of the process over their plausible range; in time, w
 AMPLITUDES = tuple(np.geomspace(0.15, 15.0, 7))  # in noise standard deviations
 WAVES = 2  # along each of two covariates together
 INVISIBLE = 1e-12  # I·W of a direction below this: its prior spread is lost in its uncertainty
+LAW_DRAWS = 100  # of a correlated law's parameters
+RANKS = 50  # of a χ², equally probable, that stand for it
 ROUNDING = 64 * float(np.finfo(float).eps)  # of the largest of its group: below it is only rounding
 
 
@@ -73,9 +97,9 @@ def check(calibration: Calibration) -> Check:
     scatter, one_sided = dict[str, float](), 1.0
     if max(factors, default=0.0) < settings().strong_evidence:
         scatter = _scatter_with(covariates, white, calibration.readings["output"] - residual)
-        if count := int(FARTHEST_SHARE * len(loo)):  # sign test (binomial, two-sided)
+        if count := int(FARTHEST_SHARE * len(loo)):  # sign test
             above = int(np.sum(loo[np.argsort(-np.abs(loo))[:count]] > 0))
-            one_sided = min(1.0, 2 * float(bdtr(min(above, count - above), count, 0.5)))
+            one_sided = float(binomtest(above, count).pvalue)
     if free is not None:
         fixed = FixedComparison(noise, rms, free, known_noise(calibration))
     far = settings().outlier_sd
@@ -88,7 +112,7 @@ def check(calibration: Calibration) -> Check:
         autocorrelation=autocorrelation(judged, white),
         scatter_with=scatter,
         outliers=tuple((i, z) for i, z in enumerate(loo.tolist()) if abs(z) > far),
-        pit_p=_uniform(ndtr(loo)),
+        pit_p=float(kstest(loo, "norm").pvalue),
         one_sided=one_sided,
         fixed=fixed,
         residuals=residual,
@@ -133,15 +157,14 @@ def _judged(calibration: Calibration) -> tuple[Calibration, float | None]:
 def known_noise(calibration: Calibration) -> dict[str, float]:
     """Standard deviations known before any fit, output unit, by name: the output's own, and what the uncertainty of
     another column makes of the slope that the output has over it."""
-    readings = calibration.readings
-    output = readings[readings.output]
-    found = {}
-    for column in sorted(calibration.model.instrument.columns, key=lambda c: c.name != "output"):
-        if column.known and readings.has(column.name):
-            slope, values = 1.0, readings[column.name]
-            if column.name != "output":
-                slope = float(np.polyfit(values, output, 1)[0]) if np.ptp(values) > 0 else 0.0
-            found |= {name: sd * abs(slope) for name, sd in column.known}
+    readings, found = calibration.readings, dict[str, float]()
+    columns = (c for c in calibration.model.instrument.columns if c.known and readings.has(c.name))
+    for column in sorted(columns, key=lambda c: c.name != "output"):
+        slope, values = 1.0, readings[column.name]
+        if column.name != "output":
+            output = readings[readings.output]
+            slope = float(np.polyfit(values, output, 1)[0]) if np.ptp(values) > 0 else 0.0
+        found |= {name: sd * abs(slope) for name, sd in column.known}
     return found
 
 
@@ -199,12 +222,10 @@ def covariates_of(calibration: Calibration) -> list[Covariate]:
 
 def _duos(covariates: list[Covariate]) -> list[tuple[Covariate, Covariate]]:
     """Pairs of covariates that are not nearly one and the same."""
-    ranks = {c.name: _ranks(c.values) for c in covariates if not c.levels}
-    return [
-        (a, b)
-        for a, b in combinations((c for c in covariates if not c.levels), 2)
-        if abs(np.corrcoef(ranks[a.name], ranks[b.name])[0, 1]) < SAME_COVARIATE_CORRELATION
-    ][:DUOS]
+    varied = (c for c in covariates if not c.levels and np.ptp(c.values) > 0)
+    pairs = combinations(varied, 2)
+    ranks: Any = ((a, b, spearmanr(a.values, b.values)) for a, b in pairs)
+    return [(a, b) for a, b, (r, _) in ranks if abs(r) < SAME_COVARIATE_CORRELATION][:DUOS]
 
 
 def _together(first: Covariate, second: Covariate) -> Covariate:
@@ -304,32 +325,107 @@ def _scatter_with(
     along = {c.name: c.values for c in covariates if not c.levels}
     # Noise in proportion to a signal of both signs grows on both sides, which a ranking along no column shows.
     along["the output's distance from its median"] = np.abs(expected - np.median(expected))
-    sizes = _ranks(np.abs(standardised))
-    found = {name: judgement.uncorrelated(sizes, _ranks(values)) for name, values in along.items()}
-    return {name: p for name, p in found.items() if p < SIGNIFICANT_P}
+    varied = {n: values for n, values in along.items() if np.ptp(values) > 0 and len(values) > 2}
+    ranks: Any = ((n, spearmanr(np.abs(standardised), values)) for n, values in varied.items())
+    return {name: float(p) for name, (_, p) in ranks if p < SIGNIFICANT_P}
 
 
-def _ranks(values: np.ndarray) -> np.ndarray:
-    """1 for the smallest; equal values share the mean of their ranks."""
-    _, place, count = np.unique(values, return_inverse=True, return_counts=True)
-    return (np.cumsum(count) - 0.5 * (count - 1))[place]
+def allan_check(calibration: Fitted) -> AllanCheck | None:
+    """The Allan deviation of a fit's residuals; None where readings are not evenly spaced in time, or too few."""
+    linear, readings, noise = calibration.linear, calibration.readings, calibration.model.noise
+    try:
+        runs = even_runs(readings)
+        measured = of_runs(readings, linear.settled, runs)
+    except InputError:
+        return None
+    mode = calibration.problem.hyper(calibration.mode.v)
+    variance = float(np.mean(linear.variance))
+    law = noise.allan_variance(mode, variance, runs.factors, runs.step)
+    taken, _ = overlapping(linear.taken, runs)
+    left = np.maximum(1 - taken / law, 0.0)  # what a fit has absorbed is not in its residuals
+    draws = _drawn(calibration, mode, variance, runs.factors, runs.step) * left
+    edf = degrees_of_freedom(runs, noise_types(law))
+    ranks = (np.arange(RANKS) + 0.5) / RANKS
+    estimates = draws[:, None] * (chdtri(edf, ranks[:, None]) / edf)
+    tail = 0.5 * (1 - CONFIDENCE)
+    low, high = np.sqrt(np.quantile(estimates, [tail, 1 - tail], axis=(0, 1)))
+    terms = _law_terms(calibration, mode, variance, runs.step)
+    apart = _apart(measured, draws, edf) if noise.gaussian else None
+    return AllanCheck(measured, noise.law, np.sqrt(law * left), low, high, terms, apart)
 
 
-def _uniform(values: np.ndarray) -> float:
-    """p-value of values drawn uniformly from 0 to 1, two-sided, by Kolmogorov and Smirnov.
+def _drawn(
+    calibration: Fitted, mode: dict[str, Any], variance: float, factors: np.ndarray, step: float
+) -> Float[np.ndarray, "d k"]:
+    """Allan variances under the law's parameters drawn from the posterior, or at the mode.
 
-    By the exact one-sided one where both sides at once are rare; else the limit of many values at an argument corrected
-    for their number (Vrbik, Pioneer J. Theor. Appl. Stat. 15 (2018) 15). Good to three digits from a hundred values on.
+    White noise is known better than any of its averages, and stays at the mode. So does a law that was taken over from
+    the same model with free coefficients.
     """
-    n, ordered = len(values), np.sort(values)
-    steps = np.arange(n + 1) / n
-    apart = float(max(np.max(steps[1:] - ordered), np.max(ordered - steps[:-1])))
-    one_sided = float(smirnov(n, apart))
-    if one_sided < ONE_SIDED_P:
-        return 2 * (one_sided - one_sided**4)
-    root = np.sqrt(n)
-    x = root * apart
-    return float(kolmogorov(x + 1 / (6 * root) + (x - 1) / (4 * n)))
+    law = calibration.model.noise
+    names = set(law.parameters())
+    varying = names & calibration.unknowns.by_key.keys()
+    if law.independent or not varying or calibration.layout.stated:
+        return law.allan_variance(mode, variance, factors, step)[None]
+    every = -(-len(calibration.samples(min(varying))) // LAW_DRAWS)
+    values = {n: np.asarray(mode[n]) for n in names}
+    values |= {n: calibration.samples(n)[::every] for n in varying}
+    known = max(variance - float(mode[WHITE]) ** 2 - float(law.slow_variance(mode)), 0.0)
+    total = values[WHITE] ** 2 + np.asarray(law.slow_variance(values)) + known
+    return law.allan_variance(values, total, factors, step)
+
+
+def _apart(
+    measured: AllanDeviation, draws: Float[np.ndarray, "d k"], edf: Float[np.ndarray, "k"]
+) -> int | None:
+    """Where the measured curve is the rarest under the law, if it is rare among all averaging times (Bonferroni)."""
+    with np.errstate(divide="ignore"):
+        ratio = edf * measured.deviation**2 / draws
+    sides = np.stack([chdtr(edf, ratio).mean(axis=0), chdtrc(edf, ratio).mean(axis=0)])
+    rare = 2 * sides.min(axis=0) * len(edf) < SIGNIFICANT_P
+    # Of several that are all but impossible, the one that is the most standard deviations off.
+    off = np.abs(np.log(np.median(ratio, axis=0) / edf)) * np.sqrt(edf / 2)
+    return int(np.argmax(np.where(rare, off, -1.0))) if rare.any() else None
+
+
+def _law_terms(
+    calibration: Fitted, mode: dict[str, Any], variance: float, step: float
+) -> tuple[AllanTerm, ...]:
+    """N = √(σ²·Δ) of the white part, and K = q of correlated noise, with the posterior's standard deviations."""
+    law, unit = calibration.model.noise, calibration.unit
+    names = {WHITE, *law.coefficients_in_time} & calibration.unknowns.by_key.keys()
+    error = {name: float(calibration.samples(name).std()) for name in names}
+    size = float(np.sqrt(max(variance - float(law.slow_variance(mode)), 0.0)))
+    # Of σ² = σ₀² + what is known, only σ₀ is uncertain.
+    own = float(mode[WHITE]) / size * error.get(WHITE, 0.0) if size > 0 and WHITE in mode else 0.0
+    slow = law.coefficients_in_time.items()
+    return (
+        term("N", unit, size * step**0.5, own * step**0.5),
+        *(term(symbol, unit, float(mode[n]), error.get(n, 0.0)) for n, symbol in slow),
+    )
+
+
+def noise_floor(calibration: Fitted) -> float:
+    """Noise that no model of smooth effects could remove, output unit.
+
+    From each residual against the mean of its two neighbours (in time within a run; in temperature where there
+    is no time), as in a von Neumann ratio: what varies slowly cancels.
+    """
+    residual = calibration.linear.settled
+    readings = calibration.readings
+    if readings.has("time"):
+        order, step = calibration.problem.record.in_time
+        linked = step >= 0
+    else:
+        key = readings["temperature"] if readings.has("temperature") else np.arange(len(readings))
+        order, linked = np.argsort(key, kind="stable"), np.ones(len(readings), bool)
+        linked[0] = False
+    r = residual[order]
+    inner = linked[1:-1] & linked[2:]
+    bend = (r[1:-1] - 0.5 * (r[:-2] + r[2:]))[inner]
+    if bend.size < 3:
+        return float(np.sqrt(np.mean(residual**2)))
+    return float(np.sqrt(np.mean(bend**2) / 1.5))
 
 
 # the worst region ----------------------------------------------------------------------------------------------------

@@ -10,12 +10,14 @@ from typing import Any
 
 import numpy as np
 
-from bayescal._calibration.noise_in_time import SIGNIFICANT_P, AllanCheck
 from bayescal._core.formatting import WIDTH, number
-from bayescal._core.result_table import Printed, ResultTable, TableColumn
+from bayescal._core.result_table import Printed, ResultTable, TableColumn, plain_table
 from bayescal._core.settings import settings
+from bayescal._data.allan_deviation import AllanDeviation, AllanTerm
 from bayescal._data.unit_conversion import unit_label
+from bayescal._model.noise_law import Noise
 
+SIGNIFICANT_P = 1e-3  # p-value of the tests without a Bayes factor
 IN_TIME = ("time", "elapsed", "order", "run")  # what correlated noise seems to follow
 
 
@@ -68,6 +70,66 @@ class FixedComparison:
     def wrong(self) -> bool:
         """Whether the fixed coefficients leave clearly more than the noise of the same model with free coefficients."""
         return self.rms > 2 * self.noise
+
+
+@dataclass(frozen=True)
+class AllanCheck:
+    """The Allan deviation of residuals beside that which the fitted noise law lets one expect of them."""
+
+    measured: AllanDeviation  # of the residuals
+    law: str  # name of the noise law
+    expected: np.ndarray = field(repr=False)  # under it, of the residuals of such a fit (k,)
+    low: np.ndarray = field(repr=False)  # between which it puts 95 % of such estimates (k,)
+    high: np.ndarray = field(repr=False)
+    law_terms: tuple[AllanTerm, ...]  # N, and K where the noise is correlated, as the law has them
+    apart: int | None  # averaging time at which the two differ the most; None where they agree
+
+    def __str__(self) -> str:
+        return f"{self.table()}\n{self.sentence()}"
+
+    def table(self) -> ResultTable:
+        """The terms of the noise law in the units of data sheets."""
+        rows = [[f"{t.name} {t.symbol}", str(t)] for t in self.law_terms]
+        return plain_table([f"noise law ({self.law_name})", "value"], rows)
+
+    @property
+    def law_name(self) -> str:
+        """As a person reads it."""
+        named = (law for law in Noise.known.values() if law.law == self.law)
+        return next((law.words for law in named if law.words), self.law)
+
+    def sentence(self) -> str:
+        """Where the two differ the most, or over which times they agree."""
+        m, unit, k = self.measured, unit_label(self.measured.unit), self.apart
+        if k is None:
+            times = f"{number(m.tau[0])} to {number(m.tau[-1])} s"
+            return f"Allan deviation and noise law ({self.law_name}) agree from {times}"
+        more = "more" if m.deviation[k] > self.expected[k] else "less"
+        return (
+            f"at {number(m.tau[k])} s the Allan deviation is {number(m.deviation[k])} {unit}, the noise law "
+            f"({self.law_name}) says {number(self.low[k])} to {number(self.high[k])} {unit} (95 %): the residuals "
+            f"change {more} over this time than such noise would"
+        )
+
+    def data(self) -> dict[str, Any]:
+        """As in result.json."""
+        return {
+            "unit": self.measured.unit,
+            "runs": self.measured.runs,
+            "curve": allan_rows(self.measured, self.expected, self.low, self.high),
+            "terms": [vars(t) for t in self.law_terms],
+            "agrees": self.apart is None,
+            "in_words": self.sentence(),
+        }
+
+
+def allan_rows(
+    measured: AllanDeviation, law: np.ndarray, low: np.ndarray, high: np.ndarray
+) -> list[dict[str, float]]:
+    """An Allan deviation beside that of a noise law, time by time, as in JSON."""
+    m, names = measured, ("tau", "deviation", "low", "high", "law", "law_low", "law_high")
+    rows = zip(m.tau, m.deviation, m.low, m.high, law, low, high, strict=True)
+    return [dict(zip(names, map(float, row), strict=True)) for row in rows]
 
 
 @dataclass(frozen=True, repr=False)
@@ -182,12 +244,12 @@ def check_parts(check: Check, most: int | None = None) -> list[str | ResultTable
         lines.append(f"readings far from the model stand on one side (p = {check.one_sided:.1g})")
     if (found := check.allan) is None or most is not None:
         return lines
-    # Where the noise law is contradicted; else its terms as data sheets give them. What a covariate
-    # explains is no noise, and has no such terms.
+    # Where the noise law is contradicted; else its terms as data sheets give them: what a covariate explains is no
+    # noise, and has no such terms.
+    known = (e.log_bayes_factor for e in check.entries if e.against not in IN_TIME)
     if found.apart is not None:
         lines.append(textwrap.fill(found.sentence(), WIDTH, subsequent_indent="  "))
-    known = (e.log_bayes_factor for e in check.entries if e.against not in IN_TIME)
-    if max(known, default=0.0) <= strong and found.apart is None:
+    elif max(known, default=0.0) <= strong:
         lines += ["", found.table()]
     return lines
 

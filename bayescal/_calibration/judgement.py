@@ -1,18 +1,19 @@
 """Acceptance checks of a fit: what it may not be, and what its own readings say against it.
 
-Each is a function of a fit and what was computed to judge it; the tables at the end say which are asked together. What
-is missing from a model only a search tells; what it gets wrong shows in its residuals.
+Each is a function of a fit and what was computed to judge it, its thresholds stand before all. What is missing from a
+model only a search tells; what it gets wrong shows in its residuals.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
+import warnings
+from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
-from scipy.special import stdtr
+from scipy.stats import NearConstantInputWarning, pearsonr
 
 from bayescal._calibration.check_result import Check
 from bayescal._calibration.claim import Claim
@@ -85,12 +86,15 @@ class Subject:
         return not {*self.accepted}.isdisjoint(names)
 
 
-AcceptanceCheck = Callable[[Any], Iterable[Claim]]  # of a subject; of a search: its steps
+def conflicts(subject: Subject) -> list[Claim]:
+    """Return what may not be, whatever the residuals: readings that contradict the model."""
+    found = [*contradicted(subject), *widened(subject)]
+    return [*found, *too_large(subject), *beyond_the_known(subject)]
 
 
-def claims(checks: Iterable[AcceptanceCheck], subject: Any) -> list[Claim]:
-    """Return all that some checks say of a subject, in their order."""
-    return [claim for one in checks for claim in one(subject)]
+def group_conflicts(subject: Subject) -> list[Claim]:
+    """Return what members of groups may not be."""
+    return [*too_different(subject), *following_members(subject)]
 
 
 def wrong_question(
@@ -99,18 +103,28 @@ def wrong_question(
     """Return why nothing can be learnt from a model: readings that contradict it, or rounded more than they vary."""
     freed = (n for e in fit.model.effects if e.frees for n in (e.name, e.frees))
     subject = Subject(fit, {*accepted, *freed}, noise_floor)
-    found = claims(CONFLICTS, subject) or contradicted_alone(subject)
+    found = conflicts(subject) or contradicted_alone(subject)
     return (*found, *rounded(subject))
 
 
 def residual_claims(subject: Subject) -> list[Claim]:
     """Return what a fit's own residuals say against it; of one that did not converge, or is fixed to it, that alone."""
-    return [*not_converged(subject)] or claims(RESIDUALS, subject)
+    if found := [*not_converged(subject)]:
+        return found
+    evidence, (coefficient, z) = subject.fit.log_evidence, subject.check.autocorrelation
+    if evidence is not None and not math.isfinite(evidence[0]):
+        found.append(Claim("evidence.not_finite"))
+    found += [*subject.doubts, *describing(subject), *scattered(subject)]
+    found += [*depending(subject), *steps_between_runs(subject)]
+    if abs(z) > CORRELATED_SD and abs(coefficient) > CORRELATED:
+        found.append(Claim("noise.correlated", coefficient=coefficient, z=z))
+    return found
 
 
 def against(subject: Subject) -> list[Claim]:
     """Return what stands against a fit that no search judged."""
-    return [*claims(GROUPS, subject), *residual_claims(subject), *claims(COLUMNS, subject)]
+    found = [*group_conflicts(subject), *residual_claims(subject)]
+    return [*found, *odd_thermometers(subject), *surprising(subject)]
 
 
 def not_converged(subject: Subject) -> Iterator[Claim]:
@@ -291,21 +305,16 @@ def following_members(subject: Subject) -> Iterator[Claim]:
             total = np.bincount(own[own >= 0], column[own >= 0], minlength=len(values))
             there = count > 0
             mean, deviations = total[there] / count[there], values[there]
-            if (chance := uncorrelated(mean, deviations)) < RARE_P:
+            if len(mean) < 3 or not (np.ptp(mean) and np.ptp(deviations)):
+                continue
+            with warnings.catch_warnings():  # nearly constant: follows what has next to no size
+                warnings.simplefilter("ignore", NearConstantInputWarning)
+                r, chance = map(float, pearsonr(mean, deviations))
+            if chance < RARE_P:
                 told = {"term": term.name, "along": term.varies, "group": b.coefficient.per}
-                told |= {"r": float(np.corrcoef(mean, deviations)[0, 1]), "p": chance}
+                told |= {"r": r, "p": chance}
                 names_of = b.effect.name, term.name
                 yield Claim("group.follows_column", *names_of, **told, members=int(there.sum()))
-
-
-def uncorrelated(one: np.ndarray, other: np.ndarray) -> float:
-    """Return the p-value of two uncorrelated columns, by Student's t; not a number where one is constant."""
-    free = len(one) - 2
-    if np.ptp(one) == 0 or np.ptp(other) == 0 or free < 1:
-        return float("nan")
-    r = float(np.clip(np.corrcoef(one, other)[0, 1], -1, 1))
-    with np.errstate(divide="ignore"):
-        return float(2 * stdtr(free, -abs(r) * np.sqrt(free / np.float64((1 - r) * (1 + r)))))
 
 
 def too_few(subject: Subject) -> Iterator[Claim]:
@@ -420,12 +429,6 @@ def odd_thermometers(subject: Subject) -> Iterator[Claim]:
             yield Claim("column.odd", one.column, one.code, said=one.said)
 
 
-def evidence_not_finite(subject: Subject) -> Iterator[Claim]:
-    evidence = subject.fit.log_evidence
-    if evidence is not None and not math.isfinite(evidence[0]):
-        yield Claim("evidence.not_finite")
-
-
 def describes(noise: Noise, values: Mapping[str, Any]) -> bool:
     """Return whether correlated noise is so slow and large that it stands for something without a name."""
     return noise.lasting_deviation(values) > DESCRIBING_SD * values.get(WHITE, math.inf)
@@ -487,20 +490,3 @@ def of_runs(fit: Fitted, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 def only_between_runs(values: np.ndarray, within: np.ndarray) -> bool:
     """Return whether values do nothing but tell runs apart: next to none of their squares are those within runs."""
     return bool(np.sum(within**2) < WITHIN_RUNS_SHARE * np.sum(values**2))
-
-
-def correlated(subject: Subject) -> Iterator[Claim]:
-    found, z = subject.check.autocorrelation
-    if abs(z) > CORRELATED_SD and abs(found) > CORRELATED:
-        yield Claim("noise.correlated", coefficient=found, z=z)
-
-
-# What may not be, whatever the residuals; what members of groups may not be; what is odd in columns and groups.
-CONFLICTS = (contradicted, widened, too_large, beyond_the_known)
-GROUPS = (too_different, following_members)
-COLUMNS = (odd_thermometers, surprising)
-RESIDUALS: tuple[AcceptanceCheck, ...] = (
-    evidence_not_finite,
-    lambda subject: subject.doubts,
-    *(describing, scattered, depending, steps_between_runs, correlated),
-)

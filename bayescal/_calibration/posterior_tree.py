@@ -6,8 +6,7 @@ import numpy as np
 import pandas as pd
 import xarray as xr
 
-from bayescal._calibration.fitted import PREDICTIVE_CELLS, Fitted, flat, named
-from bayescal._calibration.on_readings import replicate
+from bayescal._calibration.fitted import CELLS, Fitted, flat, named, replicate
 from bayescal._calibration.storage import draws_group
 from bayescal._core.atomic_file import storable
 from bayescal._model.prior import HalfCauchy, HalfNormal, slope
@@ -20,7 +19,7 @@ def build_tree(c: Fitted) -> xr.DataTree:
     """Compute all groups of a calibration's tree; see `Calibration.tree`."""
     readings, dims = c.readings, ("chain", "draw", "reading")
     units = {"units": readings.unit("output")}
-    thin, chains = c.thinned(PREDICTIVE_CELLS)
+    thin, chains = c.thinned(CELLS)
     made = replicate(c.problem, thin, np.random.default_rng([c.seed, 1]))
     made = made.reshape(chains, -1, len(readings)) + (readings["output"] - c.frame["output"])
     groups = {
@@ -69,6 +68,7 @@ def _log_prior(c: Fitted) -> xr.Dataset:
     density = np.zeros_like(values)
     for i, u in enumerate(c.unknowns):
         if (b := u.block) is None:
+            assert u.hyper is not None
             prior, own = u.hyper.prior, v[..., u.v]
             density[..., i] = prior.log_density(own) - np.log(slope(prior, own))
             continue

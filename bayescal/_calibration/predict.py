@@ -1,23 +1,34 @@
-"""Expected output of a calibrated model on readings, with its uncertainty."""
+"""Expected output of a calibrated model on readings, with its uncertainty; and what hold-out data say against it."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import math
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, NamedTuple
+from functools import cached_property
 
 import numpy as np
 from jaxtyping import Float
+from scipy.linalg import orth
 
 from bayescal._calibration.calibration import Calibration
-from bayescal._calibration.on_readings import moments, replicate
+from bayescal._calibration.fitted import moments, replicate
+from bayescal._core.parallel import on_one_thread
 from bayescal._data.measurements import Measurements
 from bayescal._data.time_in_runs import going_on, run_codes
 from bayescal._inference.noise_on_record import variance
+from bayescal._inference.problem import Problem
+from bayescal._model.effect import Effect
 from bayescal._model.frame import Frame
-from bayescal._model.noise_law import Noise
+from bayescal._model.instrument import factor_of
+from bayescal._model.terms import ColumnsOf
 
 ROUNDING = 1e-12  # of a variance: what is left of it as white noise, if a law has none
+DRAWS = 1000  # replicates, fewer of many readings: p-values to a thousandth
+REPLICATED_CELLS = 10_000_000  # replicates × readings, held together
+TINY_SQUARE = 1e-300  # squares of an error that is none
+NONE = np.zeros(0, dtype=int)  # of the fitted readings
+SEEN_SHARE = 1e-8  # of the longest direction's length, below which a direction is rounding
 
 
 @dataclass(frozen=True)
@@ -87,13 +98,25 @@ def predict(
     readings = calibration.on_clock(readings)
     correlated = not calibration.model.noise.independent
 
-    def moments_of(some: Measurements, frame: Frame, on: _GoingOn | None) -> np.ndarray:
+    def moments_of(some: Measurements, frame: Frame, past: np.ndarray) -> np.ndarray:
         """Return residual, standard uncertainties of the expected output and of a reading (3, n)."""
-        noise, spread = None, 0.0
-        if on is not None and correlated:
-            noise = _CarriedOn.of(calibration, on.past, on.later, beyond=True)
-            spread = np.append(np.zeros(len(on.past)), noise.found(np.zeros((len(on.past), 1)))[1])
-        found = moments(calibration.problem_on(frame), calibration.draws(draws), noise)
+        count, noise_of, spread = len(past), None, 0.0
+        if count and correlated:
+            later = some.select(np.arange(count, len(some)))
+            noise, output = (
+                _noise_at(calibration, past, later, beyond=True),
+                frame["output"][:count],
+            )
+            spread = np.append(np.zeros(count), noise(np.zeros((count, 1)))[1])
+
+            def carried(expected: np.ndarray) -> np.ndarray:
+                # Each draw of the coefficients leaves its own, so that a level that the noise and a coefficient may
+                # both hold is uncertain in either, and not in their sum. Of the past noise is not asked for.
+                found = noise((np.asarray(output) - expected[:, :count]).T)[0].T
+                return np.concatenate([np.zeros_like(expected[:, :count]), found], axis=1)
+
+            noise_of = carried
+        found = moments(calibration.problem_on(frame), calibration.draws(draws), noise_of)
         model = found.variance + found.beside
         residual = np.asarray(frame["output"]) - found.mean
         return np.stack([residual, np.sqrt(model), np.sqrt(model + found.noise + spread)])
@@ -103,13 +126,13 @@ def predict(
     else:
         frame = calibration.frame_of(readings)
         frame = _of_new_groups(frame) if new_groups else frame
-        residual, model_sd, sd = moments_of(readings, frame, None)
+        residual, model_sd, sd = moments_of(readings, frame, NONE)
     made = Prediction(readings["output"] - residual, model_sd, sd, residual)
     if not (same_record and correlated):
         return made
     past = np.arange(len(calibration.readings))
-    noise = _CarriedOn.of(calibration, past, readings, beyond=False)
-    mean, spread = noise.found(predict(calibration, new_groups=False).residual[:, None])
+    noise = _noise_at(calibration, past, readings, beyond=False)
+    mean, spread = noise(predict(calibration, new_groups=False).residual[:, None])
     return replace(made, correlated_noise=mean[:, 0], correlated_noise_sd=np.sqrt(spread))
 
 
@@ -121,7 +144,7 @@ def replicates(
     noise that is not told by its past."""
     calibration, random = calibration.with_columns(readings.columns), np.random.default_rng(seed)
 
-    def made(some: Measurements, frame: Frame, _: _GoingOn | None) -> np.ndarray:
+    def made(some: Measurements, frame: Frame, _: np.ndarray) -> np.ndarray:
         members = {per: some.groups(per)[1] for per in frame.codes}
         found = replicate(calibration.problem_on(frame), calibration.draws(draws), random, members)
         return found + (some["output"] - frame["output"])
@@ -129,34 +152,27 @@ def replicates(
     return _with_past(calibration, calibration.on_clock(readings), made)
 
 
-class _GoingOn(NamedTuple):
-    """Readings of which some go on with fitted runs."""
-
-    past: np.ndarray  # which of the fitted readings are of these runs
-    later: Measurements  # readings that go on
-
-
 def _with_past(
     calibration: Calibration,
     readings: Measurements,
-    made: Callable[[Measurements, Frame, _GoingOn | None], np.ndarray],
+    made: Callable[[Measurements, Frame, np.ndarray], np.ndarray],
 ) -> Float[np.ndarray, "k n"]:
-    """What is made of readings: of those that go on with fitted runs behind their past, of others as of new runs."""
+    """What is made of readings, their frame, and the fitted readings before them that their runs begin with: of those
+    that go on with fitted runs behind their past, of others as of new runs."""
     fitted = calibration.readings
     runs = going_on(fitted, readings)
     if not runs:
-        return made(readings, _of_new_groups(calibration.frame_of(readings)), None)
+        return made(readings, _of_new_groups(calibration.frame_of(readings)), NONE)
     rows = np.sort(np.concatenate([*runs.values()]))
     names, codes = run_codes(fitted)
     past = np.flatnonzero(np.isin(codes, [names.index(name) for name in runs]))
-    later = readings.select(rows)
-    whole = fitted.select(past).followed_by(later)
-    behind = made(whole, calibration.frame_of(whole), _GoingOn(past, later))[:, len(past) :]
+    whole = fitted.select(past).followed_by(readings.select(rows))
+    behind = made(whole, calibration.frame_of(whole), past)[:, len(past) :]
     found = np.empty((len(behind), len(readings)))
     found[:, rows] = behind
     if len(others := np.setdiff1d(np.arange(len(readings)), rows)):
         alone = readings.select(others)
-        found[:, others] = made(alone, _of_new_groups(calibration.frame_of(alone)), None)
+        found[:, others] = made(alone, _of_new_groups(calibration.frame_of(alone)), NONE)
     return found
 
 
@@ -166,34 +182,24 @@ def _of_new_groups(frame: Frame) -> Frame:
     return replace(frame, codes=codes)
 
 
-class _CarriedOn(NamedTuple):
-    """What fitted readings say of the correlated noise at others of their runs, at the mode of the law's parameters.
+def _noise_at(
+    calibration: Calibration, past: np.ndarray, readings: Measurements, beyond: bool
+) -> Callable[[Float[np.ndarray, "n b"]], tuple[np.ndarray, np.ndarray]]:
+    """What fitted readings `past` say of the correlated noise at others of their runs, at the mode of its parameters.
 
-    Its mean is linear in what a model leaves of the fitted readings. Each draw of the coefficients leaves its own, so
-    that a level that the noise and a coefficient may both hold is uncertain in either, and not in their sum.
+    Of what a model leaves of the fitted readings (n, b) it is the mean (m, b), which is linear in that, and variance
+    (m,); NaN where nothing is said. `beyond`: also before and after a run's fitted readings.
     """
+    fitted, record = calibration.readings.select(past), calibration.problem.record
+    law, values = calibration.model.noise, calibration.problem.hyper(calibration.mode.v)
+    total = variance(law, values, record)
+    white = np.maximum(total - law.slow_variance(values), ROUNDING * total)[past]
+    (names, known), (asked, codes) = run_codes(fitted), run_codes(readings)
+    time, at = fitted["time"], readings["time"]
+    before, after = (law.followed(calibration.frame_of(some)) for some in (fitted, readings))
 
-    law: Noise
-    values: dict[str, Any]  # its parameters
-    # Of each run: which of the fitted readings are its own, their times, the variance of their own noise, of the others
-    # which, and their times; and what the law follows, at both.
-    parts: list[tuple[Any, ...]]
-    output: np.ndarray  # of the fitted readings, counted from the fit's origin (n,)
-    count: int  # of the others
-
-    @classmethod
-    def of(
-        cls, calibration: Calibration, past: np.ndarray, readings: Measurements, beyond: bool
-    ) -> _CarriedOn:
-        """Of a fit's readings `past`, at others; `beyond`: also before and after a run's fitted readings."""
-        fitted, record = calibration.readings.select(past), calibration.problem.record
-        law, values = calibration.model.noise, calibration.problem.hyper(calibration.mode.v)
-        total = variance(law, values, record)
-        white = np.maximum(total - law.slow_variance(values), ROUNDING * total)[past]
-        (names, known), (asked, codes) = run_codes(fitted), run_codes(readings)
-        time, at, parts = fitted["time"], readings["time"], []
-        frames = calibration.frame_of(fitted), calibration.frame_of(readings)
-        before, after = (law.followed(frame) for frame in frames)
+    def noise(left: Float[np.ndarray, "n b"]) -> tuple[np.ndarray, np.ndarray]:
+        mean, spread = np.full((len(at), left.shape[1]), np.nan), np.full(len(at), np.nan)
         for code, name in enumerate(asked):
             if name not in names:
                 continue
@@ -203,21 +209,142 @@ class _CarriedOn(NamedTuple):
             both = None
             if before is not None and after is not None:
                 both = np.asarray(before)[rows], np.asarray(after)[others]
-            parts.append((rows, time[rows], white[rows], others, at[others], both))
-        return cls(law, values, parts, np.asarray(frames[0]["output"]), len(readings))
-
-    def found(self, left: Float[np.ndarray, "n b"]) -> tuple[np.ndarray, np.ndarray]:
-        """Mean (m, b) and variance (m,), given what is left of the fitted readings; NaN where nothing is said."""
-        mean = np.full((self.count, left.shape[1]), np.nan)
-        spread = np.full(self.count, np.nan)
-        for rows, time, white, others, at, both in self.parts:
-            found = self.law.slow_part(self.values, time, left[rows], white, at, both)
-            mean[others], spread[others] = found
+            mean[others], spread[others] = law.slow_part(
+                values, time[rows], left[rows], white[rows], at[others], both
+            )
         return mean, spread
 
-    def __call__(self, expected: Float[np.ndarray, "b n"]) -> Float[np.ndarray, "b n"]:
-        """Its mean at all readings, the fitted ones first: zero at these, whose noise is not asked for."""
-        known = len(self.output)
-        found = np.zeros_like(expected)
-        found[:, known:] = self.found((self.output - expected[:, :known]).T)[0].T
-        return found
+    return noise
+
+
+# hold-out data --------------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class HoldoutContradiction:
+    """What hold-out data say against a fit."""
+
+    p: float  # probability of coefficients that the data pull as far, if the fit is right
+    share: float  # hold-out error over what it would be, did coefficients and deviations suit these data
+    scatter: float  # of what neither explains, the rms over its expected one
+    most: str  # the coefficient that they pull the farthest, by itself; empty where there is none
+
+
+@dataclass(frozen=True, eq=False)
+class HoldoutTest:
+    """A fit's prediction of hold-out data, and what these say against it beside readings replicated as it expects them.
+
+    A replicate has its own draw of the coefficients, deviations of its own for runs that the fit has not seen, and
+    noise: whatever makes hold-out errors large by right is in its errors too (posterior predictive p-values: A. Gelman,
+    X.-L. Meng and H. Stern, Statistica Sinica 6 (1996) 733).
+    """
+
+    calibration: Calibration
+    readings: Measurements  # the hold-out data
+    prediction: Prediction  # of them
+    # Deviations of groups that the fit holds none of, and their plausible standard deviation: a single run does not
+    # show how far runs are apart, and a few do not show it where it is small.
+    unseen: tuple[tuple[Effect, float], ...] = ()
+
+    @cached_property
+    def against(self) -> HoldoutContradiction:
+        """Whether the data contradict the fit: the score test of its coefficients, and the scatter beside them.
+
+        With e the errors over the noise and Q a basis of the coefficients' columns, t = Qᵀe has mean zero and the
+        covariance C of the replicates' own Qᵀe; tᵀC⁻¹t is compared with theirs (C. R. Rao, Proc. Camb. Phil. Soc. 44
+        (1948) 50). A free number for each direction is what another device or condition differs in.
+        """
+        errors, expected = self._errors
+        # Columns of the coefficients that all readings share, and of the deviations of each group's members.
+        columns = self._columns
+        shared = [column for _, per, column in columns if per is None]
+        groups = [(self.readings.groups(per)[1], column) for _, per, column in columns if per]
+        own = [np.where(codes == k, c, 0.0) for codes, c in groups for k in np.unique(codes)]
+        basis, whole = _orthonormal(shared, len(errors)), _orthonormal([*shared, *own], len(errors))
+        pulled, by_right = basis.T @ errors, expected @ basis
+        covariance = np.atleast_2d(np.cov(by_right.T)) if basis.shape[1] else np.zeros((0, 0))
+        inverse = np.linalg.pinv(covariance, rcond=1e-12, hermitian=True)
+        far = np.einsum("bi,ij,bj->b", by_right, inverse, by_right)
+        p = _share(far >= pulled @ inverse @ pulled)
+        left = max(_squares(errors - whole @ (whole.T @ errors)), TINY_SQUARE)
+        usual = np.median(_squares(expected - (expected @ whole) @ whole.T))
+        scatter = math.sqrt(left / max(float(usual), TINY_SQUARE))
+        share = math.sqrt(float(_squares(errors)) / left)
+        away = {
+            name: abs(float(column @ errors)) / max(float(np.std(expected @ column)), TINY_SQUARE)
+            for name, per, column in columns
+            if per is None
+        }
+        return HoldoutContradiction(p, share, scatter, max(away, key=lambda n: away[n], default=""))
+
+    def worse_than(self, other: HoldoutTest) -> float:
+        """Probability that hold-out errors stand as much for another fit as they do, if this fit is right.
+
+        A paired test: with δ = μ₁ − μ₀ the difference of the two predictions, the other's squared errors over the noise
+        exceed this one's by δᵀδ + 2δᵀe, whose only part of chance is δᵀe.
+        """
+        errors, expected = self._errors
+        moved = (self.prediction.mean - other.prediction.mean) / self._noise
+        return _share(expected @ moved <= errors @ moved)
+
+    @cached_property
+    def _noise(self) -> Float[np.ndarray, "n"]:
+        """Standard deviation of the noise, or of what stands for it, output unit."""
+        found = self.prediction
+        return np.sqrt(np.maximum(found.sd**2 - found.model_sd**2, 1e-12 * found.sd**2))
+
+    @cached_property
+    def _problem(self) -> tuple[Calibration, Problem]:
+        """Those structures of the fit that need no other columns, on the hold-out data."""
+        used = self.calibration.with_columns(self.readings.columns)
+        return used, used.problem_on(used.frame_of(self.readings))
+
+    @cached_property
+    def _errors(self) -> tuple[Float[np.ndarray, "n"], Float[np.ndarray, "draws n"]]:
+        """Errors over the noise, and those of replicates."""
+        count = max(100, min(DRAWS, REPLICATED_CELLS // max(len(self.readings), 1)))
+        made = replicates(self.calibration, self.readings, count, self.calibration.seed)
+        (used, problem), random = self._problem, np.random.default_rng(0)
+        # What deviations of groups that the fit holds none of would add.
+        slopes = problem.slopes(used.mode.x, problem.hyper(used.mode.v)) if self.unseen else {}
+        for effect, size in self.unseen:
+            c = effect.coefficients[0]
+            column = problem.record.columns(ColumnsOf.of(effect), ())[:, 0]
+            column = column * factor_of(used.model.instrument, effect, c)
+            codes = self.readings.groups(str(c.per))[1]
+            drawn = size * random.standard_normal((len(made), int(codes.max()) + 2))[:, codes]
+            made += slopes[c.slot or effect.slot] * column * drawn
+        made -= made.mean(axis=0)
+        return self.prediction.residual / self._noise, made / self._noise
+
+    @property
+    @on_one_thread
+    def _columns(self) -> list[tuple[str, str | None, Float[np.ndarray, "n"]]]:
+        """Of each coefficient its name, its group, and its column over the noise, at the mean of the draws."""
+        used, problem = self._problem
+        x, v = used.draws()
+        terms = [t for t in problem.terms if t.place == "x"]
+        slopes = problem.expected_with_slopes(
+            x.mean(axis=0)[None], problem.hyper(v.mean(axis=0)), terms
+        )[1]
+        each = (np.broadcast_to(slope, (1, len(self._noise)))[0] / self._noise for slope in slopes)
+        names = (t.known.effect.coefficient_name(t.index) for t in terms)
+        return [(n, t.known.per, c) for n, t, c in zip(names, terms, each, strict=True)]
+
+
+def _orthonormal(columns: Sequence[np.ndarray], size: int) -> Float[np.ndarray, "n k"]:
+    """A basis of what columns span."""
+    each = [c / length for c in columns if (length := float(np.linalg.norm(c))) > 0]
+    if not each:
+        return np.zeros((size, 0))
+    return orth(np.array(each).T, rcond=SEEN_SHARE)
+
+
+def _squares(rows: np.ndarray) -> np.ndarray:
+    """Sum of squares of each row."""
+    return np.sum(rows**2, axis=-1)
+
+
+def _share(hits: np.ndarray) -> float:
+    """Of replicates, itself among them: no p-value is zero."""
+    return float((1 + np.count_nonzero(hits)) / (1 + len(hits)))

@@ -7,7 +7,7 @@ coefficient by itself the part that is its prior's is one less its contraction.
 
 from __future__ import annotations
 
-from collections import Counter
+from collections import defaultdict
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any, NamedTuple
@@ -22,8 +22,7 @@ from bayescal._core.atomic_file import named_back
 from bayescal._core.errors import InputError
 from bayescal._core.formatting import number, with_error
 from bayescal._data.unit_conversion import unit_label
-from bayescal._model.effect import Effect
-from bayescal._model.parameters import CoefficientBlock
+from bayescal._model.effect import Coefficient, Effect
 from bayescal._model.prior import coordinate_variance, slope
 from bayescal._model.unknowns import Unknown
 
@@ -62,7 +61,7 @@ def variance_by_origin(
     pulled = linear.root @ (linear.root.T @ (weights * linear.sd))  # in units of the priors
     names = [b.name for b in layout.x_blocks for _ in range(b.size)]
     names += [layout.hypers[i].name for i in moving]
-    priors = Counter[str]()
+    priors = defaultdict[str, float](float)
     for name, value in zip(names, linear.weight * pulled**2, strict=True):
         priors[name] += float(value)
     readings = float(np.sum((linear.white_nuisance @ pulled) ** 2))
@@ -122,8 +121,7 @@ class NotMeasured:
         thousand plausible sizes. The quantity follows by its regression on the unknowns.
         """
         names = {one.name for one in self.unknowns}
-        rows = [(u, b.coefficient) for u, b, _ in _with_stated_priors(calibration)]
-        rows = [(u, c) for u, c in rows if u.name in names]
+        rows = [(u, c) for u, c, _ in _with_stated_priors(calibration) if u.name in names]
         if not rows:
             return values
         draws = [(calibration.samples(u.name) - c.mean) / c.size for u, c in rows]
@@ -181,17 +179,17 @@ def not_measured(
         return NotMeasured((KnownByPrior(of, unknown.unit, None, None, now),))
     found, shares, counts = list[KnownByPrior](), list[np.ndarray](), list[bool]()
     total = values.var(axis=0) + scatter**2
-    for u, b, acting in _with_stated_priors(calibration):
+    effects = {e.name: e for e in calibration.model.effects}
+    for u, c, acting in _with_stated_priors(calibration):
         among = calibration.having[u.effect]
         if among.mean() <= rare:
             continue
-        before, inside = b.coefficient.size, values[among]
-        own = calibration.samples(u.name)[among]
+        own, inside = calibration.samples(u.name)[among], values[among]
         covariance = (own - own.mean()) @ (inside - inside.mean(axis=0)) / len(own)
-        part = among.mean() * (covariance / before) ** 2
+        part = among.mean() * (covariance / c.size) ** 2
         shares.append(part / np.where(total > 0, total, np.inf))
         now = float(own.mean()), float(own.std())
-        found.append(KnownByPrior(u.name, u.unit, b.effect, before, now))
+        found.append(KnownByPrior(u.name, u.unit, effects[u.effect], c.size, now))
         counts.append(acting or u.name == of)
     if not any(counts):
         return None
@@ -216,9 +214,7 @@ def coefficients_not_measured(calibration: Calibration) -> set[str]:
     }
 
 
-def _with_stated_priors(
-    calibration: Calibration,
-) -> Iterator[tuple[Unknown, CoefficientBlock, bool]]:
+def _with_stated_priors(calibration: Calibration) -> Iterator[tuple[Unknown, Coefficient, bool]]:
     """Coefficients whose prior is stated, neither flat nor learned, and whether they are of the device in use."""
     instrument = calibration.model.instrument
     slots = {s.name for s in instrument.slots}
@@ -229,7 +225,7 @@ def _with_stated_priors(
     for u in calibration.unknowns:
         # What is held is a body's temperature, which has the coefficient of what depends on it.
         if u.block is not None and not u.held and u.prior_sd is not None:
-            yield u, u.block, u.block.slot in slots
+            yield u, u.block.coefficient, u.block.slot in slots
 
 
 def prior_sensitivity(calibration: Calibration) -> Any:

@@ -20,17 +20,18 @@ import itertools
 import math
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 from jaxtyping import Float
 from numpy.polynomial.legendre import legvander
 from scipy.fft import dct, idct
+from scipy.signal import welch
 from scipy.special import ndtri, softmax
 
+from bayescal._calibration.check_result import allan_rows
 from bayescal._calibration.claim import Claim
-from bayescal._calibration.noise_in_time import allan_rows
 from bayescal._core import deadline
 from bayescal._core.errors import InputError
 from bayescal._core.formatting import number, probability
@@ -129,14 +130,17 @@ class NoiseFigure:
 
     def row(self) -> list[str]:
         """As printed."""
-        value, si = f"{number(self.value)}", f"{number(self.si[0])}"
-        extent = f"{number(self.low)} to {number(self.high)}"
+        name, extent = (
+            f"{self.name} {self.symbol}".strip(),
+            f"{number(self.low)} to {number(self.high)}",
+        )
+        value, si = number(self.value), number(self.si[0])
         if self.bound and not math.isfinite(self.high):
-            return [f"{self.name} {self.symbol}", "", "not seen", ""]
+            return [name, "", "not seen", ""]
         if self.bound:
             value, extent, si = f"< {number(self.high)}", "not seen", f"< {number(self.si[2])}"
-        said = f"{value} {unit_label(self.unit)}", extent, f"{si} {unit_label(self.si_unit)}"
-        return [f"{self.name} {self.symbol}".strip(), *(s.strip() for s in said)]
+        units = unit_label(self.unit), unit_label(self.si_unit)
+        return [name, f"{value} {units[0]}".strip(), extent, f"{si} {units[1]}".strip()]
 
 
 @dataclass(frozen=True, repr=False)
@@ -178,12 +182,7 @@ class SensorNoise(Printed):
     @property
     def law(self) -> str:
         """The most probable sum of noise terms, in words."""
-        return _words(self.terms)
-
-    @property
-    def notes(self) -> tuple[str, ...]:
-        """The claims in words."""
-        return tuple(map(str, self.claims))
+        return RestingSum(1.0, 2.0, self.terms).in_words
 
     def _parts(self) -> list[str | ResultTable]:
         rows = [figure.row() for figure in self.figures]
@@ -191,10 +190,8 @@ class SensorNoise(Printed):
         likely = [
             f"{w} {probability(p)}" for w, p in self.probabilities.items() if p >= SHOWN_PROBABILITY
         ]
-        said = [
-            f"Noise law: {', '.join(likely[:SHOWN_SUMS])}.",
-            *(f"Note: {note}" for note in self.notes),
-        ]
+        said = [f"Noise law: {', '.join(likely[:SHOWN_SUMS])}."]
+        said += [f"Note: {claim}" for claim in self.claims]
         m, unit = self.measured, unit_label(self.unit)
         head = ["τ [s]", "Allan deviation", "noise law", "95 % of such records"]
         columns = (m.tau, m.deviation, self.expected, self.estimate_low, self.estimate_high)
@@ -296,7 +293,7 @@ def noise(readings: Measurements, *, seed: int = 0, time_limit: float | None = N
         unit=unit,
         step=step,
         terms=found.drawn[0].terms,
-        probabilities={_words(t): p for t, p in found.probabilities.items()},
+        probabilities={RestingSum(1.0, 2.0, t).in_words: p for t, p in found.probabilities.items()},
         figures=_figures(found, unit, draws),
         measured=measured,
         expected=middle,
@@ -444,7 +441,7 @@ def _weigh(readings: Measurements, seed: int) -> WeighedNoise:
         mean.update({terms: p / len(parts) for terms, p in probabilities.items()})
     drawn = sorted((n for own, *_ in parts for n in own), key=lambda n: -mean[n.terms])
     walk = np.concatenate([walk for _, walk, _ in parts])
-    probable = dict(mean.most_common())
+    probable: dict[Terms, Any] = dict(mean.most_common())
     return WeighedNoise(drawn, walk, probable, tuple(claims), readings, runs, count)
 
 
@@ -598,11 +595,9 @@ def _line(output: Float[np.ndarray, "n"], runs: EvenRuns) -> tuple[float, dict[s
     run = np.where(np.isfinite(run), run, np.nanmean(run))
     length = WINDOW
     while (count := len(run) // length) >= WINDOWS:
-        parts = run[: count * length].reshape(count, length)
-        window = np.hanning(length)
-        lines = np.fft.rfft((parts - parts.mean(axis=1)[:, None]) * window, axis=1)
         # One-sided, so that its mean over frequencies to ½ per reading is twice the variance.
-        power = 2 * np.mean(np.abs(lines) ** 2, axis=0) / float(window @ window)
+        window: Any = np.hanning(length)
+        _, power = welch(run, window=window, noverlap=0, detrend="constant")
         at = np.arange(BESIDE[-1] + 1, len(power) - BESIDE[-1] - 1)
         low, high = (power[at[:, None] + sign * BESIDE].mean(axis=1) for sign in (-1, 1))
         around = np.sqrt(low * high)
@@ -788,10 +783,6 @@ def _drawn(
     return RestNoise(terms, own, law)
 
 
-def _words(terms: tuple[str, ...]) -> str:
-    return RestingSum(1.0, 2.0, terms).in_words
-
-
 def _for_filter(found: WeighedNoise) -> tuple[np.ndarray, np.ndarray]:
     """Draws of N, and of K; where no correlated noise is seen, the K that a random walk may still have."""
     factors, step = found.runs.factors, found.runs.step
@@ -834,16 +825,15 @@ def _figures(
         return np.concatenate(having) if 2 * sum(map(len, having)) > every else None
 
     white = np.concatenate([one.density(step) for one in found.drawn])
-    lowest, floor = np.argmin(np.median(curve, axis=0)), np.sqrt(np.min(curve, axis=1) / FLAT)
+    white = white if found.count else np.full(1, math.nan)  # not even a bound
+    inside = 0 < np.argmin(np.median(curve, axis=0)) < curve.shape[1] - 1
+    floor = np.sqrt(np.min(curve, axis=1) / FLAT) if inside else None
     k = over_all("noise.walk")
     rows = [
         ("Q", "quantisation noise", names.rounded, f"{own}*s", over_all("noise.quantisation")),
         ("N", density, of_density, f"{own}/Hz^0.5", white),
         ("B", f"{bias} (flicker)", of_bias, own, over_all("noise.flicker")),
-        (
-            *("", f"{bias} (lowest Allan deviation over 0.664)", of_bias, own),
-            floor if 0 < lowest < curve.shape[1] - 1 else None,
-        ),
+        ("", f"{bias} (lowest Allan deviation over 0.664)", of_bias, own, floor),
         ("K", walk, of_walk, f"{own}/s^0.5", found.walk if k is None else k),
         ("", "tone, size", of_bias, own, over_all("noise.tone")),
         ("", "tone, frequency", "Hz", "Hz", over_all("noise.tone.frequency")),
@@ -855,16 +845,12 @@ def _figures(
         name = f"Ornstein–Uhlenbeck {place}"
         rows.append(("", f"{name}, size", of_bias, own, size))
         rows.append(("", f"{name}, correlation time", "s", "s", time))
-    bounded = {"K"} if k is None else set()
-    made = {
-        (symbol, name): _figure(symbol, name, shown, inner, draws, symbol in bounded)
+    bounded = {"K": k is None, "N": not found.count}
+    return tuple(
+        _figure(symbol, name, shown, inner, draws, bounded.get(symbol, False))
         for symbol, name, shown, inner, draws in rows
         if draws is not None
-    }
-    if not found.count:
-        unknown = {"value": math.nan, "low": 0.0, "high": math.inf, "si": (math.nan, 0.0, math.inf)}
-        made["N", density] = replace(made["N", density], **unknown, bound=True)
-    return tuple(made.values())
+    )
 
 
 def _figure(
@@ -874,12 +860,11 @@ def _figure(
     tail = 0.5 * (1 - CONFIDENCE)
     low, middle, high = np.quantile(draws, [tail, 0.5, 1 - tail])
     if bound:  # all of what is left below
-        low, high = 0.0, np.quantile(draws, CONFIDENCE)
-    factor = parse(own).factor / parse(unit).factor
-    base, to_base = _base(own)
-    value, lowest, highest = (float(v) * factor for v in (middle, low, high))
-    si = (float(middle) * to_base, float(low) * to_base, float(high) * to_base)
-    return NoiseFigure(symbol, name, unit, value, lowest, highest, base, si, bound)
+        low, high = 0.0, np.nan_to_num(np.quantile(draws, CONFIDENCE), nan=math.inf)
+    (base, to_base), factor = _base(own), parse(own).factor / parse(unit).factor
+    values = np.array([middle, low, high])
+    (value, least, most), (*si,) = (factor * values).tolist(), (to_base * values).tolist()
+    return NoiseFigure(symbol, name, unit, value, least, most, base, (si[0], si[1], si[2]), bound)
 
 
 def _base(unit: str) -> tuple[str, float]:

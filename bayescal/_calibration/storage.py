@@ -9,6 +9,7 @@ from __future__ import annotations
 import hashlib
 import io
 import json
+import re
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import asdict, replace
@@ -59,6 +60,7 @@ UNKNOWNS = "unknowns"  # of a noise law of the user's own
 LAW_FILE = "Give the file that defines the one it was fitted with: --effects my_law.py (in Python: run it before load)"
 EFFECT_FILE = "--effects my_effects.py (in Python: load(path, effects=[…]))"
 _PRIORS = {c.__name__: c for c in (Flat, HalfCauchy, HalfNormal, LogNormal, LogUniform, Normal)}
+_PRIOR = re.compile(rf"\b({'|'.join(_PRIORS)})\(([^()]*)\)")
 
 
 def save(calibration: Fitted, path: Path) -> Path:
@@ -271,18 +273,20 @@ def name_of_today(name: str) -> str:
 
 def of_today(described: dict[str, Any]) -> dict[str, Any]:
     """A description of 0.2 with the names of unknowns, and the words of formulas, that they have now."""
-    now = {
-        "unknowns": lambda name, said: (name, str(said).replace("spread=", "group_sd=")),
-        "fixed": lambda name, value: (name_of_today(name), value),
-        "typed": lambda name, line: (name, line_of_today(line)),
+    said, typed = described["unknowns"].items(), described.get("typed", {}).items()
+
+    def prior(match: re.Match[str]) -> str:
+        """Return a prior as it says itself now, its defaults left out."""
+        named = (field.split("=") for field in match[2].split(", ") if field)
+        return repr(_PRIORS[match[1]](**{name: float(value) for name, value in named}))
+
+    return {
+        **described,
+        "unknowns": {n: _PRIOR.sub(prior, s.replace("spread=", "group_sd=")) for n, s in said},
+        "fixed": {name_of_today(name): value for name, value in described["fixed"].items()},
+        "typed": {name: line_of_today(line) for name, line in typed},
+        "reference": {n: v for n, v in described["reference"].items() if n != "run_starts"},
     }
-    changed = {
-        k: dict(each(*item) for item in described[k].items())
-        for k, each in now.items()
-        if k in described
-    }
-    reference = {n: v for n, v in described["reference"].items() if n != "run_starts"}
-    return described | changed | {"reference": reference}
 
 
 def _noise_words(noise: Noise) -> dict[str, Any]:
@@ -381,7 +385,8 @@ def model_from(path: Path, described, readings: Measurements, effects, instrumen
     for n, size in described.get("sizes", {}).items():
         model = model.resize(n, size)
     for one in model.effects:
-        if then[one.name] != (now := stated(one)):
+        now, own_slot = stated(one), f", slot={one.slot!r}"  # which once stood with some
+        if then[one.name].replace(own_slot, "") != now.replace(own_slot, ""):
             raise InputError(
                 f"{path.name} was fitted with another effect {one.name!r} than the one given now: then "
                 f"{then[one.name]}; now {now}. Give the one it was fitted with: {EFFECT_FILE}"

@@ -8,7 +8,6 @@ from typing import Any
 
 import numpy as np
 from jaxtyping import Float
-from scipy.special import chdtrc
 
 from bayescal._calibration.claim import Claim
 from bayescal._calibration.fitted import Fitted
@@ -50,7 +49,7 @@ def unknowns_parts(
     if fixed := ", ".join(f"{name} = {value:g}" for name, value in model.fixed):
         lines.append(f"fixed: {fixed}")
     if model.noise_as_stated:
-        squares, freedom, chance = chi_squared(calibration)
+        squares, freedom, chance = calibration.chi_squared
         lines.append(
             f"noise as stated: χ² = {squares:.4g} with {freedom} degrees of freedom (as much or more by chance in "
             f"{chance:.2g} of cases)"
@@ -111,15 +110,6 @@ def unknown_rows(
             contraction = "–" if s["contraction"] is None else f"{s['contraction']:.3f}"
             rows[name] = [name, value, unit, interval(low, high, mean, sd), contraction]
     return rows
-
-
-def chi_squared(calibration: Fitted) -> tuple[float, int, float]:
-    """Return χ² of the residuals against their variance, its degrees of freedom, the chance of as much or more."""
-    linear = calibration.linear
-    squares = float(np.sum(linear.residual**2 / linear.variance))
-    freedom = linear.size - len(linear.owners)
-    chance = float(chdtrc(freedom, squares)) if freedom > 0 else float("nan")
-    return squares, freedom, chance
 
 
 def curves(calibration: Fitted) -> set[str]:

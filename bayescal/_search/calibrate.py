@@ -14,20 +14,17 @@ from typing import Any
 import numpy as np
 
 from bayescal._calibration.calibration import Calibration
-from bayescal._calibration.check import check
+from bayescal._calibration.check import check, noise_floor
 from bayescal._calibration.fit import fit
-from bayescal._calibration.holdout_contradiction import HoldoutTest
 from bayescal._calibration.judgement import (
-    GROUPS,
     PRIOR,
     Subject,
-    claims,
+    group_conflicts,
     noiseless,
     wrong_question,
 )
 from bayescal._calibration.leave_group_out import leave_one_group_out, scheme
-from bayescal._calibration.noise_in_time import noise_floor
-from bayescal._calibration.predict import predict
+from bayescal._calibration.predict import HoldoutTest, predict
 from bayescal._core import deadline
 from bayescal._core.errors import InputError
 from bayescal._core.formatting import probability
@@ -426,7 +423,7 @@ def step_of(
         check=checked,
         discovery=None,
         against=wrong_question(calibration, floor, accepted),
-        different=tuple(claims(GROUPS, Subject(calibration, accepted))),
+        different=tuple(group_conflicts(Subject(calibration, accepted))),
     )
 
 

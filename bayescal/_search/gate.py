@@ -1,6 +1,6 @@
 """The gate: whether the last model is to be used. It asks everything that the fits and checks know.
 
-Its own checks are of all steps, the last one judged; they stand with their limits in the tables at the end.
+Its own checks are of all steps, the last one judged.
 """
 
 from __future__ import annotations
@@ -13,9 +13,7 @@ import numpy as np
 from bayescal._calibration.claim import Claim, as_claim
 from bayescal._calibration.judgement import (
     CORRELATED_SD,
-    AcceptanceCheck,
     Subject,
-    claims,
     odd_thermometers,
     of_runs,
     only_between_runs,
@@ -30,9 +28,8 @@ from bayescal._search.taken_over import TakenOver, said_of_profiles, taken_over
 WORSE = "step.predicts_worse"
 # Probability that the model is complete, below which it is not to be used as it is.
 UNDECIDED_PROBABILITY = 0.05
-SCATTER_RATIO = (
-    2.0  # times the scatter expected of hold-out data, beyond which they are of something else
-)
+# Times the scatter expected of hold-out data, beyond which they are of something else.
+SCATTER_RATIO = 2.0
 # Share of the steps of an input to a value that come from one value: of ten such steps one may be another.
 ONE_ORDER_SHARE = 0.9
 
@@ -63,15 +60,20 @@ def _claims_of_last(steps: Sequence[Step]) -> list[Claim]:
     last, first = steps[-1], steps[0].calibration.model
     judged = {"check": last.check, "left_out": last.left_out, "doubts": last.doubts}
     subject = Subject(last.calibration, **judged, first=first, missing=_may_be_missing(last))
-    found = [*last.different, *residual_claims(subject), *claims(OPEN, steps)]
-    found += [*odd_thermometers(subject), *claims(WORSENED, steps)]
-    return [*found, *surprising(subject), *claims(NEW_READINGS, steps)]
+    return [
+        *(*last.different, *residual_claims(subject)),
+        *(*undecided(steps), *equivalent(steps, "doubt")),
+        *(*odd_thermometers(subject), *replaced(steps), *worsened(steps)),
+        *(*surprising(subject), *runs_unlike(steps), *contradicted(steps)),
+    ]
 
 
 def judged(steps: Sequence[Step]) -> tuple[tuple[Step, ...], Gate]:
     """Return steps whose last calibration knows what stands against it, wherever it is taken; and the gate."""
     reasons, last = against(steps), steps[-1]
-    if notes := claims(NOTES, steps):
+    notes = [*said_of_profiles(last.calibration), *confounded(steps)]
+    notes += [*sensor_or_thermometer(steps), *equivalent(steps, "note")]
+    if notes := [*notes, *two_levels(steps), *in_one_order(steps)]:
         last = last.noted(notes)
         steps = (*steps[:-1], last)
     if last.calibration.verdict.ok:
@@ -277,16 +279,3 @@ def contradicted(steps: Sequence[Step]) -> Iterator[Claim]:
         yield Claim("holdout.contradicts", **told, before=before, unit=unit)
     elif found.scatter > SCATTER_RATIO:
         yield Claim("holdout.scatters", scatter=found.scatter)
-
-
-# What is open of the last model; what an added effect made worse; what readings that were not fitted say; what is to
-# be known of the readings.
-OPEN = (undecided, lambda steps: equivalent(steps, "doubt"))
-WORSENED = (replaced, worsened)
-NEW_READINGS = (runs_unlike, contradicted)
-NOTES: tuple[AcceptanceCheck, ...] = (
-    lambda steps: said_of_profiles(steps[-1].calibration),
-    *(confounded, sensor_or_thermometer),
-    lambda steps: equivalent(steps, "note"),
-    *(two_levels, in_one_order),
-)

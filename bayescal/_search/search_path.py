@@ -12,9 +12,9 @@ from typing import TYPE_CHECKING, Any
 from bayescal._calibration.calibration import Calibration
 from bayescal._calibration.check_result import Check
 from bayescal._calibration.claim import Claim
-from bayescal._calibration.holdout_contradiction import HoldoutTest
 from bayescal._calibration.judgement import doubts_of_the_mode
 from bayescal._calibration.leave_group_out import LeaveOneGroupOut, scheme
+from bayescal._calibration.predict import HoldoutTest
 from bayescal._core.formatting import number, probability
 from bayescal._core.result_table import Printed, ResultTable, TableColumn
 from bayescal._core.settings import settings

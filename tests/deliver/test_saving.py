@@ -163,7 +163,7 @@ def test_a_broken_write_leaves_the_old_file_whole(line, tmp_path, monkeypatch) -
 
 
 def test_file_of_0_2_is_read(tmp_path) -> None:
-    """There all groups stood in the file, and a group's standard deviation was its spread in the model's words."""
+    """There all groups stood in the file; a group's deviation was its spread, priors told their defaults."""
     fitted = bc.fit(INSTRUMENT.baseline() + "bias.run", simulate(seed=3))
     fitted.save(tmp_path / "now.nc")
 
@@ -172,6 +172,7 @@ def test_file_of_0_2_is_read(tmp_path) -> None:
             fitted.posterior.rename({"bias.run.group_sd": "bias.run.spread"})
         )
         text = tree.attrs["bayescal"].replace("group_sd=", "spread=")
+        text = text.replace("Normal(sd=", "Normal(mean=0.0, sd=")
         tree.attrs["bayescal"] = text.replace("bayescal.calibration/2", "bayescal.calibration/1")
 
     loaded = bc.load(resealed(tmp_path / "now.nc", tmp_path / "then.nc", older))

@@ -59,8 +59,8 @@ NAMES = [
     "trail",
     "channels",
     "budget",
-    "next experiment",
 ]
+NAMES = [*NAMES, "next experiment"]
 
 
 @pytest.mark.parametrize("name", NAMES)
@@ -87,16 +87,8 @@ def test_html_holds_every_word_of_the_text_and_nothing_unescaped(results, name) 
     found = results[name]._repr_html_()
     assert "<table>" in found
     assert SCRIPT not in found
-    assert set(re.findall(r"</?(\w+)", found)) <= {
-        "table",
-        "thead",
-        "tbody",
-        "tr",
-        "th",
-        "td",
-        "p",
-        "br",
-    }
+    tags = {*re.findall(r"</?(\w+)", found)}
+    assert tags <= {*["table", "thead", "tbody", "tr", "th", "td", "p", "br"]}
     plain = re.sub(r"&\w+;|&#x?\w+;|<[^>]*>|\s", "", found)
     text = re.sub(r"[\s─<>&'\"]", "", str(results[name]))
     assert plain == text

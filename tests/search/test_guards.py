@@ -13,7 +13,7 @@ import pytest
 import bayescal as bc
 from bayescal._calibration import judgement
 from bayescal._calibration.claim import Claim
-from bayescal._calibration.judgement import CONFLICTS, GROUPS, Subject, claims
+from bayescal._calibration.judgement import Subject
 from bayescal._calibration.leave_group_out import leave_one_group_out
 from bayescal._search.gate import gate, in_one_order
 from bayescal.effects import deviation
@@ -40,8 +40,8 @@ def runs() -> bc.Calibration:
 
 
 def test_an_ordinary_fit_trips_none(line: bc.Calibration, runs: bc.Calibration) -> None:
-    assert claims(CONFLICTS, Subject(line)) == []
-    assert claims(CONFLICTS, Subject(runs)) == []
+    assert judgement.conflicts(Subject(line)) == []
+    assert judgement.conflicts(Subject(runs)) == []
 
 
 def write_off(path) -> Any:
@@ -73,7 +73,7 @@ def told_of(
     more = [{**ROW, **row}]
     both = ([*coefficients, *more], spreads) if coefficient else (coefficients, [*spreads, *more])
     monkeypatch.setattr(judgement, "summary", lambda _: both)
-    return claims(CONFLICTS, Subject(line))
+    return judgement.conflicts(Subject(line))
 
 
 @pytest.mark.parametrize(("sign", "count"), [(1.0, 0), (-1.0, 1)])
@@ -88,12 +88,12 @@ def test_runs_that_differ_by_far_more_than_is_plausible(
     readings = bc.Measurements.from_arrays(INSTRUMENT, **columns, output=output)
     between = deviation("bias", "run", 0.3, "deg/s", source="ours")
     found = bc.fit(runs.model + between, readings, bc.LeastSquares(draws=200), strict=False)
-    told = claims(GROUPS, Subject(found))
+    told = judgement.group_conflicts(Subject(found))
     assert len(told) == count
     assert all(said.numbers["member"].startswith("bias.run(") for said in told)
     assert set(told) <= set(found.conflicts)
-    assert claims(GROUPS, Subject(found, ["bias.run"])) == []
-    assert not set(told) & set(claims(CONFLICTS, Subject(found))), (
+    assert judgement.group_conflicts(Subject(found, ["bias.run"])) == []
+    assert not set(told) & set(judgement.conflicts(Subject(found))), (
         "what is missing may be what they differ by"
     )
 
@@ -123,12 +123,12 @@ def test_members_that_follow_the_column_that_their_readings_deny() -> None:
     told = []
     for readings in (given, given.with_column("temperature", warm)):
         found = bc.fit(model, readings, bc.LeastSquares(draws=200), strict=False)
-        told.append(claims(GROUPS, Subject(found)))
+        told.append(judgement.group_conflicts(Subject(found)))
     assert told[0] == []
     said = told[1][0]
     assert (said.code, said.of) == ("group.follows_column", ("bias.cell", "bias.temperature"))
     assert said in found.conflicts
-    assert claims(GROUPS, Subject(found, ["bias.cell", "scale.cell"])) == []
+    assert judgement.group_conflicts(Subject(found, ["bias.cell", "scale.cell"])) == []
 
 
 @pytest.mark.filterwarnings("ignore::RuntimeWarning")  # of overflow, on the way to no noise
@@ -204,12 +204,6 @@ def codes(found: Any) -> set[str]:
     return {claim.code for claim in found.claims}
 
 
-def test_outliers_on_one_side_shut_the_gate(line) -> None:
-    both = steps(line, {}, {})
-    both[-1].check.one_sided = 1e-6
-    assert codes(gate(both)) == {"noise.one_sided"}
-
-
 def test_a_fit_without_a_definite_curvature_shuts_the_gate(line) -> None:
     assert judgement.doubts_of_the_mode(line) == []
     mended = replace(line, mode=line.mode._replace(indefinite=True))
@@ -261,6 +255,7 @@ def test_hold_out_data_are_judged_by_a_test(line, p: float, ok: bool) -> None:
     [
         ({"scatter_with": {"temperature": 1e-6}}, "noise.scatter"),
         ({"pit_p": 1e-6}, "noise.tails"),
+        ({"one_sided": 1e-6}, "noise.one_sided"),
         (
             {"entries": [SimpleNamespace(log_bayes_factor=11.0, against="run")]},
             "residuals.depend",
