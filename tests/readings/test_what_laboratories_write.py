@@ -228,7 +228,7 @@ def test_stamps_of_drivers_have_the_noise_of_the_sensor(name) -> None:
     found = bc.noise(bc.read(path, STILL, columns={"output": "gyro_x"}))
     density = next(f for f in found.figures if f.symbol == "N")
     assert density.unit == "deg/h^0.5" and density.low < 0.24 < density.high
-    assert any("lost" in note for note in found.notes) == (name == "drop400")
+    assert ("noise.lost" in [c.code for c in found.claims]) == (name == "drop400")
 
 
 def test_poses_that_are_held_briefly_are_all_found() -> None:
