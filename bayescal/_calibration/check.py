@@ -14,8 +14,7 @@ from typing import Any
 
 import numpy as np
 from jaxtyping import Float
-from scipy.special import chdtr, chdtrc, chdtri, logsumexp
-from scipy.stats import binomtest, kstest, spearmanr
+from scipy.special import bdtr, chdtr, chdtrc, chdtri, kolmogorov, logsumexp, ndtr
 
 from bayescal._calibration import judgement
 from bayescal._calibration.calibration import Calibration
@@ -99,7 +98,7 @@ def check(calibration: Calibration) -> Check:
         scatter = _scatter_with(covariates, white, calibration.readings["output"] - residual)
         if count := int(FARTHEST_SHARE * len(loo)):  # sign test
             above = int(np.sum(loo[np.argsort(-np.abs(loo))[:count]] > 0))
-            one_sided = float(binomtest(above, count).pvalue)
+            one_sided = min(1.0, 2 * float(bdtr(min(above, count - above), count, 0.5)))
     if free is not None:
         fixed = FixedComparison(noise, rms, free, known_noise(calibration))
     far = settings().outlier_sd
@@ -112,7 +111,7 @@ def check(calibration: Calibration) -> Check:
         autocorrelation=autocorrelation(judged, white),
         scatter_with=scatter,
         outliers=tuple((i, z) for i, z in enumerate(loo.tolist()) if abs(z) > far),
-        pit_p=float(kstest(loo, "norm").pvalue),
+        pit_p=_normal(loo),
         one_sided=one_sided,
         fixed=fixed,
         residuals=residual,
@@ -168,9 +167,6 @@ def known_noise(calibration: Calibration) -> dict[str, float]:
     return found
 
 
-# covariates ----------------------------------------------------------------------------------------------------------
-
-
 @dataclass(frozen=True)
 class Covariate:
     """A covariate and its columns."""
@@ -224,8 +220,22 @@ def _duos(covariates: list[Covariate]) -> list[tuple[Covariate, Covariate]]:
     """Pairs of covariates that are not nearly one and the same."""
     varied = (c for c in covariates if not c.levels and np.ptp(c.values) > 0)
     pairs = combinations(varied, 2)
-    ranks: Any = ((a, b, spearmanr(a.values, b.values)) for a, b in pairs)
-    return [(a, b) for a, b, (r, _) in ranks if abs(r) < SAME_COVARIATE_CORRELATION][:DUOS]
+    apart = ((a, b, judgement.correlation(_ranks(a.values), _ranks(b.values))) for a, b in pairs)
+    return [(a, b) for a, b, (r, _) in apart if abs(r) < SAME_COVARIATE_CORRELATION][:DUOS]
+
+
+def _ranks(values: np.ndarray) -> np.ndarray:
+    """Ranks from 1; equal values share the mean of theirs."""
+    _, inverse, counts = np.unique(values, return_inverse=True, return_counts=True)
+    return (np.cumsum(counts) - 0.5 * (counts - 1))[inverse]
+
+
+def _normal(values: np.ndarray) -> float:
+    """p-value of standard normal values (Kolmogorov; for few by M. Stephens, J. R. Stat. Soc. B 32 (1970) 115)."""
+    root, p = np.sqrt(len(values)), ndtr(np.sort(values))
+    steps = np.arange(len(values) + 1) / len(values)
+    apart = max(np.max(steps[1:] - p), np.max(p - steps[:-1]))
+    return float(kolmogorov((root + 0.12 + 0.11 / root) * apart))
 
 
 def _together(first: Covariate, second: Covariate) -> Covariate:
@@ -268,9 +278,6 @@ def log_bayes_factors(
             terms.append(0.5 * np.sum(energy - np.log1p(spread), axis=1))
         found.append(float(logsumexp(terms) - np.log(np.size(terms))))
     return found
-
-
-# residuals as noise --------------------------------------------------------------------------------------------------
 
 
 def autocorrelation(calibration: Calibration, standardised: np.ndarray) -> tuple[float, float]:
@@ -326,8 +333,9 @@ def _scatter_with(
     # Noise in proportion to a signal of both signs grows on both sides, which a ranking along no column shows.
     along["the output's distance from its median"] = np.abs(expected - np.median(expected))
     varied = {n: values for n, values in along.items() if np.ptp(values) > 0 and len(values) > 2}
-    ranks: Any = ((n, spearmanr(np.abs(standardised), values)) for n, values in varied.items())
-    return {name: float(p) for name, (_, p) in ranks if p < SIGNIFICANT_P}
+    sizes = _ranks(np.abs(standardised))
+    found = {n: judgement.correlation(sizes, _ranks(values))[1] for n, values in varied.items()}
+    return {name: p for name, p in found.items() if p < SIGNIFICANT_P}
 
 
 def allan_check(calibration: Fitted) -> AllanCheck | None:
@@ -426,9 +434,6 @@ def noise_floor(calibration: Fitted) -> float:
     if bend.size < 3:
         return float(np.sqrt(np.mean(residual**2)))
     return float(np.sqrt(np.mean(bend**2) / 1.5))
-
-
-# the worst region ----------------------------------------------------------------------------------------------------
 
 
 def _worst_region(calibration: Calibration, covariate: Covariate) -> Region:

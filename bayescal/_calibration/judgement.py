@@ -7,13 +7,12 @@ model only a search tells; what it gets wrong shows in its residuals.
 from __future__ import annotations
 
 import math
-import warnings
 from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
-from scipy.stats import NearConstantInputWarning, pearsonr
+from scipy.special import stdtr
 
 from bayescal._calibration.check_result import Check
 from bayescal._calibration.claim import Claim
@@ -136,9 +135,6 @@ def not_converged(subject: Subject) -> Iterator[Claim]:
         yield Claim("fixed.wrong", rms=fixed.rms, unit=unit, times=fixed.rms / fixed.noise)
 
 
-# What a fit may not be -------------------------------------------------------------------------------------------
-
-
 def contradicted(subject: Subject) -> Iterator[Claim]:
     """Coefficients that stand far from their priors' means."""
     return _against_priors(subject, {r["name"]: (r["mean"], 0.0) for r in summary(subject.fit)[0]})
@@ -156,12 +152,9 @@ def contradicted_alone(subject: Subject) -> list[Claim]:
         for e in instrument.effects
         if len(e.coefficients) == 1 and instrument.slot(e.slot).unit in (instrument.unit, "1")
     }
-    problem, there = (
-        Problem(fit.layout, fit.problem.record, dict.fromkeys(own, FREE_SIZES)),
-        fit.mode,
-    )
-    starts = [there.v, np.zeros_like(there.v)]
-    mode = find_mode(problem, starts, there.x, still=0.01)
+    problem = Problem(fit.layout, fit.problem.record, dict.fromkeys(own, FREE_SIZES))
+    starts = [fit.mode.v, np.zeros_like(fit.mode.v)]
+    mode = find_mode(problem, starts, fit.mode.x, still=0.01)
     _, found = Density(problem, mode.x, mode.flat, mode.v).at(mode.v)
     if found is None:
         return []
@@ -295,10 +288,8 @@ def following_members(subject: Subject) -> Iterator[Claim]:
         plain = b.coefficient.group_sd is not None and b.effect.weights is None
         if not plain or subject.accepts(b.effect.name) or not means.keys() >= {*names}:
             continue
-        own, values = (
-            record.codes[str(b.coefficient.per)],
-            np.array([means[name] for name in names]),
-        )
+        own = record.codes[str(b.coefficient.per)]
+        values = np.array([means[name] for name in names])
         for term in (e for e in single if e.slot == b.effect.slot and not subject.accepts(e.name)):
             column = record.columns(ColumnsOf.of(term), ())[:, 0]
             count = np.bincount(own[own >= 0], minlength=len(values))
@@ -307,14 +298,19 @@ def following_members(subject: Subject) -> Iterator[Claim]:
             mean, deviations = total[there] / count[there], values[there]
             if len(mean) < 3 or not (np.ptp(mean) and np.ptp(deviations)):
                 continue
-            with warnings.catch_warnings():  # nearly constant: follows what has next to no size
-                warnings.simplefilter("ignore", NearConstantInputWarning)
-                r, chance = map(float, pearsonr(mean, deviations))
+            r, chance = correlation(mean, deviations)
             if chance < RARE_P:
                 told = {"term": term.name, "along": term.varies, "group": b.coefficient.per}
                 told |= {"r": r, "p": chance}
                 names_of = b.effect.name, term.name
                 yield Claim("group.follows_column", *names_of, **told, members=int(there.sum()))
+
+
+def correlation(one: np.ndarray, other: np.ndarray) -> tuple[float, float]:
+    """Pearson's correlation of two columns, and its p-value if they are independent."""
+    r, free = float(np.clip(np.corrcoef(one, other)[0, 1], -1, 1)), len(one) - 2
+    t = np.sqrt(free / np.float64((1 - r) * (1 + r))) if abs(r) < 1 else np.inf
+    return r, float(2 * stdtr(free, -abs(r) * t))
 
 
 def too_few(subject: Subject) -> Iterator[Claim]:
@@ -377,9 +373,6 @@ def doubts_of_the_mode(fit: Fitted) -> list[Claim]:
             }
             return [Claim("mode.two", *values, behind=behind, values=tuple(values.values()))]
     return []
-
-
-# What a fit's own readings say against it ------------------------------------------------------------------------
 
 
 def noiseless(fit: Fitted) -> str:

@@ -103,10 +103,8 @@ def predict(
         count, noise_of, spread = len(past), None, 0.0
         if count and correlated:
             later = some.select(np.arange(count, len(some)))
-            noise, output = (
-                _noise_at(calibration, past, later, beyond=True),
-                frame["output"][:count],
-            )
+            noise = _noise_at(calibration, past, later, beyond=True)
+            output = frame["output"][:count]
             spread = np.append(np.zeros(count), noise(np.zeros((count, 1)))[1])
 
             def carried(expected: np.ndarray) -> np.ndarray:

@@ -27,7 +27,6 @@ import numpy as np
 from jaxtyping import Float
 from numpy.polynomial.legendre import legvander
 from scipy.fft import dct, idct
-from scipy.signal import welch
 from scipy.special import ndtri, softmax
 
 from bayescal._calibration.check_result import allan_rows
@@ -130,10 +129,8 @@ class NoiseFigure:
 
     def row(self) -> list[str]:
         """As printed."""
-        name, extent = (
-            f"{self.name} {self.symbol}".strip(),
-            f"{number(self.low)} to {number(self.high)}",
-        )
+        name = f"{self.name} {self.symbol}".strip()
+        extent = f"{number(self.low)} to {number(self.high)}"
         value, si = number(self.value), number(self.si[0])
         if self.bound and not math.isfinite(self.high):
             return [name, "", "not seen", ""]
@@ -596,8 +593,9 @@ def _line(output: Float[np.ndarray, "n"], runs: EvenRuns) -> tuple[float, dict[s
     length = WINDOW
     while (count := len(run) // length) >= WINDOWS:
         # One-sided, so that its mean over frequencies to ½ per reading is twice the variance.
-        window: Any = np.hanning(length)
-        _, power = welch(run, window=window, noverlap=0, detrend="constant")
+        window, parts = np.hanning(length), run[: count * length].reshape(count, length)
+        spectra = np.abs(np.fft.rfft((parts - parts.mean(axis=1, keepdims=True)) * window)) ** 2
+        power = 2 * spectra.mean(axis=0) / np.sum(window**2)
         at = np.arange(BESIDE[-1] + 1, len(power) - BESIDE[-1] - 1)
         low, high = (power[at[:, None] + sign * BESIDE].mean(axis=1) for sign in (-1, 1))
         around = np.sqrt(low * high)

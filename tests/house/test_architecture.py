@@ -258,7 +258,7 @@ CEILINGS = {
     "bayescal/_model": 6_083,
     "bayescal/effects": 721,
     "bayescal/_inference": 6_428,
-    "bayescal/_calibration": 5_222,
+    "bayescal/_calibration": 5_216,
     "bayescal/_use": 3_150,
     "bayescal/_search": 5_828,
     "bayescal/_report": 2_449,
