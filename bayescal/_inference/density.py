@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from bayescal._inference.gaussian import Conditional, Gram, condition, draw
+from bayescal._inference.gaussian import Conditional, Gram, condition, draw, factors, solve
 from bayescal._inference.newton import ByValues
 from bayescal._inference.noise_on_record import (
     Independent,
@@ -29,7 +29,6 @@ from bayescal._model.composition import Linearised
 NOWHERE = -1e300  # log density where there is none
 NEWTON_STEPS = 50  # to the mode of x at most
 NEWTON_NATS = 1e-6  # that the last of them gains: one more would gain the square of that
-TINY = 1e-12  # beside one, so that a matrix has an inverse
 KEPT_LINES = 64  # linearisations
 
 
@@ -159,7 +158,6 @@ class Density:
         move = np.tile(self._mode - x, (len(vs), 1))
         value, *rest = look(np.arange(len(vs)), move)
         left_over = np.arange(len(vs)) if problem.size else np.zeros(0, dtype=int)
-        identity = np.eye(problem.size)
         for _ in range(NEWTON_STEPS):
             if not len(left_over):
                 break
@@ -170,8 +168,9 @@ class Density:
             for weights in (curvature, weight):
                 own = left_over[trying]
                 inner = products(own, weights[trying]) * sd[trying, :, None] * sd[trying, None, :]
-                inner = inner + prior.weight * identity + TINY * identity
-                step = np.linalg.solve(inner, pull[trying, :, None])[:, :, 0]
+                # No factor, and no step, where the curvature bends up: Newton's would end on a saddle.
+                chol = factors(inner + np.diag(prior.weight))
+                step = solve(chol, solve(chol, pull[trying]), upper=True)
                 there = look(own, move[own] + sd[trying] * step)
                 better = there[0] <= value[own]
                 put = own[better]

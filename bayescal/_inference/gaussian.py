@@ -185,8 +185,8 @@ def draw(
     precision = sd[:, :, None] * grams.jtj * sd[:, None, :]
     diagonal = np.arange(len(at))
     precision[:, diagonal, diagonal] += weight
-    chol = _factors(precision)
-    mean = _solve(chol, _solve(chol, pulled), upper=True)
+    chol = factors(precision)
+    mean = solve(chol, solve(chol, pulled), upper=True)
     move, from_prior = offset + sd * mean, mean - far
     across = np.einsum("bij,bj->bi", grams.jtj, move)
     rest = grams.rtr - np.sum(move * (2 * grams.jtr - across), axis=1) + from_prior**2 @ weight
@@ -194,7 +194,7 @@ def draw(
     halves = np.sum(np.log(np.diagonal(chol, axis1=1, axis2=2)), axis=1)
     flat = np.broadcast_to(prior.flat_volume, len(sd))
     log_marginal = flat - 0.5 * (size * LOG_2PI + grams.logdet + 2 * halves + rest)
-    away = _solve(chol, normal, upper=True)
+    away = solve(chol, normal, upper=True)
     log_sd = np.sum(np.log(np.where(weight > 0, 1.0, sd)), axis=1)
     return Drawn(
         np.where(np.isfinite(log_marginal) & (rest > 0), log_marginal, -np.inf),
@@ -204,7 +204,7 @@ def draw(
     )
 
 
-def _factors(matrices: Float[np.ndarray, "b p p"]) -> Float[np.ndarray, "b p p"]:
+def factors(matrices: Float[np.ndarray, "b p p"]) -> Float[np.ndarray, "b p p"]:
     """Lower factors; NaN where there is none."""
     try:
         return np.linalg.cholesky(matrices)
@@ -218,7 +218,7 @@ def _factors(matrices: Float[np.ndarray, "b p p"]) -> Float[np.ndarray, "b p p"]
     return found
 
 
-def _solve(
+def solve(
     chol: Float[np.ndarray, "b p p"], right: Float[np.ndarray, "b p"], upper: bool = False
 ) -> Float[np.ndarray, "b p"]:
     """L⁻¹ times vectors, or L⁻ᵀ."""

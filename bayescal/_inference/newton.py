@@ -31,6 +31,7 @@ CONVERGED_NATS = 1e-7  # that a step would gain, below which the mode is found,
 ROUGHLY = 0.01  # and where nothing hangs on it
 # Of a direction's squared length beside spreads, up to which it is one of spreads.
 SPREAD_SHARE = 0.1
+NOWHERE, SHORTEST = 1e200, 0.1  # log density where there is none, by its size; of a step, at once
 
 Values = Callable[[np.ndarray], np.ndarray]  # log density of several points, (s, d) → (s,)
 
@@ -189,28 +190,27 @@ class ByValues:
         self, v: Float[np.ndarray, "d"], steps: Float[np.ndarray, "d"], curved: bool
     ) -> Slopes | None:
         # Along the axes: what a coordinate of the noise moves is computed at columns that stay.
-        dim, value = len(v), self.value(v)
-        for _ in range(SHORTENINGS):
+        dim, value, pairs = len(v), self.value(v), [*itertools.combinations(range(len(v)), 2)]
+        for _ in range(SHORTENINGS if abs(value) < NOWHERE else 0):
             moves = np.diag(steps)
             up, down = self.values(np.concatenate([v + moves, v - moves])).reshape(2, dim)
             bends = 2 * value - up - down
-            if not np.max(np.abs([value, *up, *down])) < 1e200:
-                return None
             # In place of a step that was long against what the density allows, one that is right.
-            if not np.any(long := bends > 4 * DIFFERENCE**2):
-                break
-            steps = steps * np.where(long, DIFFERENCE / np.sqrt(np.where(long, bends, 1.0)), 1.0)
-        hessian, pairs = np.diag(bends), [*itertools.combinations(range(dim), 2)]
-        if curved and pairs:
-            i, j = np.transpose(pairs)
-            both = np.diag(steps)[i] + np.diag(steps)[j]
-            ends = self.values(np.concatenate([v + both, v - both])).reshape(2, -1)
-            hessian[i, j] = hessian[j, i] = 0.5 * (
-                2 * value - ends.sum(axis=0) - bends[i] - bends[j]
-            )
-        curvature = hessian / np.outer(steps, steps)
-        finite = bool(np.all(np.isfinite(curvature)))
-        return Slopes(value, 0.5 * (up - down) / steps, curvature) if finite else None
+            if np.any(long := bends > 4 * DIFFERENCE**2):
+                right = np.maximum(DIFFERENCE / np.sqrt(np.where(long, bends, 1.0)), SHORTEST)
+                steps = steps * np.where(long, right, 1.0)
+                continue
+            hessian = np.diag(bends)
+            if curved and pairs:
+                i, j = np.transpose(pairs)
+                both = moves[i] + moves[j]
+                ends = self.values(np.concatenate([v + both, v - both])).reshape(2, -1).sum(axis=0)
+                if np.max(np.abs(ends)) >= NOWHERE:
+                    steps = SHORTER * steps
+                    continue
+                hessian[i, j] = hessian[j, i] = 0.5 * (2 * value - ends - bends[i] - bends[j])
+            return Slopes(value, 0.5 * (up - down) / steps, hessian / np.outer(steps, steps))
+        return None
 
 
 def _carried(
