@@ -140,9 +140,12 @@ class Density:
             extra = np.stack(beside)
         width = np.where(prior.sd > 0, prior.sd, 1.0)
 
+        def of(array: np.ndarray, some: np.ndarray) -> np.ndarray:
+            return array if len(some) == len(array) else array[some]
+
         def look(some: np.ndarray, move: np.ndarray) -> list[np.ndarray]:
             """What is to be least, its slope and curvature by what is left, weights of a mixture, z; at some φ."""
-            left = residual[some] - (jacobian[some] @ move[:, :, None])[:, :, 0]
+            left = of(residual, some) - (of(jacobian, some) @ move[:, :, None])[:, :, 0]
             own = {name: np.broadcast_to(v, (len(vs),))[some] for name, v in each.items()}
             beside = extra[some] if np.ndim(extra) else extra
             terms = density_terms(noise, own, record, left, beside)
@@ -153,7 +156,8 @@ class Density:
             return [least, *map(np.array, each_of)]
 
         def products(some: np.ndarray, weight: np.ndarray) -> np.ndarray:
-            return (jacobian[some] * weight[:, :, None]).transpose(0, 2, 1) @ jacobian[some]
+            own = of(jacobian, some)
+            return (own * weight[:, :, None]).transpose(0, 2, 1) @ own
 
         move = np.tile(self._mode - x, (len(vs), 1))
         value, *rest = look(np.arange(len(vs)), move)
@@ -163,7 +167,9 @@ class Density:
                 break
             slope, curvature, weight, z, _ = (a[left_over] for a in rest)
             sd = prior.sd[left_over]
-            pull = sd * (jacobian[left_over].transpose(0, 2, 1) @ slope[:, :, None])[:, :, 0] - z
+            pull = (
+                sd * (of(jacobian, left_over).transpose(0, 2, 1) @ slope[:, :, None])[:, :, 0] - z
+            )
             trying, before = np.arange(len(left_over)), value[left_over]
             for weights in (curvature, weight):
                 own = left_over[trying]

@@ -26,7 +26,6 @@ STEPS, SHORTENINGS, SHORTER = (
     8,
     0.3,
 )  # uphill at most; of a step that leads down, by how much each
-AS_PROMISED = 0.5, 2.0  # of what a parabola gains on a step
 CONVERGED_NATS = 1e-7  # that a step would gain, below which the mode is found,
 ROUGHLY = 0.01  # and where nothing hangs on it
 # Of a direction's squared length beside spreads, up to which it is one of spreads.
@@ -107,10 +106,8 @@ def climb(
                 break
             doubtful = True
             continue
-        # Far from what a parabola gains, or on no hill: a curvature that is carried on would not be right.
-        low, high = AS_PROMISED
-        doubtful = bend[0] < 0 or not low < gained / (share * (1 - 0.5 * share) * gain) < high
-        v = further
+        # On no hill a curvature that is carried on would not become right.
+        doubtful, v = bool(bend[0] < 0), further
     return v
 
 
@@ -174,7 +171,7 @@ class ByValues:
         known = self._own and (self._exact or not exact)
         if last is not None and known and np.array_equal(last[0], v):
             return last[1]
-        exact, scale = exact or last is None, np.broadcast_to(self.scale, v.shape)
+        scale = np.broadcast_to(self.scale, v.shape)
         steps = FIRST_DIFFERENCE * scale
         if last is not None:
             bends = np.maximum(np.diag(last[1].curvature) * scale**2, LEAST_CURVATURE)
