@@ -134,10 +134,8 @@ class Density:
         lines = [self._line(v, problem.hyper(v)) for v in vs]
         jacobian = np.stack([line.jacobian for line in lines])
         residual = record.y - np.stack([line.mean for line in lines])
-        extra: Any = 0.0
-        if problem.noisy:
-            beside = [np.broadcast_to(self._extra(line), (record.size,)) for line in lines]
-            extra = np.stack(beside)
+        further = (np.broadcast_to(self._extra(line), (record.size,)) for line in lines)
+        extra: Any = np.stack([*further]) if problem.noisy else 0.0
         width = np.where(prior.sd > 0, prior.sd, 1.0)
 
         def of(array: np.ndarray, some: np.ndarray) -> np.ndarray:

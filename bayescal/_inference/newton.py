@@ -30,7 +30,10 @@ CONVERGED_NATS = 1e-7  # that a step would gain, below which the mode is found,
 ROUGHLY = 0.01  # and where nothing hangs on it
 # Of a direction's squared length beside spreads, up to which it is one of spreads.
 SPREAD_SHARE = 0.1
-NOWHERE, SHORTEST = 1e200, 0.1  # log density where there is none, by its size; of a step, at once
+NOWHERE, LEAST_SHARE = (
+    1e200,
+    0.1,
+)  # log density where there is none, by its size; of a step, at once
 
 Values = Callable[[np.ndarray], np.ndarray]  # log density of several points, (s, d) → (s,)
 
@@ -194,7 +197,7 @@ class ByValues:
             bends = 2 * value - up - down
             # In place of a step that was long against what the density allows, one that is right.
             if np.any(long := bends > 4 * DIFFERENCE**2):
-                right = np.maximum(DIFFERENCE / np.sqrt(np.where(long, bends, 1.0)), SHORTEST)
+                right = np.maximum(DIFFERENCE / np.sqrt(np.where(long, bends, 1.0)), LEAST_SHARE)
                 steps = steps * np.where(long, right, 1.0)
                 continue
             hessian = np.diag(bends)
