@@ -204,18 +204,14 @@ def draw(
     )
 
 
-def factors(matrices: Float[np.ndarray, "b p p"]) -> Float[np.ndarray, "b p p"]:
-    """Lower factors; NaN where there is none."""
+def factors(matrices: Float[np.ndarray, "*b p p"]) -> Float[np.ndarray, "*b p p"]:
+    """Lower Cholesky factors; NaN of a matrix that has none."""
     try:
         return np.linalg.cholesky(matrices)
     except np.linalg.LinAlgError:
-        pass
-    found = np.full_like(matrices, np.nan)
-    for one, into in zip(matrices, found, strict=True):
-        chol, failed = dpotrf(one, lower=1, clean=1)
-        if not failed:
-            into[...] = chol
-    return found
+        if matrices.ndim == 2:
+            return np.full_like(matrices, np.nan)
+        return np.stack([factors(one) for one in matrices])
 
 
 def solve(

@@ -12,7 +12,7 @@ from jaxtyping import Float
 from bayescal._core.errors import ModelError
 from bayescal._data.measurements import Measurements
 from bayescal._inference.density import Density
-from bayescal._inference.gaussian import column_scale
+from bayescal._inference.gaussian import column_scale, factors
 from bayescal._inference.laplace import Mode, flat_scales
 from bayescal._inference.noise_nodes import InFrequency
 from bayescal._inference.noise_on_record import (
@@ -226,22 +226,12 @@ def taken_up(
     """
     # With columns of standard normal coefficients the log Bayes factor is ½·uᵀ(I + K)⁻¹u − ½·log|I + K|, K the
     # information: these are its two parts, the second by L·Lᵀ = I + K.
-    chol = _factors(information + np.eye(u.shape[-1]))
+    chol = factors(information + np.eye(u.shape[-1]))
     failed = np.isnan(chol).any(axis=(-2, -1))
     chol = np.where(failed[..., None, None], np.eye(u.shape[-1]), chol)
     half = np.linalg.solve(chol, u[..., None])[..., 0]
     volume = np.log(np.diagonal(chol, axis1=-2, axis2=-1)).sum(axis=-1)
     return np.where(failed, np.inf, volume), np.where(failed, 0.0, np.sum(half**2, axis=-1))
-
-
-def _factors(matrices: Float[np.ndarray, "*b k k"]) -> Float[np.ndarray, "*b k k"]:
-    """Lower Cholesky factors; NaN of a matrix that has none."""
-    try:
-        return np.linalg.cholesky(matrices)
-    except np.linalg.LinAlgError:
-        if matrices.ndim == 2:
-            return np.full_like(matrices, np.nan)
-        return np.stack([_factors(one) for one in matrices])
 
 
 def linear_model(problem: Problem, mode: Mode) -> LinearModel:

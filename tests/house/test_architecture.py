@@ -257,7 +257,7 @@ CEILINGS = {
     "bayescal/_data": 5_544,
     "bayescal/_model": 6_083,
     "bayescal/effects": 721,
-    "bayescal/_inference": 6_428,
+    "bayescal/_inference": 6_417,
     "bayescal/_calibration": 5_216,
     "bayescal/_use": 3_150,
     "bayescal/_search": 5_828,
