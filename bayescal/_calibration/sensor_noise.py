@@ -51,8 +51,7 @@ from bayescal._data.allan_deviation import (
 )
 from bayescal._data.measurements import Measurements
 from bayescal._data.unit_conversion import STANDARD_GRAVITY, parse, unit_label
-from bayescal._inference.density import NOWHERE
-from bayescal._inference.newton import ByValues, GaussianFit, climb, gaussian_fit
+from bayescal._inference.newton import NOWHERE, ByValues, GaussianFit, climb, gaussian_fit
 from bayescal._inference.noise_nodes import EvenSpectrum
 from bayescal._inference.sampling import importance_draws
 from bayescal._model.noise_law import WHITE

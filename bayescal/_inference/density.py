@@ -14,7 +14,7 @@ import numpy as np
 from jaxtyping import Float
 
 from bayescal._inference.gaussian import Conditional, Gram, condition, draw, factors, solve
-from bayescal._inference.newton import ByValues
+from bayescal._inference.newton import NOWHERE, ByValues
 from bayescal._inference.noise_on_record import (
     Independent,
     Whitening,
@@ -26,7 +26,6 @@ from bayescal._inference.problem import Problem, Values
 from bayescal._inference.tabulated import Evaluation, Tabulated
 from bayescal._model.composition import Linearised
 
-NOWHERE = -1e300  # log density where there is none
 NEWTON_STEPS = 50  # to the mode of x at most
 NEWTON_NATS = 1e-6  # that the last of them gains: one more would gain the square of that
 KEPT_LINES = 64  # linearisations

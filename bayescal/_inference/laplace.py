@@ -16,9 +16,9 @@ import numpy as np
 from jaxtyping import Float
 
 from bayescal._core.parallel import on_one_thread
-from bayescal._inference.density import NOWHERE, Density
+from bayescal._inference.density import Density
 from bayescal._inference.gaussian import Conditional, column_scale, condition
-from bayescal._inference.newton import climb, gaussian_fit
+from bayescal._inference.newton import NOWHERE, climb, gaussian_fit
 from bayescal._inference.problem import Problem
 from bayescal._inference.record import Record
 

@@ -21,19 +21,14 @@ FIRST_DIFFERENCE = 0.02  # of a coordinate over its scale,
 DIFFERENCE = 0.05  # and of one in which the density is about standard normal
 LEAST_CURVATURE = 0.05  # that counts as one
 LONGEST_STEP = 1.5  # in prior standard deviations
-STEPS, SHORTENINGS, SHORTER = (
-    100,
-    8,
-    0.3,
-)  # uphill at most; of a step that leads down, by how much each
+STEPS = 100  # uphill at most
+SHORTENINGS, SHORTER = 8, 0.3  # of a step that leads down, by how much each
 CONVERGED_NATS = 1e-7  # that a step would gain, below which the mode is found,
 ROUGHLY = 0.01  # and where nothing hangs on it
 # Of a direction's squared length beside spreads, up to which it is one of spreads.
 SPREAD_SHARE = 0.1
-NOWHERE, LEAST_SHARE = (
-    1e200,
-    0.1,
-)  # log density where there is none, by its size; of a step, at once
+LEAST_SHARE = 0.1  # of a step, that it is shortened to at once
+NOWHERE = -1e300  # log density where there is none
 
 Values = Callable[[np.ndarray], np.ndarray]  # log density of several points, (s, d) → (s,)
 
@@ -191,7 +186,7 @@ class ByValues:
     ) -> Slopes | None:
         # Along the axes: what a coordinate of the noise moves is computed at columns that stay.
         dim, value, pairs = len(v), self.value(v), [*itertools.combinations(range(len(v)), 2)]
-        for _ in range(SHORTENINGS if abs(value) < NOWHERE else 0):
+        for _ in range(SHORTENINGS if value > NOWHERE else 0):
             moves = np.diag(steps)
             up, down = self.values(np.concatenate([v + moves, v - moves])).reshape(2, dim)
             bends = 2 * value - up - down
@@ -204,11 +199,12 @@ class ByValues:
             if curved and pairs:
                 i, j = np.transpose(pairs)
                 both = moves[i] + moves[j]
-                ends = self.values(np.concatenate([v + both, v - both])).reshape(2, -1).sum(axis=0)
-                if np.max(np.abs(ends)) >= NOWHERE:
+                ends = self.values(np.concatenate([v + both, v - both]))
+                if not np.min(ends) > NOWHERE:
                     steps = SHORTER * steps
                     continue
-                hessian[i, j] = hessian[j, i] = 0.5 * (2 * value - ends - bends[i] - bends[j])
+                bent = 2 * value - ends.reshape(2, -1).sum(axis=0)
+                hessian[i, j] = hessian[j, i] = 0.5 * (bent - bends[i] - bends[j])
             return Slopes(value, 0.5 * (up - down) / steps, hessian / np.outer(steps, steps))
         return None
 

@@ -22,11 +22,11 @@ from bayescal._core import deadline
 from bayescal._core.importance_weights import Corrections, effective_size, smoothed
 from bayescal._core.parallel import on_one_thread
 from bayescal._core.settings import settings
-from bayescal._inference.density import NOWHERE, Density
+from bayescal._inference.density import Density
 from bayescal._inference.gaussian import Drawn, Gram, draw
 from bayescal._inference.joint import FREEDOM, correction, normal_numbers
 from bayescal._inference.laplace import Mode, find_mode
-from bayescal._inference.newton import GaussianFit, Values
+from bayescal._inference.newton import NOWHERE, GaussianFit, Values
 from bayescal._inference.problem import Problem
 from bayescal._inference.trust import K_HAT
 from bayescal._model.prior import Flat, FlatLine, HalfCauchy, HalfNormal
@@ -150,10 +150,9 @@ class ManyPhi:
     def at(self, v: Float[np.ndarray, "b d"], normal: np.ndarray) -> tuple[np.ndarray, Drawn]:
         """Log density of each φ, and the x that standard normal numbers stand for given it."""
         prior = self.problem.log_priors(v)
-        if self.table is None:
-            found = self._drawn(self.density.grams(v), v, normal)
-        else:
-            found = self._drawn(self.table.grams(v), v, normal)
+        found = self._drawn((self.table or self.density).grams(v), v, normal)
+        computed = np.zeros(len(v), dtype=bool)
+        if self.table is not None:
             # A random share of these stands for all: a hill far from the mode is seen, at a bounded cost.
             beyond = ~self.table.reaches(v)
             computed = beyond & (self.random.random(len(v)) < self.far_share)
@@ -165,8 +164,7 @@ class ManyPhi:
         total = _sum(found.log_marginal, prior)
         if len(v) and total[best := int(np.argmax(total))] > self.highest:
             self.highest, self.top = float(total[best]), v[best]
-        if self.table is not None:
-            total[computed] -= math.log(self.far_share)
+        total[computed] -= math.log(self.far_share)
         return total, found
 
     def _drawn(self, grams: Gram, v: Float[np.ndarray, "b d"], normal: np.ndarray) -> Drawn:
