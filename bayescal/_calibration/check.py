@@ -219,9 +219,9 @@ def covariates_of(calibration: Calibration) -> list[Covariate]:
 def _duos(covariates: list[Covariate]) -> list[tuple[Covariate, Covariate]]:
     """Pairs of covariates that are not nearly one and the same."""
     varied = (c for c in covariates if not c.levels and np.ptp(c.values) > 0)
-    pairs = combinations(varied, 2)
-    apart = ((a, b, judgement.correlation(_ranks(a.values), _ranks(b.values))) for a, b in pairs)
-    return [(a, b) for a, b, (r, _) in apart if abs(r) < SAME_COVARIATE_CORRELATION][:DUOS]
+    pairs = combinations([(c, _ranks(c.values)) for c in varied], 2)
+    apart = ((a, b, judgement.correlation(one, two)[0]) for (a, one), (b, two) in pairs)
+    return [(a, b) for a, b, r in apart if abs(r) < SAME_COVARIATE_CORRELATION][:DUOS]
 
 
 def _ranks(values: np.ndarray) -> np.ndarray:

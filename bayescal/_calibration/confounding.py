@@ -45,9 +45,7 @@ class Confounder(NamedTuple):
     # The standard uncertainty that it adds to each coefficient, by name and member, reported unit; signed, as they
     # move together.
     shares: dict[str, list[float]]
-    step: float = (
-        0.0  # to which it is rounded or cut off, its unit; 0 of one that ran with the model
-    )
+    step: float = 0.0  # to which it is rounded or cut off, its unit; 0 if it ran with the model
 
     @property
     def claim(self) -> Claim:

@@ -264,7 +264,8 @@ class Fitted:
     @property
     def usual_columns(self) -> set[str]:
         """Columns that effects more probable than not need; a group is none: what is used is a new member of it."""
-        likely = (e for e in self.model.effects if self.inclusion[e.name] > 0.5)
+        shares = self.inclusion
+        likely = (e for e in self.model.effects if shares[e.name] > 0.5)
         return set().union(GROUPS, *(e.columns for e in likely))
 
     def with_columns(self, columns: Iterable[str]) -> Self:

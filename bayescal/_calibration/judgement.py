@@ -308,7 +308,7 @@ def following_members(subject: Subject) -> Iterator[Claim]:
 
 def correlation(one: np.ndarray, other: np.ndarray) -> tuple[float, float]:
     """Pearson's correlation of two columns, and its p-value if they are independent."""
-    r, free = float(np.clip(np.corrcoef(one, other)[0, 1], -1, 1)), len(one) - 2
+    r, free = float(np.corrcoef(one, other)[0, 1]), len(one) - 2
     t = np.sqrt(free / np.float64((1 - r) * (1 + r))) if abs(r) < 1 else np.inf
     return r, float(2 * stdtr(free, -abs(r) * t))
 

@@ -389,15 +389,16 @@ def _weigh(readings: Measurements, seed: int) -> WeighedNoise:
     """Weigh sums of noise terms on a channel at rest, and draw the parameters of the probable ones; see `noise`."""
     output = np.asarray(readings["output"], float)
     runs = _without_repeats(output, even_runs(readings))
-    count = _level_count(output, runs)
+    clear, line = _line(output, runs)
+    count = _level_count(output, runs, clear, line)
     # Means of a process that is short against their time are white, but for what neighbours share.
     base: Terms = ()
     if count is not None and count > 1:
         readings, runs = _means_of(readings, runs, count)
         base = (AVERAGED,)
+        output = np.asarray(readings["output"], float)
+        clear, line = _line(output, runs)
     columns, size, claims = _columns(readings, runs)
-    output = np.asarray(readings["output"], float)
-    clear, line = _line(output, runs)
     limits = {"tone": (clear, LINE_SD)}
     if not base:
         negative = _negative(output, runs)
@@ -520,13 +521,14 @@ def _without_repeats(output: Float[np.ndarray, "n"], runs: EvenRuns) -> EvenRuns
     return EvenRuns(rows, span / sum(len(r) - 1 for r in rows))
 
 
-def _level_count(output: Float[np.ndarray, "n"], runs: EvenRuns) -> int | None:
+def _level_count(
+    output: Float[np.ndarray, "n"], runs: EvenRuns, clear: float, line: Mapping[str, float]
+) -> int | None:
     """Return how many readings a mean has from which on the Allan deviation falls with slope −½; None if none has.
 
     A narrow line is left out: its Allan deviation rises and falls over a period. Single readings are taken where they
     may be level, by two standard deviations, and are not correlated with their neighbours: with others they were, too.
     """
-    clear, line = _line(output, runs)
     variance, _ = overlapping(output, runs)
     if clear > LINE_SD:
         law = SummedNoise(1.0, 2.0 * len(output), ("tone",))

@@ -53,6 +53,7 @@ from bayescal._data.unit_conversion import (
     same_dimension,
     unit_in,
 )
+from bayescal._tables import cells as of_cells
 from bayescal._tables.cells import EXAMPLE, MOST_BAD, Cells, date_text, from_first, unit_of_counts
 from bayescal._tables.raw_table import Header, Objection, Objections, Table, load_whole, option
 
@@ -63,7 +64,7 @@ _PLACEHOLDER = "reads {:g}, far from all other numbers: it stands for a missing 
 _MOST_AT_REST = 20.0  # g; a sensor that takes any unit is at rest, or nearly so
 _COLDEST = 100.0  # K; no inertial sensor is tested below, and no difference between two of its temperatures is above
 _SINCE_1904 = 2_082_844_800.0  # s, from 1904 to 1970
-_EARLIEST_1904 = 946_684_800.0 + _SINCE_1904  # s; the year 2000 counted from 1904
+_EARLIEST_1904 = of_cells.EARLIEST + _SINCE_1904  # s; the year 2000 counted from 1904
 
 
 def convert_columns(
@@ -291,13 +292,12 @@ class ColumnReader:
             self._note_missing(empty, "is empty", "a label")
         before = len(self.file.problems)
         for label in dict.fromkeys(labels.tolist()):
-            rows = np.flatnonzero(labels == label)
             if any(unicodedata.category(character) in ("Cc", "Cs") for character in label):
                 came = f"reads {label!r}, which holds a control character"
-                self._problem(came, cure="Remove it", rows=rows)
+                self._problem(came, cure="Remove it", rows=np.flatnonzero(labels == label))
             elif label and allowed and label not in allowed:
-                known = f"one of {', '.join(allowed)}"
-                self._problem(f"reads {label!r}, an unknown label", known, "Correct it", rows=rows)
+                came, known = f"reads {label!r}, an unknown label", f"one of {', '.join(allowed)}"
+                self._problem(came, known, "Correct it", rows=np.flatnonzero(labels == label))
         if len(self.file.problems) == before:
             self.converted.values[self.column.name] = labels
             self.converted.units[self.column.name] = None
@@ -356,7 +356,7 @@ class ColumnReader:
             expected = f"a date such as {EXAMPLE}" if unit is None else f"{expected}, or a date"
         texts = list(dict.fromkeys(cells.bad.values()))
         hint = "Correct the cell, or remove the row"
-        if any(re.fullmatch(r"[+-]?\d*,\d+([eE][+-]?\d+)?", text) for text in texts):
+        if any(map(of_cells.DECIMAL_COMMA.fullmatch, texts)):
             hint = "If that is a decimal comma, say so (--decimal ,), or export the file with decimal points"
         came = ", ".join(repr(text[:60]) for text in texts[:_TEXTS]) + " …" * (len(texts) > _TEXTS)
         self._problem(f"reads {came}", expected, hint, rows=sorted(cells.bad))

@@ -22,9 +22,8 @@ ACROSS = tuple(f"across_{a}" for a in AXES)  # the direction that a reading is t
 DIRECTION = tuple(f"direction_{a}" for a in AXES)  # of what acts, in the body's axes
 POSE_UNCERTAINTY = "pose_uncertainty"  # of that direction, rad
 MAGNITUDE = "magnitude"  # of what acts, output unit, where it is all that is known
-MAGNITUDE_READ = (
-    "magnitude_read"  # where it is not known: what the outputs make of it, by convention
-)
+# Where it is not known: what the outputs make of it, by convention.
+MAGNITUDE_READ = "magnitude_read"
 RATE = "rate"  # of what acts about the direction, output unit
 MOUNTING = "mounting"  # readings that share an error of the direction
 OF = "axis"  # which of the readings of one moment

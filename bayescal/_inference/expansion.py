@@ -23,10 +23,7 @@ COUNT = 9  # Chebyshev points of a box
 BOX_WIDTH = 1.2  # of the largest box, prior standard deviations of a shape
 HALVINGS = 7  # of a box's width at most
 FAILURES = 2  # places without a box, from which on none is tried for
-KEPT_TERM, TOLERANCE = (
-    1e-9,
-    1e-8,
-)  # of the largest number in a column: least term, error between nodes
+KEPT_TERM, TOLERANCE = 1e-9, 1e-8  # of the largest number in a column: least term, error between
 DIFFERENCE = 2e-3  # of a coordinate, for slopes about a place
 TRIED_DRAWS = 12  # draws at which fitted polynomials are tried
 KEPT_SHARE = 1e-7  # of the largest principal direction of polynomials' coefficients, down to which they are kept

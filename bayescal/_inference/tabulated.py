@@ -43,9 +43,8 @@ from bayescal._model.terms import Term
 DIFFERENCE = 1e-3  # of a coordinate, for slopes of priors, of weights of curves and of the noise
 FAR_SD = 1e3  # prior standard deviations, beyond which a fit without priors says nothing of a coefficient
 CLOSE_NATS = 0.02  # log density, within which columns as polynomials are good where a posterior is
-NUMBERS_AT_ONCE = (
-    2_000_000  # in products of several φ that are computed together, which bounds memory
-)
+# In products of several φ that are computed together, which bounds memory.
+NUMBERS_AT_ONCE = 2_000_000
 KEPT_TABLES = 3  # of a structure's rows in boxes, the latest
 
 

@@ -29,9 +29,8 @@ from bayescal._model.prior import HalfCauchy, LogNormal, Normal, Positive
 FOLLOWED = "followed"
 SLOPE, CURVATURE = "noise.slope", "noise.curvature"
 PROPORTIONAL = "noise.proportional"
-RATIO = (
-    3.0  # of a column's largest size to its least, from which a proportion to it is no exponential
-)
+# Of a column's largest size to its least, from which a proportion to it is no exponential.
+RATIO = 3.0
 FREEDOM = "noise.freedom"
 LEAST_FREEDOM = 2.1  # below 2 the variance does not exist
 

@@ -21,6 +21,7 @@ from bayescal._model.independent_noise import (
     CURVATURE,
     SLOPE,
     followed_columns,
+    place_along,
     scattered_variance,
 )
 from bayescal._model.noise_law import WHITE, Noise, Parameters, offered, own_variance
@@ -330,7 +331,7 @@ def _start_of_scatter(frame: Frame, left: Float[np.ndarray, "n"], column: str) -
     """Slope and curvature of the white part's scatter: log squares of differences of neighbours are linear in them."""
     jumps = np.diff(left)
     told = (np.asarray(frame.step)[1:] >= 0) & (jumps != 0)
-    z = np.clip(2 * np.asarray(frame.position(column)) - 1, -1.0, 1.0)[1:][told]
+    z = np.asarray(place_along(frame, column))[1:][told]
     design = np.column_stack([np.ones_like(z), 2 * z, 3 * z**2 - 1])
     _, slope, bend = np.linalg.lstsq(design, np.log(jumps[told] ** 2), rcond=None)[0]
     return {SLOPE: float(slope), CURVATURE: float(bend)}

@@ -29,11 +29,8 @@ from bayescal._model.parameters import Layout
 # Readings from which a noise law can be told at all: a fourth moment is then known to a half.
 FEWEST_FOR_NOISE = 30
 
-LEVELS = (
-    -2.0,
-    0.0,
-    1.0,
-)  # coordinates of a law's further parameters, at which a maximum is looked for first
+# Coordinates of a law's further parameters, at which a maximum is looked for first.
+LEVELS = (-2.0, 0.0, 1.0)
 
 
 def laws_over(model: Model, frame: Frame) -> dict[str, Noise]:

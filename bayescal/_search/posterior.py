@@ -113,9 +113,14 @@ class Posterior:
         wanted = self.families(names)
         return self._of_any([not wanted.isdisjoint(own) for own in self.reported])
 
+    @cached_property
+    def _of_forms(self) -> dict[str, float]:
+        """Probability of each candidate."""
+        return _mass([s.effects for s in self.structures], self.probability)
+
     def form(self, name: str) -> str:
         """The most probable form of a family; its own name where no structure has any."""
-        mass = _mass([s.effects for s in self.structures], self.probability)
+        mass = self._of_forms
         own = [n for n in mass if self.space.family(n) == name]
         return max(own, key=mass.__getitem__, default=name)
 

@@ -323,9 +323,8 @@ class Structures:
         sized = [e for n, e in self.candidates.items() if n in structure.effects and has_size(e)]
         problem, mode, log_evidence = averaged(problem, found, sized, wanted)
         weighed = Weighed(structure, log_evidence, log_prior, problem, mode)
-        if (
-            weighed.noise_describes
-        ):  # something without a name, whose share of the prior is that of curves
+        # Something without a name, whose share of the prior is that of curves.
+        if weighed.noise_describes:
             weighed = replace(weighed, log_prior=log_prior + math.log(UNKNOWN_SHARE))
         return weighed
 
@@ -454,8 +453,9 @@ def averaged(
     if gains is None:
         return problem, mode, -math.inf
     chosen = gains.likeliest()
-    if mode.log_density + gains.at(chosen) < wanted_from:
-        log_evidence = mode.log_evidence + gains.at(chosen)
+    here = gains.at(chosen)
+    if mode.log_density + here < wanted_from:
+        log_evidence = mode.log_evidence + here
     else:
         if chosen != begun:
             problem = Problem(problem.layout, problem.record, dict(chosen))
@@ -463,10 +463,10 @@ def averaged(
             gains = SizeGains.of(problem, mode, chosen)
             if gains is None:
                 return problem, mode, -math.inf
+            here = gains.at(chosen)
         log_evidence = mode.log_evidence
     # Σ over the sizes of one effect, the others at their likeliest: as if ratios of evidence multiplied. They do
     # where effects do not overlap; where they do, one of them mostly has its size by the other's.
-    here = gains.at(chosen)
     for name in chosen:
         log_evidence += float(np.logaddexp.reduce([*gains.along(name, chosen).values()])) - here
     return problem, mode, log_evidence

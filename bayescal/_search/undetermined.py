@@ -184,9 +184,7 @@ def _greedy(columns: Float[np.ndarray, "c r k"], effort: list[int]) -> tuple[lis
     information, chosen = np.zeros((k, k)), list[int]()
     while True:
         weights, vectors = np.linalg.eigh(information)
-        open_ = (
-            columns @ vectors[:, weights < DETERMINED_INFORMATION]
-        )  # of what is not determined yet
+        open_ = columns @ vectors[:, weights < DETERMINED_INFORMATION]  # not determined yet
         inner = open_ @ open_.transpose(0, 2, 1)
         gain = np.linalg.slogdet(np.eye(columns.shape[1]) + inner)[1]
         gain[chosen] = 0.0

@@ -153,7 +153,7 @@ MISSING = frozenset(  # what loggers and C's printf write for a reading that is 
     ("", "nan", "-nan", "na", "n/a", "#n/a", "#nan", "null", "none", "nil", "-", "--")
     + ("1.#qnan", "-1.#ind", "nan(ind)", "-nan(ind)")
 )
-_COMMA = re.compile(r"[+-]?\d*,\d+(?:[eE][+-]?\d+)?")
+DECIMAL_COMMA = re.compile(r"[+-]?\d*,\d+(?:[eE][+-]?\d+)?")
 
 
 @dataclass(frozen=True)
@@ -284,7 +284,7 @@ def is_date(text: str) -> bool:
 
 def _with_point(text: str) -> str:
     """A number with a decimal comma as one with a point; a point in it parts thousands, and makes it none."""
-    if _COMMA.fullmatch(text.strip()):
+    if DECIMAL_COMMA.fullmatch(text.strip()):
         return text.replace(",", ".")
     return "?" if "." in text and not np.isnan(number_of(text)) else text
 

@@ -15,6 +15,7 @@ from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
+from functools import cache
 from itertools import islice
 from pathlib import Path
 from typing import NamedTuple
@@ -202,9 +203,7 @@ def parse_text(data: bytes, file: str, decimal: str = "") -> CsvText:
         try:
             text.data = data.decode("utf-16").encode()
         except UnicodeError as error:
-            raise unusable(
-                file, "is UTF-16 text that breaks off", "save it as 'CSV UTF-8'"
-            ) from error
+            raise unusable(file, "is UTF-16 text that breaks off", _SAVE) from error
     elif beyond and beyond.isdisjoint(_NO_LEGACY) and not _BEYOND.search(data):
         text.encoding = _LEGACY
     _find_layout(text)
@@ -275,9 +274,10 @@ def _header_among(texts: Sequence[str]) -> tuple[_HeaderRows | None, str]:
     """Return the header among the first lines of a file, and what parts its fields; None and nothing for no header."""
     after = [i for i, text in enumerate(texts) if text.startswith(_LABVIEW)]
     begin = after[-1] + 1 if after else 0
+    rows = cache(lambda separator: [_fields_of(text, separator) for text in texts])
     for i in range(begin, len(texts)):
         for separator in _separators_of(texts[i]):
-            if found := _header_rows([_fields_of(text, separator) for text in texts], i):
+            if found := _header_rows(rows(separator), i):
                 return found, separator
     return None, ""
 

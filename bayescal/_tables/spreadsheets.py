@@ -41,18 +41,18 @@ def open_excel(path: Path, file: str, max_bytes: int) -> Table:
     return table_of(table, *[note] * (len(sheets) > 1))
 
 
-def _rows_of(sheet: Any, file: str, max_bytes: int) -> dict[int, dict[int, Any]]:
+def _rows_of(sheet: Any, file: str, max_bytes: int) -> dict[int, dict[int, str]]:
     """Return the rows of a sheet that hold something, whatever size it states: number → column → cell."""
     from openpyxl.worksheet._reader import WorkSheetParser
 
-    book, found, cells = sheet.parent, dict[int, dict[int, Any]](), 0
+    book, found, cells = sheet.parent, dict[int, dict[int, str]](), 0
     options = {n: getattr(book, f"_{n}") for n in ("date_formats", "timedelta_formats")}
     with sheet._get_source() as source:
         parser = WorkSheetParser(
             source, sheet._shared_strings, data_only=True, epoch=book.epoch, **options
         )
         for number, given in parser.parse():
-            filled = [(c["column"], c["value"]) for c in given if cell_text(c["value"])]
+            filled = [(c["column"], text) for c in given if (text := cell_text(c["value"]))]
             own = dict(filled)
             if filled and (number in found or len(own) < len(filled)):
                 raise InputError(
@@ -65,12 +65,12 @@ def _rows_of(sheet: Any, file: str, max_bytes: int) -> dict[int, dict[int, Any]]
     return found
 
 
-def _as_text(rows: Mapping[int, Mapping[int, Any]]) -> bytes:
+def _as_text(rows: Mapping[int, Mapping[int, str]]) -> bytes:
     """Write rows as lines of text, each in the line of its number, that the reader of text files understands."""
     width = max(max(cells) for cells in rows.values())
     lines = [""] * max(rows)
     for number, cells in rows.items():
-        told = (in_one_line(cell_text(cells.get(i + 1))).replace('"', '""') for i in range(width))
+        told = (in_one_line(cells.get(i + 1, "")).replace('"', '""') for i in range(width))
         lines[number - 1] = "\t".join(f'"{cell}"' for cell in told)
     return "\n".join([*lines, ""]).encode()
 
