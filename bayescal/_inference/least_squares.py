@@ -12,13 +12,12 @@ import math
 from collections.abc import Callable
 from typing import Any, ClassVar, Literal, NamedTuple
 
-import equinox as eqx
-import jax
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 from scipy.linalg.lapack import dgeqrf, dtrtri, dtrtrs  # pyright: ignore[reportAttributeAccessIssue]
 
+from bayescal._core.jit import compiled
+from bayescal._core.lazy_jax import jax, jnp
 from bayescal._core.parallel import on_one_thread
 from bayescal._core.progress import stage
 from bayescal._inference import trust
@@ -412,7 +411,7 @@ class _Refinement:
         return root @ np.linalg.inv(0.5 * (rows + rows.T)) @ root.T
 
 
-@eqx.filter_jit
+@compiled
 def _by_optimistix(afar, layout, frame, own, v, prior, begin, scale, places):
     """Steps (q,), in parts of `scale`, to the least squares of the whitened residuals and of the prior's."""
     import optimistix as optx  # a sixth of a second that only this needs

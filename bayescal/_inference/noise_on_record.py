@@ -11,11 +11,10 @@ from collections.abc import Mapping
 from functools import partial
 from typing import Any, NamedTuple
 
-import jax
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
+from bayescal._core.lazy_jax import jax, jnp
 from bayescal._inference.programs import program
 from bayescal._inference.record import Record
 from bayescal._model.frame import Frame
@@ -250,11 +249,6 @@ def _samples(law: Noise, frame: Frame, means, keys, values):
     return jax.lax.map(one, (means, keys, values))
 
 
-@program
-def _scores(law: Noise, frame: Frame, left, extra, values):
-    return law.normal_scores(left, values, widened(frame, extra))
-
-
 def variance(law: Noise, values: Values, record: Record) -> Float[np.ndarray, "n"]:
     """Of each reading about the expected output, output unit squared."""
     if law.even(record.frame):
@@ -315,21 +309,20 @@ def samples(
         return means + np.sqrt(variances(law, hyper, record)) * normal
     # A key does not hang on the number of keys: one program makes those of most numbers of draws.
     count = -(-len(means) // KEYS_TOGETHER) * KEYS_TOGETHER
-    keys = np.asarray(_keys(np.uint32(seed), count))[: len(means)]
+    keys = np.asarray(jax.random.key_data(jax.random.split(jax.random.key(seed), count)))[
+        : len(means)
+    ]
     return _by_draws(_samples, law, record, hyper, means, plain=(keys,))
-
-
-@partial(jax.jit, static_argnums=1)
-def _keys(seed: np.uint32, count: int) -> Any:
-    return jax.random.key_data(jax.random.split(jax.random.key(seed), count))
 
 
 def normal_scores(
     law: Noise, values: Values, record: Record, left: Float[np.ndarray, "n"], extra: Any = 0.0
 ) -> Float[np.ndarray, "n"]:
     """What is left of readings as independent standard normal numbers, if the law, which is not Gaussian, is right."""
-    found = _of_readings(_scores, law, values, record, extra, _forth(law, record, left, 0))
-    return _back(law, record, found)
+    frame = record.frame if law.independent else record.frame.in_time()
+    beside = _forth(law, record, np.asarray(extra), 0) if np.ndim(extra) else None
+    found = law.normal_scores(_forth(law, record, left, 0), values, widened(frame, beside))
+    return _back(law, record, np.asarray(found))
 
 
 def _by_draws(

@@ -12,14 +12,12 @@ from dataclasses import dataclass
 from functools import partial
 from typing import Any, NamedTuple
 
-import jax
-import jax.numpy as jnp
 import numpy as np
-from jax.scipy.linalg import solve_triangular
-from jaxtyping import Array, Float
+from jaxtyping import Float
 
 from bayescal._core import deadline
 from bayescal._core.jit import ALWAYS, known
+from bayescal._core.lazy_jax import Array, jax, jnp
 from bayescal._inference.density import Density
 from bayescal._inference.laplace import Mode
 from bayescal._inference.problem import Problem
@@ -185,9 +183,11 @@ def whitened(problem: Problem, mode: Mode):
         larger = 1.0 if amplitude is None else (hyper[amplitude] / there[amplitude]) ** 2
         precision = sd[:, None] * gram.jtj * sd / larger + jnp.diag(prior.weight)
         chol = jnp.linalg.cholesky(precision)
-        u = solve_triangular(chol, sd * pull / larger, lower=True)
+        u = jax.scipy.linalg.solve_triangular(chol, sd * pull / larger, lower=True)
         volume = jnp.sum(jnp.log(sd)) - jnp.sum(jnp.log(jnp.diagonal(chol)))
-        return middle + sd * solve_triangular(chol, u + z, lower=True, trans=1), volume
+        return middle + sd * jax.scipy.linalg.solve_triangular(
+            chol, u + z, lower=True, trans=1
+        ), volume
 
     def unpack(q: Float[Array, "dim"]):
         x, log_jacobian = place(q[:d], q[d:])

@@ -11,13 +11,12 @@ from collections.abc import Callable, Mapping
 from functools import cache, partial, wraps
 from typing import Any, NamedTuple
 
-import jax
-import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Float
 
 from bayescal._core.errors import ModelError
 from bayescal._core.jit import ALWAYS, QUICK, known
+from bayescal._core.lazy_jax import Array, jax, jnp
 from bayescal._model.composition import slopes_of
 from bayescal._model.effect import Basis, matrix
 from bayescal._model.frame import Frame

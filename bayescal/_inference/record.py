@@ -9,11 +9,11 @@ from functools import cached_property
 from typing import Any
 from weakref import WeakValueDictionary
 
-import jax
 import numpy as np
 from jaxtyping import Float, Int
 
 from bayescal._core.errors import ModelError
+from bayescal._core.lazy_jax import jax
 from bayescal._data.column import UNCERTAINTY
 from bayescal._data.measurements import Measurements
 from bayescal._inference import programs

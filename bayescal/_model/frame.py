@@ -10,12 +10,11 @@ from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from typing import Any
 
-import jax
 import numpy as np
-from jaxtyping import Array, Float, Int
+from jaxtyping import Float, Int
 
 from bayescal._core.errors import ModelError
-from bayescal._core.jax_setup import configure_jax
+from bayescal._core.lazy_jax import Array, jax, when_imported
 from bayescal._core.xp import is_traced, xp
 from bayescal._data.column import UNCERTAINTY
 from bayescal._data.measurements import Measurements
@@ -29,8 +28,6 @@ from bayescal._data.time_in_runs import (
     set_in_steps,
     silence,
 )
-
-configure_jax()
 
 # that all readings have; an instrument's label columns are groups too
 GROUPS = ("run", "cell", "axis", "device")
@@ -208,7 +205,7 @@ class Frame:
         return replace(self, columns={**self.columns, name: values})
 
 
-jax.tree_util.register_dataclass(Frame, [f.name for f in fields(Frame)], [])
+when_imported(lambda: jax.tree_util.register_dataclass(Frame, [f.name for f in fields(Frame)], []))
 
 
 def followed(share: Float[Any, "*s n"], push: Float[Any, "*s n"]) -> Float[Any, "*s n"]:

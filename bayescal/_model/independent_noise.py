@@ -6,12 +6,10 @@ import math
 from dataclasses import replace
 from typing import Any, ClassVar
 
-import jax
-import jax.numpy as jnp
 import numpy as np
-from jax.scipy.special import betainc
-from jaxtyping import Array, Float
+from jaxtyping import Float
 
+from bayescal._core.lazy_jax import Array, jax, jnp
 from bayescal._core.xp import special_of, xp
 from bayescal._data.column import UNCERTAINTY
 from bayescal._model.frame import Frame, measured_column, reference_name
@@ -249,6 +247,7 @@ class StudentT(Noise):
         # P(T < −t) = ½·I_{ν/(ν + t²)}(ν/2, ½)
         freedom = parameters[FREEDOM]
         squares = left**2 / own_variance(parameters, frame)
+        betainc = special_of((freedom, squares)).betainc
         tail = 0.5 * betainc(0.5 * freedom, 0.5, freedom / (freedom + squares))
         return scores_of_tails(tail, left)
 
