@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -143,16 +144,23 @@ class Frame:
     def behind(self, tau: Float[Array, ""], name: str = "temperature") -> Float[Array, "n"]:
         """T̃ − T as `lag` has it, both of the record whatever has been corrected since, °C."""
         values = self.record[name][self.order]
-        first, still = self.step < 0, self.step == 0
-        h = xp.where(first | still, 1.0, self.step / tau)
-        decay = xp.where(first, 0.0, xp.where(still, 1.0, xp.exp(-h)))
         change = xp.diff(values, prepend=values[:1])
         held = xp.asarray(self.reference.get(held_name(name), 0.0)) > 0
-        linear = xp.where(self.step > self.silence, -decay, xp.expm1(-h) / h)
-        share = xp.where(still | held, -1.0, linear)
-        drive = xp.where(first, 0.0, change * share)
+        step, place = (self.step, None) if is_traced(self.step) else self._paces
+        first, still = step < 0, step == 0
+        h = xp.where(first | still, 1.0, step / tau)
+        decay = xp.where(first, 0.0, xp.where(still, 1.0, xp.exp(-h)))
+        linear = xp.where(step > self.silence, -decay, xp.expm1(-h) / h)
+        share = xp.where(first, 0.0, xp.where(still | held, -1.0, linear))
+        if place is not None:
+            decay, share = (xp.take(a, place, axis=-1) for a in (decay, share))
+        return xp.placed(self.order, followed(decay, change * share))
 
-        return xp.placed(self.order, followed(decay, drive))
+    @cached_property
+    def _paces(self) -> tuple[Float[np.ndarray, "u"], Any]:
+        """The steps that differ, and which of them each reading has: of an even clock few have an exponential."""
+        found, place = np.unique(self.step, return_inverse=True)
+        return (found, place) if 2 * len(found) < self.size else (self.step, None)
 
     def direction(
         self, width: Float[Array, ""], name: str = "temperature"
@@ -218,11 +226,7 @@ def followed(share: Float[Any, "*s n"], push: Float[Any, "*s n"]) -> Float[Any, 
 
         # One small loop rather than an associative scan, which takes ten times as long to compile.
         return xp.scan(advance, xp.zeros_like(share[0]), (share, push))
-    share, push = np.broadcast_arrays(share, push)
-    found = np.empty(push.shape)
-    for i in np.ndindex(push.shape[:-1]):
-        found[i] = recursion(share[i], push[i][:, None])[:, 0]
-    return found
+    return recursion(share, push)
 
 
 def derived(readings: Measurements, every: bool = False) -> dict[str, np.ndarray]:

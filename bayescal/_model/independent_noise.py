@@ -296,17 +296,15 @@ class Quantised(Noise):
         return own_variance(parameters, frame) + self.step**2 / 12
 
     def log_density(self, y, mean, parameters, frame):
-        sd = jnp.sqrt(own_variance(parameters, frame))
+        sd = xp.sqrt(own_variance(parameters, frame))
         # On the side of the mean where both tails are small, so that the difference keeps its digits.
-        centre = -jnp.abs(y - mean) / sd
-        half = 0.5 * self.step / sd
-        upper = jax.scipy.stats.norm.logcdf(centre + half)
-        lower = jax.scipy.stats.norm.logcdf(centre - half)
+        centre, half = -xp.abs(y - mean) / sd, 0.5 * self.step / sd
+        tail = special_of((centre, half)).log_ndtr
+        upper, lower = tail(centre + half), tail(centre - half)
         # log(Φ(u) − Φ(l)) = log Φ(u) + log(1 − exp(log Φ(l) − log Φ(u))), and over the step: a density, per output
         # unit.
-        return (
-            upper + jnp.log(-jnp.expm1(jnp.minimum(lower - upper, -1e-300))) - math.log(self.step)
-        )
+        inside = xp.log(-xp.expm1(xp.minimum(lower - upper, -1e-300)))
+        return upper + inside - math.log(self.step)
 
     def sample(self, key, mean, parameters, frame):
         sd = jnp.sqrt(own_variance(parameters, frame))

@@ -156,7 +156,7 @@ class Noise(abc.ABC):
     def by_residual(
         self, left: Float[np.ndarray, "*b n"], parameters: Parameters, frame: Frame
     ) -> tuple[Any, Any] | None:
-        """Return −∂/∂left and −∂²/∂left² of the log density of independent readings; None: by JAX."""
+        """Return −∂/∂left and −∂²/∂left² of the log density of independent readings; None: by differences."""
         return None
 
     def sample(
