@@ -166,9 +166,13 @@ class Expansions:
                 which[inside] = len(found)
                 found.append(box)
         left = np.flatnonzero(which < 0)
-        for some in np.array_split(left, -(-len(left) // LISTED)) if len(left) else ():
-            which[some] = len(found)
-            found.append(ListedColumns(np.moveaxis(self._columns(v[some]), 0, 2), v[some]))
+        apart, of = np.unique(
+            v[left], axis=0, return_inverse=True
+        )  # the same one twice counts twice
+        for start in range(0, len(apart), LISTED):
+            some = apart[start : start + LISTED]
+            which[left[(of >= start) & (of < start + LISTED)]] = len(found)
+            found.append(ListedColumns(np.moveaxis(self._columns(some), 0, 2), some))
         return found, which
 
     def fitted(self, draws: Float[np.ndarray, "s d"]) -> PolynomialColumns | None:
