@@ -58,9 +58,10 @@ def oddities(
         return []
     found, names = list[Oddity](), sorted(n for n in thermometers if np.ptp(columns[n]) > 0)
     with np.errstate(all="ignore"):  # of numbers that no temperature is
-        own = pieces(columns)
+        own, beside = pieces(columns), {*thermometers, output, "time"}
+        given = [n for n, v in columns.items() if n not in beside and v.dtype.kind == "f"]
         for name in names:
-            odd = _off_pace(name, columns, thermometers, output, own)
+            odd = _off_pace(name, columns, output, given, own)
             gone = np.concatenate([np.zeros(0, int), *(one.wrong for one in odd)])
             rest = [piece[~np.isin(piece, gone)] for piece in own]
             if len(rows := held_rows(columns[name], rest)):
@@ -77,23 +78,18 @@ LEAP_SHARE = 0.05  # of all changes; more leaps there and back are a thermometer
 
 
 def _off_pace(
-    name: str,
-    columns: Columns,
-    thermometers: Collection[str],
-    output: str,
-    own: Sequence[np.ndarray],
+    name: str, columns: Columns, output: str, given: Collection[str], own: Sequence[np.ndarray]
 ) -> list[Oddity]:
     """Find readings that are no temperature of the body that the others are of: it goes at a pace, and does not leap.
 
     Leaps cut a stretch into parts, and so does a standstill that ends in one. The longest chain of parts that join at
     the record's pace is the temperature. Another part is not, if it is one number throughout (a power-on value, a bus
     error, a stuck value, a spike), or short. A longer one may have been right: another level, and the file does not say
-    which. A leap that the output or another thermometer takes part in was the body's, seen by a slow logger; of one to
-    a number where the column stands, the output alone tells: thermometers on one bus fail together.
+    which. A leap that the output takes part in, where no input (`given`) was set, was the body's.
     """
     values, time = columns[name], columns["time"]
     every = np.concatenate([np.zeros(0), *(np.abs(np.diff(values[piece])) for piece in own)])
-    if np.count_nonzero(every) < FEW_CHANGES:
+    if (moves := np.count_nonzero(every)) < FEW_CHANGES:
         return []
     usual = float(np.quantile(every, USUAL_CHANGES_SHARE))
     least = max(UNLIKE_DEGREES, HELD_STEPS * float(np.diff(np.unique(values)).min()), usual)
@@ -101,88 +97,76 @@ def _off_pace(
     noise[[len(piece) <= 2 * BESIDE for piece in own]] = np.median(noise)
     allowed = np.maximum(least, LEAP_NOISE_SD * noise)
     leaps = [_beyond_pace(values[p], time[p]) > most for p, most in zip(own, allowed, strict=True)]
-    count, moves = sum(map(np.count_nonzero, leaps)), np.count_nonzero(every)
-    if not 0 < count <= 2 * LEAP_SHARE * moves:  # there and back
+    if not 0 < sum(map(np.count_nonzero, leaps)) <= 2 * LEAP_SHARE * moves:  # there and back
         return []
-    seen = _taken_part_in(columns, name, {output}, own)
-    seen_by_any = _taken_part_in(columns, name, {*thermometers, output}, own)
-    parts = [
-        (is_code, piece[begin:end])
-        for piece, leap, *real, most in zip(own, leaps, seen_by_any, seen, allowed, strict=True)
-        for is_code, begin, end in _unjoined(values[piece], leap, real, most)
-    ]
-    codes, others = ([rows for code, rows in parts if code == is_code] for is_code in (True, False))
+    seen = _bends(columns.get(output, np.zeros(len(values))), own)
+    for other in given:
+        seen &= ~_bends(columns[other], own)
+    ends = np.cumsum([len(piece) for piece in own])[:-1]
+    codes, others = list[np.ndarray](), list[np.ndarray]()
+    for piece, leap, real, most in zip(own, leaps, np.split(seen, ends), allowed, strict=True):
+        for one_number, begin, end in _parts_off_path(values[piece], leap, real, most):
+            (codes if one_number else others).append(piece[begin:end])
     if sum(map(len, others)) <= LEAP_SHARE * len(values):
         codes, others = [*codes, *others], []
-    found, none = list[Oddity](), np.zeros(0, int)
+    found = list[Oddity]()
     if codes:
         rows = np.sort(np.concatenate(codes))
         read = ", ".join(f"{v:g}" for v in dict.fromkeys(values[rows][:SHOWN_VALUES].tolist()))
         said = f"reads {read} °C where its own pace does not lead, in {len(rows)} reading(s): an error value, or stuck?"
         found.append(Oddity("leap", name, said, rows, rows))
     if others:
+        rows = np.sort(np.concatenate(others))
         said = (
-            f"goes on from another level in {sum(map(len, others))} readings, and nothing else does: re-seated, "
-            "exchanged, or a counter that wrapped?"
+            f"goes on from another level in {len(rows)} readings, and nothing else does: re-seated, exchanged, or a "
+            "counter that wrapped?"
         )
-        found.append(Oddity("level", name, said, np.sort(np.concatenate(others)), none))
+        found.append(Oddity("level", name, said, rows, rows[:0]))
     return found
 
 
-def _unjoined(
-    values: np.ndarray, leap: np.ndarray, real: Sequence[np.ndarray], most: float
+def _parts_off_path(
+    values: np.ndarray, leap: np.ndarray, seen: np.ndarray, most: float
 ) -> list[tuple[bool, int, int]]:
     """Find the parts of a stretch outside the longest chain of parts that join: whether one number, begin, end.
 
     Two parts join where the later begins within what the column goes over as many readings, at the end of the earlier
-    or the beginning of the later. A part between them that moves does so as the body does, from a level of its own.
-    `leap` (n − 1,) marks changes that are leaps, `real` (n,) those that something else, and the output, took part in:
-    then a part of several readings is the body's. `most` is what noise and rounding make, °C.
+    or the beginning of the later. `leap` (n − 1,) marks changes that are leaps, `seen` (n,) those in which the output
+    takes part: between several readings on both sides these join. `most` is what noise and rounding make, °C.
     """
     cuts = 1 + np.flatnonzero(leap)
     changed = np.concatenate([[True], values[1:] != values[:-1]])
     still = np.maximum.accumulate(np.where(changed, np.arange(len(values)), 0))[cuts - 1]
     begins = np.unique(np.concatenate([[0], still[cuts - still > BESIDE], cuts]))
     ends = np.append(begins[1:], len(values))
-    after = np.searchsorted(cuts, begins, side="right")
-    since, until = np.append(0, cuts)[after], np.append(cuts, len(values))[after]
-    span = np.maximum.reduceat(values, begins) - np.minimum.reduceat(values, begins)
-    moving, lengths = span > most, ends - begins
-    lasting = lengths > BESIDE
-    moved = np.cumsum(np.where(moving, values[ends - 1] - values[begins], 0.0))
-    spent = np.cumsum(np.where(moving, 1, lengths))
-    best = np.where(span > 0, lengths, 0.5 * lengths)  # one number may be no temperature
+    one_number = np.maximum.reduceat(values, begins) == np.minimum.reduceat(values, begins)
+    lengths = ends - begins
+    best = np.where(one_number, 0.5 * lengths, lengths)  # one number may be no temperature
     before = np.full(len(begins), -1)
     for j in range(1, len(begins)):
-        i = np.arange(j)
-        over = 1 + spent[j - 1] - spent[i]  # readings from one to the other
         last, first = ends[:j] - 1, begins[j]
-        back = np.maximum(last - over, since[:j])
-        on = np.minimum(first + over, until[j] - 1)
-        change = values[first] - values[last] - (moved[j - 1] - moved[i])
+        over = first - last
+        back, on = np.maximum(last - over, begins[:j]), np.minimum(first + over, ends[j] - 1)
+        change = values[first] - values[last]
         goes = [
+            np.zeros(j),
             (values[last] - values[back]) * over / np.maximum(last - back, 1),
             (values[on] - values[first]) * over / np.maximum(on - first, 1),
         ]
-        low, high = np.minimum(0.0, np.min(goes, axis=0)), np.maximum(0.0, np.max(goes, axis=0))
-        joined = (change >= low - most) & (change <= high + most)
-        asked = real[int(min(span[j - 1], span[j]) == 0)]
-        joined[-1] = not leap[first - 1] or (asked[first - 1] and lasting[j - 1] and lasting[j])
+        joined = (np.min(goes, axis=0) - most <= change) & (change <= np.max(goes, axis=0) + most)
+        lasting = min(lengths[j - 1 : j + 1]) > BESIDE
+        joined[-1] = not leap[first - 1] or (seen[first - 1] and lasting)
         if joined.any():
             before[j] = int(np.argmax(np.where(joined, best[:j], -1.0)))
             best[j] += best[before[j]]
-    chain, at = set[int](), int(np.argmax(best))
+    off, at = np.ones(len(begins), bool), int(np.argmax(best))
     while at >= 0:
-        chain.add(at)
-        at = int(before[at])
-    # of each reading's two sides
-    edges = [np.concatenate([[True], one[:-1] | ~leap, [True]]) for one in real]
-    body = [edges[int(span[k] == 0)][[begins[k], ends[k]]].all() for k in range(len(begins))]
-    return [
-        (bool(span[k] == 0), int(begins[k]), int(ends[k]))
-        for k in sorted(set(range(len(begins))) - chain)
-        if not (lasting[k] and body[k])
-    ]
+        off[at], at = False, int(before[at])
+    edge = np.concatenate([[False], leap & ~seen[:-1], [False]])
+    off &= (
+        edge[begins] | edge[ends] | (lengths <= BESIDE)
+    )  # else the output, or a standstill, ends it
+    return [(bool(one_number[k]), int(begins[k]), int(ends[k])) for k in np.flatnonzero(off)]
 
 
 def _beyond_pace(values: np.ndarray, time: np.ndarray) -> np.ndarray:
@@ -193,13 +177,11 @@ def _beyond_pace(values: np.ndarray, time: np.ndarray) -> np.ndarray:
     one side alone, three times the fastest.
     """
     step, (rate, around, fastest) = np.diff(time), _rates(values, time)
-    change = np.diff(values)
-    next_to = END_RATIO * np.pad(rate, 1, mode="reflect")
-    rates = [around[: len(rate)], around[BESIDE + 1 :], next_to[:-2], next_to[2:]]
-    at = np.arange(len(rate))
-    at_end = np.where((at < BESIDE) | (at >= len(rate) - BESIDE), END_RATIO * fastest, 0.0)
-    rates += [at_end, -at_end]
+    next_to, at = END_RATIO * np.pad(rate, 1, mode="reflect"), np.arange(len(rate))
+    at_end = np.where(np.minimum(at, at[::-1]) < BESIDE, END_RATIO * fastest, 0.0)
+    rates = [around[: len(rate)], around[BESIDE + 1 :], next_to[:-2], next_to[2:], at_end, -at_end]
     low, high = np.min(rates, axis=0) * step, np.max(rates, axis=0) * step
+    change = np.diff(values)
     return np.maximum(np.maximum(change - high, low - change), 0.0)
 
 
@@ -215,21 +197,6 @@ def _rates(values: np.ndarray, time: np.ndarray) -> tuple[np.ndarray, np.ndarray
 def scatter(values: np.ndarray) -> float:
     """Return the standard deviation of white noise in values, by the median of their second differences."""
     return 1.4826 * float(np.median(np.abs(np.diff(values, 2)))) / math.sqrt(6.0)
-
-
-def _taken_part_in(
-    columns: Columns, name: str, witnesses: Collection[str], own: Sequence[np.ndarray]
-) -> list[np.ndarray]:
-    """Find changes of each stretch at which a witness has a step or a corner, where no input was set."""
-    others = [n for n, v in columns.items() if n not in (name, "time") and v.dtype.kind == "f"]
-    seen, set_anew = (
-        np.any([np.zeros(sum(map(len, own)), bool), *found], axis=0)
-        for found in (
-            [_bends(columns[n], own) for n in others if (n in witnesses) == asked]
-            for asked in (True, False)
-        )
-    )
-    return np.split(seen & ~set_anew, np.cumsum([len(piece) for piece in own])[:-1])
 
 
 def _bends(values: np.ndarray, own: Sequence[np.ndarray]) -> np.ndarray:
