@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 import unicodedata
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from copy import copy
 from dataclasses import dataclass, replace
 from typing import Any
@@ -107,7 +107,7 @@ def _load(file: MatchedFile, extra: Mapping[str, Column]) -> dict[str, Cells]:
     cells = load_whole(table, wanted | beside)
     found = {name: cells[positions[name]] for name in columns}
     for day in beside:
-        found["time"] = found["time"].on_days(cells[day], file.options.date_order)
+        found["time"] = found["time"].on_days(cells[day])
     return found
 
 
@@ -223,12 +223,12 @@ class ColumnReader:
         if not self.column.required and not cells.bad and np.isnan(cells.values).all():
             self._flag("is empty and was left out")
             return
-        before, cells = len(self.file.problems), self._in_order(cells)
-        if cells.dates and not self._is_time:  # dates are numbers of the time alone
-            cells = _as_text(cells)
-        unit = self._unit(cells)
+        before, dates = len(self.file.problems), self._is_time and cells.dates is not None
+        if dates:  # which are numbers of the time alone
+            cells = self._read_dates(cells.dates)
+        unit = "s" if dates else self._unit(cells)
         raw, noted = cells.values, set(cells.bad)
-        self._note_text(cells, unit)
+        self._note_text(cells, unit, dates)
         for find, said in ((overloads, _OVERLOAD), (placeholders, _PLACEHOLDER)):
             if (rows := find(raw)).size:
                 self._note_missing(rows, said.format(raw[rows[0]]))
@@ -239,7 +239,7 @@ class ColumnReader:
         self._note_unsigned(raw)
         self._note_mass(raw, unit)
         with np.errstate(over="ignore"):
-            values = raw if cells.dates or unit is None else self._convert(raw, unit)
+            values = raw if dates or unit is None else self._convert(raw, unit)
         if values is None:
             return
         self._note_not_finite(raw, values, unit, noted)
@@ -248,7 +248,7 @@ class ColumnReader:
         # without a unit, the order of times can be looked at all the same
         if len(self.file.problems) == before or (unit is None and not cells.bad):
             if self._is_time:
-                values = self._on_clock(values, cells.dates)
+                values = self._on_clock(values, dates)
             self.converted.values[self.column.name] = values
             self.converted.units[self.column.name] = self.column.unit
 
@@ -302,29 +302,24 @@ class ColumnReader:
             self.converted.values[self.column.name] = labels
             self.converted.units[self.column.name] = None
 
-    def _in_order(self, cells: Cells) -> Cells:
-        """Dates whose day and month are dates apart: by one above 12, or as the user says; a problem if by neither."""
-        if not (self._is_time and cells.orders):
-            return cells
-        dates, fitting = cells.in_order(self.file.options.date_order), cells.fitting_orders
-        if dates.orders:
+    def _read_dates(self, texts: Sequence[str]) -> Cells:
+        """Read dates; a problem where they leave open which number is the day, and the user does not say."""
+        dates, orders = of_cells.dates_of(texts, self.file.options.date_order)
+        if orders:
             came = "its dates are not all dates in one order of month, day and year"
-            if fitting:
+            if not any(np.isnan(v[~np.isnan(dates.values)]).any() for v in orders.values()):
                 came = "its dates leave open which number is the day, or whether they are times"
-            orders = fitting or [n for n, v in cells.orders.items() if not np.isnan(v).all()]
-            firsts = {n: date_text(float(np.nanmin(cells.orders[n]))).split() for n in orders}
+            firsts = {n: date_text(float(np.nanmin(v))).split() for n, v in orders.items()}
             begin = ", ".join(f"{n} if it begins {f[n == 'hms']}" for n, f in firsts.items())
             cure = f"Say in which order they are: {begin}"
             expected = "a day above 12 in one of them, or the year first"
-            self._problem(came, expected, cure, option("--date-order", orders[0]))
+            self._problem(came, expected, cure, option("--date-order", next(iter(orders))))
         return dates
 
     def _unit(self, cells: Cells) -> str | None:
         """Return the unit of the numbers; None, and a problem, if there is none or the text is none."""
         unit = unit_of(self.header, self.column.name, self.file.options)
         asked = option("--unit", f"{self.header.raw}=UNIT")
-        if cells.dates:
-            return "s"
         if unit is None and self._is_time and (shown := unit_of_counts(cells.values)):
             self._flag(f"taken as {pretty(shown)} since 1970, as its size shows")
             return shown
@@ -345,12 +340,12 @@ class ColumnReader:
             self._flag(f"taken as [{unit}], as --unit says")
         return unit
 
-    def _note_text(self, cells: Cells, unit: str | None) -> None:
+    def _note_text(self, cells: Cells, unit: str | None, dates: bool) -> None:
         """Note the cells that hold text."""
         if not cells.bad:
             return
         expected = _number_in(unit)
-        if self._is_time and cells.dates:
+        if dates:
             expected = f"a date such as {EXAMPLE}, with a zone everywhere or nowhere"
         elif self._is_time:
             expected = f"a date such as {EXAMPLE}" if unit is None else f"{expected}, or a date"
@@ -548,13 +543,6 @@ class ColumnReader:
             if low < undone.min() and undone.max() < high:
                 return period
         return None
-
-
-def _as_text(dates: Cells) -> Cells:
-    """Dates as cells that hold no number."""
-    there = np.flatnonzero(~np.isnan(dates.values))[:MOST_BAD]
-    texts = {int(i): date_text(float(dates.values[i])) for i in there}
-    return Cells(np.full(len(dates.values), np.nan), {**texts, **dates.bad})
 
 
 def _number_in(unit: str | None) -> str:

@@ -49,6 +49,7 @@ from bayescal._data.unit_conversion import (
     spelled,
     unit_in,
 )
+from bayescal._tables.cells import dates_of
 from bayescal._tables.raw_table import (
     Header,
     Objections,
@@ -207,8 +208,12 @@ class MatchedFile:
         if self.options.leaves_out(header) or not self.table.readable:
             return None
         cells = load_whole(self.table, {position: True})[position]
+        if cells.dates is not None:
+            cells, _ = dates_of(cells.dates)
+        elif dates:
+            return None
         steps = np.diff(cells.values)
-        goes_on = steps.size > 1 and cells.dates >= dates and bool(np.median(steps) > 0)
+        goes_on = steps.size > 1 and bool(np.median(steps) > 0)
         return replace(reading, name="time") if goes_on else None
 
     def _take_others(self, named: set[str]) -> None:

@@ -24,7 +24,7 @@ import numpy as np
 
 from bayescal._core.errors import InputError
 from bayescal._core.quoting import csv_cell_read
-from bayescal._tables.cells import MOST_BAD, Cells, is_date, is_missing, number_of, numbers_of
+from bayescal._tables.cells import MOST_BAD, Cells, is_missing, number_of, numbers_of, unix_seconds
 from bayescal._tables.raw_table import Header, Objection, Table, refuse_many, unusable
 
 _LONGEST_LINE = 1 << 24  # bytes
@@ -420,7 +420,7 @@ def _is_reading(text: str) -> bool:
     with suppress(ValueError):
         float(text.strip().replace(",", ".", 1))
         return not is_missing(text)
-    return is_date(text)
+    return bool(unix_seconds(text))
 
 
 def _names_units(row: Sequence[str], width: int) -> bool:
