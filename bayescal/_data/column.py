@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -130,6 +131,16 @@ class Source:
     units: dict[str, str] = field(default_factory=dict, hash=False)
 
 
+class Place(NamedTuple):
+    """Where a reading stands, such as "row 12", and in which file."""
+
+    row: str
+    file: str
+
+    def __str__(self) -> str:
+        return f"{self.row} of {self.file!r}"
+
+
 @dataclass
 class ConvertedColumns:
     """Columns of one file, or of several one after the other, as ours.
@@ -158,6 +169,19 @@ class ConvertedColumns:
     unread: set[str] = field(default_factory=set)
     beside: set[str] = field(default_factory=set)
     by_gravity: set[str] = field(default_factory=set)
+
+    def where(self, index: int) -> Place:
+        """Return where a reading stands, of the files one after the other."""
+        for table in self.tables:
+            if index < table.rows:
+                break
+            index -= table.rows
+        return Place(table.place(index), table.file)
+
+    @property
+    def thermometers(self) -> list[str]:
+        """Names of the columns of measured temperatures, °C."""
+        return [n for n, unit in self.units.items() if unit == "degC" and n != MAY_BE_EMPTY]
 
 
 def file_names(files: Sequence[str]) -> str:

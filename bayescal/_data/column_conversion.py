@@ -13,6 +13,7 @@ import numpy as np
 
 from bayescal._core.errors import InputError
 from bayescal._core.flag import Flag
+from bayescal._data import thermometer_checks as thermometers
 from bayescal._data.column import (
     ASSUMED_GRAVITY,
     MAY_BE_EMPTY,
@@ -22,14 +23,6 @@ from bayescal._data.column import (
     NominalScale,
     overloads,
     placeholders,
-)
-from bayescal._data.counter_wrap import (
-    PERIODS,
-    ROOM,
-    SIGN,
-    restore_sign,
-    unwrap,
-    wrap_period,
 )
 from bayescal._data.header_matching import MatchedFile
 from bayescal._data.header_rules import DAYS, channels_beside, plain
@@ -43,7 +36,6 @@ from bayescal._data.read_options import (
     unit_of,
 )
 from bayescal._data.records import RECORD, record_codes
-from bayescal._data.thermometer_checks import allowed_changes
 from bayescal._data.unit_conversion import (
     ANY,
     convert,
@@ -363,8 +355,8 @@ class ColumnReader:
         if said is None or unit is None:
             return raw
         warm = same_dimension(unit, "degC")
-        if said == SIGN and warm:
-            values = restore_sign(raw, self._records(raw))
+        if said == thermometers.SIGN and warm:
+            values = thermometers.restore_sign(raw, self._records(raw))
             self._flag(f"given back its sign at {np.count_nonzero(values != raw)} readings")
             return values
         period, own = period_of(said)
@@ -376,8 +368,8 @@ class ColumnReader:
             values = raw.copy()
             values[known] = np.unwrap(raw[known], period=period)
         else:
-            start = float(convert([ROOM], "degC", unit)[0]) if warm else 0.0
-            values = unwrap(raw, self._records(raw), period, start)
+            start = float(convert([thermometers.ROOM], "degC", unit)[0]) if warm else 0.0
+            values = thermometers.unwrap(raw, self._records(raw), period, start)
         self._flag(f"began anew {begun} time{'s' * (begun != 1)}, which was undone (unwrap={said})")
         return values
 
@@ -536,10 +528,12 @@ class ColumnReader:
         known, labels = np.isfinite(values), ("time", *RECORD)
         columns = {n: v[known] for n, v in self.converted.values.items() if n in labels}
         values, codes = values[known], self._records(values)[known]
-        found = wrap_period(values, codes, allowed_changes(columns, values))
-        whole = () if (values <= high).any() else PERIODS  # all readings are beyond
+        found = thermometers.wrap_period(
+            values, codes, thermometers.allowed_changes(columns, values)
+        )
+        whole = () if (values <= high).any() else thermometers.PERIODS  # all readings are beyond
         for period in (p for p in (found, *whole) if p and values.max() < p):
-            undone = unwrap(values, codes, period, ROOM)
+            undone = thermometers.unwrap(values, codes, period, thermometers.ROOM)
             if low < undone.min() and undone.max() < high:
                 return period
         return None

@@ -7,50 +7,27 @@ campaigns that the six instruments simulate, as they are, rounded as displays do
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
 from bayescal._core.settings import settings
-from bayescal._data.column import (
-    ARRAYS,
-    ASSUMED_GRAVITY,
-    MAY_BE_EMPTY,
-    ConvertedColumns,
-    file_names,
-)
-from bayescal._data.counter_wrap import SIGN, lost_its_sign, wrap_period
+from bayescal._data import thermometer_checks as thermometers
+from bayescal._data.column import ARRAYS, ASSUMED_GRAVITY, ConvertedColumns, Place, file_names
 from bayescal._data.pose_rows import MAGNITUDE
 from bayescal._data.records import (
     PAUSE_STEPS,
     Columns,
     distinct,
+    equal_runs,
     label_codes,
     record_codes,
     runs_of,
 )
-from bayescal._data.thermometer_checks import (
-    REPEATED_SHARE,
-    STUCK_RATIO,
-    Oddity,
-    allowed_changes,
-    oddities,
-)
 from bayescal._data.unit_conversion import base_unit, convert, unit_label
-from bayescal._tables.raw_table import Objection, Objections, Table, option
-
-
-class Place(NamedTuple):
-    """Where a reading stands, such as "row 12", and in which file."""
-
-    row: str
-    file: str
-
-    def __str__(self) -> str:
-        return f"{self.row} of {self.file!r}"
-
+from bayescal._tables.raw_table import Objection, Objections, option
 
 Where = Callable[[int], Place]  # by the index of a reading
 
@@ -63,29 +40,16 @@ def problems_of_whole(
     The temperature need not change where `one_temperature` accepts it, or where the instrument says which effects its
     baseline has, and none of them needs that.
     """
-    problems, files = Objections(), [table.file for table in converted.tables]
+    problems, columns = Objections(), converted.values
     effects = getattr(instrument, "effects", None)
     needed = effects is None or any("temperature" in effect.varies for effect in effects)
     required = any(c.name == "temperature" and c.required for c in instrument.columns)
-    if needed and required and not one_temperature and "temperature" in converted.values:
-        problems += same_temperature(
-            converted.values, file_names([f for f in files if f != ARRAYS])
-        )
-    problems += backward_time(converted.values, row_namer(converted.tables))
+    if needed and required and not one_temperature and "temperature" in columns:
+        files = [table.file for table in converted.tables if table.file != ARRAYS]
+        problems += same_temperature(columns, file_names(files))
+    problems += backward_time(columns, converted.where)
     problems += _wrapped(converted, getattr(instrument, "output", "output"))
     return problems
-
-
-def row_namer(tables: Sequence[Table]) -> Where:
-    """Return what names the file and row of a reading, of several tables one after the other."""
-    ends = np.cumsum([table.rows for table in tables])
-
-    def where(index: int) -> Place:
-        which = int(np.searchsorted(ends, index, side="right"))
-        table = tables[which]
-        return Place(table.place(index - int(ends[which]) + table.rows), table.file)
-
-    return where
 
 
 def _objection(
@@ -99,24 +63,22 @@ def _objection(
 
 def _wrapped(converted: ConvertedColumns, output: str) -> Iterator[Objection]:
     """Find thermometers whose counter began anew, or whose sign was lost, each with the option that undoes it."""
-    columns, units, where = converted.values, converted.units, row_namer(converted.tables)
-    warm = [n for n in columns if units[n] == "degC" and n != MAY_BE_EMPTY]
+    columns, units, warm = converted.values, converted.units, converted.thermometers
     others = [v for n, v in columns.items() if units[n] and n not in (*warm, "time", output)]
     others = [v for v in others if np.isfinite(v).all()]  # a temperature point may be empty
     for name in warm if "time" in columns else ():
         values, codes = columns[name], record_codes(columns)
-        allowed = allowed_changes(columns, values)
-        row = 1 + int(np.argmax(np.abs(np.diff(values, append=values[-1]))))
-        if period := wrap_period(values, codes, allowed):
+        of_counter = values, codes, thermometers.allowed_changes(columns, values)
+        if period := thermometers.wrap_period(*of_counter):
             came = f"leaps by {period:g} °C, as a counter that began anew"
             undo = option("--unwrap", f"{name}={period:g}degC")
-        elif output in columns and lost_its_sign(values, codes, allowed, columns[output], others):
+        elif output in columns and thermometers.lost_its_sign(*of_counter, columns[output], others):
             came = "turns round at 0 °C where the output goes on: its sign was lost"
-            undo = option("--unwrap", f"{name}={SIGN}")
+            undo = option("--unwrap", f"{name}={thermometers.SIGN}")
         else:
             continue
-        rows = [min(row, len(values) - 1)]
-        yield _objection(where, rows, name, came, "Undo it, if that is so", undo)
+        row = min(1 + int(np.argmax(np.abs(np.diff(values)))), len(values) - 1)
+        yield _objection(converted.where, [row], name, came, "Undo it, if that is so", undo)
 
 
 def same_temperature(columns: Columns, names: str) -> Iterator[Objection]:
@@ -208,9 +170,9 @@ class CheckedRecord:
     columns: Columns
     units: Mapping[str, str | None]
     output: str
-    thermometers: Collection[str]
+    thermometers: Sequence[str]
     given: Sequence[str]
-    oddities: Sequence[Oddity]
+    oddities: Sequence[thermometers.Oddity]
     where: Where
 
 
@@ -218,20 +180,18 @@ def flags_of(
     converted: ConvertedColumns, output: str, names: str, repeated: np.ndarray
 ) -> list[str]:
     """Return what is odd in the readings but no reason to refuse them; `names` of the files, `repeated` rows."""
-    columns, units, where = converted.values, converted.units, row_namer(converted.tables)
-    warm = {name for name, unit in units.items() if unit == "degC"} - {MAY_BE_EMPTY}
+    columns, warm, where = converted.values, converted.thermometers, converted.where
     no_reading = {*converted.filled, MAGNITUDE, ASSUMED_GRAVITY}
     given = [n for n, v in columns.items() if v.dtype.kind == "f" and n not in no_reading]
-    odd = oddities(columns, warm, output)
-    record = CheckedRecord(columns, units, output, warm, given, odd, where)
-    flags = []
+    odd = thermometers.oddities(columns, warm, output)
+    record = CheckedRecord(columns, converted.units, output, warm, given, odd, where)
+    flags = [f"{names}: {said}" for check in CHECKS for said in check(record)]
     if many := len(repeated):
         said = "rows repeat" if many > 1 else "row repeats"
         end = f": {'they are' if many > 1 else 'it is'} dropped" * ("time" in columns)
-        flags.append(
-            f"{many} {said} an earlier one in every column, first at {where(int(repeated[0]))}{end}"
-        )
-    return flags + [f"{names}: {said}" for check in CHECKS for said in check(record)]
+        said += f" an earlier one in every column, first at {where(int(repeated[0]))}{end}"
+        flags.insert(0, f"{many} {said}")
+    return flags
 
 
 # Readings at the very end of an output's range, below which that may be chance; also as a share, in a long record.
@@ -324,20 +284,18 @@ def stuck_rows(values: np.ndarray, thermometer: bool = False) -> tuple[int, int]
 
     Of a thermometer half of all readings in one stretch suffice, however often the others repeat.
     """
-    ends = np.append(np.flatnonzero(values[1:] != values[:-1]), len(values) - 1)
-    lengths = np.diff(ends, prepend=-1)
+    begins, lengths = equal_runs(values)
     worst = int(np.argmax(lengths))
     length, others = int(lengths[worst]), np.delete(lengths, worst)
     if not others.size:
         return None
-    again = int(np.sum(others - 1))  # readings outside that repeat the one before
-    longest = int(np.max(others, initial=1))
-    rounded = again > REPEATED_SHARE * int(np.sum(others))
-    if rounded and thermometer and length >= STUCK_SHARE * len(values):
-        rounded = False
-    if rounded or length < max(STUCK_READINGS, STUCK_RATIO * longest):
+    most = thermometers.REPEATED_SHARE * np.sum(others)  # that repeat the one before, outside
+    rounded = np.sum(others - 1) > most and not (
+        thermometer and length >= STUCK_SHARE * len(values)
+    )
+    if rounded or length < max(STUCK_READINGS, thermometers.STUCK_RATIO * np.max(others)):
         return None
-    return int(ends[worst]) - length + 1, int(ends[worst])
+    return int(begins[worst]), int(begins[worst]) + length - 1
 
 
 def _of_standstills(record: CheckedRecord) -> Iterator[str]:

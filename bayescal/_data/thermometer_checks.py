@@ -16,7 +16,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
-from bayescal._data.records import Columns, pieces, runs_of
+from bayescal._data.records import Columns, equal_runs, pieces, runs_of
 
 # "Good records" are the campaigns that the six instruments simulate, as they are, rounded as displays do, and noisy
 # (tests/readings/test_thermometers.py).
@@ -135,8 +135,7 @@ def _parts_off_path(
     takes part: between several readings on both sides these join. `most` is what noise and rounding make, °C.
     """
     cuts = 1 + np.flatnonzero(leap)
-    changed = np.concatenate([[True], values[1:] != values[:-1]])
-    still = np.maximum.accumulate(np.where(changed, np.arange(len(values)), 0))[cuts - 1]
+    still = np.repeat(*equal_runs(values))[cuts - 1]
     begins = np.unique(np.concatenate([[0], still[cuts - still > BESIDE], cuts]))
     ends = np.append(begins[1:], len(values))
     one_number = np.maximum.reduceat(values, begins) == np.minimum.reduceat(values, begins)
@@ -228,10 +227,9 @@ def held_rows(values: np.ndarray, own: Sequence[np.ndarray]) -> np.ndarray:
     some = np.unique(values[np.concatenate([held[0], *own])])
     leap = HELD_STEPS * float(np.diff(some).min(initial=np.inf))
     for piece in own:
-        cells = values[piece]
-        ends = np.append(np.flatnonzero(cells[1:] != cells[:-1]), len(cells) - 1)
-        repeated = np.diff(ends, prepend=-1) > 1
-        pair = repeated[:-1] & repeated[1:] & (np.abs(np.diff(cells[ends])) > leap)
+        begins, counts = equal_runs(values[piece])
+        repeated, change = counts > 1, np.abs(np.diff(values[piece][begins]))
+        pair = repeated[:-1] & repeated[1:] & (change > leap)
         if pair.any() and pair.mean() > HELD_SHARE:
             held.append(piece)
             pairs += int(np.count_nonzero(pair))
@@ -259,11 +257,10 @@ def _at_an_end(name: str, values: np.ndarray, own: Sequence[np.ndarray]) -> list
     """
     step, runs = float(np.diff(np.unique(values)).min()), [np.zeros((3, 0))]
     for v in (values[piece] for piece in own):
-        begins = np.flatnonzero(np.concatenate([[True], v[1:] != v[:-1]]))
-        lasts = np.append(begins[1:], len(v)) - 1
+        begins, count = equal_runs(v)
+        lasts = begins + count - 1
         before = np.abs(v[begins] - v[np.maximum(begins - BESIDE, 0)])
         after = np.abs(v[np.minimum(lasts + BESIDE, len(v) - 1)] - v[lasts])
-        count = lasts + 1 - begins
         runs.append(np.stack([v[begins], count, count * np.maximum(before, after) / BESIDE]))
     level, count, led = np.concatenate(runs, axis=1)
     found = []
@@ -293,7 +290,7 @@ UNLIKE_RATIO = 5.0
 
 
 def _unlike(columns: Columns, names: Collection[str]) -> list[Oddity]:
-    """Runs in which one thermometer does not repeat what it did in another run, although its sibling does.
+    """Find runs in which a thermometer does not repeat what it did in another run, although its sibling does.
 
     Or each does what the other did: they are exchanged there. Siblings are thermometers that go together: on one body,
     or in one chamber, with whatever lag.
@@ -301,38 +298,39 @@ def _unlike(columns: Columns, names: Collection[str]) -> list[Oddity]:
     runs, found = runs_of(columns), []
     if not 2 <= len(names) <= MOST_SIBLINGS or len(runs) > MOST_RUNS:
         return []
-    pairs = [
-        (a, b, _same_moments(columns["time"], runs[a], runs[b])) for a, b in combinations(runs, 2)
-    ]
+    alike = {
+        (a, b): rows
+        for a, b in combinations(runs, 2)
+        if len((rows := _same_moments(columns["time"], runs[a], runs[b]))[0])
+        >= max(FEW_CHANGES, SAME_TIMES_SHARE * min(len(runs[a]), len(runs[b])))
+    }
     for one, other in permutations(names, 2):
-        odd, exchanged = {}, False
-        for a, b, (here, there) in pairs:
-            if len(here) < max(FEW_CHANGES, SAME_TIMES_SHARE * min(len(runs[a]), len(runs[b]))):
-                continue
-            apart, its = (_rms(columns[n][here] - columns[n][there]) for n in (one, other))
-            pair = (one, other), (other, one)
-            crossed = max(_rms(columns[m][here] - columns[n][there]) for m, n in pair)
+        odd, exchanged = dict[tuple[str, str], float](), False
+        for pair, (here, there) in alike.items():
+            apart, its, crossed, back = (
+                _rms(columns[m][here] - columns[n][there])
+                for m, n in ((one, one), (other, other), (one, other), (other, one))
+            )
+            crossed = max(crossed, back)
             repeats_to = min(its, crossed)
             if repeats_to < REPEATS_RANGE * float(np.ptp(columns[other])):
                 far = apart > max(UNLIKE_RATIO * repeats_to, UNLIKE_DEGREES)
-                odd[a, b] = apart if far else 0.0
+                odd[pair] = apart if far else 0.0
                 exchanged |= far and crossed < its
         if not any(odd.values()) or not _siblings(columns, one, other, runs.values()):
             continue
-        alone = [
-            r for r in runs if (own := [v for pair, v in odd.items() if r in pair]) and all(own)
-        ]
+        of_run = {run: [apart for pair, apart in odd.items() if run in pair] for run in runs}
+        alone = [run for run, own in of_run.items() if own and all(own)]
         if alone := _told_apart(columns, one, other, runs, alone):
-            named = " or ".join(alone)
-            how = "does: one of the two was different there"
-            if exchanged:
-                how = "does it there: they are exchanged"
+            how = "does it there: they are exchanged"
+            how = how if exchanged else "does: one of the two was different there"
             said = (
-                f"does not repeat in run {named} what it did in the others, {max(odd.values()):.2g} °C rms apart, "
-                f"where {other!r} {how}"
+                f"does not repeat in run {' or '.join(alone)} what it did in the others, {max(odd.values()):.2g} °C "
+                f"rms apart, where {other!r} {how}"
             )
             rows = np.concatenate([runs[run] for run in alone])
-            known = len(alone) == 1 and _of_that_run_alone(columns, one, alone[0], pairs, odd, runs)
+            compared = {pair: alike[pair] for pair in odd if alone[0] in pair}
+            known = len(alone) == 1 and _of_that_run_alone(columns, one, alone[0], compared, runs)
             found.append(Oddity("run", one, said, rows, rows if known else rows[:0]))
     return found
 
@@ -341,24 +339,21 @@ def _of_that_run_alone(
     columns: Columns,
     name: str,
     run: str,
-    pairs: Iterable[tuple[str, str, tuple[np.ndarray, np.ndarray]]],
-    odd: Collection[tuple[str, str]],
+    compared: Mapping[tuple[str, str], tuple[np.ndarray, np.ndarray]],
     runs: Mapping[str, np.ndarray],
 ) -> bool:
-    """Whether a column that does not repeat in a run may be trusted in the others.
+    """Return whether a column that does not repeat in a run may be trusted in the others.
 
     If it does after a while what it does in a later run, it was changed in the midst of this one, and before it it may
-    never have been right; likewise after it, if it did so at first. Runs that were compared are known to be alike.
+    never have been right; likewise after it, if it did so at first. Runs that were `compared` are known to be alike.
     """
-    compared = [(a, b, rows) for a, b, rows in pairs if (a, b) in odd and run in (a, b)]
-    known = {r for a, b, _ in compared for r in (a, b)}
-    begins = {r: float(columns["time"][rows].min()) for r, rows in runs.items()}
-    before = any(begins[r] < begins[run] for r in runs if r not in known)
-    after = any(begins[r] > begins[run] for r in runs if r not in known)
-    for _, _, (here, there) in compared:
-        apart, part = columns[name][here] - columns[name][there], max(1, len(here) // 4)
-        quiet = [_rms(end) * UNLIKE_RATIO < _rms(apart) for end in (apart[:part], apart[-part:])]
-        if quiet[0] != quiet[1] and (after if quiet[0] else before):
+    time, values = columns["time"], columns[name]
+    unknown = [time[rows].min() for r, rows in runs.items() if not any(r in p for p in compared)]
+    begin = time[runs[run]].min()
+    for here, there in compared.values():
+        apart, part = values[here] - values[there], max(1, len(here) // 4)
+        first, last = (_rms(x) * UNLIKE_RATIO < _rms(apart) for x in (apart[:part], apart[-part:]))
+        if first != last and any((b > begin) if first else (b < begin) for b in unknown):
             return False
     return True
 
@@ -366,26 +361,23 @@ def _of_that_run_alone(
 def _told_apart(
     columns: Columns, one: str, other: str, runs: Mapping[str, np.ndarray], suspects: list[str]
 ) -> list[str]:
-    """That one of some runs without which a thermometer follows its sibling in all others alike; else all of them.
+    """Return that one of some runs without which a thermometer follows its sibling in all others alike; else all.
 
     Of two runs of one profile that differ, a third run of another profile tells which is right: of the sibling and its
     rate the thermometer is the same function in all that are.
     """
     if len(suspects) < 2 or len(runs) < 3:
         return suspects
-    bases, values = {}, columns[one]
-    for run, rows in runs.items():
-        beside, since = columns[other][rows], columns["time"][rows]
-        if len(rows) < 3 or np.any(np.diff(since) <= 0):
-            return suspects
-        bases[run] = np.column_stack([np.ones(len(rows)), beside, np.gradient(beside, since)])
-    left = {}
+    time, sibling, left = columns["time"], columns[other], dict[str, float]()
+    if any(len(r) < 3 or np.any(np.diff(time[r]) <= 0) for r in runs.values()):
+        return suspects
     for run in suspects:
-        rest = [r for r in runs if r != run]
-        basis = np.concatenate([bases[r] for r in rest])
-        scale = np.maximum(np.linalg.norm(basis, axis=0), np.finfo(float).tiny)
-        found = np.concatenate([values[runs[r]] for r in rest])
-        left[run] = _rms(found - basis / scale @ np.linalg.lstsq(basis / scale, found)[0])
+        rest = [rows for r, rows in runs.items() if r != run]
+        rate = np.concatenate([np.gradient(sibling[rows], time[rows]) for rows in rest])
+        rows = np.concatenate(rest)
+        basis = np.column_stack([np.ones(len(rows)), sibling[rows], rate])
+        basis /= np.maximum(np.linalg.norm(basis, axis=0), np.finfo(float).tiny)
+        left[run] = _rms(columns[one][rows] - basis @ np.linalg.lstsq(basis, columns[one][rows])[0])
     best, second, *_ = sorted(left, key=left.__getitem__)
     return [best] if left[second] > UNLIKE_RATIO * left[best] else suspects
 
@@ -425,3 +417,100 @@ def allowed_changes(columns: Columns, values: np.ndarray) -> np.ndarray:
     time = columns["time"]
     pace = max((_rates(values[p], time[p])[2] for p in pieces(columns)), default=0.0)
     return np.maximum(least, UNLIKE_DEGREES + pace * np.abs(np.diff(time)))
+
+
+SIGN = "sign"  # --unwrap temperature=sign: a column of absolute values
+ROOM = 20.0  # °C, near which a record begins where its counter leaves open which of its periods it is in
+# What a thermometer's counter of some bits holds, °C: in whole degrees and parts of them by two, and in decimals.
+PERIODS = sorted({2.0**bits * size for bits in range(4, 21) for size in (1.0, 0.1, 0.01, 0.001)})
+LEAST_PERIOD = 50.0  # °C; steps of less are other faults'
+# °C, of counters that may go on from their largest value at the smallest: ±64, ±128
+SIGNED = (128.0, 256.0)
+PART = 0.25  # of a period, that a column may change by at the most where a change tells that it began anew
+LEAST_LEVELS = 3  # values beyond a wrap; fewer are an error value
+USUAL_SHARE = 0.9  # of a column's changes
+# Of residual sums of squares, from which an output denies a column's absolute values.
+BETTER_RATIO = 4.0
+
+
+def unwrap(values: np.ndarray, codes: np.ndarray, period: float, start: float) -> np.ndarray:
+    """Return a column, in the order of the file (n,), as of a counter that went on, whose `codes` are its records.
+
+    In a record it goes on from one reading to the next. The first record begins near `start` (20 °C, or 0); the mean of
+    a later one is as near as may be to that of the first. The counter begins anew at `period`.
+    """
+    found, middle = values.copy(), None
+    for code in np.unique(codes):
+        rows = np.flatnonzero((codes == code) & np.isfinite(values))
+        if rows.size:
+            own = np.unwrap(values[rows], period=period)
+            near = own[0] - start if middle is None else own.mean() - middle
+            found[rows] = own - period * np.round(near / period)
+            middle = found[rows].mean() if middle is None else middle
+    return found
+
+
+def restore_sign(values: np.ndarray, codes: np.ndarray) -> np.ndarray:
+    """Return a column whose sign was lost, (n,): in each record positive at first, and another sign beyond each zero.
+
+    A zero is where readings are as small as the column's usual change, between larger ones on both sides.
+    """
+    found = values.copy()
+    for code in np.unique(codes):
+        rows = np.flatnonzero((codes == code) & np.isfinite(values))
+        own = values[rows]
+        changes = np.abs(np.diff(own))
+        small = own <= np.quantile(changes[changes > 0], USUAL_SHARE) if changes.any() else own < 0
+        edges = np.flatnonzero(np.diff(np.concatenate([[False], small, [False]]).astype(int)))
+        sign = np.ones(len(own))
+        for begin, end in edges.reshape(-1, 2):
+            if begin > 0 and end < len(own):
+                least = begin + int(np.argmin(own[begin:end]))
+                sign[least + (own[least - 1] >= own[min(least + 1, len(own) - 1)]) :] *= -1.0
+        found[rows] = sign * own
+    return found
+
+
+def wrap_period(values: np.ndarray, codes: np.ndarray, allowed: np.ndarray) -> float | None:
+    """Return the period, °C, at which a column's counter began anew; None where it did not.
+
+    Within a record each change by more than half of it is one of a period, to what the column may change by; all values
+    lie in one period, from 0 or (of signed bytes) about 0; and those beyond the others are more than an error value.
+    `values` in °C and `codes` of their records are (n,), `allowed` changes from each reading to the next (n − 1,).
+    """
+    low, high = float(values.min()), float(values.max())
+    change = np.where(np.diff(codes) == 0, np.abs(np.diff(values)), 0.0)
+    for period in (p for p in PERIODS if p >= max(LEAST_PERIOD, high - low)):
+        begin = 0.0 if period not in SIGNED or low >= 0 else -0.5 * period
+        wraps = (change > 0.5 * period) & (allowed < PART * period)
+        inside = begin <= low and high <= begin + period
+        if inside and wraps.any() and np.all(period - change[wraps] <= allowed[wraps]):
+            beyond = np.round((unwrap(values, codes, period, ROOM) - values) / period)
+            levels, counts = np.unique(beyond, return_counts=True)
+            if len(np.unique(values[beyond != levels[np.argmax(counts)]])) >= LEAST_LEVELS:
+                return period
+    return None
+
+
+def lost_its_sign(
+    values: np.ndarray,
+    codes: np.ndarray,
+    allowed: np.ndarray,
+    output: np.ndarray,
+    others: Sequence[np.ndarray],
+) -> bool:
+    """Return whether an output follows a column's values with their sign restored far more closely than the values.
+
+    Arguments as `wrap_period`; `output` (n,), and `others`: further columns that it may depend on, (n,) each.
+    """
+    signed = restore_sign(values, codes)
+    # at a zero by both sides
+    leaps = (np.abs(np.diff(signed)) > 2.0 * allowed) & (np.diff(codes) == 0)
+    if values.min() < 0 or not (signed < 0).any() or leaps.any():
+        return False
+    left = []
+    for column in (values, signed):
+        basis = np.column_stack([np.ones(len(values)), column, column**2, *others])
+        basis = basis / np.maximum(np.abs(basis).max(axis=0), np.finfo(float).tiny)
+        left.append(np.sum((output - basis @ np.linalg.lstsq(basis, output)[0]) ** 2))
+    return bool(left[0] > BETTER_RATIO * left[1])
