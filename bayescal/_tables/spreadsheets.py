@@ -11,7 +11,7 @@ import numpy as np
 
 from bayescal._core.errors import InputError
 from bayescal._tables.cells import cell_text
-from bayescal._tables.csv_reader import parse_text, table_of
+from bayescal._tables.csv_reader import parse_text
 from bayescal._tables.raw_table import Table, as_format, in_one_line, refuse_large, unusable
 from bayescal._tables.unpacked import refuse_hdf5, refuse_matlab, refuse_zip
 
@@ -36,9 +36,8 @@ def open_excel(path: Path, file: str, max_bytes: int) -> Table:
             sheet, rows = next(filled, (None, {}))
     if sheet is None:
         raise unusable(file, "is empty", "a header and rows of readings were expected")
-    table = parse_text(_as_text(rows), file)
     note = f"read from the sheet {sheet.title!r}, the first of {len(sheets)}"
-    return table_of(table, *[note] * (len(sheets) > 1))
+    return parse_text(_as_text(rows), file).table(*[note] * (len(sheets) > 1))
 
 
 def _rows_of(sheet: Any, file: str, max_bytes: int) -> dict[int, dict[int, str]]:
