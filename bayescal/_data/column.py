@@ -170,6 +170,13 @@ class ConvertedColumns:
     beside: set[str] = field(default_factory=set)
     by_gravity: set[str] = field(default_factory=set)
 
+    def fill(self, name: str, value: float | str, unit: str | None) -> None:
+        """Add a column that holds a default in every reading."""
+        kind, rows = object if unit is None else np.float64, sum(t.rows for t in self.tables)
+        self.values[name] = np.full(rows, value, dtype=kind)
+        self.units[name] = unit
+        self.filled.add(name)
+
     def where(self, index: int) -> Place:
         """Return where a reading stands, of the files one after the other."""
         for table in self.tables:

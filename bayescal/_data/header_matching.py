@@ -15,23 +15,8 @@ import numpy as np
 
 from bayescal._core.errors import InputError
 from bayescal._core.flag import Flag
+from bayescal._data import header_rules as rules
 from bayescal._data.column import TAKEN, UNCERTAINTY, Column
-from bayescal._data.header_rules import (
-    DAYS,
-    MOTION,
-    NO_UNIT,
-    RAW,
-    ColumnRule,
-    called,
-    compared,
-    labels_in,
-    like_a_unit,
-    like_labels,
-    longest_unit,
-    plain,
-    readings_of,
-    unit_behind,
-)
 from bayescal._data.read_options import (
     InstrumentLike,
     ReadOptions,
@@ -101,7 +86,7 @@ class MatchedFile:
         for name, column in self.expected.items():
             unit = self.header(name).unit if name in self.positions else None
             meant = name in self.options.columns and not _known(unit)
-            if column.unit is None and not meant and (unit or "").lower() not in NO_UNIT:
+            if column.unit is None and not meant and (unit or "").lower() not in rules.NO_UNIT:
                 came, meant = f"carries the unit {unit}", f"a label (text) as {name!r}"
                 cure = "Remove the unit, or rename the column"
                 self.problem(self.header(name).raw, came, meant, cure)
@@ -123,7 +108,7 @@ class MatchedFile:
         """Take the columns that the user names."""
         for ours, theirs in self.options.columns.items():
             asked = in_one_line(theirs)
-            position = called(self._headers, asked)
+            position = rules.called(self._headers, asked)
             if position is None:
                 came = f"no such column, but {option('--columns', f'{ours}={theirs}')}"
                 self.problem(theirs, came, cure=f"It has: {names_in(self.table)}")
@@ -140,7 +125,7 @@ class MatchedFile:
     def _take_known(self) -> None:
         """Take the columns of the instrument: by their own names, else by names that are usual, with a fitting unit."""
         headers = self._headers
-        named = [{compared(reading) for reading in readings_of(h)} for h in headers]
+        named = [{rules.compared(reading) for reading in rules.readings_of(h)} for h in headers]
         exact = {headers[i].name: i for i in self._free}
         for name, column in self.expected.items():
             if name in self.options.columns:
@@ -170,7 +155,7 @@ class MatchedFile:
         for i in sorted(self._free):
             header = self._headers[i]
             if header.raw not in self.options.units:
-                header = longest_unit(header) or header
+                header = rules.longest_unit(header) or header
             unit, name = unit_of(header, "", self.options), header.name.lower()
             if name and unit and alike(unit, str(self.expected[outputs[0]].unit)):
                 for key, axis in ((f"{name[:-1]}?", name[-1]), (f"?{name[1:]}", name[0])):
@@ -184,7 +169,7 @@ class MatchedFile:
     def _take_by_cells(self) -> None:
         """Take labels by name and cells; and for the time the one column of dates, or in a unit of time, that rises."""
         for i in sorted(self._free):
-            ours = labels_in(self._headers[i])
+            ours = rules.labels_in(self._headers[i])
             if ours is None or ours in {*self.positions, *self.options.columns}:
                 continue
             if self._holds_labels(i, ours == "device"):
@@ -201,7 +186,7 @@ class MatchedFile:
     def _as_time(self, position: int, dates: bool) -> Header | None:
         """The reading of a header as the time, if its cells are dates, or numbers in a unit of time, that go on."""
         header = self._headers[position]
-        reading = header if header.unit or dates else longest_unit(header)
+        reading = header if header.unit or dates else rules.longest_unit(header)
         timed = reading is not None and alike(unit_of(reading, "", self.options) or "", "s")
         if reading is None or (bool(reading.unit) if dates else not timed):
             return None
@@ -219,7 +204,7 @@ class MatchedFile:
     def _take_others(self, named: set[str]) -> None:
         """Name the other columns, those in `named` by the user, as the file does; without their units."""
         for i in sorted(self._free):
-            reading = unit_behind(self._headers[i])
+            reading = rules.unit_behind(self._headers[i])
             if reading and reading.name not in self.expected:
                 self._rename(i, reading, reading.name)
             name = self._headers[i].name
@@ -255,18 +240,20 @@ class MatchedFile:
         """Whether the cells of a column are labels."""
         if self.options.leaves_out(self.table.headers[position]) or not self.table.readable:
             return False
-        return like_labels(load_whole(self.table, {position: False})[position].values, in_turn)
+        return rules.like_labels(
+            load_whole(self.table, {position: False})[position].values, in_turn
+        )
 
-    def rule(self, name: str) -> ColumnRule:
+    def rule(self, name: str) -> rules.ColumnRule:
         """How the header of a column of ours is known."""
         column, output = self.expected.get(name), output_name(self.instrument)
         if column is None:
-            return ColumnRule(Column(name, ANY), (ANY,))
+            return rules.ColumnRule(Column(name, ANY), (ANY,))
         scale = self.options.nominal_scale or self.instrument.nominal_scale
         kinds = () if column.unit is None else (column.unit,)
         if scale and name in (output, UNCERTAINTY) and column.unit != ANY:
             kinds = (*kinds, scale.unit)
-        return ColumnRule(column, kinds, name == output)
+        return rules.ColumnRule(column, kinds, name == output)
 
     def header(self, name: str) -> Header:
         """The header of a column by our name."""
@@ -304,8 +291,8 @@ class MatchedFile:
             advice = f"{shown} {'looks' if len(candidates) == 1 else 'look'} like it. "
             if "--nominal-scale" in given:
                 advice += "The nominal scale says what one unit of output is of it; --nominal-zero what it is at zero. "
-            units = [(h.name, (longest_unit(h) or h).unit or "") for h in candidates]
-            moving = [name for name, unit in units if any(alike(unit, m) for m in MOTION)]
+            units = [(h.name, (rules.longest_unit(h) or h).unit or "") for h in candidates]
+            moving = [name for name, unit in units if any(alike(unit, m) for m in rules.MOTION)]
             if len(moving) > 1 and column.name == output_name(self.instrument):
                 together = option("--channels", ",".join(moving))
                 advice += f"Together, as channels of one unit: {together}. "
@@ -319,7 +306,9 @@ class MatchedFile:
         said, rule = option("--columns", f"{column.name}={header.raw}"), self.rule(column.name)
         if column.unit is None or rule.fitting(header, {}):
             return said
-        raw = next((u for r in readings_of(header) if (u := unit_in(r.unit or "", RAW))), None)
+        raw = next(
+            (u for r in rules.readings_of(header) if (u := unit_in(r.unit or "", rules.RAW))), None
+        )
         if raw and rule.output and self.options.nominal_scale is None:
             per = f"({column.unit})" if "/" in column.unit else column.unit
             return f"{said} {option('--nominal-scale', f'NUMBER {raw}/{per}')}"
@@ -339,7 +328,11 @@ class MatchedFile:
             header = self.table.headers[position]
             if name in self.expected or self.options.leaves_out(header):
                 continue
-            if plain(header.name) in DAYS and not header.unit and "time" in self.positions:
+            if (
+                rules.plain(header.name) in rules.DAYS
+                and not header.unit
+                and "time" in self.positions
+            ):
                 continue  # taken with the time of day
             if name in TAKEN:
                 said = f"{file}: column {header.raw!r} ignored: the name {name!r} is taken"
@@ -349,9 +342,9 @@ class MatchedFile:
             if unit and alike(unit, unit):  # it is a unit
                 kept[name] = Column(name, base_unit(unit), required=False)
                 continue
-            unit, could_be = unit or like_a_unit(header), self._could_be(header)
+            unit, could_be = unit or rules.like_a_unit(header), self._could_be(header)
             text = (unit or "").lower()
-            meant = text not in NO_UNIT or (could_be and not text)
+            meant = text not in rules.NO_UNIT or (could_be and not text)
             if meant and (could_be or _known(unit) or not self._holds_labels(position)):
                 self._note_unclear(header, unit, could_be)
             else:
