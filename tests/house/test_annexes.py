@@ -47,7 +47,7 @@ BEHIND = {
         _search.walk: explore
         _tables.cells: Cells
         _tables.open_table: MAX_BYTES READ
-        _tables.parquet_netcdf: arrow_cells arrow_headers
+        _tables.formats: arrow_cells arrow_headers
         _tables.raw_table: Table as_format load_whole refuse_large
     """,
     "imu": """
