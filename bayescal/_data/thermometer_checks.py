@@ -321,7 +321,9 @@ def _unlike(columns: Columns, names: Collection[str]) -> list[Oddity]:
             continue
         of_run = {run: [apart for pair, apart in odd.items() if run in pair] for run in runs}
         alone = [run for run, own in of_run.items() if own and all(own)]
-        if alone := _told_apart(columns, one, other, runs, alone):
+        told = _odd_run(columns, one, other, runs)
+        alone = [told] if told in alone else alone
+        if alone:
             how = "does it there: they are exchanged"
             how = how if exchanged else "does: one of the two was different there"
             said = (
@@ -329,49 +331,38 @@ def _unlike(columns: Columns, names: Collection[str]) -> list[Oddity]:
                 f"rms apart, where {other!r} {how}"
             )
             rows = np.concatenate([runs[run] for run in alone])
-            compared = {pair: alike[pair] for pair in odd if alone[0] in pair}
-            known = len(alone) == 1 and _of_that_run_alone(columns, one, alone[0], compared, runs)
+            known = len(alone) == 1 and (
+                told in alone
+                or all(own for run, own in of_run.items() if run not in alone)
+                or not _changed_within(columns[one], alone[0], alike, odd)
+            )
             found.append(Oddity("run", one, said, rows, rows if known else rows[:0]))
     return found
 
 
-def _of_that_run_alone(
-    columns: Columns,
-    name: str,
+def _changed_within(
+    values: np.ndarray,
     run: str,
-    compared: Mapping[tuple[str, str], tuple[np.ndarray, np.ndarray]],
-    runs: Mapping[str, np.ndarray],
+    alike: Mapping[tuple[str, str], tuple[np.ndarray, np.ndarray]],
+    pairs: Collection[tuple[str, str]],
 ) -> bool:
-    """Return whether a column that does not repeat in a run may be trusted in the others.
-
-    If it does after a while what it does in a later run, it was changed in the midst of this one, and before it it may
-    never have been right; likewise after it, if it did so at first. Runs that were `compared` are known to be alike.
-    """
-    time, values = columns["time"], columns[name]
-    unknown = [time[rows].min() for r, rows in runs.items() if not any(r in p for p in compared)]
-    begin = time[runs[run]].min()
-    for here, there in compared.values():
+    """Return whether a run begins or ends as those like it: changed in its midst, and runs unlike it may be wrong."""
+    for here, there in (alike[pair] for pair in pairs if run in pair):
         apart, part = values[here] - values[there], max(1, len(here) // 4)
-        first, last = (_rms(x) * UNLIKE_RATIO < _rms(apart) for x in (apart[:part], apart[-part:]))
-        if first != last and any((b > begin) if first else (b < begin) for b in unknown):
-            return False
-    return True
+        if UNLIKE_RATIO * min(_rms(apart[:part]), _rms(apart[-part:])) < _rms(apart):
+            return True
+    return False
 
 
-def _told_apart(
-    columns: Columns, one: str, other: str, runs: Mapping[str, np.ndarray], suspects: list[str]
-) -> list[str]:
-    """Return that one of some runs without which a thermometer follows its sibling in all others alike; else all.
+def _odd_run(columns: Columns, one: str, other: str, runs: Mapping[str, np.ndarray]) -> str | None:
+    """Return the run without which a thermometer follows its sibling in all others alike; None for none.
 
-    Of two runs of one profile that differ, a third run of another profile tells which is right: of the sibling and its
-    rate the thermometer is the same function in all that are.
+    Of the sibling and its rate the thermometer is the same function in all runs that are right.
     """
-    if len(suspects) < 2 or len(runs) < 3:
-        return suspects
     time, sibling, left = columns["time"], columns[other], dict[str, float]()
-    if any(len(r) < 3 or np.any(np.diff(time[r]) <= 0) for r in runs.values()):
-        return suspects
-    for run in suspects:
+    if len(runs) < 3 or any(len(r) < 3 or np.any(np.diff(time[r]) <= 0) for r in runs.values()):
+        return None
+    for run in runs:
         rest = [rows for r, rows in runs.items() if r != run]
         rate = np.concatenate([np.gradient(sibling[rows], time[rows]) for rows in rest])
         rows = np.concatenate(rest)
@@ -379,7 +370,7 @@ def _told_apart(
         basis /= np.maximum(np.linalg.norm(basis, axis=0), np.finfo(float).tiny)
         left[run] = _rms(columns[one][rows] - basis @ np.linalg.lstsq(basis, columns[one][rows])[0])
     best, second, *_ = sorted(left, key=left.__getitem__)
-    return [best] if left[second] > UNLIKE_RATIO * left[best] else suspects
+    return best if left[second] > UNLIKE_RATIO * left[best] else None
 
 
 def _siblings(columns: Columns, one: str, other: str, runs: Iterable[np.ndarray]) -> bool:
