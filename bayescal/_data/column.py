@@ -65,15 +65,12 @@ class Column:
             f" may be in any unit: its default {self.default!r} has none": unit == ANY
             and self.default is not None,
             " has no unit that known uncertainties could have": self.known and unit in (None, ANY),
-            **{
-                f": {name} {value} must be a positive number": not (
-                    math.isfinite(value) and value > 0
-                )
-                for name, value in self.known
-            },
+            f": low {low} is not below high {high}": None not in (low, high) and not low < high,
         }
-        if low is not None and high is not None:
-            faults[f": low {low:g} is not below high {high:g}"] = not low < high
+        faults |= {
+            f": {name} {value} must be a positive number": not 0 < value < math.inf
+            for name, value in self.known
+        }
         for fault in (text for text, holds in faults.items() if holds):
             raise InputError(f"column {self.name!r}{fault}")
 

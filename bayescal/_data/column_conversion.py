@@ -332,16 +332,12 @@ class ColumnReader:
         self._problem(f"reads {came}", expected, hint, rows=sorted(cells.bad))
 
     def _unwrapped(self, raw: np.ndarray, unit: str | None) -> np.ndarray:
-        """Undo a counter's wraps, or a sign that was lost, where the user says so."""
+        """Undo a counter's wraps, where the user says so."""
         given = self.options.unwrap
         said = next((given[n] for n in self.names if n in given), None)
         if said is None or unit is None:
             return raw
         warm = units.same_dimension(unit, "degC")
-        if said == thermometers.SIGN and warm:
-            values = thermometers.restore_sign(raw, self._records(raw))
-            self._flag(f"given back its sign at {np.count_nonzero(values != raw)} readings")
-            return values
         period, own = period_of(said)
         if own != "1":
             period = float(units.convert(period, own, unit, difference=True))

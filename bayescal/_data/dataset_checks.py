@@ -48,7 +48,7 @@ def problems_of_whole(
         files = [table.file for table in converted.tables if table.file != ARRAYS]
         problems += same_temperature(columns, file_names(files))
     problems += backward_time(columns, converted.where)
-    problems += _wrapped(converted, getattr(instrument, "output", "output"))
+    problems += _wrapped(converted)
     return problems
 
 
@@ -61,24 +61,17 @@ def _objection(
     return Objection(places[0].file, came, "", cure, option, column, places=at)
 
 
-def _wrapped(converted: ConvertedColumns, output: str) -> Iterator[Objection]:
-    """Find thermometers whose counter began anew, or whose sign was lost, each with the option that undoes it."""
-    columns, units, warm = converted.values, converted.units, converted.thermometers
-    others = [v for n, v in columns.items() if units[n] and n not in (*warm, "time", output)]
-    others = [v for v in others if np.isfinite(v).all()]  # a temperature point may be empty
-    for name in warm if "time" in columns else ():
-        values, codes = columns[name], record_codes(columns)
-        of_counter = values, codes, thermometers.allowed_changes(columns, values)
-        if period := thermometers.wrap_period(*of_counter):
+def _wrapped(converted: ConvertedColumns) -> Iterator[Objection]:
+    """Find thermometers whose counter began anew, each with the option that undoes it."""
+    columns = converted.values
+    for name in converted.thermometers if "time" in columns else ():
+        values = columns[name]
+        allowed = thermometers.allowed_changes(columns, values)
+        if period := thermometers.wrap_period(values, record_codes(columns), allowed):
             came = f"leaps by {period:g} °C, as a counter that began anew"
             undo = option("--unwrap", f"{name}={period:g}degC")
-        elif output in columns and thermometers.lost_its_sign(*of_counter, columns[output], others):
-            came = "turns round at 0 °C where the output goes on: its sign was lost"
-            undo = option("--unwrap", f"{name}={thermometers.SIGN}")
-        else:
-            continue
-        row = min(1 + int(np.argmax(np.abs(np.diff(values)))), len(values) - 1)
-        yield _objection(converted.where, [row], name, came, "Undo it, if that is so", undo)
+            rows = [1 + int(np.argmax(np.abs(np.diff(values))))]
+            yield _objection(converted.where, rows, name, came, "Undo it, if that is so", undo)
 
 
 def same_temperature(columns: Columns, names: str) -> Iterator[Objection]:

@@ -306,9 +306,7 @@ class MatchedFile:
         said, rule = option("--columns", f"{column.name}={header.raw}"), self.rule(column.name)
         if column.unit is None or rule.fitting(header, {}):
             return said
-        raw = next(
-            (u for r in rules.readings_of(header) if (u := unit_in(r.unit or "", rules.RAW))), None
-        )
+        raw = rules.unit_among(header, rules.RAW)
         if raw and rule.output and self.options.nominal_scale is None:
             per = f"({column.unit})" if "/" in column.unit else column.unit
             return f"{said} {option('--nominal-scale', f'NUMBER {raw}/{per}')}"

@@ -108,6 +108,12 @@ def readings_of(header: Header) -> tuple[Header, ...]:
     return tuple(found)
 
 
+def unit_among(header: Header, kinds: tuple[str, ...]) -> str | None:
+    """Return the unit of one of these kinds that a header has in one of its readings; None for none."""
+    found = (unit_in(reading.unit or "", kinds) for reading in readings_of(header))
+    return next(filter(None, found), None)
+
+
 def unit_behind(header: Header) -> Header | None:
     """Return the reading of a header that ends in a unit of any quantity: in brackets, or of two letters behind _."""
     reading = None if header.unit else longest_unit(header)
@@ -249,17 +255,13 @@ class ColumnRule:
     def candidates(self, headers: Sequence[Header]) -> list[Header]:
         """Return the headers that may mean it: in a unit of its kind, else in none; of these those that share a word
         with its name, if any does."""
-        word = plain(self.column.name)
+        word, told = plain(self.column.name), frozenset(COMMANDED.split())
         if word.startswith("temperature"):
-            told = {*COMMANDED.split()}
             headers = [h for h in headers if told.isdisjoint(plain(h.name).split("_"))]
         tiers = (MOTION, self.kinds) if ANY in self.kinds else (self.kinds, RAW * self.output)
-        units = {h: {r.unit or "" for r in readings_of(h)} for h in headers}
-        tried = (
-            [h for h in headers if any(unit_in(u, kinds) for u in units[h])] for kinds in tiers
-        )
-        fitting = next(filter(None, tried), [])
+        tried = ([h for h in headers if unit_among(h, kinds)] for kinds in tiers)
         unknown = [h for h in headers if not longest_unit(h)]
+        fitting = next(filter(None, tried), [])
         named = [h for h in (fitting or unknown) if _share_a_word(plain(h.name), word)]
         unsaid = [h for h in unknown if self.column.unit and not like_a_unit(h)]
         return named or fitting or unsaid

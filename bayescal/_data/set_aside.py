@@ -60,7 +60,7 @@ def set_aside(
         keep_spikes: leave spikes in, and wrong temperatures.
         needed: columns that a model needs: without readings, too, at which a thermometer among them was wrong.
     """
-    for find in (_repeated, _clipped, _stuck):
+    for find in (_clipped, _stuck):
         readings = _without(readings, find(readings))
     if keep_spikes or not readings.has("time"):  # both are known by their neighbours in time
         return readings
@@ -86,12 +86,6 @@ def _listed(rows: np.ndarray, values: np.ndarray, unit: str = "") -> str:
     """The first rows, as people count them, with what they read."""
     shown = ", ".join(f"{row + 1} ({values[row]:.6g}{unit})" for row in rows[:5])
     return f"row {shown}{' …' * (len(rows) > 5)}"
-
-
-def _repeated(readings: Measurements) -> Fault:
-    """Rows that repeat an earlier one: reading a file drops them, other sources may hold them."""
-    rows = checks.repeated_rows(readings.values) if readings.has("time") else np.zeros(0, int)
-    return Fault(rows, f"{len(rows)} row(s) repeat an earlier one in every column: dropped")
 
 
 def _clipped(readings: Measurements) -> Fault:
