@@ -494,8 +494,7 @@ class ColumnReader:
         known, labels = np.isfinite(values), ("time", *RECORD)
         columns = {n: v[known] for n, v in self.converted.values.items() if n in labels}
         values, codes = values[known], self._records(values)[known]
-        allowed = thermometers.allowed_changes(columns, values)
-        found = thermometers.wrap_period(values, codes, allowed)
+        found = thermometers.wrap_period(columns, values)
         whole = () if (values <= high).any() else thermometers.PERIODS  # all readings are beyond
         for period in (p for p in (found, *whole) if p and values.max() < p):
             undone = thermometers.unwrap(values, codes, period, thermometers.ROOM)

@@ -65,12 +65,10 @@ def _wrapped(converted: ConvertedColumns) -> Iterator[Objection]:
     """Find thermometers whose counter began anew, each with the option that undoes it."""
     columns = converted.values
     for name in converted.thermometers if "time" in columns else ():
-        values = columns[name]
-        allowed = thermometers.allowed_changes(columns, values)
-        if period := thermometers.wrap_period(values, record_codes(columns), allowed):
+        if period := thermometers.wrap_period(columns, columns[name]):
             came = f"leaps by {period:g} °C, as a counter that began anew"
             undo = option("--unwrap", f"{name}={period:g}degC")
-            rows = [1 + int(np.argmax(np.abs(np.diff(values))))]
+            rows = [1 + int(np.argmax(np.abs(np.diff(columns[name]))))]
             yield _objection(converted.where, rows, name, came, "Undo it, if that is so", undo)
 
 
@@ -109,41 +107,36 @@ def backward_time(columns: Columns, where: Where) -> Iterator[Objection]:
         return
     record = record_codes(columns)
     order = np.argsort(record, kind="stable")
-    time = columns["time"][order]
+    values, time = columns["time"], columns["time"][order]
     step = np.where(np.diff(record[order]) == 0, np.diff(time), np.nan)  # within a record
     size = abs(step[step != 0])
     usual = float(np.nanmedian(size)) if np.isfinite(size).any() else 0.0
-    far = abs(step) > max(CLOCK_SET, CLOCK_SET_STEPS * usual)
-    cure = "Put the rows in the order in which they were taken, or give each record its own label in a column 'run'"
+    far, back = abs(step) > max(CLOCK_SET, CLOCK_SET_STEPS * usual), step < 0
+    rows = np.sort(order[1:][far if far.any() else back])
+    if not rows.size:
+        return
+    index, at = int(rows[0]), int(np.flatnonzero(order == rows[0])[0]) - 1
+    before, undo = int(order[at]), ""
     if far.any():
-        at, undo = int(np.argmax(far)), ""
-        rows = order[1:][[at]]
-        came = f"leaps by {step[at] / 3.156e7:.3g} years from {where(int(order[at]))} on, within one run"
+        came = f"leaps by {step[at] / 3.156e7:.3g} years from {where(before)} on, within one run"
         came += ": the clock was set there"
         cure = (
             "Correct the times, or give what stands before and behind it labels of their own in a column 'run' (where "
             "no time is needed, leave it out: --ignore time)"
         )
-    elif (back := step < 0).any():
-        usual = float(np.median(step[step > 0])) if (step > 0).any() else 0.0
-
-        def wraps(period: float) -> bool:
-            after = step[back] + period
-            return bool(np.all((after > 0) & (after <= PAUSE_STEPS * usual)))
-
-        rows = np.sort(order[1:][back])
-        index = int(rows[0])
-        before = int(order[np.flatnonzero(order == index)[0] - 1])
-        labels = [f"{n} {columns[n][index]!s}" for n in ("run", "device", "axis") if n in columns]
-        inside = f" within {', '.join(labels)}" * bool(labels)
-        own = columns["time"]
-        came = f"reads {own[index]:.12g} s after {own[before]:.12g} s in {where(before)}: time runs backwards{inside}"
-        undo = next((name for name, period in PERIODS.items() if wraps(period)), "")
-        if undo:
-            came += f", as a clock does that begins anew at {undo}"
-            cure, undo = "Undo it, if that is so", option("--unwrap", f"time={undo}")
-    else:
+        yield _objection(where, [index], "time", came, cure)
         return
+    cure = "Put the rows in the order in which they were taken, or give each record its own label in a column 'run'"
+    labels = [f"{n} {columns[n][index]!s}" for n in ("run", "device", "axis") if n in columns]
+    inside = f" within {', '.join(labels)}" * bool(labels)
+    came = f"reads {values[index]:.12g} s after {values[before]:.12g} s in {where(before)}: time runs backwards{inside}"
+    usual = float(np.median(step[step > 0])) if (step > 0).any() else 0.0
+    for name, period in PERIODS.items():
+        after = step[back] + period
+        if np.all((after > 0) & (after <= PAUSE_STEPS * usual)):
+            came += f", as a clock does that begins anew at {name}"
+            cure, undo = "Undo it, if that is so", option("--unwrap", f"time={name}")
+            break
     yield _objection(where, rows.tolist(), "time", came, cure, undo)
 
 

@@ -223,24 +223,26 @@ def not_new(readings: Measurements, holdout: Measurements) -> int:
     """
     numbers = (n for n, unit in readings.units.items() if n != "time" and unit is not None)
     shared = [n for n in numbers if holdout.has(n)]
-
-    def numbered(names: list[str]) -> tuple[np.ndarray, np.ndarray]:
-        """Of each reading of either which of their different rows it is."""
-        rows = [np.round(np.column_stack([r[n] for n in names]), 12) for r in (readings, holdout)]
-        codes = np.unique(np.concatenate(rows), axis=0, return_inverse=True)[1].ravel()
-        return codes[: len(readings)], codes[len(readings) :]
-
-    mine, theirs = numbered(shared)
+    others = [n for n in shared if n != "output"] or ["output"]
+    (mine, theirs), (beside, its) = (
+        _numbered(readings, holdout, shared),
+        _numbered(readings, holdout, others),
+    )
     both = int(np.isin(theirs, mine).sum())
     output = readings["output"]
     noise = max(thermometers.scatter(output), float(np.spacing(np.max(np.abs(output)))))
     alike = min(1.0, checks.resolution(output) / (2.0 * np.sqrt(np.pi) * noise))
-    others = [n for n in shared if n != "output"] or ["output"]
-    mine, theirs = numbered(others)
-    chances = np.bincount(mine, minlength=int(theirs.max(initial=-1)) + 1)[theirs]
+    chances = np.bincount(beside, minlength=int(its.max(initial=-1)) + 1)[its]
     by_chance = float(np.sum(1.0 - (1.0 - alike) ** chances))
     least = max(NOT_NEW_SHARE * len(theirs), by_chance + BY_CHANCE_SD * np.sqrt(by_chance))
     return both if both > least else 0
+
+
+def _numbered(one: Measurements, other: Measurements, names: list[str]) -> list[np.ndarray]:
+    """Return of each reading of both which of their different rows of these columns it is."""
+    rows = [np.round(np.column_stack([r[n] for n in names]), 12) for r in (one, other)]
+    codes = np.unique(np.concatenate(rows), axis=0, return_inverse=True)[1].ravel()
+    return np.split(codes, [len(one)])
 
 
 def said_of(readings: Measurements, holdout: Measurements) -> str:

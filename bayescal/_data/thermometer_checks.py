@@ -16,7 +16,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
-from bayescal._data.records import Columns, equal_runs, pieces, runs_of
+from bayescal._data.records import RECORD, Columns, equal_runs, pieces, record_codes, runs_of
 
 # "Good records" are the campaigns that the six instruments simulate, as they are, rounded as displays do, and noisy
 # (tests/readings/test_thermometers.py).
@@ -437,13 +437,15 @@ def unwrap(values: np.ndarray, codes: np.ndarray, period: float, start: float) -
     return found
 
 
-def wrap_period(values: np.ndarray, codes: np.ndarray, allowed: np.ndarray) -> float | None:
-    """Return the period, °C, at which a column's counter began anew; None where it did not.
+def wrap_period(columns: Columns, values: np.ndarray) -> float | None:
+    """Return the period, °C, at which a thermometer's counter began anew; None where it did not.
 
     Within a record each change by more than half of it is one of a period, to what the column may change by; all values
-    lie in one period, from 0 or (of signed bytes) about 0; and those beyond the others are more than an error value.
-    `values` in °C and `codes` of their records are (n,), `allowed` changes from each reading to the next (n − 1,).
+    (n,) lie in one period, from 0 or (of signed bytes) about 0; and those beyond the others are more than an error
+    value. `columns` are of the time and labels.
     """
+    allowed = allowed_changes(columns, values)
+    codes = record_codes({n: columns[n] for n in RECORD if n in columns} or {"": 0.0 * values})
     low, high = float(values.min()), float(values.max())
     change = np.where(np.diff(codes) == 0, np.abs(np.diff(values)), 0.0)
     for period in (p for p in PERIODS if p >= max(LEAST_PERIOD, high - low)):
