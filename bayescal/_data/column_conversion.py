@@ -12,7 +12,7 @@ import numpy as np
 
 from bayescal._core.errors import InputError
 from bayescal._core.flag import Flag
-from bayescal._data import thermometer_checks as thermometers
+from bayescal._data import dataset_checks as checks
 from bayescal._data import unit_conversion as units
 from bayescal._data.column import (
     ASSUMED_GRAVITY,
@@ -24,8 +24,7 @@ from bayescal._data.column import (
     overloads,
     placeholders,
 )
-from bayescal._data.header_matching import MatchedFile
-from bayescal._data.header_rules import DAYS, channels_beside, plain
+from bayescal._data.header_matching import DAYS, MatchedFile, channels_beside, plain
 from bayescal._data.pose_rows import MAGNITUDE
 from bayescal._data.read_options import (
     InstrumentLike,
@@ -347,8 +346,8 @@ class ColumnReader:
             values = raw.copy()
             values[known] = np.unwrap(raw[known], period=period)
         else:
-            start = float(units.convert([thermometers.ROOM], "degC", unit)[0]) if warm else 0.0
-            values = thermometers.unwrap(raw, self._records(raw), period, start)
+            start = float(units.convert([checks.ROOM], "degC", unit)[0]) if warm else 0.0
+            values = checks.unwrap(raw, self._records(raw), period, start)
         self._flag(f"began anew {begun} time{'s' * (begun != 1)}, which was undone (unwrap={said})")
         return values
 
@@ -494,10 +493,10 @@ class ColumnReader:
         known, labels = np.isfinite(values), ("time", *RECORD)
         columns = {n: v[known] for n, v in self.converted.values.items() if n in labels}
         values, codes = values[known], self._records(values)[known]
-        found = thermometers.wrap_period(columns, values)
-        whole = () if (values <= high).any() else thermometers.PERIODS  # all readings are beyond
+        found = checks.wrap_period(columns, values)
+        whole = () if (values <= high).any() else checks.COUNTER_PERIODS  # all readings are beyond
         for period in (p for p in (found, *whole) if p and values.max() < p):
-            undone = thermometers.unwrap(values, codes, period, thermometers.ROOM)
+            undone = checks.unwrap(values, codes, period, checks.ROOM)
             if low < undone.min() and undone.max() < high:
                 return period
         return None

@@ -27,11 +27,16 @@ from bayescal._data.column import (
     file_names,
 )
 from bayescal._data.column_conversion import convert_columns, joined
-from bayescal._data.dataset_checks import flags_of, problems_of_whole, repeated_rows
+from bayescal._data.dataset_checks import (
+    Oddity,
+    flags_of,
+    oddities,
+    problems_of_whole,
+    repeated_rows,
+)
 from bayescal._data.pose_rows import MAGNITUDE, MAGNITUDE_READ, scalar_readings
 from bayescal._data.read_options import InstrumentLike, ReadOptions, output_name, unused_options
 from bayescal._data.records import distinct
-from bayescal._data.thermometer_checks import Oddity, oddities
 from bayescal._data.unit_conversion import ANY, parse
 from bayescal._tables.cells import date_text, equally_long
 from bayescal._tables.raw_table import ROW, Objections, Table

@@ -18,10 +18,8 @@ from numpy.lib.stride_tricks import sliding_window_view
 from bayescal._core.flag import Flag
 from bayescal._core.settings import settings
 from bayescal._data import dataset_checks as checks
-from bayescal._data import thermometer_checks as thermometers
 from bayescal._data.measurements import Measurements
 from bayescal._data.records import RECORD, Columns, pieces, record_codes, stretches
-from bayescal._data.thermometer_checks import FEW_CHANGES, Oddity
 
 # Robust standard deviations of a reading's distance from the line through its neighbours; of a million normal readings
 # none.
@@ -109,7 +107,7 @@ def _stuck(readings: Measurements) -> Fault:
         said = f"stands still at {output[first]:.6g} (rows {first + 2} to {last + 1})"
     elif readings.has("time"):
         own = pieces(readings.values)
-        rows = thermometers.repeats(output, own, thermometers.held_rows(output, own))
+        rows = checks.repeats(output, own, checks.held_rows(output, own))
         first = rows[0] + 1 if len(rows) else 0
         said = (
             f"repeats a value until the next leap, first in row {first}: a logger asked it seldom"
@@ -126,7 +124,7 @@ def _wrong(readings: Measurements, needed: Collection[str], begun: int) -> Fault
     or all temperatures but one, they stay, and the fault is a reason not to believe the result.
     """
     for odd in readings.oddities:
-        few = odd.code == "leap" and len(odd.wrong) <= thermometers.LEAP_SHARE * begun
+        few = odd.code == "leap" and len(odd.wrong) <= checks.LEAP_SHARE * begun
         if (few or odd.column in needed) and _can_go(readings.values, odd, begun):
             rows = _listed(odd.wrong, readings[odd.column], " °C")
             said = f"{len(odd.wrong)} reading(s) set aside, column {odd.column!r} {odd.said}"
@@ -134,11 +132,11 @@ def _wrong(readings: Measurements, needed: Collection[str], begun: int) -> Fault
     return Fault()
 
 
-def _can_go(columns: Columns, odd: Oddity, begun: int) -> bool:
+def _can_go(columns: Columns, odd: checks.Oddity, begun: int) -> bool:
     """Whether enough is left without what is wrong: half of the readings; of a held column, each value once."""
     count = len(columns[odd.column])
     kept, held = np.setdiff1d(np.arange(count), odd.wrong), len(odd.wrong) < len(odd.rows)
-    least = FEW_CHANGES if held and count == begun else 0.5 * begun
+    least = checks.FEW_CHANGES if held and count == begun else 0.5 * begun
     if not len(odd.wrong) or len(kept) < least:
         return False
     labels = [n for n in RECORD if n != "run" and n in columns]
@@ -230,7 +228,7 @@ def not_new(readings: Measurements, holdout: Measurements) -> int:
     )
     both = int(np.isin(theirs, mine).sum())
     output = readings["output"]
-    noise = max(thermometers.scatter(output), float(np.spacing(np.max(np.abs(output)))))
+    noise = max(checks.scatter(output), float(np.spacing(np.max(np.abs(output)))))
     alike = min(1.0, checks.resolution(output) / (2.0 * np.sqrt(np.pi) * noise))
     chances = np.bincount(beside, minlength=int(its.max(initial=-1)) + 1)[its]
     by_chance = float(np.sum(1.0 - (1.0 - alike) ** chances))
