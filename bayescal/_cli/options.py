@@ -225,7 +225,7 @@ OPTIONS: Options = {
     "typed": {"help": "An effect of your own in one line, as a candidate: 'supply: s * (supply_voltage - 5); s = 0.1 "
         "V/V'.", "names": ["--effect"], "metavar": "'NAME: FORMULA; s = SIZE'"},
     "unit": "gyro_x=rad/s: unit of a column; repeat for more.",
-    "unwrap": "time=2^32us: what a clock or counter held when it began anew; temperature=sign: its sign was lost.",
+    "unwrap": "time=2^32us: what a clock or counter held when it began anew.",
     "verbose": "With all candidates of every step, and drafts of effects.",
     "without_noise": "Leave the noise of each reading out.",
     "without_uncertainty": "C and Python that give the value alone, without the covariance of the coefficients.",

@@ -27,9 +27,9 @@ BEHIND = {
         _core.jax_setup: configure_jax obey_no_folder
         _core.jit: compiled
         _core.settings: settings unusual
-        _data.column: ConvertedColumns Source
+        _data.column: ConvertedColumns Place Source
         _data.column_conversion: convert_columns
-        _data.dataset_checks: Place backward_time same_temperature
+        _data.dataset_checks: backward_time same_temperature
         _data.header_matching: MatchedFile
         _data.read_options: ExpectedColumns InstrumentLike output_name unit_of unused_options
         _inference: sampled_products trust
@@ -47,7 +47,7 @@ BEHIND = {
         _search.walk: explore
         _tables.cells: Cells
         _tables.open_table: MAX_BYTES READ
-        _tables.parquet_netcdf: arrow_cells arrow_headers
+        _tables.formats: arrow_cells arrow_headers
         _tables.raw_table: Table as_format load_whole refuse_large
     """,
     "imu": """
