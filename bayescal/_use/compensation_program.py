@@ -550,7 +550,7 @@ def program_of(
         ) from None
     acting = [i for i, node in enumerate(gradient) if graph.value(node) != 0]
     small, moved = graph.part([expected, slope, own, *(gradient[i] for i in acting)])
-    needed = {n.value for n in small.nodes if n.op == "input"}
+    needed = small.inputs(moved)
     each = ((unknowns[i], float(moments.mean[i])) for i in acting)
     return CompensationProgram(
         about=about,
