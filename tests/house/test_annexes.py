@@ -70,8 +70,7 @@ BEHIND = {
         _use.operating_equation: ALL_DRAWS equation_in_use
     """,
     "workbench": """
-        _calibration.check: covariates_of
-        _calibration.check_result: place_in_words
+        _calibration.check: covariates_of place_in_words
         _calibration.summary: null_directions unknown_rows
         _core: deadline
         _model.effect: with_forms
