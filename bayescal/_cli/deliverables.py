@@ -82,9 +82,8 @@ class ExportCommand(InUse, DecisionRule, Command):
     """
 
     example = "bayescal export result/calibration.nc --format c --out gyro.h"
-    calibrations: list[Path] | None = Argument(
-        None,
-        help="Folders of results, calibrations (.nc), JSON exports: one, one an axis, or a unit's.",
+    calibrations: list[Path] = Argument(
+        [], help="Folders of results, calibrations (.nc), exports: one, one an axis, or a unit's."
     )
     format_: str | None = opt(
         "json, c or python; of three axes yaml, openvins, realsense, ros; px4-params or ardupilot-params; dcc.",
@@ -116,11 +115,6 @@ class ExportCommand(InUse, DecisionRule, Command):
         return self.written(given)
 
     @property
-    def paths(self) -> list[Path]:
-        """The calibrations."""
-        return self.calibrations or []
-
-    @property
     def gravity(self) -> float:
         """Local gravity, m/s²."""
         from bayescal._data.unit_conversion import STANDARD_GRAVITY  # loads NumPy
@@ -128,12 +122,8 @@ class ExportCommand(InUse, DecisionRule, Command):
         return self.local_gravity or STANDARD_GRAVITY
 
     def loaded(self, paths: Sequence[Path] | None = None) -> list[tuple[Path, Any]]:
-        """Return files and their corrections: all of one output, or none.
-
-        Raises:
-            InputError: there are of both kinds, or one cannot be loaded.
-        """
-        found = [(p, saved.correction_from(p, self)) for p in paths or self.paths]
+        """Return files and their corrections; refuse several of which one is of one output."""
+        found = [(p, saved.correction_from(p, self)) for p in paths or self.calibrations]
         single = [path for path, one in found if isinstance(one, bc.Compensator)]
         if 0 < len(single) < len(found):
             raise InputError(
@@ -142,15 +132,11 @@ class ExportCommand(InUse, DecisionRule, Command):
         return found
 
     def refuse_several(self) -> None:
-        """Refuse more than one calibration, or none.
-
-        Raises:
-            InputError: so it is.
-        """
+        """Refuse more than one calibration, or none."""
         named = ", and --axis or --device-id" * bool(self.axis or self.device_id)
-        if len(self.paths) != 1 or named:
+        if len(self.calibrations) != 1 or named:
             raise InputError(
-                f"a program is of one calibration, {len(self.paths)} were given{named}: several, by axis, make "
+                f"a program is of one calibration, {len(self.calibrations)} were given{named}: several, by axis, make "
                 "parameters (--format px4-params or ardupilot-params)"
             )
 

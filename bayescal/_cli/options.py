@@ -31,11 +31,7 @@ Texts = list[str] | None
 
 
 def said_values(given: Texts, option: str) -> dict[str, list[str]]:
-    """Return name=value options, every value of a name.
-
-    Raises:
-        InputError: one is not of that form.
-    """
+    """Return name=value options, every value of a name; refuse another form."""
     values = dict[str, list[str]]()
     for one in given or []:
         name, equals, value = (part.strip() for part in one.partition("="))
@@ -47,7 +43,7 @@ def said_values(given: Texts, option: str) -> dict[str, list[str]]:
 
 
 def named_values(given: Texts, option: str) -> dict[str, str]:
-    """Return name=value options as a dictionary; a name that has two values is refused too."""
+    """Return name=value options as a dictionary; refuse a name that has two values."""
     found = said_values(given, option)
     for name, values in found.items():
         if len(values) > 1:
@@ -56,11 +52,7 @@ def named_values(given: Texts, option: str) -> dict[str, str]:
 
 
 def named_numbers(given: Texts, option: str) -> dict[str, float]:
-    """Return name=number options as a dictionary.
-
-    Raises:
-        InputError: one is not of that form, or its number is none or not finite.
-    """
+    """Return name=number options as a dictionary; refuse what is no finite number."""
     numbers = {}
     for name, value in named_values(given, option).items():
         try:
@@ -78,11 +70,7 @@ def names_in(given: str | None) -> list[str]:
 
 
 def channel_names(given: str | None) -> list[str]:
-    """Return those of --channels; none where it is not given.
-
-    Raises:
-        InputError: fewer than two, or one twice.
-    """
+    """Return the names of --channels, none where it is not given; refuse fewer than two, or one twice."""
     names = names_in(given)
     if given is not None and (len(names) < 2 or len(set(names)) < len(names)):
         raise InputError(
@@ -92,11 +80,7 @@ def channel_names(given: str | None) -> list[str]:
 
 
 def refuse_missing(files: list[Path] | None) -> list[Path] | None:
-    """Refuse files that are not there before an instrument loads, which takes seconds.
-
-    Raises:
-        InputError: a file is not there; the words are those of `read`.
-    """
+    """Refuse files that are not there, in the words of `read`, before an instrument loads, which takes seconds."""
     if files and not all(map(os.path.isfile, files)):
         from bayescal._tables.open_table import check_files
 
@@ -161,11 +145,7 @@ class Command(Options):
             return int(answer is not None and not answer.tell(self.json_))
 
     def refuse_overwriting(self) -> None:
-        """Refuse to write to a file that is read.
-
-        Raises:
-            InputError: the path of an output is that of an input.
-        """
+        """Refuse an output whose path is an input's."""
         inputs = [p for n, v in vars(self).items() if n not in OUTPUTS for p in _paths(v)]
         for name in () if self.in_place else OUTPUTS:
             out = str(getattr(self, name, None) or "")
@@ -278,11 +258,7 @@ class ColumnOptions(Options):
         return {"missing": "refuse", "decimal": "", **saved, **given}
 
     def keep(self) -> None:
-        """Save the mapping, where that is asked for, once the files have been read with it.
-
-        Raises:
-            InputError: the place cannot be written to.
-        """
+        """Save the mapping, where that is asked for, once the files have been read with it."""
         if self.save_mapping is not None:
             save_mapping(self.save_mapping, self.for_read())
 

@@ -30,11 +30,7 @@ LONG_BYTES = 50_000_000  # bytes of files that take longer to read than an instr
 
 
 def open_request(asked: ReadRequest) -> tuple[Instrument, Model, Measurements]:
-    """Return instrument, model and readings that are asked for; the instrument tailored to the readings.
-
-    Raises:
-        InputError, ModelError: something in it cannot be used; says what.
-    """
+    """Return instrument, model and readings that are asked for; the instrument tailored to the readings."""
     _, models, readings = open_channels((), asked)
     return models[""].instrument, models[""], readings[""]
 
@@ -85,12 +81,7 @@ def open_channels(
 def own_effects(
     asked: Any, instrument: Instrument, readings: Measurements | None
 ) -> tuple[Effect, ...]:
-    """Return effects of the user's own: of a file, and typed.
-
-    Raises:
-        InputError: the file fails; a formula is none, its units do not go together, or a size is missing: the place is
-            marked.
-    """
+    """Return effects of the user's own: of a file, and typed; refuse a file that fails, a formula that is none."""
     made = (bc.effect(t, readings=readings, instrument=instrument) for t in asked.typed or ())
     return (*user_effects(asked.effects_file), *made)
 
@@ -116,11 +107,7 @@ def averaged(
 
 
 def compose(instrument: Instrument, asked: Any, own: Sequence[Effect] = ()) -> Model:
-    """Return the model that is asked for: a structure or the baseline, effects added, coefficients fixed.
-
-    Raises:
-        InputError: the instrument has no structure of that name.
-    """
+    """Return the model that is asked for: a structure or the baseline, effects added, coefficients fixed."""
     known = {effect.name: effect for effect in own}
     structures = {"": instrument.baseline, **dict(instrument.structures)}
     chosen = asked.structure or ""
@@ -162,11 +149,7 @@ def covariates(given: str | None) -> list[str] | None:
 
 
 def reference_of(given: list[str] | None, readings: Measurements) -> Reference:
-    """Return the constants of the bases that the user sets with --reference.
-
-    Raises:
-        InputError: these readings have no such constant.
-    """
+    """Return the constants of the bases that the user sets with --reference; refuse those that the readings lack."""
     from bayescal._model.frame import constants_of
 
     reference, known = named_numbers(given, "--reference"), constants_of(readings)

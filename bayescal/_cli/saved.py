@@ -68,11 +68,7 @@ def load_saved(path: Path, own: OwnParts) -> bc.Calibration:
 
 
 def compensator_from(path: Path, own: InUse) -> bc.Compensator:
-    """Return the compensator of a saved calibration, or one exported as JSON.
-
-    Raises:
-        InputError: it cannot be loaded, or members are chosen of an export.
-    """
+    """Return the compensator of a saved calibration of one output, or one exported as JSON."""
     found = correction_from(path, own)
     if not isinstance(found, bc.Compensator):
         raise InputError(
@@ -101,11 +97,7 @@ def correction_from(path: Path, own: InUse) -> bc.Compensator | CorrectionInUse:
 
 
 def of_units(paths: list[Path], file: str = "") -> list[Path]:
-    """Return a unit's channels' folders, or a file in each, in place of its folder.
-
-    Raises:
-        InputError: its channels.json cannot be read.
-    """
+    """Return a unit's channels' folders, or a file in each, in place of its folder."""
     found: list[Path] = []
     for path in paths:
         unit = (path / CHANNELS).is_file()

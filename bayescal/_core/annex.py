@@ -44,15 +44,7 @@ def offered(name: str) -> list[Any]:
 
 
 def first_offered(name: str, asked: str) -> Any:
-    """Return what the first annex offers by a name.
-
-    Args:
-        name: of what is offered.
-        asked: for what, as the user says it.
-
-    Raises:
-        InputError: none offers it.
-    """
+    """Return what the first annex offers by a name; refuse what is `asked` for, in a user's words, else."""
     for one in offered(name):
         return one
     raise InputError(f"{asked} takes an annex that is not there: install bayescal once more")

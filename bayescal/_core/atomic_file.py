@@ -25,11 +25,7 @@ FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)  # a full disk, a used-up quota
 
 @contextmanager
 def replacing(path: Path) -> Iterator[Path]:
-    """Yield a file to write beside `path`, which takes its place once it is whole; nothing is left of one that is not.
-
-    Raises:
-        OSError: it cannot be written or renamed; the old file is as it was.
-    """
+    """Yield a file to write beside `path`, which takes its place once it is whole; nothing is left of another."""
     # In the same folder, so that the rename stays within one file system and is atomic (POSIX rename); the process's
     # number tells what is left behind from what another process writes now.
     partial = path.with_name(f".{path.name}.{os.getpid()}.partial")
@@ -51,14 +47,14 @@ def left_behind(path: Path) -> list[Path]:
 
 def _runs(process: str) -> bool:
     """Return whether a process of this number may run; only POSIX says so without sending it a signal."""
-    with suppress(PermissionError):  # it is another user's
-        try:
-            if os.name == "posix":
-                os.kill(int(process), 0)
-        except (ProcessLookupError, OverflowError):
-            return False
-        except ValueError:  # no number
-            pass
+    if os.name != "posix" or not process.isdecimal():
+        return True
+    try:
+        os.kill(int(process), 0)
+    except (ProcessLookupError, OverflowError):
+        return False
+    except OSError:  # it is another user's
+        pass
     return True
 
 
@@ -78,11 +74,7 @@ def replacing_for_user(path: Path) -> Iterator[Path]:
 
 @contextmanager
 def folder_made(folder: Path) -> Iterator[None]:
-    """Make a folder with those that it is in; take away what was made if nothing comes of it.
-
-    Raises:
-        OSError: it cannot be made, or is a file.
-    """
+    """Make a folder with those that it is in; take away what was made if nothing comes of it."""
     missing = [f for f in (folder, *folder.parents) if not f.exists()]
     try:
         folder.mkdir(parents=True, exist_ok=True)

@@ -407,11 +407,7 @@ class Loop:
 def step_of(
     calibration: Calibration, holdout: Measurements | None = None, accepted: Collection[str] = ()
 ) -> Step:
-    """A fit as a step: checked, with its errors; what is missing from it is not asked yet.
-
-    Raises:
-        InputError: the readings show no noise.
-    """
+    """Check a fit, and give it with its errors as a step; refuse readings without noise."""
     if said := noiseless(calibration):
         raise InputError(said)
     checked, floor, kept, test = check(calibration), noise_floor(calibration), None, None

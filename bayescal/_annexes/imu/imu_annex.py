@@ -300,7 +300,7 @@ def _draw(trails: Mapping[str, Any], folder: Path) -> bool:
 
 def parameters(asked: ExportCommand) -> Answer:
     """`bayescal export` to parameters of an autopilot: of calibrations by axis, or of a triad."""
-    several = of_units(asked.paths, CALIBRATION)
+    several = of_units(asked.calibrations, CALIBRATION)
     loaded = asked.loaded(several)
     if loaded and not isinstance(loaded[0][1], bc.Compensator):
         return asked.written([one for _, one in loaded])

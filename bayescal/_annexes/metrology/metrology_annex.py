@@ -75,7 +75,7 @@ def certified(asked: ExportCommand) -> Answer:
     from bayescal._annexes.metrology.certificate import dcc_text
 
     asked.refuse_several()
-    (path,), gravity, decided = asked.paths, asked.gravity, None
+    (path,), gravity, decided = asked.calibrations, asked.gravity, None
     if asked.certificate is None:
         raise InputError(
             "a digital calibration certificate states device, laboratory and customer: --certificate FILE.toml"
