@@ -381,7 +381,7 @@ def _read_result(path: Path) -> dict[str, Any]:
             candidate.setdefault("role", role_of(candidate["effect"]))  # since 0.2.1
     except (OSError, ValueError, AttributeError, KeyError, TypeError) as error:
         raise InputError(
-            f"{path} is no result of this version ({type(error).__name__}: {error}): calibrate again"
+            f"{path} is no result of this version ({error}): calibrate again"
         ) from None
     return data
 

@@ -196,7 +196,7 @@ def test_without_an_annex_its_command_and_its_names_say_so(
 ) -> None:
     told = run_python(WITHOUT.format(annex=annex, command=command, name=name))
     refused, listed, unnamed = told.splitlines()
-    assert re.match(rf"2 bayescal: No such command '{command}'.* '{annex}' cannot be load", refused)
+    assert refused.startswith(f"2 bayescal: No such command '{command}'")
     assert "See: bayescal --help" in refused and "Traceback" not in refused
     assert listed.startswith("0 ") and "calibrate" in listed and f" {command} " not in listed
     assert f"bayescal.{name} is of an annex that is not there" in unnamed
