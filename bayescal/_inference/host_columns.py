@@ -24,7 +24,7 @@ class HostColumns:
     """Columns of bases on one set of readings.
 
     Attributes:
-        frame: the readings.
+        frame: the readings; of several devices with a leading axis.
     """
 
     def __init__(self, frame: Frame) -> None:
@@ -107,7 +107,7 @@ class HostColumns:
             frame = frame.with_column(name, frame[name] + shift)
         try:
             with np.errstate(all="ignore"):  # what is not finite is refused where that is asked
-                made = matrix(*basis, frame, shapes, lead)
+                made = matrix(*basis, frame, shapes, (*lead, *frame.order.shape[:-1]))
         except ModelError:
             raise
         except (

@@ -221,7 +221,7 @@ class Record:
         if key not in self._fixed:
             if (made := self.on_host.at(key, {}, {})) is None:
                 made = programs.columns_or_refusal(key, self.padded, self.frame)
-            self._fixed[key] = np.asarray(made)[: self.size]
+            self._fixed[key] = np.asarray(made)[..., : self.size, :]
         return self._fixed[key]
 
     def response(

@@ -24,21 +24,21 @@ BEHIND = {
         _calibration.judgement: noiseless
         _core: deadline
         _core.importance_weights: smoothed
-        _core.jax_setup: configure_jax obey_no_folder
-        _core.jit: compiled
+        _core.jax_setup: obey_no_folder
         _core.settings: settings unusual
         _data.column: ConvertedColumns Source
         _data.column_conversion: convert_columns
         _data.dataset_checks: Place backward_time same_temperature
         _data.header_matching: MatchedFile
         _data.read_options: ExpectedColumns InstrumentLike output_name unit_of unused_options
-        _inference: sampled_products trust
+        _inference: trust
         _inference.newton: ByValues climb gaussian_fit
         _inference.method: Method
+        _inference.problem: Problem
+        _inference.record: Record
         _inference.sampling: PriorShare around_mode propose
-        _model: forward
-        _model.frame: GROUPS build_frame reference_name reference_of rounded_means
-        _model.parameters: Layout bind
+        _model.frame: build_frame reference_name reference_of
+        _model.parameters: bind
         _model.unknowns: Unknowns
         _search.discover: structures_over
         _search.library: Library

@@ -8,42 +8,42 @@ from __future__ import annotations
 import threading
 import time
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from contextlib import nullcontext
+from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
-import pyarrow.dataset as pads
+import numpy as np
+import pyarrow as pa
 
-from bayescal import InputError, Measurements, Model, Settings, use_settings
-from bayescal._annexes.fleet.batch_result import BatchResult, first_few
-from bayescal._annexes.fleet.device_files import (
-    DevicePart,
-    Piece,
-    files_of,
-    parts_of,
-    read_part,
-    repeated,
+from bayescal import BayescalError, InputError, Measurements, Model, Settings, use_settings
+from bayescal._annexes.fleet.batch_result import (
+    BatchResult,
+    first_few,
+    pooled,
+    rows_of,
+    without_repeated,
 )
+from bayescal._annexes.fleet.device_files import Piece, files_of, parts_of, read_part
 from bayescal._annexes.fleet.devices import DEVICE, Devices, gathered
 from bayescal._annexes.fleet.engine import run_tasks
 from bayescal._annexes.fleet.find_devices import (
+    DeviceStructure,
     Find,
     common_model,
     effects_table,
-    search_devices,
+    search_device,
 )
 from bayescal._annexes.fleet.fit_devices import (
     CHUNK,
     FitOptions,
-    Fits,
     Method,
     Reference,
-    common_reference,
-    tailored_to_first,
+    fit_devices,
+    tailored,
     temperature_sums,
 )
 from bayescal._annexes.fleet.odd_devices import odd_devices
-from bayescal._annexes.fleet.partial_pooling import pooled
 from bayescal._annexes.fleet.population import AskedPopulation, chosen
 from bayescal._core import deadline
 from bayescal._core.settings import settings
@@ -65,7 +65,16 @@ Readings = (
     | Path
     | Sequence[str | Path]
 )
-Part = tuple[Piece, ...] | DevicePart  # files to read, or what was read
+
+
+class FilesRead(NamedTuple):
+    """What was read of a part: devices by file, and why files cannot be used."""
+
+    devices: dict[str, Devices]
+    unreadable: dict[str, str]
+
+
+Part = tuple[Piece, ...] | FilesRead  # files to read, or what was read
 
 
 @dataclass(frozen=True)
@@ -86,35 +95,69 @@ class Request:
     find: Find | None
     settings: Settings
 
-    def read(self, part: Part) -> DevicePart:
+    def read(self, part: Part) -> FilesRead:
         """Read a part, unless it was."""
-        if isinstance(part, DevicePart):
+        if isinstance(part, FilesRead):
             return part
-        return read_part(part, self.model, self.read_options)
+        return FilesRead(*read_part(part, self.model, self.read_options))
+
+    def measurements(self, part: Part) -> list[Measurements]:
+        """Return the readings of a part's devices."""
+        return [one for devices in self.read(part).devices.values() for one in devices]
+
+
+@dataclass
+class Fits:
+    """What came of some parts.
+
+    Attributes:
+        rows: of their devices, as `BatchResult` has them.
+        structures: of the devices that were searched.
+        missing: file → why its devices have no results.
+    """
+
+    rows: pa.Table
+    structures: dict[str, DeviceStructure] = field(default_factory=dict)
+    missing: dict[str, str] = field(default_factory=dict)
+
+    @classmethod
+    def together(cls, some: Sequence[Fits]) -> Fits:
+        """Put parts together, in their order."""
+        found = cls(
+            without_repeated(pa.concat_tables([rows_of((), (), (), ()), *(f.rows for f in some)]))
+        )
+        for own in some:
+            found.structures |= own.structures
+            found.missing |= own.missing
+        return found
 
 
 def fit_part(request: Request, part: Part) -> Fits:
     """Read and fit the devices of a part."""
     with HOLDS_PART, use_settings(request.settings):
-        read = request.read(part)
-        devices, options = read.devices, request.fit_options
-        files = {"places": read.places, "missing": read.unreadable}
-        fits = Fits(options, [*devices.names], dict(devices.refused), **files)
-        if request.find is None:
-            fits.fit_groups([(request.model, devices)])
-            return fits
-        fits.structures, groups, refused = search_devices(
-            request.model, devices, request.find, options.reference
-        )
-        fits.reasons |= refused
-        with deadline.finishing():
-            fits.fit_groups(groups)
-        return fits
+        read, options = request.read(part), request.fit_options
+        every = [(file, own, name) for file, own in read.devices.items() for name in own.names]
+        reasons = {i: own.refused.get(name, "") for i, (_, own, name) in enumerate(every)}
+        good = {i: every[i][1][every[i][2]] for i, why in reasons.items() if not why}
+        structures, models = dict[str, DeviceStructure](), dict.fromkeys(good, request.model)
+        for i in good if request.find else ():
+            try:
+                found = search_device(request.model, good[i], request.find, options.reference)
+            except (BayescalError, deadline.TimeIsUp) as error:
+                reasons[i] = str(error)
+            else:
+                structures[every[i][2]], models[i] = found
+        good = {i: own for i, own in good.items() if not reasons[i]}
+        with deadline.finishing() if request.find else nullcontext():
+            fitted, against = fit_devices(models, good, options)
+        files, _, names = zip(*every, strict=True) if every else ((), (), ())
+        rows = rows_of(names, files, [*(reasons | against).values()], fitted)
+        return Fits(rows, structures, read.unreadable)
 
 
-def _temperature_sums(request: Request, part: Part) -> list[tuple[str, float, int]]:
+def _temperature_sums(request: Request, part: Part) -> dict[str, np.ndarray]:
     with use_settings(request.settings):
-        return temperature_sums(request.read(part).devices)
+        return temperature_sums(request.measurements(part))
 
 
 @dataclass(frozen=True)
@@ -125,63 +168,72 @@ class _Run:
     parts: Sequence[Part]
     client: Client | None
 
-    def with_common(self, pooled: bool) -> _Run:
-        """The same with what has to be one for all devices: constants of a population, the unit.
+    def with_reference(self) -> _Run:
+        """The same with T0 and its like over all devices, so that offsets mean the same for each.
 
         Raises:
-            InputError: a part cannot be read, or no device has what the instrument takes from readings.
+            InputError: a part cannot be read.
         """
-        request, options = self.request, self.request.fit_options
-        whole = isinstance(self.parts[0], DevicePart)
-        if pooled and (whole or "T0" not in options.reference):
-            if not whole:
-                tell("reading all temperatures, for a common T0 (a reference given spares that)")
-            with deadline.finishing():
-                outcomes = [*run_tasks(self.client, _temperature_sums, self._tasks(request))]
-            if why := "; ".join(outcome.error for outcome in outcomes if outcome.error):
-                raise InputError(why)
-            sums = [own for o in sorted(outcomes, key=lambda o: o.index) for own in o.value]
-            request = replace(request, fit_options=options.with_common(common_reference(sums)))
-        if request.model.instrument.tailor is None:
-            return replace(self, request=request)
-        errors = list[str]()
+        if not isinstance(self.parts[0], FilesRead):
+            if "T0" in self.request.fit_options.reference:
+                return self
+            tell("reading all temperatures, for a common T0 (a reference given spares that)")
+        with deadline.finishing():
+            outcomes = sorted(run_tasks(self.client, _temperature_sums, self._tasks))
+        if why := "; ".join(outcome.error for outcome in outcomes if outcome.error):
+            raise InputError(why)
+        total: dict[str, np.ndarray] = {}
+        for outcome in outcomes:
+            for name, own in outcome.value.items():
+                total[name] = total.get(name, 0.0) + own
+        common: Reference = {name: float(np.round(s / n)) for name, (s, n) in total.items()}
+        return self.asking(fit_options=self.request.fit_options.with_common(common))
+
+    def tailored(self) -> _Run:
+        """The same with the model tailored to the first device that it can be tailored to.
+
+        Raises:
+            InputError: no device has what the instrument takes from readings: why, of the first.
+        """
+        if (model := self.request.model).instrument.tailor is None:
+            return self
+        refusals = list[str]()
         for part in self.parts:
-            try:
-                model = tailored_to_first(request.model, request.read(part).devices)
-            except InputError as error:
-                errors.append(str(error))
-            else:
-                if model is not request.model:
-                    return replace(self, request=replace(request, model=model))
-        if errors:
-            raise InputError(f"none of the devices can be used; {errors[0]}")
-        return replace(self, request=request)
+            for readings in self.request.measurements(part):
+                try:
+                    return self.asking(model=tailored(model, readings))
+                except InputError as error:
+                    refusals.append(str(error))
+        if refusals:
+            raise InputError(f"none of the devices can be used; {refusals[0]}")
+        return self
+
+    def asking(self, **changed: Any) -> _Run:
+        """The same of a request in which something is another."""
+        return replace(self, request=replace(self.request, **changed))
 
     def fitted(self) -> Fits:
         """Fit all parts, and put them together in their order."""
         values, missing = dict[int, Fits](), dict[str, str]()
         begun = last = time.monotonic()
-        tasks = self._tasks(self.request)
-        for count, outcome in enumerate(run_tasks(self.client, fit_part, tasks), 1):
+        for count, outcome in enumerate(run_tasks(self.client, fit_part, self._tasks), 1):
             if outcome.error:
                 part = self.parts[outcome.index]
-                files = part.places if isinstance(part, DevicePart) else [p.name for p in part]
+                files = part.devices if isinstance(part, FilesRead) else [p.name for p in part]
                 missing |= dict.fromkeys(files, outcome.error)
             else:
                 values[outcome.index] = outcome.value
             if time.monotonic() > last + PROGRESS_SECONDS:
                 last = time.monotonic()
-                devices = sum(len(own.names) for own in values.values())
-                rest = (last - begun) * (len(tasks) / count - 1)
-                tell(f"{devices:,} devices, about {rest:,.0f} s left")
-        together = Fits(self.request.fit_options, missing=missing)
-        for _, own in sorted(values.items()):
-            together.extend(own)
-        together.refuse(repeated(together.places))
-        return together
+                share = count / len(self.parts)
+                rest = (last - begun) * (1 - share) / share
+                tell(f"{share:.0%} of the readings, about {rest:,.0f} s left")
+        together = Fits.together([own for _, own in sorted(values.items())])
+        return replace(together, missing=missing | together.missing)
 
-    def _tasks(self, request: Request) -> list[tuple[Request, Part]]:
-        return [(request, part) for part in self.parts]
+    @property
+    def _tasks(self) -> list[tuple[Request, Part]]:
+        return [(self.request, part) for part in self.parts]
 
 
 def fit_batch(
@@ -253,12 +305,13 @@ def fit_batch(
         if len(parts) == 1 and client is None:  # several of the steps below see its readings
             parts = [request.read(parts[0])]
     else:
-        parts = [DevicePart(_given(readings), {}, {})]
+        parts = [FilesRead({"": _given(readings)}, {})]
     if client is not None and client.cluster is None and client.dashboard_link:
         tell(f"the cluster's dashboard: {client.dashboard_link}")
     with deadline.until(time_limit):
-        run = _Run(request, parts, client).with_common(bool(population))
-        result = _fit(run, population)
+        run = _Run(request, parts, client)
+        run = run.with_reference() if population else run
+        result = _fit(run.tailored(), population)
     result = replace(result, left_out=unread)
     if out is not None:
         result.save(out)
@@ -275,21 +328,25 @@ def _fit(run: _Run, population: AskedPopulation) -> BatchResult:
     named = chosen(model, population)
     with stage("fitting devices"):
         fitted = run.fitted()
-    result = fitted.result(model)
-    if not result.parts:
-        reasons = fitted.reasons | fitted.missing
+    rows = fitted.rows
+    result = BatchResult(rows, options.data(model))
+    if not rows["coefficient"].null_count < len(rows):
+        reasons = result.doubted | fitted.missing
         lines = "\n".join(first_few(reasons, len(reasons))).strip()
         raise InputError(f"none of the devices can be used; {lines or 'there is none'}")
     structures = [fitted.structures[name] for name in result.devices if name in fitted.structures]
     effects = effects_table(structures, options.seed)
     common = common_model(model, structures, effects, find.effects if find else ())
-    alike, compared = options.compared_at(result.facts), result
+    alike, compared = options.compared_at(result.facts), rows
     if alike or common is not model:
-        again = replace(run.request, model=common, fit_options=alike or options, find=None)
-        compared = replace(run, request=again).fitted().result(common)
+        again = {"model": common, "fit_options": alike or options, "find": None}
+        compared = run.asking(**again).fitted().rows
+    rows, learned = pooled(rows, named, options.seed) if named else (rows, None)
     return replace(
-        pooled(result, named, options.seed) if named else result,
-        odd=odd_devices(pads.dataset(compared.rows()), result.facts, common.noise.parameters()),
+        result,
+        rows=rows,
+        population=learned,
+        odd=odd_devices(compared, result.facts["T0"], common.noise.parameters()),
         checked=len(structures),
         missing=fitted.missing,
         effects=effects,
