@@ -37,14 +37,14 @@ BEHIND = {
         _inference.problem: Problem
         _inference.record: Record
         _inference.sampling: PriorShare around_mode propose
-        _model.frame: build_frame reference_name reference_of
-        _model.parameters: bind
+        _model.frame: Frame build_frame reference_name reference_of
+        _model.parameters: Layout bind
         _model.unknowns: Unknowns
         _search.discover: structures_over
         _search.library: Library
         _search.own_files: in_a_file
         _search.posterior: Posterior
-        _search.walk: explore
+        _search.walk: NEAR_NATS explore
         _tables.cells: Cells
         _tables.open_table: MAX_BYTES READ
         _tables.parquet_netcdf: arrow_cells arrow_headers

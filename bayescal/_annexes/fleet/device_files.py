@@ -6,9 +6,8 @@ A part is a few files, or some of the devices of a large Parquet file.
 from __future__ import annotations
 
 import os
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -50,6 +49,44 @@ class Piece:
         if self.devices is None:
             return self.path.name
         return f"{self.path.name}, devices {self.devices[0]} to {self.devices[-1]}"
+
+    def read(self, model: Model, options: ReadOptions) -> Devices:
+        """Read its devices.
+
+        Raises:
+            InputError: it cannot be read, or is too large once unpacked.
+        """
+        table = open_readings(self.path, options) if self.devices is None else self._open()
+        needs = tuple(dict.fromkeys(c for e in model.effects for c in e.columns))
+        return split_table(table, self.path.stem, model.instrument, options, needs)
+
+    def _open(self) -> Table:
+        file = self.path.name
+        with as_format(file, "Parquet"):
+            dataset = pads.dataset(self.path, format="parquet")
+            refuse_large(file, self.readings, len(dataset.schema), MAX_BYTES)
+            own = dataset.to_table(filter=pads.field(self.column).isin(self.devices))
+
+        def load(wanted: Mapping[int, bool]) -> dict[int, Cells]:
+            return {p: arrow_cells(own.column(p), number) for p, number in wanted.items()}
+
+        def place(index: int) -> str:
+            column = dataset.to_table([self.column]).column(0)
+            rows = np.flatnonzero(pc.is_in(column, self.devices).to_numpy())  # pyright: ignore
+            return f"row {rows[index] + 1}"
+
+        return Table(file, arrow_headers(own.schema), own.num_rows, load, place=place)
+
+
+@dataclass(frozen=True)
+class ReadPiece:
+    """Devices that were read already, or given."""
+
+    name: str
+    devices: Devices
+
+    def read(self, model: Model, options: ReadOptions) -> Devices:
+        return self.devices
 
 
 def parts_of(files: Sequence[Path], rows: int, device: str) -> list[tuple[Piece, ...]]:
@@ -140,42 +177,3 @@ def _pieces(path: Path, rows: int, device: str) -> Iterator[Piece]:
     for part in np.split(np.arange(len(ends)), np.flatnonzero(np.diff((ends - 1) // rows)) + 1):
         readings = int(ends[part[-1]] - ends[part[0]]) + counts[int(part[0])].as_py()
         yield Piece(path, readings, column, labels.slice(part[0], len(part)))
-
-
-def read_part(
-    pieces: Iterable[Piece], model: Model, options: ReadOptions
-) -> tuple[dict[str, Devices], dict[str, str]]:
-    """Return the devices of each piece, and why others cannot be used, by the pieces' names."""
-    devices, unreadable = dict[str, Devices](), dict[str, str]()
-    needs = tuple(dict.fromkeys(c for e in model.effects for c in e.columns))
-    for piece in pieces:
-        try:
-            own = _open(piece, options), piece.path.stem, model.instrument, options, needs
-            devices[piece.name] = split_table(*own)
-        except (InputError, OSError) as error:
-            unreadable[piece.name] = str(error)
-    return devices, unreadable
-
-
-def _open(piece: Piece, options: ReadOptions) -> Table:
-    """A file, or some devices of a Parquet file, as a table; refused if it is too large once unpacked."""
-    if piece.devices is None:
-        return open_readings(piece.path, options)
-    file = piece.path.name
-    with as_format(file, "Parquet"):
-        dataset = pads.dataset(piece.path, format="parquet")
-        refuse_large(file, piece.readings, len(dataset.schema), MAX_BYTES)
-        own = dataset.to_table(filter=pads.field(piece.column).isin(piece.devices))
-
-    def load(wanted: Mapping[int, bool]) -> dict[int, Cells]:
-        return {p: arrow_cells(own.column(p), number) for p, number in wanted.items()}
-
-    @cache
-    def rows() -> np.ndarray:
-        column = dataset.to_table([piece.column]).column(0)
-        return np.flatnonzero(pc.is_in(column, piece.devices).to_numpy())  # pyright: ignore
-
-    def place(index: int) -> str:
-        return f"row {rows()[index] + 1}"
-
-    return Table(file, arrow_headers(own.schema), own.num_rows, load, place=place)

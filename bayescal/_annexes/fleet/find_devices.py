@@ -13,7 +13,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -30,7 +30,7 @@ from bayescal._model.frame import reference_of
 from bayescal._search.discover import structures_over
 from bayescal._search.library import Library
 from bayescal._search.posterior import Posterior
-from bayescal._search.walk import explore
+from bayescal._search.walk import NEAR_NATS, explore
 
 # Probability from which an effect of a device is kept, and printed of the whole: as that of a noise law.
 KEPT_PROBABILITY = 0.01
@@ -99,6 +99,7 @@ def search_device(
     structures, _ = structures_over(
         model, readings, constants, effects=find.effects, widen_noise=find.widen_noise
     )
+    structures = replace(structures, form_nats=NEAR_NATS)
     if stopped := explore(Library(structures), find.max_effects):
         raise deadline.TimeIsUp(stopped)
     posterior = Posterior.of(structures)

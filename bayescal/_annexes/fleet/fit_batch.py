@@ -7,16 +7,25 @@ from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import nullcontext
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 import pyarrow as pa
 
-from bayescal import BayescalError, InputError, Measurements, Model, Settings, use_settings
+from bayescal import (
+    BayescalError,
+    InputError,
+    LeastSquares,
+    Marginal,
+    Measurements,
+    Model,
+    Settings,
+    use_settings,
+)
 from bayescal._annexes.fleet.batch_result import (
     BatchResult,
     first_few,
@@ -24,7 +33,7 @@ from bayescal._annexes.fleet.batch_result import (
     rows_of,
     without_repeated,
 )
-from bayescal._annexes.fleet.device_files import Piece, files_of, parts_of, read_part
+from bayescal._annexes.fleet.device_files import Piece, ReadPiece, files_of, parts_of
 from bayescal._annexes.fleet.devices import DEVICE, Devices, gathered
 from bayescal._annexes.fleet.engine import run_tasks
 from bayescal._annexes.fleet.find_devices import (
@@ -46,7 +55,7 @@ from bayescal._annexes.fleet.fit_devices import (
 from bayescal._annexes.fleet.odd_devices import odd_devices
 from bayescal._annexes.fleet.population import AskedPopulation, chosen
 from bayescal._core import deadline
-from bayescal._core.settings import settings
+from bayescal._core.settings import settings, unusual
 from bayescal.workshop import ReadOptions, note, refuse_missing, stage, tell
 
 if TYPE_CHECKING:
@@ -65,16 +74,7 @@ Readings = (
     | Path
     | Sequence[str | Path]
 )
-
-
-class FilesRead(NamedTuple):
-    """What was read of a part: devices by file, and why files cannot be used."""
-
-    devices: dict[str, Devices]
-    unreadable: dict[str, str]
-
-
-Part = tuple[Piece, ...] | FilesRead  # files to read, or what was read
+Part = Sequence[Piece | ReadPiece]
 
 
 @dataclass(frozen=True)
@@ -95,19 +95,18 @@ class Request:
     find: Find | None
     settings: Settings
 
-    def read(self, part: Part) -> FilesRead:
-        """Read a part, unless it was."""
-        if isinstance(part, FilesRead):
-            return part
-        return FilesRead(*read_part(part, self.model, self.read_options))
+    def read(self, part: Part) -> tuple[list[ReadPiece], dict[str, str]]:
+        """Read a part; and why files of it cannot be used."""
+        found, unreadable = list[ReadPiece](), dict[str, str]()
+        for piece in part:
+            try:
+                found.append(ReadPiece(piece.name, piece.read(self.model, self.read_options)))
+            except (InputError, OSError) as error:
+                unreadable[piece.name] = str(error)
+        return found, unreadable
 
-    def measurements(self, part: Part) -> list[Measurements]:
-        """Return the readings of a part's devices."""
-        return [one for devices in self.read(part).devices.values() for one in devices]
 
-
-@dataclass
-class Fits:
+class Fits(NamedTuple):
     """What came of some parts.
 
     Attributes:
@@ -117,47 +116,36 @@ class Fits:
     """
 
     rows: pa.Table
-    structures: dict[str, DeviceStructure] = field(default_factory=dict)
-    missing: dict[str, str] = field(default_factory=dict)
-
-    @classmethod
-    def together(cls, some: Sequence[Fits]) -> Fits:
-        """Put parts together, in their order."""
-        found = cls(
-            without_repeated(pa.concat_tables([rows_of((), (), (), ()), *(f.rows for f in some)]))
-        )
-        for own in some:
-            found.structures |= own.structures
-            found.missing |= own.missing
-        return found
+    structures: dict[str, DeviceStructure]
+    missing: dict[str, str]
 
 
 def fit_part(request: Request, part: Part) -> Fits:
     """Read and fit the devices of a part."""
     with HOLDS_PART, use_settings(request.settings):
-        read, options = request.read(part), request.fit_options
-        every = [(file, own, name) for file, own in read.devices.items() for name in own.names]
-        reasons = {i: own.refused.get(name, "") for i, (_, own, name) in enumerate(every)}
-        good = {i: every[i][1][every[i][2]] for i, why in reasons.items() if not why}
+        (pieces, unreadable), options = request.read(part), request.fit_options
+        every = [(piece, name) for piece in pieces for name in piece.devices.names]
+        reasons = {i: piece.devices.refused.get(name, "") for i, (piece, name) in enumerate(every)}
+        good = {i: every[i][0].devices[every[i][1]] for i, why in reasons.items() if not why}
         structures, models = dict[str, DeviceStructure](), dict.fromkeys(good, request.model)
-        for i in good if request.find else ():
+        for i in [*good] if request.find else ():
+            own = request.model, good[i], request.find, options.reference
             try:
-                found = search_device(request.model, good[i], request.find, options.reference)
+                structures[every[i][1]], models[i] = search_device(*own)
             except (BayescalError, deadline.TimeIsUp) as error:
                 reasons[i] = str(error)
-            else:
-                structures[every[i][2]], models[i] = found
-        good = {i: own for i, own in good.items() if not reasons[i]}
+                del good[i]
         with deadline.finishing() if request.find else nullcontext():
             fitted, against = fit_devices(models, good, options)
-        files, _, names = zip(*every, strict=True) if every else ((), (), ())
+        names, files = [name for _, name in every], [piece.name for piece, _ in every]
         rows = rows_of(names, files, [*(reasons | against).values()], fitted)
-        return Fits(rows, structures, read.unreadable)
+        return Fits(rows, structures, unreadable)
 
 
-def _temperature_sums(request: Request, part: Part) -> dict[str, np.ndarray]:
+def sum_temperatures(request: Request, part: Part) -> dict[str, np.ndarray]:
+    """Return sums and numbers of a part's temperatures."""
     with use_settings(request.settings):
-        return temperature_sums(request.measurements(part))
+        return temperature_sums(one for piece in request.read(part)[0] for one in piece.devices)
 
 
 @dataclass(frozen=True)
@@ -168,26 +156,42 @@ class _Run:
     parts: Sequence[Part]
     client: Client | None
 
+    def each(self, function: Callable[..., Any]) -> tuple[list[Any], dict[int, str]]:
+        """Return what a function gives of the parts, in their order, and why it gives nothing of others."""
+        values, errors = dict[int, Any](), dict[int, str]()
+        begun = last = time.monotonic()
+        tasks = [(self.request, part) for part in self.parts]
+        for count, (i, value, error) in enumerate(run_tasks(self.client, function, tasks), 1):
+            (errors if error else values)[i] = error or value
+            if time.monotonic() > last + PROGRESS_SECONDS:
+                last = time.monotonic()
+                rest = (last - begun) * (len(tasks) / count - 1)
+                tell(f"{count} of {len(tasks)} parts, about {rest:,.0f} s left")
+        return [own for _, own in sorted(values.items())], errors
+
+    def asking(self, **changed: Any) -> _Run:
+        """The same of a request in which something is another."""
+        return replace(self, request=replace(self.request, **changed))
+
     def with_reference(self) -> _Run:
         """The same with T0 and its like over all devices, so that offsets mean the same for each.
 
         Raises:
             InputError: a part cannot be read.
         """
-        if not isinstance(self.parts[0], FilesRead):
-            if "T0" in self.request.fit_options.reference:
+        options = self.request.fit_options
+        if not isinstance(self.parts[0][0], ReadPiece):
+            if "T0" in options.reference:
                 return self
             tell("reading all temperatures, for a common T0 (a reference given spares that)")
         with deadline.finishing():
-            outcomes = sorted(run_tasks(self.client, _temperature_sums, self._tasks))
-        if why := "; ".join(outcome.error for outcome in outcomes if outcome.error):
-            raise InputError(why)
-        total: dict[str, np.ndarray] = {}
-        for outcome in outcomes:
-            for name, own in outcome.value.items():
-                total[name] = total.get(name, 0.0) + own
+            sums, errors = self.each(sum_temperatures)
+        if errors:
+            raise InputError("; ".join(errors.values()))
+        names = dict.fromkeys(name for own in sums for name in own)
+        total = {name: sum(own.get(name, np.zeros(2)) for own in sums) for name in names}
         common: Reference = {name: float(np.round(s / n)) for name, (s, n) in total.items()}
-        return self.asking(fit_options=self.request.fit_options.with_common(common))
+        return self.asking(fit_options=replace(options, reference=common | options.reference))
 
     def tailored(self) -> _Run:
         """The same with the model tailored to the first device that it can be tailored to.
@@ -195,11 +199,9 @@ class _Run:
         Raises:
             InputError: no device has what the instrument takes from readings: why, of the first.
         """
-        if (model := self.request.model).instrument.tailor is None:
-            return self
-        refusals = list[str]()
-        for part in self.parts:
-            for readings in self.request.measurements(part):
+        model, refusals = self.request.model, list[str]()
+        for part in self.parts if model.instrument.tailor is not None else ():
+            for readings in (one for piece in self.request.read(part)[0] for one in piece.devices):
                 try:
                     return self.asking(model=tailored(model, readings))
                 except InputError as error:
@@ -208,32 +210,16 @@ class _Run:
             raise InputError(f"none of the devices can be used; {refusals[0]}")
         return self
 
-    def asking(self, **changed: Any) -> _Run:
-        """The same of a request in which something is another."""
-        return replace(self, request=replace(self.request, **changed))
-
     def fitted(self) -> Fits:
-        """Fit all parts, and put them together in their order."""
-        values, missing = dict[int, Fits](), dict[str, str]()
-        begun = last = time.monotonic()
-        for count, outcome in enumerate(run_tasks(self.client, fit_part, self._tasks), 1):
-            if outcome.error:
-                part = self.parts[outcome.index]
-                files = part.devices if isinstance(part, FilesRead) else [p.name for p in part]
-                missing |= dict.fromkeys(files, outcome.error)
-            else:
-                values[outcome.index] = outcome.value
-            if time.monotonic() > last + PROGRESS_SECONDS:
-                last = time.monotonic()
-                share = count / len(self.parts)
-                rest = (last - begun) * (1 - share) / share
-                tell(f"{share:.0%} of the readings, about {rest:,.0f} s left")
-        together = Fits.together([own for _, own in sorted(values.items())])
-        return replace(together, missing=missing | together.missing)
-
-    @property
-    def _tasks(self) -> list[tuple[Request, Part]]:
-        return [(self.request, part) for part in self.parts]
+        """Fit all parts, and put them together."""
+        found, errors = self.each(fit_part)
+        missing = {piece.name: why for i, why in errors.items() for piece in self.parts[i]}
+        structures = dict[str, DeviceStructure]()
+        for own in found:
+            structures |= own.structures
+            missing |= own.missing
+        rows = pa.concat_tables([rows_of((), (), (), ()), *(own.rows for own in found)])
+        return Fits(without_repeated(rows), structures, missing)
 
 
 def fit_batch(
@@ -288,7 +274,12 @@ def fit_batch(
         InputError: no device that can be used, paths that are not there, a result that cannot be written.
         ModelError: a population of something that is no coefficient.
     """
-    options = FitOptions.of(method, seed, chunk, reference)
+    if chunk < 1:
+        raise InputError(f"chunk is {chunk}: give at least 1")
+    method = method or LeastSquares()
+    if isinstance(method, Marginal):  # chains of single devices, minutes each, are left to `fit`
+        method = replace(method, chains=False)
+    options = FitOptions(method, seed, chunk, dict(reference or {}))
     chosen(model, population)  # a wrong name is refused before anything is read
     search = Find() if find is True else find or None
     read_options = ReadOptions.of(model.instrument, **(columns or {}))
@@ -303,9 +294,10 @@ def fit_batch(
         usual = FIND_ROWS if search else ROWS
         parts += parts_of(files, usual if partition_rows is None else partition_rows, device)
         if len(parts) == 1 and client is None:  # several of the steps below see its readings
-            parts = [request.read(parts[0])]
+            known = {piece.name: piece for piece in request.read(parts[0])[0]}
+            parts = [[known.get(piece.name, piece) for piece in parts[0]]]
     else:
-        parts = [FilesRead({"": _given(readings)}, {})]
+        parts = [[ReadPiece("", _given(readings))]]
     if client is not None and client.cluster is None and client.dashboard_link:
         tell(f"the cluster's dashboard: {client.dashboard_link}")
     with deadline.until(time_limit):
@@ -329,7 +321,15 @@ def _fit(run: _Run, population: AskedPopulation) -> BatchResult:
     with stage("fitting devices"):
         fitted = run.fitted()
     rows = fitted.rows
-    result = BatchResult(rows, options.data(model))
+    about = {
+        "instrument": model.instrument.name,
+        "effects": list(model.names),
+        "noise": model.noise.law,
+        "method": options.method.name,
+        "seed": options.seed,
+        "reference": {k: v for k, v in options.reference.items() if not isinstance(v, dict)},
+    }
+    result = BatchResult(rows, about | ({"settings": own} if (own := unusual()) else {}))
     if not rows["coefficient"].null_count < len(rows):
         reasons = result.doubted | fitted.missing
         lines = "\n".join(first_few(reasons, len(reasons))).strip()
@@ -337,16 +337,19 @@ def _fit(run: _Run, population: AskedPopulation) -> BatchResult:
     structures = [fitted.structures[name] for name in result.devices if name in fitted.structures]
     effects = effects_table(structures, options.seed)
     common = common_model(model, structures, effects, find.effects if find else ())
-    alike, compared = options.compared_at(result.facts), rows
-    if alike or common is not model:
-        again = {"model": common, "fit_options": alike or options, "find": None}
-        compared = run.asking(**again).fitted().rows
+    t0, compared = result.facts["T0"], rows
+    apart = "T0" not in options.reference and t0.dropna().nunique() > 1
+    if apart:  # offsets are compared at one temperature
+        reference = {**options.reference, "T0": float(t0.median().round())}
+        options = replace(options, reference=reference, method=LeastSquares())
+    if apart or common is not model:
+        compared = run.asking(model=common, fit_options=options, find=None).fitted().rows
     rows, learned = pooled(rows, named, options.seed) if named else (rows, None)
     return replace(
         result,
         rows=rows,
         population=learned,
-        odd=odd_devices(compared, result.facts["T0"], common.noise.parameters()),
+        odd=odd_devices(compared, t0, common.noise.parameters()),
         checked=len(structures),
         missing=fitted.missing,
         effects=effects,

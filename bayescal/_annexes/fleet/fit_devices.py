@@ -2,15 +2,15 @@
 
 A device is fitted by `fit`: its result is the mean and covariance of that posterior, and what stands against it. Least
 squares of plain devices, against which nothing can stand, has a closed form but for one number, the noise, that gives
-the same: the expected output is affine in the coefficients, their priors are fixed, the noise is white. With x₀ the
-ordinary least squares, r what it leaves, s prior standard deviations, m prior means and U·diag(d)·Vᵀ the singular value
-decomposition of the proper columns of J·s beside the flat ones, the restricted likelihood of the noise σ is
+the same: the expected output is affine in the coefficients, their priors are fixed and proper, the noise is white. With
+x₀ the ordinary least squares, r what it leaves, s prior standard deviations, m prior means and U·diag(d)·Vᵀ the
+singular value decomposition of J·s, the restricted likelihood of the noise σ is
 
-    −2 log L(σ) = (n − f) log σ² + |r|²/σ² + Σ log(1 + d²/σ²) + d²w²/(σ² + d²),     w = Vᵀ·(x₀ − m)/s,
+    −2 log L(σ) = n log σ² + |r|²/σ² + Σ log(1 + d²/σ²) + d²w²/(σ² + d²),     w = Vᵀ·(x₀ − m)/s,
 
-f the number of flat coefficients, and the proper coefficients stand σ²/(σ² + d²) of w from x₀ toward their priors. A
-device is no plain one where L has several maxima or a coefficient stands far from its prior's mean (the noise may take
-up what a prior forbids), where outputs are so far from zero that digits are lost, and where a unit may be wrong.
+and the coefficients stand σ²/(σ² + d²) of w from x₀ toward their priors. A device is no plain one where L has several
+maxima or a coefficient stands far from its prior's mean (the noise may take up what a prior forbids), where outputs are
+so far from zero that digits are lost, and where a unit may be wrong.
 Source: D. A. Harville, J. Am. Stat. Assoc. 72 (1977) 320 (restricted likelihood).
 
 Devices of equally many readings are one record, whose arrays have a leading axis.
@@ -20,20 +20,17 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import jax
 import numpy as np
-import pandas as pd
 from jaxtyping import Bool, Float
 
 from bayescal import (
     BayescalError,
     Calibration,
-    InputError,
     LeastSquares,
-    Marginal,
     Measurements,
     Model,
     fit,
@@ -42,12 +39,11 @@ from bayescal._annexes.fleet.batch_result import Moments
 from bayescal._calibration.claim import Claim
 from bayescal._calibration.judgement import noiseless
 from bayescal._core import deadline
-from bayescal._core.settings import unusual
 from bayescal._inference.method import Method
 from bayescal._inference.problem import Problem
 from bayescal._inference.record import Record
-from bayescal._model.frame import build_frame, reference_name, reference_of
-from bayescal._model.parameters import bind
+from bayescal._model.frame import Frame, build_frame, reference_name, reference_of
+from bayescal._model.parameters import Layout, bind
 from bayescal._model.unknowns import Unknowns
 from bayescal.workshop import UNCERTAINTY
 
@@ -59,8 +55,8 @@ PLAIN_SD = 3.0  # prior standard deviations that a coefficient stands from its p
 PLAIN_SHARE = 1e-5  # of two sizes, above which neither is in a wrong unit
 PLAIN_DIGITS = 1e6  # times the noise, up to which an output keeps enough of its digits
 ALIKE = 1e-9  # of a Jacobian, up to which devices together have that of each alone
-GRID = 32  # places for log σ², among which the best one's neighbours bracket the maximum
-NEWTON_STEPS = 10  # safeguarded Newton steps in the bracket, to the last digits
+ROUNDS = 60  # of σ² and the degrees of freedom that coefficients leave
+DIGITS = 1e-12  # of σ², to which it is the same from below and from above
 LEAST_NOISE = 1e-24  # share of the readings' variance, below which the noise counts as none
 NOISE = "noise.white"
 NOT_REACHED = "not reached ({}): give more time"
@@ -78,54 +74,14 @@ class FitOptions:
     """
 
     method: Method
-    seed: int = 0
-    chunk: int = CHUNK
-    reference: Reference = field(default_factory=dict)
-
-    @classmethod
-    def of(
-        cls, method: Method | None, seed: int, chunk: int, reference: Reference | None
-    ) -> FitOptions:
-        """As a user gives them; chains of single devices, minutes each, are left to `fit`.
-
-        Raises:
-            InputError: `chunk` is none.
-        """
-        if chunk < 1:
-            raise InputError(f"chunk is {chunk}: give at least 1")
-        method = method or LeastSquares()
-        method = replace(method, chains=False) if isinstance(method, Marginal) else method
-        return cls(method, seed, chunk, dict(reference or {}))
-
-    def with_common(self, reference: Reference) -> FitOptions:
-        """With further constants, where none were given."""
-        return replace(self, reference={**reference, **self.reference})
-
-    def compared_at(self, facts: pd.DataFrame) -> FitOptions | None:
-        """Return how devices are fitted to be compared, at one temperature; None where they are so already."""
-        known = facts.loc[:, "T0"].dropna()
-        if "T0" in self.reference or known.nunique() < 2:
-            return None
-        return replace(
-            self.with_common({"T0": float(known.median().round())}), method=LeastSquares()
-        )
+    seed: int
+    chunk: int
+    reference: Reference
 
     def reference_for(self, readings: Measurements) -> Reference:
         """Return the constants of a device."""
         known = reference_of(readings)
         return known | {n: v for n, v in self.reference.items() if n in known}
-
-    def data(self, model: Model) -> dict[str, Any]:
-        """What was fitted, as a result says it."""
-        return {
-            "instrument": model.instrument.name,
-            "effects": list(model.names),
-            "noise": model.noise.law,
-            "method": self.method.name,
-            "seed": self.seed,
-            "reference": {k: v for k, v in self.reference.items() if not isinstance(v, dict)},
-            **({"settings": own} if (own := unusual()) else {}),
-        }
 
 
 def temperature_sums(devices: Iterable[Measurements]) -> dict[str, np.ndarray]:
@@ -239,27 +195,36 @@ def _fit_plain(
         most = min(options.chunk, max(1, NUMBERS // count))
         for begin in range(0, len(every), most):
             some = every[begin : begin + most]
-            moments = _together(model, np.array(some), [devices[i] for i in some], options)
-            if moments is not None:
-                yield moments
+            references = [options.reference_for(devices[i]) for i in some]
+            frames = [build_frame(devices[i], r) for i, r in zip(some, references, strict=True)]
+            layout = bind(model, devices[some[0]], reference=references[0])[0]
+            problem = None
+            if model.with_nuisances(devices[some[0]]) is model and layout.size < count:
+                problem = _together(layout, frames)
+            if problem is not None:
+                with np.errstate(all="ignore"):  # of devices that are no plain ones
+                    plain, x, covariance, sd = _solve(problem, *_linearised(problem))
+                if NOISE not in dict(model.fixed):
+                    x = np.column_stack([x, sd])
+                    covariance = np.pad(
+                        covariance, ((0, 0), (0, 1), (0, 1)), constant_values=np.nan
+                    )
+                t0 = [r.get("T0", np.nan) for r in references]
+                of, at = Unknowns.of(layout), np.array(some)[plain]
+                own = x[plain], covariance[plain], np.full(len(at), count), np.array(t0)[plain]
+                yield Moments(at, of.names, of.units, *own)
 
 
-def _together(
-    model: Model, at: np.ndarray, devices: Sequence[Measurements], options: FitOptions
-) -> Moments | None:
-    """Fit those of some devices that are plain."""
-    references = [options.reference_for(one) for one in devices]
-    frames = [build_frame(*each) for each in zip(devices, references, strict=True)]
-    layout = bind(model, devices[0], reference=references[0])[0]
-    plain = (
-        model.noise.first
-        and all(h.kind == "noise" for h in layout.hypers)
-        and 0 < layout.size < len(devices[0])
-        and all(b.place != "input" and b.coefficient.per is None for b in layout.blocks)
-        and not any(e.open for e in model.effects)
-        and model.with_nuisances(devices[0]) is model
+def _together(layout: Layout, frames: Sequence[Frame]) -> Problem | None:
+    """Return a model on the readings of several devices at once; None where it has no closed form, or not together."""
+    model, blocks = layout.model, layout.blocks
+    plain = all(
+        b.place != "input" and b.coefficient.per is None and not b.coefficient.flat for b in blocks
     )
-    if not plain:
+    sized = layout.size > 0 and not any(e.open for e in model.effects)
+    if not (
+        plain and sized and model.noise.first and all(h.kind == "noise" for h in layout.hypers)
+    ):
         return None
     try:
         together = jax.tree.map(lambda *each: np.stack(each), *frames)
@@ -268,26 +233,14 @@ def _together(
         problem, alone = (
             Problem(layout, Record(model.instrument, f, f["output"])) for f in (frame, frames[0])
         )
-        if not alone.affine or problem.noisy:
-            return None
-        left, jacobian = _linearised(problem)
-        # A basis may be of all readings that it is given, a response of one device's.
-        own = _linearised(alone)[1]
-        if not np.allclose(jacobian[0], own, rtol=ALIKE, atol=ALIKE * np.max(np.abs(own))):
-            return None
+        if alone.affine:
+            # A basis may be of all readings that it is given, a response of one device's.
+            jacobian, own = _linearised(problem)[1][0], _linearised(alone)[1]
+            like = np.allclose(jacobian, own, rtol=ALIKE, atol=ALIKE * np.max(np.abs(own)))
+            return problem if like else None
     except (ValueError, TypeError, IndexError, BayescalError):  # of two axes
-        return None
-    solved, x, covariance, sd = _solve(problem, left, jacobian)
-    if not solved.any():
-        return None
-    unknowns = Unknowns.of(layout)
-    if NOISE not in dict(model.fixed):
-        x = np.column_stack([x, sd])
-        covariance = np.pad(covariance, ((0, 0), (0, 1), (0, 1)), constant_values=np.nan)
-    facts = np.full(len(at), len(devices[0])), [r.get("T0", np.nan) for r in references]
-    whole = at, x, covariance, *facts
-    at, *own = (np.asarray(a)[solved] for a in whole)
-    return Moments(at, unknowns.names, unknowns.units, *own)
+        pass
+    return None
 
 
 def _linearised(
@@ -301,108 +254,67 @@ def _linearised(
 
 def _solve(
     problem: Problem, y: Float[np.ndarray, "b n"], jacobian: Float[np.ndarray, "b n p"]
-) -> tuple[
-    Bool[np.ndarray, "b"],
-    Float[np.ndarray, "b p"],
-    Float[np.ndarray, "b p p"],
-    Float[np.ndarray, "b"],
-]:
-    """Return which devices are plain, their coefficients with covariances, and σ.
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Return which devices are plain (b,), their coefficients (b, p), covariances (b, p, p) and σ (b,).
 
     Args:
         problem: of all.
         y: outputs less those expected at the priors' means.
         jacobian: by the coefficients.
     """
-    order = np.argsort(problem.weight_of_x, kind="stable")  # flat ones first
-    f, p, n = int(np.sum(problem.weight_of_x == 0)), problem.size, y.shape[1]
-    norm = np.linalg.norm(jacobian, axis=1)
-    norm = np.where(norm > 0, norm, 1.0)
-    proper = np.broadcast_to(problem.sizes.at(problem.fixed_values), norm.shape)
-    scale = np.where(problem.weight_of_x == 0, 1 / norm, proper)
-    columns = (jacobian * scale[:, None])[:, :, order]
+    n, p = jacobian.shape[1:]
+    scale = problem.sizes.at(problem.fixed_values)
+    columns = jacobian * scale
     base, upper = np.linalg.qr(columns)
-    diagonal, size = np.abs(np.diagonal(upper, axis1=1, axis2=2)), np.linalg.norm(columns, axis=1)
-    determined = np.all(diagonal > PLAIN_SHARE * size, axis=1) & np.all(np.isfinite(y), axis=1)
+    diagonal = np.abs(np.diagonal(upper, axis1=1, axis2=2))
+    determined = np.all(diagonal > PLAIN_SHARE * np.linalg.norm(columns, axis=1), axis=1)
     upper = np.where(determined[:, None, None], upper, np.eye(p))
-    left, z0 = np.where(determined[:, None], y, 0.0), np.zeros((len(y), p))
+    left, z0 = y, np.zeros((len(y), p, 1))
     for _ in range(2):  # a second time for the digits of outputs far from zero
         step = np.linalg.solve(upper, base.mT @ left[:, :, None])
-        left, z0 = left - (columns @ step)[:, :, 0], z0 + step[:, :, 0]
-    rest = np.sum(left**2, axis=1)
-    _, d, vt = np.linalg.svd(upper[:, f:, f:])
-    d2, w = d**2, (vt @ z0[:, f:, None])[:, :, 0]
+        left, z0 = left - (columns @ step)[:, :, 0], z0 + step
+    _, d, vt = np.linalg.svd(upper)
+    rest, d2, w = np.sum(left**2, axis=1), d**2, (vt @ z0)[:, :, 0]
     if NOISE in problem.fixed_values:
         variance, alone = np.full(len(y), problem.fixed_values[NOISE] ** 2), True
     else:
-        variance, alone = _noise_variance(n - f, rest, d2 * w**2, d2)
-    sd = np.sqrt(variance)
-    share = variance[:, None] / (variance[:, None] + d2)
-    # What the proper coefficients go toward their priors, the flat ones go with them: R₁₁·u = −R₁₂·z.
-    flat = np.linalg.inv(upper[:, :f, :f])
-    along = np.broadcast_to(np.eye(p)[:, f:], (len(y), p, p - f)).copy()
-    along[:, :f] = -flat @ upper[:, :f, f:]
-    z = z0 - (along @ vt.mT @ (share * w)[:, :, None])[:, :, 0]
-    covariance = along @ (vt.mT * share[:, None]) @ vt @ along.mT
-    covariance[:, :f, :f] += variance[:, None, None] * flat @ flat.mT
-    back = np.argsort(order)
-    x = problem.mean_of_x + scale * z[:, back]
-    covariance = scale[:, :, None] * covariance[:, back][:, :, back] * scale[:, None]
-    largest, range_ = np.max(np.abs(problem.record.y), axis=1), np.ptp(problem.record.y, axis=1)
-    reach = np.max(np.abs(columns[:, :, f:]), axis=1)  # of coefficients of plausible sizes
-    far = np.maximum(largest, np.max(np.abs(y), axis=1))
+        variance, alone = _noise_variance(n - p, rest, d2 * w**2, d2)
+    share, sd = variance[:, None] / (variance[:, None] + d2), np.sqrt(variance)
+    z = (z0 - vt.mT @ (share * w)[:, :, None])[:, :, 0]
+    covariance = scale[:, None] * (vt.mT * share[:, None] @ vt) * scale
+    x, output = problem.mean_of_x + scale * z, problem.record.y
+    range_, reach = np.ptp(output, axis=1), np.max(np.abs(columns), axis=1)
     plain = (
         determined
         & alone
-        & np.all(np.abs(z[:, f:]) < PLAIN_SD, axis=1)
+        & np.all(np.abs(z) < PLAIN_SD, axis=1)
         & (rest > LEAST_NOISE * np.sum(y**2, axis=1))
         & (sd < range_)
         & np.all((PLAIN_SHARE * reach < sd[:, None]) & (PLAIN_SHARE * sd[:, None] < reach), axis=1)
-        & (PLAIN_DIGITS * np.minimum(sd, range_) > far)
+        & (PLAIN_DIGITS * np.minimum(sd, range_) > np.max(np.abs([output, y]), axis=(0, 2)))
         & np.all(np.isfinite(x), axis=1)
     )
     return plain, x, covariance, sd
 
 
 def _noise_variance(
-    count: int,
+    free: int,
     rest: Float[np.ndarray, "b"],
-    c2: Float[np.ndarray, "b m"],
-    d2: Float[np.ndarray, "b m"],
+    c2: Float[np.ndarray, "b p"],
+    d2: Float[np.ndarray, "b p"],
 ) -> tuple[Float[np.ndarray, "b"], Bool[np.ndarray, "b"]]:
-    """Return where the restricted likelihood of σ² is greatest, and whether it has one maximum.
+    """Return the σ² of greatest restricted likelihood, and whether it is so from below and from above.
+
+    There it is the squares of the residuals over the degrees of freedom that they have, which are found in turn as
+    `LeastSquares` finds them: from where noise explains none of the readings, and from where it explains all.
 
     Args:
-        count: readings less flat coefficients.
+        free: readings less coefficients.
         rest: sums of squares that no column explains.
         c2, d2: squares along the singular vectors, and of the singular values.
     """
-
-    def slopes(t: Float[np.ndarray, "b"]) -> tuple[np.ndarray, np.ndarray]:
-        """Of the log likelihood, times two, by t = log σ²; the second too."""
-        s = np.exp(t)[:, None]
-        share = s / (s + d2)
-        pull = c2 * share / (s + d2)
-        first = rest / s[:, 0] - count + np.sum(1 - share + pull, axis=1)
-        return first, np.sum(pull * (1 - 2 * share) - share * (1 - share), axis=1) - rest / s[:, 0]
-
-    # From none of it explained by noise to all of it.
-    least = np.log(rest / count + 1e-300) - 0.5
-    most = np.log((rest + np.sum(c2, axis=1)) / count + 1e-300) + 4.0
-    grid = least[:, None] + (most - least)[:, None] * np.linspace(0.0, 1.0, GRID) ** 2
-    s = np.exp(grid)
-    values = -count * grid - rest[:, None] / s
-    s = s[:, :, None]
-    values -= np.sum(np.log1p(d2[:, None] / s) + c2[:, None] / (s + d2[:, None]), axis=2)
-    rises = np.diff(values, axis=1) > 0
-    maxima = np.sum(rises[:, :-1] & ~rises[:, 1:], axis=1) + ~rises[:, 0] + rises[:, -1]
-    best, every = np.argmax(values, axis=1), np.arange(len(grid))
-    low, high = (grid[every, np.clip(best + side, 0, GRID - 1)] for side in (-1, 1))
-    t = grid[every, best]
-    for _ in range(NEWTON_STEPS):
-        first, second = slopes(t)
-        low, high = np.where(first > 0, t, low), np.where(first > 0, high, t)
-        step = t - first / np.where(second < 0, second, -1.0)
-        inside = (step >= low) & (step <= high) & (second < 0)
-        t = np.where(inside, step, 0.5 * (low + high))
-    return np.exp(t), maxima == 1
+    s = np.stack([rest / free, (rest + np.sum(c2, axis=1)) / (free + d2.shape[1])])
+    for _ in range(ROUNDS):
+        share = s[:, :, None] / (s[:, :, None] + d2)
+        s = (rest + np.sum(share**2 * c2, axis=2)) / (free + np.sum(share, axis=2))
+    return s[0], np.abs(s[1] / s[0] - 1) < DIGITS
