@@ -107,7 +107,7 @@ def command() -> int:
     except (NotConverged, NotDrawn) as error:
         return _failed(str(error), 1)
     except BayescalError as error:
-        return _failed(str(error), 2, listed="\n- " in str(error))
+        return _failed(str(error), 2, listed=bool(getattr(error, "problems", ())))
     except typer.Abort:
         return _failed("stopped: what was written before stays as it was", INTERRUPTED)
     except BrokenPipeError:  # the reader, such as `head`, has seen enough
@@ -120,8 +120,8 @@ def command() -> int:
         return _failed(f"{where}: {error.strerror or error}", 2)
     except BaseException as error:
         short = isinstance(error, MemoryError)
-        if not short and (where := own_file_line(error)):  # a basis, say, that fails when asked
-            said = f"{where} failed: {in_one_line(error)}. Mend it, or leave --effects out"
+        if not short and (at := own_file_line(error))[1]:  # a basis, say, that fails when asked
+            said = f"{at[0]}, line {at[1]} failed: {in_one_line(error)}. Mend it, or leave --effects out"
             return _failed(said, 2)
         # Where a limit holds, neither a thread starts nor a library loads once it is reached.
         at_limit = type(error) in (ImportError, RuntimeError) and _is_limited()

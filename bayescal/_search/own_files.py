@@ -91,14 +91,14 @@ def run_file(path: Path) -> ModuleType:
     try:
         exec(compile(path.read_bytes(), file, "exec", dont_inherit=True), vars(module))
     except BaseException as error:  # SystemExit too: what a user's file does wrong is said in words
-        where = own_file_line(error).removeprefix(file)
+        where = f", line {line}" if (line := own_file_line(error)[1]) else ""
         del _RAN[ran]
         raise InputError(f"{path}{where} could not be run: {in_one_line(error)}") from None
     return module
 
 
-def own_file_line(error: BaseException) -> str:
-    """Return where in a file of the user's own that this process has run an error arose; empty if in none.
+def own_file_line(error: BaseException) -> tuple[str, int]:
+    """Return where in a file of the user's own that this process has run an error arose: file and line, or ("", 0).
 
     For a syntax error the line that it names, else the last line in such a file before it.
     """
@@ -106,7 +106,7 @@ def own_file_line(error: BaseException) -> str:
     if isinstance(error, SyntaxError):
         lines.append((error.filename or "", error.lineno))
     own = {file for file, _ in _RAN}
-    return next((f"{file}, line {n}" for file, n in reversed(lines) if file in own and n), "")
+    return next(((file, n) for file, n in reversed(lines) if file in own and n), ("", 0))
 
 
 def in_one_line(error: BaseException) -> str:
