@@ -56,7 +56,6 @@ class Record:
     _nodes: dict[Any, OneNode | None] = field(default_factory=dict)
     _last: tuple[Any, Any] | None = None  # slots, and what the instrument responded to them
     _for_laws: dict[Noise, tuple[Noise, programs.Leaves]] = field(default_factory=dict)
-    plain: dict[Any, Any] = field(default_factory=dict)  # what problems know of a coefficient
     of: Any = None  # what it was made of, held
 
     @cached_property

@@ -51,7 +51,7 @@ class CoefficientBlock:
     place: Place
     start: int
     value: float
-    origin: float = 0.0  # what its values are counted from in x and φ, in its unit
+    origin: float  # what its values are counted from in x and φ, in its unit
 
     @property
     def mean(self) -> float:
@@ -63,8 +63,24 @@ class CoefficientBlock:
         return self.effect.coefficients[self.index]
 
     @property
-    def group_sd_name(self) -> str:
-        return self.effect.group_sd_name(self.index)
+    def per(self) -> str | None:
+        """The group of which each member has one; None for one value, and for noise on an input."""
+        return None if self.coefficient.per == READING else self.coefficient.per
+
+    @property
+    def flat(self) -> bool:
+        return self.coefficient.flat
+
+    @property
+    def group_sd_name(self) -> str | None:
+        """Name of its learned standard deviation between members; None where there is none."""
+        learned = self.coefficient.group_sd is not None
+        return self.effect.group_sd_name(self.index) if learned else None
+
+    @property
+    def at(self) -> slice:
+        """Its entries of x."""
+        return slice(self.start, self.start + self.size)
 
     def member_names(self, levels: Levels | None = None) -> list[str]:
         """Names of its entries, each after its member; by their number, as in φ, where members have no names."""
@@ -178,9 +194,8 @@ class Layout:
             found.append(Hyper(name, self.model.noise.unit(name, unit), prior, "noise", "noise"))
         for block in self.blocks:
             c = block.coefficient
-            if c.group_sd is not None and block.place != "fixed":
-                own = c.unit, c.group_sd, "group_sd", block.effect.name
-                found.append(Hyper(block.group_sd_name, *own))
+            if (name := block.group_sd_name) is not None and block.place != "fixed":
+                found.append(Hyper(name, c.unit, c.group_sd, "group_sd", block.effect.name))
         for effect in self.model.effects:
             for shape in effect.shapes:
                 kind = "group_sd" if shape.name in effect.weight_shapes else "shape"

@@ -124,8 +124,7 @@ class Unknowns:
             value = phi[u.v] if u.v is not None else x[..., u.x]
             if (b := u.block) is not None:
                 value = b.origin + value
-                if u.v is not None and b.coefficient.group_sd is not None:
-                    name = b.group_sd_name
+                if u.v is not None and (name := b.group_sd_name) is not None:
                     value = (
                         b.coefficient.mean
                         + (fixed[name] if name in fixed else phi[at[name]]) * value

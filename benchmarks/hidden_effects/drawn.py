@@ -65,14 +65,14 @@ def _effects(structures: Structures, names: list[str], rng: np.random.Generator)
     v = np.array([known.get(h.name, _coordinate(h, rng)) for h in problem.hypers])
     hyper = problem.hyper(v)
     prior = problem.prior(hyper, np.ones(problem.size))
-    own = {t.known.of: t.at for t in base.problem.in_x}
+    own = {t.effect.name: t.at for t in base.problem.in_x}
     x, without = np.zeros(problem.size), np.zeros(problem.size)
     placed = dict.fromkeys(own, 0)
     for t in problem.in_x:
-        if t.known.of in own:
-            known = [b for b in base.problem.in_x if b.known.of == t.known.of]
-            at = known[placed[t.known.of]].at
-            placed[t.known.of] += 1
+        if t.effect.name in own:
+            known = [b for b in base.problem.in_x if b.effect.name == t.effect.name]
+            at = known[placed[t.effect.name]].at
+            placed[t.effect.name] += 1
             x[t.at] = without[t.at] = base.mode.x[at]
         else:
             x[t.at] = prior.mean[t.at] + prior.sd[t.at] * rng.standard_normal(t.size)
