@@ -23,7 +23,7 @@ from jaxtyping import Float
 from typing_extensions import dataclass_transform
 
 from bayescal._core.lazy_jax import Array, jax, jnp
-from bayescal._core.xp import xp
+from bayescal._core.xp import special_of, xp
 from bayescal._data.column import UNCERTAINTY
 from bayescal._model.frame import Frame
 from bayescal._model.prior import KINDS, Positive

@@ -132,7 +132,7 @@ def _in_use(a, slots, r):
 # Bases.
 
 
-def turned(r: bc.Frame, share: Float[Any, "n"] | float = 1.0) -> Float[Array, "n 4"]:
+def turned(r: bc.Frame, share: Float[Any, "n"] | float = 1.0) -> Float[Any, "n 4"]:
     """cos mθ and sin mθ, m = 2 and 3, times `share`."""
     angle = r["position_angle"]
     waves = [wave(m * angle) for m in HARMONICS for wave in (xp.cos, xp.sin)]
