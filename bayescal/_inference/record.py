@@ -79,7 +79,7 @@ class Record:
         Each array that is handed to a program costs as much as small programs compute in.
         """
         if law not in self._for_laws:
-            plain, frame = law.on(self.frame)
+            plain, frame = law.plain, self.frame.only(law.needs)
             frame = programs.padded(frame if law.independent else frame.in_time())
             self._for_laws[law] = plain, programs.Leaves.of(frame)
         return self._for_laws[law]

@@ -11,7 +11,7 @@ from bayescal._inference.problem import Problem
 from bayescal._inference.record import Record
 from bayescal._model.frame import reference_of
 from bayescal._model.noise_terms import CORRELATION_TIME
-from bayescal._model.parameters import Hyper, Layout
+from bayescal._model.parameters import Layout, Unknown
 from bayescal._model.prior import HalfCauchy, HalfNormal
 from bayescal._model.summed_noise import OrnsteinUhlenbeck
 from bayescal._search.discover import structures_over
@@ -81,7 +81,7 @@ def _effects(structures: Structures, names: list[str], rng: np.random.Generator)
     return there.mean - here.mean + moved
 
 
-def _coordinate(h: Hyper, rng: np.random.Generator) -> float:
+def _coordinate(h: Unknown, rng: np.random.Generator) -> float:
     """Of one entry of φ, by its prior."""
     if isinstance(h.prior, HalfNormal):
         return float(np.log(np.abs(rng.standard_normal())))
@@ -95,7 +95,7 @@ def _wander(structures: Structures, rng: np.random.Generator) -> np.ndarray:
     record: Record = structures.record
     priors = structures.laws[WANDER].parameters()
     values = {
-        n: float(p.value(_coordinate(Hyper(n, "", p, "noise", "noise"), rng)))
+        n: float(p.value(_coordinate(Unknown(n, n, "", "noise", "noise", p), rng)))
         for n, p in priors.items()
         if n != "noise.white"
     }
