@@ -12,7 +12,7 @@ from scipy.linalg.lapack import dtbtrs
 
 from bayescal._core.errors import InputError
 from bayescal._data.measurements import Measurements
-from bayescal._data.records import PAUSE_STEPS
+from bayescal._data.records import PAUSE_STEPS, distinct
 from bayescal._tables.cells import date_text
 from bayescal._tables.raw_table import option
 
@@ -30,14 +30,11 @@ ALONE_RATIO, SET_SHARE = 0.1, 0.9
 
 
 def run_codes(readings: Measurements) -> tuple[tuple[str, ...], np.ndarray]:
-    """Runs as records in time: one for each run of each device and axis."""
-    levels, codes = readings.groups("run")
-    for group in ("device", "axis"):
-        if readings.has(group):
-            members, own = readings.groups(group)
-            pairs, codes = np.unique(own * len(levels) + codes, return_inverse=True)
-            levels = tuple(f"{members[p // len(levels)]}|{levels[p % len(levels)]}" for p in pairs)
-    return levels, codes
+    """Return records in time, one for each run of each device and axis, and which of them each reading is of."""
+    names = [n for n in ("axis", "device") if readings.has(n)]
+    runs, codes = readings.groups("run")
+    levels, codes = distinct([*(readings[n] for n in names), np.array(runs)[codes]])
+    return tuple("|".join(map(str, level)) for level in levels), codes
 
 
 def sequence(time: np.ndarray, codes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

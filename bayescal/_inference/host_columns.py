@@ -24,7 +24,7 @@ class HostColumns:
     """Columns of bases on one set of readings.
 
     Attributes:
-        frame: the readings.
+        frame: the readings; of several devices with a leading axis.
     """
 
     def __init__(self, frame: Frame) -> None:
@@ -112,4 +112,4 @@ class HostColumns:
         frame = self.frame
         for name, shift in moves.items():
             frame = frame.with_column(name, frame[name] + shift)
-        return matrix(*basis, frame, shapes, lead)
+        return matrix(*basis, frame, shapes, (*lead, *frame.order.shape[:-1]))
