@@ -23,8 +23,8 @@ from bayescal._core.errors import InputError
 from bayescal._core.formatting import number, with_error
 from bayescal._data.unit_conversion import unit_label
 from bayescal._model.effect import Coefficient, Effect
+from bayescal._model.parameters import Unknown
 from bayescal._model.prior import coordinate_variance, slope
-from bayescal._model.unknowns import Unknown
 
 
 class VarianceByOrigin(NamedTuple):
@@ -168,12 +168,12 @@ def not_measured(
         rare: probability of an effect up to which it does not count.
     """
     unknown = next((u for u in calibration.unknowns if u.name == of), None)
-    if unknown is not None and unknown.hyper is not None:
+    if unknown is not None and unknown.block is None:
         # What is positive may be told by its size (a spread near zero) or its logarithm (one far above).
         own, before = calibration.samples(of), unknown.prior_sd
         by_size = before is not None and 2 * own.var() <= before**2
         v = calibration.draws().v[:, unknown.v]
-        if by_size or 2 * np.var(v) <= coordinate_variance(unknown.hyper.prior):
+        if by_size or 2 * np.var(v) <= coordinate_variance(unknown.prior):
             return None
         now = float(own.mean()), float(own.std())
         return NotMeasured((KnownByPrior(of, unknown.unit, None, None, now),))

@@ -56,7 +56,6 @@ class Record:
     _nodes: dict[Any, OneNode | None] = field(default_factory=dict)
     _last: tuple[Any, Any] | None = None  # slots, and what the instrument responded to them
     _for_laws: dict[Noise, tuple[Noise, programs.Leaves]] = field(default_factory=dict)
-    plain: dict[Any, Any] = field(default_factory=dict)  # what problems know of a coefficient
     of: Any = None  # what it was made of, held
 
     @cached_property
@@ -80,7 +79,7 @@ class Record:
         Each array that is handed to a program costs as much as small programs compute in.
         """
         if law not in self._for_laws:
-            plain, frame = law.on(self.frame)
+            plain, frame = law.plain, self.frame.only(law.needs)
             frame = programs.padded(frame if law.independent else frame.in_time())
             self._for_laws[law] = plain, programs.Leaves.of(frame)
         return self._for_laws[law]
