@@ -36,7 +36,6 @@ from bayescal._model.effect import Effect
 from bayescal._model.frame import GROUPS
 from bayescal._model.instrument import Instrument
 from bayescal._model.noise_law import Noise
-from bayescal._model.unknown_effect import role_of
 from bayescal._report.whole_folder import AVERAGED, CALIBRATION, files_of, refuse_mixed
 from bayescal._search.calibrate import step_of
 from bayescal._search.discover import Discovery, discover
@@ -378,10 +377,10 @@ def _read_result(path: Path) -> dict[str, Any]:
         if schema != SCHEMA:
             raise ValueError(f"its schema is {schema!r}, not {SCHEMA!r}")
         for candidate in (c for step in data["missing"] for c in step["candidates"]):
-            candidate.setdefault("role", role_of(candidate["effect"]))  # since 0.2.1
+            candidate.setdefault("role", "named")  # since 0.2.1
     except (OSError, ValueError, AttributeError, KeyError, TypeError) as error:
         raise InputError(
-            f"{path} is no result of this version ({type(error).__name__}: {error}): calibrate again"
+            f"{path} is no result of this version ({error}): calibrate again"
         ) from None
     return data
 

@@ -16,8 +16,6 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
-import jax
-import jax.numpy as jnp
 import numpy as np
 from numpy.typing import ArrayLike
 
@@ -28,6 +26,7 @@ from bayescal._core.errors import InputError, ModelError
 from bayescal._core.formatting import number
 from bayescal._core.inverse import stepped
 from bayescal._core.json_shape import as_type
+from bayescal._core.lazy_jax import jax, jnp
 from bayescal._core.version import __version__
 from bayescal._data.measurements import Measurements
 from bayescal._data.time_in_runs import RATE_WINDOW, rate_window
@@ -99,7 +98,7 @@ def inputs_in_use(
         if name in lags:
             found.append(_lag_input(calibration, lags[name], name, span))
         elif name not in equation.known:
-            column = name.removesuffix("_rate")
+            column = dict(equation.rated)[name]
             meaning = (
                 f"rate of {column}: least-squares slope over the last {RATE_WINDOW:g} s (or the last two "
                 "readings, if these are further apart), 0 at the start"
@@ -135,7 +134,7 @@ def inputs_at_fit(calibration: Calibration, equation: OperatingEquation) -> dict
     """All inputs at the readings of the fit, (n,) each; lags at the mean of their time constants."""
     frame = calibration.frame
     found = {n: np.asarray(frame.columns[n]) for n in equation.known}
-    found |= {f"{n}_rate": np.asarray(v) for n, v in frame.rates.items()}
+    found |= {name: np.asarray(frame.rates[column]) for name, column in equation.rated}
     for lag in equation.lags:
         found[lag.name], slope = _lag_and_slope(frame, lag.tau, lag.column)
         if lag.slope:
@@ -183,8 +182,9 @@ def gathered(
     except ValueError:
         shapes = ", ".join(f"{n} {a.shape}" for n, a in arrays.items())
         raise InputError(f"columns must be vectors of one length, these are: {shapes}") from None
+    lags = {(i.column, i.tau): i.name for i in inputs if i.kind == "lag"}
     for i in inputs:  # a lag that is given, and not its slope, is taken as it is
-        if i.kind == "lag slope" and i.name.removesuffix("_by_tau") in given:
+        if i.kind == "lag slope" and lags.get((i.column, i.tau)) in given:
             given.setdefault(i.name, np.zeros_like(given["output"]))
     record, needed = None, [i for i in inputs if i.kind != "column" and i.name not in given]
     if needed:

@@ -14,7 +14,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from bayescal._core.annex import absent_annexes, offered
+from bayescal._core.annex import offered
 from bayescal._core.as_json import json_text
 from bayescal._core.errors import InputError
 from bayescal._core.json_shape import read_json
@@ -168,7 +168,7 @@ def kind_of(correction: CorrectionInUse) -> CorrectionKind:
     for kind in kinds():
         if isinstance(correction, kind.of):
             return kind
-    raise InputError(f"no annex writes a {type(correction).__name__}. {absent_annexes()}".rstrip())
+    raise InputError(f"no annex that is here writes a {type(correction).__name__}")
 
 
 def sensor_name(given: str | None, instrument: str) -> str:

@@ -18,11 +18,10 @@ from dataclasses import dataclass, field
 from functools import partial
 from typing import Any, Literal
 
-import jax
-import jax.numpy as jnp
 import numpy as np
 
 from bayescal._core.errors import InputError, ModelError
+from bayescal._core.lazy_jax import jax, jnp
 from bayescal._core.quoting import c_comment, python_words
 
 
