@@ -179,9 +179,8 @@ def _drop(table: Table, converted: ConvertedColumns, problems: Objections) -> No
 
 def _rows(table: Table, rows: np.ndarray) -> str:
     """Rows, the first few by number."""
-    first = ", ".join(table.place(int(i)).removeprefix("row ") for i in rows[:3])
-    more = " …" * (len(rows) > 3)
-    return f"row {first}" if len(rows) == 1 else f"{len(rows)} rows ({first}{more})"
+    first = ", ".join(table.place(int(i)) for i in rows[:3])
+    return first if len(rows) == 1 else f"{len(rows)} rows ({first}{' …' * (len(rows) > 3)})"
 
 
 class ColumnReader:

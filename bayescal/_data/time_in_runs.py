@@ -178,12 +178,15 @@ def causal_slope(
 
 
 def recursion(
-    share: Float[np.ndarray, "n"], push: Float[np.ndarray, "n k"]
-) -> Float[np.ndarray, "n k"]:
+    share: Float[np.ndarray, "*s n"], push: Float[np.ndarray, "*s n"]
+) -> Float[np.ndarray, "*s n"]:
     """Return x of xᵢ = shareᵢ·xᵢ₋₁ + pushᵢ, from zero: a unit bidiagonal matrix, LAPACK's banded solver."""
-    band = np.ones((2, len(share)), order="F")
-    band[1, :-1] = -share[1:]
-    return dtbtrs(band, push, uplo="L", diag="U")[0]
+    share, push = np.broadcast_arrays(share, push)
+    # All recursions are one, which begins anew at the first element of each.
+    band = np.ones((share.size, 2))
+    np.negative(share.reshape(-1)[1:], out=band[:-1, 1])
+    band[share.shape[-1] - 1 :: share.shape[-1], 1] = 0.0
+    return dtbtrs(band.T, push.reshape(-1), uplo="L", diag="U")[0].reshape(push.shape)
 
 
 def _window_sums(t: np.ndarray, y: np.ndarray, first: np.ndarray) -> np.ndarray:
@@ -202,9 +205,9 @@ def _window_sums(t: np.ndarray, y: np.ndarray, first: np.ndarray) -> np.ndarray:
 
     def sums(origin: np.ndarray, rows: slice) -> np.ndarray:  # of each stretch, in this direction
         dt, dy = t - t[origin], y - y[origin]
-        terms = np.stack([dt, dy, dt * dt, dt * dy], axis=1)[rows]
+        terms = np.stack([dt, dy, dt * dt, dt * dy])[:, rows]
         same = np.diff(stretch[rows], prepend=-1) == 0
-        return recursion(same.astype(float), terms)[rows].T
+        return recursion(same.astype(float), terms)[:, rows]
 
     since, until = sums(at, slice(None)), sums(after, slice(None, None, -1))
     return since + np.where(first < at, until[:, first], 0.0)
