@@ -345,3 +345,7 @@ class DecisionRule(Options):
 
     rule: str = opt("guarded, simple or shared-risk, as agreed on beforehand.", "guarded")
     false_accept: float = opt("Probability of false acceptance of 'guarded'.", 0.025)
+
+    def deciding(self) -> dict[str, Any]:
+        """Return it as `decide` takes it."""
+        return {"rule": self.rule, "false_accept": self.false_accept}
