@@ -24,7 +24,7 @@ from bayescal._report.report_text import in_output_unit
 from bayescal._report.result_json import result
 from bayescal._report.save_search import channels_data
 from bayescal._report.section import of_trail
-from bayescal._search.channels import Channels
+from bayescal._search.calibrate_channels import Channels
 from bayescal._search.draft_effect import draft_effect
 from bayescal._search.search_path import SearchPath, Step
 
