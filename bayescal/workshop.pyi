@@ -90,11 +90,11 @@ from ._data.unit_conversion import parse as parse
 from ._data.unit_conversion import pretty as pretty
 from ._data.unit_conversion import same_dimension as same_dimension
 from ._data.unit_conversion import unit_label as unit_label
+from ._report.result_json import Chapter as Chapter
+from ._report.result_json import Foreword as Foreword
 from ._report.save_search import draw_search as draw_search
 from ._report.save_search import save_search as save_search
 from ._report.save_search import write_search as write_search
-from ._report.section import Chapter as Chapter
-from ._report.section import Foreword as Foreword
 from ._report.whole_folder import MANIFEST as MANIFEST
 from ._report.whole_folder import drawing as drawing
 from ._report.whole_folder import files_of as files_of
@@ -115,7 +115,7 @@ from ._use.correction_files import as_data as as_data
 from ._use.correction_files import as_text as as_text
 from ._use.correction_files import format_of as format_of
 from ._use.correction_files import in_form as in_form
+from ._use.correction_files import include_guard as include_guard
 from ._use.correction_files import load_correction as load_correction
 from ._use.correction_files import names_in_unit as names_in_unit
 from ._use.correction_files import sensor_name as sensor_name
-from ._use.program_text import include_guard as include_guard

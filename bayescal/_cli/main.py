@@ -87,7 +87,7 @@ def command() -> int:
     except (NotConverged, NotDrawn) as error:
         return _failed(str(error), 1)
     except BayescalError as error:
-        return _failed(str(error), 2, listed="\n- " in str(error))
+        return _failed(str(error), 2, listed=bool(getattr(error, "problems", ())))
     except (typer.Abort, KeyboardInterrupt):
         return _failed("stopped: what was written before stays as it was", INTERRUPTED)
     except BrokenPipeError:  # the reader, such as `head`, has seen enough
@@ -104,8 +104,9 @@ def _in_words(error: BaseException) -> str:
         return "too little memory: give fewer readings (--average), or allow more"
     if isinstance(error, OSError):
         return f"{error.filename or 'standard output, or a file'}: {error.strerror or error}"
-    if where := own_file_line(error):  # a basis, say, that fails when asked
-        return f"{where} failed: {in_one_line(error)}. Mend it, or leave --effects out"
+    file, line = own_file_line(error)
+    if line:  # a basis, say, that fails when asked
+        return f"{file}, line {line} failed: {in_one_line(error)}. Mend it, or leave --effects out"
     usage = getattr(error, "format_message", None)  # an option that the parser refused
     if usage is None:
         raise error

@@ -223,9 +223,7 @@ class ColumnOptions(Options):
 
     columns: Texts = opt("output=gyro_x: our column = the file's; repeat, also where files differ.")
     unit: Texts = opt("gyro_x=rad/s: unit of a column; repeat for more.")
-    unwrap: Texts = opt(
-        "time=2^32us: where a counter began anew; temperature=sign: its sign was lost."
-    )
+    unwrap: Texts = opt("time=2^32us: where a counter began anew.")
     local_gravity: float | None = Shared.local_gravity
     local_field: str | None = opt("Magnetic field there, of magnetometers.", metavar="'48.2 uT'")
     missing: str | None = opt("Rows with a missing reading.", metavar="refuse|drop")

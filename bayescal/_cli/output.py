@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from bayescal._calibration.calibration import Calibration
-from bayescal._calibration.check_result import check_parts
+from bayescal._calibration.check import check_parts
 from bayescal._calibration.claim import Claim
 from bayescal._calibration.predict import Prediction
 from bayescal._calibration.summary import directions_data, summary, unknowns_parts
@@ -21,9 +21,8 @@ from bayescal._data.unit_conversion import unit_label
 from bayescal._model.effect import Effect
 from bayescal._model.instrument import Instrument
 from bayescal._report.report_text import in_output_unit
-from bayescal._report.result_json import result
+from bayescal._report.result_json import of_trail, result
 from bayescal._report.save_search import channels_data
-from bayescal._report.section import of_trail
 from bayescal._search.calibrate_channels import Channels
 from bayescal._search.draft_effect import draft_effect
 from bayescal._search.search_path import SearchPath, Step

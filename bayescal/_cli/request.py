@@ -189,7 +189,7 @@ def flags_of(readings: Mapping[str, Measurements]) -> list[str]:
 
 def each_device(readings: Mapping[str, Measurements]) -> dict[str, Measurements]:
     """Split the readings of channels by device and by axis, where a file holds several."""
-    from bayescal._data.header_rules import BEGINNINGS, plain
+    from bayescal._data.header_matching import BEGINNINGS, plain
     from bayescal._data.unit_conversion import alike
 
     found = dict(readings)

@@ -24,7 +24,7 @@ from bayescal._report.whole_folder import (
 from bayescal._search.own_files import instrument_named, user_effects
 
 if TYPE_CHECKING:
-    from bayescal._report.section import Chapter
+    from bayescal._report.result_json import Chapter
     from bayescal._use.correction import CorrectionInUse
 
 
@@ -107,7 +107,7 @@ def of_units(paths: list[Path], file: str = "") -> list[Path]:
 
 def chapters_from(paths: list[Path], own: OwnParts) -> list[Chapter]:
     """Return what a report is of: saved calibrations, and folders with the search that led to one."""
-    from bayescal._report.section import chapters, of_folder
+    from bayescal._report.result_json import chapters, of_folder
 
     parts = _own(own)
     given = (of_folder(p, **parts) if p.is_dir() else load_saved(p, own) for p in of_units(paths))

@@ -28,7 +28,7 @@ from bayescal._model.instrument import Instrument
 from bayescal._model.model import Model, testable
 from bayescal._model.noise_law import Noise
 from bayescal._model.parameters import bind
-from bayescal._model.unknown_effect import FORMS, FREED, IN_TIME, along_and_form
+from bayescal._model.unknown_effect import FORMS, IN_TIME, along_and_form
 from bayescal._search.candidate import (
     Candidate,
     alike,
@@ -377,7 +377,7 @@ def _findings(found: Discovery) -> list[str]:
             likely = [r for r in found.candidates if (r.probability or 0.0) >= SHOWN_PROBABILITY]
             rivals = [r for r in likely if r.role != "freed"][:1]
             lines.append(
-                f"{c.effect.removesuffix(FREED)} contradicts its prior: its stated value is wrong "
+                f"{c.frees} contradicts its prior: its stated value is wrong "
                 f"({probability(c.probability)})"
             )
             for r in rivals:

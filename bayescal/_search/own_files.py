@@ -87,19 +87,19 @@ def run_file(path: Path) -> ModuleType:
         except (
             BaseException
         ) as error:  # SystemExit too: what a user's file does wrong is said in words
-            where = own_file_line(error).removeprefix(file)
+            where = f", line {line}" if (line := own_file_line(error)[1]) else ""
             del _RAN[ran]
             raise InputError(f"{path}{where} could not be run: {in_one_line(error)}") from None
     return _RAN[ran]
 
 
-def own_file_line(error: BaseException) -> str:
-    """Return where in a user's file that this process has run an error arose: the last such line; empty if in none."""
+def own_file_line(error: BaseException) -> tuple[str, int]:
+    """Return the last line of a user's file, which this process has run, in an error: file and line, or ("", 0)."""
     lines = [(f.filename, f.lineno) for f in extract_tb(error.__traceback__)]
     if isinstance(error, SyntaxError):
         lines.append((error.filename or "", error.lineno))
     own = {file for file, _ in _RAN}
-    return next((f"{file}, line {n}" for file, n in reversed(lines) if file in own and n), "")
+    return next(((file, n) for file, n in reversed(lines) if file in own and n), ("", 0))
 
 
 def in_one_line(error: BaseException) -> str:
