@@ -44,7 +44,7 @@ BEHIND = {
         _search.library: Library
         _search.own_files: in_a_file
         _search.posterior: Posterior
-        _search.walk: NEAR_NATS explore
+        _search.walk: explore
         _tables.cells: Cells
         _tables.open_table: MAX_BYTES READ
         _tables.parquet_netcdf: arrow_cells arrow_headers

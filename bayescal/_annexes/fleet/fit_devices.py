@@ -18,7 +18,7 @@ Devices of equally many readings are one record, whose arrays have a leading axi
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from typing import Any
@@ -42,7 +42,7 @@ from bayescal._core import deadline
 from bayescal._inference.method import Method
 from bayescal._inference.problem import Problem
 from bayescal._inference.record import Record
-from bayescal._model.frame import Frame, build_frame, reference_name, reference_of
+from bayescal._model.frame import Frame, build_frame, reference_of
 from bayescal._model.parameters import Layout, bind
 from bayescal._model.unknowns import Unknowns
 from bayescal.workshop import UNCERTAINTY
@@ -82,16 +82,6 @@ class FitOptions:
         """Return the constants of a device."""
         known = reference_of(readings)
         return known | {n: v for n, v in self.reference.items() if n in known}
-
-
-def temperature_sums(devices: Iterable[Measurements]) -> dict[str, np.ndarray]:
-    """Return sum and number of the readings of each column of temperatures, by the name of its reference."""
-    total: dict[str, np.ndarray] = {}
-    for one in devices:
-        for name in (n for n in one.columns if one.unit(n) == "degC" and n != "temperature_point"):
-            known = reference_name(name)
-            total[known] = total.get(known, np.zeros(2)) + [np.sum(one[name]), len(one)]
-    return total
 
 
 def tailored(model: Model, readings: Measurements) -> Model:
