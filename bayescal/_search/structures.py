@@ -140,8 +140,8 @@ class Structures:
         floor: noise that no model removes, output unit.
         spans: which candidates these readings cannot tell from which.
         earlier: structures weighed with other ranges of shapes: where refits begin.
-        thrifty: whether forms that no score tells of are weighed near the best alone, and other noise laws beside it;
-            structures under these are then looked around when they lead.
+        thrifty: whether forms that no score tells of are weighed near the best alone, and other noise laws beside it or
+            where they would lead; structures under these are then looked around only when they do.
     """
 
     base: Model

@@ -209,9 +209,7 @@ def _look_around(
     if not math.isfinite(at.total):
         return
     lost = yield from _weigh_forms(structures, at)
-    asked = not structures.thrifty or at is structures.best
-    changes = [*_changes_of_noise(structures, at)] if asked else []
-    changes = [m for m in changes if among.has(m.to.noise)]
+    changes = [m for m in _changes_of_noise(structures, at) if among.has(m.to.noise)]
     moves = [*_moves(view(at), max_effects, among)]
     # Without what moves a column nothing that depends on it is what it was: what may stand in its place is seen beside
     # a refit without it.
@@ -226,8 +224,10 @@ def _look_around(
     for move in (*moves, *changes):
         structures.expect(move.to, move.total)
     # Of another law a refit tells little more than was expected, unless it is to be used.
-    behind = NEAR_NATS / 2 if structures.thrifty else 0.0
-    moves += [move for move in changes if move.total > at.total - behind]
+    least = at.total
+    if structures.thrifty:
+        least = at.total - NEAR_NATS / 2 if at is structures.best else structures.best.total
+    moves += [move for move in changes if move.total > least]
     # The first ones are refitted whatever is expected of them, since a score at φ̂ of a model that lacks an effect
     # (its noise too large, its shapes elsewhere) may be far too low.
     moves.sort(key=lambda m: -m.total)
