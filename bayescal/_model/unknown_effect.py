@@ -28,7 +28,7 @@ import numpy as np
 from bayescal._core.jit import given
 from bayescal._core.xp import xp
 from bayescal._data.measurements import Measurements
-from bayescal._model.effect import OPEN, Coefficient, Effect, Kind, Role, Shape
+from bayescal._model.effect import OPEN, Coefficient, Effect, Kind, Shape
 from bayescal._model.frame import measured_column
 from bayescal._model.prior import Normal
 
@@ -53,11 +53,6 @@ def covariate_in(name: str) -> str | None:
     """The covariate, with its form if it has one, in a placeholder's canonical name; None for any other effect."""
     found = _NAME.fullmatch(name)
     return ", ".join(filter(None, along_and_form(found[1]))) if found else None
-
-
-def role_of(name: str) -> Role:
-    """Return the role that a canonical name states."""
-    return "unnamed" if covariate_in(name) else "freed" if name.endswith(FREED) else "named"
 
 
 def along_and_form(covariate: str) -> tuple[str, str]:

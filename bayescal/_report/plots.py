@@ -23,8 +23,7 @@ from matplotlib.patches import Patch
 from matplotlib.transforms import ScaledTranslation
 
 from bayescal._calibration.calibration import Calibration
-from bayescal._calibration.check import allan_check, check, covariates_of
-from bayescal._calibration.check_result import AllanCheck, Check, Entry
+from bayescal._calibration.check import AllanCheck, Check, Entry, allan_check, check, covariates_of
 from bayescal._calibration.leave_group_out import scheme
 from bayescal._calibration.sensor_noise import SensorNoise
 from bayescal._calibration.summary import curve_weights, summary
@@ -219,11 +218,11 @@ def trail(found: SearchPath | Mapping[str, Any], ax: Any = None) -> Figure:
         title = f"{i}  {plain(step['title'])}{fall}"
         ax.text(0.01 * largest, i - 0.03, title, va="bottom", bbox=ON_GROUND)
     floor = last["noise_floor"]
-    ax.axvline(floor, color=RED, ls="--", lw=1.2, label=f"floor {number(floor)}")
+    line = ax.axvline(floor, color=RED, ls="--", lw=1.2, label=f"floor {number(floor)}")
     ax.set(xlim=(0, 1.14 * max(largest, floor)), ylim=(len(steps) - 0.25, -0.35), yticks=[])
     ax.set_xlabel(axis_label("rms error", last["unit"]))
     handles, _ = ax.get_legend_handles_labels()
-    handles.sort(key=lambda h: h.get_label().startswith("floor"))  # the last, as in the tables
+    handles.sort(key=lambda handle: handle is line)  # the floor last, as in the tables
     _legend_below(ax, handles, 2)
     return ax.figure
 

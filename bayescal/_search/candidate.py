@@ -52,7 +52,7 @@ class Candidate:
         indistinguishable_from: others that these readings cannot tell from it.
         reason: why it is not testable or not visible.
         role: "named", "unnamed" for an unknown function of a covariate, "freed" for an effect freed of its stated
-            value.
+            value: `frees` is then its name.
     """
 
     effect: str
@@ -71,6 +71,7 @@ class Candidate:
     indistinguishable_from: tuple[str, ...] = ()
     reason: str = ""
     role: Role = "named"
+    frees: str = ""
 
     @property
     def unseen(self) -> bool:
@@ -109,8 +110,8 @@ def judge(
     structures = library.structures
     scored, several = points[0].effect if points else form, len(structures.forms[name]) > 1
     effect = structures.candidates[scored]
-    unit, role = effect.coefficients[0].unit, effect.role
-    found = Candidate(effect=name, form=form if several else "", unit=unit, role=role)
+    own = {"unit": effect.coefficients[0].unit, "role": effect.role, "frees": effect.frees}
+    found = Candidate(effect=name, form=form if several else "", **own)
     if points:
         top, before = points[0], float(np.trace(points[0].products))
         found = replace(

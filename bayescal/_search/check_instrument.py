@@ -10,8 +10,6 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
-import jax
-import jax.numpy as jnp
 import numpy as np
 
 from bayescal._calibration.fit import fit
@@ -19,6 +17,7 @@ from bayescal._calibration.judgement import off_scale
 from bayescal._calibration.summary import null_directions
 from bayescal._core.errors import BayescalError, ModelError
 from bayescal._core.formatting import number, with_error
+from bayescal._core.lazy_jax import jax, jnp
 from bayescal._core.progress import stage
 from bayescal._core.result_table import Printed, ResultTable, TableColumn
 from bayescal._data.measurements import Measurements
@@ -153,7 +152,7 @@ def check_instrument(
                 _recover(found, model, {e.name for e in of}, kind, readings, seed)
                 continue
             except BayescalError as error:
-                found.errors.append(str(error) if names in str(error) else f"{names}: {error}")
+                found.errors.append(f"{names or 'the response'}: {error}")
             except Exception as error:  # of the author's functions: said, not shown as a traceback
                 found.errors.append(f"{names or 'the response'} fails: {in_one_line(error)}")
             if kind == "baseline":
@@ -202,8 +201,8 @@ def _recover(
         found.notes += [f"slot {name!r} changes no output of these readings" for name in unused]
     if bad := int((~np.isfinite(output)).sum()):
         raise ModelError(
-            f"{', '.join(mine)}: the output is not finite in {bad} of {output.size} readings: is a logarithm, root or "
-            "quotient out of its range?"
+            f"the output is not finite in {bad} of {output.size} readings: is a logarithm, root or quotient out of its "
+            "range?"
         )
     how: dict[str, Any] = {"seed": seed, "reference": reference, "strict": False}
     fitted = fit(model, readings.with_column("output", output), LeastSquares(draws=300), **how)

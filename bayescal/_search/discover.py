@@ -28,7 +28,7 @@ from bayescal._model.instrument import Instrument
 from bayescal._model.model import Model, testable
 from bayescal._model.noise_law import Noise
 from bayescal._model.parameters import bind
-from bayescal._model.unknown_effect import FORMS, FREED, IN_TIME, along_and_form
+from bayescal._model.unknown_effect import FORMS, IN_TIME, along_and_form
 from bayescal._search.candidate import (
     Candidate,
     alike,
@@ -260,11 +260,7 @@ def with_causes(
     ignore: Collection[str],
     covariates: Collection[str] | None,
 ) -> Measurements:
-    """The readings, in which nothing depends on the columns to ignore, and on no other one than given, if any is.
-
-    Raises:
-        InputError: there is no such column, or one is both.
-    """
+    """Return readings in which nothing depends on the columns to ignore, and on none but those given, if any is."""
     if both := sorted({*ignore}.intersection(covariates or ())):
         raise InputError(f"{', '.join(both)}: to be ignored, and a covariate: say one of the two")
     if covariates is not None:
@@ -390,14 +386,13 @@ def _findings(found: Discovery) -> list[str]:
         lines.append(f"missing: {names}, probability {probability(s.probability)}{tail}")
     for c in found.candidates:
         if c.role == "freed" and c.probability is not None:
-            rest = [r for r in found.candidates if r.role != "freed"]
             rivals = [
                 f", or {r.effect} is missing ({probability(r.probability)})"
-                for r in rest
-                if (r.probability or 0.0) >= SHOWN_PROBABILITY
+                for r in found.candidates
+                if r.role != "freed" and (r.probability or 0.0) >= SHOWN_PROBABILITY
             ]
             lines.append(
-                f"{c.effect.removesuffix(FREED)} contradicts its prior: its stated value is wrong "
+                f"{c.frees} contradicts its prior: its stated value is wrong "
                 f"({probability(c.probability)}){''.join(rivals[:1])}"
             )
     return lines

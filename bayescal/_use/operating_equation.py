@@ -19,16 +19,15 @@ from functools import cached_property
 from typing import Any, NamedTuple
 
 import equinox as eqx
-import jax
-import jax.numpy as jnp
 import numpy as np
 from jax.scipy.special import ndtr
-from jaxtyping import Array, Float
+from jaxtyping import Float
 
 from bayescal._calibration.calibration import Calibration
 from bayescal._core.errors import InputError, ModelError
 from bayescal._core.inverse import settled
 from bayescal._core.jit import compiled
+from bayescal._core.lazy_jax import Array, jax, jnp
 from bayescal._model import forward
 from bayescal._model.composition import Traced, compose, live
 from bayescal._model.frame import Frame
@@ -86,7 +85,7 @@ class OperatingEquation(eqx.Module):
     # (group, member) chosen by name, such as ("device", "A17"); others are new
     members: tuple[tuple[str, str], ...] = eqx.field(static=True)
     known: tuple[str, ...] = eqx.field(static=True)  # numeric columns of the readings of the fit
-    rated: tuple[str, ...] = eqx.field(static=True)  # temperatures whose rates could be inputs
+    rated: tuple[tuple[str, str], ...] = eqx.field(static=True)  # (rate's input, temperature)
     lags: tuple[Lag, ...] = eqx.field(static=True, default=())  # what the equation asks of the past
     # which of them, in the order in which bases ask; one may be asked for by several
     asked: tuple[int, ...] = eqx.field(static=True, default=())
@@ -131,7 +130,7 @@ class OperatingEquation(eqx.Module):
         """Every input that there could be."""
         return (
             *self.known,
-            *(f"{n}_rate" for n in self.rated),
+            *(n for n, _ in self.rated),
             *(lag.name for lag in self.lags),
             *(lag.slope for lag in self.lags if lag.slope),
         )
@@ -199,8 +198,7 @@ class OperatingEquation(eqx.Module):
         one = {name: jnp.reshape(value, (1,)) for name, value in inputs.items()}
         columns = {n: one[n] for n in self.known if n in one}
         columns[self.use.stimulus] = jnp.reshape(stimulus, (1,))
-        named = {n: f"{n}_rate" for n in self.rated if f"{n}_rate" not in columns}
-        rates = {n: one[name] for n, name in named.items() if name in one}
+        rates = {c: one[n] for n, c in self.rated if n in one and n not in columns}
         return OneReading(
             columns=columns,
             labels={f"{group}={member}": jnp.ones(1) for group, member in self.members},
@@ -272,7 +270,7 @@ def equation_in_use(
         layout=replace(calibration.layout, counts=one_each, origin=()),
         members=tuple(sorted(members.items())),
         known=known,
-        rated=tuple(frame.rates),
+        rated=tuple((f"{n}_rate", n) for n in frame.rates),
     )
     return _with_lags_of(found, calibration)
 

@@ -174,9 +174,12 @@ def wandering_supply(generator: np.random.Generator, time: Array) -> Array:
     return np.interp(time, knots, SUPPLY + SUPPLY_WANDER * generator.standard_normal(knots.size))
 
 
+OF_SUPPLY = {f"{s}.{e}" for s in ("bias", "zero") for e in ("supply", "temperature_x_supply")}
+
+
 def supplied(effects: Collection[str]) -> bool:
     """Whether the supply's voltage has to be recorded, for one of these effects is hidden."""
-    return any(name.endswith("supply") for name in effects)
+    return not OF_SUPPLY.isdisjoint(effects)
 
 
 def experiments(

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import json
-import subprocess
-import sys
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -58,16 +56,3 @@ def test_what_a_gate_found_stays_with_the_result_wherever_it_is_taken(tmp_path: 
         done = run(*command)
         assert done.status == 1, command
         assert reason in done.said[-1], command
-
-
-@pytest.mark.slow
-@pytest.mark.skipif(sys.platform != "linux", reason="the limit of address space is Linux's")
-@needs_installation
-@pytest.mark.parametrize("kilobytes", [300_000, 400_000, 600_000])
-def test_too_little_memory_is_said(kilobytes: int, tmp_path: Path) -> None:
-    """Whatever fails first: a library that does not load, a thread that does not start, an allocation in C++."""
-    command = f"{sys.executable} -m bayescal fit {TABLE} --instrument mems_gyro --out {tmp_path}/o"
-    limited = ["bash", "-c", f"ulimit -v {kilobytes}; exec {command}"]
-    done = subprocess.run(limited, capture_output=True, text=True, timeout=200)
-    assert done.returncode == 2
-    assert done.stderr.splitlines()[-1].startswith("bayescal: ") and "memory" in done.stderr

@@ -6,6 +6,7 @@ What an instrument says of itself, and that its algebra is what it declares.
 from __future__ import annotations
 
 import inspect
+import itertools
 import re
 import sys
 import tomllib
@@ -19,7 +20,8 @@ import pytest
 import bayescal as bc
 from bayescal_models import INSTRUMENTS
 from tests.support.contract_cases import Case
-from tests.support.inside import forward
+from tests.support.inside import constants_of, forward, frame_of
+from tests.support.made_up.supply import AT_SUPPLY
 from tests.support.tiers import slow_but
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -62,22 +64,6 @@ def test_the_data_sheet_names_no_effect_that_is_not_there(case: Case) -> None:
     known |= {e.coefficient_name(i) for e in effects for i in range(len(e.coefficients))}
     known |= {f"{c.name}.reading" for c in case.instrument.columns}  # errors of a thermometer
     assert named <= known, f"on the data sheet, not in the model: {sorted(named - known)}"
-
-
-@pytest.mark.parametrize("case", SMALL_FIRST, indirect=True)
-def test_every_candidate_can_be_hidden(case: Case) -> None:
-    plain = {}
-    for effect in case.instrument.candidates:
-        size = effect.coefficients[0].size
-        shown = case.hide({effect.name: size}, seed=3)
-        for column in effect.columns:
-            assert shown.has(column), f"{effect.name} needs {column}, which its campaign lacks"
-        nothing = case.hide({effect.name: 0.0}, seed=3)
-        change = shown["output"] - nothing["output"]
-        assert np.isfinite(change).all() and np.abs(change).max() > 0, effect.name
-        # The same seed, the same noise: without the effect the readings are the same.
-        key = (nothing.columns, len(nothing))
-        np.testing.assert_array_equal(plain.setdefault(key, nothing["output"]), nothing["output"])
 
 
 def test_the_same_seed_gives_the_same_readings_and_another_gives_others(case: Case) -> None:
@@ -150,6 +136,66 @@ FACTORS = {
     ("arcsec/deg", "arcsec"): 180 / np.pi,
     ("arcsec/deg^2", "arcsec"): (180 / np.pi) ** 2,
 }
+
+
+def contributions(
+    case: Case, effect: bc.Effect, readings: bc.Measurements, at: tuple
+) -> np.ndarray:
+    """What each of its coefficients adds to the output, and then constants of its slots, to first order, on the host.
+
+    Args:
+        at: coordinates of its shapes.
+    """
+    frame = frame_of(readings, {**constants_of(readings), **AT_SUPPLY})
+    shapes = {s.name: float(s.prior.value(v)) for s, v in zip(effect.shapes, at, strict=True)}
+    bases, columns = np.asarray(effect.evaluate(frame, shapes)).T, list[np.ndarray]()
+    slots = {s.name: np.zeros(frame.size) for s in case.instrument.slots}
+    at_rest, slopes = case.instrument.response(slots, frame), {}
+    for basis, c in zip(bases, effect.coefficients, strict=True):
+        slot = c.slot or effect.slot
+        moved = case.instrument.response({**slots, slot: slots[slot] + STEP}, frame)
+        slopes[slot] = np.asarray(moved - at_rest) / STEP
+        codes = np.zeros(frame.size, int) if c.per is None else np.asarray(frame.codes[c.per])
+        columns += [basis * slopes[slot] * (codes == member) for member in range(codes.max() + 1)]
+    levels = slopes.values() if np.ptp(bases, axis=1).any() else ()
+    return np.stack([*columns, *levels], axis=1)
+
+
+STEP = 1e-6  # of a slot
+TRIADS = [name for name in INSTRUMENTS if name.endswith("triad")]  # whose response takes time
+SETTINGS = (-1.5, -0.75, 0.0, 0.75, 1.5)  # of a shape, standard deviations of its prior
+NEAR = 0.4  # of its root mean square, what a basis may leave of the effect that it stands for
+
+
+@pytest.mark.parametrize("case", slow_but({*INSTRUMENTS} - {*TRIADS}, INSTRUMENTS), indirect=True)
+def test_a_hidden_candidate_is_as_large_as_stated_and_near_its_basis(case: Case) -> None:
+    plain = {}
+    for effect in case.instrument.candidates:
+        name, first = effect.name, effect.coefficients[0]
+        nothing, shown, twice = (case.hide({name: k * first.size}, seed=3) for k in (0.0, 1.0, 2.0))
+        for column in effect.columns:
+            assert shown.has(column), f"{name} needs {column}, which its campaign lacks"
+        change, double = (readings["output"] - nothing["output"] for readings in (shown, twice))
+        largest = np.abs(change).max()
+        assert np.isfinite(change).all() and largest > 0, name
+        # The same seed, the same noise: without the effect the readings are the same.
+        key = (nothing.columns, len(nothing))
+        np.testing.assert_array_equal(plain.setdefault(key, nothing["output"]), nothing["output"])
+        if case.instrument.vector is None:  # where the norm is fitted, it bends
+            np.testing.assert_allclose(double, 2 * change, atol=0.02 * largest)
+        found = []
+        for at in itertools.product(SETTINGS, repeat=len(effect.shapes)):
+            columns = contributions(case, effect, shown, at)
+            scale = np.abs(columns).max(axis=0) + 1e-300
+            size = np.linalg.lstsq(columns / scale, change)[0] / scale
+            found.append((np.std(change - columns @ size), size[0]))
+        left, size = min(found)
+        if not columns.any():  # of a product of unknowns the first order is nothing
+            continue
+        assert left < NEAR * np.sqrt(np.mean(change**2)), (name, left)
+        if not effect.shapes and [c.per for c in effect.coefficients] == [None]:
+            factor = FACTORS.get((first.unit, case.instrument.slot(effect.slot).unit), 1.0)
+            assert size == pytest.approx(factor * first.size, rel=0.25), name
 
 
 @pytest.mark.parametrize("case", SMALL_FIRST, indirect=True)

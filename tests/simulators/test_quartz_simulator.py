@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import jax.numpy as jnp
 import numpy as np
 import pytest
 
@@ -10,38 +9,8 @@ from bayescal_models import quartz_beam_accelerometer as quartz
 from bayescal_models.quartz_beam_accelerometer.campaign import GRID
 from bayescal_models.quartz_beam_accelerometer.world import COUPLING, SELF_HEATING, World
 from bayescal_models.simulated import first_order_body
-from tests.support.inside import constants_of, frame_of
-from tests.support.made_up.supply import AT_SUPPLY
 
-CANDIDATES = {e.name: e for e in quartz.INSTRUMENT.candidates}
 PLAIN = quartz.simulate(seed=3)
-
-
-@pytest.mark.parametrize("name", CANDIDATES)
-def test_a_hidden_effect_is_linear_in_its_size_and_near_its_basis(name: str) -> None:
-    effect = CANDIDATES[name]
-    size = effect.coefficients[0].size
-    once, twice = (quartz.simulate({name: k * size}, seed=3)["output"] for k in (1, 2))
-    change = once - PLAIN["output"]
-    np.testing.assert_allclose(twice - PLAIN["output"], 2 * change, atol=1e-8)
-    if effect.coefficients[0].per is not None:  # turn-on and cell: chance, not a basis
-        groups, codes = PLAIN.groups(effect.coefficients[0].per)
-        by = PLAIN["acceleration"] if name.startswith("scale") else np.ones(len(PLAIN))
-        shown = [
-            (change / np.where(by, by, np.nan))[(codes == i) & (by != 0)]
-            for i in range(len(groups))
-        ]
-        assert max(np.ptp(v) for v in shown if v.size) < 1e-6
-        assert np.ptp([v[0] for v in shown if v.size]) > 0
-        return
-    shown = quartz.simulate({name: size}, seed=3)  # with the supply's voltage, where that acts
-    frame = frame_of(shown, {**constants_of(shown), **AT_SUPPLY})
-    shape = {"thermal_lag": 600.0, "warm_up": 900.0}.get(name.partition(".")[2])
-    basis = np.asarray(effect.evaluate(frame, {"tau": jnp.asarray(shape)} if shape else {}))[:, 0]
-    a = PLAIN["acceleration"] / 1e6
-    basis = basis * {"bias": 1.0, "scale": a, "second_order": a**2}[effect.slot]
-    ramps = np.isnan(PLAIN["temperature_point"])
-    assert np.corrcoef(basis[ramps], change[ramps])[0, 1] > 0.9
 
 
 def test_uncompensated_change_is_what_the_source_names() -> None:

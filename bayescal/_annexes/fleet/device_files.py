@@ -19,8 +19,8 @@ import pyarrow.parquet as pq
 from bayescal import InputError, Model
 from bayescal._annexes.fleet.devices import Devices, open_readings, split_table
 from bayescal._tables.cells import Cells
+from bayescal._tables.formats import arrow_cells, arrow_headers
 from bayescal._tables.open_table import MAX_BYTES, READ
-from bayescal._tables.parquet_netcdf import arrow_cells, arrow_headers
 from bayescal._tables.raw_table import Table, as_format, refuse_large
 from bayescal.workshop import ReadOptions, one_line
 

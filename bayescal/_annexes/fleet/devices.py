@@ -17,9 +17,9 @@ import numpy as np
 import pandas as pd
 
 from bayescal import Column, InputError, Measurements
-from bayescal._data.column import ConvertedColumns, Source
+from bayescal._data.column import ConvertedColumns, Place, Source
 from bayescal._data.column_conversion import convert_columns
-from bayescal._data.dataset_checks import Place, backward_time, same_temperature
+from bayescal._data.dataset_checks import backward_time, same_temperature
 from bayescal._data.header_matching import MatchedFile
 from bayescal._data.read_options import (
     ExpectedColumns,

@@ -9,7 +9,7 @@ TURNING = (0.0, 100.0, -100.0)  # °/s, rates of the table, without which no sca
 
 
 def _fuller(effects) -> Campaign:
-    turning = any(name.startswith("scale") for name in effects)
+    turning = any(INSTRUMENT.effect(name).slot == "scale" for name in effects)
     return Campaign(rate_input=TURNING if turning else None)
 
 

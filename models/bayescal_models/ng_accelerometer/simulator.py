@@ -98,12 +98,13 @@ def _ones(w: World) -> Array:
     return np.ones_like(w.time)
 
 
-def _scatter(what: str, group: str) -> Callable[[World], Array]:
+def _scatter(
+    what: str, group: str, along: Callable[[World], Array] = _ones
+) -> Callable[[World], Array]:
     """One deviation for each cell or run; the size is their standard deviation."""
 
     def curve(w: World) -> Array:
-        draws = w.by_cell[what] if group == "cell" else w.by_run[what]
-        return draws * (_fixture(w) if what.endswith("temperature") else np.ones_like(w.time))
+        return (w.by_cell[what] if group == "cell" else w.by_run[what]) * along(w)
 
     return curve
 
@@ -136,7 +137,7 @@ _LAWS = {
     "fixture_tilt.temperature": Law("fixture_tilt", "urad", _fixture),
     "fixture_tilt.run": Law("fixture_tilt", "urad", _scatter("fixture_tilt", "run")),
     "fixture_tilt.run_temperature": Law(
-        "fixture_tilt", "urad", _scatter("fixture_tilt.temperature", "run")
+        "fixture_tilt", "urad", _scatter("fixture_tilt.temperature", "run", _fixture)
     ),
     "fixture_tilt.position": Law(
         "fixture_tilt", "urad", lambda w: (w.fixture - w.plan.T0) * _lobed(w)

@@ -124,37 +124,33 @@ def _one_way(readings: bc.Measurements) -> str | None:
 
 POWERS = ("", "linear", "quadratic", "cubic", "quartic", "")
 T1, T2 = BOTH = ("temperature_circuit", "temperature_head")
+BySlot = dict[str, Maker]
 
 
-def _either(basis: Callable[..., Any], equation: str, *columns: str, **more: Any) -> Maker:
-    """An effect on the bias or, where its name says so, on the scale factor, which only an acceleration shows."""
-
-    def made(name: str, size: float, unit: str, source: str) -> bc.Effect:
-        needed = (*columns, "acceleration") if name.startswith("scale") else columns
-        maker = effect(basis, equation, *needed, **{"along": "", **more})
-        return maker(name, size, unit, source)
-
-    return made
+def _either(basis: Callable[..., Any], equation: str, *columns: str, **more: Any) -> BySlot:
+    """Return the makers of an effect on the bias and on the scale factor, which only an acceleration shows."""
+    needed = {"bias": columns, "scale": (*columns, "acceleration")}
+    return {s: effect(basis, equation, *n, **{"along": "", **more}) for s, n in needed.items()}
 
 
-def _t1(n: int) -> Maker:
+def _t1(n: int) -> BySlot:
     return _either(
         partial(_power, circuit, n), f"c·(t1 − T0){SIGNS[n - 1]}", *BOTH, along=T1, kind=POWERS[n]
     )
 
 
-def _t2(n: int) -> Maker:
+def _t2(n: int) -> BySlot:
     return _either(
         partial(_power, head, n), f"c·(t2 − T0){SIGNS[n - 1]}", T2, along=T2, kind=POWERS[n]
     )
 
 
-def _difference(n: int) -> Maker:
+def _difference(n: int) -> BySlot:
     kind = POWERS[n] if n > 1 else ""  # its first column is no gradient
     return _either(partial(_power, gradient, n), f"c·(t1 − t2){SIGNS[n - 1]}", *BOTH, kind=kind)
 
 
-def _of_sum(n: int) -> Maker:
+def _of_sum(n: int) -> BySlot:
     nominal = f"F0 = {FREQUENCY_SUM:g} Hz, F' = {FREQUENCY_TEMPCO:g} Hz/°C"
     equation = f"c·((F − F0)/F'){SIGNS[n - 1]},  {nominal}"
     return _either(
@@ -162,26 +158,22 @@ def _of_sum(n: int) -> Maker:
     )
 
 
-def _rate(column: str, sign: str) -> Maker:
+def _rate(column: str, sign: str) -> BySlot:
     basis, along = partial(_slope, column), f"{column} rate"
     return _either(basis, f"c·d{sign}/dt", "time", column, along=along, kind="rate")
 
 
-def _by_rate(of: Callable[[bc.Frame], Any], column: str, sign: str) -> Maker:
+def _by_rate(of: Callable[[bc.Frame], Any], column: str, sign: str) -> BySlot:
     basis = partial(_times_rate, of, column)
     return _either(basis, f"c·({sign} − T0)·d{sign}/dt", "time", *BOTH)
 
 
-def _by_gradient(of: Callable[[bc.Frame], Any], sign: str) -> Maker:
+def _by_gradient(of: Callable[[bc.Frame], Any], sign: str) -> BySlot:
     return _either(partial(_times_gradient, of), f"c·({sign} − T0)·(t1 − t2)", *BOTH)
 
 
-def _lagging(name: str, size: float, unit: str, source: str) -> bc.Effect:
-    """The body of the head is one for both slots, and a form of the bias's lag."""
-    start, bodies = (20.0, None) if name.startswith("bias") else (20.0 * SHARE, {})
-    body = {"column": T2, "bodies": bodies}
-    lag = catalogue.thermal_lag(MINUTE, 60 * MINUTE, start, unit.partition("/")[0], **body)
-    return lag(name, size, unit, source)
+def _lagging(start: float, unit: str, **more: Any) -> Maker:
+    return catalogue.thermal_lag(MINUTE, 60 * MINUTE, start, unit, column=T2, **more)
 
 
 CONSTANT = _either(one, "c", along=None)
@@ -198,6 +190,8 @@ SLIPPING = _either(
 # the scale factor a tenth, ppm, but for the constants.
 SHARE, OURS = 0.1, "ours"
 CONSTANTS = {"bias": 20_000.0, "scale": 5000.0}  # µg, ppm
+# The body of the head is one for both slots, and a form of the bias's lag.
+LAGGING = {"bias": _lagging(20.0, "ug"), "scale": _lagging(20.0 * SHARE, "ppm", bodies={})}
 OF_CIRCUIT = (
     ("temperature_circuit", _t1(1), 50.0, "/degC"),
     ("temperature_circuit_quadratic", _t1(2), 0.5, "/degC^2"),
@@ -226,7 +220,7 @@ PRODUCTS_OF_CIRCUIT = (  # the document leaves open which thermometer t is
     ("temperature_x_gradient_circuit", _by_gradient(circuit, "t1"), 0.5, "/degC^2"),
 )
 OTHERS = (
-    ("thermal_lag", _lagging, 20.0, "/degC", OURS),
+    ("thermal_lag", LAGGING, 20.0, "/degC", OURS),
     ("hysteresis", SLIPPING, 20.0, "", OURS),
     ("warm_up", catalogue.warm_up(2 * MINUTE, 60 * MINUTE), 50.0, "", OURS),
     ("drift", catalogue.drift, 10.0, "", OURS),
@@ -245,7 +239,8 @@ def _both(*rows: tuple[Any, ...]) -> Iterator[tuple[Any, ...]]:
     for slot, unit, share in (("bias", "ug", 1.0), ("scale", "ppm", SHARE)):
         for cause, maker, size, per, *source in rows:
             own = size[slot] if isinstance(size, dict) else size * share
-            yield f"{slot}.{cause}", maker, own, unit + per, *source
+            of_slot = maker[slot] if isinstance(maker, dict) else maker
+            yield f"{slot}.{cause}", of_slot, own, unit + per, *source
 
 
 EFFECTS = EffectTable.of(

@@ -235,8 +235,8 @@ def true_values(
 
 
 def _true(world: World, effects: Mapping[str, float], seed: int) -> tuple[World, Truth]:
-    known = [f"{slot}.{cause}" for slot in ("bias", "scale") for cause in (*LAWS, *CHANCE)]
-    known += ["second_order", *OF_BIAS, *(CUBIC if world.plan.device == "cubic" else ())]
+    places = {f"{s}.{cause}": (s, cause) for s in ("bias", "scale") for cause in (*LAWS, *CHANCE)}
+    known = [*places, "second_order", *OF_BIAS, *(CUBIC if world.plan.device == "cubic" else ())]
     simulated.refuse_effects(effects, known, f"a {world.plan.device!r} device")
     generators = simulated.generators(CHANCES, seed)
     world.supply = simulated.wandering_supply(generators["supply"], world.time)
@@ -244,7 +244,7 @@ def _true(world: World, effects: Mapping[str, float], seed: int) -> tuple[World,
     sums = {"bias": device.bias, "scale": device.scale}
     chances = {slot: _chance(generators[slot], world) for slot in sums}
     for name, size in effects.items():
-        slot, _, cause = name.partition(".")
+        slot, cause = places.get(name, ("bias", ""))
         if cause in LAWS:
             sums[slot] = sums[slot] + size * world.average(LAWS[cause](world))
         elif name in OF_BIAS:
