@@ -36,7 +36,7 @@ BEHIND = {
         _inference.method: Method
         _inference.problem: Problem
         _inference.record: Record
-        _inference.sampling: PriorShare around_mode propose
+        _inference.sampling: around_mode prior_share propose
         _model.frame: Frame build_frame reference_name reference_of
         _model.parameters: Layout bind
         _model.unknowns: Unknowns

@@ -36,6 +36,7 @@ from bayescal import (
     fit,
 )
 from bayescal._annexes.fleet.batch_result import Moments
+from bayescal._annexes.fleet.engine import NOT_REACHED
 from bayescal._calibration.claim import Claim
 from bayescal._calibration.judgement import noiseless
 from bayescal._core import deadline
@@ -59,7 +60,6 @@ ROUNDS = 60  # of σ² and the degrees of freedom that coefficients leave
 DIGITS = 1e-12  # of σ², to which it is the same from below and from above
 LEAST_NOISE = 1e-24  # share of the readings' variance, below which the noise counts as none
 NOISE = "noise.white"
-NOT_REACHED = "not reached ({}): give more time"
 
 
 @dataclass(frozen=True)
@@ -228,7 +228,7 @@ def _together(layout: Layout, frames: Sequence[Frame]) -> Problem | None:
             jacobian, own = _linearised(problem)[1][0], _linearised(alone)[1]
             like = np.allclose(jacobian, own, rtol=ALIKE, atol=ALIKE * np.max(np.abs(own)))
             return problem if like else None
-    except (ValueError, TypeError, IndexError, BayescalError):  # of two axes
+    except (ValueError, TypeError, LookupError, BayescalError):  # of two axes
         pass
     return None
 
