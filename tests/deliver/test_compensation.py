@@ -116,7 +116,8 @@ def test_a_time_constant_that_is_hardly_known_stays_in_its_range(seed: int) -> N
         position_angle=angle,
         output=acts + bias + 8 * random.standard_normal(2 * count),
     )
-    calibration = bc.fit(HEAD.baseline() + "bias.warm_up", readings, strict=False)
+    quick = bc.Marginal(draws=1000, chains=False)
+    calibration = bc.fit(HEAD.baseline() + "bias.warm_up", readings, quick, strict=False)
     found = bc.compensator(calibration)(readings, warn=False)
     assert np.max(abs(found.value - acts) / found.uncertainty) < 4.5
     assert np.max(found.uncertainty) < 16

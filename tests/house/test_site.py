@@ -26,7 +26,6 @@ DOCS = ROOT / "docs"
 PAGES = {str(p.relative_to(DOCS)): p.read_text("utf-8") for p in sorted(DOCS.rglob("*.md"))}
 QUICK = ("how_to/readings.md",)  # the others fit and search: minutes
 SAMPLED = ("instruments/differential_pair.md",)  # by chains, whose draws depend on the processor
-TESTED_ELSEWHERE = ("own_effect.md",)  # by test_own_effects.py
 RUN = [name for name, page in PAGES.items() if re.search("^```(python|sh)", page, re.MULTILINE)]
 
 
@@ -116,7 +115,7 @@ def test_quick_pages_do_what_they_show(name: str, tmp_path: Path) -> None:
 
 @pytest.mark.nightly
 @needs_installation
-@pytest.mark.parametrize("name", [n for n in RUN if n not in (*QUICK, *TESTED_ELSEWHERE)])
+@pytest.mark.parametrize("name", [n for n in RUN if n not in QUICK])
 def test_pages_do_what_they_show(name: str, tmp_path: Path) -> None:
     _follow(name, tmp_path)
 

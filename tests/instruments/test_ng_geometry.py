@@ -64,21 +64,36 @@ def test_small_angles_are_the_document_s() -> None:
     np.testing.assert_allclose(exact, small, atol=1e-3)
 
 
-@pytest.mark.parametrize("positions", [4, 12])
-def test_fixture_tilt_is_bias_and_spares_the_scale_factor(positions: int) -> None:
-    bias, scale = cells({"fixture_tilt.constant": 582.0}, positions)  # 2′
-    assert bias == pytest.approx(582.0 * np.cos(0.45 * DEGREE), rel=1e-6)
-    assert scale == pytest.approx(-0.17, abs=0.005)
+COS, PERP = np.cos(0.45 * DEGREE), "base_tilt.constant[perp]"
+HARMONIC = 0.5 * 0.05 * (FULL / 1e3) ** 2  # µg, of K2 = 0.05 µg/mg²
+CELLS = [  # effect, its size, positions, tilt in °; bias in µg and scale factor in ppm, and within what of them
+    *(("fixture_tilt.constant", 582.0, n, 0.45, 582.0 * COS, -0.17, 5e-3) for n in (4, 12)),  # 2′
+    # The base and its setting are scale factor, as far as the tilt says; the face turned over, with another sign.
+    *((name, 1.0, 12, 0.45, 0.0, 617.0, 0.6) for name in (PERP, "tilt.setting")),
+    *((name, 1.0, 12, 0.06, 0.0, 4630.0, 4.6) for name in (PERP, "tilt.setting")),
+    *(
+        (PERP, 5.0 / SECOND, 12, t, 0.0, s, 1.0)
+        for t, s in ((0.45, 637), (0.3, 955), (-0.45, -637))
+    ),
+    # A constant tilt as large as the tide.
+    *((PERP, 0.200 / SECOND, 12, t, 0.0, s, 0.5) for t, s in ((0.45, 25), (0.06, 191))),
+    *((PERP, 0.242 / SECOND, 12, t, 0.0, s, 0.5) for t, s in ((0.45, 31), (0.06, 231))),
+    ("second_order", 0.05, 4, 0.45, 0.0, 0.0, 1e-6),
+    ("second_order", 0.05, 12, 0.45, HARMONIC, 0.0, 1e-6),
+    ("third_order", 0.01, 4, 0.45, 0.0, 617.0, 1.0),
+    ("third_order", 0.01, 12, 0.45, 0.0, 0.75 * 617.0, 1.0),
+    *(("cross_coupling", 1e-4, 12, tilt, 0.0, 100.0 * COS, 4e-3) for tilt in (0.45, 0.30)),
+    ("cross_coupling", 1e-4, 12, 179.55, 0.0, -100.0 * COS, 1e-3),
+    ("fixture_tilt.constant", 100.0, 12, 179.55, -100.0, 0.0, 0.01),
+]
 
 
-@pytest.mark.parametrize(("tilt", "ppm"), [(0.45, 617), (0.06, 4630)])
-@pytest.mark.parametrize("name", ["base_tilt.constant[perp]", "tilt.setting"])
-def test_a_second_of_arc_of_base_or_setting_is_scale_factor(
-    name: str, tilt: float, ppm: float
+@pytest.mark.parametrize(("effect", "size", "positions", "tilt", "bias", "scale", "within"), CELLS)
+def test_aliases_are_those_of_the_document(
+    effect, size, positions, tilt, bias, scale, within
 ) -> None:
-    bias, scale = cells({name: 1.0}, tilt=tilt)
-    assert scale == pytest.approx(ppm, rel=0.001)
-    assert bias == pytest.approx(0.0, abs=1e-3)
+    found = cells({effect: size}, positions, tilt)
+    assert found == pytest.approx((bias, scale), abs=within)
 
 
 def test_parallel_base_tilt_and_azimuth_are_one_in_a_cell() -> None:
@@ -92,49 +107,12 @@ def test_parallel_base_tilt_and_azimuth_are_one_in_a_cell() -> None:
     np.testing.assert_allclose(leaning, turned, atol=2e-3)
 
 
-def test_second_order_is_harmless_at_four_positions_and_a_harmonic_at_twelve() -> None:
-    effect = {"second_order": 0.05}
-    assert cells(effect, 4) == pytest.approx((0.0, 0.0), abs=1e-6)
-    half = 0.5 * 0.05 * (FULL / 1e3) ** 2
-    bias, scale = cells(effect, 12)
-    assert (bias, scale) == pytest.approx((half, 0.0), abs=1e-6)
-    assert bias == pytest.approx(1.5, abs=0.05)
-    made = simulate_arrays(effect, seed=1, campaign=STILL)
+def test_second_order_is_a_harmonic_of_the_angle() -> None:
+    assert pytest.approx(1.5, abs=0.05) == HARMONIC
+    made = simulate_arrays({"second_order": 0.05}, seed=1, campaign=STILL)
     level = simulate_arrays(seed=1, campaign=STILL)
     change, angle = made.noise_free - level.noise_free, made.world.angle[:, 0]
-    np.testing.assert_allclose(change, half - half * np.cos(2 * angle), atol=1e-6)
-
-
-def test_third_order_adds_to_the_scale_factor() -> None:
-    effect = {"third_order": 0.01}
-    assert cells(effect, 4)[1] == pytest.approx(617.0, abs=1.0)
-    assert cells(effect, 12)[1] == pytest.approx(0.75 * 617.0, abs=1.0)
-
-
-def test_cross_coupling_is_scale_factor_until_the_face_is_turned_over() -> None:
-    effect = {"cross_coupling": 1e-4}
-    upright = cells(effect)[1]
-    assert upright == pytest.approx(100.0 * np.cos(0.45 * DEGREE), rel=1e-6)
-    assert cells(effect, tilt=0.30)[1] - upright == pytest.approx(0.0, abs=0.004)
-    assert cells(effect, tilt=179.55)[1] == pytest.approx(-upright, rel=1e-6)
-    assert cells({"fixture_tilt.constant": 100.0}, tilt=179.55)[0] == pytest.approx(
-        -100.0, rel=1e-4
-    )
-
-
-@pytest.mark.parametrize(("tilt", "ppm"), [(0.45, 637), (0.30, 955), (-0.45, -637)])
-def test_other_tilts_tell_the_base_from_the_scale_factor(tilt: float, ppm: float) -> None:
-    effect = {"base_tilt.constant[perp]": 5.0 / SECOND}
-    assert cells(effect, tilt=tilt)[1] == pytest.approx(ppm, abs=1.0)
-
-
-@pytest.mark.parametrize(
-    ("tilt", "peak", "ppm"),
-    [(0.45, 200.0, 25), (0.06, 200.0, 191), (0.45, 242.0, 31), (0.06, 242.0, 231)],
-)
-def test_a_constant_tilt_as_large_as_the_tide(tilt: float, peak: float, ppm: float) -> None:
-    effect = {"base_tilt.constant[perp]": 1e-3 * peak / SECOND}
-    assert cells(effect, tilt=tilt)[1] == pytest.approx(ppm, abs=0.5)
+    np.testing.assert_allclose(change, HARMONIC - HARMONIC * np.cos(2 * angle), atol=1e-6)
 
 
 def test_dividing_error_is_invisible_and_wobble_is_not() -> None:

@@ -8,13 +8,14 @@ import pytest
 import bayescal as bc
 from bayescal_models import ng_accelerometer as ng
 from bayescal_models.ng_accelerometer import reference_problem
+from tests.support import references
 
 LINE = ("bias.constant", "bias.temperature", "scale.constant", "scale.temperature")
 
 
 @pytest.fixture(scope="module")
 def proved() -> bc.Calibration:
-    return bc.fit(reference_problem.model(), reference_problem.readings(0), bc.LeastSquares())
+    return references.calibration("ng_accelerometer")
 
 
 def test_the_line_is_recovered_within_its_uncertainty(proved: bc.Calibration) -> None:

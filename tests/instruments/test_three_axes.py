@@ -38,7 +38,8 @@ def thermal() -> bc.Calibration:
     readings = accelerometer_triad.simulate(
         {"bias.temperature": 0.3, "square.constant": 1.0}, seed=3, campaign=THERMAL
     )
-    return bc.fit(MODEL + ["bias.temperature", "square.constant"], readings)
+    model = MODEL + ["bias.temperature", "square.constant"]
+    return bc.fit(model, readings, bc.LeastSquares())
 
 
 @shared
@@ -47,7 +48,7 @@ def bent() -> bc.Calibration:
     campaign = replace(THERMAL, noise=1e-4)
     hidden = {"square.constant": 2.0, "cube.constant": 3.0}
     readings = accelerometer_triad.simulate(hidden, seed=3, campaign=campaign)
-    return bc.fit(MODEL + ["square.constant", "cube.constant"], readings)
+    return bc.fit(MODEL + ["square.constant", "cube.constant"], readings, bc.LeastSquares())
 
 
 def outputs(readings: bc.Measurements) -> np.ndarray:

@@ -57,32 +57,6 @@ def test_as_many_flat_coefficients_as_readings_are_refused() -> None:
     assert bc.fit(flat.fix({"bias.power2": 0.0}), readings(rows=3), QUICK, strict=False)
 
 
-def test_every_unknown_stands_in_exactly_one_place() -> None:
-    data = readings(
-        run=np.repeat(["1", "2"], 6), time=np.tile(np.arange(6.0), 2) + np.repeat([0.0, 100.0], 6)
-    )
-    model = BASELINE + effects.thermometer(0.3, source="none") + ["bias.run", "bias.thermal_lag"]
-    promoted = bc.Marginal(proposals=64, promote=("bias.temperature",))
-    layout = bc.fit(model.fix({"bias.constant": 20.0}), data, promoted, strict=False).layout
-    places = {b.name: b.place for b in layout.blocks}
-    assert places == {
-        "bias.constant": "fixed",
-        "bias.temperature": "phi",
-        "temperature.reading": "input",
-        "bias.run": "x",
-        "bias.thermal_lag": "x",
-        "bias.thermal_lag[start]": "x",
-    }
-    assert layout.size == 2 + 1 + 2
-    assert [h.name for h in layout.hypers] == [
-        "noise.white",
-        "bias.run.group_sd",
-        "bias.thermal_lag[start].group_sd",
-        "bias.thermal_lag.tau",
-        "bias.temperature",
-    ]
-
-
 STATION = effects.deviation("bias", "station", 0.2, "deg/s", source="ours")
 WITH_STATIONS = replace(
     mems_gyro.INSTRUMENT,
