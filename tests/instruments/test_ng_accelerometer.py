@@ -8,10 +8,13 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+import bayescal as bc
 from bayescal_models import ng_accelerometer as ng
+from bayescal_models.ng_accelerometer import reference_problem
 from bayescal_models.ng_accelerometer.model import accelerations
 from bayescal_models.ng_accelerometer.simulator import gravity, simulate_arrays
 from bayescal_models.simulated import ARCSEC, DEGREE
+from tests.support import references
 
 IDEAL = dict.fromkeys(ng.INSTRUMENT_A.truth, 0.0)
 STILL = replace(
@@ -121,3 +124,95 @@ def test_dividing_error_is_invisible_and_wobble_is_not() -> None:
     assert 0.02 < np.abs(divided - level).max() < 0.06
     wobbling = simulate_arrays({"rotation.wobble": 1.0}, seed=1, campaign=STILL).noise_free
     assert np.abs(wobbling - level).max() > SECOND
+
+
+# The customary estimators of the ng accelerometer return what source 0 says of them, and refuse the rest.
+
+
+NO_SCATTER = {f"{slot}.cell": 0.0 for slot in ("bias", "scale", "fixture_tilt", "base_tilt")}
+EXACT = replace(ng.INSTRUMENT_A, noise=0.0, thermometer_noise=0.0, chamber_wander=0.0)
+HEATING = {
+    **dict.fromkeys(EXACT.truth, 0.0),
+    "bias.temperature": 10.0,
+    "scale.temperature": 100.0,
+    "fixture_tilt.temperature": 5.0,
+}
+
+
+def test_four_and_twelve_positions_agree_on_a_linear_instrument() -> None:
+    readings = ng.simulate(NO_SCATTER, seed=1, campaign=EXACT)
+    twelve, four = ng.classical_estimates(readings), ng.classical_estimates(readings, 4)
+    assert (twelve.positions, four.positions) == (12, 4)
+    np.testing.assert_allclose(twelve.bias, four.bias, atol=1.0)
+    np.testing.assert_allclose(twelve.scale, four.scale, atol=1.0)
+    for made in (twelve, four):
+        assert made.scale_tempco.value == pytest.approx(60.0, abs=0.5)
+        # the constant fixture tilt carries the scale factor's slope into the bias: 150 µrad × 60 ppm/°C
+        assert made.bias_tempco.value == pytest.approx(10.0 + 150 * 60e-6, abs=0.003)
+    np.testing.assert_allclose(twelve.bias[2], 850.0 + 150.0, atol=2.0)
+
+
+def test_fixed_point_heating_has_three_answers() -> None:
+    plan = replace(ng.fixed_point_heating(EXACT), truth=HEATING)
+    made = ng.fixed_point_tempcos(ng.simulate(seed=1, campaign=plan), bias_tempco=10.0)
+    assert made.zero_subtracted == pytest.approx((100, 100), abs=5)
+    assert made.bias_subtracted == pytest.approx((737, -537), abs=5)
+    assert made.nothing_subtracted == pytest.approx((2010, -1810), abs=5)
+    assert made.bias_tempco == pytest.approx(15.0, abs=0.1)
+
+
+def test_a_fixture_of_its_own_in_each_set_up_spoils_the_subtraction() -> None:
+    plan = replace(ng.fixed_point_heating(EXACT), truth=HEATING)
+    readings = ng.simulate({"fixture_tilt.run_temperature": 2.0}, seed=1, campaign=plan)
+    plus, minus = ng.fixed_point_tempcos(readings).zero_subtracted
+    assert abs(plus - minus) > 100
+
+
+# A ng accelerometer's posterior recovers the truth and keeps the width that nuisance angles leave.
+
+
+LINE = ("bias.constant", "bias.temperature", "scale.constant", "scale.temperature")
+
+
+@pytest.fixture(scope="module")
+def proved() -> bc.Calibration:
+    return references.calibration("ng_accelerometer")
+
+
+def test_the_line_is_recovered_within_its_uncertainty(proved: bc.Calibration) -> None:
+    assert proved.verdict.ok
+    for name in LINE:
+        draws = proved.samples(name)
+        assert abs(draws.mean() - reference_problem.CAMPAIGN.truth[name]) < 3 * draws.std(), name
+    for name in ("bias.temperature", "scale.temperature"):
+        sd = proved.model.effect(name).coefficients[0].size
+        assert proved.samples(name).std() < 0.2 * sd, name  # learned, not the prior
+
+
+def test_bias_keeps_the_width_that_the_fixture_tilt_leaves(proved: bc.Calibration) -> None:
+    bias, tilt = proved.samples("bias.constant"), proved.samples("fixture_tilt.constant")
+    # priors of 200 µg and 291 µg for what only adds up: 1/√(1/200² + 1/291²) = 165 µg
+    assert bias.std() == pytest.approx(165.0, rel=0.1)
+    assert np.std(bias + tilt) < 10.0
+    scale = proved.samples("scale.constant").std()  # γ2⊥ and the setting, 617 ppm each
+    assert np.sqrt(2) * 617 * 0.85 < scale < np.sqrt(2) * 617 * 1.15
+
+
+def test_setting_and_base_tilt_are_told_apart_by_their_priors_alone(proved: bc.Calibration) -> None:
+    setting, base = (proved.samples(n) for n in ("tilt.setting", "base_tilt.constant[perp]"))
+    assert setting.std() == pytest.approx(1.0, rel=0.15)
+    assert base.std() == pytest.approx(1.0, rel=0.15)
+
+
+@pytest.fixture(scope="module")
+def full() -> bc.Calibration:
+    # Draws enough to know the ends of 99 % intervals: of 500, that of a coefficient moves by a third of its sd.
+    many = bc.Marginal(draws=8000, proposals=20_000)
+    return bc.fit(ng.INSTRUMENT.baseline(), ng.simulate(seed=2), many, seed=2)
+
+
+@pytest.mark.slow
+def test_one_factor_of_scale_times_fixture_tilt_is_promoted(full: bc.Calibration) -> None:
+    for name in LINE:
+        low, high = np.quantile(full.samples(name), [0.005, 0.995])
+        assert low < ng.INSTRUMENT_A.truth[name] < high, name
