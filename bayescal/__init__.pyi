@@ -88,7 +88,7 @@ from ._calibration.calibration import Calibration as Calibration
 from ._core.settings import Settings as Settings
 from ._core.settings import use_settings as use_settings
 from ._inference.method import Verdict as Verdict
-from ._calibration.check_result import Check as Check
+from ._calibration.check import Check as Check
 from ._calibration.compare import Comparison as Comparison
 from ._search.discover import Discovery as Discovery
 from ._report.save_search import (

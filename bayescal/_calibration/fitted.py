@@ -14,9 +14,8 @@ from scipy.special import chdtrc
 from bayescal._calibration.confounding import Confounder, confounders, unexplained, widened
 from bayescal._core.errors import InputError
 from bayescal._core.parallel import on_one_thread
-from bayescal._data.dataset_checks import resolution
+from bayescal._data.dataset_checks import FEW_CHANGES, resolution
 from bayescal._data.measurements import Measurements
-from bayescal._data.thermometer_checks import FEW_CHANGES
 from bayescal._data.time_in_runs import on_clock
 from bayescal._inference.laplace import Mode
 from bayescal._inference.linear_model import LinearModel, linear_model

@@ -14,7 +14,6 @@ from typing import Any
 import numpy as np
 from scipy.special import stdtr
 
-from bayescal._calibration.check_result import Check
 from bayescal._calibration.claim import Claim
 from bayescal._calibration.fitted import Fitted
 from bayescal._calibration.leave_group_out import LeaveOneGroupOut, scheme
@@ -74,7 +73,7 @@ class Subject:
     fit: Fitted
     accepted: Collection[str] = ()  # coefficients or effects that may contradict their priors
     noise_floor: float = math.inf  # noise that no model could remove, output unit
-    check: Check | Any = None  # where the fit fails; None, as `left_out`, where no check asks
+    check: Any = None  # its `Check`, where it fails; None, as `left_out`, where no check asks
     left_out: LeaveOneGroupOut | None = None  # each group predicted from the others
     doubts: tuple[Claim, ...] = ()  # of its mode
     first: Model | None = None  # that a search began with, whose thermometers count

@@ -12,7 +12,6 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
-import jax
 import numpy as np
 from jaxtyping import Float
 from scipy.special import fdtrc
@@ -71,7 +70,7 @@ class Part(Record):
         kept = np.flatnonzero(place[order] >= 0)
         steps = np.diff(np.cumsum(np.maximum(step, 0.0))[kept], prepend=0.0)
         steps[np.diff(np.cumsum(step < 0)[kept], prepend=-1) != 0] = -1.0
-        frame = jax.tree.map(np.asarray, whole.frame).reordered(rows, place[order[kept]], steps)
+        frame = whole.frame.reordered(rows, place[order[kept]], steps)
         super().__init__(whole.instrument, frame, whole.y[rows], plain=whole.plain)
         self.whole, self.rows = whole, rows
 

@@ -29,7 +29,7 @@ from numpy.polynomial.legendre import legvander
 from scipy.fft import dct, idct
 from scipy.special import ndtri, softmax
 
-from bayescal._calibration.check_result import allan_rows
+from bayescal._calibration.check import allan_rows
 from bayescal._calibration.claim import Claim
 from bayescal._core import deadline
 from bayescal._core.errors import InputError

@@ -98,8 +98,8 @@ def load_calibration(
     """Read the fields of a calibration; see `bayescal.load`."""
     if path.is_dir():
         saved = sorted([*path.glob("*.nc"), *path.glob("*/*.nc")])
-        there = f", {' or '.join(map(str, saved[:6]))}" if saved else ""
-        raise InputError(f"{path} is a folder: give the calibration in it{there}")
+        there = " or ".join(map(str, saved[:6])) or "of which there is none"
+        raise InputError(f"{path} is a folder: give the calibration in it, {there}")
     if not path.is_file():
         raise InputError(f"There is no file {path}: give a calibration saved by bayescal (…nc)")
     content = io.BytesIO(verified(path, "a saved calibration", AGAIN))

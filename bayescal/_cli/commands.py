@@ -12,22 +12,28 @@ from __future__ import annotations
 import inspect
 import shutil
 import sys
-from dataclasses import replace
+from functools import partial
 from importlib.metadata import entry_points
 from pathlib import Path
 from typing import Any
+
+from typer import Argument
 
 import bayescal as bc
 from bayescal._cli import options, request, saved
 from bayescal._cli.console import Answer, drawn, print_notes, result_folder
 from bayescal._cli.options import (
+    AsJson,
     ColumnOptions,
-    Commands,
+    Command,
     ModelOptions,
     OwnParts,
     ReadRequest,
     SearchRequest,
+    Shared,
+    Texts,
     UsedParts,
+    opt,
 )
 from bayescal._cli.request import instrument_named
 from bayescal._core import deadline
@@ -47,395 +53,444 @@ from bayescal._report.whole_folder import (
     whole_folder,
 )
 
-commands = Commands()
 PAIR_SELECTIONS = "bayescal.pair_selections"
 """`select(calibration, criterion=…)` gives a table of pairs that prints itself and has `data()`, plain JSON."""
 
-# The instrument whose output does not change but by its noise and temperature.
-AT_REST = "still_sensor"
+CRITERIA = ("residual", "ratio-variance", "ratio-variance-raw")
 
 
-@commands.example("bayescal instruments --check level.py:INSTRUMENT --readings bar.csv")
-def instruments(
-    named: str | None = None,
-    check: str | None = None,
-    readings: list[Path] | None = None,
-    seed: int = 0,
-) -> Answer:
+class InstrumentsCommand(AsJson, Command):
     """List installed instruments, describe one, or check your own."""
-    from bayescal._model.installed import installed_instruments
 
-    if check is not None:
-        chosen = instrument_named(check)
-        given = bc.read(list(readings), chosen) if readings else None
-        found = bc.check_instrument(chosen, given, seed=seed)
-        return Answer(found, ok=found.ok, why=" ".join(found.errors))
-    if readings:
-        raise InputError("--readings are for --check: say which instrument, my.py:INSTRUMENT")
-    from bayescal._cli.output import instrument_shown, instruments_listed
+    example = "bayescal instruments --check level.py:INSTRUMENT --readings bar.csv"
+    named: str | None = Argument(
+        None, metavar="NAME", help="Instrument whose columns and effects are listed; all if none."
+    )
+    check: str | None = opt(
+        "Simulate this instrument, fit what was simulated, and say what came back.",
+        metavar="my.py:INSTRUMENT",
+    )
+    readings: list[Path] | None = opt(
+        "With --check: files whose columns are taken in place of a simulator's.",
+        callback=options.refuse_missing,
+    )
+    seed: int = Shared.seed
 
-    if named is not None:
-        return Answer(*instrument_shown(instrument_named(named)))
-    return Answer(*instruments_listed(installed_instruments()))
+    def answer(self) -> Answer:
+        from bayescal._model.installed import installed_instruments
+
+        if self.check is not None:
+            chosen = instrument_named(self.check)
+            given = bc.read(self.readings, chosen) if self.readings else None
+            found = bc.check_instrument(chosen, given, seed=self.seed)
+            return Answer(found, ok=found.ok, why=" ".join(found.errors))
+        if self.readings:
+            raise InputError("--readings are for --check: say which instrument, my.py:INSTRUMENT")
+        from bayescal._cli.output import instrument_shown, instruments_listed
+
+        if self.named is not None:
+            return Answer(*instrument_shown(instrument_named(self.named)))
+        return Answer(*instruments_listed(installed_instruments()))
 
 
-@commands.example("bayescal effects --instrument mems_gyro")
-def effects(instrument: str, effects_file: Path | None = None) -> Answer:
+class EffectsCommand(AsJson, Command):
     """List an instrument's effects with their sizes and sources."""
-    from bayescal._cli.output import effects_listed
 
-    chosen = instrument_named(instrument)
-    own = request.user_effects(effects_file)
-    kinds = {"baseline": chosen.effects, "candidate": chosen.candidates, "your own": own}
-    return Answer(*effects_listed(kinds))
+    example = "bayescal effects --instrument mems_gyro"
+    instrument: str = Shared.instrument
+    effects_file: Path | None = Shared.effects
+
+    def answer(self) -> Answer:
+        from bayescal._cli.output import effects_listed
+
+        chosen = instrument_named(self.instrument)
+        own = request.user_effects(self.effects_file)
+        kinds = {"baseline": chosen.effects, "candidate": chosen.candidates, "your own": own}
+        return Answer(*effects_listed(kinds))
 
 
-@commands.example(
-    "bayescal simulate --instrument mems_gyro --effect bias.thermal_lag=0.05 --out sim.csv"
-)
-def simulate(
-    instrument: str,
-    out: Path,
-    effect: list[str] | None = None,
-    noise_law: str = "white",
-    seed: int = 0,
-) -> Answer:
+class SimulateCommand(AsJson, Command):
     """Simulate a test campaign, with effects hidden in it."""
-    chosen = instrument_named(instrument)
-    if chosen.simulator is None:
-        raise InputError(f"instrument {chosen.name!r} has no simulator")
-    law = {} if noise_law == "white" else {"noise_law": noise_law}
-    if law and "noise_law" not in inspect.signature(chosen.simulator).parameters:
-        raise InputError(
-            f"the simulator of {chosen.name!r} has white noise only: leave --noise-law out"
-        )
-    hidden = options.named_numbers(effect, "--effect")
-    try:
-        readings = chosen.simulate(hidden, seed=seed, **law)
-    except ValueError as error:
-        raise InputError(str(error)) from None
-    readings.write(out)
-    hiding = ", ".join(f"{name} = {size:g}" for name, size in hidden.items()) or "nothing"
-    text = f"{out}: {len(readings)} readings, hidden: {hiding}; seed {seed}"
-    data = {"file": str(out), "rows": len(readings), "seed": seed, "noise_law": noise_law}
-    return Answer(text, {**data, "effects": hidden})
+
+    example = (
+        "bayescal simulate --instrument mems_gyro --effect bias.thermal_lag=0.05 --out sim.csv"
+    )
+    instrument: str = Shared.instrument
+    out: Path = opt("File to write: .csv, .parquet or .nc.", ...)
+    effect: Texts = opt("name=size: an effect to hide; repeat for more.")
+    noise_law: str = opt("white, student_t or ornstein_uhlenbeck.", "white")
+    seed: int = Shared.seed
+
+    def answer(self) -> Answer:
+        chosen = instrument_named(self.instrument)
+        if chosen.simulator is None:
+            raise InputError(f"instrument {chosen.name!r} has no simulator")
+        law = {} if self.noise_law == "white" else {"noise_law": self.noise_law}
+        if law and "noise_law" not in inspect.signature(chosen.simulator).parameters:
+            raise InputError(
+                f"the simulator of {chosen.name!r} has white noise only: leave --noise-law out"
+            )
+        hidden = options.named_numbers(self.effect, "--effect")
+        try:
+            readings = chosen.simulate(hidden, seed=self.seed, **law)
+        except ValueError as error:
+            said = str(error).replace("simulate_arrays", "--noise-law: ")
+            raise InputError(said) from None
+        readings.write(self.out)
+        hiding = ", ".join(f"{name} = {size:g}" for name, size in hidden.items()) or "nothing"
+        text = f"{self.out}: {len(readings)} readings, hidden: {hiding}; seed {self.seed}"
+        data = {"file": str(self.out), "rows": len(readings), "seed": self.seed}
+        return Answer(text, {**data, "noise_law": self.noise_law, "effects": hidden})
 
 
-@commands.example("bayescal pairs readings.csv")
-def pairs(
-    *,
-    files: list[Path],
-    instrument: str = "differential_pair",
-    criterion: str = "residual",
-    columns: ColumnOptions,
-    add: list[str] | None = None,
-    average: str | None = None,
-    seed: int = 0,
-) -> Answer:
+class PairsCommand(ReadRequest, AsJson, Command):
     """Rank pairs of devices by their probability to be the best."""
-    asked = ReadRequest(instrument, files, columns, ModelOptions(add=add), average)
-    chosen, model, readings = request.open_request(asked)
-    offers = [*entry_points(group=PAIR_SELECTIONS, name=chosen.name)]
-    if not offers:
-        raise InputError(f"instrument {chosen.name!r} does not choose its devices in pairs")
-    print_notes(readings.flags)
-    fitted = bc.fit(model, readings, seed=seed, strict=False)
-    verdict = fitted.verdict
-    select = offers[0].load()
-    return Answer(select(fitted, criterion=criterion), ok=verdict.ok, why=" ".join(verdict.reasons))
+
+    example = "bayescal pairs readings.csv"
+    instrument: str = opt("Whose devices are chosen in pairs.", "differential_pair")
+    criterion: str = opt(f"{', '.join(CRITERIA)}.", "residual")
+    add: Texts = Shared.add
+    average: str | None = Shared.average
+    seed: int = Shared.seed
+
+    def answer(self) -> Answer:
+        offers = [*entry_points(group=PAIR_SELECTIONS, name=self.instrument)]
+        if not offers:
+            raise InputError(
+                f"instrument {self.instrument!r} does not choose its devices in pairs: leave --instrument out"
+            )
+        if self.criterion not in CRITERIA:
+            raise InputError(f"--criterion {self.criterion!r} is not one of {', '.join(CRITERIA)}")
+        _, model, readings = request.open_request(self)
+        print_notes(readings.flags)
+        fitted = bc.fit(model, readings, seed=self.seed, strict=False)
+        verdict = fitted.verdict
+        found = offers[0].load()(fitted, criterion=self.criterion)
+        return Answer(found, ok=verdict.ok, why=" ".join(verdict.reasons))
 
 
-@commands.example("bayescal demo --out demo_output")
-def demo(out: Path = Path("demo_output"), seed: int = 0, json_: bool = False) -> Answer:
+class DemoCommand(AsJson, Command):
     """Find an effect that is hidden in simulated readings."""
-    files = out / "readings.csv", out / "holdout.csv"
-    with result_folder(out):
-        for number, file in enumerate(files, 1):
-            how = {"effect": ["bias.thermal_lag=0.05"], "seed": seed + number}
-            print_notes([simulate(instrument="mems_gyro", out=file, **how).shown])
-        given = "mems_gyro", [files[0]], ColumnOptions(), ModelOptions()
-        asked = SearchRequest(*given, holdout=[files[1]], seed=seed)
-        found = calibrate(asked=asked, out=out, json_=json_)
-    called = sys.argv[0]
-    own = "bayescal" if shutil.which("bayescal") == called else called
-    line = f"{own} calibrate FILE.csv --instrument mems_gyro --out result"
-    more = f"the picture: {out / 'loop.png'}\nwith readings of your own: {line}"
-    return replace(found, written=f"{found.written}\n{more}")
+
+    example = "bayescal demo --out demo_output"
+    out: Path = opt("Folder to write to.", Path("demo_output"))
+    seed: int = Shared.seed
+
+    def answer(self) -> Answer:
+        gyro, files = "mems_gyro", (self.out / "readings.csv", self.out / "holdout.csv")
+        hidden = ["bias.thermal_lag=0.05"]
+        with result_folder(self.out):
+            for seed, file in enumerate(files, self.seed + 1):
+                made = SimulateCommand(instrument=gyro, out=file, effect=hidden, seed=seed)
+                print_notes([made.answer().shown])
+            asked = {
+                "files": [files[0]],
+                "holdout": [files[1]],
+                "out": self.out,
+                "json_": self.json_,
+            }
+            found = CalibrateCommand(instrument=gyro, seed=self.seed, **asked).answer()
+        called = sys.argv[0]
+        own = "bayescal" if shutil.which("bayescal") == called else called
+        line = f"{own} calibrate FILE.csv --instrument mems_gyro --out result"
+        picture = f"the picture: {self.out / 'loop.png'}"
+        found.written += f"\n{picture}\nwith readings of your own: {line}"
+        return found
 
 
-@commands.example("bayescal calibrate readings.csv --instrument mems_gyro --out result")
-def calibrate(
-    *,
-    channels: str | None = None,
-    asked: SearchRequest,
-    simple_noise: bool = False,
-    covariates: str | None = None,
-    out: Path | None = None,
-    verbose: bool = False,
-    output_unit: str | None = None,
-    json_: bool = False,
-) -> Answer:
+class CalibrateCommand(SearchRequest, AsJson, Command):
     """Fit, find what is missing, add it, see the error fall.
 
     The first table stands as soon as the first fit does; Ctrl-C then ends the search with the best so far. Channels of
     one unit are searched together: structures and noise of their own, one body for all.
     """
-    names = options.channel_names(channels)
-    if names and output_unit is not None:
-        raise InputError("--output-unit is of one output: leave it out, or --channels")
-    if not names and out is not None and (out / CHANNELS).is_file():
-        raise InputError(
-            f"{out} holds the channels of a unit ({CHANNELS}), of which reports and parameters would still be made: "
-            "give another folder, or remove it"
-        )
-    models, readings, kept = request.searched(names, asked)
-    name, first = next(iter(readings.items()))
-    own = request.own_effects(asked.choice, models[name].instrument, first)
-    how = {
-        "effects": own,
-        "method": request.method_named(asked.method),
-        "reference": request.reference_of(asked.choice.reference, first),
-        **asked.settings(),
-        **options.causes(None, covariates),
-    }
-    with use_settings(Settings(finer_noise=not simple_noise)), result_folder(out) as folder:
-        if output_unit is not None:
-            from bayescal._report.report_text import output_factor
 
-            scale = first.scale or models[name].instrument.nominal_scale
-            output_factor(output_unit, first.unit("output") or "1", scale)
-        from bayescal._cli.output import ConsoleReporter, filled, loop_text
-        from bayescal._report.result_json import result
-        from bayescal._report.save_search import channels_data
+    example = "bayescal calibrate readings.csv --instrument mems_gyro --out result"
+    channels: str | None = Shared.channels
+    simple_noise: bool = opt("Leave out sums of noise terms: faster on long records.", False)
+    covariates: str | None = Shared.covariates
+    out: Path | None = Shared.folder
+    verbose: bool = opt("With all candidates of every step, and drafts of effects.", False)
+    output_unit: str | None = opt("Errors and coefficients in this unit of the output too.")
 
-        told = ConsoleReporter(json_ or bool(names), verbose)
-        if names:
-            how |= {"holdout": kept or None, "follow": told.of_channel}
-            found = bc.calibrate_channels(models, readings, **how)
-        else:
-            found = bc.calibrate(models[name], first, holdout=kept.get(""), follow=told, **how)
-        made, written = True, ""
-        if folder is not None:
-            made = drawn(found.save, folder)
-            usual = ("result.json", CALIBRATION, AVERAGED, "loop.png", MANIFEST)
-            there = (n for n in usual if n in (*files_of(folder), MANIFEST))
-            listed = f"{CHANNELS}, and a folder for each channel" if names else ", ".join(there)
-            written = f"{folder}/{listed}"
-        trails = found.trails if isinstance(found, bc.Channels) else {"": found}
-        fitted = {n: t.final.calibration.readings for n, t in trails.items()}
-        before = request.flags_of(readings)
-        print_notes(flag for flag in request.flags_of(fitted) if flag not in before)
-        if isinstance(found, bc.Channels):
-            said = (filled(f"{name}: {trail.in_short}") for name, trail in found.trails.items())
-            shown = channels_data(found) if json_ else "\n".join([f"{found}\n\nIN SHORT\n", *said])
-            why = found.reason
-        else:
-            text = "" if json_ else loop_text(found, told.begun, verbose, output_unit)
-            shown, why = result(found) if json_ else text, found.gate.reason
-        return Answer(shown, ok=found.ok, why=why, made=made, written=written)
+    def answer(self) -> Answer:
+        names = options.channel_names(self.channels)
+        if names and self.output_unit is not None:
+            raise InputError("--output-unit is of one output: leave it out, or --channels")
+        if not names and self.out is not None and (self.out / CHANNELS).is_file():
+            raise InputError(
+                f"{self.out} holds the channels of a unit ({CHANNELS}), of which reports and parameters would still "
+                "be made: give another folder, or remove it"
+            )
+        noise = Settings(finer_noise=not self.simple_noise)
+        with use_settings(noise), result_folder(self.out) as folder:
+            models, readings, kept = request.searched(names, self)
+            name, first = next(iter(readings.items()))
+            how = {
+                "effects": request.own_effects(self, models[name].instrument, first),
+                "method": request.method_named(self.method),
+                "reference": request.reference_of(self.reference, first),
+                **self.settings(),
+                "covariates": request.covariates(self.covariates),
+            }
+            if self.output_unit is not None:
+                from bayescal._report.report_text import output_factor
+
+                scale = first.scale or models[name].instrument.nominal_scale
+                output_factor(self.output_unit, first.unit("output") or "1", scale)
+            from bayescal._cli.output import ConsoleReporter, search_shown
+
+            told = ConsoleReporter(self.json_ or bool(names), self.verbose)
+            if names:
+                how |= {"holdout": kept or None, "follow": told.follow}
+                found = bc.calibrate_channels(models, readings, **how)
+            else:
+                how |= {"holdout": kept.get(""), "follow": partial(told.follow, "")}
+                found = bc.calibrate(models[name], first, **how)
+            made, written = True, ""
+            if folder is not None:
+                made = drawn(found.save, folder)
+                usual = ("result.json", CALIBRATION, AVERAGED, "loop.png", MANIFEST)
+                there = (n for n in usual if n in (*files_of(folder), MANIFEST))
+                listed = f"{CHANNELS}, and a folder for each channel" if names else ", ".join(there)
+                written = f"{folder}/{listed}"
+            trails = found.trails if isinstance(found, bc.Channels) else {"": found}
+            fitted = {n: t.final.calibration.readings for n, t in trails.items()}
+            before = request.flags_of(readings)
+            print_notes(flag for flag in request.flags_of(fitted) if flag not in before)
+            text = {"begun": told.begun, "verbose": self.verbose, "output_unit": self.output_unit}
+            shown = search_shown(found, self.json_, **text)
+            why = found.reason if isinstance(found, bc.Channels) else found.gate.reason
+            return Answer(shown, ok=found.ok, why=why, made=made, written=written)
 
 
-@commands.example("bayescal fit readings.csv --instrument mems_gyro --out result")
-def fit(
-    asked: ReadRequest,
-    noise: str | None = None,
-    method: str = "marginal",
-    time_limit: float | None = None,
-    seed: int = 0,
-    out: Path | None = None,
-    json_: bool = False,
-) -> Answer:
+class FitCommand(ModelOptions, ReadRequest, AsJson, Command):
     """Fit one model: coefficients with uncertainty."""
-    with result_folder(out) as folder:
-        _, model, readings = request.open_request(asked)
-        if noise is not None:
-            model = model.with_noise(request.law_named(noise, model, readings))
-        print_notes(readings.flags)
-        reference = request.reference_of(asked.choice.reference, readings)
-        how = {"seed": seed, "strict": False, "reference": reference}
-        calibration = bc.fit(model, readings, request.method_named(method), **how)
-        from bayescal._calibration.storage import identity
-        from bayescal._cli.output import fit_data
 
-        if calibration.verdict.ok:
-            calibration = calibration.with_verdict(against=calibration.conflicts)
-        shown, verdict = fit_data(calibration) if json_ else calibration, calibration.verdict
-        written = ""
-        if folder is not None:
-            with whole_folder(folder, identity(calibration)) as hidden:
-                calibration.save(hidden / CALIBRATION)
-            written = f"{folder / CALIBRATION}"
-        return Answer(shown, ok=verdict.reliable, why=verdict.why_not, written=written)
-
-
-@commands.example("bayescal check result/calibration.nc")
-def check(calibration: Path, own: OwnParts) -> Answer:
-    """Say where a fitted model fails."""
-    checked = bc.check(saved.load_saved(calibration, own))
-    return Answer(checked, [{"step": 0, **row} for row in checked.data()])
-
-
-@commands.example("bayescal discover result/calibration.nc")
-def discover(
-    calibration: Path,
-    own: OwnParts,
-    typed: list[str] | None = None,
-    max_effects: int = 5,
-    time_limit: float | None = None,
-    ignore: list[str] | None = None,
-    covariates: str | None = None,
-    next_experiment: bool = False,
-) -> Answer:
-    """Say which effect is missing, and how to tell rivals apart."""
-    loaded = saved.load_saved(calibration, own)
-    choice = ModelOptions(effects_file=own.effects_file, typed=typed)
-    effects = request.own_effects(choice, loaded.model.instrument, loaded.readings)
-    allowed = options.causes(ignore, covariates)
-    found = bc.discover(loaded, effects=effects, max_effects=max_effects, **allowed)
-    from bayescal._report.result_json import experiment_data, missing_data
-
-    checked, end = bc.check(loaded), deadline.current()
-    text = str(found)
-    data = missing_data(found, 0, checked)
-    if next_experiment and end.over:
-        text += f"\n\nnext experiment: left out ({end.why})"
-    elif next_experiment:
-        ranked = bc.next_experiment(loaded, found.rivals) if len(found.rivals) > 1 else None
-        text += f"\n\n{ranked or 'next experiment: nothing here has a rival to be told from'}"
-        data["next_experiment"] = None if ranked is None else experiment_data(ranked)
-    return Answer(text, data)
-
-
-@commands.example(
-    "bayescal compare readings.csv --instrument mems_gyro --structure line "
-    "--structure line+bias.thermal_lag"
-)
-def compare(
-    *,
-    files: list[Path],
-    instrument: str,
-    structure: list[str] | None = None,
-    columns: ColumnOptions,
-    reference: list[str] | None = None,
-    effects_file: Path | None = None,
-    typed: list[str] | None = None,
-    average: str | None = None,
-    method: str = "marginal",
-    time_limit: float | None = None,
-    seed: int = 0,
-) -> Answer:
-    """Compare structures by leave-one-group-out and evidence."""
-    choice = ModelOptions(effects_file=effects_file, typed=typed)
-    asked = ReadRequest(instrument, files, columns, replace(choice, typed=None), average)
-    chosen, _, readings = request.open_request(asked)
-    names = structure or [name for name, _ in chosen.structures]
-    if len(set(names)) < 2:
-        raise InputError("compare needs two structures or more: give --structure twice, or never")
-    own = request.own_effects(choice, chosen, readings)
-    models = {}
-    for name in names:  # "line+bias.thermal_lag"
-        first, *added = (part.strip() for part in name.split("+"))
-        models[name] = request.compose(chosen, ModelOptions(structure=first, add=added), own)
-        models[name].require(readings)
-    print_notes(readings.flags)
-    constants, how = request.reference_of(reference, readings), request.method_named(method)
-    fits, given = {}, {"seed": seed, "strict": False, "reference": constants}
-    for i, (name, model) in enumerate(models.items()):
-        with deadline.sooner(1 / (len(models) - i)):
-            fits[name] = bc.fit(model, readings, how, **given)
-    comparison = bc.compare(fits)
-    failed = [f"{n}: {' '.join(c.verdict.reasons)}" for n, c in fits.items() if not c.verdict.ok]
-    return Answer(comparison, as_json(comparison), ok=not failed, why="; ".join(failed))
-
-
-@commands.example("bayescal predict result/calibration.nc new.csv --out predicted.csv")
-def predict(
-    *,
-    calibration: Path,
-    files: list[Path],
-    out: Path | None = None,
-    same_record: bool = False,
-    columns: ColumnOptions,
-    average: str | None = None,
-    own: UsedParts,
-) -> Answer:
-    """Predict readings with a calibration, and compare."""
-    loaded = saved.load_saved(calibration, own)
-    how = columns.for_read()
-    readings = bc.read(list(files), loaded.model.instrument, like=loaded.readings, **how)
-    columns.keep()
-    readings = request.averaged(readings, average)
-    print_notes(readings.flags)
-    prediction = bc.predict(loaded, readings, same_record=same_record)
-    from bayescal._cli.output import write_prediction
-    from bayescal._core.formatting import number
-    from bayescal._data.unit_conversion import unit_label
-
-    if out is not None:
-        write_prediction(prediction, readings, out)
-    expected = float((prediction.sd**2).mean()) ** 0.5
-    unit = unit_label(loaded.unit)
-    text = (
-        f"{len(readings)} readings: rms error {number(prediction.rmse)} {unit}, "
-        f"expected {number(expected)} {unit}" + (f"\nwritten: {out}" if out else "")
+    example = "bayescal fit readings.csv --instrument mems_gyro --out result"
+    instrument: str = Shared.instrument
+    noise: str | None = opt(
+        "Noise law: student_t, ornstein_uhlenbeck, heteroscedastic(temperature), or one of --effects.",
+        metavar="NAME",
     )
-    data = {"rows": len(readings), "rmse": prediction.rmse, "expected_rmse": expected}
-    data |= {"unit": loaded.unit, "file": str(out) if out else None}
-    return Answer(text, data, ok=loaded.verdict.reliable, why=loaded.verdict.why_not)
+    method: str = Shared.method
+    average: str | None = Shared.average
+    time_limit: float | None = Shared.time_limit
+    seed: int = Shared.seed
+    out: Path | None = Shared.folder
+
+    def answer(self) -> Answer:
+        with result_folder(self.out) as folder:
+            _, model, readings = request.open_request(self)
+            if self.noise is not None:
+                model = model.with_noise(request.law_named(self.noise, model, readings))
+            print_notes(readings.flags)
+            reference = request.reference_of(self.reference, readings)
+            how = {"seed": self.seed, "strict": False, "reference": reference}
+            calibration = bc.fit(model, readings, request.method_named(self.method), **how)
+            from bayescal._calibration.storage import identity
+            from bayescal._cli.output import fit_data
+
+            if calibration.verdict.ok:
+                calibration = calibration.with_verdict(against=calibration.conflicts)
+            shown, verdict = (
+                fit_data(calibration) if self.json_ else calibration,
+                calibration.verdict,
+            )
+            written = ""
+            if folder is not None:
+                with whole_folder(folder, identity(calibration)) as hidden:
+                    calibration.save(hidden / CALIBRATION)
+                written = f"{folder / CALIBRATION}"
+            return Answer(shown, ok=verdict.reliable, why=verdict.why_not, written=written)
 
 
-@commands.example(
-    "bayescal noise still.csv --columns output=gyro_x --unit gyro_x=deg/s --yaml imu.yaml"
-)
-def noise(
-    files: list[Path],
-    columns: ColumnOptions,
-    channels: str | None = None,
-    yaml: Path | None = None,
-    quantile: float = 0.95,
-    topic: str = "/imu0",
-    average: str | None = None,
-    time_limit: float | None = None,
-    seed: int = 0,
-    out: Path | None = None,
-) -> Answer:
+class CheckCommand(OwnParts, AsJson, Command):
+    """Say where a fitted model fails."""
+
+    example = "bayescal check result/calibration.nc"
+    calibration: Path = Shared.calibration
+
+    def answer(self) -> Answer:
+        checked = bc.check(saved.load_saved(self.calibration, self))
+        return Answer(checked, [{"step": 0, **row} for row in checked.data()])
+
+
+class DiscoverCommand(OwnParts, AsJson, Command):
+    """Say which effect is missing, and how to tell rivals apart."""
+
+    example = "bayescal discover result/calibration.nc"
+    calibration: Path = Shared.calibration
+    typed: Texts = Shared.typed
+    max_effects: int = Shared.max_effects
+    time_limit: float | None = Shared.time_limit
+    ignore: Texts = opt("Exclude this column as a possible cause; repeatable.", metavar="COLUMN")
+    covariates: str | None = Shared.covariates
+    next_experiment: bool = opt("Rank campaigns by how well they tell rivals apart.", False)
+
+    def answer(self) -> Answer:
+        loaded = saved.load_saved(self.calibration, self)
+        effects = request.own_effects(self, loaded.model.instrument, loaded.readings)
+        allowed = {"ignore": self.ignore or (), "covariates": request.covariates(self.covariates)}
+        found = bc.discover(loaded, effects=effects, max_effects=self.max_effects, **allowed)
+        from bayescal._report.result_json import experiment_data, missing_data
+
+        checked, end = bc.check(loaded), deadline.current()
+        text, data = str(found), missing_data(found, 0, checked)
+        if self.next_experiment and end.over:
+            text += f"\n\nnext experiment: left out ({end.why})"
+        elif self.next_experiment:
+            ranked = bc.next_experiment(loaded, found.rivals) if len(found.rivals) > 1 else None
+            text += f"\n\n{ranked or 'next experiment: nothing here has a rival to be told from'}"
+            data["next_experiment"] = None if ranked is None else experiment_data(ranked)
+        return Answer(text, data)
+
+
+class CompareCommand(ReadRequest, AsJson, Command):
+    """Compare structures by leave-one-group-out and evidence."""
+
+    example = (
+        "bayescal compare readings.csv --instrument mems_gyro --structure line "
+        "--structure line+bias.thermal_lag"
+    )
+    instrument: str = Shared.instrument
+    structures: Texts = opt(
+        "Structure, or with effects added, as line+bias.thermal_lag; repeat; all if none.",
+        *(None, "--structure"),
+    )
+    reference: Texts = Shared.reference
+    effects_file: Path | None = Shared.effects
+    typed: Texts = Shared.typed
+    average: str | None = Shared.average
+    method: str = Shared.method
+    time_limit: float | None = Shared.time_limit
+    seed: int = Shared.seed
+
+    def answer(self) -> Answer:
+        chosen, _, readings = request.open_request(self)
+        names = self.structures or [name for name, _ in chosen.structures]
+        if len(set(names)) < 2:
+            raise InputError(
+                "compare needs two structures or more: give --structure twice, or never"
+            )
+        own = request.own_effects(self, chosen, readings)
+        models = {}
+        for name in names:  # "line+bias.thermal_lag"
+            first, *added = (part.strip() for part in name.split("+"))
+            asked = ReadRequest()
+            asked.structure, asked.add = first, added
+            models[name] = request.compose(chosen, asked, own)
+            models[name].require(readings)
+        print_notes(readings.flags)
+        how = {"seed": self.seed, "strict": False}
+        how["reference"] = request.reference_of(self.reference, readings)
+        method, fits = request.method_named(self.method), {}
+        for i, (name, model) in enumerate(models.items()):
+            with deadline.sooner(1 / (len(models) - i)):
+                fits[name] = bc.fit(model, readings, method, **how)
+        comparison = bc.compare(fits)
+        failed = [
+            f"{n}: {' '.join(c.verdict.reasons)}" for n, c in fits.items() if not c.verdict.ok
+        ]
+        return Answer(comparison, as_json(comparison), ok=not failed, why="; ".join(failed))
+
+
+class PredictCommand(ColumnOptions, UsedParts, AsJson, Command):
+    """Predict readings with a calibration, and compare."""
+
+    example = "bayescal predict result/calibration.nc new.csv --out predicted.csv"
+    calibration: Path = Shared.calibration
+    files: list[Path] = Shared.files
+    out: Path | None = opt("File to write: .csv, .parquet or .nc.")
+    same_record: bool = opt(
+        "The record that was fitted: give its correlated noise between fitted readings.", False
+    )
+    average: str | None = Shared.average
+
+    def answer(self) -> Answer:
+        loaded = saved.load_saved(self.calibration, self)
+        how = self.for_read()
+        readings = bc.read(self.files, loaded.model.instrument, like=loaded.readings, **how)
+        self.keep()
+        readings = request.averaged(readings, self.average)
+        print_notes(readings.flags)
+        prediction = bc.predict(loaded, readings, same_record=self.same_record)
+        from bayescal._cli.output import write_prediction
+        from bayescal._core.formatting import number
+        from bayescal._data.unit_conversion import unit_label
+
+        if self.out is not None:
+            write_prediction(prediction, readings, self.out)
+        expected = float((prediction.sd**2).mean()) ** 0.5
+        unit = unit_label(loaded.unit)
+        text = (
+            f"{len(readings)} readings: rms error {number(prediction.rmse)} {unit}, "
+            f"expected {number(expected)} {unit}" + (f"\nwritten: {self.out}" if self.out else "")
+        )
+        data = {"rows": len(readings), "rmse": prediction.rmse, "expected_rmse": expected}
+        data |= {"unit": loaded.unit, "file": str(self.out) if self.out else None}
+        return Answer(text, data, ok=loaded.verdict.reliable, why=loaded.verdict.why_not)
+
+
+class NoiseCommand(ReadRequest, AsJson, Command):
     """Estimate noise density, bias instability and random walk."""
-    if not 0 < quantile < 1:
-        raise InputError(
-            f"--quantile {quantile:g}: give a probability between 0 and 1, such as 0.95"
-        )
-    asked = ReadRequest(AT_REST, files, columns, ModelOptions(), average)
-    _, _, readings = request.open_channels(options.channel_names(channels), asked)
-    if channels is None:  # called as the file calls its output
-        one = readings[""]
-        readings = {next((s.output for s in one.sources if s.output), "output"): one}
-    with result_folder(out) as folder:
-        print_notes(request.flags_of(readings))
-        each, found, written = request.each_device(readings), dict[str, Any](), list[Path]()
-        for i, (name, one) in enumerate(each.items()):
-            with deadline.sooner(1 / (len(each) - i)):
-                found[name] = bc.noise(one, seed=seed)
-        if yaml is not None:
-            text = first_offered("noise_file", "--yaml")(found, topic, quantile)
-            written.append(write_text(text, yaml))
 
-        def draw(folder: Path) -> None:
-            from bayescal._report.plots import own_style
+    example = "bayescal noise still.csv --columns output=gyro_x --unit gyro_x=deg/s --yaml imu.yaml"
+    instrument = "still_sensor"  # whose output does not change but by its noise and temperature
+    channels: str | None = opt(
+        "Columns that are outputs, one after another: gyro_x,acc_x.", metavar="NAME,NAME,…"
+    )
+    yaml: Path | None = opt("File to write for Kalibr: noise densities and random walks.")
+    quantile: float = opt("Of the posterior, that the numbers for Kalibr are.", 0.95)
+    topic: str = opt("Of the messages, for Kalibr.", "/imu0")
+    average: str | None = Shared.average
+    time_limit: float | None = Shared.time_limit
+    seed: int = Shared.seed
+    out: Path | None = Shared.folder
 
-            pictures = {f"noise_{place}.png": name for name, place in folders_of(found).items()}
-            with drawing("The Allan deviation"), whole_folder(folder) as hidden:
-                for picture, name in pictures.items():
-                    with own_style():
-                        bc.plot.save(bc.plot.noise(found[name]), hidden / picture)
-            written.extend(folder / picture for picture in pictures)
+    def answer(self) -> Answer:
+        if not 0 < self.quantile < 1:
+            raise InputError(
+                f"--quantile {self.quantile:g}: give a probability between 0 and 1, such as 0.95"
+            )
+        _, _, readings = request.open_channels(options.channel_names(self.channels), self)
+        if self.channels is None:  # called as the file calls its output
+            one = readings[""]
+            readings = {next((s.output for s in one.sources if s.output), "output"): one}
+        with result_folder(self.out) as folder:
+            print_notes(request.flags_of(readings))
+            each, found, written = request.each_device(readings), dict[str, Any](), list[Path]()
+            for i, (name, one) in enumerate(each.items()):
+                with deadline.sooner(1 / (len(each) - i)):
+                    found[name] = bc.noise(one, seed=self.seed)
+            if self.yaml is not None:
+                text = first_offered("noise_file", "--yaml")(found, self.topic, self.quantile)
+                written.append(write_text(text, self.yaml))
 
-        made = folder is None or drawn(draw, folder)
-        claims = ((name, claim) for name, one in found.items() for claim in one.claims)
-        doubts = (f"{name}: {claim}" for name, claim in claims if claim.severity != "note")
-        return Answer(
-            "\n\n".join(f"{name}\n\n{one}" for name, one in found.items()),
-            {name: one.data() for name, one in found.items()},
-            doubt=" ".join(doubts),
-            made=made,
-            written=", ".join(map(str, written)),
-        )
+            def draw(folder: Path) -> None:
+                from bayescal._report.plots import own_style
+
+                pictures = {f"noise_{place}.png": name for name, place in folders_of(found).items()}
+                with drawing("The Allan deviation"), whole_folder(folder) as hidden:
+                    for picture, name in pictures.items():
+                        with own_style():
+                            bc.plot.save(bc.plot.noise(found[name]), hidden / picture)
+                written.extend(folder / picture for picture in pictures)
+
+            made = folder is None or drawn(draw, folder)
+            claims = ((name, claim) for name, one in found.items() for claim in one.claims)
+            doubts = (f"{name}: {claim}" for name, claim in claims if claim.severity != "note")
+            return Answer(
+                "\n\n".join(f"{name}\n\n{one}" for name, one in found.items()),
+                {name: one.data() for name, one in found.items()},
+                doubt=" ".join(doubts),
+                made=made,
+                written=", ".join(map(str, written)),
+            )
+
+
+COMMANDS = (
+    *(InstrumentsCommand, EffectsCommand, SimulateCommand, PairsCommand, DemoCommand),
+    *(CalibrateCommand, FitCommand, CheckCommand, DiscoverCommand, CompareCommand),
+    *(PredictCommand, NoiseCommand),
+)

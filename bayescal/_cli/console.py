@@ -78,6 +78,8 @@ def result_folder(path: Path | None) -> Iterator[Path | None]:
     with ExitStack() as stack:
         try:
             stack.enter_context(folder_made(path))
+        except FileExistsError:
+            raise InputError(f"{path} is a file, a folder was expected: name another") from None
         except OSError as error:
             raise InputError(f"cannot write to the folder {path}: {error.strerror}") from None
         yield path

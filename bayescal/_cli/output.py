@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from bayescal._calibration.calibration import Calibration
-from bayescal._calibration.check_result import check_parts
+from bayescal._calibration.check import check_parts
 from bayescal._calibration.claim import Claim
 from bayescal._calibration.predict import Prediction
 from bayescal._calibration.summary import directions_data, summary, unknowns_parts
@@ -21,10 +21,11 @@ from bayescal._data.unit_conversion import unit_label
 from bayescal._model.effect import Effect
 from bayescal._model.instrument import Instrument
 from bayescal._report.report_text import in_output_unit
-from bayescal._report.section import of_trail
-from bayescal._search.calibrate import SearchPath
+from bayescal._report.result_json import of_trail, result
+from bayescal._report.save_search import channels_data
+from bayescal._search.channels import Channels
 from bayescal._search.draft_effect import draft_effect
-from bayescal._search.search_path import Step
+from bayescal._search.search_path import SearchPath, Step
 
 # Lines of a table without --verbose, so that a result is a screen.
 SHOWN_STRUCTURES = 2  # of those averaged over
@@ -105,7 +106,7 @@ def fit_data(calibration: Calibration) -> dict[str, Any]:
 
 
 def first_text(trail: SearchPath, verbose: bool = False) -> str:
-    """`calibrate` as soon as the first model stands."""
+    """Return `calibrate` as soon as the first model stands."""
     parts = check_parts(trail.steps[0].check, None if verbose else SHOWN_CHECKS)
     return _headed("WHERE THE FIRST MODEL FAILS", *parts)
 
@@ -121,11 +122,8 @@ class ConsoleReporter:
         self.begun, self.verbose = begun, verbose
         self._told = dict[str, tuple[int, str]]()
 
-    def __call__(self, trail: SearchPath) -> None:
-        self.of_channel("", trail)
-
-    def of_channel(self, name: str, trail: SearchPath) -> None:
-        """The same for one channel of a unit."""
+    def follow(self, name: str, trail: SearchPath) -> None:
+        """Say how the search of a channel stands; "" where there is one output."""
         if not self.begun:
             print(first_text(trail, self.verbose), flush=True)
             self.begun = True
@@ -135,6 +133,14 @@ class ConsoleReporter:
             if best != self._told.get(name) or progress.quiet() >= progress.EVERY:
                 progress.tell(f"{name}: {line}" if name else line)
                 self._told[name] = best
+
+
+def search_shown(found: SearchPath | Channels, as_data: bool, **how: Any) -> Any:
+    """Return what `calibrate` prints of what it found: JSON data, or text."""
+    if isinstance(found, SearchPath):
+        return result(found) if as_data else loop_text(found, **how)
+    said = (filled(f"{name}: {trail.in_short}") for name, trail in found.trails.items())
+    return channels_data(found) if as_data else "\n".join([f"{found}\n\nIN SHORT\n", *said])
 
 
 def loop_text(

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import bayescal as bc
 from bayescal._cli.console import print_notes
-from bayescal._cli.options import METHODS, ModelOptions, ReadRequest, SearchRequest, named_numbers
+from bayescal._cli.options import METHODS, ReadRequest, SearchRequest, named_numbers, names_in
 from bayescal._core.errors import InputError
 from bayescal._core.progress import stage
 from bayescal._search.own_files import in_a_file, instrument_named, user_effects
@@ -30,11 +30,7 @@ LONG_BYTES = 50_000_000  # bytes of files that take longer to read than an instr
 
 
 def open_request(asked: ReadRequest) -> tuple[Instrument, Model, Measurements]:
-    """Instrument, model and readings that are asked for; the instrument tailored to the readings.
-
-    Raises:
-        InputError, ModelError: something in it cannot be used; says what.
-    """
+    """Return instrument, model and readings that are asked for; the instrument tailored to the readings."""
     _, models, readings = open_channels((), asked)
     return models[""].instrument, models[""], readings[""]
 
@@ -42,7 +38,7 @@ def open_request(asked: ReadRequest) -> tuple[Instrument, Model, Measurements]:
 def open_channels(
     names: Sequence[str], asked: ReadRequest
 ) -> tuple[Instrument, dict[str, Model], dict[str, Measurements]]:
-    """Instrument, models and readings of the channels of one unit; a model has it tailored to its readings.
+    """Return instrument, models and readings of the channels of one unit; a model has it tailored to its readings.
 
     Args:
         names: of the channels; none: a single output, called "".
@@ -57,33 +53,37 @@ def open_channels(
     holds = None if in_a_file(asked.instrument) else file_columns(asked.instrument)
     short = sum(path.stat().st_size for path in asked.files if path.is_file()) <= LONG_BYTES
     found = _read(asked.files, holds, asked, names) if holds and short else None
-    general, choice = instrument_named(asked.instrument), asked.choice
+    general = instrument_named(asked.instrument)
     if found is None or holds != FileColumns.of(general):
         found = _read(asked.files, general, asked, names)
-    if not choice.typed and general.tailor is None:  # what is typed may need the readings
-        compose(general, choice, user_effects(choice.effects_file))
-    asked.columns.keep()
-    if asked.average is None and not general.outputs:  # rests are looked for in the log of a triad
-        print_notes(dict.fromkeys(note for one in found.values() for note in long_log(one)))
+    if not asked.typed and general.tailor is None:  # what is typed may need the readings
+        compose(general, asked, user_effects(asked.effects_file))
+    asked.keep()
+    for one in found.values():
+        # Rests are looked for in the log of a triad: it is averaged over them.
+        if (
+            len(one) > LONG_LOG
+            and asked.average is None
+            and one.has("time")
+            and not general.outputs
+        ):
+            mean = f"--average TIME, means of {-(-len(one) // LONG_LOG)} or more"
+            said = f"{len(one):,} readings: {mean}, leaves nearly the same information"
+            print_notes([f"{one.file}: {said}"])
     readings = {n: averaged(one, asked.average, asked.keep_spikes) for n, one in found.items()}
     models = {}
     for name, one in readings.items():
         tailored = general.for_readings(one)
-        models[name] = compose(tailored, choice, own_effects(choice, tailored, one))
+        models[name] = compose(tailored, asked, own_effects(asked, tailored, one))
     return general, models, readings
 
 
 def own_effects(
-    choice: ModelOptions, instrument: Instrument, readings: Measurements | None
+    asked: Any, instrument: Instrument, readings: Measurements | None
 ) -> tuple[Effect, ...]:
-    """Effects of the user's own: of a file, and typed.
-
-    Raises:
-        InputError: the file fails; a formula is none, its units do not go together, or a size is missing: the place is
-            marked.
-    """
-    made = (bc.effect(t, readings=readings, instrument=instrument) for t in choice.typed or ())
-    return (*user_effects(choice.effects_file), *made)
+    """Return effects of the user's own: of a file, and typed; refuse a file that fails, a formula that is none."""
+    made = (bc.effect(t, readings=readings, instrument=instrument) for t in asked.typed or ())
+    return (*user_effects(asked.effects_file), *made)
 
 
 def _read(
@@ -91,14 +91,14 @@ def _read(
 ) -> dict[str, Measurements]:
     outputs: dict[str, Any] = {"outputs": list(names)} if names else {}
     with stage("reading"):
-        found = bc.read(list(files), of, **asked.columns.for_read(), **outputs)
+        found = bc.read(list(files), of, **asked.for_read(), **outputs)
     return found if names else {"": found}  # pyright: ignore[reportReturnType]
 
 
 def averaged(
     readings: Measurements, average: str | None, keep_spikes: bool = False
 ) -> Measurements:
-    """The means that --average asks for; clipped readings and spikes are set aside before, for a mean hides them."""
+    """Return the means that --average asks for; clipped readings and spikes are set aside before: a mean hides them."""
     if average is None:
         return readings
     from bayescal._data.set_aside import set_aside
@@ -106,37 +106,24 @@ def averaged(
     return set_aside(readings, keep_spikes).average(average)
 
 
-def long_log(readings: Measurements) -> list[str]:
-    """A sentence that proposes --average, where there are more readings than a calibration has use for."""
-    count = len(readings)
-    said = f"{readings.file}: {count:,} readings: --average TIME, means of {-(-count // LONG_LOG)} or more, "
-    return [f"{said}leaves nearly the same information"] * (
-        count > LONG_LOG and readings.has("time")
-    )
-
-
-def compose(instrument: Instrument, choice: ModelOptions, own: Sequence[Effect] = ()) -> Model:
-    """The model that is asked for: a structure or the baseline, effects added, coefficients fixed.
-
-    Raises:
-        InputError: the instrument has no structure of that name.
-    """
+def compose(instrument: Instrument, asked: Any, own: Sequence[Effect] = ()) -> Model:
+    """Return the model that is asked for: a structure or the baseline, effects added, coefficients fixed."""
     known = {effect.name: effect for effect in own}
     structures = {"": instrument.baseline, **dict(instrument.structures)}
-    chosen = choice.structure or ""
+    chosen = asked.structure or ""
     if chosen not in structures:
         raise InputError(
             f"instrument {instrument.name!r} has no structure {chosen!r}; "
             f"it has: {', '.join([*structures][1:])}"
         )
     model = structures[chosen]()
-    for name in choice.add or []:
+    for name in asked.add or []:
         model = model + known.get(name, name)
-    return model.fix(named_numbers(choice.fix, "--fix"))
+    return model.fix(named_numbers(asked.fix, "--fix"))
 
 
 def law_named(name: str, model: Model, readings: Measurements) -> Noise:
-    """A noise law by its name: the model's own, or one of those that a search would weigh on these readings."""
+    """Return a noise law by its name: the model's own, or one of those that a search would weigh on these readings."""
     from bayescal._model.frame import build_frame
     from bayescal._model.frame import reference_of as constants_of
     from bayescal._search.noise_laws import laws_over
@@ -152,16 +139,17 @@ def law_named(name: str, model: Model, readings: Measurements) -> Noise:
 
 
 def method_named(name: str) -> Method:
-    """A method with its standard settings, by its name on the command line."""
+    """Return a method with its standard settings, by its name on the command line."""
     return getattr(bc, METHODS[name])()
 
 
-def reference_of(given: list[str] | None, readings: Measurements) -> Reference:
-    """The constants of the bases that the user sets with --reference.
+def covariates(given: str | None) -> list[str] | None:
+    """Return --covariates as `calibrate` and `discover` take it."""
+    return None if given is None else names_in(given)
 
-    Raises:
-        InputError: these readings have no such constant.
-    """
+
+def reference_of(given: list[str] | None, readings: Measurements) -> Reference:
+    """Return the constants of the bases that the user sets with --reference; refuse those that the readings lack."""
     from bayescal._model.frame import constants_of
 
     reference, known = named_numbers(given, "--reference"), constants_of(readings)
@@ -176,7 +164,7 @@ def reference_of(given: list[str] | None, readings: Measurements) -> Reference:
 def searched(
     names: Sequence[str], asked: SearchRequest
 ) -> tuple[dict[str, Model], dict[str, Measurements], dict[str, Measurements]]:
-    """Models, readings and hold-out data by channel ("" where there is one output); what is to be noted is said."""
+    """Return models, readings and hold-out data by channel ("" where there is one output); say what is to be noted."""
     general, models, readings = open_channels(names, asked)
     kept = {}
     if asked.holdout:
@@ -188,12 +176,11 @@ def searched(
 
 
 def flags_of(readings: Mapping[str, Measurements]) -> list[str]:
-    """Notes on the readings of channels: what holds for all once, the others with the channel's name."""
-    said = {
-        flag: [n for n, one in readings.items() if flag in one.flags]
-        for r in readings.values()
-        for flag in r.flags
-    }
+    """Return notes on the readings of channels: what holds for all once, the others with the channel's name."""
+    said = dict[str, list[str]]()
+    for name, one in readings.items():
+        for flag in one.flags:
+            said.setdefault(flag, []).append(name)
     return [
         flag if len(names) == len(readings) else f"{', '.join(names)}: {flag}"
         for flag, names in said.items()
@@ -202,7 +189,7 @@ def flags_of(readings: Mapping[str, Measurements]) -> list[str]:
 
 def each_device(readings: Mapping[str, Measurements]) -> dict[str, Measurements]:
     """Split the readings of channels by device and by axis, where a file holds several."""
-    from bayescal._data.header_rules import BEGINNINGS, plain
+    from bayescal._data.header_matching import BEGINNINGS, plain
     from bayescal._data.unit_conversion import alike
 
     found = dict(readings)
@@ -213,9 +200,9 @@ def each_device(readings: Mapping[str, Measurements]) -> dict[str, Measurements]
             if len(levels) == 1:
                 found[name] = one
                 continue
+            unit = one.unit(one.output) or ""
             for code, label in enumerate(levels):
                 found[f"{name}, {group} {label}"] = one.select(codes == code)
-                unit = one.unit(one.output) or ""
                 kinds = (k for k, words in BEGINNINGS.items() if plain(label).startswith(words))
                 if any(not alike(kind, unit) for kind in kinds):
                     raise InputError(

@@ -12,7 +12,7 @@ from bayescal._core.atomic_file import write_text
 
 
 def as_json(value: Any) -> Any:
-    """Plain JSON data: data classes by field, arrays as lists, NumPy scalars as numbers, what is not finite as None."""
+    """Return plain JSON data: data classes by field, arrays as lists, what is not finite as None."""
     if is_dataclass(value) and not isinstance(value, type):
         return {f.name: as_json(getattr(value, f.name)) for f in fields(value)}
     if isinstance(value, dict):
@@ -21,24 +21,14 @@ def as_json(value: Any) -> Any:
         return [as_json(v) for v in value]
     if plain := getattr(value, "tolist", None):
         return as_json(plain())
-    if isinstance(value, float) and not math.isfinite(value):
-        return None
-    return value
+    return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
 def json_text(data: Any, indent: int = 2) -> str:
-    """Plain data as JSON, with the end of its last line.
-
-    Raises:
-        ValueError: a number in it is not finite.
-    """
+    """Return plain data as JSON, with the end of its last line; raise ValueError where a number is not finite."""
     return json.dumps(data, indent=indent, ensure_ascii=False, allow_nan=False) + "\n"
 
 
 def write_json(data: Any, path: Path, indent: int = 2) -> Path:
-    """Written beside and renamed, so that an interruption leaves the old file whole.
-
-    Raises:
-        InputError: no such folder, or a place that cannot be written to.
-    """
+    """Write plain data as JSON to a place that the user chose; see `write_text`."""
     return write_text(json_text(data, indent), path)

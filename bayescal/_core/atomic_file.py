@@ -25,11 +25,7 @@ FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)  # a full disk, a used-up quota
 
 @contextmanager
 def replacing(path: Path) -> Iterator[Path]:
-    """A file to write beside `path`, which takes its place once it is whole; nothing is left of one that is not.
-
-    Raises:
-        OSError: it cannot be written or renamed; the old file is as it was.
-    """
+    """Yield a file to write beside `path`, which takes its place once it is whole; nothing is left of another."""
     # In the same folder, so that the rename stays within one file system and is atomic (POSIX rename); the process's
     # number tells what is left behind from what another process writes now.
     partial = path.with_name(f".{path.name}.{os.getpid()}.partial")
@@ -44,13 +40,13 @@ def replacing(path: Path) -> Iterator[Path]:
 
 
 def left_behind(path: Path) -> list[Path]:
-    """What processes that were killed left beside a file or folder; what others are writing is not."""
+    """Return what processes that were killed left beside a file or folder; what others are writing is not."""
     names = path.parent.glob(f".{glob.escape(path.name)}.*.partial")
     return [left for left in names if not _runs(left.name.split(".")[-2])]
 
 
 def _runs(process: str) -> bool:
-    """Whether a process of this number may run; only POSIX says so without sending it a signal."""
+    """Return whether a process of this number may run; only POSIX says so without sending it a signal."""
     if os.name != "posix" or not process.isdecimal():
         return True
     try:
@@ -64,7 +60,7 @@ def _runs(process: str) -> bool:
 
 @contextmanager
 def replacing_for_user(path: Path) -> Iterator[Path]:
-    """The same for a place that the user chose, its folder made if need be: what stands against it is said in words.
+    """Yield the same for a place that the user chose, its folder made if need be.
 
     Raises:
         InputError: a place that cannot be written to, or no room; the old file is as it was.
@@ -78,11 +74,7 @@ def replacing_for_user(path: Path) -> Iterator[Path]:
 
 @contextmanager
 def folder_made(folder: Path) -> Iterator[None]:
-    """A folder is there, made if need be with those that it is in, and taken away again if nothing comes of it.
-
-    Raises:
-        OSError: it cannot be made, or is a file.
-    """
+    """Make a folder with those that it is in; take away what was made if nothing comes of it."""
     missing = [f for f in (folder, *folder.parents) if not f.exists()]
     try:
         folder.mkdir(parents=True, exist_ok=True)
@@ -95,7 +87,7 @@ def folder_made(folder: Path) -> Iterator[None]:
 
 
 def why(error: OSError) -> str:
-    """What stood against writing, and what to do about it."""
+    """Return what stood against writing, and what to do about it."""
     said = error.strerror or str(error)
     if error.errno in FULL:
         return f"{said}. Make room there, or choose another place; what stood there is as it was"
@@ -126,20 +118,20 @@ def to_disk(path: Path) -> None:
 
 
 def sha256_of(path: Path) -> str:
-    """SHA-256 of a file's bytes, read in pieces."""
+    """Return the SHA-256 of a file's bytes, read in pieces."""
     with path.open("rb") as file:
         return hashlib.file_digest(file, "sha256").hexdigest()
 
 
 def storable(name: str) -> str:
-    """A name as NetCDF can hold it, in which a / parts groups: it is written %2F."""
+    """Return a name as NetCDF can hold it, in which a / parts groups: it is written %2F."""
     if "/" in name or name != named_back(name):
         return name.replace("%", "%25").replace("/", "%2F")
     return name
 
 
 def named_back(stored: str) -> str:
-    """The name that `storable` made this of."""
+    """Return the name that `storable` made this of."""
     return stored.replace("%2F", "/").replace("%25", "%")
 
 
@@ -151,7 +143,7 @@ def write_sealed(content: bytes | memoryview, path: Path) -> None:
 
 
 def verified(path: Path, what: str, instead: str) -> memoryview:
-    """The bytes of a sealed file without their trailer, if they are as they were written.
+    """Return the bytes of a sealed file without their trailer, if they are as they were written.
 
     Args:
         path: of the file.
@@ -170,18 +162,14 @@ def verified(path: Path, what: str, instead: str) -> memoryview:
     content = memoryview(found)[: max(0, len(found) - LENGTH)]
     # At the very end: HDF5 passes over what follows its own end, so that both read the same bytes.
     trailer = TRAILER.fullmatch(found[len(content) :])
-    if trailer is None:
-        said = (
-            "is damaged: bytes are missing or added at its end, where its checksum stood"
-            if MAGIC in found
-            else "has no checksum at its end: it is cut short, or was saved by an earlier version of bayescal or by "
-            "another program"
-        )
-        raise InputError(f"{path.name} {said}. Expected {what}. {instead}")
-    if hashlib.sha256(content).hexdigest().encode() != trailer[1]:
-        raise InputError(
-            f"{path.name} is damaged: its bytes do not have the checksum at its end. {instead}"
-        )
-    if TRAILER.fullmatch(found[max(0, len(content) - LENGTH) : len(content)]):
-        raise InputError(f"{path.name} has two checksums at its end, expected one. {instead}")
-    return content
+    if not found.startswith(b"\x89HDF"):
+        said = f"is not {what}"
+    elif trailer is None:
+        said = f"is damaged, no {what}, or of an earlier version: at its end stands no checksum"
+    elif hashlib.sha256(content).hexdigest().encode() != trailer[1]:
+        said = "is damaged: its bytes do not have the checksum at its end"
+    elif TRAILER.fullmatch(found[max(0, len(content) - LENGTH) : len(content)]):
+        said = "has two checksums at its end, expected one"
+    else:
+        return content
+    raise InputError(f"{path.name} {said}. {instead}")

@@ -38,15 +38,17 @@ class Interrupt:
     def handle(self, _: int, frame: FrameType | None) -> None:
         """Note a first Ctrl-C where it is deferred; raise any other, once the main thread is outside JAX.
 
-        In JAX's callbacks at each collection of garbage an exception is printed and lost; while JAX is imported it
-        ends the process by a signal.
+        In JAX's callbacks at a collection of garbage an exception is lost; while JAX is imported it ends the process.
         """
         if self.deferred and not self.requested:
             self.requested = True
-        elif _in_jax(frame):
-            threading.Timer(RETRY_SECONDS, signal.raise_signal, (signal.SIGINT,)).start()
-        else:
-            raise KeyboardInterrupt
+            return
+        while frame is not None:
+            if str(frame.f_globals.get("__name__")).startswith("jax"):
+                threading.Timer(RETRY_SECONDS, signal.raise_signal, (signal.SIGINT,)).start()
+                return
+            frame = frame.f_back
+        raise KeyboardInterrupt
 
 
 @dataclass(frozen=True)
@@ -79,11 +81,7 @@ class Deadline:
         return "interrupted" if self.interrupted else self.limit
 
     def ask(self) -> None:
-        """Go on, if there is time.
-
-        Raises:
-            TimeIsUp: there is none.
-        """
+        """Go on, if there is time; else raise TimeIsUp."""
         if self.over:
             raise TimeIsUp(self.why)
 
@@ -133,9 +131,3 @@ def _set(made: Deadline) -> Iterator[Deadline]:
         yield made
     finally:
         _CURRENT.reset(token)
-
-
-def _in_jax(frame: FrameType | None) -> bool:
-    while frame is not None and not str(frame.f_globals.get("__name__")).startswith("jax"):
-        frame = frame.f_back
-    return frame is not None

@@ -5,8 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
-import jax
-import jax.numpy as jnp
+from bayescal._core.lazy_jax import jax, jnp
 
 NEWTON_TOLERANCE = 1e-13  # of the last step, relative
 MOST_STEPS = 40  # that are tried

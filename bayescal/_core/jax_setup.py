@@ -31,15 +31,10 @@ MOST_MAPS = 30_000  # of 65,530 that Linux allows a process by default
 def enough_workers() -> None:
     """Give JAX at least `MIN_WORKERS` worker threads, unless the user has set `NPROC`.
 
-    JAX before 0.12 runs independent operations of a program side by side, each on a worker; a
-    batched Cholesky or triangular solve then shares its batch out to the same workers and waits for
-    them. When every worker waits, the program hangs for ever, at random. It takes a loop
-    (`lax.map`, `scan`, `while_loop`) over independent factorisations. On two cores it was
-    met with 2 or 4 workers nearly always, with 8 sometimes, with 16 never. Python 3.11 gets JAX
-    0.10 at the latest; on later Pythons bayescal asks for JAX 0.12, which is free of it.
-
-    JAX counts its workers when it first computes. More of them than cores cost a little: a pass
-    that takes 1 ms takes up to 2 ms on two cores.
+    JAX before 0.12, which Python 3.11 gets, runs independent operations of a program side by side, each on a worker; a
+    batched Cholesky or triangular solve then shares its batch out to the same workers and waits for them. When every
+    worker waits, in a loop over independent factorisations, the program hangs for ever, at random: with 2 or 4 workers
+    nearly always, with 8 sometimes, with 16 never. More of them than cores cost a little.
     """
     if sys.version_info >= (3, 12) or "NPROC" in os.environ:
         return
@@ -50,12 +45,7 @@ def enough_workers() -> None:
 
 
 def cache_folder() -> Path | None:
-    """Folder for what is kept between runs: `BAYESCAL_CACHE`, or one in the user's cache folder.
-
-    Returns:
-        The folder, which need not exist; None when `BAYESCAL_CACHE` is empty or there is no home
-        folder.
-    """
+    """Return the folder for what is kept between runs, which need not exist; None for none."""
     own = os.environ.get("BAYESCAL_CACHE")
     if own == "":
         return None
@@ -81,14 +71,11 @@ def _user_cache() -> Path:
 def configure_jax() -> None:
     """Switch JAX to double precision and let it keep compiled programs on disk. Once per process.
 
-    Double precision is a setting of the whole process: once a module of bayescal that computes is
-    loaded, JAX arrays made anywhere in the program are float64 by default. Calibration needs it:
-    biases of 1e-9 of full scale beside readings of order one, normal equations that square a
-    condition number.
+    Double precision is a setting of the whole process. Calibration needs it: biases of 1e-9 of full scale beside
+    readings of order one, normal equations that square a condition number.
 
-    Every program is kept, however small: JAX's own threshold of one second of compilation would
-    keep almost none of ours. A folder that cannot be written means no cache, never an error. The
-    folder may be deleted at any time; one that has grown beyond `MOST_KEPT` is emptied here.
+    Every program is kept, however small: JAX's own threshold of one second of compilation would keep almost none of
+    ours. A folder that cannot be written means no cache, never an error; one beyond `MOST_KEPT` is emptied.
     """
     import jax  # heavy: not before something computes
 
@@ -121,9 +108,8 @@ def drop_if_large(folder: Path, most: int) -> None:
 def spare_memory_maps() -> None:
     """Drop compiled programs before they use up the maps that the kernel allows a process.
 
-    Every compiled program holds some ten memory maps. Linux allows 65,530 by default, after which the next program
-    aborts the process; a loop over many structures of model gets there. Programs that are needed again come back
-    from the cache on disk. Does nothing on other systems.
+    Every program holds some ten; beyond 65,530, by default, Linux aborts the process, which a loop over many models
+    meets. Programs that are needed again come back from the cache on disk. Does nothing on other systems.
     """
     try:
         with open("/proc/self/maps", "rb") as maps:

@@ -11,9 +11,7 @@ from collections.abc import Callable
 from functools import cache, partial, update_wrapper
 from typing import Any, Generic, ParamSpec, TypeVar
 
-import equinox as eqx
-import jax
-import jax.core
+from bayescal._core.lazy_jax import jax
 
 # Numbers handed to a function, above which computing counts for more than compiling.
 MANY_NUMBERS = 30_000
@@ -39,10 +37,12 @@ class compiled(Generic[P, R]):
         update_wrapper(self, function)
 
     def _compiler(self, few: bool) -> Any:
+        import equinox as eqx
+
         return eqx.filter_jit(self.function, compiler_options=known(QUICK if few else ALWAYS))
 
     def __call__(self, *args: P.args, **kwargs: P.kwargs) -> R:
-        numbers = [a for a in jax.tree.leaves((args, kwargs)) if eqx.is_array(a)]
+        numbers = [a for a in jax.tree.leaves((args, kwargs)) if isinstance(a, jax.Array)]
         # Traced within another compiled function: JAX takes options of the compiler at the outermost `jit` alone.
         if any(isinstance(a, jax.core.Tracer) for a in numbers):
             return self.function(*args, **kwargs)

@@ -25,10 +25,8 @@ DEEPEST = 32  # of lists and tables in each other; what bayescal writes has at m
 MOST_WHOLE = 2**64  # from which a whole number fits no type that one is turned into
 
 _SURROGATE = re.compile("[\ud800-\udfff]")  # half a character, which no file can hold
-_NAMES = {str: "text", bool: "true or false", int: "a whole number", date: "a date"} | {
-    float: "a finite number",
-    NoneType: "null",
-}
+_NAMES = {str: "text", bool: "true or false", int: "a whole number", date: "a date"}
+_NAMES |= {float: "a finite number", NoneType: "null"}
 
 
 def as_type(value: Any, kind: Any, where: str = "") -> Any:
@@ -58,34 +56,34 @@ def as_type(value: Any, kind: Any, where: str = "") -> Any:
         each = args if origin is tuple and args[-1] is not ... else None
         if not isinstance(value, list) or (each and len(value) != len(each)):
             raise _unexpected(value, f"a list of {len(each)}" if each else "a list", where)
-        places = enumerate(zip(value, each or args[:1] * len(value), strict=True))
-        return origin(as_type(one, its, f"{where}[{i}]") for i, (one, its) in places)
+        pairs = zip(value, each or args[:1] * len(value), strict=True)
+        return origin(as_type(*one, f"{where}[{i}]") for i, one in enumerate(pairs))
     if origin is dict or is_dataclass(kind) or is_typeddict(kind):
         return _as_table(value, kind, where)
+    kind = NoneType if kind is None else kind
     number = type(value) in (int, float) and abs(value) < 1e308 and math.isfinite(value)
-    right = number if kind is float else type(value) is (NoneType if kind is None else kind)
+    right = number if kind is float else type(value) is kind
     if not right or (kind is str and _SURROGATE.search(value)):
-        raise _unexpected(value, _NAMES[NoneType if kind is None else kind], where)
+        raise _unexpected(value, _NAMES[kind], where)
     return float(value) if kind is float else value
 
 
 def _as_table(value: Any, kind: Any, where: str) -> Any:
     if not isinstance(value, dict):
         raise _unexpected(value, "a table", where)
-    at = {name: f"{where}.{name[:60]}" if where else name[:60] for name in map(str, value)}
     if get_origin(kind) is dict:
-        return {name: as_type(one, get_args(kind)[1], at[name]) for name, one in value.items()}
-    known = get_type_hints(kind)
-    if is_dataclass(kind):
+        made, known, required = dict, dict.fromkeys(value, get_args(kind)[1]), ()
+    elif is_dataclass(kind):
+        made, known = kind, get_type_hints(kind)
         required = [f.name for f in fields(kind) if f.default is f.default_factory is MISSING]
     else:
-        required = kind.__required_keys__
-    for name in known:
-        if name in required and name not in value:
-            raise ValueError(f"{where}.{name}".lstrip(".") + " is missing")
-    if strange := [name for name in value if name not in known]:
-        raise ValueError(f"{at[strange[0]]} is not known here; there are: {', '.join(known)}")
-    return kind(**{name: as_type(one, known[name], at[name]) for name, one in value.items()})
+        made, known, required = kind, get_type_hints(kind), kind.__required_keys__
+    for name in (n for n in known if n in required and n not in value):
+        raise ValueError(f"{where}.{name}".lstrip(".") + " is missing")
+    at = {name: f"{where}.{str(name)[:60]}".lstrip(".") for name in value}
+    for name in (n for n in value if n not in known):
+        raise ValueError(f"{at[name]} is not known here; there are: {', '.join(known)}")
+    return made(**{name: as_type(one, known[name], at[name]) for name, one in value.items()})
 
 
 def _unexpected(value: Any, what: str, where: str) -> ValueError:
@@ -94,12 +92,15 @@ def _unexpected(value: Any, what: str, where: str) -> ValueError:
 
 
 def parsed_json(text: str | bytes) -> Any:
-    """JSON as a value.
+    """Parse JSON.
 
     Raises:
         ValueError: it is none, nested deeper than anything that is written here, or holds a larger whole number.
     """
-    return _parsed(json.loads, text)
+    try:
+        return _parsed(json.loads, text)
+    except json.JSONDecodeError as error:
+        raise ValueError(f"it is not JSON: {error}") from None
 
 
 def _parsed(parse: Callable[[Any], Any], text: str | bytes) -> Any:

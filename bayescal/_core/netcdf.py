@@ -59,11 +59,7 @@ def netcdf_bytes(groups: Mapping[str, Group], **attributes: str) -> memoryview:
 def netcdf_groups(
     content: io.BytesIO, names: Iterable[str]
 ) -> tuple[dict[str, Group], dict[str, Any]]:
-    """Return groups of a NetCDF-4 file, and the attributes of its root.
-
-    Raises:
-        ValueError: it has no group of a name.
-    """
+    """Return groups of a NetCDF-4 file, and the attributes of its root; ValueError where it lacks one."""
     import h5netcdf
 
     with h5netcdf.File(content, "r") as file:

@@ -1,6 +1,6 @@
 """Lines on stderr that tell how far it is: for anything that takes over a second, and then at least every ten seconds.
 
-A line says what is being done, for how long by now, and how long such a thing usually takes.
+A line says what is being done, and for how long by now.
 """
 
 from __future__ import annotations
@@ -12,24 +12,6 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 
 SOON, EVERY = 1.0, 9.0  # s, until a stage is first told of, and from a line to the next
-
-# How long a stage usually takes, on two cores; from a few hundred readings to ten thousand under correlated noise.
-USUALLY = {
-    "reading": "a second for 8 MB of text",
-    "least squares": "a second, with correlated noise up to 10 s",
-    "finding the mode": "a second, with correlated noise up to 10 s",
-    "sampling": "1 to 20 s",
-    "NUTS on whitened unknowns": "10 s to minutes",
-    "NUTS on every unknown": "10 s to minutes",
-    "checking": "1 to 10 s",
-    "looking for missing effects": "1 to 60 s, longer with many readings under correlated noise",
-    "averaging over structures": "1 to 20 s",
-    "fitting each possibility": "some seconds each",
-    "expecting the outcome of each experiment": "10 s",
-    "fitting devices": "a second for ten thousand lines, with --find about a second for each device",
-    "calibrate": "5 to 60 s",
-    "report": "5 to 10 s",
-}
 
 _open: list[threading.Event] = []  # stages, by what ends them, the innermost last
 _told = 0.0  # when the last line was
@@ -63,9 +45,8 @@ def stage(what: str, first: float = SOON) -> Iterator[None]:
             now = time.monotonic()
             quiet = now - max(_told, begun)
             if _open[-1:] == [done] and (quiet >= EVERY or not told):
-                usual = f" (usually {USUALLY[what]})" if what in USUALLY else ""
                 so_far = f", {now - begun:.0f} s so far" if told else ""
-                tell(f"{what}{so_far}{usual}")
+                tell(f"{what}{so_far}")
                 quiet, told = 0.0, True
             pause = max(EVERY - quiet, 0.5)
 

@@ -99,11 +99,7 @@ def identifier(text: Any, taken: Collection[str] = ()) -> str:
 
 
 def number_text(value: Any) -> str:
-    """A number as every language here reads it, with all its digits.
-
-    Raises:
-        TypeError: it is none, but text.
-    """
+    """Return a number as every language here reads it, with all its digits; refuse text."""
     if isinstance(value, str | bytes):
         raise TypeError(f"{value!r} is text, a number was expected")
     return repr(float(value))

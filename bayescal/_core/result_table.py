@@ -47,11 +47,6 @@ class TableColumn:
         """What a row has in it."""
         return row[self.of or self.head] if isinstance(self.of, str) else self.of(row)
 
-    @property
-    def heading(self) -> str:
-        """What stands above it."""
-        return f"{self.head} [{self.unit}]" if self.unit else self.head
-
 
 @dataclass(frozen=True)
 class ResultTable:
@@ -75,7 +70,7 @@ class ResultTable:
 
     @property
     def head(self) -> list[str]:
-        return [c.heading for c in self.shown]
+        return [f"{c.head} [{c.unit}]" if c.unit else c.head for c in self.shown]
 
     @property
     def cells(self) -> list[list[str]]:
@@ -88,30 +83,26 @@ class ResultTable:
         return [*own[:-1], own[-1] or self.fold > 0]
 
     def only(self, *heads: str) -> ResultTable:
-        """The same with these columns, in this order."""
+        """Return the same with these columns, in this order."""
         known = {c.head: c for c in self.shown}
         return replace(self, columns=tuple(known[head] for head in heads), fold=0)
 
     def data(self) -> dict[str, list[Any]]:
-        """Its numbers in full: name of a column → one value a row."""
+        """Return its numbers in full: name of a column → one value a row."""
         named = {c.head if c.name is None else c.name: c for c in self.columns}
-        return {
-            name: [column.value(row) for row in self.rows] for name, column in named.items() if name
-        }
+        return {n: [column.value(row) for row in self.rows] for n, column in named.items() if n}
 
     def __str__(self) -> str:
         """As text: columns under a ruled head."""
         return _text(self.head, self.cells, self.flush_left, self.fold)
 
     def html(self) -> str:
-        """As HTML, everything in it escaped."""
+        """Return it as HTML, everything in it escaped."""
+        sides = ["left" if flush else "right" for flush in self.flush_left]
 
         def row(cells: list[str], tag: str) -> str:
-            made = (
-                f'<{tag} style="text-align: {"left" if flush else "right"}">'
-                f"{html_text(cell).replace(chr(10), '<br>')}</{tag}>"
-                for cell, flush in zip(cells, self.flush_left, strict=True)
-            )
+            pairs = zip(map(_html_lines, cells), sides, strict=True)
+            made = (f'<{tag} style="text-align: {side}">{cell}</{tag}>' for cell, side in pairs)
             return f"<tr>{''.join(made)}</tr>"
 
         body = "".join(row(cells, "td") for cells in self.cells)
@@ -133,25 +124,21 @@ def _text(head: list[str], rows: list[list[str]], flush_left: Sequence[bool], fo
     widths = [max(_width(t) for row in each for t in row[i]) for i in range(len(head))]
     if fold:
         room = WIDTH - sum(widths[:-1]) - 2 * (len(head) - 1)
-        widths[-1] = min(widths[-1], max(room, fold))
-        last = widths[-1]
+        last = widths[-1] = min(widths[-1], max(room, fold))
         for row in each:
             parts = ([t] if _width(t) <= last else textwrap.wrap(t, last) for t in row[-1])
             row[-1] = [*chain(*parts)]
-
-    def aligned(texts: Sequence[str]) -> str:
-        parts = []
-        for text, width, flush in zip(texts, widths, flush_left, strict=True):
-            space = " " * (width - _width(text))
-            parts.append(text + space if flush else space + text)
-        return "  ".join(parts).rstrip()
-
-    lines = [aligned(texts) for row in each for texts in zip_longest(*row, fillvalue="")]
+    lines = []
+    for row in each:
+        for texts in zip_longest(*row, fillvalue=""):
+            pads = [" " * (width - _width(t)) for t, width in zip(texts, widths, strict=True)]
+            parts = zip(texts, pads, flush_left, strict=True)
+            lines.append("  ".join(t + pad if left else pad + t for t, pad, left in parts).rstrip())
     return "\n".join([lines[0], "  ".join("─" * w for w in widths), *lines[1:]])
 
 
 def _width(text: str) -> int:
-    """Columns that a text takes: the mark over a letter takes none."""
+    """Return the columns that a text takes: the mark over a letter takes none."""
     return sum(not unicodedata.combining(c) for c in text)
 
 
@@ -195,11 +182,15 @@ class Printed:
 
 
 def as_html(parts: Sequence[str | ResultTable]) -> str:
-    """Lines and tables as HTML, everything in them escaped."""
+    """Return lines and tables as HTML, everything in them escaped."""
     made = list[str]()
     for tables, some in groupby(parts, key=lambda part: isinstance(part, ResultTable)):
         if tables:
             made += [part.html() for part in some if isinstance(part, ResultTable)]
         elif text := "\n".join(map(str, some)).strip("\n"):
-            made.append(f"<p>{html_text(text).replace(chr(10), '<br>')}</p>")
+            made.append(f"<p>{_html_lines(text)}</p>")
     return "".join(made)
+
+
+def _html_lines(text: str) -> str:
+    return html_text(text).replace("\n", "<br>")

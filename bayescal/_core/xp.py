@@ -9,8 +9,8 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Callable
-from functools import cache
 from importlib import import_module
+from operator import attrgetter
 from typing import Any
 
 import numpy as np
@@ -45,11 +45,11 @@ class Namespace:
         if name.startswith("_"):
             raise AttributeError(name)
         path = f"{self._path}.{name}".lstrip(".")
-        on_host = _member(np, path)
-        if isinstance(on_host, type(np)):
-            found: Any = Namespace(path)
-        else:
-            found = _dispatched(path, on_host) if callable(on_host) else on_host  # or a constant
+        found: Any = attrgetter(path)(np)
+        if isinstance(found, type(np)):
+            found = Namespace(path)
+        elif callable(found):
+            found = _dispatched(path, found)
         setattr(self, name, found)
         return found
 
@@ -57,6 +57,8 @@ class Namespace:
         """Return values at the places of an order: found[..., order] = values (..., n)."""
         if is_traced((order, values)):
             return self.zeros_like(values).at[..., order].set(values)
+        if len(order) and order[0] == 0 and np.all(order[1:] > order[:-1]):  # as they stand
+            return values
         found = np.empty_like(values)
         found[..., order] = values
         return found
@@ -70,9 +72,7 @@ class Namespace:
             rows: an array (n, …), or a tuple of them.
         """
         if is_traced((start, rows)):
-            import jax
-
-            return jax.lax.scan(advance, start, rows)[1]
+            return import_module("jax").lax.scan(advance, start, rows)[1]
         state, found = start, []
         for row in zip(*rows, strict=True) if isinstance(rows, tuple) else rows:
             state, given = advance(state, row)
@@ -81,24 +81,16 @@ class Namespace:
 
 
 def _dispatched(path: str, on_host: Callable[..., Any]) -> Callable[..., Any]:
-    @cache
-    def in_program() -> Callable[..., Any]:
-        import jax.numpy as jnp
-
-        return _member(jnp, path)
+    of_jax = attrgetter(path)
 
     def function(*args: Any, **kwargs: Any) -> Any:
-        return (in_program() if is_traced(args) or is_traced(kwargs) else on_host)(*args, **kwargs)
+        if is_traced(args) or is_traced(kwargs):
+            return of_jax(sys.modules["jax"].numpy)(*args, **kwargs)
+        return on_host(*args, **kwargs)
 
     if hasattr(on_host, "accumulate"):
         function.accumulate = _dispatched(f"{path}.accumulate", on_host.accumulate)  # pyright: ignore[reportFunctionMemberAccess]
     return function
-
-
-def _member(module: Any, path: str) -> Any:
-    for name in path.split("."):
-        module = getattr(module, name)
-    return module
 
 
 xp: Any = Namespace()

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -64,15 +65,12 @@ class Column:
             f" may be in any unit: its default {self.default!r} has none": unit == ANY
             and self.default is not None,
             " has no unit that known uncertainties could have": self.known and unit in (None, ANY),
-            **{
-                f": {name} {value} must be a positive number": not (
-                    math.isfinite(value) and value > 0
-                )
-                for name, value in self.known
-            },
+            f": low {low} is not below high {high}": None not in (low, high) and not low < high,
         }
-        if low is not None and high is not None:
-            faults[f": low {low:g} is not below high {high:g}"] = not low < high
+        faults |= {
+            f": {name} {value} must be a positive number": not 0 < value < math.inf
+            for name, value in self.known
+        }
         for fault in (text for text, holds in faults.items() if holds):
             raise InputError(f"column {self.name!r}{fault}")
 
@@ -130,6 +128,16 @@ class Source:
     units: dict[str, str] = field(default_factory=dict, hash=False)
 
 
+class Place(NamedTuple):
+    """Where a reading stands, such as "row 12", and in which file."""
+
+    row: str
+    file: str
+
+    def __str__(self) -> str:
+        return f"{self.row} of {self.file!r}"
+
+
 @dataclass
 class ConvertedColumns:
     """Columns of one file, or of several one after the other, as ours.
@@ -158,6 +166,26 @@ class ConvertedColumns:
     unread: set[str] = field(default_factory=set)
     beside: set[str] = field(default_factory=set)
     by_gravity: set[str] = field(default_factory=set)
+
+    def fill(self, name: str, value: float | str, unit: str | None) -> None:
+        """Add a column that holds a default in every reading."""
+        kind, rows = object if unit is None else np.float64, sum(t.rows for t in self.tables)
+        self.values[name] = np.full(rows, value, dtype=kind)
+        self.units[name] = unit
+        self.filled.add(name)
+
+    def where(self, index: int) -> Place:
+        """Return where a reading stands, of the files one after the other."""
+        for table in self.tables:
+            if index < table.rows:
+                break
+            index -= table.rows
+        return Place(table.place(index), table.file)
+
+    @property
+    def thermometers(self) -> list[str]:
+        """Names of the columns of measured temperatures, °C."""
+        return [n for n, unit in self.units.items() if unit == "degC" and n != MAY_BE_EMPTY]
 
 
 def file_names(files: Sequence[str]) -> str:

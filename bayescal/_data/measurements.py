@@ -26,13 +26,17 @@ from bayescal._data.column import (
     Source,
     file_names,
 )
-from bayescal._data.column_conversion import convert_columns
-from bayescal._data.dataset_checks import flags_of, problems_of_whole, repeated_rows
-from bayescal._data.joined_files import joined
+from bayescal._data.column_conversion import convert_columns, joined
+from bayescal._data.dataset_checks import (
+    Oddity,
+    flags_of,
+    oddities,
+    problems_of_whole,
+    repeated_rows,
+)
 from bayescal._data.pose_rows import MAGNITUDE, MAGNITUDE_READ, scalar_readings
 from bayescal._data.read_options import InstrumentLike, ReadOptions, output_name, unused_options
 from bayescal._data.records import distinct
-from bayescal._data.thermometer_checks import Oddity, oddities
 from bayescal._data.unit_conversion import ANY, parse
 from bayescal._tables.cells import date_text, equally_long
 from bayescal._tables.raw_table import ROW, Objections, Table
@@ -87,26 +91,8 @@ class Measurements(Printed):
         object.__setattr__(self, "units", {name: self.units[name] for name in made})
 
     @classmethod
-    def from_xarray(cls, data: xr.Dataset, **more: Any) -> Measurements:
-        """Readings that `to_xarray` made a data set of; unchecked.
-
-        Args:
-            data: one dimension, `reading`; numbers with the attribute `units`, labels without.
-            **more: `sources`, `flags`, `output` and `scale`, which no data set holds.
-
-        Raises:
-            InputError: it has another dimension than `reading`.
-        """
-        if set(data.sizes) != {ROW}:
-            raise InputError(
-                f"measurements have the one dimension {ROW!r}, these have "
-                f"{', '.join(map(str, data.sizes))}"
-            )
-        return cls.of_variables({str(n): data.variables[n] for n in data.data_vars}, **more)
-
-    @classmethod
     def of_variables(cls, held: Mapping[str, Any], **more: Any) -> Measurements:
-        """Readings of `variables`, unchecked; further fields as of `from_xarray`."""
+        """Make readings of `variables`, unchecked; `more` are fields that these do not hold, such as `sources`."""
         gone = (name for name, variable in held.items() if not variable.attrs.get(CAUSE, 1))
         return cls(
             {name: variable.values for name, variable in held.items()},
@@ -241,11 +227,6 @@ class Measurements(Printed):
             said |= {SINCE: self.since} if name == "time" and self.since is not None else {}
             made[name] = Variable((ROW,), values, said)
         return made
-
-    @property
-    def data(self) -> xr.Dataset:
-        """As `to_xarray`: made anew each time, so that nothing done to it changes the readings."""
-        return self.to_xarray()
 
     def has(self, name: str) -> bool:
         """Whether there is a column of that name."""

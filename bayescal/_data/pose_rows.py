@@ -85,13 +85,23 @@ def scalar_readings(
     angle = values[POSE_UNCERTAINTY] * magnitude(values)
     beside = values.get(UNCERTAINTY, np.zeros(len(y)))
     uncertainty = np.stack([beside, *2 * [np.hypot(beside, angle)]], axis=1)
-    made = {name: np.repeat(v, 3) for name, v in values.items()}
-    made |= {name: np.repeat(direction[:, i], 3) for i, name in enumerate(DIRECTION)}
-    made |= {name: across[:, :, i].ravel() for i, name in enumerate(ACROSS)}
-    made |= {"output": outputs.ravel(), UNCERTAINTY: uncertainty.ravel()}
-    made |= {OF: np.tile(("magnitude", "across", "across too"), len(y))}
+    values = {**values, **dict(zip(DIRECTION, direction.T, strict=True))}
+    made = _three_each(values, across, outputs, ("magnitude", "across", "across too"))
+    made |= {UNCERTAINTY: uncertainty.ravel()}
     made_units |= {**dict.fromkeys(ACROSS, "1"), UNCERTAINTY: made_units["output"], OF: None}
     return made, made_units
+
+
+def _three_each(
+    values: Mapping[str, np.ndarray],
+    across: Float[np.ndarray, "n 3 3"],
+    outputs: Float[np.ndarray, "n 3"],
+    labels: Sequence[str],
+) -> dict[str, np.ndarray]:
+    """Return three readings of each moment: its outputs, what they are projections on, and what they are called."""
+    made = {name: np.repeat(v, 3) for name, v in values.items()}
+    made |= {name: across[:, :, i].ravel() for i, name in enumerate(ACROSS)}
+    return made | {"output": outputs.ravel(), OF: np.tile(labels, len(outputs))}
 
 
 def magnitude(columns: Any) -> Any:
@@ -173,16 +183,14 @@ def component_readings(
             "table's axis in the body's axes"
         )
     direction = direction / np.where(length > 0, length, 1.0)[:, None]
-    made = {name: np.repeat(v, 3) for name, v in values.items()}
-    made |= {name: np.repeat(direction[:, i], 3) for i, name in enumerate(DIRECTION)}
+    values = {**values, **dict(zip(DIRECTION, direction.T, strict=True))}
+    outputs = np.stack([values[n] for n in names], axis=1)
+    made = _three_each(values, np.broadcast_to(np.eye(3), (count, 3, 3)), outputs, AXES)
     if MOUNTING not in values:
         first = np.argmax(np.abs(direction) > 0.5, axis=1)  # one sign for both ways round
         way = direction * np.sign(direction[np.arange(count), first])[:, None]
         labels = ["about " + " ".join(f"{c + 0.0:.3f}" for c in one) for one in np.round(way, 3)]
         made[MOUNTING] = np.repeat(np.where(length > 0, labels, "at rest"), 3)
-    made |= {name: np.tile(np.eye(3)[i], count) for i, name in enumerate(ACROSS)}
-    made |= {"output": np.stack([values[n] for n in names], axis=1).ravel()}
-    made |= {OF: np.tile(AXES, count)}
     own = {**dict.fromkeys((*ACROSS, *DIRECTION), "1"), MOUNTING: None, OF: None}
     return made, {**units, **own, "output": units[names[0]]}
 

@@ -87,7 +87,7 @@ def read(  # pyright: ignore[reportInconsistentOverload]
             as 10.11.12; empty where a day above 12 shows it.
         ignore: columns of the file that are left out.
         unwrap: the file's name (or ours) → what a counter held when it began anew: {"time": "2^32us"}, {"temperature":
-            "256degC"}; "sign" of temperatures whose sign was lost.
+            "256degC"}.
         begin: when the first reading of a file without dates was taken: a date, or a time on the clock of `like` such
             as "9 days"; of several files, or in place of a file's dates, by its name: {"b.csv": "2026-05-13 10:14"}.
         like: readings, as of a calibration, whose headers mean the same in these files, where nothing is said of them

@@ -13,7 +13,6 @@ from typing import Any, NamedTuple, Protocol
 
 from bayescal._core.errors import InputError
 from bayescal._data.column import UNCERTAINTY, Column, NominalScale, Source
-from bayescal._data.header_rules import called, readings_of
 from bayescal._data.pose_rows import MAGNITUDE
 from bayescal._data.records import RECORD
 from bayescal._data.unit_conversion import (
@@ -26,7 +25,16 @@ from bayescal._data.unit_conversion import (
     same_dimension,
 )
 from bayescal._tables.cells import EARLIEST, LATEST, ORDERS, unix_seconds
-from bayescal._tables.raw_table import Header, Objection, Objections, Table, in_one_line, option
+from bayescal._tables.raw_table import (
+    Header,
+    Objection,
+    Objections,
+    Table,
+    called,
+    in_one_line,
+    option,
+    readings_of,
+)
 
 MISSING_READINGS = ("refuse", "drop")
 _PERIOD = re.compile(r"(\d+\.?\d*)(?:\^(\d{1,2}))?\s*([^\d\s.^].*)?")
@@ -57,8 +65,7 @@ class ReadOptions:
     """What the user says beside the file; those not named here are as `read` takes them.
 
     Attributes:
-        columns: our name → the file's; of several, which name the same in different files, the first.
-        others_called: our name → those several.
+        columns: our name → the file's, or several, where files differ; of one file (`of_file`) the one that it has.
         local_field: in the unit of the instrument's column `magnitude`.
         only: whether all columns beside the instrument's are left out.
         others: columns of the file that are outputs of other channels, and left out.
@@ -67,8 +74,7 @@ class ReadOptions:
         epoch: of the calibration, seconds since 1970; None where it has none.
     """
 
-    columns: Mapping[str, str] = field(default_factory=dict)
-    others_called: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+    columns: Mapping[str, Any] = field(default_factory=dict)
     units: Mapping[str, str] = field(default_factory=dict)
     local_gravity: float | None = None
     local_field: float | None = None
@@ -86,22 +92,24 @@ class ReadOptions:
 
     def __post_init__(self) -> None:
         """Raise InputError where `missing`, `decimal` or `date_order` is another word."""
-        if self.missing not in MISSING_READINGS:
-            raise InputError(f"missing={self.missing!r} (--missing) is not one of refuse, drop")
-        if self.decimal not in ("", ".", ","):
-            raise InputError(f"decimal={self.decimal!r} (--decimal) is neither a point nor a comma")
-        if self.date_order not in ("", *ORDERS):
-            raise InputError(
-                f"date_order={self.date_order!r} (--date-order) is not one of {', '.join(ORDERS)}: the order of month, "
-                "day and year, or of hours, minutes and seconds"
-            )
+        orders = ", ".join(ORDERS)
+        known = {
+            "missing": (MISSING_READINGS, "not one of refuse, drop"),
+            "decimal": (("", ".", ","), "neither a point nor a comma"),
+            "date_order": (
+                ("", *ORDERS),
+                f"not one of {orders}: the order of month, day and year, or of hours, minutes and seconds",
+            ),
+        }
+        for name, (words, fault) in known.items():
+            if (said := getattr(self, name)) not in words:
+                raise InputError(f"{name}={said!r} (--{name.replace('_', '-')}) is {fault}")
 
     @classmethod
     def of(
         cls,
         instrument: InstrumentLike,
         *,
-        columns: Mapping[str, str | Sequence[str]] | None = None,
         nominal_scale: NominalScale | str | None = None,
         nominal_zero: str | None = None,
         local_field: str | None = None,
@@ -114,10 +122,7 @@ class ReadOptions:
         Raises:
             InputError: one of them is not of its form, or not in a unit of this instrument.
         """
-        names = {n: [v] if isinstance(v, str) else [*v] for n, v in (columns or {}).items()}
         options = cls(
-            columns={name: own[0] for name, own in names.items()},
-            others_called={name: tuple(own) for name, own in names.items() if len(own) > 1},
             ignore=tuple(ignore),
             begin={"": begin} if begin and isinstance(begin, str) else dict(begin or {}),
             **given,
@@ -139,35 +144,37 @@ class ReadOptions:
     @property
     def headers(self) -> tuple[str, ...]:
         """All headers that columns are said to have."""
-        return (*self.columns.values(), *(n for v in self.others_called.values() for n in v))
+        return tuple(name for names in self.columns.values() for name in _several(names))
 
     def of_file(self, table: Table, beside: Sequence[Table] = ()) -> ReadOptions:
         """Return the options of one file: of several headers of a column, the one that it has.
 
         A header that it lacks and a file beside it has was said for that one: here nothing is said of its column.
         """
-        columns, units = dict(self.columns), dict(self.units)
+        columns, units = dict[str, str](), dict(self.units)
 
         def there(names: Sequence[str], one: Table = table) -> list[str]:
             return [n for n in names if called(one.headers, in_one_line(n)) is not None]
 
-        raw = {header.raw for header in table.headers}
+        for ours, names in self.columns.items():
+            found = there(_several(names))
+            if found or not any(there(_several(names), one) for one in beside):
+                columns[ours] = (found or _several(names))[0]
+        raw, said = {header.raw for header in table.headers}, {*self.headers}
         for before in self.remembered:
             for ours, theirs in before.columns.items():
-                if ours not in columns and theirs not in columns.values() and there([theirs]):
+                if ours not in {*self.columns, *columns} and theirs not in said and there([theirs]):
                     columns[ours] = theirs
             units = {h: unit for h, unit in before.units.items() if h in raw} | units
-        for ours, first in self.columns.items():
-            names = self.others_called.get(ours, (first,))
-            if found := there(names):
-                columns[ours] = found[0]
-            elif any(there(names, one) for one in beside):
-                del columns[ours]
-        return replace(self, columns=columns, units=units, others_called={}, remembered=())
+        return replace(self, columns=columns, units=units, remembered=())
 
     def leaves_out(self, header: Header) -> bool:
         """Whether a column is left out, as the user says, or as it is another channel's output."""
         return any(name in (header.raw, header.name) for name in (*self.ignore, *self.others))
+
+
+def _several(names: str | Sequence[str]) -> Sequence[str]:
+    return [names] if isinstance(names, str) else names
 
 
 def _with_zero(instrument: InstrumentLike, scale: NominalScale | None, zero: str) -> NominalScale:

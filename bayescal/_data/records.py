@@ -68,3 +68,9 @@ def runs_of(columns: Columns) -> dict[str, np.ndarray]:
     names = [n for n in RECORD if n in columns]
     records = members(record_codes(columns))
     return {" ".join(str(columns[n][rows[0]]) for n in names): rows for rows in records}
+
+
+def equal_runs(values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return where each stretch of equal values begins, and how many there are."""
+    begins = np.flatnonzero(np.concatenate([[True], values[1:] != values[:-1]]))
+    return begins, np.diff(begins, append=len(values))

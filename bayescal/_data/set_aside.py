@@ -18,10 +18,8 @@ from numpy.lib.stride_tricks import sliding_window_view
 from bayescal._core.flag import Flag
 from bayescal._core.settings import settings
 from bayescal._data import dataset_checks as checks
-from bayescal._data import thermometer_checks as thermometers
 from bayescal._data.measurements import Measurements
 from bayescal._data.records import RECORD, Columns, pieces, record_codes, stretches
-from bayescal._data.thermometer_checks import FEW_CHANGES, Oddity
 
 # Robust standard deviations of a reading's distance from the line through its neighbours; of a million normal readings
 # none.
@@ -60,7 +58,7 @@ def set_aside(
         keep_spikes: leave spikes in, and wrong temperatures.
         needed: columns that a model needs: without readings, too, at which a thermometer among them was wrong.
     """
-    for find in (_repeated, _clipped, _stuck):
+    for find in (_clipped, _stuck):
         readings = _without(readings, find(readings))
     if keep_spikes or not readings.has("time"):  # both are known by their neighbours in time
         return readings
@@ -88,12 +86,6 @@ def _listed(rows: np.ndarray, values: np.ndarray, unit: str = "") -> str:
     return f"row {shown}{' …' * (len(rows) > 5)}"
 
 
-def _repeated(readings: Measurements) -> Fault:
-    """Rows that repeat an earlier one: reading a file drops them, other sources may hold them."""
-    rows = checks.repeated_rows(readings.values) if readings.has("time") else np.zeros(0, int)
-    return Fault(rows, f"{len(rows)} row(s) repeat an earlier one in every column: dropped")
-
-
 def _clipped(readings: Measurements) -> Fault:
     """What stands exactly at an end where the output was cut off: such a reading only says "beyond"."""
     output = readings["output"]
@@ -115,7 +107,7 @@ def _stuck(readings: Measurements) -> Fault:
         said = f"stands still at {output[first]:.6g} (rows {first + 2} to {last + 1})"
     elif readings.has("time"):
         own = pieces(readings.values)
-        rows = thermometers.repeats(output, own, thermometers.held_rows(output, own))
+        rows = checks.repeats(output, own, checks.held_rows(output, own))
         first = rows[0] + 1 if len(rows) else 0
         said = (
             f"repeats a value until the next leap, first in row {first}: a logger asked it seldom"
@@ -132,7 +124,7 @@ def _wrong(readings: Measurements, needed: Collection[str], begun: int) -> Fault
     or all temperatures but one, they stay, and the fault is a reason not to believe the result.
     """
     for odd in readings.oddities:
-        few = odd.code == "leap" and len(odd.wrong) <= thermometers.LEAP_SHARE * begun
+        few = odd.code == "leap" and len(odd.wrong) <= checks.LEAP_SHARE * begun
         if (few or odd.column in needed) and _can_go(readings.values, odd, begun):
             rows = _listed(odd.wrong, readings[odd.column], " °C")
             said = f"{len(odd.wrong)} reading(s) set aside, column {odd.column!r} {odd.said}"
@@ -140,11 +132,11 @@ def _wrong(readings: Measurements, needed: Collection[str], begun: int) -> Fault
     return Fault()
 
 
-def _can_go(columns: Columns, odd: Oddity, begun: int) -> bool:
+def _can_go(columns: Columns, odd: checks.Oddity, begun: int) -> bool:
     """Whether enough is left without what is wrong: half of the readings; of a held column, each value once."""
     count = len(columns[odd.column])
     kept, held = np.setdiff1d(np.arange(count), odd.wrong), len(odd.wrong) < len(odd.rows)
-    least = FEW_CHANGES if held and count == begun else 0.5 * begun
+    least = checks.FEW_CHANGES if held and count == begun else 0.5 * begun
     if not len(odd.wrong) or len(kept) < least:
         return False
     labels = [n for n in RECORD if n != "run" and n in columns]
@@ -229,24 +221,26 @@ def not_new(readings: Measurements, holdout: Measurements) -> int:
     """
     numbers = (n for n, unit in readings.units.items() if n != "time" and unit is not None)
     shared = [n for n in numbers if holdout.has(n)]
-
-    def numbered(names: list[str]) -> tuple[np.ndarray, np.ndarray]:
-        """Of each reading of either which of their different rows it is."""
-        rows = [np.round(np.column_stack([r[n] for n in names]), 12) for r in (readings, holdout)]
-        codes = np.unique(np.concatenate(rows), axis=0, return_inverse=True)[1].ravel()
-        return codes[: len(readings)], codes[len(readings) :]
-
-    mine, theirs = numbered(shared)
+    others = [n for n in shared if n != "output"] or ["output"]
+    (mine, theirs), (beside, its) = (
+        _numbered(readings, holdout, shared),
+        _numbered(readings, holdout, others),
+    )
     both = int(np.isin(theirs, mine).sum())
     output = readings["output"]
-    noise = max(thermometers.scatter(output), float(np.spacing(np.max(np.abs(output)))))
+    noise = max(checks.scatter(output), float(np.spacing(np.max(np.abs(output)))))
     alike = min(1.0, checks.resolution(output) / (2.0 * np.sqrt(np.pi) * noise))
-    others = [n for n in shared if n != "output"] or ["output"]
-    mine, theirs = numbered(others)
-    chances = np.bincount(mine, minlength=int(theirs.max(initial=-1)) + 1)[theirs]
+    chances = np.bincount(beside, minlength=int(its.max(initial=-1)) + 1)[its]
     by_chance = float(np.sum(1.0 - (1.0 - alike) ** chances))
     least = max(NOT_NEW_SHARE * len(theirs), by_chance + BY_CHANCE_SD * np.sqrt(by_chance))
     return both if both > least else 0
+
+
+def _numbered(one: Measurements, other: Measurements, names: list[str]) -> list[np.ndarray]:
+    """Return of each reading of both which of their different rows of these columns it is."""
+    rows = [np.round(np.column_stack([r[n] for n in names]), 12) for r in (one, other)]
+    codes = np.unique(np.concatenate(rows), axis=0, return_inverse=True)[1].ravel()
+    return np.split(codes, [len(one)])
 
 
 def said_of(readings: Measurements, holdout: Measurements) -> str:

@@ -12,7 +12,7 @@ from scipy.linalg.lapack import dtbtrs
 
 from bayescal._core.errors import InputError
 from bayescal._data.measurements import Measurements
-from bayescal._data.records import PAUSE_STEPS
+from bayescal._data.records import PAUSE_STEPS, distinct
 from bayescal._tables.cells import date_text
 from bayescal._tables.raw_table import option
 
@@ -30,14 +30,11 @@ ALONE_RATIO, SET_SHARE = 0.1, 0.9
 
 
 def run_codes(readings: Measurements) -> tuple[tuple[str, ...], np.ndarray]:
-    """Runs as records in time: one for each run of each device and axis."""
-    levels, codes = readings.groups("run")
-    for group in ("device", "axis"):
-        if readings.has(group):
-            members, own = readings.groups(group)
-            pairs, codes = np.unique(own * len(levels) + codes, return_inverse=True)
-            levels = tuple(f"{members[p // len(levels)]}|{levels[p % len(levels)]}" for p in pairs)
-    return levels, codes
+    """Return records in time, one for each run of each device and axis, and which of them each reading is of."""
+    names = [n for n in ("axis", "device") if readings.has(n)]
+    runs, codes = readings.groups("run")
+    levels, codes = distinct([*(readings[n] for n in names), np.array(runs)[codes]])
+    return tuple("|".join(map(str, level)) for level in levels), codes
 
 
 def sequence(time: np.ndarray, codes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -181,12 +178,15 @@ def causal_slope(
 
 
 def recursion(
-    share: Float[np.ndarray, "n"], push: Float[np.ndarray, "n k"]
-) -> Float[np.ndarray, "n k"]:
+    share: Float[np.ndarray, "*s n"], push: Float[np.ndarray, "*s n"]
+) -> Float[np.ndarray, "*s n"]:
     """Return x of xᵢ = shareᵢ·xᵢ₋₁ + pushᵢ, from zero: a unit bidiagonal matrix, LAPACK's banded solver."""
-    band = np.ones((2, len(share)), order="F")
-    band[1, :-1] = -share[1:]
-    return dtbtrs(band, push, uplo="L", diag="U")[0]
+    share, push = np.broadcast_arrays(share, push)
+    # All recursions are one, which begins anew at the first element of each.
+    band = np.ones((share.size, 2))
+    np.negative(share.reshape(-1)[1:], out=band[:-1, 1])
+    band[share.shape[-1] - 1 :: share.shape[-1], 1] = 0.0
+    return dtbtrs(band.T, push.reshape(-1), uplo="L", diag="U")[0].reshape(push.shape)
 
 
 def _window_sums(t: np.ndarray, y: np.ndarray, first: np.ndarray) -> np.ndarray:
@@ -205,9 +205,9 @@ def _window_sums(t: np.ndarray, y: np.ndarray, first: np.ndarray) -> np.ndarray:
 
     def sums(origin: np.ndarray, rows: slice) -> np.ndarray:  # of each stretch, in this direction
         dt, dy = t - t[origin], y - y[origin]
-        terms = np.stack([dt, dy, dt * dt, dt * dy], axis=1)[rows]
+        terms = np.stack([dt, dy, dt * dt, dt * dy])[:, rows]
         same = np.diff(stretch[rows], prepend=-1) == 0
-        return recursion(same.astype(float), terms)[rows].T
+        return recursion(same.astype(float), terms)[:, rows]
 
     since, until = sums(at, slice(None)), sums(after, slice(None, None, -1))
     return since + np.where(first < at, until[:, first], 0.0)

@@ -229,7 +229,7 @@ class Density:
     def value(self, v: np.ndarray) -> float:
         """Return the log density at a coordinate that a climb may go on from."""
         if self.tabulated is None:
-            return self.at(v)[0]
+            return self._by_values.value(v)
         found = self.evaluate(v)
         return NOWHERE if found is None else found.log_density
 

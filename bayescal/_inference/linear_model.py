@@ -180,7 +180,8 @@ class LinearModel:
     @cached_property
     def rest(self) -> float:
         """Sum of squares, the prior's share included."""
-        return float(self.white_residual @ self.white_residual) + float(self.weight @ self.z**2)
+        white = self.decorrelate(self.residual[:, None])
+        return float(np.sum(white**2)) + float(self.weight @ self.z**2)
 
     def projected(self, columns: Float[np.ndarray, "n k"]) -> Float[np.ndarray, "q k"]:
         """What of whitened columns the nuisances take, P = Gᵀ·C: the information left is CᵀC − PᵀP."""

@@ -8,12 +8,12 @@ from dataclasses import replace
 from functools import partial
 from typing import ClassVar, Literal, NamedTuple
 
-import jax
 import numpy as np
 from jaxtyping import Float
 
 from bayescal._core import deadline
 from bayescal._core.importance_weights import effective_size, resample, smoothed
+from bayescal._core.lazy_jax import jax
 from bayescal._core.progress import stage
 from bayescal._core.settings import settings
 from bayescal._inference import nuts_chains, sampled_products, trust

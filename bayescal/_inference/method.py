@@ -7,13 +7,13 @@ from collections.abc import Mapping
 from dataclasses import dataclass, fields
 from typing import Any, ClassVar
 
-import equinox as eqx
 import numpy as np
 from numpy.typing import ArrayLike
 
 from bayescal._inference.laplace import NOTHING_KNOWN, Mode
 from bayescal._inference.problem import Problem
 from bayescal._model.parameters import Layout
+from bayescal._model.static import static
 
 CHAINS = 4  # that draws are dealt into, so that what reads chains can read independent draws too
 
@@ -101,10 +101,14 @@ class Outcome:
     log_evidence: tuple[float, float | None] | None
 
 
-class Method(eqx.Module):
+@static
+class Method(abc.ABC):
     """A way of fitting. The third extension point, beside effects and noise laws."""
 
     name: ClassVar[str]
+
+    def __init_subclass__(cls) -> None:
+        static(cls)
 
     @abc.abstractmethod
     def run(

@@ -161,7 +161,9 @@ class ByValues:
         self._exact = False  # whether its curvature is by differences
 
     def value(self, v: Float[np.ndarray, "d"]) -> float:
-        return float(self.values(v[None])[0])
+        # Most steps of a climb are taken, and their ends evaluated: all at once.
+        found = self.evaluate(v)
+        return float(self.values(v[None])[0]) if found is None else found.log_density
 
     def evaluate(self, v: Float[np.ndarray, "d"], exact: bool = False) -> Slopes | None:
         """Return value, gradient and curvature; the latest are kept. None where the density is nowhere."""
@@ -185,10 +187,13 @@ class ByValues:
         self, v: Float[np.ndarray, "d"], steps: Float[np.ndarray, "d"], curved: bool
     ) -> Slopes | None:
         # Along the axes: what a coordinate of the noise moves is computed at columns that stay.
-        dim, value, pairs = len(v), self.value(v), [*itertools.combinations(range(len(v)), 2)]
-        for _ in range(SHORTENINGS if value > NOWHERE else 0):
+        dim, pairs = len(v), [*itertools.combinations(range(len(v)), 2)]
+        for _ in range(SHORTENINGS):
             moves = np.diag(steps)
-            up, down = self.values(np.concatenate([v + moves, v - moves])).reshape(2, dim)
+            value, *ends = self.values(np.concatenate([v[None], v + moves, v - moves]))
+            if not value > NOWHERE:
+                return None
+            up, down = np.reshape(ends, (2, dim))
             bends = 2 * value - up - down
             # In place of a step that was long against what the density allows, one that is right.
             if np.any(long := bends > 4 * DIFFERENCE**2):

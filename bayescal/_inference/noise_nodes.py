@@ -260,8 +260,7 @@ class Products:
     """Products of some columns at the nodes, and with the ends of runs: TᵀΣ⁻¹T at any setting.
 
     Attributes:
-        at_nodes: (j, r, r).
-        ends: by (length, sign) (runs, j', r).
+        width: columns r.
     """
 
     def __init__(
@@ -269,7 +268,8 @@ class Products:
         at_nodes: Float[np.ndarray, "j r r"],
         ends: Mapping[tuple[int, int], Float[np.ndarray, "u i r"]],
     ) -> None:
-        self.width, self.ends = at_nodes.shape[1], ends
+        self.width = at_nodes.shape[1]
+        self._runs = {k: e.transpose(1, 0, 2).reshape(e.shape[1], -1) for k, e in ends.items()}
         self._flat = np.ascontiguousarray(at_nodes).reshape(len(at_nodes), -1)
 
     @classmethod
@@ -278,23 +278,37 @@ class Products:
         transformed = nodes.transform(columns)
         return cls(nodes.products(transformed, transformed), nodes.end_products(transformed))
 
+    def _at_ends(
+        self, weights: Weights, settings: slice
+    ) -> Iterator[tuple[Float[np.ndarray, "s q x"], Float[np.ndarray, "s q x"]]]:
+        """Yield what columns have at the ends of all runs of a length (s, q, runs·r), and (I − M·Z)⁻¹·M times it."""
+        for key, runs in self._runs.items():
+            if key in weights.inner:
+                ends, inner = weights.ends[key][settings], weights.inner[key][settings]
+                flat = (
+                    ends.reshape(-1, ends.shape[2]) @ runs
+                )  # one product: of small ones each costs a call
+                at_ends = flat.reshape(*ends.shape[:2], -1)
+                yield at_ends, inner @ at_ends
+
     def gram(self, weights: Weights, settings: slice = slice(None)) -> Float[np.ndarray, "s r r"]:
         """Return TᵀΣ⁻¹T at some of the settings."""
         found = (weights.inverse[settings] @ self._flat).reshape(-1, self.width, self.width)
-        for key, runs in self.ends.items():
-            inner = weights.inner[key][settings] if key in weights.inner else None
-            for run in runs if inner is not None else ():
-                at_ends = weights.ends[key][settings] @ run  # (s, q, r)
-                found += at_ends.transpose(0, 2, 1) @ (inner @ at_ends)
+        both = [*self._at_ends(weights, settings)]
+        if both:
+            left, right = (
+                np.concatenate([a.reshape(len(a), -1, self.width) for a in each], axis=1)
+                for each in zip(*both, strict=True)
+            )
+            found += left.transpose(0, 2, 1) @ right
         return found
 
     def traces(self, weights: Weights, e: Float[np.ndarray, "r r"]) -> Float[np.ndarray, "s"]:
         """Return tr(E·TᵀΣ⁻¹T) at all settings."""
         found = weights.inverse @ (self._flat @ e.ravel())
-        for key, runs in self.ends.items():
-            for run in runs if key in weights.inner else ():
-                at_ends = weights.ends[key] @ run
-                found = found + np.einsum("sqr,sqr->s", weights.inner[key] @ at_ends, at_ends @ e)
+        for at_ends, by in self._at_ends(weights, slice(None)):
+            each = at_ends.reshape(*at_ends.shape[:2], -1, self.width) @ e
+            found = found + np.sum(by * each.reshape(by.shape), axis=(1, 2))
         return found
 
 

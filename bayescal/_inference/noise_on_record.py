@@ -11,11 +11,10 @@ from collections.abc import Mapping
 from functools import partial
 from typing import Any, NamedTuple
 
-import jax
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
+from bayescal._core.lazy_jax import jax
 from bayescal._inference.programs import program
 from bayescal._inference.record import Record
 from bayescal._model.frame import Frame
@@ -26,6 +25,7 @@ Each = Mapping[str, Any]  # φ by name, one number a draw, or one for all
 WIDTH = 8  # columns that a table is padded to at least, else to twice as many, and so on
 CELLS = 2_000_000  # numbers in the tables of several draws that are held at once
 FEWEST_DRAWS_TOGETHER = 8  # draws that are worked out together where there are few
+RESIDUAL_DIFFERENCE = 1e-4  # of a reading's standard deviation
 KEYS_TOGETHER = 4096  # of draws, made by one program
 
 
@@ -142,20 +142,6 @@ def _whitened(law: Noise, frame: Frame, table, extra, values):
     return law.whiten(table, extra, values, frame)
 
 
-def _of_readings(
-    what, law: Noise, values: Values, record: Record, extra: Any, *arrays: np.ndarray
-) -> Any:
-    """What a program gives for each reading, at one φ or at several, without those that pad the record."""
-    own = {name: np.asarray(values[name], float) for name in law.parameters()}
-    made = what(*record.for_law(law), *map(record.longer, arrays), _longer(record, extra), own)
-    return jax.tree.map(lambda a: np.asarray(a)[..., : record.size], made)
-
-
-def _longer(record: Record, extra: Any) -> Any:
-    """Variance beside the law's, of readings or of draws of them, up to the padded length; None where there is none."""
-    return record.longer(np.asarray(extra)) if np.ndim(extra) else None
-
-
 class Terms(NamedTuple):
     """The log density of readings under independent noise, with its derivatives by what is left of each reading.
 
@@ -185,24 +171,6 @@ class Terms(NamedTuple):
         return np.maximum(made, 0.0)
 
 
-@program
-def _terms(law: Noise, frame: Frame, y, left, extra, values):
-    # Readings are independent given the expected output: one derivative along a vector of ones holds each one's own.
-    one = jnp.ones(frame.size)
-
-    def of(left, extra, values):
-        def density(left):
-            return log_density_beside(law, y, y - left, extra, values, frame)
-
-        def slope(left):
-            return jax.jvp(density, (left,), (one,))[1]
-
-        first, second = jax.jvp(slope, (left,), (one,))
-        return density(left), density(jnp.zeros(frame.size)), -first, -second
-
-    return of(left, extra, values) if left.ndim == 1 else jax.vmap(of)(left, extra, values)
-
-
 def density_terms(
     law: Noise, values: Values, record: Record, left: Float[np.ndarray, "*b n"], extra: Any = 0.0
 ) -> Terms:
@@ -220,16 +188,10 @@ def density_terms(
     if (known := law.by_residual(left, own, frame)) is not None:
         density, highest = (law.log_density(e, 0.0 * e, own, frame) for e in (left, 0.0 * left))
         return Terms(density, highest, *known)
-    if left.ndim == 1:
-        return Terms(*_of_readings(_terms, law, values, record, extra, record.y, left))
-    # Of few lengths, so that no program is compiled for each number of φ.
-    count = len(left)
-    length = next((k for k in (1, 16, 64) if count <= k), -(-count // 64) * 64)
-    pick = np.minimum(np.arange(length), count - 1)
-    own = {name: np.broadcast_to(values[name], (count,))[pick] for name in law.parameters()}
-    extra = extra[pick] if np.ndim(extra) else extra
-    what = partial(_of_readings, _terms, law, own, record, extra)
-    return Terms(*(made[:count] for made in what(record.y, left[pick])))
+    h = RESIDUAL_DIFFERENCE * np.sqrt(np.asarray(law.variance(own, frame)))
+    ends = np.stack([left - h, left, left + h, 0.0 * left])
+    low, here, high, highest = np.asarray(law.log_density(record.y, record.y - ends, own, frame))
+    return Terms(here, highest, (low - high) / (2 * h), (2 * here - low - high) / h**2)
 
 
 @program
@@ -248,11 +210,6 @@ def _samples(law: Noise, frame: Frame, means, keys, values):
         return law.sample(jax.random.wrap_key_data(key), mean, own, frame)
 
     return jax.lax.map(one, (means, keys, values))
-
-
-@program
-def _scores(law: Noise, frame: Frame, left, extra, values):
-    return law.normal_scores(left, values, widened(frame, extra))
 
 
 def variance(law: Noise, values: Values, record: Record) -> Float[np.ndarray, "n"]:
@@ -315,21 +272,20 @@ def samples(
         return means + np.sqrt(variances(law, hyper, record)) * normal
     # A key does not hang on the number of keys: one program makes those of most numbers of draws.
     count = -(-len(means) // KEYS_TOGETHER) * KEYS_TOGETHER
-    keys = np.asarray(_keys(np.uint32(seed), count))[: len(means)]
+    keys = np.asarray(jax.random.key_data(jax.random.split(jax.random.key(seed), count)))[
+        : len(means)
+    ]
     return _by_draws(_samples, law, record, hyper, means, plain=(keys,))
-
-
-@partial(jax.jit, static_argnums=1)
-def _keys(seed: np.uint32, count: int) -> Any:
-    return jax.random.key_data(jax.random.split(jax.random.key(seed), count))
 
 
 def normal_scores(
     law: Noise, values: Values, record: Record, left: Float[np.ndarray, "n"], extra: Any = 0.0
 ) -> Float[np.ndarray, "n"]:
     """What is left of readings as independent standard normal numbers, if the law, which is not Gaussian, is right."""
-    found = _of_readings(_scores, law, values, record, extra, _forth(law, record, left, 0))
-    return _back(law, record, found)
+    frame = record.frame if law.independent else record.frame.in_time()
+    beside = _forth(law, record, np.asarray(extra), 0) if np.ndim(extra) else None
+    found = law.normal_scores(_forth(law, record, left, 0), values, widened(frame, beside))
+    return _back(law, record, np.asarray(found))
 
 
 def _by_draws(

@@ -7,12 +7,10 @@ from dataclasses import replace
 from functools import partial
 from typing import Any, ClassVar
 
-import jax
-import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array
 
 from bayescal._core import deadline
+from bayescal._core.lazy_jax import Array, jax, jnp
 from bayescal._core.progress import stage
 from bayescal._data.measurements import Measurements
 from bayescal._inference import trust

@@ -5,28 +5,24 @@
 
 from __future__ import annotations
 
-import math
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
-from functools import partial
 from typing import Any, NamedTuple
 
-import jax
-import jax.numpy as jnp
 import numpy as np
-from jax.scipy.linalg import solve_triangular
-from jaxtyping import Array, Float
+from jaxtyping import Float
 
 from bayescal._core import deadline
 from bayescal._core.jit import ALWAYS, known
+from bayescal._core.lazy_jax import Array, jax, jnp
 from bayescal._inference.density import Density
 from bayescal._inference.laplace import Mode
 from bayescal._inference.problem import Problem
 from bayescal._model import forward
 
-BLOCK = 100  # iterations between which a run can be stopped, at most,
-PIECE = 0.1  # s that they may take, so that a deadline is met and Ctrl-C heard
+BLOCK = (
+    4  # iterations between which a run can be stopped, so that a deadline is met and Ctrl-C heard
+)
 FEWEST_STEPS = 7  # of an iteration, by which its cost is judged too low rather than too high: a tree of depth three
 PATIENCE = 300.0  # s that chains get that nobody asked for, where there is no time limit
 
@@ -39,8 +35,7 @@ class Chains(NamedTuple):
     steps: float
 
 
-@dataclass(frozen=True)
-class Plan:
+class Plan(NamedTuple):
     """How chains are run.
 
     Attributes:
@@ -86,10 +81,9 @@ def run(
 
 
 def iterate(kernel: Any, key: Array, arguments: tuple, begin: Any, plan: Plan) -> Chains:
-    """Run a NumPyro kernel, all chains side by side, in pieces of a few iterations.
+    """Run a NumPyro kernel, all chains side by side, a few iterations at once.
 
-    The draws do not depend on where a piece ends. Chains that have no time to end are not begun, as far as the first
-    iteration can tell.
+    Chains that have no time to end are not begun, as far as the first iterations can tell.
 
     Args:
         kernel: of NumPyro.
@@ -101,64 +95,38 @@ def iterate(kernel: Any, key: Array, arguments: tuple, begin: Any, plan: Plan) -
     Raises:
         TimeIsUp: the deadline came first, or surely would.
     """
-    end = deadline.current()
+
+    def one(state: Any, _: None) -> tuple[Any, tuple]:
+        state = kernel.sample(state, arguments, {})
+        return state, (state.z, state.diverging, state.num_steps)
+
+    end, count = deadline.current(), plan.warmup + plan.draws
     end.ask()
-    warmup, draws = plan.warmup, plan.draws
     keys = jax.random.split(key, plan.chains)
-    state = kernel.init(keys, warmup, begin, model_args=arguments, model_kwargs={})
-    found = jax.tree.map(lambda a: np.zeros((draws, *a.shape), a.dtype), _kept(state))
-    count, done, all_of_them = 1, 0, warmup + draws
-    block = _block_of(kernel, arguments)
-    state, _ = block(state, 0)  # compiles, which is no part of what an iteration costs
-    while done < all_of_them:
+    state = kernel.init(keys, plan.warmup, begin, model_args=arguments, model_kwargs={})
+    block = jax.jit(
+        lambda state: jax.lax.scan(one, state, length=BLOCK), compiler_options=known(ALWAYS)
+    )
+    block = block.lower(state).compile()  # which is no part of what an iteration costs
+    kept = []
+    for done in range(0, count, BLOCK):
         end.ask()
-        # A piece ends where warm-up does.
-        count = min(count, (warmup if done < warmup else all_of_them) - done)
         since = time.monotonic()
-        state, kept = jax.block_until_ready(block(state, count))
-        took = (time.monotonic() - since) / count
-        # One iteration has been timed. With a tree of its usual depth the rest takes `took` each; judged by the
-        # smallest tree, so that chains are never given up that would have ended in time.
+        state, made = jax.block_until_ready(block(state))
+        kept.append(jax.tree.map(np.asarray, made))
         if done == 0:
-            steps = max(1.0, float(np.mean(np.max(np.atleast_2d(kept[2])[:count], axis=-1))))
-            least = took * min(1.0, FEWEST_STEPS / steps) * (all_of_them - done)
+            # Judged by the smallest tree, so that chains are never given up that would have ended in time.
+            steps = max(1.0, float(np.mean(np.max(np.atleast_2d(kept[0][2]), axis=-1))))
+            took = time.monotonic() - since
+            least = took / BLOCK * min(1.0, FEWEST_STEPS / steps) * (count - BLOCK)
             if time.monotonic() + least > end.ends_at:
-                raise deadline.TimeIsUp(f"{end.why}, where chains take {_duration(least)} or more")
-        if done >= warmup:
-            place = slice(done - warmup, done - warmup + count)
-            for all_of_it, new in zip(jax.tree.leaves(found), jax.tree.leaves(kept), strict=True):
-                all_of_it[place] = np.asarray(new)[:count]
-        done += count
-        count = max(1, min(BLOCK, math.ceil(PIECE / max(took, 1e-9))))
-    z, diverging, steps = found
+                words = f"{least:.0f} s" if least < 100 else f"{least / 60:.0f} minutes"
+                raise deadline.TimeIsUp(f"{end.why}, where chains take {words} or more")
+    z, diverging, steps = jax.tree.map(
+        lambda *blocks: np.concatenate(blocks)[plan.warmup : count], *kept
+    )
     by_chain = jax.tree.map(lambda a: jnp.swapaxes(jnp.asarray(a), 0, 1), z)
     return Chains(by_chain, int(np.sum(diverging)), float(np.mean(steps)))
-
-
-def _duration(seconds: float) -> str:
-    return f"{seconds:.0f} s" if seconds < 100 else f"{seconds / 60:.0f} minutes"
-
-
-def _kept(state: Any) -> tuple:
-    """What is kept of the sampler's state at an iteration."""
-    return state.z, state.diverging, state.num_steps
-
-
-def _block_of(kernel: Any, arguments: tuple) -> Callable:
-    """At most `BLOCK` iterations as one compiled program: from a state and their number to the state, and to what
-    is kept of each."""
-
-    @partial(jax.jit, compiler_options=known(ALWAYS))
-    def block(state, count):
-        def one(i, carried):
-            state, kept = carried
-            state = kernel.sample(state, arguments, {})
-            return state, jax.tree.map(lambda a, b: a.at[i].set(b), kept, _kept(state))
-
-        kept = jax.tree.map(lambda a: jnp.zeros((BLOCK, *a.shape), a.dtype), _kept(state))
-        return jax.lax.fori_loop(0, count, one, (state, kept))
-
-    return block
 
 
 def whitened(problem: Problem, mode: Mode):
@@ -185,9 +153,11 @@ def whitened(problem: Problem, mode: Mode):
         larger = 1.0 if amplitude is None else (hyper[amplitude] / there[amplitude]) ** 2
         precision = sd[:, None] * gram.jtj * sd / larger + jnp.diag(prior.weight)
         chol = jnp.linalg.cholesky(precision)
-        u = solve_triangular(chol, sd * pull / larger, lower=True)
+        u = jax.scipy.linalg.solve_triangular(chol, sd * pull / larger, lower=True)
         volume = jnp.sum(jnp.log(sd)) - jnp.sum(jnp.log(jnp.diagonal(chol)))
-        return middle + sd * solve_triangular(chol, u + z, lower=True, trans=1), volume
+        return middle + sd * jax.scipy.linalg.solve_triangular(
+            chol, u + z, lower=True, trans=1
+        ), volume
 
     def unpack(q: Float[Array, "dim"]):
         x, log_jacobian = place(q[:d], q[d:])

@@ -10,11 +10,10 @@ from __future__ import annotations
 import math
 from typing import Any
 
-import jax
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
+from bayescal._core.lazy_jax import jax, jnp
 from bayescal._data.measurements import Measurements
 from bayescal._inference.record import AFFINE, Record, record_of
 from bayescal._model.effect import READING

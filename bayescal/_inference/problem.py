@@ -273,7 +273,8 @@ class Problem:
     ) -> tuple[Float[np.ndarray, "b n"], list[np.ndarray]]:
         """Expected output of joint draws, and its slopes by some terms, (n,) or (b, n) each, as if all readings
         belonged to one member of a term's group."""
-        made = self.composed(self.terms, x, hyper, sloped=True)
+        sloped = any(t.slot not in self.host.slots for t in terms)  # of a column that is corrected
+        made = self.composed(self.terms, x, hyper, sloped)
         mean, by_slot = slopes(self.host, self.terms, made)
         wanted = {id(t) for t in terms}
         each = zip(self.terms, made.columns, strict=True)

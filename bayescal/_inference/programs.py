@@ -1,4 +1,4 @@
-"""The compiled pieces: an effect's columns, an instrument's slopes.
+"""The compiled pieces: the responses of an instrument that is not affine, and their slopes.
 
 None knows which effects a model has, so that a search over structures compiles nothing. Records are padded to a few
 lengths by repeating the last reading, so that another record of about the same length compiles nothing either.
@@ -11,15 +11,12 @@ from collections.abc import Callable, Mapping
 from functools import cache, partial, wraps
 from typing import Any, NamedTuple
 
-import jax
-import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Float
 
-from bayescal._core.errors import ModelError
 from bayescal._core.jit import ALWAYS, QUICK, known
+from bayescal._core.lazy_jax import Array, jax, jnp
 from bayescal._model.composition import slopes_of
-from bayescal._model.effect import Basis, matrix
 from bayescal._model.frame import Frame
 
 STEP = 1.25  # from one padded length to the next
@@ -109,26 +106,6 @@ class Leaves(NamedTuple):
 
 
 @program
-def fixed_columns(basis: Basis, frame: Frame) -> Float[Array, "n k"]:
-    """Columns of an effect without shapes."""
-    return matrix(*basis, frame, {})
-
-
-@program
-def columns_along(basis: Basis, frame: Frame, shapes: ByName, moves: ByName) -> Array:
-    """Columns (s, n, k) at several values of the shapes and moves, some side by side."""
-
-    def at(one):
-        shapes, moves = one
-        return matrix(*basis, _moved(frame, moves), shapes)
-
-    # A loop over the readings costs as much for many values as for one, where the memory allows.
-    count = jax.tree.leaves((shapes, moves))[0].shape[0]
-    together = max(1, min(count, SIDE_BY_SIDE // frame.size))
-    return jax.lax.map(at, (shapes, moves), batch_size=together)
-
-
-@program
 def responses(
     response: Callable[..., Any], frame: Frame, slots: ByName, moves: ByName
 ) -> Float[Array, "b n"]:
@@ -166,15 +143,6 @@ def slopes_of_draws(
 def _respond(response: Callable[..., Any], frame: Frame, both: tuple[ByName, ByName]) -> Array:
     slots, moves = both
     return jnp.broadcast_to(response(slots, _moved(frame, moves)), (frame.size,))
-
-
-def columns_or_refusal(basis: Basis, leaves: Leaves, frame: Frame) -> Array:
-    """`fixed_columns`; a basis that is refused is refused with the shapes of the readings as they are."""
-    try:
-        return fixed_columns(basis, leaves)
-    except ModelError:
-        matrix(*basis, frame, {})
-        raise
 
 
 def _moved(frame: Frame, moves: ByName) -> Frame:

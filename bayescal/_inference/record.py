@@ -9,11 +9,11 @@ from functools import cached_property
 from typing import Any
 from weakref import WeakValueDictionary
 
-import jax
 import numpy as np
 from jaxtyping import Float, Int
 
 from bayescal._core.errors import ModelError
+from bayescal._core.lazy_jax import jax
 from bayescal._data.column import UNCERTAINTY
 from bayescal._data.measurements import Measurements
 from bayescal._inference import programs
@@ -23,7 +23,7 @@ from bayescal._inference.host_columns import HostColumns
 from bayescal._inference.noise_nodes import AlongColumn, OneNode, in_frequency
 from bayescal._model.channel_at_rest import CHANNEL
 from bayescal._model.composition import columns_read
-from bayescal._model.effect import Effect
+from bayescal._model.effect import Basis, Effect
 from bayescal._model.frame import Frame, Reference, build_frame
 from bayescal._model.instrument import Instrument
 from bayescal._model.noise_law import Noise
@@ -49,7 +49,7 @@ class Record:
     instrument: Instrument
     frame: Frame
     y: np.ndarray
-    _fixed: dict[programs.Basis, np.ndarray] = field(default_factory=dict)
+    _fixed: dict[Basis, np.ndarray] = field(default_factory=dict)
     _shaped: OrderedDict[Any, np.ndarray] = field(default_factory=OrderedDict)
     _bytes: int = 0
     _expansions: dict[Any, Expansions] = field(default_factory=dict)
@@ -217,11 +217,9 @@ class Record:
         self._shaped[key] = found
         return found
 
-    def _fixed_columns(self, key: programs.Basis) -> Float[np.ndarray, "n k"]:
+    def _fixed_columns(self, key: Basis) -> Float[np.ndarray, "n k"]:
         if key not in self._fixed:
-            if (made := self.on_host.at(key, {}, {})) is None:
-                made = programs.columns_or_refusal(key, self.padded, self.frame)
-            self._fixed[key] = np.asarray(made)[: self.size]
+            self._fixed[key] = self.on_host.at(key, {}, {})
         return self._fixed[key]
 
     def response(
@@ -340,9 +338,7 @@ class Record:
         for name, shift in self._corrected(effect, values).items():
             moves = {**moves, name: moves.get(name, 0.0) + shift}
         shapes = {n: np.broadcast_to(v, (count,)) for n, v in zip(effect.own, values, strict=False)}
-        if (made := self.on_host.along(effect.basis, shapes, moves)) is not None:
-            return made
-        return self._together(programs.columns_along, effect.basis, count, shapes, moves)
+        return self.on_host.along(effect.basis, shapes, moves)
 
     def _corrected(
         self, effect: ColumnsOf, values: Sequence[Any]

@@ -17,9 +17,6 @@ from bayescal._core.errors import ModelError
 from bayescal._inference.density import Density
 from bayescal._inference.laplace import NOTHING_KNOWN, Mode, find_mode
 from bayescal._inference.problem import Problem
-from bayescal._inference.record import Record
-from bayescal._model.frame import Frame
-from bayescal._model.parameters import Layout
 
 # Root-sum-square over the readings, in noise standard deviations, of the second-order term of a product of two
 # unknowns, from which one of them is sampled: below it the log likelihood changes by less than ½·0.3² = 0.045 nats on
@@ -88,12 +85,6 @@ def choose(
         )
         problem = Problem(layout, record)
     return problem, notes, None
-
-
-def is_nonlinear(layout: Layout, frame: Frame) -> bool:
-    """Whether the expected output is anything but affine in the coefficients, tried at random points."""
-    instrument = layout.model.instrument
-    return _bends(Problem(layout, Record(instrument, frame, np.zeros(frame.size))))
 
 
 def _bends(problem: Problem) -> bool:

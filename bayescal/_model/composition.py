@@ -16,10 +16,9 @@ from dataclasses import replace
 from itertools import groupby
 from typing import Any, NamedTuple, Protocol
 
-import jax
-import jax.numpy as jnp
 import numpy as np
 
+from bayescal._core.lazy_jax import jax, jnp
 from bayescal._model.effect import matrix
 from bayescal._model.frame import Frame
 from bayescal._model.instrument import Instrument

@@ -12,10 +12,11 @@ from dataclasses import field, replace
 from functools import cached_property
 from typing import Any, Literal
 
-from jaxtyping import Array, Float
+from jaxtyping import Float
 
 from bayescal._core.errors import ModelError
 from bayescal._core.jit import by_value
+from bayescal._core.lazy_jax import Array
 from bayescal._core.xp import xp
 from bayescal._data.measurements import Measurements
 from bayescal._model.frame import Frame

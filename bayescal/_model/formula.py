@@ -1,7 +1,8 @@
 """An effect from one typed line: "supply: s * (supply_voltage - 5); s = 0.1 mV/V".
 
-Python's parser reads the line, and of its tree nothing is taken but what `_FUNCTIONS` and `_OPERATORS` list. Units are
-checked before anything is computed. Unknowns that the formula is linear in become coefficients, the others shapes.
+Python's parser reads the line, and of its tree nothing is taken but names, numbers and what `_FUNCTIONS` lists. In one
+pass over it each part becomes a linear form of the unknowns that the formula is linear in, its coefficients, with its
+unit beside it; the other unknowns are shapes.
 """
 
 from __future__ import annotations
@@ -12,7 +13,7 @@ import inspect
 import math
 import operator
 import re
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import partial
 from typing import Any, NamedTuple
@@ -28,37 +29,53 @@ from bayescal._model.frame import Frame, build_frame, reference_of
 from bayescal._model.instrument import Instrument
 from bayescal._model.prior import Normal
 
-LONGEST_LINE, DEEPEST = 500, 40  # characters of a line; powers and arguments in each other
+LONGEST_LINE = 500  # characters: no line nests deeper than Python recurses
 TINY = float(np.finfo(float).tiny)  # below which numbers lose digits
 MAGNITUDE = 10.0  # a shape of which one value is said lies between a tenth and ten times that
-_FUNCTIONS: dict[str, Callable[..., Any]] = {
-    **{"exp": xp.exp, "log": xp.log, "sqrt": xp.sqrt, "abs": xp.abs, "sign": xp.sign},
-    **{"sin": xp.sin, "cos": xp.cos, "tan": xp.tan, "tanh": xp.tanh},
-    **{"min": xp.minimum, "max": xp.maximum, "step": lambda x: xp.where(x > 0, 1.0, 0.0)},
-}
-_OF_TWO = ("min", "max")
-_OF_A_BODY = ("body", "lag_difference")  # T̃ and T̃ − T, with τ·dT̃/dt = T − T̃
-_OF_COLUMNS = ("rate", *_OF_A_BODY)  # of a column's past
-_LAG = "lag was T̃ − T, and read as T̃: write lag_difference(T, tau) for T̃ − T, or body(T, tau) for T̃"
 _ALIASES = {"T": "temperature", "t": "time"}
 _UNITS = {"time": "s", "elapsed": "s", "temperature": "degC"}  # known without readings
-_TOKEN = re.compile(
-    r"\s*(?:(?P<number>(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)|(?P<name>[^\W\d]\w*)|`(?P<quoted>[^`]+)`"
-    r"|(?P<sign>\*\*|[-+*/^(),])|(?P<other>\S))"
+_ATOM = re.compile(
+    r"(?P<number>(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)|(?P<function>[^\W\d]\w*(?=\s*\())|(?P<name>[^\W\d]\w*)"
+    r"|`(?P<quoted>[^`]+)`|(?P<sign>\*\*|[-+*/^(),])|(?P<other>\S)"
 )
-_SIGNS = {ast.Add: "+", ast.Sub: "-", ast.Mult: "*", ast.Div: "/", ast.Pow: "^"}
 _GIVEN = re.compile(r"\s*([^\W\d]\w*|`[^`]+`)\s*=\s*(.*\S)\s*")
 _VALUE = r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?"
 _SIZE = re.compile(rf"({_VALUE})(?:\s*(?:±|\+-|\+/-)\s*({_VALUE}))?\s*(\D.*)?")
 _RANGE = re.compile(rf"({_VALUE})\s*(?:…|\.\.\.?|to|-)\s*({_VALUE})\s*(\D.*)?")
 
 
-class FormulaNode(NamedTuple):
-    """A part of a formula: its kind, what it holds, and where it begins."""
+def _power(base: Any, exponent: Any) -> Any:
+    """A whole power by multiplying, of which negative bases have a slope too."""
+    whole = isinstance(exponent, float) and exponent.is_integer()
+    return base ** (int(exponent) if whole else exponent)
 
-    kind: str
-    parts: tuple[Any, ...]
-    at: int
+
+_FUNCTIONS: dict[str, Callable[..., Any]] = {
+    **{"exp": xp.exp, "log": xp.log, "sqrt": xp.sqrt, "abs": xp.abs, "sign": xp.sign},
+    **{"sin": xp.sin, "cos": xp.cos, "tan": xp.tan, "tanh": xp.tanh},
+    **{"min": xp.minimum, "max": xp.maximum, "step": lambda x: xp.where(x > 0, 1.0, 0.0)},
+}
+_OPERATORS: dict[str, Callable[..., Any]] = {
+    **{"+": operator.add, "-": operator.sub, "*": operator.mul, "/": operator.truediv},
+    **{"^": _power, "neg": operator.neg},
+}
+_COMPUTED = {**_FUNCTIONS, **_OPERATORS}
+_SIGNS = {ast.Add: "+", ast.Sub: "-", ast.Mult: "*", ast.Div: "/", ast.Pow: "^"}
+# Of a column's past, and how many arguments each has: dT/dt; T̃ and T̃ − T, with τ·dT̃/dt = T − T̃.
+_PAST = {"rate": 1, "body": 2, "lag_difference": 2}
+_OF_TWO = ("min", "max")
+_COUNTS = {**dict.fromkeys(_FUNCTIONS, 1), **dict.fromkeys(_OF_TWO, 2), **_PAST}
+_LAG = "lag was T̃ − T, and read as T̃: write lag_difference(T, tau) for T̃ − T, or body(T, tau) for T̃"
+_PARTS = (
+    ast.Name,
+    ast.Constant,
+    ast.BinOp,
+    ast.UnaryOp,
+    ast.Call,
+    ast.operator,
+    ast.unaryop,
+    ast.Load,
+)
 
 
 class Dimension(NamedTuple):
@@ -89,38 +106,31 @@ class Dimension(NamedTuple):
 
 
 NUMBER = Dimension((), 1.0)
-Checked = tuple[FormulaNode, Dimension | None]  # a part; its dimension, None for a plain literal
 
 
-def _number(text: str, refusal: Callable[[str], InputError] = InputError) -> float:
-    """Return a number as it is written.
+class FormulaPart(NamedTuple):
+    """A part of a formula, its numbers in base units.
 
-    Raises:
-        InputError: by `refusal`: it is too large, or too small, for a computer's numbers.
+    Attributes:
+        tree: a number, a name, or a function (an operator by its sign, "neg") with its arguments.
+        unit: its dimension; None of a literal, which takes that of what it is added to or compared with.
+        at: where it begins in the line.
     """
-    value = float(text)
-    if math.isfinite(value) and (
-        abs(value) >= TINY or not re.search("[1-9]", text.lower().split("e")[0])
-    ):
-        return value
-    raise refusal(f"{text} is a number too {'large' if abs(value) > 1 else 'small'}")
+
+    tree: Any
+    unit: Dimension | None
+    at: int
+
+    def like(self, other: FormulaPart) -> FormulaPart:
+        """Return the part, a literal in the unit of another."""
+        if self.unit is not None or other.unit is None or other.unit.factor == 1.0:
+            return self
+        return self._replace(tree=("*", self.tree, other.unit.factor))
 
 
-def _inside(node: FormulaNode) -> Iterator[FormulaNode]:
-    yield node
-    for part in node.parts:
-        if isinstance(part, FormulaNode):
-            yield from _inside(part)
-
-
-def _names(node: FormulaNode) -> set[str]:
-    return {n.parts[0] for n in _inside(node) if n.kind == "name"}
-
-
-def _bent(node: FormulaNode) -> set[str]:
-    """Names that a formula is not linear in: in a function, below a division, in a power."""
-    within = [n.parts[1] if n.kind == "/" else n for n in _inside(node) if n.kind in "call/^"]
-    return set().union(*map(_names, within))
+Linear = dict[
+    str, FormulaPart
+]  # what each coefficient is multiplied by; "" for what is multiplied by none
 
 
 @dataclass(frozen=True)
@@ -129,13 +139,13 @@ class Formula:
 
     Attributes:
         text: the line that it was made of, with sizes and units.
-        parts: for each coefficient, what it is multiplied by.
+        parts: for each coefficient, what it is multiplied by, as `FormulaPart.tree`.
         columns: name in the formula → the readings' column and its factor to base units.
         shapes: names of the shapes.
     """
 
     text: str
-    parts: tuple[FormulaNode, ...]
+    parts: tuple[Any, ...]
     columns: tuple[tuple[str, str, float], ...]
     shapes: tuple[str, ...] = ()
 
@@ -146,48 +156,26 @@ class Formula:
         return inspect.Signature([kinds("r", kinds.POSITIONAL_OR_KEYWORD), *own])
 
     def __call__(self, r: Frame, **shapes: Any) -> Any:
-        values = {n: factor * _column(r, column) for n, column, factor in self.columns}
-        found = [self._value(part, r, {**values, **shapes}) for part in self.parts]
+        values = {
+            name: factor * (r.elapsed if column == "elapsed" else r[column])
+            for name, column, factor in self.columns
+        }
+        found = [self._value(tree, r, {**values, **shapes}) for tree in self.parts]
         return xp.stack([xp.broadcast_to(v, (r.size,)) for v in found], axis=-1)
 
-    def _value(self, node: FormulaNode, r: Frame, values: Mapping[str, Any]) -> Any:
-        if node.kind == "number":
-            return node.parts[0]
-        if node.kind == "name":
-            return values[node.parts[0]]
-        if node.kind == "call" and node.parts[0] in _OF_COLUMNS:
-            what, of, *rest = node.parts
-            column, factor = next((c, f) for n, c, f in self.columns if n == of.parts[0])
-            if what == "rate":
+    def _value(self, tree: Any, r: Frame, values: Mapping[str, Any]) -> Any:
+        if not isinstance(tree, tuple):
+            return values[tree] if isinstance(tree, str) else tree
+        function, *arguments = tree
+        if function in _PAST:
+            of, *tau = arguments
+            column, factor = next((c, f) for n, c, f in self.columns if n == of)
+            if function == "rate":
                 return r.rate(column)
-            behind = factor * r.lag(self._value(rest[0], r, values), column)
-            return behind if what == "lag_difference" else values[of.parts[0]] + behind
-        own = [self._value(part, r, values) for part in node.parts if isinstance(part, FormulaNode)]
-        if node.kind == "call":
-            return _FUNCTIONS[node.parts[0]](*own)
-        return _OPERATORS[node.kind](*own)
-
-
-def _power(base: Any, exponent: Any) -> Any:
-    """A whole power by multiplying, of which negative bases have a slope too."""
-    whole = isinstance(exponent, float) and exponent.is_integer()
-    return base ** (int(exponent) if whole else exponent)
-
-
-_OPERATORS: dict[str, Callable[..., Any]] = {
-    **{"+": operator.add, "-": operator.sub, "*": operator.mul, "/": operator.truediv},
-    **{"^": _power, "neg": operator.neg},
-}
-
-
-def _column(r: Frame, name: str) -> Any:
-    return r.elapsed if name == "elapsed" else r[name]
-
-
-def _times(node: FormulaNode, factor: float) -> FormulaNode:
-    if factor == 1.0:
-        return node
-    return FormulaNode("*", (node, FormulaNode("number", (factor,), node.at)), node.at)
+            behind = factor * r.lag(values[tau[0]], column)
+            return behind if function == "lag_difference" else values[of] + behind
+        own = [self._value(argument, r, values) for argument in arguments]
+        return _COMPUTED[function](*own)
 
 
 def effect(
@@ -229,7 +217,7 @@ def effect(
 
 
 def _apart(name: str, formula: str, given: Mapping[str, str]) -> tuple[str, str, dict[str, str]]:
-    """Name, formula and what is given, where all stand in one text.
+    """Return name, formula and what is given, where all stand in one text.
 
     Raises:
         InputError: there is no formula, or something behind a semicolon is no assignment.
@@ -258,10 +246,9 @@ class _TypedLine:
     Attributes:
         name: of the effect.
         given: what is said, by name.
-        tree: the formula.
         columns: name in the formula → column, and its fixed unit; empty where that is not known yet.
-        coefficients: for each unknown that the formula is linear in, what it is multiplied by, and its dimension.
-        shapes: the other unknowns.
+        shapes: the unknowns that the formula is not linear in.
+        coefficients: for each other unknown what it is multiplied by.
     """
 
     def __init__(
@@ -274,125 +261,297 @@ class _TypedLine:
     ) -> None:
         self.name, self.text, self.given = _apart(name, formula, given)
         self.readings, self.instrument = readings, instrument
-        self.tree = self.parsed()
+        tree = self.parsed()
+        self.first = dict[str, int]()  # where each name stands first
+        for at, word in sorted(self.named(tree)):
+            self.first.setdefault(word, at)
         self.columns = self._columns()
-        past = [
-            n.parts for n in _inside(self.tree) if n.kind == "call" and n.parts[0] in _OF_COLUMNS
-        ]
-        for function, of, *_ in past:
-            if of.kind != "name" or of.parts[0] not in self.columns:
-                raise self.refusal(of.at, f"{function} takes the name of a column")
-        self.of_past = bool(past)
-        named = _names(self.tree)
-        if unused := sorted(set(self.given) - named):
+        if unused := sorted(set(self.given) - set(self.first)):
             raise InputError(
                 f"effect {self.name!r}: {', '.join(unused)} is given, and does not stand in {self.text!r}"
             )
-        unknowns = named - set(self.columns)
-        bent = _bent(self.tree) & unknowns
-        linear = self._linear(self.tree, unknowns - bent)
-        if "" in linear:
-            near = "" if unknowns else ": write one in front, as s * (…)"
-            why = f"this is multiplied by no coefficient, whose size would be found{near}"
-            raise self.refusal(linear[""].at, why)
-        self.shapes = {n: self._shape(n) for n in sorted(bent)}
+        unknowns = set(self.first) - set(self.columns)
+        bent = {name for part in _bent(tree) for _, name in self.named(part)} & unknowns
+        self.shapes = {n: self._shape(n, tree) for n in sorted(bent)}
         self.units = {n: Dimension.of(u) if u else None for n, (_, u) in self.columns.items()}
         self.units |= {n: Dimension.of(s.unit) for n, s in self.shapes.items()}
-        self.coefficients = {n: self._checked(part) for n, part in linear.items()}
+        self.coefficients = self.linear(tree)
+        if "" in self.coefficients:
+            near = "" if unknowns else ": write one in front, as s * (…)"
+            why = f"this is multiplied by no coefficient, whose size would be found{near}"
+            raise self.refusal(self.coefficients[""].at, why)
 
     def refusal(self, at: int, why: str) -> InputError:
         return InputError(f"effect {self.text[:at]!r} ▸ {self.text[at:]!r}: {why}")
 
-    def node(self, kind: str, *parts: FormulaNode, name: str = "") -> FormulaNode:
-        """Return a node of these parts: a function's, an operator's; of numbers alone, their value.
-
-        Raises:
-            InputError: it has none: a division by zero, the root of a negative number, a number too large or too small.
-        """
-        at = parts[0].at
-        if name in _OF_COLUMNS or any(part.kind != "number" for part in parts):
-            return FormulaNode(kind, (name, *parts) if name else parts, at)
-        of = _FUNCTIONS[name] if name else _OPERATORS[kind]
-        try:
-            with np.errstate(all="raise"):
-                value = float(of(*(np.float64(part.parts[0]) for part in parts)))
-        except FloatingPointError as error:
-            raise self.refusal(at, f"this number has no value: {error}") from None
-        if not math.isfinite(value):
-            raise self.refusal(at, f"this number has no value: it is {value}")
-        return FormulaNode("number", (value,), at)
-
-    def parsed(self) -> FormulaNode:
-        """Return the formula as a tree.
+    def parsed(self) -> ast.expr:
+        """Return the formula as Python's tree, its names by their key in `names`.
 
         Raises:
             InputError: it is none; the place is marked.
         """
         if len(self.text) > LONGEST_LINE:
             raise InputError(f"a formula of {len(self.text)} characters: {LONGEST_LINE} at most")
-        # To Python go operators and brackets alone, each name and number as n0, n1, …: no keyword, no other literal.
-        self.atoms, self.places, source = dict[str, FormulaNode](), list[int](), ""
-        for token in _TOKEN.finditer(self.text):
+        # Python reads operators, numbers, functions that there are, and each other name as n0, n1, …: no keyword.
+        self.names, self.places, source = dict[str, str](), list[int](), ""
+        for token in _ATOM.finditer(self.text):
             kind = str(token.lastgroup)
-            value, at = token[kind], token.start(kind)
+            word, at = token[kind], token.start(kind)
             if kind == "other":
-                raise self.refusal(at, f"{value!r} has no meaning in a formula")
-            word = value.replace("^", "**") if kind == "sign" else f"n{len(self.atoms)}"
+                raise self.refusal(at, f"{word!r} has no meaning in a formula")
+            if kind == "function" and word not in _COUNTS:
+                known = f"there is no function {word!r}; there are {', '.join(_COUNTS)}"
+                raise self.refusal(at, _LAG if word == "lag" else known)
             if kind == "number":
-                number = _number(value, partial(self.refusal, at))
-                self.atoms[word] = FormulaNode("number", (number,), at)
-            elif kind != "sign":
-                self.atoms[word] = FormulaNode("name", (value,), at)
-            source += word + " "
-            self.places += [at] * (len(word) + 1)
+                word = repr(_number(word, partial(self.refusal, at)))
+            elif kind in ("name", "quoted"):
+                key = f"n{len(self.names)}"
+                self.names[key], word = word, key
+            source += word.replace("^", "**") + " "
+            self.places += [at] * (len(source) - len(self.places))
         try:
-            return self._tree(ast.parse(source, mode="eval").body)
+            tree = ast.parse(source, mode="eval").body
         except (SyntaxError, MemoryError, RecursionError) as error:
             column = (getattr(error, "offset", None) or 1) - 1
             at = self.places[column] if column < len(self.places) else len(self.text)
             why = "this makes no formula: is an operator, a number, a name or a bracket missing?"
             raise self.refusal(at, why) from None
+        for node in ast.walk(tree):
+            if not isinstance(node, _PARTS):
+                raise self.refusal(self.at(node), "this has no meaning in a formula")
+            if isinstance(node, ast.Call) and len(node.args) != (
+                count := _COUNTS.get(_function(node), 0)
+            ):
+                why = f"{_function(node)} takes {count} argument{'s' * (count > 1)}"
+                raise self.refusal(self.at(node), why)
+        self.of_past = any(isinstance(n, ast.Name) and n.id in _PAST for n in ast.walk(tree))
+        return tree
 
-    def _tree(self, part: ast.expr, depth: int = 0) -> FormulaNode:
-        at = self.places[part.col_offset]
-        if depth > DEEPEST:
-            raise self.refusal(at, f"powers and brackets deeper than {DEEPEST}")
-        match part:
+    def at(self, node: Any) -> int:
+        """Return where a part begins in the line, brackets about it left out."""
+        while isinstance(node, ast.BinOp):
+            node = node.left
+        return self.places[node.col_offset]
+
+    def named(self, *parts: ast.expr) -> list[tuple[int, str]]:
+        """Return the names in parts of the formula, functions left out, each with its place."""
+        nodes = [n for part in parts for n in ast.walk(part) if isinstance(n, ast.Name)]
+        return [(self.at(n), self.names[n.id]) for n in nodes if n.id in self.names]
+
+    def applied(self, function: str, unit: Dimension | None, *parts: FormulaPart) -> FormulaPart:
+        """Return a function of parts; of literals alone, its value.
+
+        Raises:
+            InputError: it has none: a division by zero, the root of a negative number, a number too large or too small.
+        """
+        at, trees = parts[0].at, [part.tree for part in parts]
+        if not all(isinstance(tree, float) for tree in trees):
+            return FormulaPart((function, *trees), unit, at)
+        try:
+            with np.errstate(all="raise"):
+                value = float(_COMPUTED[function](*map(np.float64, trees)))
+        except FloatingPointError as error:
+            raise self.refusal(at, f"this number has no value: {error}") from None
+        if not math.isfinite(value):
+            raise self.refusal(at, f"this number has no value: it is {value}")
+        return FormulaPart(value, None, at)
+
+    def linear(self, node: ast.expr) -> Linear:
+        """Return what each coefficient of a part is multiplied by."""
+        at = self.at(node)
+        match node:
+            case ast.Constant():
+                return {"": FormulaPart(float(node.value), None, at)}
             case ast.Name():
-                return self.atoms[part.id]
-            case ast.BinOp() if sign := _SIGNS.get(type(part.op)):
-                return self.node(
-                    sign, self._tree(part.left, depth), self._tree(part.right, depth + 1)
+                name = self.names[node.id]
+                known = name in self.units
+                return (
+                    {"": FormulaPart(name, self.units[name], at)}
+                    if known
+                    else {name: FormulaPart(1.0, None, at)}
                 )
             case ast.UnaryOp():
-                negative = False
-                while isinstance(part, ast.UnaryOp):
-                    negative, part = negative ^ isinstance(part.op, ast.USub), part.operand
-                base = self._tree(part, depth)
-                return self.node("neg", base)._replace(at=at) if negative else base
-            case ast.Call(func=ast.Name() as called):
-                return self._call(self.atoms[called.id].parts[0], part.args, at, depth)
-        raise self.refusal(at, "this has no meaning in a formula")
+                found = self.linear(node.operand)
+                if isinstance(node.op, ast.USub):
+                    found = {n: self._negative(part) for n, part in found.items()}
+                return {n: part._replace(at=at) for n, part in found.items()}
+            case ast.BinOp():
+                sides = self.linear(node.left), self.linear(node.right)
+                return self._joined(_SIGNS[type(node.op)], *sides)
+        assert isinstance(node, ast.Call)
+        return {"": self._called(_function(node), node.args)._replace(at=at)}
 
-    def _call(self, name: str, given: Sequence[ast.expr], at: int, depth: int) -> FormulaNode:
-        known = (*_FUNCTIONS, *_OF_COLUMNS)
-        if name == "lag":
-            raise self.refusal(at, _LAG)
-        if name not in known:
-            raise self.refusal(at, f"there is no function {name!r}; there are {', '.join(known)}")
-        count = 2 if name in (*_OF_TWO, *_OF_A_BODY) else 1
-        if len(given) != count:
-            raise self.refusal(at, f"{name} takes {count} argument{'s' * (count > 1)}")
-        arguments = (self._tree(one, depth + 1) for one in given)
-        return self.node("call", *arguments, name=name)._replace(at=at)
+    def _negative(self, part: FormulaPart) -> FormulaPart:
+        return self.applied("neg", part.unit, part)
+
+    def _joined(self, sign: str, a: Linear, b: Linear) -> Linear:
+        """Return two linear forms with an operator between them."""
+        if sign in "+-":
+            for name, part in b.items():
+                if name in a:
+                    a[name] = self._compared(sign, a[name], part)
+                else:
+                    a[name] = part if sign == "+" else self._negative(part)
+            return a
+        if set(b) == {""}:
+            return {n: self._multiplied(sign, part, b[""]) for n, part in a.items()}
+        if set(a) == {""}:
+            return {n: self._multiplied(sign, a[""], part) for n, part in b.items()}
+        both = sorted({*a, *b} - {""})
+        unsaid = [n for n in both if n not in self.given]
+        at = next(iter(a.values())).at
+        if self.readings is not None and len(unsaid) == 1 < len(both):
+            raise self.refusal(at, self._no_column(unsaid[0]))
+        why = f"{' and '.join(both)} multiply each other: only their product could be told"
+        if self.readings is not None and unsaid:
+            why += f". {' and '.join(map(self._no_column, unsaid))}"
+        raise self.refusal(at, why)
+
+    def _compared(self, function: str, a: FormulaPart, b: FormulaPart) -> FormulaPart:
+        """Return what adds or compares two parts, which have one unit."""
+        if a.unit is not None and b.unit is not None and a.unit.powers != b.unit.powers:
+            why = f"this is {b.unit}, what it is added to or compared with {a.unit}"
+            raise self.refusal(b.at, why)
+        return self.applied(function, a.unit or b.unit, a.like(b), b.like(a))
+
+    def _multiplied(self, sign: str, a: FormulaPart, b: FormulaPart) -> FormulaPart:
+        if sign != "^":
+            plain = a.unit is None and b.unit is None
+            whole = (a.unit or NUMBER).times(b.unit or NUMBER, 1.0 if sign == "*" else -1.0)
+            return self.applied(sign, None if plain else whole, a, b)
+        if b.unit is not None and b.unit.powers:
+            raise self.refusal(b.at, f"an exponent is a plain number, this is {b.unit}")
+        unit = a.unit
+        if unit is not None and unit.powers:
+            if not isinstance(b.tree, float) or abs(b.tree) > 10:
+                raise self.refusal(b.at, f"of {unit} only a power such as 2 or 0.5 has a unit")
+            unit = unit.raised(b.tree)
+        elif b.unit is not None:
+            unit = NUMBER
+        return self.applied(sign, unit, a, b)
+
+    def _called(self, name: str, arguments: list[ast.expr]) -> FormulaPart:
+        if name in _PAST:
+            return self._of_past(name, *arguments)
+        a, *more = (self.linear(argument)[""] for argument in arguments)
+        if more:
+            return self._compared(name, a, *more)
+        unit = a.unit
+        if name not in ("abs", "sqrt"):
+            powers = () if unit is None or name in ("step", "sign") else unit.powers
+            if powers and not (name in ("sin", "cos", "tan") and powers == (("rad", 1.0),)):
+                why = f"{name} takes a plain number, this is {unit}: divide it by one"
+                raise self.refusal(a.at, why)
+            unit = NUMBER
+        elif name == "sqrt":
+            unit = unit and unit.raised(0.5)
+        return self.applied(name, unit, a)
+
+    def _of_past(self, function: str, of: ast.expr, *tau: ast.expr) -> FormulaPart:
+        column, *times = (self.names.get(getattr(n, "id", "")) for n in (of, *tau))
+        if column not in self.columns:
+            raise self.refusal(self.at(of), f"{function} takes the name of a column")
+        unit = self.units[column] or Dimension.of("degC")
+        if function == "rate":
+            if unit.powers != (("K", 1.0),):
+                raise self.refusal(self.at(of), "rate is of a temperature")
+            unit = unit.times(Dimension.of("s"), -1.0)
+        elif times[0] not in self.shapes or self.units[times[0]].powers != (("s", 1.0),):
+            why = f"the second argument of {function} is a time constant, such as tau"
+            raise self.refusal(self.at(tau[0]), why)
+        return FormulaPart((function, column, *times), unit, self.at(of))
+
+    # what is said of its names ----------------------------------------------------------------------------------
+
+    def _no_column(self, name: str) -> str:
+        """Return that the readings have no column of a name, and which they have."""
+        assert self.readings is not None
+        has = ", ".join(self.there)
+        return f"{name!r} is not a column of numbers of {self.readings.file} (it has: {has})"
+
+    def _columns(self) -> dict[str, tuple[str, str]]:
+        """Return the names that are columns.
+
+        Raises:
+            InputError: the readings have no such column of numbers, or its unit is not known.
+        """
+        readings, given = self.readings, self.given
+        columns = self.instrument.columns if self.instrument else ()
+        declared = {c.name: c.unit for c in columns if c.name != "output"}
+        there = {**_UNITS, **{n: u for n, u in declared.items() if u not in (None, ANY)}}
+        if readings is not None:
+            units = {n: readings.unit(n) for n in readings.columns if n != readings.output}
+            there = {n: unit for n, unit in units.items() if unit}
+            there |= {"elapsed": "s"} if "time" in there else {}
+        self.there = there
+        renamed = {n: v for n, v in given.items() if not re.match(r"[-+.\d]", v)}
+        found: dict[str, tuple[str, str]] = {}
+        for name, at in self.first.items():
+            column, bracket, unit = renamed.get(name, name).partition("[")
+            column = column.strip()
+            column = column if column in there or name in renamed else _ALIASES.get(column, column)
+            stated = base_unit(unit.rstrip("] ")) if bracket else ""
+            if column in there:
+                if stated and Dimension.of(stated).powers != Dimension.of(there[column]).powers:
+                    raise self.refusal(
+                        at, f"{column} is in [{there[column]}], and not in [{stated}]"
+                    )
+                found[name] = column, there[column]
+            elif readings is None and (name in renamed or (given and name not in given)):
+                found[name] = column if name in renamed else name, stated  # looked at with readings
+            elif readings is not None and (
+                name in renamed or (name not in given and column in declared)
+            ):
+                raise self.refusal(at, self._no_column(column))
+            elif (
+                name not in given
+                and len(name) > 3
+                and (near := difflib.get_close_matches(name, there, 1, 0.8))
+            ):
+                raise self.refusal(at, f"there is no column {name!r}: is {near[0]!r} meant?")
+        return found
+
+    def _shape(self, name: str, tree: ast.expr) -> Shape:
+        said = self.given.get(name)
+        if said is None:
+            why = f"how large {name!r} plausibly is, is not said: {name} = 100 to 2000 s"
+            why = why if self.readings is None else f"{self._no_column(name)}, and {why}"
+            raise self.refusal(self.first[name], why)
+        if found := _RANGE.fullmatch(said):
+            low, high, unit = _number(found[1]), _number(found[2]), found[3]
+        elif (found := _SIZE.fullmatch(said)) and found[2] is None and float(found[1]) > 0:
+            value, unit = _number(found[1]), found[3]
+            low, high = value / MAGNITUDE, value * MAGNITUDE
+        else:
+            raise InputError(f"{name} = {said!r} is no plausible range: write it as 100 to 2000 s")
+        unit = (unit or "1").strip()
+        # What is added to a column or compared with it is a place along it: 50 degF is 10 °C, and may be negative.
+        place = any(
+            getattr(part, "id", "") in self.names and self.names[part.id] == name
+            for node in ast.walk(tree)
+            for part in _compared(node)
+        )
+        if not (low < high and (low > 0 or place)):
+            raise InputError(
+                f"{name} = {said!r}: a range goes from a positive number to a larger one"
+            )
+        base = "1"
+        if unit != "1":
+            own = base_unit(unit)
+            low, high = (float(convert(v, unit, own, difference=not place)) for v in (low, high))
+            base = re.sub(r"(?<!delta_)degC", "delta_degC", own)
+        return Shape(name, base, low, high, "log" if low > 0 else "linear")
 
     def effect(self, source: str) -> Effect:
+        """Return the effect, its sizes those that are said or that the readings show."""
         slot, slot_unit, cause = self._slot()
         name, basis = f"{slot}.{cause}", self._basis("")
-        scatter = None if self.readings is None else _scatter(basis, self.readings, self.shapes)
+        sizes = [None] * len(basis.parts)
+        if self.readings is not None:
+            sizes = _scatter(basis, self.readings, self.shapes)
         coefficients = tuple(
-            self._coefficient(n, unit, slot_unit, None if scatter is None else scatter[i])
-            for i, (n, (_, unit)) in enumerate(self.coefficients.items())
+            self._coefficient(n, part.unit, slot_unit, size)
+            for (n, part), size in zip(self.coefficients.items(), sizes, strict=True)
         )
         needs = ["time" if c == "elapsed" else c for c, _ in self.columns.values()]
         return Effect(
@@ -408,221 +567,21 @@ class _TypedLine:
 
     def _basis(self, text: str) -> Formula:
         used = tuple((n, c, Dimension.of(u or "1").factor) for n, (c, u) in self.columns.items())
-        parts = tuple(part for part, _ in self.coefficients.values())
+        parts = tuple(part.tree for part in self.coefficients.values())
         return Formula(text, parts, used, tuple(self.shapes))
 
-    def _linear(self, node: FormulaNode, unknowns: set[str]) -> dict[str, FormulaNode]:
-        """What each unknown is multiplied by; "" for what is multiplied by none."""
-        if not _names(node) & unknowns:
-            return {"": node}
-        if node.kind == "name":
-            return {node.parts[0]: FormulaNode("number", (1.0,), node.at)}
-        a, *more = (self._linear(part, unknowns) for part in node.parts)
-        if node.kind == "neg":
-            return {n: self.node("neg", part) for n, part in a.items()}
-        (b,) = more
-        if node.kind in "+-":
-            for name, part in b.items():
-                signed = part if node.kind == "+" else self.node("neg", part)
-                a[name] = self.node("+", a[name], signed) if name in a else signed
-            return a
-        if set(b) == {""}:
-            return {n: self.node(node.kind, part, b[""]) for n, part in a.items()}
-        if set(a) == {""}:
-            return {n: self.node(node.kind, a[""], part) for n, part in b.items()}
-        both = sorted({*a, *b} - {""})
-        unsaid = [n for n in both if n not in self.given]
-        if self.readings is not None and len(unsaid) == 1 < len(both):
-            raise self.refusal(node.at, self._no_column(unsaid[0]))
-        why = f"{' and '.join(both)} multiply each other: only their product could be told"
-        if self.readings is not None and unsaid:
-            why += f". {' and '.join(map(self._no_column, unsaid))}"
-        raise self.refusal(node.at, why)
-
-    def _checked(self, node: FormulaNode) -> Checked:
-        """Return a part with its literals in base units, and its dimension; None for a plain literal.
-
-        Literals take the unit that they are added to or compared with.
-        """
-        if node.kind == "number":
-            return node, None
-        if node.kind == "name":
-            return node, self.units[node.parts[0]]
-        if node.kind == "call":
-            return self._checked_call(node, *node.parts)
-        (a, left), *more = (self._checked(part) for part in node.parts)
-        if node.kind == "neg":
-            return node._replace(parts=(a,)), left
-        ((b, right),) = more
-        if node.kind == "^":
-            unit = self._raised(left, right, b, node.parts[1].at)
-        elif node.kind in "+-":
-            a, b, unit = self._alike(a, left, b, right, node.parts[1].at)
-        else:
-            sign, plain = (1.0 if node.kind == "*" else -1.0), left is None and right is None
-            unit = None if plain else (left or NUMBER).times(right or NUMBER, sign)
-        return node._replace(parts=(a, b)), unit
-
-    def _alike(
-        self,
-        a: FormulaNode,
-        left: Dimension | None,
-        b: FormulaNode,
-        right: Dimension | None,
-        at: int,
-    ) -> tuple[FormulaNode, FormulaNode, Dimension | None]:
-        """Two parts that are added or compared, plain literals in the unit of the other."""
-        if left is not None and right is not None and left.powers != right.powers:
-            why = f"this is {right}, what it is added to or compared with {left}"
-            raise self.refusal(at, why)
-        unit = left or right
-        factor = 1.0 if unit is None else unit.factor
-        return (
-            _times(a, factor) if left is None else a,
-            _times(b, factor) if right is None else b,
-            unit,
-        )
-
-    def _raised(
-        self, unit: Dimension | None, of: Dimension | None, exponent: FormulaNode, at: int
-    ) -> Dimension | None:
-        if of is not None and of.powers:
-            raise self.refusal(at, f"an exponent is a plain number, this is {of}")
-        if unit is None or not unit.powers:
-            return unit if of is None else NUMBER
-        if exponent.kind != "number" or abs(exponent.parts[0]) > 10:
-            raise self.refusal(at, f"of {unit} only a power such as 2 or 0.5 has a unit")
-        return unit.raised(exponent.parts[0])
-
-    def _checked_call(
-        self, node: FormulaNode, name: str, first: FormulaNode, *rest: FormulaNode
-    ) -> Checked:
-        if name in _OF_COLUMNS:
-            return node, self._of_past(name, first, *rest)
-        (a, unit), *more = (self._checked(argument) for argument in (first, *rest))
-        if name in _OF_TWO:
-            ((b, right),) = more
-            a, b, unit = self._alike(a, unit, b, right, rest[0].at)
-            return node._replace(parts=(name, a, b)), unit
-        node = node._replace(parts=(name, a))
-        if name == "abs" or (name == "sqrt" and unit is None):
-            return node, unit
-        if name == "sqrt":
-            return node, unit and unit.raised(0.5)
-        powers = () if unit is None or name in ("step", "sign") else unit.powers
-        angle = name in ("sin", "cos", "tan") and powers == (("rad", 1.0),)
-        if powers and not angle:
-            why = f"{name} takes a plain number, this is {unit}: divide it by one"
-            raise self.refusal(first.at, why)
-        return node, NUMBER
-
-    def _of_past(self, name: str, column: FormulaNode, *rest: FormulaNode) -> Dimension:
-        unit = self.units[column.parts[0]] or Dimension.of("degC")
-        if name == "rate":
-            if unit.powers != (("K", 1.0),):
-                raise self.refusal(column.at, "rate is of a temperature")
-            return unit.times(Dimension.of("s"), -1.0)
-        (time,) = rest
-        tau = str(time.parts[0])
-        of = self.units.get(tau) if time.kind == "name" and tau in self.shapes else None
-        if of is None or of.powers != (("s", 1.0),):
-            raise self.refusal(
-                time.at, f"the second argument of {name} is a time constant, such as tau"
-            )
-        return unit
-
-    def _no_column(self, name: str) -> str:
-        """Return that the readings have no column of a name, and which they have."""
-        assert self.readings is not None
-        has = ", ".join(self.there)
-        return f"{name!r} is not a column of numbers of {self.readings.file} (it has: {has})"
-
-    def _columns(self) -> dict[str, tuple[str, str]]:
-        """Names that are columns.
-
-        Raises:
-            InputError: the readings have no such column of numbers, or its unit is not known.
-        """
-        readings, given, there = self.readings, self.given, dict(_UNITS)
-        columns = self.instrument.columns if self.instrument else ()
-        declared = {c.name: c.unit for c in columns if c.name != "output"}
-        there |= {n: str(unit) for n, unit in declared.items() if unit not in (None, ANY)}
-        if readings is not None:
-            units = {n: readings.unit(n) for n in readings.columns if n != readings.output}
-            there = {n: str(unit) for n, unit in units.items() if unit}
-            there |= {"elapsed": "s"} if "time" in there else {}
-        self.there = there
-        own = {n: v for n, v in given.items() if not re.match(r"[-+.\d]", v)}
-        found: dict[str, tuple[str, str]] = {}
-        for node in (n for n in _inside(self.tree) if n.kind == "name"):
-            called = node.parts[0]
-            column, bracket, unit = str(own.get(called, called)).partition("[")
-            column = column.strip()
-            column = column if column in there or called in own else _ALIASES.get(column, column)
-            stated = base_unit(unit.rstrip("] ")) if bracket else ""
-            if column in there:
-                if stated and Dimension.of(stated).powers != Dimension.of(there[column]).powers:
-                    why = f"{column} is in [{there[column]}], and not in [{stated}]"
-                    raise self.refusal(node.at, why)
-                found[called] = column, there[column]
-            elif called in own and readings is None:
-                found[called] = column, stated
-            elif readings is not None and (
-                called in own or (column in declared and called not in given)
-            ):
-                raise self.refusal(node.at, self._no_column(column))
-            elif called not in given and readings is None and given:
-                found[called] = called, ""  # a column, whose unit is looked at with the readings
-            elif called not in given and len(called) > 3 and (near := _near(called, there)):
-                raise self.refusal(node.at, f"there is no column {called!r}: is {near!r} meant?")
-        return found
-
-    def _shape(self, name: str) -> Shape:
-        said = self.given.get(name)
-        if said is None:
-            at = next(n.at for n in _inside(self.tree) if n.kind == "name" and n.parts[0] == name)
-            why = f"how large {name!r} plausibly is, is not said: {name} = 100 to 2000 s"
-            why = why if self.readings is None else f"{self._no_column(name)}, and {why}"
-            raise self.refusal(at, why)
-        if found := _RANGE.fullmatch(said):
-            low, high, unit = _number(found[1]), _number(found[2]), found[3]
-        elif (found := _SIZE.fullmatch(said)) and found[2] is None and float(found[1]) > 0:
-            value, unit = _number(found[1]), found[3]
-            low, high = value / MAGNITUDE, value * MAGNITUDE
-        else:
-            raise InputError(f"{name} = {said!r} is no plausible range: write it as 100 to 2000 s")
-        unit = (unit or "1").strip()
-        # What is added to a column or compared with it is a place along it: 50 degF is 10 °C, and may be negative.
-        place = any(
-            part.kind == "name" and part.parts[0] == name
-            for n in _inside(self.tree)
-            if n.kind in "+-" or n.parts[0] in _OF_TWO
-            for part in n.parts
-            if isinstance(part, FormulaNode)
-        )
-        if not (low < high and (low > 0 or place)):
-            raise InputError(
-                f"{name} = {said!r}: a range goes from a positive number to a larger one"
-            )
-        base = "1"
-        if unit != "1":
-            own = base_unit(unit)
-            low, high = (float(convert(v, unit, own, difference=not place)) for v in (low, high))
-            base = re.sub(r"(?<!delta_)degC", "delta_degC", own)
-        return Shape(name, base, low, high, "log" if low > 0 else "linear")
-
     def _slot(self) -> tuple[str, str | None, str]:
-        """The slot, its unit where it is known, and the cause."""
+        """Return the slot, its unit where it is known, and the cause."""
         slot, _, cause = self.name.rpartition(".")
         if self.instrument is None:
             return slot or "bias", None, cause
         if slot:
             return slot, self.instrument.slot(slot).unit, cause
         chosen = self.instrument.slots[0]
-        for name, (_, unit) in self.coefficients.items():
+        for name, part in self.coefficients.items():
             size = _SIZE.fullmatch(self.given.get(name, ""))
             if size and size[3]:
-                whole = Dimension.of(size[3].strip()).times(unit or NUMBER).powers
+                whole = Dimension.of(size[3].strip()).times(part.unit or NUMBER).powers
                 fitting = (s for s in self.instrument.slots if Dimension.of(s.unit).powers == whole)
                 if found := next(fitting, None):
                     chosen = found
@@ -632,7 +591,7 @@ class _TypedLine:
     def _coefficient(
         self, name: str, unit: Dimension | None, slot_unit: str | None, size: float | None
     ) -> Coefficient:
-        """A coefficient with its prior, its unit such that the product is in that of the slot."""
+        """Return a coefficient with its prior, its unit such that the product is in that of the slot."""
         own, said = unit or NUMBER, self.given.get(name)
         part = name if len(self.coefficients) > 1 else ""
         if said is None:
@@ -659,8 +618,8 @@ class _TypedLine:
             )
         return Coefficient(text, Normal(mean, sd), part)
 
-    def _canonical(self, name: str, coefficients: Sequence[Coefficient]) -> str:
-        """The whole in one line, from which it can be made again without readings."""
+    def _canonical(self, name: str, coefficients: tuple[Coefficient, ...]) -> str:
+        """Return the whole in one line, from which it can be made again without readings."""
         pieces = [f"{name}: {self.text}"]
         for n, c in zip(self.coefficients, coefficients, strict=True):
             pieces.append(f"{n} = {f'{c.mean!r} ± ' if c.mean else ''}{c.size!r} {c.unit}")
@@ -672,13 +631,49 @@ class _TypedLine:
         return "; ".join(pieces)
 
 
+def _function(node: ast.Call) -> str:
+    return getattr(node.func, "id", "")
+
+
+def _compared(node: ast.AST) -> list[ast.expr]:
+    """Return the parts that a sum or a comparison has."""
+    match node:
+        case ast.BinOp(op=ast.Add() | ast.Sub()):
+            return [node.left, node.right]
+        case ast.Call() if _function(node) in _OF_TWO:
+            return node.args
+    return []
+
+
+def _bent(tree: ast.expr) -> Iterator[ast.expr]:
+    """Yield the parts that a formula is not linear in: in a function, below a division, in a power."""
+    for node in ast.walk(tree):
+        match node:
+            case ast.Call():
+                yield from node.args
+            case ast.BinOp(op=ast.Pow()):
+                yield node
+            case ast.BinOp(op=ast.Div()):
+                yield node.right
+
+
+def _number(text: str, refusal: Callable[[str], InputError] = InputError) -> float:
+    """Return a number as it is written.
+
+    Raises:
+        InputError: by `refusal`: it is too large, or too small, for a computer's numbers.
+    """
+    value = float(text)
+    if math.isfinite(value) and (
+        abs(value) >= TINY or not re.search("[1-9]", text.lower().split("e")[0])
+    ):
+        return value
+    raise refusal(f"{text} is a number too {'large' if abs(value) > 1 else 'small'}")
+
+
 def line_of_today(line: str) -> str:
     """A line that was saved when `lag` was a word of formulas, of which it meant `lag_difference`."""
     return re.sub(r"\blag(?=\s*\()", "lag_difference", line)
-
-
-def _near(name: str, known: Iterable[str]) -> str:
-    return next(iter(difflib.get_close_matches(name, known, 1, 0.8)), "")
 
 
 def _power_of(name: str, power: float) -> str:

@@ -9,10 +9,9 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-import jax
-import jax.numpy as jnp
-from jaxtyping import Array, Float
+from jaxtyping import Float
 
+from bayescal._core.lazy_jax import Array, jax, jnp
 from bayescal._model.composition import (
     Composed,
     Linearised,

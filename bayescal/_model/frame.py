@@ -8,14 +8,14 @@ from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
+from functools import cached_property
 from typing import Any
 
-import jax
 import numpy as np
-from jaxtyping import Array, Float, Int
+from jaxtyping import Float, Int
 
 from bayescal._core.errors import ModelError
-from bayescal._core.jax_setup import configure_jax
+from bayescal._core.lazy_jax import Array, jax, when_imported
 from bayescal._core.xp import is_traced, xp
 from bayescal._data.column import UNCERTAINTY
 from bayescal._data.measurements import Measurements
@@ -29,8 +29,6 @@ from bayescal._data.time_in_runs import (
     set_in_steps,
     silence,
 )
-
-configure_jax()
 
 # that all readings have; an instrument's label columns are groups too
 GROUPS = ("run", "cell", "axis", "device")
@@ -146,16 +144,23 @@ class Frame:
     def behind(self, tau: Float[Array, ""], name: str = "temperature") -> Float[Array, "n"]:
         """T̃ − T as `lag` has it, both of the record whatever has been corrected since, °C."""
         values = self.record[name][self.order]
-        first, still = self.step < 0, self.step == 0
-        h = xp.where(first | still, 1.0, self.step / tau)
-        decay = xp.where(first, 0.0, xp.where(still, 1.0, xp.exp(-h)))
         change = xp.diff(values, prepend=values[:1])
         held = xp.asarray(self.reference.get(held_name(name), 0.0)) > 0
-        linear = xp.where(self.step > self.silence, -decay, xp.expm1(-h) / h)
-        share = xp.where(still | held, -1.0, linear)
-        drive = xp.where(first, 0.0, change * share)
+        step, place = (self.step, None) if is_traced(self.step) else self._paces
+        first, still = step < 0, step == 0
+        h = xp.where(first | still, 1.0, step / tau)
+        decay = xp.where(first, 0.0, xp.where(still, 1.0, xp.exp(-h)))
+        linear = xp.where(step > self.silence, -decay, xp.expm1(-h) / h)
+        share = xp.where(first, 0.0, xp.where(still | held, -1.0, linear))
+        if place is not None:
+            decay, share = (xp.take(a, place, axis=-1) for a in (decay, share))
+        return xp.placed(self.order, followed(decay, change * share))
 
-        return xp.placed(self.order, followed(decay, drive))
+    @cached_property
+    def _paces(self) -> tuple[Float[np.ndarray, "u"], Any]:
+        """The steps that differ, and which of them each reading has: of an even clock few have an exponential."""
+        found, place = np.unique(self.step, return_inverse=True)
+        return (found, place) if 2 * len(found) < self.size else (self.step, None)
 
     def direction(
         self, width: Float[Array, ""], name: str = "temperature"
@@ -208,7 +213,7 @@ class Frame:
         return replace(self, columns={**self.columns, name: values})
 
 
-jax.tree_util.register_dataclass(Frame, [f.name for f in fields(Frame)], [])
+when_imported(lambda: jax.tree_util.register_dataclass(Frame, [f.name for f in fields(Frame)], []))
 
 
 def followed(share: Float[Any, "*s n"], push: Float[Any, "*s n"]) -> Float[Any, "*s n"]:
@@ -221,11 +226,7 @@ def followed(share: Float[Any, "*s n"], push: Float[Any, "*s n"]) -> Float[Any, 
 
         # One small loop rather than an associative scan, which takes ten times as long to compile.
         return xp.scan(advance, xp.zeros_like(share[0]), (share, push))
-    share, push = np.broadcast_arrays(share, push)
-    found = np.empty(push.shape)
-    for i in np.ndindex(push.shape[:-1]):
-        found[i] = recursion(share[i], push[i][:, None])[:, 0]
-    return found
+    return recursion(share, push)
 
 
 def derived(readings: Measurements, every: bool = False) -> dict[str, np.ndarray]:

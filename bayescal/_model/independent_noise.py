@@ -6,12 +6,10 @@ import math
 from dataclasses import replace
 from typing import Any, ClassVar
 
-import jax
-import jax.numpy as jnp
 import numpy as np
-from jax.scipy.special import betainc
-from jaxtyping import Array, Float
+from jaxtyping import Float
 
+from bayescal._core.lazy_jax import Array, jax, jnp
 from bayescal._core.xp import special_of, xp
 from bayescal._data.column import UNCERTAINTY
 from bayescal._model.frame import Frame, measured_column, reference_name
@@ -249,6 +247,7 @@ class StudentT(Noise):
         # P(T < −t) = ½·I_{ν/(ν + t²)}(ν/2, ½)
         freedom = parameters[FREEDOM]
         squares = left**2 / own_variance(parameters, frame)
+        betainc = special_of((freedom, squares)).betainc
         tail = 0.5 * betainc(0.5 * freedom, 0.5, freedom / (freedom + squares))
         return scores_of_tails(tail, left)
 
@@ -297,17 +296,15 @@ class Quantised(Noise):
         return own_variance(parameters, frame) + self.step**2 / 12
 
     def log_density(self, y, mean, parameters, frame):
-        sd = jnp.sqrt(own_variance(parameters, frame))
+        sd = xp.sqrt(own_variance(parameters, frame))
         # On the side of the mean where both tails are small, so that the difference keeps its digits.
-        centre = -jnp.abs(y - mean) / sd
-        half = 0.5 * self.step / sd
-        upper = jax.scipy.stats.norm.logcdf(centre + half)
-        lower = jax.scipy.stats.norm.logcdf(centre - half)
+        centre, half = -xp.abs(y - mean) / sd, 0.5 * self.step / sd
+        tail = special_of((centre, half)).log_ndtr
+        upper, lower = tail(centre + half), tail(centre - half)
         # log(Φ(u) − Φ(l)) = log Φ(u) + log(1 − exp(log Φ(l) − log Φ(u))), and over the step: a density, per output
         # unit.
-        return (
-            upper + jnp.log(-jnp.expm1(jnp.minimum(lower - upper, -1e-300))) - math.log(self.step)
-        )
+        inside = xp.log(-xp.expm1(xp.minimum(lower - upper, -1e-300)))
+        return upper + inside - math.log(self.step)
 
     def sample(self, key, mean, parameters, frame):
         sd = jnp.sqrt(own_variance(parameters, frame))

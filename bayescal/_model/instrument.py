@@ -12,11 +12,12 @@ from importlib import import_module
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
-from jaxtyping import Array, Float
+from jaxtyping import Float
 
 import bayescal._model.independent_noise  # the laws that there are: a search weighs them, files name them
 import bayescal._model.summed_noise  # noqa: F401
 from bayescal._core.errors import InputError, ModelError
+from bayescal._core.lazy_jax import Array
 from bayescal._data.column import Column, NominalScale
 from bayescal._data.measurements import Measurements
 from bayescal._data.unit_conversion import ANY, basis_factor

@@ -18,14 +18,12 @@ from dataclasses import MISSING, fields, replace
 from functools import cache
 from typing import Any, ClassVar
 
-import jax
-import jax.numpy as jnp
 import numpy as np
-from jax.scipy.special import ndtri
-from jaxtyping import Array, Float
+from jaxtyping import Float
 from typing_extensions import dataclass_transform
 
-from bayescal._core.xp import xp
+from bayescal._core.lazy_jax import Array, jax, jnp
+from bayescal._core.xp import special_of, xp
 from bayescal._data.column import UNCERTAINTY
 from bayescal._model.frame import Frame
 from bayescal._model.prior import KINDS, Positive
@@ -158,7 +156,7 @@ class Noise(abc.ABC):
     def by_residual(
         self, left: Float[np.ndarray, "*b n"], parameters: Parameters, frame: Frame
     ) -> tuple[Any, Any] | None:
-        """Return −∂/∂left and −∂²/∂left² of the log density of independent readings; None: by JAX."""
+        """Return −∂/∂left and −∂²/∂left² of the log density of independent readings; None: by differences."""
         return None
 
     def sample(
@@ -368,7 +366,7 @@ def offered(offer: Offer) -> Offer:
 def scores_of_tails(lower: Float[Array, "n"], left: Float[Array, "n"]) -> Float[Array, "n"]:
     """Standard normal numbers of the same tail probabilities, each on the side of what is left of its reading."""
     # Φ⁻¹ of the smaller tail keeps its digits far out, where one minus it would be one.
-    return -jnp.sign(left) * ndtri(jnp.maximum(lower, NEVER))
+    return -xp.sign(left) * special_of((lower, left)).ndtri(xp.maximum(lower, NEVER))
 
 
 def own_variance(parameters: Parameters, frame: Frame) -> Float[Array, "n"]:

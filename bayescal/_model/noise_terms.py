@@ -12,10 +12,10 @@ import math
 from collections.abc import Mapping
 from typing import Any, ClassVar, NamedTuple
 
-import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Float
 
+from bayescal._core.lazy_jax import Array, jnp
 from bayescal._core.xp import special_of
 from bayescal._data.time_in_runs import EVEN_STEPS
 from bayescal._model import noise_spectrum

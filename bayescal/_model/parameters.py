@@ -14,7 +14,6 @@ from functools import cached_property
 from types import MappingProxyType
 from typing import Any, Literal
 
-import jax
 import numpy as np
 from jaxtyping import Float
 
@@ -25,6 +24,7 @@ from bayescal._model.frame import GROUPS, origins
 from bayescal._model.instrument import factor_of
 from bayescal._model.model import Model
 from bayescal._model.prior import Flat, FlatLine, Normal, Positive
+from bayescal._model.static import static
 
 Place = Literal["x", "input", "phi", "fixed"]
 HyperKind = Literal["noise", "group_sd", "shape", "promoted"]
@@ -89,8 +89,7 @@ class Hyper:
     effect: str
 
 
-@jax.tree_util.register_static
-@dataclass(frozen=True)
+@static
 class Layout:
     """A model bound to group sizes. It has no arrays: equal layouts share one compiled program.
 

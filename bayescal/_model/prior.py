@@ -13,10 +13,9 @@ import math
 from dataclasses import field
 from typing import Any
 
-import jax
-import jax.numpy as jnp
-from jaxtyping import Array, Float
+from jaxtyping import Float
 
+from bayescal._core.lazy_jax import Array, jax, jnp
 from bayescal._core.xp import special_of, xp
 from bayescal._model.static import static
 

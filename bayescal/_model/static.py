@@ -5,12 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass, fields
 from typing import Any, TypeVar
 
-import jax
 from typing_extensions import dataclass_transform
 
-from bayescal._core.jax_setup import configure_jax
-
-configure_jax()
+from bayescal._core.lazy_jax import jax, when_imported
 
 _T = TypeVar("_T")
 
@@ -20,7 +17,9 @@ def static(cls: type[_T]) -> type[_T]:
     """A frozen dataclass that JAX takes as structure and not as data: equal values share a compiled program."""
     if cls.__repr__ is object.__repr__:
         cls.__repr__ = in_full
-    return jax.tree_util.register_static(dataclass(frozen=True, repr=False)(cls))
+    made = dataclass(frozen=True, repr=False)(cls)
+    when_imported(lambda: jax.tree_util.register_static(made))
+    return made
 
 
 def in_full(self: Any) -> str:

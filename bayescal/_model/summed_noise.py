@@ -9,12 +9,11 @@ from dataclasses import replace
 from functools import cache
 from typing import Any, ClassVar
 
-import jax
-import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Float
 
 from bayescal._core.jit import compiled
+from bayescal._core.lazy_jax import Array, jax, jnp
 from bayescal._data import unit_conversion
 from bayescal._model.frame import Frame
 from bayescal._model.independent_noise import (

@@ -23,8 +23,7 @@ from matplotlib.patches import Patch
 from matplotlib.transforms import ScaledTranslation
 
 from bayescal._calibration.calibration import Calibration
-from bayescal._calibration.check import allan_check, check, covariates_of
-from bayescal._calibration.check_result import AllanCheck, Check, Entry
+from bayescal._calibration.check import AllanCheck, Check, Entry, allan_check, check, covariates_of
 from bayescal._calibration.leave_group_out import scheme
 from bayescal._calibration.sensor_noise import SensorNoise
 from bayescal._calibration.summary import curve_weights, summary

@@ -21,7 +21,7 @@ from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.figure import Figure
 
 from bayescal._calibration.calibration import Calibration
-from bayescal._calibration.check_result import Check, check_table
+from bayescal._calibration.check import Check, check_table
 from bayescal._calibration.storage import identity, sources_of
 from bayescal._core.annex import first_offered, offered
 from bayescal._core.atomic_file import write_text
@@ -32,8 +32,7 @@ from bayescal._data.unit_conversion import unit_label
 from bayescal._model.effect import Effect
 from bayescal._model.frame import GROUPS
 from bayescal._report import plots, report_text
-from bayescal._report.result_json import RESULT
-from bayescal._report.section import Chapter, Foreword, Foreworded, chapters
+from bayescal._report.result_json import RESULT, Chapter, Foreword, Foreworded, chapters
 from bayescal._search.discover import candidates_table, confounded, not_tested
 from bayescal._search.search_path import SearchPath
 from bayescal._use.budget import Budget, budget

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from bayescal._calibration.calibration import Calibration
-from bayescal._calibration.check_result import Entry
+from bayescal._calibration.check import Entry
 from bayescal._calibration.prior_influence import coefficients_not_measured
 from bayescal._calibration.storage import sources_of
 from bayescal._calibration.summary import (
@@ -36,7 +36,7 @@ from bayescal._model.composition import columns_read
 from bayescal._model.effect import Effect
 from bayescal._model.model import Model
 from bayescal._model.prior import Flat, HalfCauchy, HalfNormal, LogNormal, LogUniform, Normal
-from bayescal._report.section import Chapter
+from bayescal._report.result_json import Chapter
 from bayescal._search.discover import is_quiet, not_tested
 from bayescal._search.gate import WORSE
 from bayescal._search.search_path import rises, steps_table

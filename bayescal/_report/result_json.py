@@ -1,26 +1,45 @@
-"""A trail as data: `result.json`, schema bayescal.result/2. Numbers that are not finite become null."""
+"""A trail as data, `result.json`, and what a report is of: chapters of trails in memory, or read back from a folder.
+
+The schema is bayescal.result/2; numbers that are not finite become null. A chapter is one set of readings. Calibrations
+of the same readings make one chapter, in the order in which they are given: the first is where it began, the last is
+what is signed for.
+"""
 
 from __future__ import annotations
 
 import math
 import platform
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
 from functools import cache
 from importlib.metadata import PackageNotFoundError, version
-from typing import Any
+from itertools import pairwise
+from pathlib import Path
+from typing import Any, Protocol
 
 import numpy as np
 
-from bayescal._calibration.check_result import Check
+from bayescal._calibration.calibration import Calibration
+from bayescal._calibration.check import Check, check
+from bayescal._calibration.fit import load
 from bayescal._calibration.leave_group_out import groups_of
-from bayescal._calibration.storage import identity
+from bayescal._calibration.storage import identity, name_of_today
 from bayescal._calibration.summary import directions_data, summary
 from bayescal._core.annex import offered
 from bayescal._core.as_json import as_json
+from bayescal._core.errors import InputError, NotConverged
+from bayescal._core.json_shape import read_json
+from bayescal._core.result_table import ResultTable
 from bayescal._core.settings import unusual
 from bayescal._data.measurements import Measurements
+from bayescal._model.effect import Effect
 from bayescal._model.frame import GROUPS
+from bayescal._model.instrument import Instrument
 from bayescal._model.noise_law import Noise
-from bayescal._search.discover import Discovery
+from bayescal._report.whole_folder import AVERAGED, CALIBRATION, files_of, refuse_mixed
+from bayescal._search.calibrate import step_of
+from bayescal._search.discover import Discovery, discover
+from bayescal._search.gate import gate
 from bayescal._search.next_experiment import NextExperiment
 from bayescal._search.search_path import SearchPath, Step
 
@@ -32,7 +51,7 @@ OF_NOISE = {
     **{"tau": "correlated.time", "slope": "slope", "curvature": "curvature"},
     **{"proportional": "proportional", "freedom": "freedom"},
 }
-AVERAGED = ("mean", "sd", "interval95", "probability", "given")  # of an unknown, over structures
+OVER_STRUCTURES = ("mean", "sd", "interval95", "probability", "given")  # of an unknown, averaged
 FORMER = "bayescal.result/1"  # of 0.2.0, where `hyperparameters` were `spreads`
 PACKAGES = (
     *("bayescal", "jax", "numpyro", "optimistix"),
@@ -48,7 +67,7 @@ def result(trail: SearchPath) -> dict[str, Any]:
         [row for row in rows if row["effect"] not in further] for rows in summary(trail.calibration)
     )
     for row in (*coefficients, *hyperparameters):
-        averaged = {k: row[k] for k in AVERAGED}
+        averaged = {k: row[k] for k in OVER_STRUCTURES}
         row["averaged"] = None if trail.average is None else averaged
         del row["probability"], row["given"]  # of a single structure: one, and the same
     found: dict[str, list[dict[str, Any]]] = {k: [] for k in ("check", "pairs", "allan", "missing")}
@@ -215,3 +234,179 @@ def experiment_data(found: NextExperiment) -> dict[str, Any]:
             for e in found.experiments
         ],
     }
+
+
+PICTURE = "loop.png"
+PNG = b"\x89PNG\r\n\x1a\n"
+
+
+@dataclass(frozen=True)
+class Foreword:
+    """A section that stands before all chapters."""
+
+    name: str  # its id in the page
+    title: str  # above it
+    note: str  # in small print below it
+    verdict: str = ""  # what it comes to, in a box, with what it rests on; empty for none
+    bad: bool = False  # whether that is against what is reported of
+    why: str = ""  # what the verdict rests on
+    # headings, with labels and texts below each
+    lists: tuple[tuple[str, list[tuple[str, str]]], ...] = ()
+    table: tuple[str, ResultTable] | None = None  # with its caption
+
+
+class Foreworded(Protocol):
+    """What has something to say before a report: what a laboratory states, what is decided about limits."""
+
+    def foreword(self, chapters: Sequence[Chapter]) -> Foreword: ...
+
+
+@dataclass(frozen=True)
+class Chapter:
+    """One set of readings."""
+
+    calibration: Calibration  # the last model's
+    check: Check  # where it fails
+    data: dict[str, Any]  # everything that was found, as in result.json
+    # first, first_check: where it began; None where only result.json tells of it
+    first: Calibration | None = None
+    first_check: Check | None = None
+    # the loop as it was drawn at the time (PNG); None where the pictures can be drawn again
+    picture: bytes | None = None
+    folder: Path | None = None  # that it was read from; None for what was found in memory
+    # the last model's calibration averaged over structures; None where one has nearly all probability
+    average: Calibration | None = None
+
+    @property
+    def used(self) -> Calibration:
+        """What is signed for, and all numbers are of: the average over structures, where several are probable."""
+        return self.calibration if self.average is None else self.average
+
+
+def chapters(given: Iterable[Any], effects: Iterable[Effect] = ()) -> list[Chapter]:
+    """Chapters of what is given, in its order; calibrations of the same readings that stand together are one.
+
+    Args:
+        given: calibrations, trails, chapters, or errors that ended a fit and carry its calibration.
+        effects: of the user's own.
+
+    Raises:
+        InputError: nothing is given, or something else.
+    """
+    own, known = tuple(effects), (Calibration, SearchPath, Chapter)
+    ended = ((g, g.calibration if isinstance(g, NotConverged) else None) for g in given)
+    several = [g if calibration is None else calibration for g, calibration in ended]
+    wrong = [type(g).__name__ for g in several if not isinstance(g, known)]
+    if wrong or not several:
+        raise InputError(
+            f"a report is of calibrations or trails, not of {', '.join(wrong) or 'nothing'}: give what bc.fit, "
+            "bc.calibrate or bc.load returned"
+        )
+    found: list[Chapter] = []
+    waiting: list[Calibration] = []
+    for one in [*several, None]:
+        same = (
+            waiting and isinstance(one, Calibration) and one.readings.same_as(waiting[-1].readings)
+        )
+        if waiting and not (
+            same and one.model.instrument.name == waiting[-1].model.instrument.name
+        ):
+            found.append(of_trail(trail_of(waiting, own), _titles(waiting)))
+            waiting = []
+        if isinstance(one, Calibration):
+            waiting.append(one)
+        elif one is not None:
+            found.append(of_trail(one) if isinstance(one, SearchPath) else one)
+    return found
+
+
+def of_trail(trail: SearchPath, titles: list[str] | None = None) -> Chapter:
+    """The chapter of a trail in memory."""
+    data = result(trail)
+    for i, title in enumerate(titles or []):
+        step, before = data["steps"][i], data["steps"][max(i - 1, 0)]["effects"]
+        more = [n for n in step["effects"] if n not in before]
+        step |= {"title": title, "added": more[0] if len(more) == 1 else None}
+    first, final = trail.steps[0], trail.final
+    began = {"first": first.calibration, "first_check": first.check}
+    return Chapter(final.calibration, final.check, data, **began, average=trail.average)
+
+
+def of_folder(
+    folder: Path, effects: Iterable[Effect] = (), instruments: Iterable[Instrument] = ()
+) -> Chapter:
+    """The chapter of a folder that `bayescal calibrate --out` wrote.
+
+    Raises:
+        InputError: it does not hold both files, they cannot be read, or they do not belong together.
+    """
+    missing = [n for n in (RESULT, CALIBRATION) if not (folder / n).is_file()]
+    if missing:
+        raise InputError(
+            f"The folder {folder} has no {' and no '.join(missing)}: give a folder that `bayescal calibrate --out` "
+            "wrote, or a saved calibration (…nc)"
+        )
+    data = _read_result(folder / RESULT)
+    refuse_mixed(folder)
+    own = {"effects": tuple(effects), "instruments": tuple(instruments)}
+    calibration = load(folder / CALIBRATION, **own)
+    fitted, told, listed = identity(calibration), data.get("calibration"), files_of(folder)
+    if not {RESULT, CALIBRATION} <= listed.keys() and told != fitted:  # one manifest is of one run
+        raise InputError(
+            f"{RESULT} and {CALIBRATION} in {folder} are of different fits: identity {told} and {fitted}. Calibrate "
+            f"again, or give {CALIBRATION} alone"
+        )
+    drawn = (folder / PICTURE).read_bytes() if (folder / PICTURE).is_file() else b""
+    return Chapter(
+        calibration,
+        check(calibration),
+        data,
+        picture=drawn if drawn.startswith(PNG) else None,
+        folder=folder,
+        average=load(folder / AVERAGED, **own) if AVERAGED in listed else None,
+    )
+
+
+def _read_result(path: Path) -> dict[str, Any]:
+    try:
+        data = read_json(path)
+        schema = data.get("schema")
+        if schema == FORMER:
+            rows = [{**r, "name": name_of_today(r["name"])} for r in data.pop("spreads", [])]
+            schema, data = SCHEMA, {**data, "hyperparameters": rows}
+        if schema != SCHEMA:
+            raise ValueError(f"its schema is {schema!r}, not {SCHEMA!r}")
+        for candidate in (c for step in data["missing"] for c in step["candidates"]):
+            candidate.setdefault("role", "named")  # since 0.2.1
+    except (OSError, ValueError, AttributeError, KeyError, TypeError) as error:
+        raise InputError(
+            f"{path} is no result of this version ({error}): calibrate again"
+        ) from None
+    return data
+
+
+def trail_of(calibrations: list[Calibration], effects: tuple[Effect, ...] = ()) -> SearchPath:
+    """The trail of calibrations of the same readings, each checked and asked what it lacks.
+
+    An effect of the user's own that one of them has is a candidate for the others.
+    """
+    catalogue = calibrations[0].model.instrument.known
+    used = {e.name: e for c in calibrations for e in c.model.effects}
+    own = (*(e for n, e in used.items() if n not in catalogue), *effects)
+    asked = [discover(c, effects=own) if c.verdict.ok else None for c in calibrations]
+    steps = [replace(step_of(c), discovery=d) for c, d in zip(calibrations, asked, strict=True)]
+    return SearchPath(tuple(steps), gate(steps[-1:]), None)
+
+
+def _titles(calibrations: list[Calibration]) -> list[str]:
+    """Each model by what it has more and less than the one before."""
+    first = calibrations[0].model
+    baseline = set(first.names) == {e.name for e in first.instrument.effects}
+    titles = ["baseline" if baseline else ", ".join(first.names)]
+    for before, own in pairwise(c.model for c in calibrations):
+        more = [f"+ {n}" for n in own.names if n not in before.names]
+        less = [f"− {n}" for n in before.names if n not in own.names]
+        law = own.noise.in_words
+        noise = [] if law == before.noise.in_words else [f"noise: {law}"]
+        titles.append(" ".join([*more, *less, *noise]) or "the same effects")
+    return titles

@@ -16,8 +16,7 @@ from bayescal._core import deadline
 from bayescal._core.as_json import as_json, write_json
 from bayescal._core.errors import InputError
 from bayescal._report.report_text import conclusion
-from bayescal._report.result_json import RESULT, result
-from bayescal._report.section import PICTURE, of_trail
+from bayescal._report.result_json import PICTURE, RESULT, of_trail, result
 from bayescal._report.whole_folder import (
     AVERAGED,
     CHANNELS,

@@ -152,9 +152,7 @@ def _manifest(folder: Path) -> Manifest:
                 raise ValueError(f"it lists {name!r}, which is no file of this folder")
         return data
     except (OSError, ValueError) as error:
-        raise InputError(
-            f"{folder / MANIFEST} cannot be used ({type(error).__name__}: {error}). {AGAIN}"
-        ) from None
+        raise InputError(f"{folder / MANIFEST} cannot be used: {error}. {AGAIN}") from None
 
 
 def list_files(folder: Path, calibration: str | None) -> None:

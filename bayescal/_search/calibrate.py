@@ -162,6 +162,13 @@ class Loop:
         Whether an effect belongs there is what the search is to say: kept because the search began with it, it would
         hide rivals that the same search finds from the baseline.
         """
+        known = (*model.names, *model.instrument.known, *(e.name for e in effects), "noise")
+        for name in self.accepted:
+            if not any(name == k or name.startswith((f"{k}[", f"{k}.")) for k in known):
+                has = ", ".join(model.names)
+                raise InputError(
+                    f"no effect or coefficient is called {name!r}; the model has {has}"
+                )
         # Where nothing is looked for, nothing is weighed.
         looked_at = model.effects if self.max_effects > 0 else ()
         self.given = tuple(e for e in looked_at if self.weighs(e, model))
@@ -231,15 +238,15 @@ class Loop:
 
     def look(self, follow: Callable[[], None] = lambda: None) -> None:
         """Walk over the structures, to the end or the deadline."""
-        if self.library is None:
-            return
-        given, structures = (
-            Structure(frozenset(e.name for e in self.given)),
-            self.library.structures,
-        )
-        may_be = given.effects and given.effects <= {*structures.candidates}
-        last = given if may_be and given.effects.isdisjoint(structures.barred(given)) else None
-        self.stopped = explore(self.library, self.max_effects, last, follow)
+        if self.library is not None:
+            names = frozenset(e.name for e in self.given)
+            given, known = Structure(names), self.structures
+            may_be = (
+                names and names <= {*known.candidates} and names.isdisjoint(known.barred(given))
+            )
+            self.stopped = explore(
+                self.library, self.max_effects, given if may_be else None, follow
+            )
 
     @property
     def structures(self) -> Structures:
@@ -400,11 +407,7 @@ class Loop:
 def step_of(
     calibration: Calibration, holdout: Measurements | None = None, accepted: Collection[str] = ()
 ) -> Step:
-    """A fit as a step: checked, with its errors; what is missing from it is not asked yet.
-
-    Raises:
-        InputError: the readings show no noise.
-    """
+    """Check a fit, and give it with its errors as a step; refuse readings without noise."""
     if said := noiseless(calibration):
         raise InputError(said)
     checked, floor, kept, test = check(calibration), noise_floor(calibration), None, None

@@ -126,13 +126,10 @@ class _Channel:
         follow(self.name, self.loop.trail())
 
     def hear(self, others: Mapping[str, FromOthers]) -> bool:
-        """Take what the others say for a prior, where that leads elsewhere; whether it does.
+        """Take what the others say for a prior, where that leads elsewhere; return whether it does.
 
         Where an effect is more or less probable by it the channel is searched again; where only a shape moves, the most
-        probable structures are weighed again.
-
-        Raises:
-            TimeIsUp: there was no time; what stood before stands.
+        probable structures are weighed again. Without time TimeIsUp is raised, and what stood before stands.
         """
         if self.loop.library is None:
             return False

@@ -10,8 +10,6 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
-import jax
-import jax.numpy as jnp
 import numpy as np
 
 from bayescal._calibration.fit import fit
@@ -19,6 +17,7 @@ from bayescal._calibration.judgement import off_scale
 from bayescal._calibration.summary import null_directions
 from bayescal._core.errors import BayescalError, ModelError
 from bayescal._core.formatting import number, with_error
+from bayescal._core.lazy_jax import jax, jnp
 from bayescal._core.progress import stage
 from bayescal._core.result_table import Printed, ResultTable, TableColumn
 from bayescal._data.measurements import Measurements

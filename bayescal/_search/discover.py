@@ -260,11 +260,7 @@ def with_causes(
     ignore: Collection[str],
     covariates: Collection[str] | None,
 ) -> Measurements:
-    """The readings, in which nothing depends on the columns to ignore, and on no other one than given, if any is.
-
-    Raises:
-        InputError: there is no such column, or one is both.
-    """
+    """Return readings in which nothing depends on the columns to ignore, and on none but those given, if any is."""
     if both := sorted({*ignore}.intersection(covariates or ())):
         raise InputError(f"{', '.join(both)}: to be ignored, and a covariate: say one of the two")
     if covariates is not None:

@@ -36,12 +36,8 @@ ONE_ORDER_SHARE = 0.9
 
 def gate(steps: Sequence[Step]) -> Gate:
     """Return whether the last model is to be used and its probabilities believed; if not, every reason."""
-    return _gate(steps, against(steps))
-
-
-def _gate(steps: Sequence[Step], reasons: Sequence[Claim]) -> Gate:
-    if reasons:
-        return Gate(False, " ".join(reasons), tuple(reasons))
+    if reasons := against(steps):
+        return Gate(False, " ".join(reasons), reasons)
     # Of fewer readings no correlation reaches that many standard deviations.
     if len(steps[-1].calibration.readings) < int(CORRELATED_SD**2) + 1:
         return Gate(True, "converged; too few readings to see whether neighbours are correlated")
@@ -60,47 +56,40 @@ def _claims_of_last(steps: Sequence[Step]) -> list[Claim]:
     last, first = steps[-1], steps[0].calibration.model
     judged = {"check": last.check, "left_out": last.left_out, "doubts": last.doubts}
     subject = Subject(last.calibration, **judged, first=first, missing=_may_be_missing(last))
+    replaced = [one.claim for one in _followed(steps) if not one.measured][:1]
     return [
         *(*last.different, *residual_claims(subject)),
         *(*undecided(steps), *equivalent(steps, "doubt")),
-        *(*odd_thermometers(subject), *replaced(steps), *worsened(steps)),
+        *(*odd_thermometers(subject), *replaced, *worsened(steps)),
         *(*surprising(subject), *runs_unlike(steps), *contradicted(steps)),
     ]
 
 
 def judged(steps: Sequence[Step]) -> tuple[tuple[Step, ...], Gate]:
     """Return steps whose last calibration knows what stands against it, wherever it is taken; and the gate."""
-    reasons, last = against(steps), steps[-1]
-    notes = [*said_of_profiles(last.calibration), *confounded(steps)]
+    last, found = steps[-1], gate(steps)
+    notes = [*said_of_profiles(last.calibration)]
+    if last.calibration.verdict.ok:
+        hardly = (one for one in _followed(steps) if one.measured and one.confounded)
+        notes += [one.claim for one in hardly]
     notes += [*sensor_or_thermometer(steps), *equivalent(steps, "note")]
     if notes := [*notes, *two_levels(steps), *in_one_order(steps)]:
         last = last.noted(notes)
-        steps = (*steps[:-1], last)
     if last.calibration.verdict.ok:
-        steps = (*steps[:-1], last.judged(reasons))
-    return tuple(steps), _gate(steps, reasons)
+        last = last.judged(found.claims)
+    return (*steps[:-1], last), found
 
 
 def freed(steps: Sequence[Step]) -> Iterator[Claim]:
-    """What stands against a model in which a coefficient is free of its stated value."""
+    """Yield what stands against a model in which a coefficient is free of its stated value."""
     if free := [e.frees for e in steps[-1].calibration.model.effects if e.frees]:
         yield Claim("value.freed", *free)
         yield from (one for one in steps[0].against if not set(one.of).isdisjoint(free))
 
 
-def confounded(steps: Sequence[Step]) -> Iterator[Claim]:
-    """What the last model holds that these readings hardly tell from a term of the first."""
-    if steps[-1].calibration.verdict.ok:
-        yield from (one.claim for one in _followed(steps) if one.measured and one.confounded)
-
-
-def replaced(steps: Sequence[Step]) -> list[Claim]:
-    """The term of the first model that something else stands for in the last, the one that moved the most."""
-    return [one.claim for one in _followed(steps) if not one.measured][:1]
-
-
 def _followed(steps: Sequence[Step]) -> list[TakenOver]:
-    """Terms of the first model in the last; what has no name is compared with the last model without such."""
+    """Return terms of the first model in the last, the one that moved the most first; what has no name is compared
+    with the last model without such."""
     last, found = steps[-1].calibration, list[TakenOver]()
     unnamed = {e.name for e in last.model.effects if e.unnamed}
     plain = [s.calibration for s in steps[:-1] if unnamed.isdisjoint(s.calibration.model.names)]

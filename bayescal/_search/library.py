@@ -6,6 +6,7 @@ import itertools
 import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import lru_cache
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -28,6 +29,7 @@ RAGGED_SHAPES = 128  # where the evidence has many maxima over one of them
 HELD_NUMBERS = 2**23
 ACTING_STEP = 0.05  # of a shape that acts on them, prior standard deviations, which no score feels
 LEVELS = 4  # of a learned spread, of an amplitude
+KEPT_EFFECTS = 1024  # whose grids and sizes are kept: devices of a fleet have the same
 
 
 class Size(NamedTuple):
@@ -74,17 +76,14 @@ class Library:
         for name, effect in self.structures.candidates.items():
             if (self.grids and name not in self.grids) or self.structures.moves_a_column(name):
                 continue
-            widths = [_members(c, counts) for c in effect.coefficients]
-            self.sizes[name] = _sizes(effect, np.cumsum([0, *widths]))
-            self.points[name] = []
+            widths = tuple(_members(c, counts) for c in effect.coefficients)
+            self.sizes[name] = _sizes(effect, widths)
             # Uneven where the channels of a unit ask along a shape that they share, else of equal prior mass.
-            grid = self.grids[name] if self.grids else _grid(effect.column_shapes)
-            for v in grid:
-                pairs = list(zip(effect.column_shapes, v.tolist(), strict=True))
-                shapes = {s.name: float(s.prior.value(np.float64(x))) for s, x in pairs}
-                hint = {effect.shape_name(s): x for s, x in pairs}
+            grid = _at(effect, self.grids[name]) if self.grids else _usual_grid(effect)
+            self.points[name] = []
+            for i, (shapes, hint) in enumerate(grid):
                 at = slice(self.width, self.width + sum(widths))
-                self.points[name].append(GridPoint(name, shapes, hint, at, len(self.points[name])))
+                self.points[name].append(GridPoint(name, shapes, hint, at, i))
                 self.width += sum(widths)
 
     def grouped(self, name: str) -> bool:
@@ -190,8 +189,10 @@ def _members(coefficient: Coefficient, counts: Mapping[str, int]) -> int:
     return 1 if coefficient.per is None else counts[coefficient.per]
 
 
-def _sizes(effect: Effect, at: np.ndarray) -> list[Size]:
-    """Plausible sizes of an effect whose coefficients' columns begin at these places."""
+@lru_cache(KEPT_EFFECTS)
+def _sizes(effect: Effect, widths: tuple[int, ...]) -> list[Size]:
+    """Plausible sizes of an effect whose coefficients have so many columns each."""
+    at = np.cumsum([0, *widths])
     plain = np.zeros(at[-1])
     for i, c in enumerate(effect.coefficients):
         plain[at[i] : at[i + 1]] = c.size
@@ -220,6 +221,27 @@ def _sizes(effect: Effect, at: np.ndarray) -> list[Size]:
         for z in spreads
         for factor, p in factors.items()
     ]
+
+
+Place = tuple[
+    dict[str, float], dict[str, float]
+]  # shapes by their own names; coordinates by the full ones
+
+
+def _at(effect: Effect, grid: np.ndarray) -> list[Place]:
+    """An effect's shapes, and coordinates of φ, at some coordinates of the shapes (points, shapes)."""
+    found, shapes = list[Place](), effect.column_shapes
+    for v in grid.tolist():
+        values = {
+            s.name: float(s.prior.value(np.float64(x))) for s, x in zip(shapes, v, strict=True)
+        }
+        found.append((values, dict(zip(map(effect.shape_name, shapes), v, strict=True))))
+    return found
+
+
+@lru_cache(KEPT_EFFECTS)
+def _usual_grid(effect: Effect) -> list[Place]:
+    return _at(effect, _grid(effect.column_shapes))
 
 
 def _grid(shapes: Sequence[Shape]) -> np.ndarray:

@@ -24,8 +24,7 @@ _RAN: dict[tuple[str, str], ModuleType] = {}  # in this process, by path and SHA
 def user_effects(path: Path | None) -> tuple[Effect, ...]:
     """Return the effects that a user's file defines: its EFFECTS, or every Effect in it; none of one of noise laws.
 
-    A noise law needs no more than that its file is run: its class is known by its name from then on, and searches
-    weigh it where the file offers it.
+    A noise law is known by its class's name once its file was run, and searches weigh it where the file offers it.
 
     Raises:
         InputError: no such file, it fails, or it defines neither.
@@ -39,8 +38,8 @@ def user_effects(path: Path | None) -> tuple[Effect, ...]:
     defined = vars(module)
     effects = defined.get("EFFECTS", [v for v in defined.values() if isinstance(v, Effect)])
     effects = (effects,) if isinstance(effects, Effect) else tuple(effects)
-    laws = (v for v in defined.values() if isinstance(v, type) and v.__module__ == module.__name__)
-    with_law = any(issubclass(kind, Noise) for kind in laws)
+    laws = (v for v in defined.values() if isinstance(v, type) and issubclass(v, Noise))
+    with_law = any(law.__module__ == module.__name__ for law in laws)
     if not (effects or with_law) or not all(isinstance(e, Effect) for e in effects):
         raise InputError(
             f"{path} defines no effect: write EFFECTS = (bayescal.Effect(…),), or a noise law, a class derived from "
@@ -50,11 +49,7 @@ def user_effects(path: Path | None) -> tuple[Effect, ...]:
 
 
 def instrument_named(name: str) -> Instrument:
-    """Return an installed instrument, or one in a file: my.py:INSTRUMENT.
-
-    Raises:
-        InputError: there is none.
-    """
+    """Return an installed instrument, or one in a file, my.py:INSTRUMENT; raise InputError where there is none."""
     if not in_a_file(name):
         from bayescal._model.installed import installed_instrument
 
@@ -82,26 +77,24 @@ def run_file(path: Path) -> ModuleType:
     if not path.is_file():
         raise InputError(f"there is no file {path}")
     ran = file, _ = str(path.resolve()), sha256_of(path)
-    if ran in _RAN:
-        return _RAN[ran]
-    module = _RAN[ran] = ModuleType(path.stem)
-    module.__file__ = file
-    # So that what the file defines can be pickled by its module's name; a module of that name that is there stays.
-    sys.modules.setdefault(path.stem, module)
-    try:
-        exec(compile(path.read_bytes(), file, "exec", dont_inherit=True), vars(module))
-    except BaseException as error:  # SystemExit too: what a user's file does wrong is said in words
-        where = f", line {line}" if (line := own_file_line(error)[1]) else ""
-        del _RAN[ran]
-        raise InputError(f"{path}{where} could not be run: {in_one_line(error)}") from None
-    return module
+    if ran not in _RAN:
+        module = _RAN[ran] = ModuleType(path.stem)
+        module.__file__ = file
+        # So that what the file defines can be pickled by its module's name; a module that is there stays.
+        sys.modules.setdefault(path.stem, module)
+        try:
+            exec(compile(path.read_bytes(), file, "exec", dont_inherit=True), vars(module))
+        except (
+            BaseException
+        ) as error:  # SystemExit too: what a user's file does wrong is said in words
+            where = f", line {line}" if (line := own_file_line(error)[1]) else ""
+            del _RAN[ran]
+            raise InputError(f"{path}{where} could not be run: {in_one_line(error)}") from None
+    return _RAN[ran]
 
 
 def own_file_line(error: BaseException) -> tuple[str, int]:
-    """Return where in a file of the user's own that this process has run an error arose: file and line, or ("", 0).
-
-    For a syntax error the line that it names, else the last line in such a file before it.
-    """
+    """Return the last line of a user's file, which this process has run, in an error: file and line, or ("", 0)."""
     lines = [(f.filename, f.lineno) for f in extract_tb(error.__traceback__)]
     if isinstance(error, SyntaxError):
         lines.append((error.filename or "", error.lineno))

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from bayescal._calibration.calibration import Calibration
-from bayescal._calibration.check_result import Check
+from bayescal._calibration.check import Check
 from bayescal._calibration.claim import Claim
 from bayescal._calibration.judgement import doubts_of_the_mode
 from bayescal._calibration.leave_group_out import LeaveOneGroupOut, scheme

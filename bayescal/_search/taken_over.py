@@ -38,7 +38,6 @@ MOVED_SD = 4.0
 
 # Correlation of two runs' temperatures at the same time within them, from which they are one profile.
 ALIKE_CORRELATION = 0.99
-DWELL_LAGS = 3.0  # times the slowest lag, after which five per cent of it are left
 
 
 class TakenOver(NamedTuple):
@@ -175,35 +174,12 @@ def said_of_profiles(calibration: Calibration) -> list[Claim]:
 
 
 def another_run(calibration: Calibration, columns: Sequence[str]) -> str:
-    """The run that would tell most: the range from the other side, at the record's fastest rate, with dwells.
-
-    Readings at the temperatures of a stepped test show no rate between them: none is said then.
-    """
-    readings, (column, *others) = calibration.readings, columns
+    """Return which run would tell most: over the range of a temperature, from its other end."""
+    column, *others = columns
     if others or column not in calibration.frame.rates:
         return f"Vary {' and '.join(columns)} otherwise in another run."
-    values, rates = readings[column], np.abs(np.asarray(calibration.frame.rates[column]))
-    runs = _rows_of_runs(readings)
-    begins = float(np.median([values[rows][0] for rows in runs]))
-    low, high = float(values.min()), float(values.max())
-    ends = (low, high) if abs(begins - low) > abs(begins - high) else (high, low)
-    pace = 60.0 * float(np.quantile(rates[rates > 0], 0.95)) if np.any(rates > 0) else 0.0
-    mean = max(
-        60.0 * np.ptp(values[rows]) / (np.ptp(readings["time"][rows]) or 1.0) for rows in runs
-    )
-    taus = [
-        float(np.mean(calibration.samples(e.shape_name(s))))
-        for e in calibration.model.effects
-        for s in e.column_shapes
-        if s.name == "tau"
-        and column in e.columns
-        and e.shape_name(s) in calibration.unknowns.by_key
-    ]
-    dwell = (
-        f", a dwell of {number(DWELL_LAGS * max(taus) / 60.0, 2)} min at either end" if taus else ""
-    )
-    ramp = f"ramps of {number(pace, 2)} °C/min" if pace > 0.9 * mean else "ramps"
-    return (
-        f"One run of another profile would tell: from {number(ends[0], 3)} to {number(ends[1], 3)} °C and back, "
-        f"{ramp}{dwell}."
-    )
+    values = calibration.readings[column]
+    begins = np.median([values[rows][0] for rows in _rows_of_runs(calibration.readings)])
+    ends = sorted((values.max(), values.min()), key=lambda end: -abs(begins - end))
+    far, near = (number(float(end), 3) for end in ends)
+    return f"One run of another profile would tell: from {far} to {near} °C and back."

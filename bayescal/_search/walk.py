@@ -246,7 +246,7 @@ def _weigh_forms(
         The forms that make it so improbable: not to be tried beside one effect more or less.
     """
     lost = set[str]()
-    if not at.total > structures.best.total - OTHER_LAW_NATS:
+    if not at.total > structures.best.total - structures.form_nats:
         return lost
     for name in sorted(at.structure.effects):
         for to in structures.other_forms(at.structure, name):

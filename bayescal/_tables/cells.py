@@ -44,10 +44,7 @@ def unix_seconds(text: str) -> dict[str, float]:
     Known are ISO 8601, with or without a zone; 11/23/2026, 23/11/2026, 23.11.2026, 2026/11/23, 23-Nov-2026, Nov 23,
     2026 with times such as 14:05:33.250, 14:05:33,250, 14:05:33:250, 14.05.33 and 2:05:33 PM behind them; and times
     alone, of which 10.11.12 may be a date. A date without a zone is taken as UTC. What float64 holds of it, a quarter
-    of a microsecond, is finer than what the text can say.
-
-    Raises:
-        ValueError: the text is none of these.
+    of a microsecond, is finer than what the text can say. Empty for a text that is none of these.
     """
     text = text.strip()
     if text[4:5] == "-":
@@ -56,20 +53,20 @@ def unix_seconds(text: str) -> dict[str, float]:
             since = (when if when.tzinfo else when.replace(tzinfo=UTC)) - _EPOCH
             return {"": (since.days * 86400 + since.seconds) + since.microseconds * 1e-6}
     if _POINTS.match(text):
-        found = dict[str, float]()
-        with suppress(ValueError):
-            found["hms"] = _time_of_day(text, longest=23)
-        with suppress(ValueError):
-            found["dmy"] = _days(text)[""] * _DAY
-        if found:
-            return found
+        clock, day = _time_of_day(text, longest=23), _days(text).get("")
+        either = {"hms": clock, "dmy": None if day is None else day * _DAY}
+        if known := {name: value for name, value in either.items() if value is not None}:
+            return known
     elif _CLOCK.fullmatch(text) and ":" in text:
-        return {"": _time_of_day(text, longest=9999)}
+        clock = _time_of_day(text, longest=9999)
+        return {} if clock is None else {"": clock}
     begin = next((found for form in _FORMS if (found := form.match(text))), None)
     if not begin:
-        raise ValueError(f"{text!r} is not a date")
+        return {}
     rest = _BETWEEN.sub("", text[begin.end() :], count=1)
     clock = _time_of_day(rest, longest=23) if begin.end() < len(text) else 0.0
+    if clock is None:
+        return {}
     return {name: day * _DAY + clock for name, day in _days(begin[0]).items()}
 
 
@@ -87,24 +84,24 @@ def _days(text: str) -> dict[str, int]:
                     number = int(month) if month.isdigit() else _MONTHS.get(month[:3].lower(), 0)
                     when = date(int(year) + 2000 * (len(year) == 2), number, int(day))
                     days[order] = (when - _EPOCH.date()).days
-    if not days:
-        raise ValueError(f"{text!r} is not a date")
     return days
 
 
-def _time_of_day(text: str, longest: int) -> float:
-    """Parse a time of day up to so many hours in s, less its zone."""
-    if found := _CLOCK.fullmatch(text.strip()):
-        hours, _, minutes, seconds, parts, half, zone = found.groups()
-        hour = int(hours)
-        right = not half or 1 <= hour <= 12
-        hour = hour % 12 + 12 * (half in "Pp") if half else hour
-        if right and hour <= longest and int(minutes) <= 59 and int(seconds or 0) <= 59:
-            zone = (zone or "+0000").replace("Z", "+0000").replace(":", "")
-            ahead = int(f"{zone[0]}1") * (3600 * int(zone[1:3]) + 60 * int(zone[3:5]))
-            whole = hour * 3600 + 60 * int(minutes) + int(seconds or 0) - ahead
-            return whole + int((parts or "0").ljust(9, "0")) * 1e-9
-    raise ValueError(f"{text!r} is no time of day")
+def _time_of_day(text: str, longest: int) -> float | None:
+    """Parse a time of day up to so many hours in s, less its zone; None for none."""
+    if not (found := _CLOCK.fullmatch(text.strip())):
+        return None
+    hours, _, minutes, seconds, parts, half, zone = found.groups()
+    hour = int(hours)
+    if half and not 1 <= hour <= 12:
+        return None
+    hour = hour % 12 + 12 * (half in "Pp") if half else hour
+    if hour > longest or int(minutes) > 59 or int(seconds or 0) > 59:
+        return None
+    zone = (zone or "+0000").replace("Z", "+0000").replace(":", "")
+    ahead = int(f"{zone[0]}1") * (3600 * int(zone[1:3]) + 60 * int(zone[3:5]))
+    whole = hour * 3600 + 60 * int(minutes) + int(seconds or 0) - ahead
+    return whole + int((parts or "0").ljust(9, "0")) * 1e-9
 
 
 def zoned(text: str) -> bool:
@@ -163,70 +160,69 @@ class Cells:
     Attributes:
         values: float64, NaN where empty (or bad); or text, stripped, "" where empty.
         bad: index → text of the cells that should be numbers and are not, the first 1000.
-        dates: the values are dates, in seconds since 1970.
-        orders: of dates that leave open which number is the day: the values by the order of month, day and year, NaN
-            where a cell is not a date in it.
+        dates: the cells as text, where the first that is no number is a date; None elsewhere.
     """
 
     values: np.ndarray
     bad: Mapping[int, str] = field(default_factory=dict)
-    dates: bool = False
-    orders: Mapping[str, np.ndarray] = field(default_factory=dict)
+    dates: np.ndarray | None = None
 
     def take(self, rows: np.ndarray) -> Cells:
         """Return the cells of some rows."""
-        orders = {name: values[rows] for name, values in self.orders.items()}
         numbered = enumerate(rows.tolist()) if self.bad else ()
         bad = {i: self.bad[row] for i, row in numbered if row in self.bad}
-        return Cells(self.values[rows], bad, self.dates, orders)
+        return Cells(self.values[rows], bad, None if self.dates is None else self.dates[rows])
 
-    def in_order(self, order: str = "") -> Cells:
-        """Dates in the order that is said, or in the only one in which each is a date; else as they are."""
-        fitting = self.fitting_orders
-        chosen = order if order in self.orders else fitting[0] if len(fitting) == 1 else ""
-        if not chosen:
-            return self
-        values = self.orders[chosen]
-        wrong = np.flatnonzero(np.isnan(values) & ~np.isnan(self.values))[:MOST_BAD]
-        bad = {int(i): f"{date_text(float(self.values[i]))[:10]} in another order" for i in wrong}
-        return Cells(values, {**self.bad, **bad}, dates=True)
-
-    @property
-    def fitting_orders(self) -> list[str]:
-        """The orders in which each date is one."""
-        there = ~np.isnan(self.values)
-        return [n for n, values in self.orders.items() if not np.isnan(values[there]).any()]
-
-    def on_days(self, days: Cells, order: str = "") -> Cells:
+    def on_days(self, days: Cells) -> Cells:
         """Times of day on the days of another column, where these cells are the one and those the other."""
-        days, own = days.in_order(order), self
-        if "hms" in self.fitting_orders:
-            own = Cells(self.orders["hms"], self.bad, dates=True)
-        clock = own.values[~np.isnan(own.values)]
-        whole = days.values[~np.isnan(days.values)] % 86_400.0
-        if not (own.dates and days.dates and clock.size and whole.size):
+        if self.dates is None or days.dates is None:
             return self
-        if clock.max() >= 86_400.0 or whole.any():
-            return self
-        orders = {name: values + own.values for name, values in days.orders.items()}
-        return Cells(days.values + own.values, {**days.bad, **own.bad}, dates=True, orders=orders)
+        pairs = zip(days.dates, self.dates, strict=True)
+        texts = [f"{day} {clock}" if day and clock else "" for day, clock in pairs]
+        whole = all(map(unix_seconds, filter(None, texts)))
+        return numbers_of(texts) if whole else self
 
     @classmethod
     def joined(cls, parts: Sequence[Cells]) -> Cells:
-        """Stretches of a column, one after the other; numbers among dates are bad."""
-        dates = any(part.dates for part in parts)
-        values, bad, done = [], dict[int, str](), 0
+        """Join stretches of a column, one after the other."""
+        bad, done, dates = dict[int, str](), 0, None
         for part in parts:
-            own, wrong = part.values, dict(part.bad)
-            if dates and not part.dates:
-                there = np.flatnonzero(~np.isnan(own))
-                wrong |= {int(i): f"{own[i]:g}" for i in there[:MOST_BAD]}
-            values.append(own)
-            bad |= {done + i: text for i, text in wrong.items()} if len(bad) < MOST_BAD else {}
-            done += len(own)
-        names = ORDERS if any(part.orders for part in parts) else ()
-        orders = {n: np.concatenate([p.orders.get(n, p.values) for p in parts]) for n in names}
-        return cls(np.concatenate(values), bad, dates, orders)
+            bad |= {done + i: text for i, text in part.bad.items()} if len(bad) < MOST_BAD else {}
+            done += len(part.values)
+        if any(part.dates is not None for part in parts):
+            dates = np.concatenate([p.values if p.dates is None else p.dates for p in parts])
+        return cls(np.concatenate([part.values for part in parts]), bad, dates)
+
+
+def dates_of(texts: Sequence[str], order: str = "") -> tuple[Cells, dict[str, np.ndarray]]:
+    """Parse a column of dates in s since 1970; whatever else stands there, a number too, is bad.
+
+    They are in `order` of month, day and year, or else in the only one in which each is a date. Where that leaves open
+    which number is the day, they are also returned by each order, those in which each is a date first, NaN where one
+    is none.
+    """
+    texts = [cell_text(text) for text in texts]
+    found = [unix_seconds(text) for text in texts]
+    has_zone = next((zoned(text) for text, one in zip(texts, found, strict=True) if one), False)
+    wrong = [
+        i
+        for i, (text, one) in enumerate(zip(texts, found, strict=True))
+        if not is_missing(text) and (not one or zoned(text) != has_zone)
+    ]
+    bad = {i: texts[i] for i in wrong[:MOST_BAD]}
+    values = {n: np.array([one.get("", one.get(n, np.nan)) for one in found]) for n in ORDERS}
+    there = np.array([bool(one) for one in found])
+    fitting = [n for n, own in values.items() if not np.isnan(own[there]).any()]
+    if all("" in one for one in found if one):
+        return Cells(values[ORDERS[0]], bad), {}
+    chosen = order or (fitting[0] if len(fitting) == 1 else "")
+    if chosen:
+        odd = np.flatnonzero(there & np.isnan(values[chosen]))[:MOST_BAD]
+        bad |= {int(i): f"{texts[i]} in another order" for i in odd}
+        return Cells(values[chosen], bad), {}
+    some = [n for n, own in values.items() if not np.isnan(own).all()]
+    orders = {n: values[n] for n in fitting or some}
+    return Cells(next(iter(orders.values())), bad), orders
 
 
 def numbers_of(texts: Sequence[str], decimal: str = ".") -> Cells:
@@ -242,44 +238,13 @@ def numbers_of(texts: Sequence[str], decimal: str = ".") -> Cells:
             return Cells(np.fromiter(map(float, plain), np.float64, len(plain)))
     values = np.fromiter(map(number_of, plain), np.float64, len(plain))
     odd = [i for i in np.flatnonzero(np.isnan(values)).tolist() if not is_missing(texts[i])]
-    if odd and is_date(texts[odd[0]]):
-        return _dates_of(texts, values, odd)
-    return Cells(values, {i: texts[i].strip() for i in odd[:MOST_BAD]})
+    dates = np.array(texts, object) if odd and unix_seconds(texts[odd[0]]) else None
+    return Cells(values, {i: texts[i].strip() for i in odd[:MOST_BAD]}, dates)
 
 
 def is_missing(text: str) -> bool:
     """Whether a cell says that there is no reading."""
     return text.strip().lower() in MISSING
-
-
-def _dates_of(texts: Sequence[str], values: np.ndarray, odd: Sequence[int]) -> Cells:
-    """A column whose first text is a date: whatever else stands there, a number too, is bad."""
-    bad, orders = dict[int, str](), {name: np.full(len(texts), np.nan) for name in ORDERS}
-    has_zone = zoned(texts[odd[0]])
-    for i in sorted([*odd, *np.flatnonzero(~np.isnan(values)).tolist()]):
-        found = dict[str, float]()
-        with suppress(ValueError):
-            found = unix_seconds(texts[i])
-        if (not found or zoned(texts[i]) != has_zone) and len(bad) < MOST_BAD:
-            bad[i] = texts[i].strip()
-        for name, of_order in orders.items():
-            of_order[i] = found.get("", found.get(name, np.nan))
-    first, *others = orders.values()
-    if all(np.array_equal(first, other, equal_nan=True) for other in others):
-        return Cells(first, bad, dates=True)
-    values = np.array([*orders.values()])
-    known = ~np.isnan(values)
-    fitting = known[:, known.any(axis=0)].all(axis=1)
-    ranked = values[np.argsort(~fitting, kind="stable")]
-    shown = ranked[np.argmax(~np.isnan(ranked), axis=0), np.arange(len(texts))]
-    return Cells(shown, bad, dates=True, orders=orders)
-
-
-def is_date(text: str) -> bool:
-    """Return whether a cell is a date, or a time of day."""
-    with suppress(ValueError):
-        return bool(unix_seconds(text))
-    return False
 
 
 def _with_point(text: str) -> str:

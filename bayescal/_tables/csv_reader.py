@@ -15,16 +15,14 @@ from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
-from functools import cache
-from itertools import islice
+from itertools import islice, product
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 
-from bayescal._core.errors import InputError
 from bayescal._core.quoting import csv_cell_read
-from bayescal._tables.cells import MOST_BAD, Cells, is_date, is_missing, number_of, numbers_of
+from bayescal._tables.cells import MOST_BAD, Cells, is_missing, number_of, numbers_of, unix_seconds
 from bayescal._tables.raw_table import Header, Objection, Table, refuse_many, unusable
 
 _LONGEST_LINE = 1 << 24  # bytes
@@ -68,30 +66,7 @@ def open_csv(path: Path, file: str, decimal: str = "") -> Table:
     Raises:
         InputError: it is empty, in an encoding that cannot be told, or ends lines in a way that cannot be counted.
     """
-    return table_of(parse_text(path.read_bytes(), file, decimal))
-
-
-def table_of(text: CsvText, *more: str) -> Table:
-    """Return a text as a table, with a note of each thing that is not as usual, and more."""
-    notes = {
-        f"read as {text.encoding}": text.encoding != "utf-8",
-        "its fields are parted by blanks": text.blank_runs is not None,
-        "its numbers have decimal commas": text.decimal == ",",
-        f"its columns are named in row {text.named}; what stands above it is left out": text.above,
-        f"its units are taken from row {text.named + 1}": text.first - text.named > 1,
-        **dict.fromkeys(more, True),
-    }
-    return Table(
-        text.file,
-        text.headers,
-        len(text.readings),
-        text.cells,
-        text.sha256,
-        text.place,
-        notes=tuple(f"{text.file}: {note}" for note, holds in notes.items() if holds),
-        problems=_ragged_rows(text),
-        readable=text.readable,
-    )
+    return parse_text(path.read_bytes(), file, decimal).table()
 
 
 @dataclass
@@ -100,16 +75,14 @@ class CsvText:
 
     Attributes:
         data: its bytes; those of UTF-16 as UTF-8, with tabs where runs of blanks part the fields.
-        commented: whether a comment names its columns.
-        blank_runs: what parts its fields, where blanks do.
         decimal: a point or a comma; empty until a number shows it.
         named: row of the header.
-        above: whether lines that tell of the test stand above it.
         first, offset: row and byte of the first line after the header.
         ragged: row, text and number of fields where that is not the header's.
         skipped: blank rows, and ragged ones where there are others to look at.
         readings: rows of readings (n,).
         readable: whether these can be looked at.
+        notes: how it was read, where that is not as usual.
     """
 
     file: str
@@ -118,17 +91,15 @@ class CsvText:
     sha256: str = ""
     header: list[str] = field(default_factory=list)
     separator: str = ","
-    commented: bool = False
-    blank_runs: re.Pattern[bytes] | None = None
     decimal: str = ""
     named: int = 0
-    above: bool = False
     first: int = 0
     offset: int = 0
     ragged: list[tuple[int, str, int]] = field(default_factory=list)
     skipped: frozenset[int] = frozenset()
     readings: np.ndarray = field(default_factory=lambda: np.zeros(0, int))
     readable: bool = True
+    notes: list[str] = field(default_factory=list)
 
     @property
     def blank(self) -> bytes:
@@ -140,9 +111,19 @@ class CsvText:
         """The encoding of `data`."""
         return _LEGACY if self.encoding == _LEGACY else "utf-8"
 
-    @property
-    def headers(self) -> tuple[Header, ...]:
-        return tuple(Header.parse(csv_cell_read(text)) for text in self.header)
+    def table(self, *more: str) -> Table:
+        """Return it as a table, with a note of each thing that is not as usual, and more."""
+        return Table(
+            self.file,
+            tuple(Header.parse(csv_cell_read(text)) for text in self.header),
+            len(self.readings),
+            self.cells,
+            self.sha256,
+            lambda index: f"row {self.readings[index]}",
+            notes=tuple(f"{self.file}: {note}" for note in (*self.notes, *more)),
+            problems=_ragged_rows(self),
+            readable=self.readable,
+        )
 
     def rows(self) -> Iterable[bytes]:
         """Its lines below the header."""
@@ -185,10 +166,6 @@ class CsvText:
             came = f"has {what}{called}: {line[:80]!r}"
             raise unusable(self.file, came, f"Close or remove it{cure}", f"row {row}") from error
 
-    def place(self, index: int) -> str:
-        """Return the row of a reading; lines that are skipped count as rows but hold none."""
-        return f"row {self.readings[index]}"
-
 
 def parse_text(data: bytes, file: str, decimal: str = "") -> CsvText:
     """Parse the bytes of a file: its layout, its rows, and which of them are blank or have another number of fields.
@@ -206,34 +183,37 @@ def parse_text(data: bytes, file: str, decimal: str = "") -> CsvText:
             raise unusable(file, "is UTF-16 text that breaks off", _SAVE) from error
     elif beyond and beyond.isdisjoint(_NO_LEGACY) and not _BEYOND.search(data):
         text.encoding = _LEGACY
-    _find_layout(text)
-    text.data = _with_tabs(text.data, text.blank_runs)
+    if text.encoding != "utf-8":
+        text.notes.append(f"read as {text.encoding}")
+    _refuse_undecodable(text)
     _read_header(text)
     _scan_lines(text)
     return text
 
 
 def _read_header(text: CsvText) -> None:
-    """Find the header, and check that all of the file is text.
+    """Find what parts the fields, and the header.
 
     It is the first line that is neither blank nor a '#' comment, unless that tells of the test and names of columns
-    stand further down, or no line but a comment names them.
+    stand further down, or no line but a comment names them; blanks part the fields where nothing else makes a header.
     """
-    first_lines = _first_lines(text)
-    if not first_lines:
-        _refuse_undecodable(text)
+    found, lines = None, _first_lines(text)
+    for commented, runs in product((False, True), (None, *_BLANKS)):
+        own = _first_lines(text, commented)
+        if found := _header_among([_with_tabs(x.encode(), runs).decode() for _, x, _ in own]):
+            if runs:
+                text.notes.append("its fields are parted by blanks")
+                text.data = _with_tabs(text.data, runs)
+            lines = _first_lines(text, commented)
+            break
+    if not lines:
         expected = "a header 'name [unit], …' and rows of readings were expected"
         raise unusable(text.file, "is empty", expected)
-    lines, units = [line for _, line, _ in first_lines], list[str]()
-    found, separator = _header_among(lines)
-    text.separator = separator or max(_separators_of(lines[0]), key=lines[0].count)
-    if found:
-        units = _labview_units([_fields_of(line, separator) for line in lines[: found.first]])
-    row, line, end = first_lines[found.first if found else 0]
-    last, _, end = first_lines[found.last] if found else (row, line, end)
-    _refuse_undecodable(text, end)
-    refuse_many(text.file, 1 + line.count(text.separator))
-    fields = line.split(text.separator), line.split()
+    row, line, end = lines[found.first if found else 0]
+    last, _, end = lines[found.last] if found else (row, line, end)
+    separator = text.separator = found.separator if found else _separators_of(line)[0]
+    refuse_many(text.file, 1 + line.count(separator))
+    fields = line.split(separator), line.split()
     if any(not any(map(math.isnan, map(number_of, own))) for own in fields):
         cure = (
             "Write one that names the columns, such as 'time [s],temperature [degC],output [deg/s]'"
@@ -242,44 +222,38 @@ def _read_header(text: CsvText) -> None:
     text.header = text.split(line, row, called=", in the header")
     if found and (found.last > found.first or len(found.names) != len(text.header)):
         text.header = found.names
-    text.header = _with_units(text.header, units)
+    above = [_fields_of(own, separator) for _, own, _ in lines[: found.first if found else 0]]
+    text.header = _with_units(text.header, _labview_units(above))
     text.first, text.offset, text.named = last + 1, end, row
-    text.above = row > first_lines[0][0]
+    if above:
+        text.notes.append(f"its columns are named in row {row}; what stands above it is left out")
+    if text.first - row > 1:
+        text.notes.append(f"its units are taken from row {row + 1}")
 
 
-def _find_layout(text: CsvText) -> None:
-    """Find whether blanks part the fields, or a comment names the columns, where nothing else makes a header."""
-    for text.commented in (False, True):
-        lines = [line for _, line, _ in _first_lines(text)]
-        for runs in (None, *_BLANKS):
-            if _header_among([_with_tabs(x.encode(), runs).decode() for x in lines])[0]:
-                text.blank_runs = runs
-                return
-    text.commented = False
-
-
-def _first_lines(text: CsvText) -> list[tuple[int, str, int]]:
+def _first_lines(text: CsvText, commented: bool = False) -> list[tuple[int, str, int]]:
     """Return row, text and the byte behind it of the first lines that are neither blank nor comments."""
     handle, there, row = io.BytesIO(text.data), [], 0
     while len(there) < _LOOKED_AT and (raw := handle.readline(_LONGEST_LINE)):
         row += 1
         line = raw.removeprefix(_MARK if row == 1 else b"").decode(text.written_in, "replace")
-        line = line.removeprefix("#").lstrip() if text.commented else line
+        line = line.removeprefix("#").lstrip() if commented else line
         if line.strip() and not line.startswith("#"):
             there.append((row, line.rstrip("\r\n"), handle.tell()))
     return there
 
 
-def _header_among(texts: Sequence[str]) -> tuple[_HeaderRows | None, str]:
-    """Return the header among the first lines of a file, and what parts its fields; None and nothing for no header."""
+def _header_among(texts: Sequence[str]) -> _HeaderRows | None:
+    """Return the header among the first lines of a file; None for none."""
     after = [i for i, text in enumerate(texts) if text.startswith(_LABVIEW)]
-    begin = after[-1] + 1 if after else 0
-    rows = cache(lambda separator: [_fields_of(text, separator) for text in texts])
-    for i in range(begin, len(texts)):
+    rows = dict[str, list[list[str]]]()
+    for i in range(after[-1] + 1 if after else 0, len(texts)):
         for separator in _separators_of(texts[i]):
-            if found := _header_rows(rows(separator), i):
-                return found, separator
-    return None, ""
+            if separator not in rows:
+                rows[separator] = [_fields_of(text, separator) for text in texts]
+            if found := _header_rows(rows[separator], i, separator):
+                return found
+    return None
 
 
 def _with_tabs(data: bytes, runs: re.Pattern[bytes] | None) -> bytes:
@@ -300,7 +274,7 @@ def _fields_of(line: str, separator: str) -> list[str]:
 
 
 def _labview_units(above: Sequence[Sequence[str]]) -> list[str]:
-    """Units of the columns that the head of a LabVIEW measurement file (.lvm) states; none elsewhere."""
+    """Return units of the columns that the head of a LabVIEW measurement file (.lvm) states; none elsewhere."""
     stated = {row[0].strip(): [text.strip() for text in row[1:]] for row in above}
     if _LABVIEW not in stated or "Y_Unit_Label" not in stated:
         return []
@@ -308,39 +282,40 @@ def _labview_units(above: Sequence[Sequence[str]]) -> list[str]:
 
 
 def _separators_of(line: str) -> list[str]:
-    """What may part the fields of a line, the most frequent first; commas last: numbers and names hold them."""
+    """Return what may part the fields of a line, the most frequent first; commas last: numbers and names hold them."""
     there = filter(line.count, (";", "\t", "|", ","))
     return sorted(there, key=lambda one: (one == ",", -line.count(one))) or [","]
 
 
-def _refuse_undecodable(text: CsvText, end: int | None = None) -> None:
-    """Raise InputError where the file, up to a byte, is no text that is known, or ends lines by no line feed."""
-    data = text.data[:end]
-
-    def refuse(came: str, at: int, cure: str = "") -> InputError:
-        row = 1 + data.count(b"\n", 0, at)
-        return unusable(text.file, came, _SAVE + cure, f"row {row}")
-
-    if (zero := data.find(b"\0")) >= 0:
-        raise refuse("holds a zero byte: it is UTF-16 text or no text at all", zero)
-    if lone := re.search(rb"\r(?!\n)", data):
+def _refuse_undecodable(text: CsvText) -> None:
+    """Raise InputError where the file is no text that is known, or ends lines by no line feed."""
+    data, came, cure = text.data, "", _SAVE
+    if (at := data.find(b"\0")) >= 0:
+        came = "holds a zero byte: it is UTF-16 text or no text at all"
+    elif lone := re.search(rb"\r(?!\n)", data):
+        at = lone.start()
         came = "holds a carriage return that ends no line: lines must end in LF or CR LF"
-        raise refuse(came, lone.start())
-    try:
-        _ = data.isascii() or data.decode(text.written_in)
-    except UnicodeDecodeError as error:
-        line = data[data.rfind(b"\n", 0, error.start) + 1 : error.start]
-        came = f"is not UTF-8: byte {len(line) + 1} of the row is 0x{data[error.start]:02x}"
-        came += f", after {line[-20:].decode('utf-8', 'replace')!r}"
-        raise refuse(came, error.start, "; do not join files of different encodings") from error
+    elif not data.isascii():
+        try:
+            data.decode(text.written_in)
+        except UnicodeDecodeError as error:
+            at = error.start
+            line = data[data.rfind(b"\n", 0, at) + 1 : at]
+            came = f"is not UTF-8: byte {len(line) + 1} of the row is 0x{data[at]:02x}, after "
+            came += f"{line[-20:].decode('utf-8', 'replace')!r}"
+            cure += "; do not join files of different encodings"
+    if came:
+        row = 1 + data.count(b"\n", 0, at)
+        raise unusable(text.file, came, cure, f"row {row}")
 
 
 def _scan_lines(text: CsvText) -> None:
-    """Check the lines of readings: their encoding, and that each has as many fields as the header."""
-    _refuse_undecodable(text)
+    """Check that each line of readings has as many fields as the header; find whether commas are decimal ones."""
     separator, expected = text.separator.encode(), len(text.header)
     if not text.decimal and separator != b"," and _DECIMAL_COMMA.search(text.data, text.offset - 1):
         text.decimal = ","
+    if text.decimal == ",":
+        text.notes.append("its numbers have decimal commas")
     row, blanks = text.first - 1, set[int]()
     for row, line in enumerate(text.rows(), text.first):
         if len(line) > _LONGEST_LINE:
@@ -384,9 +359,10 @@ class _HeaderRows(NamedTuple):
     first: int
     last: int
     names: list[str]
+    separator: str
 
 
-def _header_rows(rows: Sequence[Sequence[str]], first: int = 0) -> _HeaderRows | None:
+def _header_rows(rows: Sequence[Sequence[str]], first: int, separator: str) -> _HeaderRows | None:
     """Return the rows that name the columns, if `rows[first]` (fields, blank rows left out) begins them.
 
     Names are text; readings with as many fields and a number or a date among them follow, at once or after a row of
@@ -412,7 +388,7 @@ def _header_rows(rows: Sequence[Sequence[str]], first: int = 0) -> _HeaderRows |
     if below == len(rows) or len(rows[below]) != width or not any(map(_is_reading, rows[below])):
         return None
     units = rows[first + 1] if below > first + 1 else ()
-    return _HeaderRows(first, below - 1, _with_units(names, units))
+    return _HeaderRows(first, below - 1, _with_units(names, units), separator)
 
 
 def _is_reading(text: str) -> bool:
@@ -420,7 +396,7 @@ def _is_reading(text: str) -> bool:
     with suppress(ValueError):
         float(text.strip().replace(",", ".", 1))
         return not is_missing(text)
-    return is_date(text)
+    return bool(unix_seconds(text))
 
 
 def _names_units(row: Sequence[str], width: int) -> bool:

@@ -84,7 +84,16 @@ def columns_of(
     wanted = [name for name in dict.fromkeys(wanted) if name in holder] or list(holder)
     used = list({id(holder[name]): holder[name] for name in wanted}.values())
     base = max(used, key=lambda sensor: _step(sensor.time))
-    kept, notes = _common(base, used, file), []
+    spans = [sensor.time for sensor in used]
+    spans += [] if base.temperature_time is None else [base.temperature_time]
+    low = max(t.min(initial=np.inf) for t in spans)
+    high = min(t.max(initial=-np.inf) for t in spans)
+    kept, notes = np.flatnonzero((base.time >= low) & (base.time <= high)), list[str]()
+    if not len(kept):
+        raise InputError(
+            f"{file!r}: the channels chosen and their temperature were not logged at one time: choose others, or log "
+            "them together"
+        )
     time = base.time[kept]
     columns: dict[str, np.ndarray] = {"time [s]": time}
     if base.temperature is not None and (known := base.temperature_time) is not None:
@@ -114,21 +123,6 @@ def columns_of(
 def _step(time: np.ndarray) -> float:
     """The usual time between samples, s."""
     return float(np.median(np.diff(time))) if len(time) > 1 else np.inf
-
-
-def _common(base: Sensor, used: Collection[Sensor], file: str) -> np.ndarray:
-    """Return which samples of `base` lie where everything was logged."""
-    spans = [sensor.time for sensor in used]
-    spans += [] if base.temperature_time is None else [base.temperature_time]
-    low = max(t.min(initial=np.inf) for t in spans)
-    high = min(t.max(initial=-np.inf) for t in spans)
-    kept = np.flatnonzero((base.time >= low) & (base.time <= high))
-    if not len(kept):
-        raise InputError(
-            f"{file!r}: the channels chosen and their temperature were not logged at one time: choose others, or log "
-            "them together"
-        )
-    return kept
 
 
 HEAD = b"\xa3\x95"  # every message begins so

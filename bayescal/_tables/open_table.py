@@ -111,14 +111,12 @@ def open_table(
             return open_csv(path, name, decimal)
         if suffix in LOG_FORMATS:
             found = open_log(path, name, asked)
-        elif suffix in (".xlsx", ".mat"):
-            from bayescal._tables.spreadsheets import open_excel, open_matlab
-
-            found = (open_excel if suffix == ".xlsx" else open_matlab)(path, name, max_bytes)
         else:  # a second that text does without
-            from bayescal._tables.parquet_netcdf import open_netcdf, open_parquet
+            from bayescal._tables import formats
 
-            found = (open_parquet if suffix == ".parquet" else open_netcdf)(path, name, max_bytes)
+            openers = {".xlsx": formats.open_excel, ".mat": formats.open_matlab}
+            openers |= {".parquet": formats.open_parquet, ".nc": formats.open_netcdf}
+            found = openers[suffix](path, name, max_bytes)
         return replace(found, sha256=sha256_of(path))
 
 

@@ -12,6 +12,7 @@ from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from types import MappingProxyType
 from typing import Any
 
@@ -150,6 +151,51 @@ class Header:
         if bracket and name.strip() and own.endswith("]") and own.count("]") == 1:
             return cls(raw, name.rstrip(), own[:-1].strip())
         return cls(raw, raw, unit)
+
+
+LONGEST_UNIT = 80  # characters of a header, from its end, in which a unit is looked for
+BRACKETS = [
+    re.compile(rf"(.+?)[\s_,:/]*\{a}\s*(.+?)\s*\{b}", re.DOTALL)
+    for a, b in ("()", "[]", "{}", "<>")
+]
+_BEHIND_SLASH = re.compile(r"([^/]*?[^/\s])\s*/\s*(.+)", re.DOTALL)
+_BEHIND_COMMA = re.compile(r"(.+?)\s*[,:;]\s*(.+)", re.DOTALL)
+_BEHIND_IN = re.compile(r"(.+?)\s+in\s+(.+)", re.DOTALL)
+_NUMBERED = re.compile(
+    r"[(\[{<]|\d+(?![\d/])"
+)  # no unit begins so: "Thermo 1 (°F)"; one may be 1/K
+
+
+@lru_cache(maxsize=4096)  # each is asked for by many columns
+def readings_of(header: Header) -> tuple[Header, ...]:
+    """Every way to part a header into a name and, if it has one, the text of a unit; the plainest first."""
+    if header.unit:
+        return (header,)
+    found = [header]
+    before, end = header.raw[:-LONGEST_UNIT], header.raw[-LONGEST_UNIT:]
+    for pattern in (*BRACKETS, _BEHIND_SLASH, _BEHIND_COMMA, _BEHIND_IN):
+        if parts := pattern.fullmatch(end):
+            unit = parts[2].strip()
+            unit = unit[1:-1] if unit[:1] + unit[-1:] == "()" else unit.removeprefix("in ")
+            found.append(Header(header.raw, (before + parts[1]).strip(), unit))
+    for gap in re.finditer(r"[_\s.]+", end):
+        name, unit = before + end[: gap.start()], end[gap.end() :]
+        if name and unit and not _NUMBERED.match(unit):
+            found.append(Header(header.raw, name, unit))
+    return tuple(found)
+
+
+def called(headers: Sequence[Header], name: str) -> int | None:
+    """Where a header is that a user calls so: all of it, its name, or its name in one of its readings."""
+    for names in (
+        lambda h: [h.raw],
+        lambda h: [h.name],
+        lambda h: [r.name for r in readings_of(h)],
+    ):
+        found = [i for i, header in enumerate(headers) if name in names(header)]
+        if len(found) == 1:
+            return found[0]
+    return None
 
 
 def row_place(index: int) -> str:

@@ -24,8 +24,7 @@ from bayescal._core.quoting import csv_line
 from bayescal._data.column import NominalScale, Source
 from bayescal._data.column_conversion import convert_columns
 from bayescal._data.dataset_checks import problems_of_whole
-from bayescal._data.header_matching import MatchedFile
-from bayescal._data.header_rules import unit_behind
+from bayescal._data.header_matching import MatchedFile, unit_behind
 from bayescal._data.measurements import Measurements, assemble
 from bayescal._data.read_options import ExpectedColumns, ReadOptions
 from bayescal._tables.csv_reader import CsvText, parse_text

@@ -13,10 +13,9 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any
 
-import jax
-import jax.numpy as jnp
 import numpy as np
 from numpy.typing import ArrayLike
 
@@ -27,6 +26,7 @@ from bayescal._core.errors import InputError, ModelError
 from bayescal._core.formatting import number
 from bayescal._core.inverse import stepped
 from bayescal._core.json_shape import as_type
+from bayescal._core.lazy_jax import jax, jnp
 from bayescal._core.version import __version__
 from bayescal._data.measurements import Measurements
 from bayescal._data.time_in_runs import RATE_WINDOW, rate_window
@@ -116,27 +116,18 @@ def inputs_in_use(
 
 
 def _lag_input(calibration: Calibration, lag: Lag, name: str, span: dict[str, float]) -> Input:
-    """The input that carries a lag, or its slope by the time constant."""
-    tau, column, silence = repr(lag.tau), lag.column, float(calibration.frame.silence)
-    held = bool(calibration.reference.get(held_name(column), 0.0))
-    past: dict[str, Any] = {"tau": lag.tau, "silence": None if held else silence, "held": held}
-    late = f"where dt is longer than {silence:g} s"
+    """The input that carries a lag, or its slope by the time constant; exports compute both of a record."""
+    held = bool(calibration.reference.get(held_name(lag.column), 0.0))
+    silence = None if held else float(calibration.frame.silence)
+    past = {"column": lag.column, **span, "tau": lag.tau, "silence": silence, "held": held}
     if name == lag.name:
-        change = f"exp(-x)*L + expm1(-x)/x*(change of {column}), or exp(-x)*(L - change) {late}"
-        change = f"exp(-x)*L - (change of {column})" if held else change
-        meaning = (
-            f"lag of {column} behind the thermometer, L, 0 at the start; dt after the last reading, "
-            f"x = dt/{tau} s: L = {change}"
-        )
-        return Input(name, "delta_degC", meaning, "lag", column, **span, **past)
-    change = f" + (exp(-x) + expm1(-x)/x)*(change of {column})/{tau}"
-    change += f", or exp(-x)*(M + x*(L - change)/{tau}) {late}"
+        meaning = f"lag of {lag.column} behind the thermometer by {lag.tau!r} s, 0 at the start"
+        return Input(name, "delta_degC", meaning, "lag", **past)
     meaning = (
-        f"change of {lag.name} by its time {tau} s, which carries the uncertainty of that (0 leaves it "
-        f"out): M, 0 at the start; with L before the reading and x as for {lag.name}, "
-        f"M = exp(-x)*(M + x*L/{tau}){change * (not held)}"
+        f"change of {lag.name} by its time constant, which carries the uncertainty of that; 0 at the start, 0 "
+        "throughout leaves it out"
     )
-    return Input(name, "delta_degC/s", meaning, "lag slope", column, **span, **past)
+    return Input(name, "delta_degC/s", meaning, "lag slope", **past)
 
 
 def inputs_at_fit(calibration: Calibration, equation: OperatingEquation) -> dict[str, np.ndarray]:
@@ -379,30 +370,21 @@ class ProgramUnknown:
 
 
 @dataclass(frozen=True)
-class SavedEquation:
-    """The equation in a JSON export: operations, and the places of its nodes among them."""
+class TracedEquation:
+    """The equation as operations, and which of them are its results; as in JSON.
+
+    Attributes:
+        operations: of `Graph`.
+        expected, slope: the output and its slope by the stimulus.
+        gradient: of the output by each unknown.
+        noise: variance of one reading, output unit squared; None in exports before version 3.
+    """
 
     operations: list[list[str | bool | int | float]]
     expected: int
     slope: int
     gradient: tuple[int, ...]
     noise: int | None = None
-
-
-@dataclass(frozen=True)
-class SavedProgram:
-    """What a JSON export holds; `noise`, a standard deviation, up to version 2."""
-
-    schema: str
-    version: int
-    about: Provenance
-    inputs: tuple[Input, ...]
-    stimulus_range: tuple[float, float] | None
-    unknowns: tuple[ProgramUnknown, ...]
-    covariance: list[list[float]]
-    affine: bool
-    equation: SavedEquation
-    noise: float | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -413,16 +395,10 @@ class CompensationProgram(CorrectionInUse):
     inputs: tuple[Input, ...]  # covariates needed, beside the reading
     # in the calibration; None where the stimulus was not varied or not a column
     stimulus_range: tuple[float, float] | None
-    unknowns: tuple[ProgramUnknown, ...]  # whose covariance (p, p) it is, in reported units
-    covariance: np.ndarray  # their posterior covariance
+    unknowns: tuple[ProgramUnknown, ...]
+    covariance: list[list[float]]  # of these, in reported units
     affine: bool  # whether the equation is a straight line in the stimulus
-    # graph, expected, slope, gradient, noise: the equation, and its nodes; `noise` is the variance of one
-    # reading, output unit squared
-    graph: Graph
-    expected: int
-    slope: int
-    gradient: tuple[int, ...]
-    noise: int
+    equation: TracedEquation
 
     def about_it(self) -> tuple[str, tuple[str, ...], str]:
         return self.about.instrument, self.about.notes, self.about.why_not
@@ -432,12 +408,17 @@ class CompensationProgram(CorrectionInUse):
         """Beyond which a compensated value is flagged."""
         return None if self.stimulus_range is None else limits(self.stimulus_range)
 
+    @cached_property
+    def graph(self) -> Graph:
+        return Graph.from_data(self.equation.operations)
+
     @property
     def factor(self) -> np.ndarray:
         """L of C = LLᵀ, lower triangular; by QR of a symmetric root, so that C may be singular."""
-        sd = np.sqrt(np.diag(self.covariance))
+        covariance = np.array(self.covariance, float).reshape(2 * (len(self.unknowns),))
+        sd = np.sqrt(np.diag(covariance))
         scale = np.where(sd > 0, sd, 1.0)
-        values, vectors = np.linalg.eigh(self.covariance / np.outer(scale, scale))
+        values, vectors = np.linalg.eigh(covariance / np.outer(scale, scale))
         root = (vectors * np.sqrt(np.maximum(values, 0.0))).T
         r = np.linalg.qr(root, mode="r") if len(sd) else root
         signs = np.where(np.diag(r) < 0, -1.0, 1.0)
@@ -454,17 +435,17 @@ class CompensationProgram(CorrectionInUse):
             return self.graph.evaluate(outputs, {**given, STIMULUS: s}, kind)
 
         def equation(s: np.ndarray) -> tuple[np.ndarray, Callable[[np.ndarray], np.ndarray]]:
-            found, slope = at(s, self.expected, self.slope)
+            found, slope = at(s, self.equation.expected, self.equation.slope)
             return found, lambda miss: miss / slope
 
         with np.errstate(all="ignore"):
             steps = 1 if self.affine else STEPS
             s = stepped(equation, target, np.zeros_like(target), steps)
         if not self.affine:
-            (found,) = at(s, self.expected)
+            (found,) = at(s, self.equation.expected)
             near = 1e4 * np.finfo(kind).eps * (np.abs(target) + np.abs(found))
             s = np.where(np.abs(found - target) <= near, s, np.nan).astype(kind)
-        slope, *gradient = at(s, self.slope, *self.gradient)
+        slope, *gradient = at(s, self.equation.slope, *self.equation.gradient)
         factor = self.factor.astype(kind)
         square = np.zeros_like(target)
         for j in range(len(gradient)):
@@ -477,28 +458,12 @@ class CompensationProgram(CorrectionInUse):
 
     def noise_variance(self, stimulus: np.ndarray, inputs: Mapping[str, Any]) -> np.ndarray:
         """Return the variance of one reading's noise, output unit squared, (n,)."""
-        (found,) = self.graph.evaluate([self.noise], {**inputs, STIMULUS: stimulus})
+        (found,) = self.graph.evaluate([self.equation.noise], {**inputs, STIMULUS: stimulus})
         return np.broadcast_to(found, stimulus.shape)
 
     def data(self) -> dict[str, Any]:
         """As JSON, with schema and version."""
-        return {
-            "schema": SCHEMA,
-            "version": VERSION,
-            "about": as_json(self.about),
-            "inputs": as_json(self.inputs),
-            "stimulus_range": self.stimulus_range,
-            "unknowns": as_json(self.unknowns),
-            "covariance": self.covariance.tolist(),
-            "affine": self.affine,
-            "equation": {
-                "operations": self.graph.data(),
-                "expected": self.expected,
-                "slope": self.slope,
-                "gradient": list(self.gradient),
-                "noise": self.noise,
-            },
-        }
+        return {"schema": SCHEMA, "version": VERSION, **as_json(self)}
 
 
 def from_data(data: Any, file: str) -> CompensationProgram:
@@ -513,24 +478,17 @@ def from_data(data: Any, file: str) -> CompensationProgram:
             f"{READ[0]} to {READ[-1]}: export it again"
         )
     try:
-        saved = as_type(data, SavedProgram)
-        equation, graph = saved.equation, Graph.from_data(saved.equation.operations)
-        noise = equation.noise if saved.noise is None else graph.constant(saved.noise**2)
-        for place in (equation.expected, equation.slope, *equation.gradient, noise):
-            if type(place) is not int or not 0 <= place < len(graph.nodes):
-                raise ValueError(f"{place!r} is no operation of it")
-        rows, own = len(saved.covariance), ("inputs", "stimulus_range", "unknowns", "affine")
-        about = saved.about
+        fields = {k: v for k, v in data.items() if k not in ("schema", "version", "noise")}
+        program = as_type(fields, CompensationProgram)
+        about, equation = program.about, program.equation
         if "why_not" not in data["about"]:  # of 0.2, which said it in a note alone
             said = (n.removeprefix(NOT_RELIABLE) for n in about.notes if n.startswith(NOT_RELIABLE))
             about = replace(about, why_not=next(said, ""))
-        program = CompensationProgram(
-            about=about,
-            covariance=np.array(saved.covariance, float).reshape(rows, len(saved.unknowns)),
-            **{name: getattr(saved, name) for name in own},
-            **{n: getattr(equation, n) for n in ("expected", "slope", "gradient")},
-            **{"graph": graph, "noise": noise},
-        )
+        if data.get("noise") is not None:  # up to version 2, a standard deviation
+            variance = as_type(data["noise"], float, "noise") ** 2
+            operations = [*equation.operations, ["const", variance]]
+            equation = replace(equation, operations=operations, noise=len(operations) - 1)
+        program = replace(program, about=about, equation=equation)
         _refuse_torn(program)
     except (InputError, ValueError) as error:
         raise InputError(f"{file} is damaged: {error}. {AGAIN}") from None
@@ -539,14 +497,17 @@ def from_data(data: Any, file: str) -> CompensationProgram:
 
 def _refuse_torn(program: CompensationProgram) -> None:
     """Refuse parts that are each right and do not go together, by a `ValueError`."""
-    sizes = {len(program.unknowns), len(program.gradient), *program.covariance.shape}
-    if len(sizes) > 1:
+    equation, nodes = program.equation, len(program.graph.nodes)
+    for place in (equation.expected, equation.slope, *equation.gradient, equation.noise):
+        if type(place) is not int or not 0 <= place < nodes:
+            raise ValueError(f"{place!r} is no operation of it")
+    own = program.unknowns, equation.gradient, program.covariance, *program.covariance
+    if len({len(part) for part in own}) > 1:
         raise ValueError("its covariance, unknowns and gradient are of different sizes")
     names = [i.name for i in program.inputs]
     if len(set(names)) < len(names):
         raise ValueError("two of its inputs have one name")
-    used = program.graph.inputs(range(len(program.graph.nodes)))
-    if strange := used - {*names, STIMULUS}:
+    if strange := program.graph.inputs(range(nodes)) - {*names, STIMULUS}:
         raise ValueError(f"its equation needs {sorted(strange)[0]!r}, which is none of its inputs")
     for i in program.inputs:
         if i.kind not in KINDS or (i.kind.startswith("lag") and not (i.tau or 0) > 0):
@@ -589,22 +550,16 @@ def program_of(
         ) from None
     acting = [i for i, node in enumerate(gradient) if graph.value(node) != 0]
     small, moved = graph.part([expected, slope, own, *(gradient[i] for i in acting)])
-    needed = {n.value for n in small.nodes if n.op == "input"}
+    needed = small.inputs(moved)
+    each = ((unknowns[i], float(moments.mean[i])) for i in acting)
     return CompensationProgram(
         about=about,
         inputs=tuple(i for i in inputs if i.name in needed),
         stimulus_range=stimulus_range,
-        unknowns=tuple(
-            ProgramUnknown(unknowns[i].name, unknowns[i].unit, float(moments.mean[i]))
-            for i in acting
-        ),
-        covariance=moments.covariance[np.ix_(acting, acting)],
+        unknowns=tuple(ProgramUnknown(u.name, u.unit, mean) for u, mean in each),
+        covariance=moments.covariance[np.ix_(acting, acting)].tolist(),
         affine=graph.input(STIMULUS) not in graph.needed([slope]),
-        graph=small,
-        expected=moved[0],
-        slope=moved[1],
-        gradient=tuple(moved[3:]),
-        noise=moved[2],
+        equation=TracedEquation(small.data(), *moved[:2], tuple(moved[3:]), moved[2]),
     )
 
 

@@ -139,37 +139,28 @@ class Compensator:
             own = self.noise_variance({**given, self.stimulus: value})
             variance = variance + inclination * (own + given.get(UNCERTAINTY, np.zeros(1)) ** 2)
         values = {**given, self.stimulus: value}
-        beyond = {
-            name: (values[name] < low) | (values[name] > high)
-            for name, (low, high) in self._ranges.items()
-            if name in values
-        }
-        masks = {name: mask for name, mask in beyond.items() if mask.any()}
-        if warn and masks:
-            spans = self.calibrated
-            parts = [
-                f"{name} in {int(mask.sum())} of {len(mask)} readings"
-                + (
-                    " (calibrated: {:.6g} to {:.6g} {})".format(*spans[name])
-                    if name in spans
-                    else ""
-                )
-                for name, mask in masks.items()
-            ]
+        spans = {n: span for n, span in self._ranges.items() if n in values}
+        outside = {n: (values[n] < low) | (values[n] > high) for n, (low, high) in spans.items()}
+        outside = {name: mask for name, mask in outside.items() if mask.any()}
+        if warn and outside:
+            ranges = self.calibrated.items()
+            known = {n: " (calibrated: {:.6g} to {:.6g} {})".format(*span) for n, span in ranges}
+            counts = {n: f"{mask.sum()} of {len(mask)}" for n, mask in outside.items()}
+            said = (f"{n} in {count} readings{known.get(n, '')}" for n, count in counts.items())
             warnings.warn(
-                f"outside the calibrated range: {'; '.join(parts)}. There the result is an extrapolation, and its "
+                f"outside the calibrated range: {'; '.join(said)}. There the result is an extrapolation, and its "
                 "uncertainty does not say by how much the equation itself may fail",
                 OutsideCalibration,
                 stacklevel=2,
             )
-        return Compensated(value, np.sqrt(variance), self.unit, masks)
+        return Compensated(value, np.sqrt(variance), self.unit, outside)
 
     @cached_property
     def about(self) -> Provenance:
         """What it is of; of a fitted one without its notes, and without what stands against using it."""
-        return (
-            self.loaded.about if self.loaded else provenance_of(self._calibration, self._equation)
-        )
+        if self.loaded:
+            return self.loaded.about
+        return provenance_of(self._calibration, self._equation)
 
     @property
     def stimulus(self) -> str:

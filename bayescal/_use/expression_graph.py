@@ -18,11 +18,10 @@ from dataclasses import dataclass, field
 from functools import partial
 from typing import Any, Literal
 
-import jax
-import jax.numpy as jnp
 import numpy as np
 
 from bayescal._core.errors import InputError, ModelError
+from bayescal._core.lazy_jax import jax, jnp
 from bayescal._core.quoting import c_comment, python_words
 
 
@@ -81,48 +80,44 @@ OPERATIONS: dict[str, Operation] = {
 }
 
 
-@dataclass(frozen=True)
-class GraphNode:
-    """A constant ("const", value), an input ("input", name), or an operation on earlier nodes."""
-
-    op: str
-    args: tuple[int, ...] = ()
-    value: float | bool | str = 0.0
+# ("const", value), ("input", name), or an operation and the places of what it is of, each before its own.
+Node = tuple[Any, ...]
 
 
 @dataclass
 class Graph:
     """Nodes, each after those that it is made of."""
 
-    nodes: list[GraphNode] = field(default_factory=list)
-    places: dict[Any, int] = field(default_factory=dict)
+    nodes: list[Node] = field(default_factory=list)
+    places: dict[str, int] = field(default_factory=dict)
 
-    def put(self, node: GraphNode) -> int:
-        key = (node.op, node.args, type(node.value), repr(node.value))
+    def put(self, node: Node) -> int:
+        key = repr(node)
         if key not in self.places:
             self.places[key] = len(self.nodes)
             self.nodes.append(node)
         return self.places[key]
 
     def constant(self, value: float | bool) -> int:
-        value = bool(value) if isinstance(value, bool | np.bool_) else float(value)
-        return self.put(GraphNode("const", value=value))
+        return self.put(
+            ("const", bool(value) if isinstance(value, bool | np.bool_) else float(value))
+        )
 
     def input(self, name: str) -> int:
-        return self.put(GraphNode("input", value=name))
+        return self.put(("input", name))
 
     def boolean(self, place: int) -> bool:
-        node = self.nodes[place]
-        if node.op == "const":
-            return isinstance(node.value, bool)
-        if node.op == "select":
-            return self.boolean(node.args[1])
-        return node.op != "input" and OPERATIONS[node.op].boolean
+        op, *args = self.nodes[place]
+        if op == "const":
+            return isinstance(args[0], bool)
+        if op == "select":
+            return self.boolean(args[1])
+        return op != "input" and OPERATIONS[op].boolean
 
     def value(self, place: int) -> float | bool | None:
         """Of a constant; None of anything else."""
-        node = self.nodes[place]
-        return node.value if node.op == "const" else None  # pyright: ignore[reportReturnType]
+        op, *args = self.nodes[place]
+        return args[0] if op == "const" else None
 
     def apply(self, op: str, *args: int) -> int:
         """An operation, or what it comes to: constants are computed, x + 0, 1·x, 0·x are not written."""
@@ -132,7 +127,7 @@ class Graph:
                 found = OPERATIONS[op].compute(*values)
             return self.constant(bool(found) if OPERATIONS[op].boolean else found.item())
         simpler = self._simpler(op, args, values)
-        return simpler if simpler is not None else self.put(GraphNode(op, args))
+        return simpler if simpler is not None else self.put((op, *args))
 
     def _simpler(self, op: str, args: tuple[int, ...], values: list[Any]) -> int | None:
         if op == "select":
@@ -141,15 +136,15 @@ class Graph:
             return args[1] if args[1] == args[2] else None
         first, second = args[0], args[-1]
         zero = [v is not None and v == 0 for v in values]
-        inner = self.nodes[second]
+        negated = self.nodes[second][1] if self.nodes[second][0] == "neg" else None
         if op == "neg":
-            return inner.args[0] if inner.op == "neg" else None
+            return negated
         if op in ("add", "sub") and zero[-1]:
             return first
         if op in ("add", "sub") and zero[0]:
             return second if op == "add" else self.apply("neg", second)
-        if op == "add" and inner.op == "neg":
-            return self.apply("sub", first, inner.args[0])
+        if op == "add" and negated is not None:
+            return self.apply("sub", first, negated)
         if op in ("mul", "and") and any(zero):
             return self.constant(0.0 if op == "mul" else False)
         if op == "div" and zero[0]:
@@ -167,13 +162,13 @@ class Graph:
             place = waiting.pop()
             if place not in found:
                 found.add(place)
-                waiting += self.nodes[place].args
+                waiting += [arg for arg in self.nodes[place][1:] if type(arg) is int]
         return sorted(found)
 
     def inputs(self, outputs: Sequence[int]) -> set[str]:
         """Names of the inputs that these are made of."""
         nodes = (self.nodes[place] for place in self.needed(outputs))
-        return {str(n.value) for n in nodes if n.op == "input"}
+        return {name for op, name, *_ in nodes if op == "input"}
 
     def evaluate(
         self, outputs: Sequence[int], inputs: Mapping[str, Any], kind: Any = np.float64
@@ -186,69 +181,59 @@ class Graph:
         values: dict[int, Any] = {}
         with np.errstate(all="ignore"):
             for place in self.needed(outputs):
-                node = self.nodes[place]
-                if node.op == "const":
-                    values[place] = node.value if isinstance(node.value, bool) else kind(node.value)
-                elif node.op == "input":
-                    if node.value not in inputs:
-                        raise InputError(f"the input {node.value!r} is missing")
-                    values[place] = inputs[str(node.value)]
+                op, *args = self.nodes[place]
+                if op == "const":
+                    values[place] = args[0] if isinstance(args[0], bool) else kind(args[0])
+                elif op == "input":
+                    if args[0] not in inputs:
+                        raise InputError(f"the input {args[0]!r} is missing")
+                    values[place] = inputs[args[0]]
                 else:
-                    operation = OPERATIONS[node.op]
-                    found = operation.compute(*(values[a] for a in node.args))
-                    own = operation.boolean or found.dtype in (kind, bool)
+                    found = OPERATIONS[op].compute(*(values[a] for a in args))
+                    own = OPERATIONS[op].boolean or found.dtype in (kind, bool)
                     values[place] = found if own else found.astype(kind)
         return [values[o] for o in outputs]
 
     def part(self, outputs: Sequence[int]) -> tuple[Graph, list[int]]:
         """A graph of what these outputs need and no more."""
-        small, moved = Graph(), {}
+        small, moved = Graph(), dict[int, int]()
         for place in self.needed(outputs):
-            node = self.nodes[place]
-            moved[place] = small.put(
-                GraphNode(node.op, tuple(moved[a] for a in node.args), node.value)
-            )
+            op, *args = self.nodes[place]
+            own = [moved[a] for a in args] if op in OPERATIONS else args
+            moved[place] = small.put((op, *own))
         return small, [moved[o] for o in outputs]
 
     def data(self) -> list[list[Any]]:
-        """As JSON: ["const", value], ["input", name], [operation, place, …]."""
-        return [
-            [n.op, *n.args] if n.op not in ("const", "input") else [n.op, _plain(n.value)]
-            for n in self.nodes
-        ]
+        """As JSON, a list for each node; numbers that are not finite as text."""
+
+        def plain(value: Any) -> Any:
+            return str(value) if isinstance(value, float) and not math.isfinite(value) else value
+
+        return [[*map(plain, node)] for node in self.nodes]
 
     @classmethod
-    def from_data(cls, data: Any) -> Graph:
+    def from_data(cls, data: Sequence[Sequence[Any]]) -> Graph:
         """A graph from JSON; data only, nothing of it is run but the operations of the table above.
 
         Raises:
             InputError: it is none.
         """
         graph = cls()
-        for place, row in enumerate(data if isinstance(data, list) else [None]):
-            parts: list[Any] = row if isinstance(row, list) and row else [None]
-            op, *rest = parts
+        for place, row in enumerate(data):
+            op, rest = (row or [None])[0], tuple(row[1:])
             value = rest[0] if len(rest) == 1 else None
             if op == "const" and (
                 isinstance(value, int | float) or value in ("nan", "inf", "-inf")
             ):
-                made = GraphNode(op, value=value if isinstance(value, bool) else float(value))
-            elif op == "input" and isinstance(value, str):
-                made = GraphNode(op, value=value)
-            elif isinstance(op, str) and op in OPERATIONS:
+                rest = (value if isinstance(value, bool) else float(value),)
+            elif op in OPERATIONS:
                 arity = len(set(re.findall(r"{\d}", OPERATIONS[op].c)))
                 if len(rest) != arity or not all(type(a) is int and 0 <= a < place for a in rest):
                     raise InputError(f"its operation {place}, {op!r}, cannot take {str(rest)[:60]}")
-                made = GraphNode(op, tuple(rest))
-            else:
+            elif op != "input" or not isinstance(value, str):
                 raise InputError(f"its operation {place} is not known here: {str(row)[:60]}")
-            graph.nodes.append(made)
+            graph.nodes.append((op, *rest))
         return graph
-
-
-def _plain(value: Any) -> Any:
-    """What JSON can hold: numbers that are none become text."""
-    return str(value) if isinstance(value, float) and not math.isfinite(value) else value
 
 
 # primitive → operation
@@ -502,13 +487,13 @@ def statements(
     """Statements, one for each operation, and the expressions of the outputs."""
     text, written = dict[int, str](), list[str]()
     for place in graph.needed(outputs):
-        node = graph.nodes[place]
-        if node.op == "const":
-            text[place] = language.number(node.value)  # pyright: ignore[reportArgumentType]
-        elif node.op == "input":
-            text[place] = names[str(node.value)]
+        op, *args = graph.nodes[place]
+        if op == "const":
+            text[place] = language.number(args[0])
+        elif op == "input":
+            text[place] = names[args[0]]
         else:
-            made = getattr(OPERATIONS[node.op], language.name).format(*(text[a] for a in node.args))
+            made = getattr(OPERATIONS[op], language.name).format(*(text[a] for a in args))
             form = language.statement_boolean if graph.boolean(place) else language.statement
             text[place] = f"t{len(written)}"
             written.append(form.format(text[place], made))

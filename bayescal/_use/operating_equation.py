@@ -19,16 +19,15 @@ from functools import cached_property
 from typing import Any, NamedTuple
 
 import equinox as eqx
-import jax
-import jax.numpy as jnp
 import numpy as np
 from jax.scipy.special import ndtr
-from jaxtyping import Array, Float
+from jaxtyping import Float
 
 from bayescal._calibration.calibration import Calibration
 from bayescal._core.errors import InputError, ModelError
 from bayescal._core.inverse import settled
 from bayescal._core.jit import compiled
+from bayescal._core.lazy_jax import Array, jax, jnp
 from bayescal._model import forward
 from bayescal._model.composition import Traced, compose, live
 from bayescal._model.frame import Frame

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import json
-import subprocess
-import sys
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -63,30 +61,14 @@ def test_what_a_gate_found_stays_with_the_result_wherever_it_is_taken(tmp_path: 
         assert reason in done.said[-1], command
 
 
-@pytest.mark.slow
-@pytest.mark.skipif(sys.platform != "linux", reason="the limit of address space is Linux's")
-@needs_installation
-@pytest.mark.parametrize("kilobytes", [300_000, 400_000, 600_000])
-def test_too_little_memory_is_said(kilobytes: int, tmp_path: Path) -> None:
-    """Whatever fails first: a library that does not load, a thread that does not start, an allocation in C++."""
-    command = f"{sys.executable} -m bayescal fit {TABLE} --instrument mems_gyro --out {tmp_path}/o"
-    limited = ["bash", "-c", f"ulimit -v {kilobytes}; exec {command}"]
-    done = subprocess.run(limited, capture_output=True, text=True, timeout=200)
-    assert done.returncode == 2
-    assert done.stderr.splitlines()[-1].startswith("bayescal: ") and "memory" in done.stderr
-
-
 # `bayescal export`: what a sensor is called, three axes and those of a unit, without uncertainty; what is refused.
 
 
 @pytest.fixture(scope="module")
 def saved(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A folder with a saved calibration of one output and of three axes, and corrections of a unit as JSON."""
+    """A folder with a saved calibration of one output, and corrections of a unit as JSON."""
     folder = tmp_path_factory.mktemp("saved")
     bent_sensor.gyro().save(folder / "gyro.nc")
-    readings = accelerometer_triad.simulate(seed=3)
-    model = accelerometer_triad.INSTRUMENT.baseline()
-    bc.fit(model, readings, bc.LeastSquares()).save(folder / "triad.nc")
     for name in ("accelerometer_triad", "gyro_triad", "magnetometer_triad"):
         bc.export_vector(triad(name), folder / f"{name}.json")
     return folder
@@ -101,12 +83,13 @@ def test_a_name_is_that_of_everything_in_c(saved: Path, tmp_path: Path) -> None:
     assert done.status == 0, done.err
     assert "left_compensate(" in text_of(tmp_path / "a.h")
     assert "mems_gyro_" not in text_of(tmp_path / "a.h")
-    done = run("export", saved / "triad.nc", "--name", "up", "--format", "c")
-    assert done.status == 0
 
 
 @pytest.mark.slow
 def test_without_uncertainty(saved: Path) -> None:
+    readings = accelerometer_triad.simulate(seed=3)
+    model = accelerometer_triad.INSTRUMENT.baseline()
+    bc.fit(model, readings, bc.LeastSquares()).save(saved / "triad.nc")
     for file in ("gyro.nc", "triad.nc"):
         for format in ("c", "python"):
             whole = run("export", saved / file, "--format", format).out

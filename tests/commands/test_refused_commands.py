@@ -110,6 +110,23 @@ REFUSED = (
     "demo --instrument gyro --out {new}",
     "demo --instrument {level}:INSTRUMENT --out {new}",
     "demo --out {saved}",
+    "predict {saved} {table} --out {table}",
+    "predict {saved} {table} --out {saved}",
+    "export {folder}/table -o {saved}",
+    "export --axis gyro_x={saved} -o {saved} --format px4-params",
+    "noise {table} --yaml {table}",
+    "fit {table} --instrument mems_gyro --save-mapping {table}",
+    f"{CALIBRATE} --accept-conflict bias.nosuch",
+    "triad {table} --instrument mems_gyro",
+    "triad {table} --poses --shortest 3",
+    "triad {table} --shortest -1 --out {new}",
+    "imu {table} --shortest 0 --out {new}",
+    "imu {table} --out {saved}",
+    "pairs {table} --criterion best",
+    "report {table} --out {folder}/r.html",
+    "report {damaged} --out {folder}/r.html",
+    "compensate {damaged} {table} --out {folder}/c.csv",
+    "check {vacant}",
 )
 
 
@@ -129,23 +146,21 @@ def places(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
     for name, text in texts.items():
         (folder / name).write_text(text, encoding="utf-8")
     bc.read(TABLE, mems_gyro.INSTRUMENT).write(folder / "readings.nc")
-    (folder / "unit").mkdir()
+    for name in ("unit", "vacant", "damaged"):
+        (folder / name).mkdir()
+    for name in ("calibration.nc", "manifest.json", "result.json"):
+        (folder / "damaged" / name).write_text("{", encoding="utf-8")
     (folder / "unit" / "channels.json").write_text("{}", encoding="utf-8")
     done = run("fit", TABLE, *GYRO, *QUICK, "--out", folder / "table")
     assert done.status == 0, done.err
+    files = {"level": "level.py", "level_table": "level.csv", "readings": "readings.nc"}
+    files |= {n: f"{n}.py" for n in ("broken", "empty")}
+    files |= {n: f"{n}.csv" for n in ("text", "no_unit", "overload")}
+    files |= {n: n for n in ("new", "unit", "vacant", "damaged")}
     return {
+        **{name: folder / file for name, file in files.items()},
         "folder": folder,
-        "new": folder / "new",
         "table": TABLE,
-        "level": folder / "level.py",
-        "level_table": folder / "level.csv",
-        "broken": folder / "broken.py",
-        "empty": folder / "empty.py",
-        "text": folder / "text.csv",
-        "no_unit": folder / "no_unit.csv",
-        "overload": folder / "overload.csv",
-        "readings": folder / "readings.nc",
-        "unit": folder / "unit",
         "saved": folder / "table" / "calibration.nc",
     }
 

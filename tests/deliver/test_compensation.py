@@ -59,7 +59,7 @@ def test_noise_is_counted_on_request(gyro) -> None:
 def test_a_new_run_brings_its_spread(gyro) -> None:
     new = {u.name: i for i, u in enumerate(gyro.program.unknowns)}["bias.run(new run)"]
     spread = bent_sensor.gyro().samples("bias.run.group_sd")
-    covariance = gyro.program.covariance
+    covariance = np.array(gyro.program.covariance)
     assert gyro.program.unknowns[new].mean == 0.0
     np.testing.assert_allclose(covariance[new, new], np.mean(spread**2), rtol=1e-12)
     np.testing.assert_array_equal(np.delete(covariance[new], new), 0.0)

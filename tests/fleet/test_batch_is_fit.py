@@ -27,7 +27,7 @@ def line(seed: int, offset: float = 0.0, count: int = 25, **more: np.ndarray) ->
 def assert_as_alone(
     model: bc.Model, device: Any, readings: bc.Measurements, method: Any
 ) -> bc.Calibration:
-    """Compare a device with its own fit: means to 10⁻⁶ of a standard uncertainty, and these to 10⁻⁶."""
+    """Compare a device with its own fit: means to 10⁻⁹ of a standard uncertainty, or of themselves, and these."""
     alone = bc.fit(model, readings, method, strict=False)
     for name in device.names:
         whole, _, member = name.partition("(")
@@ -39,10 +39,10 @@ def assert_as_alone(
         mean, sd = device[name]
         own = draws.std(ddof=1)
         if np.ptp(draws) == 0:  # held at its estimate
-            assert mean == pytest.approx(draws[0], rel=1e-6) and np.isnan(sd)
+            assert mean == pytest.approx(draws[0], rel=1e-9) and np.isnan(sd)
         else:
-            assert abs(mean - draws.mean()) < 1e-6 * own
-            assert sd == pytest.approx(own, rel=1e-6)
+            assert mean == pytest.approx(draws.mean(), rel=1e-9, abs=1e-9 * own)
+            assert sd == pytest.approx(own, rel=1e-9)
     assert device.ok == (alone.verdict.ok and not alone.conflicts)
     return alone
 

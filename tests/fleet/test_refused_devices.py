@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 import numpy as np
 
 import bayescal as bc
@@ -31,7 +33,8 @@ def test_bad_devices_are_refused_by_themselves(tmp_path, result) -> None:
 
 def test_measurements_that_differ_do_not_stop_each_other(readings, result) -> None:
     lacking, broken = readings["D01"], readings["D02"]
-    lacking = bc.Measurements.from_xarray(lacking.to_xarray().drop_vars("temperature"))
+    kept = {n: values for n, values in lacking.values.items() if n != "temperature"}
+    lacking = dataclasses.replace(lacking, values=kept)
     broken = broken.with_column("output", np.where(np.arange(len(broken)) == 3, np.nan, 1.0))
     found = bc.fit_batch(
         MODEL,

@@ -24,30 +24,30 @@ BEHIND = {
         _calibration.judgement: noiseless
         _core: deadline
         _core.importance_weights: smoothed
-        _core.jax_setup: configure_jax obey_no_folder
-        _core.jit: compiled
+        _core.jax_setup: obey_no_folder
         _core.settings: settings unusual
-        _data.column: ConvertedColumns Source
+        _data.column: ConvertedColumns Place Source
         _data.column_conversion: convert_columns
-        _data.dataset_checks: Place backward_time same_temperature
+        _data.dataset_checks: backward_time same_temperature
         _data.header_matching: MatchedFile
         _data.read_options: ExpectedColumns InstrumentLike output_name unit_of unused_options
-        _inference: sampled_products trust
+        _inference: trust
         _inference.newton: ByValues climb gaussian_fit
         _inference.method: Method
+        _inference.problem: Problem
+        _inference.record: Record
         _inference.sampling: PriorShare around_mode propose
-        _model: forward
-        _model.frame: GROUPS build_frame reference_name reference_of rounded_means
+        _model.frame: Frame build_frame reference_name reference_of
         _model.parameters: Layout bind
         _model.unknowns: Unknowns
         _search.discover: structures_over
         _search.library: Library
         _search.own_files: in_a_file
         _search.posterior: Posterior
-        _search.walk: explore
+        _search.walk: NEAR_NATS explore
         _tables.cells: Cells
         _tables.open_table: MAX_BYTES READ
-        _tables.parquet_netcdf: arrow_cells arrow_headers
+        _tables.formats: arrow_cells arrow_headers
         _tables.raw_table: Table as_format load_whole refuse_large
     """,
     "imu": """
@@ -70,8 +70,7 @@ BEHIND = {
         _use.operating_equation: ALL_DRAWS equation_in_use
     """,
     "workbench": """
-        _calibration.check: covariates_of
-        _calibration.check_result: place_in_words
+        _calibration.check: covariates_of place_in_words
         _calibration.summary: null_directions unknown_rows
         _core: deadline
         _model.effect: with_forms
@@ -197,7 +196,7 @@ def test_without_an_annex_its_command_and_its_names_say_so(
 ) -> None:
     told = run_python(WITHOUT.format(annex=annex, command=command, name=name))
     refused, listed, unnamed = told.splitlines()
-    assert re.match(rf"2 bayescal: No such command '{command}'.* '{annex}' cannot be load", refused)
+    assert refused.startswith(f"2 bayescal: No such command '{command}'")
     assert "See: bayescal --help" in refused and "Traceback" not in refused
     assert listed.startswith("0 ") and "calibrate" in listed and f" {command} " not in listed
     assert f"bayescal.{name} is of an annex that is not there" in unnamed

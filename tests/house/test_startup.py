@@ -19,8 +19,7 @@ OWN = ("NPROC", "BAYESCAL_CACHE", "JAX_COMPILATION_CACHE_DIR", "XDG_CACHE_HOME")
 # As a calibration does it: a loop, in its body factorisations that do not depend on each other.
 INDEPENDENT_FACTORISATIONS = """
 import bayescal
-from bayescal._core.jax_setup import configure_jax
-configure_jax()
+import bayescal.effects  # JAX is set up by whoever imports it after a model
 import jax
 import jax.numpy as jnp
 
@@ -48,8 +47,7 @@ SETTINGS = """
 import json
 import os
 import bayescal
-from bayescal._core.jax_setup import configure_jax
-configure_jax()
+import bayescal.effects  # JAX is set up by whoever imports it after a model
 import jax
 jax.jit(lambda x: x + 1)(1.0).block_until_ready()
 print(json.dumps({
@@ -77,8 +75,8 @@ def run_python(code: str, variables: Mapping[str, str] | None = None, seconds: f
     return done.stdout
 
 
-def refusals(*commands: Sequence[object]) -> list[tuple[int, str, list[str]]]:
-    """Of commands that must be refused, in one process: status, what each says, what of `COMPUTING` it has imported."""
+def outcomes(*commands: Sequence[object]) -> list[tuple[int, str, list[str]]]:
+    """Of commands, one after another in one process: status, what each says, what of `COMPUTING` is imported then."""
     code = f"""
 import contextlib, io, json, sys
 from bayescal._cli.main import command
@@ -86,7 +84,7 @@ told = []
 for words in json.loads(sys.stdin.read()):
     sys.argv[1:] = words
     said = io.StringIO()
-    with contextlib.redirect_stderr(said):
+    with contextlib.redirect_stderr(said), contextlib.redirect_stdout(io.StringIO()):
         status = command()
     told.append((status, said.getvalue(), [n for n in {COMPUTING!r} if n in sys.modules]))
 print(json.dumps(told))
@@ -168,8 +166,28 @@ def test_what_is_wrong_is_refused_before_anything_that_computes(tmp_path: Path) 
             commands.append((command, path, "--instrument", "mems_gyro"))
     for request in BAD_REQUESTS:
         commands.append(("calibrate", *request.split()))
-    for command, (status, said, loaded) in zip(commands, refusals(*commands), strict=True):
+    for command, (status, said, loaded) in zip(commands, outcomes(*commands), strict=True):
         assert (status, loaded) == (2, []), (command, said)
+
+
+def test_commands_of_an_affine_instrument_import_no_jax(tmp_path: Path) -> None:
+    """What each has imported when it ends: scipy where it computes, matplotlib where it draws, nothing else."""
+    table, rest, fitted = (tmp_path / name for name in ("table.csv", "rest.csv", "fitted.nc"))
+    of = ("--instrument", "mems_gyro")
+    lag = ("--effect", "bias.thermal_lag=0.05")
+    commands = (
+        ("simulate", *of, *lag, "--out", table),
+        ("simulate", "--instrument", "still_sensor", "--out", rest),
+        ("noise", rest),
+        ("fit", table, *of, "--out", fitted),
+        ("check", fitted),
+        ("discover", fitted),
+        ("predict", fitted, table, "--out", tmp_path / "predicted.csv"),
+        ("calibrate", table, *of, "--out", tmp_path / "result"),
+    )
+    for command, (status, said, loaded) in zip(commands, outcomes(*commands), strict=True):
+        drawn = ["matplotlib"] if command[0] == "calibrate" else []
+        assert (status in (0, 1), loaded) == (True, ["scipy", *drawn]), (command, said)
 
 
 @pytest.mark.slow

@@ -1,4 +1,4 @@
-"""Rows at which a thermometer cannot be right: error values, a stuck value, a counter that wrapped, a lost sign."""
+"""Rows at which a thermometer cannot be right: error values, a stuck value, a counter that wrapped."""
 
 from __future__ import annotations
 
@@ -143,23 +143,6 @@ def test_counter_of_several_runs_is_undone_in_each(tmp_path: Path) -> None:
     np.testing.assert_allclose(found["temperature"], np.tile(warm, 2), atol=1e-3)
 
 
-def test_lost_sign_is_named_and_restored(tmp_path: Path) -> None:
-    time, warm, output = log(5, -25.0, 40.0)
-    first = 1.0 if warm[0] >= 0 else -1.0
-    path = file_of(tmp_path, time, np.abs(warm), output)
-    with pytest.raises(bc.InputError) as refused:
-        bc.read(path, STILL)
-    (problem,) = refused.value.problems
-    assert problem.option == "--unwrap temperature=sign"
-    restored = bc.read(path, STILL, unwrap={"temperature": "sign"})["temperature"]
-    assert np.mean(np.abs(first * restored - warm) > 0.5) < 0.02
-
-
-def test_temperature_that_turns_round_at_zero_is_no_lost_sign(tmp_path: Path) -> None:
-    time, warm, output = log(6, 0.0, 40.0)
-    assert len(bc.read(file_of(tmp_path, time, np.abs(warm), output), STILL)) == ROWS
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize("period", [37.0, 23.0])
 def test_another_level_shuts_the_gate_whatever_was_found(period: float) -> None:
@@ -169,3 +152,10 @@ def test_another_level_shuts_the_gate_whatever_was_found(period: float) -> None:
     trail = bc.calibrate(STILL.for_readings(readings).baseline(), readings)
     assert not trail.ok
     assert "column.odd" in [claim.code for claim in trail.gate.claims]
+
+
+@pytest.mark.slow
+def test_lost_sign_shuts_the_gate() -> None:
+    time, warm, output = log(5, -25.0, 40.0)
+    readings = readings_of(time, np.abs(warm), output)
+    assert not bc.calibrate(STILL.for_readings(readings).baseline(), readings).ok

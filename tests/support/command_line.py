@@ -14,10 +14,9 @@ from typing import Any, NamedTuple
 import pandas as pd
 import pytest
 import typer
-from typer.testing import CliRunner
 
 from bayescal._cli import main
-from bayescal.workshop import ColumnOptions, Commands
+from bayescal.workshop import ColumnOptions, Command
 from bayescal_models import mems_gyro
 
 TABLE = mems_gyro.TABLE
@@ -103,14 +102,10 @@ def options_of(said: str) -> dict[str, Any]:
     Raises:
         InputError: an option is not of its form.
     """
-    found, own, app = list[dict[str, Any]](), Commands(), typer.Typer()
 
-    @own.example("", data=False)
-    def taken(columns: ColumnOptions) -> None:
-        found.append(columns.for_read())
+    class Taken(ColumnOptions, Command):
+        """Takes options."""
 
-    own.add_to(app)
-    done = CliRunner().invoke(app, shlex.split(said))
-    if done.exception is not None:
-        raise done.exception
-    return found[0]
+    app = typer.Typer()
+    app.command()(Taken)
+    return app(shlex.split(said), standalone_mode=False).for_read()

@@ -3,21 +3,24 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property, partial
 from itertools import pairwise
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import pandas as pd
 import pyarrow as pa
+import pyarrow.compute as pc
+import pyarrow.dataset as pads
 import pyarrow.parquet as pq
+from jaxtyping import Float
 
 from bayescal import InputError
 from bayescal._annexes.fleet.odd_devices import FAMILY_WISE_ERROR
-from bayescal._annexes.fleet.population import Population
+from bayescal._annexes.fleet.population import Named, Population, follow, learn
 from bayescal.workshop import as_json, parsed_json, replacing_for_user, write_json
 
 FORMAT = "bayescal.batch/1"
@@ -35,9 +38,12 @@ SCHEMA = pa.schema(
         ("ok", pa.bool_()),
         ("reason", pa.string()),
         ("covariance", pa.list_(pa.float64())),
+        ("readings", pa.float64()),
+        ("T0", pa.float64()),
     ]
 )
-COLUMNS = tuple(SCHEMA.names[:-1])  # of the table that a user sees
+COLUMNS = SCHEMA.names[:7]  # of the table that a user sees
+FILE = "file"  # beside these, until it is known that no device stands in several
 EFFECTS = ["effect", "devices", "possible", "in fleet", "expected", "share", "low", "high"]
 
 
@@ -72,28 +78,118 @@ def odd_in_words(odd: Mapping[str, list[str]], devices: int) -> list[str]:
 NOT_CHECKED = "fitted is not checked: what the model lacks was looked for in none of them (--find, in Python find=True)"
 
 
-@dataclass(frozen=True, eq=False)
-class BatchPart:
-    """Devices that have the same unknowns.
+class Moments(NamedTuple):
+    """Posterior means and covariances of devices with the same unknowns.
 
     Attributes:
-        devices: their places in the batch.
+        at: their places among all devices, (b,).
         names, units: of the unknowns.
         mean: (b, q), in these units.
         covariance: (b, q, q); NaN for what is held at its estimate (standard deviations, by least squares).
+        readings: how many were fitted, (b,).
+        t0: their reference temperature, °C; NaN where there is none, (b,).
     """
 
-    devices: np.ndarray
-    names: tuple[str, ...]
-    units: tuple[str, ...]
+    at: np.ndarray
+    names: tuple[str | None, ...]
+    units: tuple[str | None, ...]
     mean: np.ndarray
     covariance: np.ndarray
+    readings: np.ndarray
+    t0: np.ndarray
 
-    @property
-    def sd(self) -> np.ndarray:
-        """Standard uncertainties, (b, q)."""
-        variance = np.diagonal(self.covariance, axis1=1, axis2=2)
-        return np.sqrt(np.where(variance >= 0, variance, np.nan))
+
+def rows_of(
+    devices: Sequence[str], files: Sequence[str], reasons: Sequence[str], fitted: Sequence[Moments]
+) -> pa.Table:
+    """Return one row for each device and unknown, in the order of the devices; one of a device that has none.
+
+    Args:
+        devices: names.
+        files: that each stands in.
+        reasons: what stands against each; "" where nothing does.
+        fitted: moments of those that have any.
+    """
+    refused = np.setdiff1d(np.arange(len(devices)), np.concatenate([[], *(m.at for m in fitted)]))
+    nothing = np.full((len(refused), 1, 1), np.nan)
+    none = Moments(refused, (None,), (None,), nothing[:, 0], nothing, *2 * (nothing[:, 0, 0],))
+    told = [pa.array(own, pa.string()) for own in (devices, reasons, files)]
+    ok = np.array([not why for why in reasons], dtype=bool)
+    tables, places = [], []
+    for m in (*fitted, none):
+        b, q = m.mean.shape
+        at = np.repeat(m.at, q).astype(int)
+        names, units = (pa.array(own * b, pa.string()) for own in (m.names, m.units))
+        ends = np.arange(0, b * q * q + 1, q, dtype=np.int32)
+        covariance = pa.ListArray.from_arrays(ends, m.covariance.ravel())
+        device, reason, file = (own.take(pa.array(at)) for own in told)
+        facts = np.repeat(m.readings, q).astype(float), np.repeat(m.t0, q).astype(float)
+        sd = _standard_deviations(m.covariance).ravel()
+        own = [device, names, m.mean.ravel(), sd, units, ok[at], reason, covariance, *facts, file]
+        tables.append(pa.table(own, schema=SCHEMA.append(pa.field(FILE, pa.string()))))
+        places.append(at)
+    return pa.concat_tables(tables).take(np.argsort(np.concatenate(places), kind="stable"))
+
+
+def _standard_deviations(covariance: Float[np.ndarray, "b q q"]) -> Float[np.ndarray, "b q"]:
+    variance = np.diagonal(covariance, axis1=1, axis2=2)
+    return np.sqrt(np.where(variance >= 0, variance, np.nan))
+
+
+def without_repeated(rows: pa.Table) -> pa.Table:
+    """Return the rows of one run, in which devices of several files are refused: which readings count is not known."""
+    files = rows.group_by("device").aggregate([(FILE, "distinct")]).to_pylist()
+    twice = {one["device"]: sorted(own) for one in files if len(own := one[f"{FILE}_distinct"]) > 1}
+    kept = rows.filter(pc.invert(pc.is_in(rows["device"], pa.array([*twice], pa.string()))))
+    why = [
+        f"device {name!r} stands in {len(own)} files, {own[0]!r} and {own[1]!r}: put its readings into one"
+        for name, own in twice.items()
+    ]
+    found = pa.concat_tables([kept, rows_of([*twice], [""] * len(twice), why, ())])
+    return found.drop_columns([FILE])
+
+
+def pooled(rows: pa.Table, named: Named, seed: int) -> tuple[pa.Table, Population]:
+    """Return rows under the population that is learned from the devices that are to be relied on: each moves toward it.
+
+    Raises:
+        ModelError: fewer than three of them.
+    """
+    mean, covariances = rows["mean"].to_numpy().copy(), rows["covariance"].combine_chunks()
+    squares, offsets = covariances.values.to_numpy().copy(), covariances.offsets.to_numpy()
+    names, good = rows["coefficient"].to_numpy(), rows["ok"].to_numpy()
+    alike: dict[tuple[str, ...], list[int]] = {}
+    for begin, end in spans(rows).values():
+        if good[begin]:
+            alike.setdefault((*names[begin:end],), []).append(begin)
+    groups, parts = list[Any](), list[Any]()
+    for own, begins in alike.items():
+        q, of = len(own), np.array([own.index(name) for name in named])
+        at = np.array(begins)[:, None] + np.arange(q)
+        places = (offsets[at[:, 0]][:, None] + np.arange(q * q)).reshape(-1, q, q)
+        groups.append((of, at, places))
+        parts.append((mean[at][:, of], squares[places][:, of[:, None], of]))
+    if not groups:
+        parts = [(np.zeros((0, len(named))), np.zeros((0, len(named), len(named))))]
+    population, *moments = learn(*map(np.concatenate, zip(*parts, strict=True)), named, seed)
+    sd, begin = rows["sd"].to_numpy().copy(), 0
+    for of, at, places in groups:
+        some = slice(begin, begin + len(at))
+        begin = some.stop
+        new = follow(mean[at], squares[places], of, *(m[some] for m in moments))
+        mean[at], squares[places] = new
+        sd[at] = _standard_deviations(new[1])
+    lists = pa.ListArray.from_arrays(covariances.offsets, squares)
+    for name, column in (("mean", mean), ("sd", sd), ("covariance", lists)):
+        rows = rows.set_column(SCHEMA.names.index(name), SCHEMA.field(name), pa.array(column))
+    return rows, population
+
+
+def spans(rows: pa.Table) -> dict[str, tuple[int, int]]:
+    """Return the rows of each device, from and to."""
+    devices = rows["device"].combine_chunks().dictionary_encode()
+    begins = np.flatnonzero(np.diff(devices.indices.to_numpy(), prepend=-1)).tolist()
+    return dict(zip(devices.dictionary.to_pylist(), pairwise([*begins, len(rows)]), strict=True))
 
 
 @dataclass(frozen=True, eq=False)
@@ -148,13 +244,9 @@ class BatchResult:
     """Fits of many devices. `result["A17"]` or `result[3]` is one device's; `table()` is all of them.
 
     Attributes:
-        devices: names, in the order in which they came.
-        ok: whether each fit is to be relied on, (devices,); what the model lacks is another question.
-        reasons: why not; empty where nothing stands against it.
-        parts: the numbers, devices with the same unknowns together.
-        population: what the devices have in common, if it was asked for.
+        rows: the numbers, a row for each device and unknown, with that of the covariance.
         about: instrument, effects, method, seed and notes.
-        facts: by device, how many readings were fitted, and their T0, °C; NaN where that is not known.
+        population: what the devices have in common, if it was asked for.
         odd: devices that are not like the others, and in what.
         checked: devices in which it was looked for what the model lacks (`find`).
         missing: file → why its devices are not among the results.
@@ -162,28 +254,48 @@ class BatchResult:
         effects: where effects were looked for, one row an effect, as `effects_table` says; else no rows.
     """
 
-    devices: tuple[str, ...]
-    ok: np.ndarray
-    reasons: tuple[str, ...]
-    parts: tuple[BatchPart, ...]
-    population: Population | None
+    rows: pa.Table
     about: dict[str, Any]
-    facts: pd.DataFrame
+    population: Population | None = None
     odd: dict[str, list[str]] = field(default_factory=dict)
     checked: int = 0
     missing: dict[str, str] = field(default_factory=dict)
     left_out: dict[str, str] = field(default_factory=dict)
     effects: pd.DataFrame = field(default_factory=partial(pd.DataFrame, columns=EFFECTS))
 
+    @cached_property
+    def _spans(self) -> dict[str, tuple[int, int]]:
+        return spans(self.rows)
+
+    @cached_property
+    def _firsts(self) -> pa.Table:
+        return self.rows.take(pa.array([begin for begin, _ in self._spans.values()], pa.int64()))
+
+    @cached_property
+    def devices(self) -> tuple[str, ...]:
+        """Names, in the order in which they came."""
+        return tuple(self._spans)
+
+    @property
+    def ok(self) -> np.ndarray:
+        """Whether each fit is to be relied on, (devices,); what the model lacks is another question."""
+        return self._firsts["ok"].to_numpy()
+
+    @property
+    def reasons(self) -> tuple[str, ...]:
+        """Why not; empty where nothing stands against it."""
+        return tuple(self._firsts["reason"].to_pylist())
+
+    @property
+    def facts(self) -> pd.DataFrame:
+        """By device, how many readings were fitted, and their T0, °C; NaN where that is not known."""
+        return self._firsts.select(["readings", "T0"]).to_pandas().set_axis(self.devices)
+
     def __len__(self) -> int:
-        return len(self.devices)
+        return len(self._spans)
 
     def __iter__(self) -> Iterator[DeviceResult]:
         return (self[i] for i in range(len(self)))
-
-    @cached_property
-    def _places(self) -> dict[str, int]:
-        return {name: i for i, name in enumerate(self.devices)}
 
     def __getitem__(self, device: str | int) -> DeviceResult:
         """One device's result, by its name or by its place.
@@ -191,48 +303,30 @@ class BatchResult:
         Raises:
             InputError: there is no such device.
         """
-        at = self._places.get(device) if isinstance(device, str) else device
-        if at is None or not -len(self) <= at < len(self):
+        if isinstance(device, int) and -len(self) <= device < len(self):
+            device = self.devices[device]
+        if device not in self._spans:
             shown = ", ".join(self.devices[:5])
             raise InputError(f"there is no device {device!r} among the {len(self)}: {shown} …")
-        at %= len(self)
-        own = self.devices[at], bool(self.ok[at]), self.reasons[at]
-        for part in self.parts:
-            for i in np.flatnonzero(part.devices == at):
-                return DeviceResult(*own, part.names, part.units, part.mean[i], part.covariance[i])
-        return DeviceResult(*own, (), (), np.zeros(0), np.zeros((0, 0)))
+        begin, end = self._spans[device]
+        own = self.rows.slice(begin, end - begin).to_pydict()
+        q = 0 if own["coefficient"][0] is None else end - begin
+        return DeviceResult(
+            device,
+            own["ok"][0],
+            own["reason"][0],
+            tuple(own["coefficient"][:q]),
+            tuple(own["unit"][:q]),
+            np.array(own["mean"][:q]),
+            np.array(own["covariance"][:q]).reshape(q, q),
+        )
 
     def table(self) -> pd.DataFrame:
         """One row for each device and unknown: device, coefficient, mean, sd, unit, ok, reason.
 
         A device that was refused has one row without a coefficient. Devices in the order in which they came.
         """
-        return self.rows().select(COLUMNS).to_pandas()
-
-    def rows(self) -> pa.Table:
-        """The table as it is saved, with each unknown's row of the covariance."""
-        devices, reasons = (pa.array(own, pa.string()) for own in (self.devices, self.reasons))
-
-        def rows(at: np.ndarray, names: Any, mean: Any, sd: Any, units: Any, rest: Any) -> pa.Table:
-            whose = pa.array(at)
-            said = (names, mean, sd, units, self.ok[at], reasons.take(whose), rest)
-            return pa.table([devices.take(whose), *said], schema=SCHEMA)
-
-        fitted = np.concatenate([np.zeros(0, int), *(part.devices for part in self.parts)])
-        refused = np.setdiff1d(np.arange(len(self)), fitted)
-        nothing, no_name = np.full(len(refused), np.nan), pa.nulls(len(refused), pa.string())
-        no_row = pa.nulls(len(refused), SCHEMA.field("covariance").type)
-        places = [refused]
-        tables = [rows(refused, no_name, nothing, nothing, no_name, no_row)]
-        for part in self.parts:
-            b, q = part.mean.shape
-            ends = np.arange(0, b * q * q + 1, q, dtype=np.int32)
-            covariance = pa.ListArray.from_arrays(ends, part.covariance.ravel())
-            names, units = (pa.array(own * b, pa.string()) for own in (part.names, part.units))
-            places.append(np.repeat(part.devices, q))
-            numbers = names, part.mean.ravel(), part.sd.ravel(), units, covariance
-            tables.append(rows(places[-1], *numbers))
-        return pa.concat_tables(tables).take(np.argsort(np.concatenate(places), kind="stable"))
+        return self.rows.select(COLUMNS).to_pandas()
 
     @property
     def fitted(self) -> int:
@@ -242,25 +336,19 @@ class BatchResult:
     @property
     def doubted(self) -> dict[str, str]:
         """Devices whose fit is not to be relied on, and why."""
-        each = zip(self.devices, self.reasons, self.ok, strict=True)
-        return {name: why for name, why, ok in each if not ok}
+        return {n: why for n, why in zip(self.devices, self.reasons, strict=True) if why}
 
     def coefficients(self) -> pd.DataFrame:
         """Return one row a coefficient, over the devices that are fitted.
 
         Columns: its median, the standard deviation between devices, the median standard uncertainty, unit, devices.
         """
-        moments: dict[tuple[str, str], list[tuple[np.ndarray, np.ndarray]]] = {}
-        for part in self.parts:
-            good = self.ok[part.devices]
-            columns = zip(part.names, part.units, part.mean[good].T, part.sd[good].T, strict=True)
-            for name, unit, mean, sd in columns:
-                if good.any():
-                    moments.setdefault((name, unit), []).append((mean, sd))
-        rows = []
-        for (name, unit), own in moments.items():
-            mean, sd = (np.concatenate(a) for a in zip(*own, strict=True))
-            rows.append([name, np.median(mean), mean.std(), np.median(sd), unit, len(mean)])
+        good = self.rows.select(COLUMNS).filter(pads.field("ok")).to_pandas()
+        rows = [
+            [name, np.median(own["mean"]), own["mean"].std(ddof=0), np.median(own["sd"]), unit]
+            + [len(own)]
+            for (name, unit), own in good.groupby(["coefficient", "unit"], sort=False)
+        ]
         columns = ["coefficient", "median", "between devices", "typical sd", "unit", "devices"]
         return pd.DataFrame(rows, columns=columns)
 
@@ -298,11 +386,9 @@ class BatchResult:
             raise InputError(
                 f"a batch is saved as Parquet: name the file ….parquet, not {path.name!r}"
             )
-        table = self.rows()
-        facts = {name: self.facts[name].tolist() for name in self.facts}
-        head = json.dumps(as_json(self.data() | {"facts": facts}), allow_nan=False)
-        table = table.replace_schema_metadata({"bayescal": head})
+        head = {"bayescal": json.dumps(self.data(), allow_nan=False)}
         with replacing_for_user(path) as place:
+            table = self.rows.replace_schema_metadata(head)
             pq.write_table(table, place, write_page_checksum=True)
         return path
 
@@ -335,50 +421,16 @@ def load_batch(path: str | Path) -> BatchResult:
         head = parsed_json((table.schema.metadata or {})[b"bayescal"])
         if head["schema"] != FORMAT:
             raise KeyError(head["schema"])
+        for name in {*SCHEMA.names} - {*table.column_names}:  # facts, of earlier files
+            table = table.append_column(name, pa.nulls(len(table), pa.float64()))
+        told = ("about", "odd", "checked", "missing", "left_out")
+        return BatchResult(
+            table.select(SCHEMA.names).cast(SCHEMA),
+            population=head["population"] and Population.of_data(head["population"]),
+            effects=pd.DataFrame(head.get("effects", []), columns=EFFECTS),
+            **{name: head[name] for name in told if name in head},
+        )
     except Exception as error:  # whatever a damaged file makes Arrow raise
         raise InputError(
             f"{path.name} is no batch of this version, or a damaged one ({type(error).__name__}). {AGAIN}"
         ) from None
-    columns = {name: table.column(name).to_numpy() for name in SCHEMA.names}
-    codes, names = pd.factorize(columns["device"])
-    starts = np.searchsorted(codes, np.arange(len(names)))
-    try:
-        population, devices = head["population"], tuple(map(str, names))
-        return BatchResult(
-            devices=devices,
-            ok=columns["ok"][starts].astype(bool),
-            reasons=tuple(columns["reason"][starts]),
-            parts=_parts(columns, [*starts, len(codes)]),
-            population=population and Population.of_data(population),
-            about=head["about"],
-            facts=pd.DataFrame(
-                head.get("facts", {}), list(devices), ["readings", "T0"], dtype=float
-            ),
-            odd=head.get("odd", {}),
-            checked=head.get("checked", 0),
-            missing=head.get("missing", {}),
-            left_out=head.get("left_out", {}),
-            effects=pd.DataFrame(head.get("effects", []), columns=EFFECTS),
-        )
-    except (ValueError, KeyError, TypeError, AttributeError) as error:
-        raise InputError(f"{path.name} was changed after it was saved: {error}. {AGAIN}") from None
-
-
-def _parts(columns: dict[str, np.ndarray], starts: list[int]) -> tuple[BatchPart, ...]:
-    """Devices with the same unknowns together; each device's rows begin at its start. ValueError: of unequal sizes."""
-    alike: dict[tuple, list[int]] = {}
-    for d, (begin, end) in enumerate(pairwise(starts)):
-        if columns["coefficient"][begin] is not None:
-            kind = (tuple(columns["coefficient"][begin:end]), tuple(columns["unit"][begin:end]))
-            alike.setdefault(kind, []).append(d)
-    parts = []
-    for (own, units), devices in alike.items():
-        rows = np.array(starts)[devices][:, None] + np.arange(len(own))
-        covariance = np.stack([np.stack(list(columns["covariance"][r])) for r in rows])
-        if covariance.shape[1:] != (len(own), len(own)):
-            raise ValueError(
-                f"the covariance of device {columns['device'][rows[0, 0]]!r} is {covariance.shape[1:]}, it has "
-                f"{len(own)} unknowns"
-            )
-        parts.append(BatchPart(np.array(devices), own, units, columns["mean"][rows], covariance))
-    return tuple(parts)

@@ -6,10 +6,8 @@ A part is a few files, or some of the devices of a large Parquet file.
 from __future__ import annotations
 
 import os
-from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -21,8 +19,8 @@ import pyarrow.parquet as pq
 from bayescal import InputError, Model
 from bayescal._annexes.fleet.devices import Devices, open_readings, split_table
 from bayescal._tables.cells import Cells
+from bayescal._tables.formats import arrow_cells, arrow_headers
 from bayescal._tables.open_table import MAX_BYTES, READ
-from bayescal._tables.parquet_netcdf import arrow_cells, arrow_headers
 from bayescal._tables.raw_table import Table, as_format, refuse_large
 from bayescal.workshop import ReadOptions, one_line
 
@@ -52,20 +50,43 @@ class Piece:
             return self.path.name
         return f"{self.path.name}, devices {self.devices[0]} to {self.devices[-1]}"
 
+    def read(self, model: Model, options: ReadOptions) -> Devices:
+        """Read its devices.
+
+        Raises:
+            InputError: it cannot be read, or is too large once unpacked.
+        """
+        table = open_readings(self.path, options) if self.devices is None else self._open()
+        needs = tuple(dict.fromkeys(c for e in model.effects for c in e.columns))
+        return split_table(table, self.path.stem, model.instrument, options, needs)
+
+    def _open(self) -> Table:
+        file = self.path.name
+        with as_format(file, "Parquet"):
+            dataset = pads.dataset(self.path, format="parquet")
+            refuse_large(file, self.readings, len(dataset.schema), MAX_BYTES)
+            own = dataset.to_table(filter=pads.field(self.column).isin(self.devices))
+
+        def load(wanted: Mapping[int, bool]) -> dict[int, Cells]:
+            return {p: arrow_cells(own.column(p), number) for p, number in wanted.items()}
+
+        def place(index: int) -> str:
+            column = dataset.to_table([self.column]).column(0)
+            rows = np.flatnonzero(pc.is_in(column, self.devices).to_numpy())  # pyright: ignore
+            return f"row {rows[index] + 1}"
+
+        return Table(file, arrow_headers(own.schema), own.num_rows, load, place=place)
+
 
 @dataclass(frozen=True)
-class DevicePart:
-    """What was read of a part.
+class ReadPiece:
+    """Devices that were read already, or given."""
 
-    Attributes:
-        devices: all of its devices.
-        places: names of the devices that each piece holds, by the piece's name.
-        unreadable: piece → why it cannot be used.
-    """
-
+    name: str
     devices: Devices
-    places: dict[str, tuple[str, ...]]
-    unreadable: dict[str, str]
+
+    def read(self, model: Model, options: ReadOptions) -> Devices:
+        return self.devices
 
 
 def parts_of(files: Sequence[Path], rows: int, device: str) -> list[tuple[Piece, ...]]:
@@ -156,64 +177,3 @@ def _pieces(path: Path, rows: int, device: str) -> Iterator[Piece]:
     for part in np.split(np.arange(len(ends)), np.flatnonzero(np.diff((ends - 1) // rows)) + 1):
         readings = int(ends[part[-1]] - ends[part[0]]) + counts[int(part[0])].as_py()
         yield Piece(path, readings, column, labels.slice(part[0], len(part)))
-
-
-def read_part(pieces: Iterable[Piece], model: Model, options: ReadOptions) -> DevicePart:
-    """Read the devices of a part; those that stand in several of its files are refused."""
-    devices: dict[str, Devices] = {}
-    unreadable: dict[str, str] = {}
-    needs = tuple(dict.fromkeys(c for e in model.effects for c in e.columns))
-    for piece in pieces:
-        try:
-            table = _open(piece, options)
-            devices[piece.name] = split_table(
-                table, piece.path.stem, model.instrument, options, needs
-            )
-        except (InputError, OSError) as error:
-            unreadable[piece.name] = str(error)
-    places = {name: own.names for name, own in devices.items()}
-    together = Devices.together(list(devices.values()))
-    return DevicePart(together.refusing(repeated(places)), places, unreadable)
-
-
-def repeated(places: Mapping[str, Sequence[str]]) -> dict[str, str]:
-    """Return why devices that stand in several files are refused: which readings count cannot be known."""
-    counts = Counter(name for names in places.values() for name in names)
-    twice: dict[str, list[str]] = {name: [] for name, count in counts.items() if count > 1}
-    for file, names in places.items():
-        for name in twice.keys() & {*names}:
-            twice[name].append(file)
-    return {
-        name: f"device {name!r} stands in {len(files)} files, {files[0]!r} and {files[1]!r}: put its readings into one"
-        for name, files in twice.items()
-    }
-
-
-def _open(piece: Piece, options: ReadOptions) -> Table:
-    """A file, or some devices of a Parquet file, as a table; refused if it is too large once unpacked."""
-    if piece.devices is None:
-        return open_readings(piece.path, options)
-    file, own = piece.path.name, pads.field(piece.column).isin(piece.devices)
-    with as_format(file, "Parquet"):
-        dataset = pads.dataset(piece.path, format="parquet")
-    schema = dataset.schema
-    refuse_large(file, piece.readings, len(schema), MAX_BYTES)
-
-    def load(wanted: Mapping[int, bool]) -> dict[int, Cells]:
-        cells = {}
-        with as_format(file, "Parquet"):
-            for position, number in wanted.items():
-                column = {"cells": pads.field(schema.names[position])}
-                cells[position] = arrow_cells(dataset.to_table(column, own).column(0), number)
-        pa.default_memory_pool().release_unused()
-        return cells
-
-    @cache
-    def rows() -> np.ndarray:
-        column = dataset.to_table([piece.column]).column(0)
-        return np.flatnonzero(pc.is_in(column, piece.devices).to_numpy())  # pyright: ignore
-
-    def place(index: int) -> str:
-        return f"row {rows()[index] + 1}"
-
-    return Table(file, arrow_headers(schema), piece.readings, load, place=place)

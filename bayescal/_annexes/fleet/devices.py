@@ -1,12 +1,13 @@
-"""Readings of many devices as a few long columns, one device's rows after the other's; files split into them.
+"""Readings of many devices of one type, one device's `Measurements` each; files split into them.
 
-Ten thousand devices are a few arrays here, not ten thousand objects; one device's `Measurements` are made when they
-are asked for. What is wrong with one device's rows in a file refuses that device alone.
+A file is checked and converted as a whole; a device's columns are a part of the file's. What is wrong with one device's
+rows in a file refuses that device alone.
 """
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+import itertools
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cache
 from pathlib import Path
@@ -16,9 +17,9 @@ import numpy as np
 import pandas as pd
 
 from bayescal import Column, InputError, Measurements
-from bayescal._data.column import ConvertedColumns, Source
+from bayescal._data.column import ConvertedColumns, Place, Source
 from bayescal._data.column_conversion import convert_columns
-from bayescal._data.dataset_checks import Place, backward_time, same_temperature
+from bayescal._data.dataset_checks import backward_time, same_temperature
 from bayescal._data.header_matching import MatchedFile
 from bayescal._data.read_options import (
     ExpectedColumns,
@@ -36,66 +37,6 @@ DEVICE = "device"
 
 
 @dataclass(frozen=True, eq=False)
-class DeviceBlock:
-    """Devices whose readings have the same columns, one after the other.
-
-    Attributes:
-        names: of the devices.
-        ends: index past each device's last row.
-        values: columns of all rows.
-        units: of the columns; None for labels.
-        output: name of the output column.
-        source: the file that they came from, if any.
-    """
-
-    names: tuple[str, ...]
-    ends: np.ndarray
-    values: dict[str, np.ndarray]
-    units: dict[str, str | None]
-    output: str = "output"
-    source: Source | None = None
-
-    @property
-    def starts(self) -> np.ndarray:
-        return np.concatenate([[0], self.ends[:-1]])
-
-    @property
-    def counts(self) -> np.ndarray:
-        """Readings of each device."""
-        return self.ends - self.starts
-
-    @property
-    def temperatures(self) -> list[str]:
-        """Columns of measured temperatures, whose mean is a reference of the bases."""
-        return [n for n, unit in self.units.items() if unit == "degC" and n != "temperature_point"]
-
-    def columns(self, index: int) -> dict[str, np.ndarray]:
-        """The columns of one device."""
-        rows = slice(int(self.starts[index]), int(self.ends[index]))
-        return {name: values[rows] for name, values in self.values.items()}
-
-    def measurements(self, index: int) -> Measurements:
-        """One device's readings."""
-        file, sha256 = f"device {self.names[index]}", ""
-        if self.source is not None:
-            file, sha256 = f"{self.source.file}, {file}", self.source.sha256
-        source = Source(file, sha256, int(self.counts[index]))
-        return Measurements(self.columns(index), self.units, (source,), output=self.output)
-
-    def some(self, keep: np.ndarray) -> DeviceBlock:
-        """The devices where `keep` is true."""
-        if keep.all():
-            return self
-        rows = np.repeat(keep, self.counts)
-        return replace(
-            self,
-            names=tuple(n for n, k in zip(self.names, keep, strict=True) if k),
-            ends=np.cumsum(self.counts[keep]),
-            values={name: values[rows] for name, values in self.values.items()},
-        )
-
-
-@dataclass(frozen=True, eq=False)
 class Devices:
     """Readings of many devices of one type.
 
@@ -103,12 +44,12 @@ class Devices:
 
     Attributes:
         names: of all devices, in order of appearance, refused ones too.
-        blocks: the readings of those that were let in.
+        measurements: by name, of those that were let in.
         refused: name → why its rows cannot be used.
     """
 
     names: tuple[str, ...]
-    blocks: tuple[DeviceBlock, ...]
+    measurements: dict[str, Measurements]
     refused: dict[str, str] = field(default_factory=dict)
 
     def __len__(self) -> int:
@@ -122,89 +63,40 @@ class Devices:
         """
         if name in self.refused:
             raise InputError(f"device {name!r} was refused: {self.refused[name]}")
-        for block in self.blocks:
-            if name in block.names:
-                return block.measurements(block.names.index(name))
+        if name in self.measurements:
+            return self.measurements[name]
         shown = ", ".join(self.names[:5])
         raise InputError(f"no device is called {name!r}; there are {len(self)}: {shown} …")
 
     def __iter__(self) -> Iterator[Measurements]:
-        for block in self.blocks:
-            for i in range(len(block.names)):
-                yield block.measurements(i)
+        return iter(self.measurements.values())
 
     def __repr__(self) -> str:
         return f"<{self.readings} readings of {len(self)} devices, {len(self.refused)} of them refused>"
 
-    @classmethod
-    def together(cls, some: Sequence[Devices]) -> Devices:
-        """Devices of several files."""
-        names = dict.fromkeys(name for devices in some for name in devices.names)
-        blocks = tuple(block for devices in some for block in devices.blocks)
-        return cls(tuple(names), blocks, {n: why for d in some for n, why in d.refused.items()})
-
     @property
     def readings(self) -> int:
         """Readings of the devices that were let in."""
-        return sum(int(block.ends[-1]) for block in self.blocks)
+        return sum(map(len, self))
 
-    def without(self, names: Collection[str]) -> Devices:
-        """All devices but these."""
-        if not names:
-            return self
-        kept = [(b, np.array([n not in names for n in b.names])) for b in self.blocks]
-        return Devices(
-            tuple(n for n in self.names if n not in names),
-            tuple(block.some(keep) for block, keep in kept if keep.any()),
-            {n: why for n, why in self.refused.items() if n not in names},
-        )
-
-    def refusing(self, why: Mapping[str, str]) -> Devices:
-        """The same devices, some of them refused for these reasons."""
-        why = {name: why[name] for name in self.names if name in why}
-        return replace(self, blocks=self.without(why).blocks, refused=self.refused | why)
+    @classmethod
+    def of(cls, measurements: Mapping[str, Measurements], refused: Mapping[str, str]) -> Devices:
+        """Let in all devices but those that are refused."""
+        names = tuple(dict.fromkeys([*measurements, *refused]))
+        kept = {name: own for name, own in measurements.items() if name not in refused}
+        return cls(names, kept, dict(refused))
 
 
 def gathered(readings: Sequence[Measurements] | Mapping[str, Measurements]) -> Devices:
     """Devices from measurements, named by their key, by their label of column `device`, or by their place."""
     if isinstance(readings, Mapping):
-        names, given = [str(n) for n in readings], list(readings.values())
+        given = {str(name): own for name, own in readings.items()}
     else:
-        given = list(readings)
-        names = [_label(one, i) for i, one in enumerate(given)]
-        if len(set(names)) < len(names):
-            names = [str(i + 1) for i in range(len(given))]
-    blocks = joined(
-        DeviceBlock(
-            names=(name,),
-            ends=np.array([len(one)]),
-            values={n: one[n] for n in one.columns},
-            units={n: one.unit(n) for n in one.columns},
-            output=one.output,
-        )
-        for name, one in zip(names, given, strict=True)
-    )
-    bad = {name: why for block in blocks for name, why in _not_finite(block).items()}
-    return Devices(tuple(names), blocks).refusing(bad)
-
-
-def joined(blocks: Iterable[DeviceBlock]) -> tuple[DeviceBlock, ...]:
-    """Blocks of the same columns as one: thousands of files with a device each are fitted at once."""
-    alike: dict[tuple, list[DeviceBlock]] = {}
-    for block in blocks:
-        alike.setdefault((*block.units.items(), block.output), []).append(block)
-    return tuple(
-        some[0]
-        if len(some) == 1
-        else replace(
-            some[0],
-            names=tuple(n for block in some for n in block.names),
-            ends=np.cumsum(np.concatenate([block.counts for block in some])),
-            values={n: np.concatenate([b.values[n] for b in some]) for n in some[0].values},
-            source=None,
-        )
-        for some in alike.values()
-    )
+        given = {_label(own, i): own for i, own in enumerate(readings)}
+        if len(given) < len(readings):
+            given = {str(i + 1): own for i, own in enumerate(readings)}
+    bad = {name: why for name, own in given.items() if (why := _not_finite(name, own))}
+    return Devices.of(given, bad)
 
 
 def _label(one: Measurements, index: int) -> str:
@@ -212,19 +104,17 @@ def _label(one: Measurements, index: int) -> str:
     return levels[0] if len(levels) == 1 else str(index + 1)
 
 
-def _not_finite(block: DeviceBlock) -> dict[str, str]:
-    """Devices with a number that is none, and where (arrays made by hand were checked by no file reader)."""
-    bad: dict[str, str] = {}
-    for column, values in block.values.items():
-        if block.units[column] is None or column == "temperature_point":
+def _not_finite(name: str, one: Measurements) -> str:
+    """Return where a number is none; "" where all are (arrays made by hand were checked by no file reader)."""
+    for column in one.columns:
+        if one.unit(column) is None or column == "temperature_point":
             continue
-        for row in np.flatnonzero(~np.isfinite(values))[::-1]:
-            i = int(np.searchsorted(block.ends, row, side="right"))
-            bad[block.names[i]] = (
-                f"reading {row - block.starts[i] + 1} of device {block.names[i]}, column {column!r}: reads "
-                f"{values[row]:g}, a number was expected. Fill it in, or remove the reading"
+        if len(bad := np.flatnonzero(~np.isfinite(one[column]))):
+            return (
+                f"reading {bad[0] + 1} of device {name}, column {column!r}: reads {one[column][bad[0]]:g}, a number "
+                "was expected. Fill it in, or remove the reading"
             )
-    return bad
+    return ""
 
 
 def split_devices(
@@ -257,18 +147,18 @@ def split_devices(
     if not given:
         raise InputError("no file was given to split into devices: give at least one")
     options = ReadOptions.of(instrument, **{k: v for k, v in how.items() if v is not None})
-    names: dict[str, None] = {}
-    files: list[Devices] = []
+    whole = Devices((), {})
     for path in given:
         table = open_readings(path, options, max_bytes)
-        files.append(split_table(table, path.stem, instrument, options, needs))
-        if twice := names.keys() & files[-1].names:
+        own = split_table(table, path.stem, instrument, options, needs)
+        if twice := {*whole.names}.intersection(own.names):
             raise InputError(
                 f"{path.name!r} holds device {min(twice)!r}, which a file before it holds too: put the "
                 "readings of a device into one file"
             )
-        names |= dict.fromkeys(files[-1].names)
-    return Devices.together(files)
+        both = whole.measurements | own.measurements, whole.refused | own.refused
+        whole = Devices((*whole.names, *own.names), *both)
+    return whole
 
 
 def open_readings(path: Path, options: ReadOptions, max_bytes: int = MAX_BYTES) -> Table:
@@ -305,8 +195,7 @@ def split_table(
         instrument.name, (*instrument.columns, *further), instrument.nominal_scale, output
     )
     file = MatchedFile(table, expects, options, problems)
-    table, places = file.table, file.positions
-    table = _read_once(table)
+    table, places = _read_once(file.table), file.positions
     problems.refuse()
     labels = np.full(table.rows, stem, dtype=object)
     if DEVICE in places:
@@ -321,20 +210,20 @@ def split_table(
         raise InputError(f"{where} of {table.file!r} names no device: fill it in, or remove it")
     names = tuple(map(str, levels))
     converted, rows, refused = _convert_usable(table, codes, names, expects, options)
-    if not rows.size:
-        return Devices(names, (), refused)
-    counts = np.bincount(codes[rows])
-    block = DeviceBlock(
-        names=tuple(names[k] for k in np.flatnonzero(counts)),
-        ends=np.cumsum(counts[counts > 0]),
-        values=converted.values,
-        units=converted.units,
-        output=output,
-        source=Source(table.file, table.sha256, table.rows),
-    )
+    values, units = converted.values, converted.units
     if DEVICE in places:
-        block.values[DEVICE], block.units[DEVICE] = labels[rows], None
-    return Devices(names, (block,), refused).refusing(_useless(block, instrument))
+        values, units = {**values, DEVICE: labels[rows]}, {**units, DEVICE: None}
+    found, needed = dict[str, Measurements](), {c.name for c in instrument.columns if c.required}
+    begin = np.flatnonzero(np.diff(codes[rows], prepend=-1))
+    for first, end in itertools.pairwise([*begin, len(rows)]):
+        name = names[codes[rows[first]]]
+        own = {n: column[first:end] for n, column in values.items()}
+        if why := _useless(own, name, "temperature" in needed and "temperature" in own):
+            refused[name] = why
+        else:
+            source = Source(f"{table.file}, device {name}", table.sha256, int(end - first))
+            found[name] = Measurements(own, units, (source,), output=output)
+    return Devices(names, found, refused)
 
 
 def _read_once(table: Table) -> Table:
@@ -359,7 +248,7 @@ def _less(table: Table, position: int) -> Table:
 
 
 def _further(
-    table: Table, instrument: InstrumentLike, options: ReadOptions, needs: Sequence[str]
+    table: Table, instrument: InstrumentLike, options: ReadOptions, needs: Iterable[str]
 ) -> tuple[Column, ...]:
     """Columns that effects need and the instrument does not know, in their base units."""
     headers = {h.name: h for h in table.headers}
@@ -396,14 +285,9 @@ def _convert_usable(
     return ConvertedColumns(), rows, refused
 
 
-def _useless(block: DeviceBlock, instrument: InstrumentLike) -> dict[str, str]:
-    """Devices with one temperature only, or with time running backwards, and what is said of them."""
-    need = any(c.name == "temperature" and c.required for c in instrument.columns)
-    need, refused = need and "temperature" in block.values, dict[str, str]()
-    for i, name in enumerate(block.names):
-        columns, file = block.columns(i), f"device {name}"
-        problems = [*same_temperature(columns, file)] if need else []
-        problems += backward_time(columns, lambda row, file=file: Place(f"reading {row + 1}", file))
-        if problems:
-            refused[name] = str(problems[0])
-    return refused
+def _useless(columns: dict[str, np.ndarray], name: str, warm: bool) -> str:
+    """Return that a device has one temperature only, where it needs more, or time running backwards; "" otherwise."""
+    file = f"device {name}"
+    problems = [*same_temperature(columns, file)] if warm else []
+    problems += backward_time(columns, lambda row: Place(f"reading {row + 1}", file))
+    return str(problems[0]) if problems else ""

@@ -15,7 +15,7 @@ import os
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import CancelledError
 from contextlib import contextmanager
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 from bayescal import BayescalError, InputError
 from bayescal._core import deadline
@@ -107,23 +107,14 @@ def dask_setup(_: Any) -> None:
     obey_no_folder()
 
 
-class TaskOutcome(NamedTuple):
-    """How one of several tasks ended.
-
-    Attributes:
-        index: which.
-        value: what it returned; None where it failed.
-        error: why it failed; empty where it did not.
-    """
-
-    index: int
-    value: Any
-    error: str
+Outcome = tuple[
+    int, Any, str
+]  # which task, what it returned, why it failed: empty where it did not
 
 
 def run_tasks(
     client: Client | None, function: Callable[..., Any], tasks: Sequence[tuple]
-) -> Iterator[TaskOutcome]:
+) -> Iterator[Outcome]:
     """Run a function on each of several arguments, and yield outcomes as they come in.
 
     Tasks that the deadline leaves out, and those of a cluster that is gone, fail with that reason.
@@ -132,12 +123,12 @@ def run_tasks(
     if client is None:
         for index, task in enumerate(tasks):
             if index and end.over:
-                yield TaskOutcome(index, None, NOT_REACHED.format(end.why))
+                yield index, None, NOT_REACHED.format(end.why)
                 continue
             try:
-                yield TaskOutcome(index, function(*task), "")
+                yield index, function(*task), ""
             except (BayescalError, OSError) as error:
-                yield TaskOutcome(index, None, str(error))
+                yield index, None, str(error)
         return
     from distributed import as_completed
 
@@ -146,7 +137,7 @@ def run_tasks(
     while left and not why:
         try:
             for future in as_completed(list(left), timeout=POLL_SECONDS):
-                yield _outcome(client, future, left.pop(future))
+                yield left.pop(future), *_outcome(client, future)
                 future.release()
                 end.defer_interrupt()
                 if end.over:
@@ -158,22 +149,23 @@ def run_tasks(
         elif idle > WORKER_TIMEOUT:
             why = "the cluster has no worker left: start workers"
     client.cancel(list(left))
-    yield from (TaskOutcome(index, None, why) for index in left.values())
+    yield from ((index, None, why) for index in left.values())
 
 
-def _outcome(client: Client, future: Any, index: int) -> TaskOutcome:
-    """What came of a task; in words if it failed for good, or the scheduler is gone."""
+def _outcome(client: Client, future: Any) -> tuple[Any, str]:
+    """What a task returned; why, if it failed for good, or the scheduler is gone."""
     from distributed.scheduler import KilledWorker
 
     try:
-        return TaskOutcome(index, future.result(), "")
+        return future.result(), ""
     except (Exception, CancelledError) as error:  # whatever a cluster says of tasks it gave up
-        why = str(error) or type(error).__name__
+        gone = client.status != "running" or future.status in ("cancelled", "lost")
         if isinstance(error, KilledWorker):
-            why = "the workers that it ran on died one after the other: is there memory enough?"
-        elif not isinstance(error, BayescalError) and (
-            client.status != "running" or future.status in ("cancelled", "lost")
-        ):
+            return (
+                None,
+                "the workers that it ran on died one after the other: is there memory enough?",
+            )
+        if gone and not isinstance(error, BayescalError):
             address = "" if client.scheduler is None else f" at {client.scheduler.address}"
-            why = f"the scheduler{address} is gone: start it again"
-        return TaskOutcome(index, None, why)
+            return None, f"the scheduler{address} is gone: start it again"
+        return None, str(error) or type(error).__name__

@@ -1,7 +1,7 @@
 """Each device's structure searched by itself; then which share of the fleet has each effect.
 
 The search is that of `calibrate`: the same structures, the same walk, the same posterior; what a fleet does without
-are the checks and pictures of every step. Coefficients come from the fit of a batch, in one program a structure.
+are the checks and pictures of every step.
 
 All devices together separate substitutes that no single device can. The fleet has an effect or not; if it has, any
 share of its devices is as probable as another. Given the shares, devices are independent. What is known of one device
@@ -13,7 +13,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -21,9 +21,8 @@ import pandas as pd
 from jaxtyping import Float
 from scipy.special import expit
 
-from bayescal import BayescalError, Effect, Measurements, Model
+from bayescal import Effect, Measurements, Model
 from bayescal._annexes.fleet.batch_result import EFFECTS
-from bayescal._annexes.fleet.devices import Devices
 from bayescal._annexes.fleet.fit_devices import Reference
 from bayescal._core import deadline
 from bayescal._core.settings import settings
@@ -31,7 +30,7 @@ from bayescal._model.frame import reference_of
 from bayescal._search.discover import structures_over
 from bayescal._search.library import Library
 from bayescal._search.posterior import Posterior
-from bayescal._search.walk import explore
+from bayescal._search.walk import NEAR_NATS, explore
 
 # Probability from which an effect of a device is kept, and printed of the whole: as that of a noise law.
 KEPT_PROBABILITY = 0.01
@@ -100,6 +99,7 @@ def search_device(
     structures, _ = structures_over(
         model, readings, constants, effects=find.effects, widen_noise=find.widen_noise
     )
+    structures = replace(structures, form_nats=NEAR_NATS)
     if stopped := explore(Library(structures), find.max_effects):
         raise deadline.TimeIsUp(stopped)
     posterior = Posterior.of(structures)
@@ -128,33 +128,6 @@ def _weighed(posterior: Posterior, log_odds: Mapping[str, float]) -> dict[tuple[
     best = max(total.values())
     order = sorted(total, key=lambda effects: -total[effects])[:KEPT_STRUCTURES]
     return {e: round(total[e] - best, 6) for e in order if total[e] > best - BEHIND_NATS}
-
-
-def search_devices(
-    model: Model, devices: Devices, find: Find, reference: Reference
-) -> tuple[dict[str, DeviceStructure], list[tuple[Model, Devices]], dict[str, str]]:
-    """Search each device.
-
-    Returns:
-        Each device's structure; the devices of equal models, with that model; why others could not be searched.
-    """
-    refused = dict[str, str]()
-    structures: dict[str, DeviceStructure] = {}
-    alike: dict[tuple, tuple[Model, list[str]]] = {}
-    for block in devices.blocks:
-        for i, name in enumerate(block.names):
-            try:
-                structure, made = search_device(model, block.measurements(i), find, reference)
-            except (BayescalError, deadline.TimeIsUp) as error:
-                refused[name] = str(error)
-                continue
-            structures[name] = structure
-            # Open sizes are a device's own: only equal models share a program.
-            kind = (structure.effects, repr(made.effects), repr(made.noise))
-            alike.setdefault(kind, (made, []))[1].append(name)
-    everyone = {*devices.names}
-    groups = [(made, devices.without(everyone - {*names})) for made, names in alike.values()]
-    return structures, groups, refused
 
 
 # Of Gibbs sampling: until shares are at rest, and those that are averaged.

@@ -7,46 +7,55 @@ from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import nullcontext
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
-import pyarrow.dataset as pads
+import numpy as np
+import pyarrow as pa
 
-from bayescal import InputError, Measurements, Model, Settings, use_settings
-from bayescal._annexes.fleet.batch_result import BatchResult, first_few
-from bayescal._annexes.fleet.device_files import (
-    DevicePart,
-    Piece,
-    files_of,
-    parts_of,
-    read_part,
-    repeated,
+from bayescal import (
+    BayescalError,
+    InputError,
+    LeastSquares,
+    Marginal,
+    Measurements,
+    Model,
+    Settings,
+    use_settings,
 )
+from bayescal._annexes.fleet.batch_result import (
+    BatchResult,
+    first_few,
+    pooled,
+    rows_of,
+    without_repeated,
+)
+from bayescal._annexes.fleet.device_files import Piece, ReadPiece, files_of, parts_of
 from bayescal._annexes.fleet.devices import DEVICE, Devices, gathered
 from bayescal._annexes.fleet.engine import run_tasks
 from bayescal._annexes.fleet.find_devices import (
+    DeviceStructure,
     Find,
     common_model,
     effects_table,
-    search_devices,
+    search_device,
 )
 from bayescal._annexes.fleet.fit_devices import (
     CHUNK,
     FitOptions,
-    Fits,
     Method,
     Reference,
-    common_reference,
-    tailored_to_first,
+    fit_devices,
+    tailored,
     temperature_sums,
 )
 from bayescal._annexes.fleet.odd_devices import odd_devices
-from bayescal._annexes.fleet.partial_pooling import pooled
 from bayescal._annexes.fleet.population import AskedPopulation, chosen
 from bayescal._core import deadline
-from bayescal._core.settings import settings
+from bayescal._core.settings import settings, unusual
 from bayescal.workshop import ReadOptions, note, refuse_missing, stage, tell
 
 if TYPE_CHECKING:
@@ -65,7 +74,7 @@ Readings = (
     | Path
     | Sequence[str | Path]
 )
-Part = tuple[Piece, ...] | DevicePart  # files to read, or what was read
+Part = Sequence[Piece | ReadPiece]
 
 
 @dataclass(frozen=True)
@@ -86,35 +95,57 @@ class Request:
     find: Find | None
     settings: Settings
 
-    def read(self, part: Part) -> DevicePart:
-        """Read a part, unless it was."""
-        if isinstance(part, DevicePart):
-            return part
-        return read_part(part, self.model, self.read_options)
+    def read(self, part: Part) -> tuple[list[ReadPiece], dict[str, str]]:
+        """Read a part; and why files of it cannot be used."""
+        found, unreadable = list[ReadPiece](), dict[str, str]()
+        for piece in part:
+            try:
+                found.append(ReadPiece(piece.name, piece.read(self.model, self.read_options)))
+            except (InputError, OSError) as error:
+                unreadable[piece.name] = str(error)
+        return found, unreadable
+
+
+class Fits(NamedTuple):
+    """What came of some parts.
+
+    Attributes:
+        rows: of their devices, as `BatchResult` has them.
+        structures: of the devices that were searched.
+        missing: file → why its devices have no results.
+    """
+
+    rows: pa.Table
+    structures: dict[str, DeviceStructure]
+    missing: dict[str, str]
 
 
 def fit_part(request: Request, part: Part) -> Fits:
     """Read and fit the devices of a part."""
     with HOLDS_PART, use_settings(request.settings):
-        read = request.read(part)
-        devices, options = read.devices, request.fit_options
-        files = {"places": read.places, "missing": read.unreadable}
-        fits = Fits(options, [*devices.names], dict(devices.refused), **files)
-        if request.find is None:
-            fits.fit_groups([(request.model, devices)])
-            return fits
-        fits.structures, groups, refused = search_devices(
-            request.model, devices, request.find, options.reference
-        )
-        fits.reasons |= refused
-        with deadline.finishing():
-            fits.fit_groups(groups)
-        return fits
+        (pieces, unreadable), options = request.read(part), request.fit_options
+        every = [(piece, name) for piece in pieces for name in piece.devices.names]
+        reasons = {i: piece.devices.refused.get(name, "") for i, (piece, name) in enumerate(every)}
+        good = {i: every[i][0].devices[every[i][1]] for i, why in reasons.items() if not why}
+        structures, models = dict[str, DeviceStructure](), dict.fromkeys(good, request.model)
+        for i in [*good] if request.find else ():
+            own = request.model, good[i], request.find, options.reference
+            try:
+                structures[every[i][1]], models[i] = search_device(*own)
+            except (BayescalError, deadline.TimeIsUp) as error:
+                reasons[i] = str(error)
+                del good[i]
+        with deadline.finishing() if request.find else nullcontext():
+            fitted, against = fit_devices(models, good, options)
+        names, files = [name for _, name in every], [piece.name for piece, _ in every]
+        rows = rows_of(names, files, [*(reasons | against).values()], fitted)
+        return Fits(rows, structures, unreadable)
 
 
-def _temperature_sums(request: Request, part: Part) -> list[tuple[str, float, int]]:
+def sum_temperatures(request: Request, part: Part) -> dict[str, np.ndarray]:
+    """Return sums and numbers of a part's temperatures."""
     with use_settings(request.settings):
-        return temperature_sums(request.read(part).devices)
+        return temperature_sums(one for piece in request.read(part)[0] for one in piece.devices)
 
 
 @dataclass(frozen=True)
@@ -125,63 +156,70 @@ class _Run:
     parts: Sequence[Part]
     client: Client | None
 
-    def with_common(self, pooled: bool) -> _Run:
-        """The same with what has to be one for all devices: constants of a population, the unit.
-
-        Raises:
-            InputError: a part cannot be read, or no device has what the instrument takes from readings.
-        """
-        request, options = self.request, self.request.fit_options
-        whole = isinstance(self.parts[0], DevicePart)
-        if pooled and (whole or "T0" not in options.reference):
-            if not whole:
-                tell("reading all temperatures, for a common T0 (a reference given spares that)")
-            with deadline.finishing():
-                outcomes = [*run_tasks(self.client, _temperature_sums, self._tasks(request))]
-            if why := "; ".join(outcome.error for outcome in outcomes if outcome.error):
-                raise InputError(why)
-            sums = [own for o in sorted(outcomes, key=lambda o: o.index) for own in o.value]
-            request = replace(request, fit_options=options.with_common(common_reference(sums)))
-        if request.model.instrument.tailor is None:
-            return replace(self, request=request)
-        errors = list[str]()
-        for part in self.parts:
-            try:
-                model = tailored_to_first(request.model, request.read(part).devices)
-            except InputError as error:
-                errors.append(str(error))
-            else:
-                if model is not request.model:
-                    return replace(self, request=replace(request, model=model))
-        if errors:
-            raise InputError(f"none of the devices can be used; {errors[0]}")
-        return replace(self, request=request)
-
-    def fitted(self) -> Fits:
-        """Fit all parts, and put them together in their order."""
-        values, missing = dict[int, Fits](), dict[str, str]()
+    def each(self, function: Callable[..., Any]) -> tuple[list[Any], dict[int, str]]:
+        """Return what a function gives of the parts, in their order, and why it gives nothing of others."""
+        values, errors = dict[int, Any](), dict[int, str]()
         begun = last = time.monotonic()
-        tasks = self._tasks(self.request)
-        for count, outcome in enumerate(run_tasks(self.client, fit_part, tasks), 1):
-            if outcome.error:
-                part = self.parts[outcome.index]
-                files = part.places if isinstance(part, DevicePart) else [p.name for p in part]
-                missing |= dict.fromkeys(files, outcome.error)
-            else:
-                values[outcome.index] = outcome.value
+        tasks = [(self.request, part) for part in self.parts]
+        for count, (i, value, error) in enumerate(run_tasks(self.client, function, tasks), 1):
+            (errors if error else values)[i] = error or value
             if time.monotonic() > last + PROGRESS_SECONDS:
                 last = time.monotonic()
-                devices = sum(len(own.names) for own in values.values())
                 rest = (last - begun) * (len(tasks) / count - 1)
-                tell(f"{devices:,} devices, about {rest:,.0f} s left")
-        together = Fits(self.request.fit_options, missing=missing)
-        for _, own in sorted(values.items()):
-            together.extend(own)
-        together.refuse(repeated(together.places))
-        return together
+                tell(f"{count} of {len(tasks)} parts, about {rest:,.0f} s left")
+        return [own for _, own in sorted(values.items())], errors
 
-    def _tasks(self, request: Request) -> list[tuple[Request, Part]]:
-        return [(request, part) for part in self.parts]
+    def asking(self, **changed: Any) -> _Run:
+        """The same of a request in which something is another."""
+        return replace(self, request=replace(self.request, **changed))
+
+    def with_reference(self) -> _Run:
+        """The same with T0 and its like over all devices, so that offsets mean the same for each.
+
+        Raises:
+            InputError: a part cannot be read.
+        """
+        options = self.request.fit_options
+        if not isinstance(self.parts[0][0], ReadPiece):
+            if "T0" in options.reference:
+                return self
+            tell("reading all temperatures, for a common T0 (a reference given spares that)")
+        with deadline.finishing():
+            sums, errors = self.each(sum_temperatures)
+        if errors:
+            raise InputError("; ".join(errors.values()))
+        names = dict.fromkeys(name for own in sums for name in own)
+        total = {name: sum(own.get(name, np.zeros(2)) for own in sums) for name in names}
+        common: Reference = {name: float(np.round(s / n)) for name, (s, n) in total.items()}
+        return self.asking(fit_options=replace(options, reference=common | options.reference))
+
+    def tailored(self) -> _Run:
+        """The same with the model tailored to the first device that it can be tailored to.
+
+        Raises:
+            InputError: no device has what the instrument takes from readings: why, of the first.
+        """
+        model, refusals = self.request.model, list[str]()
+        for part in self.parts if model.instrument.tailor is not None else ():
+            for readings in (one for piece in self.request.read(part)[0] for one in piece.devices):
+                try:
+                    return self.asking(model=tailored(model, readings))
+                except InputError as error:
+                    refusals.append(str(error))
+        if refusals:
+            raise InputError(f"none of the devices can be used; {refusals[0]}")
+        return self
+
+    def fitted(self) -> Fits:
+        """Fit all parts, and put them together."""
+        found, errors = self.each(fit_part)
+        missing = {piece.name: why for i, why in errors.items() for piece in self.parts[i]}
+        structures = dict[str, DeviceStructure]()
+        for own in found:
+            structures |= own.structures
+            missing |= own.missing
+        rows = pa.concat_tables([rows_of((), (), (), ()), *(own.rows for own in found)])
+        return Fits(without_repeated(rows), structures, missing)
 
 
 def fit_batch(
@@ -236,7 +274,12 @@ def fit_batch(
         InputError: no device that can be used, paths that are not there, a result that cannot be written.
         ModelError: a population of something that is no coefficient.
     """
-    options = FitOptions.of(method, seed, chunk, reference)
+    if chunk < 1:
+        raise InputError(f"chunk is {chunk}: give at least 1")
+    method = method or LeastSquares()
+    if isinstance(method, Marginal):  # chains of single devices, minutes each, are left to `fit`
+        method = replace(method, chains=False)
+    options = FitOptions(method, seed, chunk, dict(reference or {}))
     chosen(model, population)  # a wrong name is refused before anything is read
     search = Find() if find is True else find or None
     read_options = ReadOptions.of(model.instrument, **(columns or {}))
@@ -251,14 +294,16 @@ def fit_batch(
         usual = FIND_ROWS if search else ROWS
         parts += parts_of(files, usual if partition_rows is None else partition_rows, device)
         if len(parts) == 1 and client is None:  # several of the steps below see its readings
-            parts = [request.read(parts[0])]
+            known = {piece.name: piece for piece in request.read(parts[0])[0]}
+            parts = [[known.get(piece.name, piece) for piece in parts[0]]]
     else:
-        parts = [DevicePart(_given(readings), {}, {})]
+        parts = [[ReadPiece("", _given(readings))]]
     if client is not None and client.cluster is None and client.dashboard_link:
         tell(f"the cluster's dashboard: {client.dashboard_link}")
     with deadline.until(time_limit):
-        run = _Run(request, parts, client).with_common(bool(population))
-        result = _fit(run, population)
+        run = _Run(request, parts, client)
+        run = run.with_reference() if population else run
+        result = _fit(run.tailored(), population)
     result = replace(result, left_out=unread)
     if out is not None:
         result.save(out)
@@ -275,21 +320,36 @@ def _fit(run: _Run, population: AskedPopulation) -> BatchResult:
     named = chosen(model, population)
     with stage("fitting devices"):
         fitted = run.fitted()
-    result = fitted.result(model)
-    if not result.parts:
-        reasons = fitted.reasons | fitted.missing
+    rows = fitted.rows
+    about = {
+        "instrument": model.instrument.name,
+        "effects": list(model.names),
+        "noise": model.noise.law,
+        "method": options.method.name,
+        "seed": options.seed,
+        "reference": {k: v for k, v in options.reference.items() if not isinstance(v, dict)},
+    }
+    result = BatchResult(rows, about | ({"settings": own} if (own := unusual()) else {}))
+    if not rows["coefficient"].null_count < len(rows):
+        reasons = result.doubted | fitted.missing
         lines = "\n".join(first_few(reasons, len(reasons))).strip()
         raise InputError(f"none of the devices can be used; {lines or 'there is none'}")
     structures = [fitted.structures[name] for name in result.devices if name in fitted.structures]
     effects = effects_table(structures, options.seed)
     common = common_model(model, structures, effects, find.effects if find else ())
-    alike, compared = options.compared_at(result.facts), result
-    if alike or common is not model:
-        again = replace(run.request, model=common, fit_options=alike or options, find=None)
-        compared = replace(run, request=again).fitted().result(common)
+    t0, compared = result.facts["T0"], rows
+    apart = "T0" not in options.reference and t0.dropna().nunique() > 1
+    if apart:  # offsets are compared at one temperature
+        reference = {**options.reference, "T0": float(t0.median().round())}
+        options = replace(options, reference=reference, method=LeastSquares())
+    if apart or common is not model:
+        compared = run.asking(model=common, fit_options=options, find=None).fitted().rows
+    rows, learned = pooled(rows, named, options.seed) if named else (rows, None)
     return replace(
-        pooled(result, named, options.seed) if named else result,
-        odd=odd_devices(pads.dataset(compared.rows()), result.facts, common.noise.parameters()),
+        result,
+        rows=rows,
+        population=learned,
+        odd=odd_devices(compared, t0, common.noise.parameters()),
         checked=len(structures),
         missing=fitted.missing,
         effects=effects,

@@ -24,6 +24,7 @@ from typing import NamedTuple
 
 import numpy as np
 import pandas as pd
+import pyarrow as pa
 import pyarrow.dataset as pads
 from jaxtyping import Float
 from scipy import stats
@@ -38,38 +39,32 @@ ROUNDS = 50  # until nothing changes, at most
 SAME_TEMPERATURE = 1.0  # °C, standard deviation of reference temperatures that are no different
 
 
-def odd_devices(
-    results: pads.Dataset, facts: pd.DataFrame, of_noise: Collection[str]
-) -> dict[str, list[str]]:
+def odd_devices(rows: pa.Table, t0: pd.Series, of_noise: Collection[str]) -> dict[str, list[str]]:
     """Return the devices of which a quantity is not like the others', and what is said of each.
 
     Args:
-        results: rows of `device`, `coefficient`, `mean`, `sd`, `unit` and `ok`, of one model.
-        facts: one row a device, by its name: how many readings it has, and its reference temperature T0, °C.
+        rows: of fits by one model at one temperature, as `BatchResult` has them.
+        t0: reference temperatures of the devices' own readings by their names, °C.
         of_noise: names of the coefficients that are standard deviations of the noise.
     """
-    good = pads.field("ok")
-    facts = facts.loc[results.to_table(["device"], filter=good)["device"].unique().to_pylist()]
-    held = results.to_table(["coefficient"], filter=good)["coefficient"].value_counts().to_pylist()
-    names = [one["values"] for one in held if one["counts"] == len(facts)]
-    names = [name for name in names if "[" not in name]
-    least = FAMILY_WISE_ERROR / max(1, len(facts) * (len(names) + 1))
+    columns = ["device", "coefficient", "mean", "sd", "unit", "readings"]
+    good = rows.select([*columns, "ok"]).filter(pads.field("ok")).to_pandas()
+    devices = good["device"].unique()
+    each = {n: own.set_index("device") for n, own in good.groupby("coefficient", sort=False)}
+    names = [str(n) for n, own in each.items() if len(own) == len(devices) and "[" not in str(n)]
+    least = FAMILY_WISE_ERROR / max(1, len(devices) * (len(names) + 1))
     odd: dict[str, list[str]] = {}
-    t0 = facts["T0"].dropna()
+    t0 = t0.loc[devices].dropna()
     p, middle = predicted(t0.to_numpy(), np.full(len(t0), SAME_TEMPERATURE**2), np.inf, least)
-    far = t0.loc[p < least]
-    elsewhere = dict(zip(map(str, far.index), far, strict=True))
-    for device, own in elsewhere.items():
-        said = f"measured about {number(own)} °C, the others about {number(middle)} °C"
+    elsewhere = t0.loc[p < least].to_dict()
+    for device, at in elsewhere.items():
+        said = f"measured about {number(at)} °C, the others about {number(middle)} °C"
         odd[device] = [f"{said}: its values are not compared"]
     for name in names:
-        of = good & (pads.field("coefficient") == name)
-        rows = results.to_table(["device", "mean", "sd", "unit"], filter=of, use_threads=False)
-        own = rows.to_pandas().set_index("device").drop(elsewhere, errors="ignore")
-        devices, mean = own.index.tolist(), own["mean"].to_numpy()
-        readings = facts["readings"].loc[devices].fillna(0).to_numpy()
-        variance, power = own["sd"].fillna(0.0).to_numpy() ** 2, 1.0
-        freedom = np.maximum(readings - len(names) + 1, 1.0)
+        own = each[name].drop(elsewhere, errors="ignore")
+        mean, power = own["mean"].to_numpy(), 1.0
+        variance = own["sd"].fillna(0.0).to_numpy() ** 2
+        freedom = np.maximum(own["readings"].fillna(0).to_numpy() - len(names) + 1, 1.0)
         if name in of_noise:
             power, mean = 2 / 3, np.abs(mean)
             variance, freedom = np.median(mean) ** (2 * power) * 2 / (9 * freedom), np.inf
@@ -78,7 +73,7 @@ def odd_devices(
         for i in np.flatnonzero(p < least).tolist():
             said = f"{name} {number(mean[i])}, of the others {usual} "
             said += unit_label(own["unit"].iloc[0])
-            odd.setdefault(str(devices[i]), []).append(said.rstrip())
+            odd.setdefault(own.index[i], []).append(said.rstrip())
     return odd
 
 

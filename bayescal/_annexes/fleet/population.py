@@ -13,17 +13,15 @@ m is integrated out in closed form; τ is sampled by importance sampling from it
     A = Σ_d (Λ⁻¹ + T)⁻¹ + 1/s₀²,   a = Σ_d (1 + ΛT)⁻¹h + m₀/s₀²
 
 and each device's coefficients follow given τ and m, those that are not named by regression on them. So devices lend
-each other strength, a device with few readings most of all. The devices enter by sums over them alone, block by block.
-A device is kept as its own estimate x̂ and e = h − Λx̂, which is small: it is what its own
-prior pulled. With M = (1 + ΛT)⁻¹ the sums are
+each other strength, a device with few readings most of all. A device is kept as its own estimate x̂ and e = h − Λx̂,
+which is small: it is what its own prior pulled. With M = (1 + ΛT)⁻¹ the sums are
 
     Σ hᵀT·M·h + log|M|  =  Σ −xᵀM·Λx + 2eᵀ(1 − Mᵀ)x + eᵀT·M·e + log|M|  +  a constant,
     Σ M·h  =  Σ M·Λx + M·e,
     Σ M·Λ,
 
 with x = x̂ − c, the coefficients counted from a common centre c. Written so, no term is larger than the scatter of the
-devices in parts of τ asks for, and the order of summing does not show. Padded devices have Λ = 0, x = 0 and e = 0 and
-add nothing.
+devices in parts of τ asks for.
 
 Exact where the model is linear in its coefficients, Gaussian, and the noise known. Else two approximations stand: the
 Gaussian summary of each device, and its noise, which stays at the device's own estimate.
@@ -32,21 +30,17 @@ Source: A. Gelman et al., Bayesian Data Analysis, 3rd ed. (2013), section 5.4, i
 
 from __future__ import annotations
 
-import operator
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from functools import partial, reduce
 from typing import Any, NamedTuple
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 import pandas as pd
-from jaxtyping import Array, Float
+from jaxtyping import Float
 
 from bayescal import Coefficient, Flat, HalfCauchy, HalfNormal, Model, ModelError
 from bayescal._core.importance_weights import smoothed
-from bayescal._core.jax_setup import configure_jax
 from bayescal._inference import trust
 from bayescal._inference.newton import ByValues, climb, gaussian_fit
 from bayescal._inference.sampling import PriorShare, around_mode, propose
@@ -56,176 +50,9 @@ FEWEST_DEVICES = 3
 # Effective draws of a population's standard deviations, from which their means and standard uncertainties are known
 # well enough: to 1/√(2·50), a tenth.
 POPULATION_DRAWS = 50
-
-configure_jax()
-
-SPREADS_TOGETHER = 16  # standard deviations evaluated at once
-LEAST_DEVICES = 64  # devices in a program; beyond it powers of two, so that few are compiled
-BLOCK_DEVICES = (
-    16_384  # summed at once: what the standard deviations evaluated together take, bounded
-)
-
-
-class DeviceEstimates(NamedTuple):
-    """What the readings alone say of devices, in units of the coefficients' plausible sizes.
-
-    Attributes:
-        precision: Λ, (b, k, k).
-        estimate: x̂, (b, k).
-        rest: e, (b, k).
-    """
-
-    precision: np.ndarray
-    estimate: np.ndarray
-    rest: np.ndarray
-
-
-class Sums(NamedTuple):
-    """Sums over devices at each of several standard deviations τ, or their slopes along log τ (leaves (s, k, …)).
-
-    Attributes:
-        level: Σ hᵀTMh + log|M|, but for a constant, (s,).
-        pull: Σ M·h, (s, k).
-        precision: Σ M·Λ, (s, k, k).
-    """
-
-    level: np.ndarray
-    pull: np.ndarray
-    precision: np.ndarray
-
-
-class DeviceMoments(NamedTuple):
-    """Devices' coefficients under a population, in units of the plausible sizes: (b, k), (b, k, k)."""
-
-    mean: np.ndarray
-    covariance: np.ndarray
-
-
-class PopulationDraws(NamedTuple):
-    """Weighted draws of the standard deviations τ, and of the population's mean given each.
-
-    Attributes:
-        centre: from which coefficients are counted, (k,).
-        scale, v: τ = scale·exp(v), (k,) and (s, k).
-        weights: of the draws, adding up to one, (s,).
-        mean, covariance: of the population's mean less the centre, given each draw, (s, k) and (s, k, k).
-    """
-
-    centre: np.ndarray
-    scale: np.ndarray
-    v: np.ndarray
-    weights: np.ndarray
-    mean: np.ndarray
-    covariance: np.ndarray
-
-
-def sums(devices: DeviceEstimates, centre: np.ndarray, scale: np.ndarray, v: np.ndarray) -> Sums:
-    """Sums over devices, counted from a centre, at the standard deviations τ = scale·exp(v), v (s, k)."""
-    return _total(_sums, devices, centre, scale, v)
-
-
-def sums_and_slopes(
-    devices: DeviceEstimates, centre: np.ndarray, scale: np.ndarray, v: np.ndarray
-) -> tuple[Sums, Sums]:
-    """The sums, and their derivatives along each of v, (s, k, …)."""
-    return _total(_sums_and_slopes, devices, centre, scale, v)
-
-
-def _total(
-    function: Callable[..., Any], devices: DeviceEstimates, centre: np.ndarray, *at: np.ndarray
-) -> Any:
-    """What a function gives of blocks of devices, added up from the first to the last."""
-    parts = (function(_padded(block, centre), *at) for block in _blocks(devices))
-    return jax.tree.map(np.asarray, reduce(partial(jax.tree.map, operator.add), parts))
-
-
-def _blocks(devices: DeviceEstimates) -> Iterator[DeviceEstimates]:
-    for begin in range(0, len(devices.estimate), BLOCK_DEVICES):
-        yield DeviceEstimates(*(a[begin : begin + BLOCK_DEVICES] for a in devices))
-
-
-def _padded(devices: DeviceEstimates, centre: np.ndarray) -> DeviceEstimates:
-    count = len(devices.estimate)
-    spare = max(LEAST_DEVICES, 1 << max(count - 1, 0).bit_length()) - count
-    return DeviceEstimates(
-        np.pad(devices.precision, ((0, spare), (0, 0), (0, 0))),
-        np.pad(devices.estimate - centre, ((0, spare), (0, 0))),
-        np.pad(devices.rest, ((0, spare), (0, 0))),
-    )
-
-
-def _inverse(precision: Any, t: Any) -> Array:
-    """M = (1 + ΛT)⁻¹ of each device."""
-    return jnp.linalg.inv(jnp.eye(len(t)) + precision * t)
-
-
-def _times(matrices: Any, vectors: Any) -> Array:
-    return jnp.einsum("bij,bj->bi", matrices, vectors)
-
-
-def _sums_at(devices: DeviceEstimates, scale: Array, v: Float[Array, "k"]):
-    t = (scale * jnp.exp(v)) ** 2
-    inverse = _inverse(devices.precision, t)
-    x, rest, weighed = devices.estimate, devices.rest, inverse @ devices.precision
-    pulled, pulled_rest = _times(weighed, x), _times(inverse, rest)
-    level = jnp.sum(rest * (t * pulled_rest + 2 * x) - x * (pulled + 2 * pulled_rest))
-    level = level + jnp.sum(jnp.linalg.slogdet(inverse)[1])
-    return Sums(level, jnp.sum(pulled + pulled_rest, axis=0), jnp.sum(weighed, axis=0))
-
-
-@jax.jit
-def _sums(devices: DeviceEstimates, scale: Array, v: Array):
-    return jax.lax.map(partial(_sums_at, devices, scale), v, batch_size=SPREADS_TOGETHER)
-
-
-@jax.jit
-def _sums_and_slopes(devices: DeviceEstimates, scale: Array, v: Array):
-    def one(v: Array):
-        def both(v: Array):
-            sums = _sums_at(devices, scale, v)
-            return sums, sums
-
-        slopes, values = jax.jacfwd(both, has_aux=True)(v)
-        return values, jax.tree.map(lambda a: jnp.moveaxis(a, -1, 0), slopes)
-
-    return jax.lax.map(one, v, batch_size=SPREADS_TOGETHER)
-
-
-@partial(jax.jit, static_argnames="likely")
-def _moments(devices: DeviceEstimates, draws: PopulationDraws, likely: int):
-    _, scale, v, weights, mean, covariance = draws
-
-    def given(v, mean, covariance):
-        """c | m has covariance T·M and mean m + T·M·(h − Λm); m is integrated over its own."""
-        t = (scale * jnp.exp(v)) ** 2
-        inner = t[:, None] * _inverse(devices.precision, t)
-        inner = 0.5 * (inner + jnp.swapaxes(inner, 1, 2))
-        share = inner @ devices.precision
-        slope = jnp.eye(len(t)) - share
-        device = _times(share, devices.estimate) + _times(inner, devices.rest)
-        device = device + jnp.einsum("bij,j->bi", slope, mean)
-        return device, inner + slope @ covariance @ jnp.swapaxes(slope, 1, 2)
-
-    # Second moments about the likeliest draw's means, which keeps their digits.
-    about, _ = given(v[likely], mean[likely], covariance[likely])
-
-    def add(total, one):
-        weight, *draw = one
-        device, inner = given(*draw)
-        device = device - about
-        new = device, inner + device[:, :, None] * device[:, None, :]
-        return tuple(a + weight * b for a, b in zip(total, new, strict=True)), None
-
-    start = jnp.zeros_like(devices.estimate), jnp.zeros_like(devices.precision)
-    first, second = jax.lax.scan(add, start, (weights, v, mean, covariance))[0]
-    return about + first, second - first[:, :, None] * first[:, None, :]
-
-
 DRAWS = 2000  # of τ, fewer for many devices: their posterior is narrow
 CELLS = 1_000_000  # draws × devices at most
 STARTS = (-6.0, -4.0, -2.0, -1.0, 0.0, 1.0)  # of log(τ/scale), where its mode is looked for first
-NEWTON_STEPS = 3  # of Newton at the mode
-NUDGE, SIDES = 1e-5, np.array([-1.0, 1.0])  # of v, for the slopes of priors
 
 GroupSdPrior = HalfNormal | HalfCauchy | Flat  # prior of a standard deviation between devices
 Named = Mapping[str, tuple[Coefficient, GroupSdPrior]]  # a population's coefficients by name
@@ -292,75 +119,145 @@ def chosen(model: Model, asked: AskedPopulation) -> Named:
     return {n: (known[n], given.get(n, HalfCauchy(known[n].size))) for n in names}
 
 
-class Learned(NamedTuple):
-    """A population as it is reported, and the draws that each device's coefficients follow from.
+class GivenSd(NamedTuple):
+    """Devices and the population's mean at standard deviations between devices, in units of the plausible sizes.
 
     Attributes:
-        population: as it is reported.
-        size: plausible sizes of the coefficients, the units of the draws: so all matrices are of order one, (k,).
-        draws: of the standard deviations, and of the population's mean given each.
+        log_density: of these.
+        mean, covariance: of m, from the centre, (k,) and (k, k).
+        pull: M of each device, (b, k, k).
+        t: τ², (k,).
     """
 
-    population: Population
-    size: np.ndarray
-    draws: PopulationDraws
-
-    def moments(self, devices: DeviceEstimates) -> DeviceMoments:
-        """The devices' coefficients under the population, averaged over the draws, in their units."""
-        draws, size = self.draws, self.size
-        made = _moments(_padded(devices, draws.centre), draws, int(np.argmax(draws.weights)))
-        mean, covariance = (np.asarray(a)[: len(devices.estimate)] for a in made)
-        return DeviceMoments((mean + draws.centre) * size, covariance * np.outer(size, size))
+    log_density: float
+    mean: Float[np.ndarray, "k"]
+    covariance: Float[np.ndarray, "k k"]
+    pull: Float[np.ndarray, "b k k"]
+    t: Float[np.ndarray, "k"]
 
 
-def estimates(
-    mean: Float[np.ndarray, "b k"], covariance: Float[np.ndarray, "b k k"], named: Named
-) -> DeviceEstimates:
-    """What the readings alone say of devices fitted each by itself: their own priors taken out again.
+class Pooled:
+    """Devices and the population that they are of; all in units of the coefficients' plausible sizes.
 
     Args:
-        mean, covariance: of the named coefficients, in their units.
+        mean, covariance: of the named coefficients of devices fitted each by itself, in their units.
         named: the population's coefficients, in that order.
     """
-    size, weight, centre = _prior(named)
-    own = np.linalg.inv(covariance / np.outer(size, size))
-    estimate = mean / size
-    return DeviceEstimates(own - np.diag(weight), estimate, weight * (estimate - centre))
+
+    def __init__(
+        self,
+        mean: Float[np.ndarray, "b k"],
+        covariance: Float[np.ndarray, "b k k"],
+        named: Named,
+    ) -> None:
+        parts, self.priors = zip(*named.values(), strict=True)
+        self.size = np.array([c.size for c in parts])
+        self.weight = np.array([0.0 if c.flat else 1.0 for c in parts])
+        own = np.array([c.mean for c in parts]) / self.size
+        scaled = mean / self.size
+        self.centre = scaled.mean(axis=0)
+        self.own = own - self.centre  # mean of the prior of m, from the centre
+        self.scale = np.array([prior.scale for prior in self.priors]) / self.size
+        # What the readings alone say: the device's own prior is taken out again.
+        inverse = np.linalg.inv(covariance / np.outer(self.size, self.size))
+        self.precision = inverse - np.diag(self.weight)
+        self.estimate, self.rest = scaled - self.centre, self.weight * (scaled - own)
+
+    def given(self, v: Float[np.ndarray, "k"]) -> GivenSd:
+        """Return the devices and m at τ = scale·exp(v)."""
+        t, x, e = (self.scale * np.exp(v)) ** 2, self.estimate, self.rest
+        inverse = np.linalg.inv(np.eye(len(t)) + self.precision * t)
+        weighed = inverse @ self.precision
+        by_x, by_e = (weighed @ x[:, :, None])[:, :, 0], (inverse @ e[:, :, None])[:, :, 0]
+        level = np.sum(e * (t * by_e + 2 * x) - x * (by_x + 2 * by_e))
+        level += np.sum(np.linalg.slogdet(inverse)[1])
+        covariance = np.linalg.inv(weighed.sum(axis=0) + np.diag(self.weight))
+        pull = np.sum(by_x + by_e, axis=0) + self.weight * self.own
+        mean = covariance @ pull
+        value = 0.5 * (level + pull @ mean + np.linalg.slogdet(covariance)[1])
+        value += self.log_prior(v[None])[0]
+        return GivenSd(float(value), mean, covariance, inverse, t)
+
+    def log_prior(self, v: Float[np.ndarray, "s k"]) -> Float[np.ndarray, "s"]:
+        return np.sum([p.log_density(v[:, i]) for i, p in enumerate(self.priors)], axis=0)
+
+    def prior_draws(self, random: np.random.Generator, count: int) -> Float[np.ndarray, "s k"]:
+        keys = jax.random.split(
+            jax.random.key(int(random.integers(1 << 31))), (len(self.priors), count)
+        )
+        each = zip(self.priors, keys, strict=True)
+        return np.stack([np.asarray(jax.vmap(p.sample)(own)) for p, own in each], axis=1)
+
+    def values(self, v: Float[np.ndarray, "s k"]) -> Float[np.ndarray, "s"]:
+        """Return log densities."""
+        return np.nan_to_num([self.given(one).log_density for one in v], nan=-np.inf)
+
+    def draws(self, seed: int) -> tuple[np.ndarray, np.ndarray, float]:
+        """Return draws of v, with smoothed weights and k̂."""
+        starts = [np.full(len(self.size), v) for v in STARTS]
+        density = ByValues(self.values)
+        best = climb(density, starts[int(np.argmax(self.values(np.array(starts))))])
+        covariance = gaussian_fit(density, best).covariance
+        count = int(np.clip(CELLS // len(self.estimate), 200, DRAWS))
+        improper = any(isinstance(prior, Flat) for prior in self.priors)
+        prior = None if improper else PriorShare(self.prior_draws, self.log_prior)
+        random = np.random.default_rng(seed)
+        v, log_proposal = propose(around_mode(best, covariance), prior, random, count)
+        log_density = self.values(v)
+        log_weight = np.where(np.isfinite(log_density), log_density, -1e300) - log_proposal
+        return v, *smoothed(log_weight)
+
+    def moments(self, given: GivenSd) -> tuple[np.ndarray, np.ndarray]:
+        """Return means, from the centre, and covariances of the devices' coefficients, m integrated out.
+
+        c | m has covariance T·M and mean m + T·M·(h − Λm).
+        """
+        inner = given.t[:, None] * given.pull
+        inner = 0.5 * (inner + inner.mT)
+        share = inner @ self.precision
+        slope = np.eye(len(given.t)) - share
+        mean = share @ self.estimate[:, :, None] + inner @ self.rest[:, :, None]
+        return (mean[:, :, 0] + slope @ given.mean), inner + slope @ given.covariance @ slope.mT
 
 
-def _prior(named: Named) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Plausible size of each coefficient; in units of it, weight and mean of the coefficient's own prior."""
-    parts = [c for c, _ in named.values()]
-    size = np.array([c.size for c in parts])
-    weight = np.array([0.0 if c.flat else 1.0 for c in parts])
-    return size, weight, np.array([c.mean for c in parts]) / size
-
-
-def learn(devices: DeviceEstimates, named: Named, seed: int) -> Learned:
-    """Learn a population from its devices.
+def learn(
+    mean: Float[np.ndarray, "b k"], covariance: Float[np.ndarray, "b k k"], named: Named, seed: int
+) -> tuple[Population, Float[np.ndarray, "b k"], Float[np.ndarray, "b k k"]]:
+    """Learn a population from its devices; and these under it, their means and covariances.
 
     Args:
-        devices: what their readings alone say.
-        named: the population's coefficients.
+        mean, covariance: of the named coefficients of devices fitted each by itself, in their units.
+        named: the population's coefficients, in that order.
         seed: of every random number.
 
     Raises:
         ModelError: fewer than three devices that can be trusted.
     """
-    if (count := len(devices.estimate)) < (fewest := FEWEST_DEVICES):
+    if (count := len(mean)) < FEWEST_DEVICES:
         raise ModelError(
-            f"a population is learned from at least {fewest} devices that converge; here {count} did"
+            f"a population is learned from at least {FEWEST_DEVICES} devices that converge; here {count} did"
         )
-    density = _Density(devices, named)
-    v, weights, k_hat, given = _draws(density, seed)
-    mean, covariance = density.population_mean(given)
-    size, between = density.size, density.scale * np.exp(v)
-    variance = np.diagonal(covariance, axis1=1, axis2=2)
+    pooled = Pooled(mean, covariance, named)
+    v, weights, k_hat = pooled.draws(seed)
+    # Second moments about the likeliest draw's means, which keeps their digits.
+    about, _ = pooled.moments(pooled.given(v[np.argmax(weights)]))
+    centres, squares = np.zeros((len(v), len(named))), np.zeros((len(v), len(named)))
+    first, second = np.zeros_like(mean), np.zeros_like(covariance)
+    for i, (one, weight) in enumerate(zip(v, weights, strict=True)):
+        given = pooled.given(one)
+        centres[i], squares[i] = given.mean, np.diag(given.covariance)
+        device, inner = pooled.moments(given)
+        first += weight * (device - about)
+        apart = (device - about)[:, :, None]
+        second += weight * (inner + apart * apart.mT)
+    second -= first[:, :, None] * first[:, None]
+    size, between = pooled.size, pooled.scale * np.exp(v)
+    middle = weights @ centres
     table = pd.DataFrame(
         {
             "coefficient": list(named),
-            "mean": (weights @ mean + density.centre) * size,
-            "mean_sd": np.sqrt(weights @ (variance + (mean - weights @ mean) ** 2)) * size,
+            "mean": (middle + pooled.centre) * size,
+            "mean_sd": np.sqrt(weights @ (squares + (centres - middle) ** 2)) * size,
             "group_sd": weights @ between * size,
             "group_sd_sd": np.sqrt(weights @ (between - weights @ between) ** 2) * size,
             "unit": [c.unit for c, _ in named.values()],
@@ -368,79 +265,22 @@ def learn(devices: DeviceEstimates, named: Named, seed: int) -> Learned:
     )
     why = trust.unevenness(weights, k_hat, enough=POPULATION_DRAWS)
     reason = why and f"weights of the between-group standard deviations were uneven ({why})"
-    population = Population(table, not why, reason, count, k_hat)
-    draws = PopulationDraws(density.centre, density.scale, v, weights, mean, covariance)
-    return Learned(population, size, draws)
+    found = Population(table, not why, reason, count, k_hat)
+    return found, (about + first + pooled.centre) * size, second * np.outer(size, size)
 
 
-class _Density:
-    """The density of v = log(τ/scale), and of m given it. Everything in units of the plausible sizes."""
-
-    def __init__(self, devices: DeviceEstimates, named: Named) -> None:
-        self.devices, self.centre = devices, devices.estimate.mean(axis=0)
-        self.priors = [prior for _, prior in named.values()]
-        self.size, self.weight, own = _prior(named)
-        self.own = own - self.centre  # mean of the prior of m, counted from the centre
-        self.scale = np.array([prior.scale for prior in self.priors]) / self.size
-
-    def population_mean(self, given: Sums) -> tuple[np.ndarray, np.ndarray]:
-        """Mean and covariance of m given each τ: A⁻¹a and A⁻¹."""
-        covariance = np.linalg.inv(given.precision + np.diag(self.weight))
-        pull = given.pull + self.weight * self.own
-        return np.einsum("sij,sj->si", covariance, pull), covariance
-
-    def log_density(self, v: np.ndarray) -> tuple[np.ndarray, Sums]:
-        """At several v (s, k), and the sums that it was made of."""
-        given = sums(self.devices, self.centre, self.scale, v)
-        return self.log_prior(v) + self._of_sums(given), given
-
-    def log_prior(self, v: np.ndarray) -> np.ndarray:
-        return np.sum([p.log_density(v[:, i]) for i, p in enumerate(self.priors)], axis=0)
-
-    def prior_draws(self, random: np.random.Generator, count: int) -> np.ndarray:
-        key = jax.random.key(int(random.integers(1 << 31)))
-        keys = jax.random.split(key, (len(self.priors), count))
-        each = zip(self.priors, keys, strict=True)
-        return np.stack([np.asarray(jax.vmap(p.sample)(own)) for p, own in each], axis=1)
-
-    def _of_sums(self, given: Sums) -> np.ndarray:
-        mean, covariance = self.population_mean(given)
-        pull = given.pull + self.weight * self.own
-        volume = np.linalg.slogdet(covariance)[1]
-        return 0.5 * (given.level + np.einsum("si,si->s", pull, mean) + volume)
-
-    def values(self, v: np.ndarray) -> np.ndarray:
-        """Its logarithm at several v."""
-        return np.nan_to_num(self.log_density(v)[0], nan=-np.inf)
-
-    def slope(self, v: np.ndarray) -> tuple[float, np.ndarray]:
-        """Its logarithm at one v (k,), and the slopes."""
-        given, slopes = sums_and_slopes(self.devices, self.centre, self.scale, v[None])
-        (mean,), (covariance,) = self.population_mean(given)
-        level, pull, precision = (leaf[0] for leaf in slopes)
-        # ∂(aᵀA⁻¹a − log|A|), where A⁻¹a and A⁻¹ are mean and covariance of m
-        slope = level + 2 * pull @ mean - mean @ precision @ mean
-        slope -= np.einsum("ij,kji->k", covariance, precision)
-        ends = [p.log_density(v[i] + NUDGE * SIDES) for i, p in enumerate(self.priors)]
-        value = self.log_prior(v[None]) + self._of_sums(given)
-        return float(value[0]), 0.5 * slope + np.diff(ends)[:, 0] / (2 * NUDGE)
-
-
-def _draws(density: Any, seed: int) -> tuple[np.ndarray, np.ndarray, float, Sums]:
-    """Draws of the logarithms of τ, with smoothed weights and k̂, and the sums at each."""
-    starts = [np.full(len(density.size), v) for v in STARTS]
-    by_values = ByValues(density.values)
-    best = climb(by_values, starts[int(np.argmax(density.values(np.array(starts))))])
-    covariance = gaussian_fit(by_values, best).covariance
-    # To the last digits, so that the order of summing does not show in what is drawn.
-    for _ in range(NEWTON_STEPS):
-        best = best + covariance @ density.slope(best)[1]
-    count = int(np.clip(CELLS // len(density.devices.estimate), 200, DRAWS))
-    improper = any(isinstance(s, Flat) for s in density.priors)
-    prior = None if improper else PriorShare(density.prior_draws, density.log_prior)
-    random = np.random.default_rng(seed)
-    v, log_proposal = propose(around_mode(best, covariance), prior, random, count)
-    log_density, given = density.log_density(v)
-    log_weight = np.where(np.isfinite(log_density), log_density, -1e300) - log_proposal
-    weights, k_hat = smoothed(log_weight)
-    return v, weights, k_hat, given
+def follow(
+    mean: Float[np.ndarray, "b q"],
+    covariance: Float[np.ndarray, "b q q"],
+    of: np.ndarray,
+    new_mean: Float[np.ndarray, "b k"],
+    new: Float[np.ndarray, "b k k"],
+) -> tuple[Float[np.ndarray, "b q"], Float[np.ndarray, "b q q"]]:
+    """Return all unknowns of devices, where those `of` have a new mean and covariance: by regression on them."""
+    rest = np.flatnonzero(np.isfinite(np.diagonal(covariance, axis1=1, axis2=2)).all(axis=0))
+    inner = covariance[:, of[:, None], of]
+    gain = covariance[:, rest[:, None], of] @ np.linalg.inv(inner)
+    mean, covariance = mean.copy(), covariance.copy()
+    mean[:, rest] += (gain @ (new_mean - mean[:, of])[:, :, None])[:, :, 0]
+    covariance[:, rest[:, None], rest] += gain @ (new - inner) @ gain.mT
+    return mean, covariance

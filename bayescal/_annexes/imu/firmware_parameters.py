@@ -67,7 +67,7 @@ def at_rest(
             "with one"
         )
     program, rest = chosen.program, np.zeros(len(calibration.readings))
-    (expected,) = program.graph.evaluate((program.expected,), {**inputs, STIMULUS: rest})
+    (expected,) = program.graph.evaluate((program.equation.expected,), {**inputs, STIMULUS: rest})
     expected = np.broadcast_to(expected, rest.shape)
     _, own, slope = program.run(expected, inputs)
     own = own / np.where(slope > 0, slope, 1.0)  # of the reading, not of the stimulus

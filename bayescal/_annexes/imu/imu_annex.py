@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import shlex
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -18,12 +17,13 @@ from bayescal.workshop import (
     CALIBRATION,
     MANIFEST,
     Answer,
-    ColumnOptions,
-    Commands,
-    ExportRequest,
+    AsJson,
+    Command,
+    ExportCommand,
     InUse,
-    ModelOptions,
+    Options,
     ReadRequest,
+    Shared,
     compensator_from,
     drawing,
     drawn,
@@ -34,6 +34,7 @@ from bayescal.workshop import (
     names_in,
     of_units,
     open_request,
+    opt,
     print_notes,
     reliable,
     result_folder,
@@ -43,18 +44,6 @@ from bayescal.workshop import (
 if TYPE_CHECKING:
     from bayescal.workshop import CorrectionKind, Objection
 
-commands = Commands(
-    {
-        "accelerometers": "Their three columns, as ax,ay,az; else by the usual names.",
-        "baseline": "Look for no effect beside bias, scale, misalignment.",
-        "dry_run": "Say what these poses do not determine and which to add; fit nothing.",
-        "gyroscopes": "Their three columns, as gx,gy,gz; else by the usual names.",
-        "magnetometers": "Their three columns, as mx,my,mz; of a log, those that it has.",
-        "poses": "Each row is a pose or a rate; else steady stretches of a log.",
-        "shortest": "Shortest pose in a log, s; 2, or 1 where many still stretches are shorter.",
-        "instrument": "Of three axes: accelerometer_triad, gyro_triad, magnetometer_triad.",
-    }
-)
 MOST_ADDED = 5  # effects that are added
 SENSORS = {
     "accelerometer_triad": "accelerometers",
@@ -65,127 +54,136 @@ FILES = ("correction.h", "correction.py", "correction.json", "correction.yaml")
 REPORT = "report.html"
 
 
-@dataclass(frozen=True)
-class TriadOptions:
+class TriadOptions(ReadRequest, AsJson, Options):
     """What is asked of three axes, one triad or all of a unit."""
 
-    shortest: float | None = None
-    baseline: bool = False
-    time_limit: float | None = None
-    seed: int = 0
-    out: Path | None = None
-    name: str | None = None
-    json_: bool = False
+    shortest: float | None = opt("Shortest pose in a log, s; 2, or 1 where many are shorter.")
+    baseline: bool = opt("Look for no effect beside bias, scale, misalignment.", False)
+    time_limit: float | None = Shared.time_limit
+    seed: int = Shared.seed
+    out: Path | None = Shared.folder
+    name: str | None = opt("With which all names in C begin; else that of the instrument.")
+
+    def refuse_options(self) -> None:
+        """Refuse a name or a length that cannot be."""
+        from bayescal.workshop import sensor_name
+
+        sensor_name(self.name, "")
+        if self.shortest is not None and not self.shortest > 0:
+            raise InputError(f"--shortest {self.shortest:g}: give a positive number of seconds")
 
 
-@commands.example(
-    "bayescal triad log.csv --columns output_x=ax --columns output_y=ay --columns output_z=az "
-    "--out result"
-)
-def triad(
-    files: list[Path],
-    columns: ColumnOptions,
-    asked: TriadOptions,
-    instrument: str = "accelerometer_triad",
-    poses: bool = False,
-    dry_run: bool = False,
-) -> Answer:
+class TriadCommand(TriadOptions, Command):
     """Calibrate three axes by poses at rest or known rates."""
-    from bayescal.workshop import sensor_name
 
-    sensor_name(asked.name, "")  # refused before anything takes time
-    given = ReadRequest(instrument, files, columns, ModelOptions())
-    chosen, model, readings = open_request(given)
-    if chosen.vector is None:
-        raise InputError(
-            f"--instrument {instrument}: it has one output; `bayescal calibrate` is for it"
-        )
-    with result_folder(asked.out) as folder:
-        if not poses:
-            readings = bc.poses(readings, chosen, shortest=asked.shortest)
+    example = "bayescal triad log.csv --instrument gyro_triad --out result"
+    instrument: str = opt("Or gyro_triad, magnetometer_triad.", "accelerometer_triad")
+    poses: bool = opt("Each row is a pose or a rate; else steady stretches of a log.", False)
+    dry_run: bool = opt("Say what these poses leave open and which to add; fit nothing.", False)
+
+    def answer(self) -> Answer:
+        self.refuse_options()
+        if self.poses and self.shortest is not None:
+            raise InputError("--shortest is of poses in a log: leave it out, or --poses")
+        if instrument_named(self.instrument).vector is None:
+            raise InputError(
+                f"--instrument {self.instrument}: it has one output; `bayescal calibrate` is for it"
+            )
+        chosen, model, readings = open_request(self)
+        if not self.poses:
+            readings = bc.poses(readings, chosen, shortest=self.shortest)
             model = chosen.for_readings(readings).baseline()
         print_notes(readings.flags)
-        if dry_run:
+        if self.dry_run:
             return Answer(str(bc.undetermined(model, readings)))
-        trail, correction = _calibrated(model, readings, asked)
-        if folder is not None:
-            with whole_folder(folder) as hidden:
-                _write(hidden, trail, correction, readings, asked.name)
-        return _answer({"": trail}, correction.data(), folder, asked)
+        with result_folder(self.out) as folder:
+            trail, correction = _calibrated(model, readings, self)
+            if folder is not None:
+                with whole_folder(folder) as hidden:
+                    _write(hidden, trail, correction, readings, self.name)
+            return _answer({"": trail}, correction.data(), folder, self)
 
 
-@commands.example("bayescal imu log.csv --accelerometers ax,ay,az --gyroscopes gx,gy,gz --out unit")
-def imu(
-    files: list[Path],
-    columns: ColumnOptions,
-    asked: TriadOptions,
-    accelerometers: str | None = None,
-    gyroscopes: str | None = None,
-    magnetometers: str | None = None,
-) -> Answer:
+class ImuCommand(TriadOptions, Command):
     """Calibrate the sensors of a unit by one log, in one frame."""
-    from bayescal.workshop import LOG_FORMATS, Objections, names_in_unit, sensor_name
 
-    sensor_name(asked.name, "")
-    how, needed = columns.for_read(), bool(magnetometers or columns.local_field)
-    given = dict(zip(SENSORS, (accelerometers, gyroscopes, magnetometers), strict=True))
-    if not (needed or all(path.suffix.lower() in LOG_FORMATS for path in files)):
-        given.popitem()
-    instruments = {name: instrument_named(name) for name in given}
-    logs, problems = {}, Objections()
-    for name, three in given.items():
-        named = {**how, "columns": _three(three) | how["columns"]}
-        if SENSORS[name] != "magnetometers":
-            named.pop("local_field", None)
-        try:
-            logs[name] = bc.read(list(files), instruments[name], **named)
-        except InputError as error:
-            if not error.problems:
-                raise
-            if SENSORS[name] == "magnetometers" and not needed and _lacks_outputs(error.problems):
-                continue
-            problems += _of_sensor(SENSORS[name], instruments[name], error.problems)
-    problems.refuse()
-    columns.keep()
-    (force, forces), (turns, rates), *others = ((instruments[n], log) for n, log in logs.items())
-    long = {"shortest": asked.shortest}
-    with result_folder(asked.out) as folder:
-        poses = bc.poses(forces, force, **long)
-        print_notes(poses.flags)
-        model, left = force.for_readings(poses).baseline(), len(logs)
-        (trail, first) = _calibrated(model, poses, asked, left=left)
-        found = {"accelerometer": (trail, first, poses)}
-        moves = bc.moves(rates, turns, forces, first, **long)
-        print_notes(moves.flags)
-        model = dict(turns.structures)["moves"]()
-        found["gyroscope"] = (*_calibrated(model, moves, asked, left=left - 1), moves)
-        for field, log in others:
+    example = "bayescal imu log.csv --accelerometers ax,ay,az --gyroscopes gx,gy,gz --out unit"
+    accelerometers: str | None = opt("Their three columns, as ax,ay,az; else by the usual names.")
+    gyroscopes: str | None = opt("Their three columns, as gx,gy,gz; else by the usual names.")
+    magnetometers: str | None = opt("Their three columns, mx,my,mz; of a log, those it has.")
 
-            def turned(own: Any, log: Any = log) -> Any:
-                return bc.in_frame_of(own, log, first, forces, **long)
+    def answer(self) -> Answer:
+        from bayescal.workshop import names_in_unit
 
-            its = bc.poses(log, field, **long)
-            print_notes(its.flags)
-            model = field.for_readings(its).baseline()
-            found["magnetometer"] = (*_calibrated(model, its, asked, turned), its)
-        if folder is not None:
-            each = [correction for _, correction, _ in found.values()]
-            named = names_in_unit(asked.name, each)
-            with whole_folder(folder) as hidden:
-                for (name, one), own in zip(found.items(), named, strict=True):
-                    _write(hidden / name, *one, own)
-                for file in ("imu.h", "imu.py"):
-                    bc.export_vector(first, hidden / file, others=each[1:], name=asked.name)
-                bc.export_vector(first, hidden / "imu.yaml", others=each[1:2])
-        data = {name: correction.data() for name, (_, correction, _) in found.items()}
-        return _answer({name: trail for name, (trail, _, _) in found.items()}, data, folder, asked)
+        self.refuse_options()
+        with result_folder(self.out) as folder:
+            logs = self.logs()
+            (force, forces), (turns, rates), *others = logs.values()
+            long, left = {"shortest": self.shortest}, len(logs)
+            poses = bc.poses(forces, force, **long)
+            print_notes(poses.flags)
+            model = force.for_readings(poses).baseline()
+            (trail, first) = _calibrated(model, poses, self, left=left)
+            found = {"accelerometer": (trail, first, poses)}
+            moves = bc.moves(rates, turns, forces, first, **long)
+            print_notes(moves.flags)
+            model = dict(turns.structures)["moves"]()
+            found["gyroscope"] = (*_calibrated(model, moves, self, left=left - 1), moves)
+            for field, log in others:
+
+                def turned(own: Any, log: Any = log) -> Any:
+                    return bc.in_frame_of(own, log, first, forces, **long)
+
+                its = bc.poses(log, field, **long)
+                print_notes(its.flags)
+                model = field.for_readings(its).baseline()
+                found["magnetometer"] = (*_calibrated(model, its, self, turned), its)
+            if folder is not None:
+                each = [correction for _, correction, _ in found.values()]
+                named = names_in_unit(self.name, each)
+                with whole_folder(folder) as hidden:
+                    for (name, one), own in zip(found.items(), named, strict=True):
+                        _write(hidden / name, *one, own)
+                    for file in ("imu.h", "imu.py"):
+                        bc.export_vector(first, hidden / file, others=each[1:], name=self.name)
+                    bc.export_vector(first, hidden / "imu.yaml", others=each[1:2])
+            data = {name: correction.data() for name, (_, correction, _) in found.items()}
+            return _answer(
+                {name: trail for name, (trail, _, _) in found.items()}, data, folder, self
+            )
+
+    def logs(self) -> dict[str, tuple[Any, Any]]:
+        """Read each sensor's columns of the log; refuse with all that is wrong, of all sensors."""
+        from bayescal.workshop import LOG_FORMATS, Objections
+
+        how, needed = self.for_read(), bool(self.magnetometers or self.local_field)
+        names = (self.accelerometers, self.gyroscopes, self.magnetometers)
+        given = dict(zip(SENSORS, map(_three, names), strict=True))
+        if not (needed or all(path.suffix.lower() in LOG_FORMATS for path in self.files)):
+            given.popitem()
+        logs, problems = dict[str, tuple[Any, Any]](), Objections()
+        for name, three in given.items():
+            named = {**how, "columns": three | how["columns"]}
+            instrument, sensors = instrument_named(name), SENSORS[name]
+            if sensors != "magnetometers":
+                named.pop("local_field", None)
+            try:
+                logs[name] = instrument, bc.read(self.files, instrument, **named)
+            except InputError as error:
+                if not error.problems:
+                    raise
+                if sensors == "magnetometers" and not needed and _lacks_outputs(error.problems):
+                    continue
+                problems += _of_sensor(sensors, instrument, error.problems)
+        problems.refuse()
+        self.keep()
+        return logs
 
 
 def _answer(
     trails: Mapping[str, Any], data: Any, folder: Path | None, asked: TriadOptions
 ) -> Answer:
     """What was found of three axes, by the folder in this one: its words are printed already."""
-
     made = folder is None or _draw(trails, folder)
     for place in dict.fromkeys((*trails, "")) if folder is not None and not asked.json_ else ():
         names = (*files_of(folder / place), MANIFEST)
@@ -300,13 +298,13 @@ def _draw(trails: Mapping[str, Any], folder: Path) -> bool:
     return all((drawn(reports), *made))
 
 
-def parameters(asked: ExportRequest) -> Answer:
+def parameters(asked: ExportCommand) -> Answer:
     """`bayescal export` to parameters of an autopilot: of calibrations by axis, or of a triad."""
-    several = of_units(asked.paths, CALIBRATION)
+    several = of_units(asked.calibrations, CALIBRATION)
     loaded = asked.loaded(several)
     if loaded and not isinstance(loaded[0][1], bc.Compensator):
         return asked.written([one for _, one in loaded])
-    given, numbers = by_axis(loaded, asked.axis, asked.own), device_numbers(asked.device_id)
+    given, numbers = by_axis(loaded, asked.axis, asked), device_numbers(asked.device_id)
     how = {"devices": numbers, "local_gravity": asked.gravity}
     found = bc.firmware_parameters(given, str(asked.format_), **how)
     text = found.text() if asked.out is None else f"{found}\n\nwritten: {found.write(asked.out)}"
@@ -352,7 +350,7 @@ def _corrections() -> tuple[CorrectionKind, ...]:
     return (THREE_AXES,)
 
 
-def _exports() -> dict[str, Callable[[ExportRequest], Answer]]:
+def _exports() -> dict[str, Callable[[ExportCommand], Answer]]:
     from bayescal._annexes.imu.autopilot import AUTOPILOTS
 
     return dict.fromkeys(AUTOPILOTS, parameters)
@@ -376,7 +374,7 @@ def _coefficient_tables(data: Mapping[str, Any]) -> list[tuple[str, Any]]:
 
 
 ANNEX = {
-    "commands": commands,
+    "commands": (TriadCommand, ImuCommand),
     "exports": _exports,
     "corrections": _corrections,
     "corrected": lambda calibration: bc.vector_correction(calibration),

@@ -12,11 +12,14 @@ import bayescal as bc
 from bayescal import InputError
 from bayescal.workshop import (
     Answer,
-    Commands,
+    AsJson,
+    Command,
     DecisionRule,
-    ExportRequest,
+    ExportCommand,
     InUse,
+    Shared,
     load_saved,
+    opt,
     write_json,
     write_text,
 )
@@ -24,54 +27,46 @@ from bayescal.workshop import (
 if TYPE_CHECKING:
     from bayescal._annexes.metrology.certificate import Certificate
 
-commands = Commands(
-    {
-        "capability": "Least T/(4u) with which 'shared-risk' decides.",
-        "conformity": "Probability of which the next calibration is stated.",
-        "limit": '"bias: ±0.5 °/s", "corrected reading: ±0.1 °/s over -20..60 °C"; repeat for more.',
-        "out": {"help": "JSON file to write the decisions to.", "names": ["--out", "-o"]},
-        "population": (
-            'Devices of this kind, for global risks: "sd 0.2 °/s"; repeat, by name of a limit: "bias: sd 0.2 °/s".'
-        ),
-    }
-)
 
-
-@commands.example('bayescal decide result --limit "bias: ±0.5 °/s"')
-def decide(
-    *,
-    calibration: Path,
-    limit: list[str],
-    by: DecisionRule,
-    population: list[str] | None = None,
-    capability: float = 3.0,
-    conformity: float = 0.95,
-    out: Path | None = None,
-    local_gravity: float | None = None,
-    own: InUse,
-) -> Answer:
+class DecideCommand(InUse, DecisionRule, AsJson, Command):
     """Decide whether limits are met, with guard bands and risks.
 
     Exit status: 0 where every limit is met; 1 where one is not, or is undecided.
     """
-    from bayescal.workshop import STANDARD_GRAVITY
 
-    found = bc.decide(
-        load_saved(calibration, own),
-        limit,
-        **vars(by),
-        population=population or None,
-        capability=capability,
-        conformity=conformity,
-        members=own.members,
-        local_gravity=local_gravity or STANDARD_GRAVITY,
+    example = 'bayescal decide result --limit "bias: ±0.5 °/s"'
+    calibration: Path = Shared.calibration
+    limit: list[str] = opt(
+        '"bias: ±0.5 °/s", "corrected reading: ±0.1 °/s over -20..60 °C"; repeat for more.', ...
     )
-    if out is not None:
-        write_json(found.data(), out, indent=1)
-    return Answer(found, doubt=found.doubt)
+    population: list[str] | None = opt(
+        'Devices of this kind, for global risks: "sd 0.2 °/s"; repeat, by name of a limit: "bias: sd 0.2 °/s".'
+    )
+    capability: float = opt("Least T/(4u) with which 'shared-risk' decides.", 3.0)
+    conformity: float = opt("Probability of which the next calibration is stated.", 0.95)
+    out: Path | None = opt("JSON file to write the decisions to.", None, "--out", "-o")
+    local_gravity: float | None = Shared.local_gravity
+
+    def answer(self) -> Answer:
+        from bayescal.workshop import STANDARD_GRAVITY
+
+        found = bc.decide(
+            load_saved(self.calibration, self),
+            self.limit,
+            rule=self.rule,
+            false_accept=self.false_accept,
+            population=self.population or None,
+            capability=self.capability,
+            conformity=self.conformity,
+            members=self.members,
+            local_gravity=self.local_gravity or STANDARD_GRAVITY,
+        )
+        if self.out is not None:
+            write_json(found.data(), self.out, indent=1)
+        return Answer(found, doubt=found.doubt)
 
 
-def certified(asked: ExportRequest) -> Answer:
+def certified(asked: ExportCommand) -> Answer:
     """`bayescal export` to a digital calibration certificate, with what is decided about limits, if any.
 
     Raises:
@@ -80,16 +75,17 @@ def certified(asked: ExportRequest) -> Answer:
     from bayescal._annexes.metrology.certificate import dcc_text
 
     asked.refuse_several()
-    (path,), gravity, decided = asked.paths, asked.gravity, None
+    (path,), gravity, decided = asked.calibrations, asked.gravity, None
     if asked.certificate is None:
         raise InputError(
             "a digital calibration certificate states device, laboratory and customer: --certificate FILE.toml"
         )
     if path.suffix.lower() == ".json":
         raise InputError("an export is no calibration: give the saved calibration (.nc)")
-    calibration = load_saved(path, asked.own)
+    calibration = load_saved(path, asked)
     if asked.limit:
-        how = {"members": asked.own.members, "local_gravity": gravity, **vars(asked.by)}
+        how = {"members": asked.members, "local_gravity": gravity}
+        how |= {"rule": asked.rule, "false_accept": asked.false_accept}
         decided = bc.decide(calibration, asked.limit, **how)
     text = dcc_text(calibration, asked.certificate, gravity, decided)
     if asked.out is not None:
@@ -104,7 +100,7 @@ def _certificate(path: str | Path) -> Certificate:
 
 
 ANNEX = {
-    "commands": commands,
+    "commands": (DecideCommand,),
     "exports": lambda: {"dcc": certified},
     "certificate": _certificate,
     "decided": lambda calibration, limits, **rule: bc.decide(calibration, limits, **rule),

@@ -8,11 +8,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from bayescal.workshop import (
-    Commands,
+    Command,
     SearchRequest,
+    Shared,
     channel_names,
     folders_of,
     method_named,
+    opt,
     own_effects,
     print_notes,
     reference_of,
@@ -24,52 +26,48 @@ from bayescal.workshop import (
 if TYPE_CHECKING:
     from bayescal._annexes.workbench.serve import Opened
 
-commands = Commands(
-    {
-        "address": "Address of this computer to serve at; others may then reach it.",
-        "no_open": "Print the address, and open no browser.",
-        "out": "Folder that keeps every step; one that holds some is gone on with, as after a time limit.",
-    }
-)
 
-ANNEX = {"commands": commands}
-
-
-@commands.example(
-    "bayescal workbench readings.csv --instrument mems_gyro", data=False, endless=True
-)
-def workbench(
-    *,
-    channels: str | None = None,
-    asked: SearchRequest,
-    out: Path = Path("workbench_output"),
-    address: str = "127.0.0.1",
-    no_open: bool = False,
-) -> None:
+class WorkbenchCommand(SearchRequest, Command):
     """Run the same loop in a browser, step by step.
 
     It is served to this computer alone, under an address that nobody guesses, unless --address says otherwise.
     Channels of a unit have each a page of its own, with links to the others.
     """
-    from bayescal._annexes.workbench import start
 
-    start.refuse_without_panel()
-    at = start.Address.new(address)
-    print_notes([at.exposed] if at.exposed else [])
-    # A file that cannot be used is refused before a browser opens.
-    names = channel_names(channels)
-    opened = searched(names, asked)
-    with result_folder(out) as folder:
-        assert folder is not None
-        folders = {n: folder / inner for n, inner in folders_of(names).items()} or {"": folder}
-        told = ", ".join(p.name for p in asked.files)
-        tell("loading the workbench and fitting the first model …")
-        said = f"bayescal workbench of {told}: {at.url}\n(Ctrl-C ends it; kept in {folder})"
-        sessions = _sessions(asked, opened, folders)
-        from bayescal._annexes.workbench.serve import serve
+    example = "bayescal workbench readings.csv --instrument mems_gyro"
+    channels: str | None = Shared.channels
+    out: Path = opt(
+        "Folder that keeps every step; one that holds some is gone on with, as after a time limit.",
+        Path("workbench_output"),
+    )
+    address: str = opt("Of this computer, to serve at; others may then reach it.", "127.0.0.1")
+    no_open: bool = opt("Print the address, and open no browser.", False)
 
-        serve(sessions, at, said, None if no_open else folder)
-    print("bayescal workbench: ended", flush=True)
+    def run(self) -> int:
+        """Serve until it is ended: the time limit is of each search."""
+        from bayescal._annexes.workbench import start
+
+        start.refuse_without_panel()
+        at = start.Address.new(self.address)
+        print_notes([at.exposed] if at.exposed else [])
+        # A file that cannot be used is refused before a browser opens.
+        names = channel_names(self.channels)
+        opened = searched(names, self)
+        with result_folder(self.out) as folder:
+            assert folder is not None
+            folders = {n: folder / inner for n, inner in folders_of(names).items()} or {"": folder}
+            told = ", ".join(p.name for p in self.files)
+            tell("loading the workbench and fitting the first model …")
+            said = f"bayescal workbench of {told}: {at.url}\n(Ctrl-C ends it; kept in {folder})"
+            sessions = _sessions(self, opened, folders)
+            from bayescal._annexes.workbench.serve import serve
+
+            serve(sessions, at, said, None if self.no_open else folder)
+        print("bayescal workbench: ended", flush=True)
+        return 0
+
+
+ANNEX = {"commands": (WorkbenchCommand,)}
 
 
 def _sessions(
@@ -87,10 +85,10 @@ def _sessions(
     settings = {**asked.settings(), "method": method, "time_limit": asked.time_limit}
 
     def of_channel(channel: str, folder: Path) -> Opened:
-        own_files = [] if asked.choice.effects_file is None else [asked.choice.effects_file]
-        own = own_effects(asked.choice, models[channel].instrument, readings[channel])
-        reference = reference_of(asked.choice.reference, readings[channel]) or None
-        how = asked.columns.for_read() | ({"outputs": names} if channel else {})
+        own_files = [] if asked.effects_file is None else [asked.effects_file]
+        own = own_effects(asked, models[channel].instrument, readings[channel])
+        reference = reference_of(asked.reference, readings[channel]) or None
+        how = asked.for_read() | ({"outputs": names} if channel else {})
         averaged = {"average": asked.average, "keep_spikes": asked.keep_spikes}
         files = (asked.files, asked.holdout, how, own_files)
         origin = Origin.of(asked.instrument, *files, channel=channel, **averaged)

@@ -38,7 +38,7 @@ from __future__ import annotations
 from typing import Any, NamedTuple
 
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Float
 
 import bayescal as bc
 from bayescal import effects, xp
@@ -77,16 +77,16 @@ OVER = 180 * DEGREE - TILT
 class Accelerations(NamedTuple):
     """What acts on the accelerometer: along the input axis, µg, and along the table's normal, g."""
 
-    along: Float[Array, "n"]
-    normal: Float[Array, "n"]
+    along: Float[Any, "n"]
+    normal: Float[Any, "n"]
 
 
 def accelerations(
-    tilt: Float[Array, "n"],
-    angle: Float[Array, "n"],
-    fixture_tilt: Float[Array, "n"],
-    parallel: Float[Array, "n"],
-    perp: Float[Array, "n"],
+    tilt: Float[Any, "n"],
+    angle: Float[Any, "n"],
+    fixture_tilt: Float[Any, "n"],
+    parallel: Float[Any, "n"],
+    perp: Float[Any, "n"],
 ) -> Accelerations:
     """Gravity in the axes of the accelerometer. All angles in rad.
 
@@ -132,21 +132,21 @@ def _in_use(a, slots, r):
 # Bases.
 
 
-def turned(r: bc.Frame, share: Float[Array, "n"] | float = 1.0) -> Float[Array, "n 4"]:
+def turned(r: bc.Frame, share: Float[Any, "n"] | float = 1.0) -> Float[Any, "n 4"]:
     """cos mθ and sin mθ, m = 2 and 3, times `share`."""
     angle = r["position_angle"]
     waves = [wave(m * angle) for m in HARMONICS for wave in (xp.cos, xp.sin)]
     return xp.stack(waves, axis=-1) * xp.reshape(xp.asarray(share), (-1, 1))
 
 
-def tides(r: bc.Frame) -> Float[Array, "n 20"]:
+def tides(r: bc.Frame) -> Float[Any, "n 20"]:
     """cos and sin of every constituent, for one component of the base tilt and then for the other."""
     phase = [2 * xp.pi * r["time"] / (hours * HOUR) for hours, _ in TIDE.values()]
     waves = [wave(p) for p in phase for wave in (xp.cos, xp.sin)]
     return xp.stack([*waves, *waves], axis=-1)
 
 
-def direction(r: bc.Frame) -> Float[Array, "n"]:
+def direction(r: bc.Frame) -> Float[Any, "n"]:
     """Sign of the last change of temperature within the run, 0 before the first.
 
     A change is one by more than the dead band from where the temperature last stood: between readings at soaked
@@ -182,15 +182,15 @@ def one_direction(readings: bc.Measurements) -> str | None:
     return f"needs temperature to rise and to fall within runs, by over {DEAD_BAND:g} °C; it {seen}"
 
 
-def _laboratory(r: bc.Frame) -> Float[Array, "n"]:
+def _laboratory(r: bc.Frame) -> Float[Any, "n"]:
     return r.centred("lab_temperature")
 
 
-def _turned_by_temperature(r: bc.Frame) -> Float[Array, "n 4"]:
+def _turned_by_temperature(r: bc.Frame) -> Float[Any, "n 4"]:
     return turned(r, r.centred())
 
 
-def _once_round(r: bc.Frame) -> Float[Array, "n 2"]:
+def _once_round(r: bc.Frame) -> Float[Any, "n 2"]:
     return xp.stack([xp.cos(r["position_angle"]), xp.sin(r["position_angle"])], axis=-1)
 
 

@@ -41,8 +41,7 @@ from bayescal._annexes.workbench.parts.pieces import (
     several,
     words,
 )
-from bayescal._calibration.check import covariates_of
-from bayescal._calibration.check_result import place_in_words
+from bayescal._calibration.check import covariates_of, place_in_words
 from bayescal._report.plot_colours import RED
 from bayescal.workshop import unit_label
 

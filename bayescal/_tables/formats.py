@@ -1,4 +1,7 @@
-"""Excel sheets and MATLAB variables as tables. Heavy modules load inside."""
+"""Parquet, NetCDF, Excel and MATLAB as tables: numbers and text only, nothing that a file could have evaluated.
+
+Modules that only one of them needs load inside.
+"""
 
 from __future__ import annotations
 
@@ -8,12 +11,86 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
 
+from bayescal._core.atomic_file import named_back
 from bayescal._core.errors import InputError
-from bayescal._tables.cells import cell_text
-from bayescal._tables.csv_reader import parse_text, table_of
-from bayescal._tables.raw_table import Table, as_format, in_one_line, refuse_large, unusable
-from bayescal._tables.unpacked import refuse_hdf5, refuse_matlab, refuse_zip
+from bayescal._tables import unpacked
+from bayescal._tables.cells import Cells, cell_text, cells_of
+from bayescal._tables.csv_reader import parse_text
+from bayescal._tables.raw_table import (
+    ROW,
+    Header,
+    Table,
+    as_format,
+    in_one_line,
+    refuse_large,
+    refuse_many,
+    unusable,
+)
+
+
+def open_parquet(path: Path, file: str, max_bytes: int) -> Table:
+    """Open a Parquet file; units stand in the column names or in the fields' metadata. Arguments as `open_table`."""
+    with as_format(file, "Parquet"), pq.ParquetFile(path) as opened:
+        refuse_many(file, opened.metadata.num_columns)
+        schema, rows = opened.schema_arrow, opened.metadata.num_rows
+    unpacked.refuse_unpacked(file, path.stat().st_size, 8 * rows * len(schema), unpacked.ARRAYS)
+    refuse_large(file, rows, len(schema), max_bytes)
+
+    def load(wanted: Mapping[int, bool]) -> dict[int, Cells]:
+        found = {}
+        with as_format(file, "Parquet"), pq.ParquetFile(path) as opened:
+            for position, number in wanted.items():
+                name = schema.names[position]
+                found[position] = arrow_cells(opened.read(columns=[name]).column(name), number)
+        pa.default_memory_pool().release_unused()  # what it unpacked, as much again as the numbers
+        return found
+
+    return Table(file, arrow_headers(schema), rows, load)
+
+
+def arrow_headers(schema: pa.Schema) -> tuple[Header, ...]:
+    """The columns, with the units that their fields' metadata state."""
+    units = ((field.metadata or {}).get(b"units") for field in schema)
+    said = (None if unit is None else unit.decode("utf-8", "replace") for unit in units)
+    return tuple(map(Header.parse, schema.names, said))
+
+
+def arrow_cells(column: pa.ChunkedArray, number: bool) -> Cells:
+    """Return a column's cells: numbers as they are, anything else as text."""
+    kind, types = column.type, pa.types
+    if number and (types.is_integer(kind) or types.is_floating(kind) or types.is_decimal(kind)):
+        return cells_of(column.cast(pa.float64()).to_numpy(), number)
+    return cells_of(column.to_pandas().to_numpy(object), number)
+
+
+def open_netcdf(path: Path, file: str, max_bytes: int) -> Table:
+    """Open a NetCDF-4 file: variables along one dimension, units in `units`. Arguments as `open_table`."""
+    import h5py  # a tenth of a second that only NetCDF needs
+    import xarray as xr  # half a second
+
+    with as_format(file, "NetCDF-4"), h5py.File(path) as hdf5:
+        # h5netcdf, failing at this, would print its own complaint later
+        hdf5.attrs.get("_nc3_strict")
+        unpacked.refuse_hdf5(hdf5, file, path.stat().st_size)
+    with (
+        as_format(file, "NetCDF-4"),
+        xr.open_dataset(path, engine="h5netcdf", decode_times=False) as data,
+    ):
+        vectors = {str(n): v for n, v in data.variables.items() if v.ndim == 1 and n != ROW}
+        dimensions = {str(v.dims[0]) for v in vectors.values()}
+        if ROW not in dimensions and len(dimensions) > 1:
+            raise InputError(
+                f"{file!r} has variables along {', '.join(sorted(dimensions))}: which are the readings cannot be told. "
+                f"Give its variables one dimension, best called {ROW!r}"
+            )
+        chosen = ROW if ROW in dimensions else next(iter(dimensions), "")
+        kept = {named_back(n): v for n, v in vectors.items() if v.dims[0] == chosen}
+        refuse_large(file, data.sizes.get(chosen, 0), len(kept), max_bytes)
+        units = {n: str(v.attrs["units"]) for n, v in kept.items() if "units" in v.attrs}
+        return Table.of_columns(file, {n: v.values for n, v in kept.items()}, units)
 
 
 def open_excel(path: Path, file: str, max_bytes: int) -> Table:
@@ -29,16 +106,15 @@ def open_excel(path: Path, file: str, max_bytes: int) -> Table:
             f"{file!r}: reading Excel files needs openpyxl: pip install 'bayescal[logs]'; or save it as CSV UTF-8"
         ) from None
     with as_format(file, "Excel (.xlsx)"), path.open("rb") as handle:
-        refuse_zip(path, file)
+        unpacked.refuse_zip(path, file)
         with closing(load_workbook(handle, read_only=True, data_only=True)) as book:
             sheets = book.worksheets
             filled = ((s, rows) for s in sheets if (rows := _rows_of(s, file, max_bytes)))
             sheet, rows = next(filled, (None, {}))
     if sheet is None:
         raise unusable(file, "is empty", "a header and rows of readings were expected")
-    table = parse_text(_as_text(rows), file)
     note = f"read from the sheet {sheet.title!r}, the first of {len(sheets)}"
-    return table_of(table, *[note] * (len(sheets) > 1))
+    return parse_text(_as_text(rows), file).table(*[note] * (len(sheets) > 1))
 
 
 def _rows_of(sheet: Any, file: str, max_bytes: int) -> dict[int, dict[int, str]]:
@@ -89,7 +165,7 @@ def open_matlab(path: Path, file: str, max_bytes: int) -> Table:
         with path.open("rb") as handle:
             old = b"MATLAB 7.3" not in handle.read(128)
         if old:
-            refuse_matlab(path, file)
+            unpacked.refuse_matlab(path, file)
             loaded = loadmat(path, squeeze_me=True, struct_as_record=False, chars_as_strings=True)
             found = {name: value for name, value in loaded.items() if not name.startswith("__")}
         else:
@@ -123,7 +199,7 @@ def _variables_of_hdf5(path: Path, file: str) -> dict[str, Any]:
         return np.squeeze(array) if array.dtype.kind in "iufb" else None
 
     with h5py.File(path) as opened:
-        refuse_hdf5(opened, file, path.stat().st_size)
+        unpacked.refuse_hdf5(opened, file, path.stat().st_size)
         return {str(name): value(opened[name]) for name in opened if not str(name).startswith("#")}
 
 

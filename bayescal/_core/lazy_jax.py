@@ -1,0 +1,84 @@
+"""JAX, imported by what first uses it: `from bayescal._core.lazy_jax import jax, jnp`.
+
+Whoever imports it, bayescal or a user, it is set up at once: double precision, and the types of bayescal that it is to
+take as trees. What a command computes by NumPy alone needs none of it, and starts in half the time.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable, Sequence
+from importlib import import_module
+from importlib.abc import MetaPathFinder
+from importlib.machinery import ModuleSpec
+from importlib.util import find_spec
+from typing import TYPE_CHECKING, Any
+
+from bayescal._core.jax_setup import configure_jax
+
+
+class _Later:
+    """A module that is imported when an attribute of it is first asked for."""
+
+    def __init__(self, name: str) -> None:
+        self._name = name
+
+    def __getattr__(self, attribute: str) -> Any:
+        found = getattr(import_module(self._name), attribute)
+        setattr(self, attribute, found)
+        return found
+
+
+class _SetUp(MetaPathFinder):
+    """Finds JAX as the others do, and has it set up once it is loaded."""
+
+    def find_spec(
+        self, fullname: str, path: Sequence[str] | None, target: Any = None
+    ) -> ModuleSpec | None:
+        if fullname != "jax":
+            return None
+        sys.meta_path.remove(self)
+        spec = find_spec("jax")
+        if spec is not None and spec.loader is not None:
+            load = spec.loader.exec_module
+
+            def loaded(module: Any) -> None:
+                load(module)
+                _set_up()
+
+            spec.loader.exec_module = loaded
+        return spec
+
+
+_waiting: list[Callable[[], object]] = []
+
+
+def when_imported(do: Callable[[], object]) -> None:
+    """Do something with JAX now if it is imported, else as soon as it is."""
+    if _is_there:
+        do()
+    else:
+        _waiting.append(do)
+
+
+def _set_up() -> None:
+    global _is_there
+    _is_there = True
+    configure_jax()
+    for do in _waiting:
+        do()
+    _waiting.clear()
+
+
+_is_there = False
+if "jax" in sys.modules:
+    _set_up()
+else:
+    sys.meta_path.insert(0, _SetUp())
+
+if TYPE_CHECKING:
+    import jax as jax
+    import jax.numpy as jnp
+    from jaxtyping import Array as Array
+else:
+    jax, jnp, Array = _Later("jax"), _Later("jax.numpy"), Any
