@@ -183,38 +183,6 @@ def test_an_effect_changes_the_output_by_its_contribution_alone(name: str) -> No
     assert np.ptp(change) > 0.02
 
 
-def test_reference_follows_the_board_which_heats_itself() -> None:
-    sim = hidden("bias.reference_voltage")
-    board = sim.columns["board_temperature"]
-    expected = 0.02 * (board - 55.0)
-    np.testing.assert_allclose(sim.contributions["bias.reference_voltage"], expected, atol=1e-9)
-    held = simulated(replace(DEFAULT, temperatures=(40.0,), dwell=6000.0, runs=1), seed=1)
-    np.testing.assert_allclose(held.columns["board_temperature"][[0, -1]], [40, 42], atol=0.1)
-    np.testing.assert_allclose(held.columns["temperature"], 40.0, atol=1e-9)
-
-
-def test_turn_on_is_one_offset_per_run_of_the_stated_spread() -> None:
-    offsets = []
-    for seed in range(40):
-        sim = hidden("bias.run", replace(DEFAULT, dwell=30.0), seed=seed)
-        for run in ("1", "2", "3"):
-            offset, *same = in_run(sim, run, sim.contributions["bias.run"])
-            np.testing.assert_allclose(same, offset)
-            offsets.append(offset)
-    assert np.std(offsets) == pytest.approx(0.05, rel=0.2)
-
-
-def test_scale_shows_only_under_a_rate() -> None:
-    assert not hidden("scale.temperature").contributions["scale.temperature"].any()
-    soaked = replace(DEFAULT, temperatures=(30.0, 80.0), dwell=3000.0, rate_input=(100.0,), runs=1)
-    part = hidden("scale.temperature", soaked).contributions["scale.temperature"]
-    np.testing.assert_allclose(part[[0, 99, -1]], [-0.75, -0.75, 0.75], rtol=1e-3)
-    sim = hidden("scale.temperature", replace(DEFAULT, rate_input=RATES))
-    at_rest = sim.columns["rate_input"] == 0.0
-    assert 0.2 < at_rest.mean() < 0.5
-    assert not sim.contributions["scale.temperature"][at_rest].any()
-
-
 def test_rates_are_cycled_over_the_steps_of_all_runs() -> None:
     rate = simulated(replace(DEFAULT, rate_input=RATES), seed=1).columns["rate_input"]
     steps = rate.reshape(-1, 10)
