@@ -233,13 +233,31 @@ def _look_around(
     moves.sort(key=lambda m: -m.total)
     for i, move in enumerate(moves[: REFITTED_NEIGHBOURS[1]]):
         near = move.total > structures.best.total - NEAR_NATS
-        if i < REFITTED_NEIGHBOURS[0] or near:
+        near = near or i < REFITTED_NEIGHBOURS[0]
+        if near and _expected(structures, move.to, at) > structures.best.total - NEAR_NATS:
             yield (found := structures.weigh(move.to, at, move.hints))
             yield from _weigh_forms(structures, found, lost)
     # What a dropped effect explained correlated noise may take up, as no score says that holds the noise.
     if at is structures.best and not structures.noise(here).independent:
         for name in sorted(here.effects):
-            yield structures.weigh(here.minus(name), at)
+            if _expected(structures, here.minus(name), at) > structures.best.total - NEAR_NATS:
+                yield structures.weigh(here.minus(name), at)
+
+
+def _expected(structures: Structures, to: Structure, at: Weighed) -> float:
+    """What a neighbour comes to under a law that no table tells, by the law that this refines; infinite of other laws.
+
+    A refit there passes over the readings a hundred times, and what an effect is worth hangs little on the finer form.
+    """
+    law = structures.noise(to)
+    if to in structures.visited or law.refines not in structures.laws:
+        return math.inf
+    if to.noise != at.structure.noise or structures.record.nodes(law) is not None:
+        return math.inf
+    by_plainer = [structures.weigh(s.under(law.refines), at) for s in (to, at.structure)]
+    total = at.total + by_plainer[0].total - by_plainer[1].total
+    structures.expect(to, total)
+    return total
 
 
 def _weigh_forms(
@@ -273,8 +291,11 @@ def _weigh_forms(
                 places = at.problem.layout.index_in_phi
                 alike = {f"{other}.{s.name}": f"{name}.{s.name}" for s in shapes}
                 hint = {n: float(at.mode.v[places[o]]) for n, o in alike.items() if o in places}
-                yield (found := structures.weigh(to, at, [hint]))
-                if not found.total > at.total - OTHER_LAW_NATS:
+                total = _expected(structures, to, at)
+                if total > structures.best.total - NEAR_NATS:
+                    yield (found := structures.weigh(to, at, [hint]))
+                    total = found.total
+                if not total > at.total - OTHER_LAW_NATS:
                     lost.add(other)
     return lost
 
