@@ -263,7 +263,7 @@ CEILINGS = {
     "bayescal/_search": 5_828,
     "bayescal/_report": 2_425,
     "bayescal/_cli": 1_962,
-    "bayescal/_annexes/fleet": 3_213,
+    "bayescal/_annexes/fleet": 2_530,
     "bayescal/_annexes/imu": 3_128,
     "bayescal/_annexes/metrology": 1_727,
     "bayescal/_annexes/workbench": 3_623,
