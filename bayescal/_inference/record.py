@@ -29,7 +29,7 @@ from bayescal._model.instrument import Instrument
 from bayescal._model.noise_law import Noise
 from bayescal._model.terms import ColumnsOf
 
-KEPT_BYTES = 256 * 2**20  # bytes of columns at shapes, of which the latest are kept
+KEPT_BYTES = 256 * 2**20  # of columns at shapes, of which the latest are kept; and of expansions
 DIFFERENCE = 1e-4  # of the range of a column, for slopes by it
 AFFINE = 1e-9  # change of a slope, relative to the largest, up to which it does not change
 DRAWS_A_CALL = 48  # draws in one call of a program, or half of that,
@@ -152,6 +152,8 @@ class Record:
             held: values of shapes that are not free; None for those that are.
         """
         key = effect.key, held
+        if sum(e.nbytes for e in self._expansions.values()) > KEPT_BYTES:
+            self._expansions.clear()
         if key not in self._expansions:
 
             def columns(v: Float[np.ndarray, "s d"]) -> Float[np.ndarray, "s n k"]:

@@ -149,7 +149,9 @@ class Tabulated:
 
     def _block(self, part: TabulatedEffect, expansion: Expansion) -> int:
         """Return the number of a part's columns in the table: for each coefficient and member as many as the rank."""
-        return self.table.block((part.key, expansion), lambda: self._columns(part, expansion))
+        return self.table.block(
+            (part.key, expansion.number), lambda: self._columns(part, expansion)
+        )
 
     def _columns(self, part: TabulatedEffect, expansion: Expansion) -> Float[np.ndarray, "n w"]:
         columns = []
@@ -336,7 +338,7 @@ class Tabulated:
             found[own], log_det[own] = self.grams_of(rows, vs[own])
         for part, (expansions, _) in zip(self.parts, covers, strict=True):
             for listed in (e for e in expansions if isinstance(e, ListedColumns)):
-                self.table.drop((part.key, listed))
+                self.table.drop((part.key, listed.number))
         return Gram.of(found, log_det)
 
     def grams_of(
@@ -435,7 +437,7 @@ class About:
         self.rows = _StructureRows(whole, expansions)
         for part, expansion in zip(whole.parts, expansions, strict=True):
             if part.free:  # its own
-                whole.table.drop((part.key, expansion))
+                whole.table.drop((part.key, expansion.number))
 
     def grams(self, vs: Float[np.ndarray, "b d"]) -> Gram:
         """Return weighted products of J and r, counted from `at`, at several φ."""

@@ -140,7 +140,8 @@ class Structures:
         floor: noise that no model removes, output unit.
         spans: which candidates these readings cannot tell from which.
         earlier: structures weighed with other ranges of shapes: where refits begin.
-        form_nats: nats behind the best, up to which forms that no score tells of are weighed.
+        thrifty: whether forms that no score tells of are weighed near the best alone, and other noise laws beside it or
+            where they would lead; structures under these are then looked around only when they do.
     """
 
     base: Model
@@ -152,7 +153,7 @@ class Structures:
     floor: float = 0.0
     spans: Spans = field(default_factory=Spans)
     earlier: Mapping[Structure, Weighed] = field(default_factory=dict)
-    form_nats: float = OTHER_LAW_NATS
+    thrifty: bool = False
     visited: dict[Structure, Weighed] = field(default_factory=dict)
     expected: dict[Structure, float] = field(default_factory=dict)  # totals of others, by score
     experiments: dict[Any, Any] = field(default_factory=dict)  # which tell equivalent effects apart
