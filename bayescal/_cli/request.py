@@ -1,6 +1,6 @@
 """What the options ask for: an instrument, a model, readings, a method.
 
-A bad file is refused first, before the instrument loads, and JAX with it; no sampler loads here.
+A bad file is refused before JAX loads; no sampler loads here.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from bayescal._cli.console import print_notes
 from bayescal._cli.options import METHODS, ReadRequest, SearchRequest, named_numbers, names_in
 from bayescal._core.errors import InputError
 from bayescal._core.progress import stage
-from bayescal._search.own_files import in_a_file, instrument_named, user_effects
+from bayescal._search.own_files import instrument_named, user_effects
 
 if TYPE_CHECKING:
     from bayescal._data.measurements import Measurements
@@ -26,7 +26,6 @@ if TYPE_CHECKING:
     from bayescal._model.noise_law import Noise
 
 LONG_LOG = 20_000  # readings, beyond which means over short times say as much and are sooner done
-LONG_BYTES = 50_000_000  # bytes of files that take longer to read than an instrument takes to load
 
 
 def open_request(asked: ReadRequest) -> tuple[Instrument, Model, Measurements]:
@@ -47,15 +46,8 @@ def open_channels(
     Raises:
         InputError, ModelError: something in it cannot be used; says what.
     """
-    from bayescal._model.installed import FileColumns, file_columns
-
-    # A file that cannot be used is refused before the instrument loads, unless reading takes longer than that.
-    holds = None if in_a_file(asked.instrument) else file_columns(asked.instrument)
-    short = sum(path.stat().st_size for path in asked.files if path.is_file()) <= LONG_BYTES
-    found = _read(asked.files, holds, asked, names) if holds and short else None
     general = instrument_named(asked.instrument)
-    if found is None or holds != FileColumns.of(general):
-        found = _read(asked.files, general, asked, names)
+    found = _read(asked.files, general, asked, names)
     if not asked.typed and general.tailor is None:  # what is typed may need the readings
         compose(general, asked, user_effects(asked.effects_file))
     asked.keep()

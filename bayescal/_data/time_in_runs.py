@@ -8,7 +8,6 @@ from dataclasses import replace
 
 import numpy as np
 from jaxtyping import Float
-from scipy.linalg.lapack import dtbtrs
 
 from bayescal._core.errors import InputError
 from bayescal._data.measurements import Measurements
@@ -181,6 +180,8 @@ def recursion(
     share: Float[np.ndarray, "*s n"], push: Float[np.ndarray, "*s n"]
 ) -> Float[np.ndarray, "*s n"]:
     """Return x of xᵢ = shareᵢ·xᵢ₋₁ + pushᵢ, from zero: a unit bidiagonal matrix, LAPACK's banded solver."""
+    from scipy.linalg.lapack import dtbtrs  # only what computes loads SciPy
+
     share, push = np.broadcast_arrays(share, push)
     # All recursions are one, which begins anew at the first element of each.
     band = np.ones((share.size, 2))

@@ -177,12 +177,7 @@ def refine(problem: Problem, mode: Mode, full_hessian: bool) -> Solution:
     for round_ in range(ROUNDS):
         theta, converged = fit.fit_theta(theta, v)
         if round_ == 0 and not converged and not problem.affine:
-            # how long its steps are hangs on the size of the noise
-            usual = np.where([kind == "noise" for kind in problem.kinds], 0.0, v)
-            for scales in (v, usual):
-                theta, converged = fit.from_afar(scales)
-                if converged:
-                    break
+            theta, converged = fit.from_afar(v)
         moved = fit.fit_noise(theta, _put(theta[problem.size :], fit.places, v))
         change = float(np.max(np.abs(moved - v), initial=0.0))
         v = moved

@@ -291,26 +291,11 @@ def constants_of(readings: Measurements) -> set[str]:
 
 
 def _round_middle(values: np.ndarray) -> float:
-    row = values[None]
-    return float(rounded_means(row.mean(1), row.std(1), row.min(1), row.max(1))[0])
-
-
-def rounded_means(
-    mean: np.ndarray, sd: np.ndarray, low: np.ndarray, high: np.ndarray
-) -> Float[np.ndarray, "d"]:
-    """Means of records, each to the fewest decimal places that keep it in the record and within 0.1 sd.
-
-    Args:
-        mean, sd, low, high: of the values of each record, (d,).
-    """
-    rounded, left = np.clip(mean, low, high), np.ones(len(mean), dtype=bool)
-    for places in range(16):
-        near = np.round(mean, places)
-        kept = left & (abs(near - mean) <= 0.1 * sd) & (low <= near) & (near <= high)
-        rounded[kept], left = near[kept], left & ~kept
-        if not left.any():
-            break
-    return rounded
+    """Return a mean to the fewest decimal places that keep it among the values and within 0.1 of their sd."""
+    low, high, far = values.min(), values.max(), 0.1 * values.std()
+    mean = np.clip(values.mean(), low, high)
+    rounded = (np.round(mean, places) for places in range(16))
+    return float(next((r for r in rounded if abs(r - mean) <= far and low <= r <= high), mean))
 
 
 def build_frame(

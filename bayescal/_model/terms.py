@@ -12,7 +12,6 @@ from jaxtyping import Float, Int
 from bayescal._core.xp import xp
 from bayescal._model.effect import Basis, Effect, basis_of
 from bayescal._model.parameters import CoefficientBlock
-from bayescal._model.prior import LogNormal, Normal
 
 
 class ColumnsOf(NamedTuple):
@@ -182,12 +181,3 @@ class Sizes:
         for weighted in {id(w): w for w in self.weighing.values()}.values():
             sd = sd * weighted.at(hyper, count)
         return xp.broadcast_to(sd, (*count, len(self.plain)))
-
-
-def coordinates(prior: Any, values: Float[np.ndarray, "b"]) -> Float[np.ndarray, "b"]:
-    """Coordinates of a shape's values."""
-    if isinstance(prior, LogNormal):
-        return np.log(values / prior.median) / prior.sd
-    if isinstance(prior, Normal):
-        return (values - prior.mean) / prior.sd
-    return np.array([prior.coordinate(float(one)) for one in values])

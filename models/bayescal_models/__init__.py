@@ -1,7 +1,7 @@
 """The instruments. A new one is a folder beside these and one line here.
 
-Each instrument's folder says in `__init__.py` what its files hold, at hand before the instrument is loaded; the public
-names, in `__init__.pyi`, load on first use. Its `model` holds `INSTRUMENT`, its docstring is the data sheet. Its
+Each instrument's folder says in `__init__.py` what its files hold; the public names, in `__init__.pyi`, load
+on first use. Its `model` holds `INSTRUMENT`, its docstring is the data sheet. Its
 `reference_problem` is small, with proper priors; intervals must cover on it, and methods agree:
 
     model, readings = reference_problem.model(), reference_problem.readings()

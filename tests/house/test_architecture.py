@@ -255,7 +255,7 @@ CEILINGS = {
     "bayescal/_core": 2_137,
     "bayescal/_tables": 1_999,
     "bayescal/_data": 5_543,
-    "bayescal/_model": 6_083,
+    "bayescal/_model": 5_945,
     "bayescal/effects": 721,
     "bayescal/_inference": 6_406,
     "bayescal/_calibration": 5_156,
@@ -267,7 +267,7 @@ CEILINGS = {
     "bayescal/_annexes/imu": 3_128,
     "bayescal/_annexes/metrology": 1_727,
     "bayescal/_annexes/workbench": 3_623,
-    "models": 8_983,
+    "models": 8_982,
     "tests": 26_803,
     "benchmarks": 10_893,
 }
