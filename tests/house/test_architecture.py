@@ -252,7 +252,7 @@ def test_what_is_offered_beside_an_instrument_is_there(group: str) -> None:
 # Lines of Python that each part may have: lowered by whoever takes lines out, never raised. What needs more room takes
 # it from the same part first.
 CEILINGS = {
-    "bayescal/_core": 2_137,
+    "bayescal/_core": 2_117,
     "bayescal/_tables": 1_999,
     "bayescal/_data": 5_543,
     "bayescal/_model": 6_083,
@@ -260,9 +260,9 @@ CEILINGS = {
     "bayescal/_inference": 6_406,
     "bayescal/_calibration": 5_216,
     "bayescal/_use": 3_150,
-    "bayescal/_search": 5_828,
+    "bayescal/_search": 5_761,
     "bayescal/_report": 2_449,
-    "bayescal/_cli": 1_962,
+    "bayescal/_cli": 1_859,
     "bayescal/_annexes/fleet": 3_213,
     "bayescal/_annexes/imu": 3_128,
     "bayescal/_annexes/metrology": 1_727,
