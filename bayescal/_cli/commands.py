@@ -135,7 +135,9 @@ class SimulateCommand(AsJson, Command):
         try:
             readings = chosen.simulate(hidden, seed=self.seed, **law)
         except ValueError as error:
-            said = str(error).replace("simulate_arrays", "--noise-law: ")
+            said = str(error)
+            if said.startswith("simulate_arrays(noise_law"):
+                said = f"--noise-law {self.noise_law}{said[said.index(': ') :]}"
             raise InputError(said) from None
         readings.write(self.out)
         hiding = ", ".join(f"{name} = {size:g}" for name, size in hidden.items()) or "nothing"

@@ -77,7 +77,10 @@ def test_the_command_names_the_poses_to_add(
     outputs, offset, _ = triad(3, faces, count)
     header = ",".join(f"a{a} [g]" for a in AXES)
     np.savetxt(tmp_path / "poses.csv", outputs, "%.6f", ",", header=header, comments="")
-    done = run("triad", tmp_path / "poses.csv", "--poses", "--out", tmp_path / "unit")
+    asked = ("triad", tmp_path / "poses.csv", "--poses", "--out", tmp_path / "unit")
+    planned = run(*asked, "--dry-run")
+    assert planned.status == 0 and not (tmp_path / "unit").exists()
+    done = run(*asked)
     assert done.status == 1  # the noise cannot be told
     result = bc.load(tmp_path / "unit" / "calibration.nc")
     for axis, true in zip(AXES, offset, strict=True):
