@@ -12,6 +12,7 @@ from __future__ import annotations
 import inspect
 import shutil
 import sys
+from dataclasses import replace
 from functools import partial
 from importlib.metadata import entry_points
 from pathlib import Path
@@ -194,8 +195,8 @@ class DemoCommand(AsJson, Command):
         own = "bayescal" if shutil.which("bayescal") == called else called
         line = f"{own} calibrate FILE.csv --instrument mems_gyro --out result"
         picture = f"the picture: {self.out / 'loop.png'}"
-        found.written += f"\n{picture}\nwith readings of your own: {line}"
-        return found
+        more = f"{picture}\nwith readings of your own: {line}"
+        return replace(found, written=f"{found.written}\n{more}")
 
 
 class CalibrateCommand(SearchRequest, AsJson, Command):

@@ -203,8 +203,8 @@ class ReportCommand(OwnParts, DecisionRule, AsJson, Command):
                 raise InputError(
                     f"--limit decides about one result, {len(given)} were given: report each by itself"
                 )
-            rule = {"rule": self.rule, "false_accept": self.false_accept}
-            decided = first_offered("decided", "--limit")(given[0].used, self.limit, **rule)
+            decide = first_offered("decided", "--limit")
+            decided = decide(given[0].used, self.limit, **self.deciding())
         how = {"title": self.title, "certificate": stated, "output_unit": self.output_unit}
         whole = drawn(partial(bc.report, given, self.out, decisions=decided, **how))
         verdicts = [c.data["verdict"] for c in given]

@@ -8,7 +8,6 @@ import math
 import os
 from collections.abc import Iterator
 from dataclasses import dataclass
-from itertools import chain
 from pathlib import Path
 from typing import Any, dataclass_transform
 
@@ -23,10 +22,7 @@ from bayescal._tables.mapping_file import load_mapping, save_mapping
 
 METHODS = {"marginal": "Marginal", "least-squares": "LeastSquares", "nuts": "NUTS"}  # public names
 OUTPUTS = ("out", "yaml", "save_mapping")  # options that name what is written
-IN_FOLDER = (
-    "calibration.nc",
-    "averaged.nc",
-)  # what a folder of results stands for, given as an input
+IN_FOLDER = ("calibration.nc", "averaged.nc")  # what a folder of results stands for, as an input
 Texts = list[str] | None
 
 
@@ -94,6 +90,12 @@ def refuse_unknown_method(name: str) -> str:
     return name
 
 
+def refuse_no_time(seconds: float | None) -> float | None:
+    if seconds is not None and not (math.isfinite(seconds) and seconds > 0):
+        raise InputError(f"--time-limit {seconds:g}: give a positive number of seconds")
+    return seconds
+
+
 @dataclass_transform(kw_only_default=True)
 class Options:
     """Some options of a command: fields of a data class, whose defaults are typer's."""
@@ -101,11 +103,12 @@ class Options:
     def __init_subclass__(cls) -> None:
         """Make a data class of a command: its own options first, then those of its groups."""
         if hasattr(cls, "answer"):
-            every = [vars(base).get("__annotations__", {}) for base in cls.__mro__]
-            names = dict.fromkeys(chain(*every))
-            cls.__annotations__ = {n: next(own[n] for own in every if n in own) for n in names}
-            for name in (n for n, kind in cls.__annotations__.items() if kind in (bool, "bool")):
+            kinds = dict[str, Any]()
+            for base in cls.__mro__:
+                kinds |= {**vars(base).get("__annotations__", {}), **kinds}
+            for name in (n for n, kind in kinds.items() if kind in (bool, "bool")):
                 getattr(cls, name).param_decls = (f"--{name.strip('_').replace('_', '-')}",)
+            cls.__annotations__ = kinds
             dataclass(kw_only=True, eq=False, repr=False)(cls)
 
     def __post_init__(self) -> None:
@@ -138,29 +141,28 @@ class Command(Options):
         """Carry it out and print its answer; return the exit status."""
         self.refuse_overwriting()
         limit = getattr(self, "time_limit", None)
-        if limit is not None and not (math.isfinite(limit) and limit > 0):
-            raise InputError(f"--time-limit {limit:g}: give a positive number of seconds")
         with stage(self.called(), EVERY), deadline.until(limit):
             answer = self.answer()
             return int(answer is not None and not answer.tell(self.json_))
 
     def refuse_overwriting(self) -> None:
         """Refuse an output whose path is an input's."""
-        inputs = [p for n, v in vars(self).items() if n not in OUTPUTS for p in _paths(v)]
+        given = {n: v for n, v in vars(self).items() if v and n not in (*OUTPUTS, "mapping")}
+        read = [*filter(os.path.isfile, (p for v in given.values() for p in _paths(v)))]
         for name in () if self.in_place else OUTPUTS:
             out = str(getattr(self, name, None) or "")
-            if any(all(map(os.path.isfile, (p, out))) and os.path.samefile(p, out) for p in inputs):
+            if os.path.isfile(out) and any(os.path.samefile(out, path) for path in read):
                 option = f"--{name.replace('_', '-')}"
                 raise InputError(f"{option} {out} is a file that is read: name another")
 
 
-def _paths(value: Any) -> Iterator[Path]:
+def _paths(value: Any) -> Iterator[str]:
     """Yield the files that an option may name: as a path, a folder of results, gyro_x=a.nc, my.py:INSTRUMENT."""
     for one in value if isinstance(value, list) else [value]:
         if isinstance(one, Path):
-            yield from (one, *(one / name for name in IN_FOLDER))
+            yield from map(str, (one, *(one / name for name in IN_FOLDER)))
         elif isinstance(one, str):
-            yield from (Path(one.rpartition("=")[2]), Path(one.rpartition(":")[0]))
+            yield from (one.rpartition("=")[2], one.rpartition(":")[0])
 
 
 class AsJson(Options):
@@ -185,7 +187,9 @@ class Shared:
     instrument = opt("Name of an installed instrument, or my.py:INSTRUMENT.", ...)
     seed = opt("Seed of every random number.", 0, min=0)
     time_limit = opt(
-        "End after this time, s, with what there is, as Ctrl-C does.", metavar="SECONDS"
+        "End after this time with what there is, as Ctrl-C does at any time.",
+        metavar="SECONDS",
+        callback=refuse_no_time,
     )
     method = opt("marginal, least-squares or nuts.", "marginal", callback=refuse_unknown_method)
     average = opt("1s, 0.5s or 2min: fit means over this time, spikes set aside.", metavar="TIME")
@@ -343,3 +347,7 @@ class DecisionRule(Options):
 
     rule: str = opt("guarded, simple or shared-risk, as agreed on beforehand.", "guarded")
     false_accept: float = opt("Probability of false acceptance of 'guarded'.", 0.025)
+
+    def deciding(self) -> dict[str, Any]:
+        """Return it as `decide` takes it."""
+        return {"rule": self.rule, "false_accept": self.false_accept}

@@ -23,7 +23,7 @@ from bayescal._model.instrument import Instrument
 from bayescal._report.report_text import in_output_unit
 from bayescal._report.result_json import of_trail, result
 from bayescal._report.save_search import channels_data
-from bayescal._search.channels import Channels
+from bayescal._search.calibrate_channels import Channels
 from bayescal._search.draft_effect import draft_effect
 from bayescal._search.search_path import SearchPath, Step
 

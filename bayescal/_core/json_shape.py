@@ -71,13 +71,14 @@ def as_type(value: Any, kind: Any, where: str = "") -> Any:
 def _as_table(value: Any, kind: Any, where: str) -> Any:
     if not isinstance(value, dict):
         raise _unexpected(value, "a table", where)
+    made: Any = kind
     if get_origin(kind) is dict:
         made, known, required = dict, dict.fromkeys(value, get_args(kind)[1]), ()
     elif is_dataclass(kind):
-        made, known = kind, get_type_hints(kind)
+        known = get_type_hints(kind)
         required = [f.name for f in fields(kind) if f.default is f.default_factory is MISSING]
     else:
-        made, known, required = kind, get_type_hints(kind), kind.__required_keys__
+        known, required = get_type_hints(kind), kind.__required_keys__
     for name in (n for n in known if n in required and n not in value):
         raise ValueError(f"{where}.{name}".lstrip(".") + " is missing")
     at = {name: f"{where}.{str(name)[:60]}".lstrip(".") for name in value}

@@ -27,8 +27,8 @@ from bayescal._report.whole_folder import (
     whole_folder,
 )
 from bayescal._search.calibrate import calibrate as calibrate
+from bayescal._search.calibrate_channels import Channels
 from bayescal._search.calibrate_channels import calibrate_channels as calibrate_channels
-from bayescal._search.channels import Channels
 from bayescal._search.search_path import SearchPath
 
 CHANNELS_SCHEMA = "bayescal.channels/1"

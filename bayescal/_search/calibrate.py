@@ -303,35 +303,30 @@ class Loop:
         self, steps: Sequence[Step], goal: Structure, search: Search | None = None
     ) -> SearchPath:
         """Judge the last of some steps, and average it over the structures that were weighed."""
-        structures, end, steps = self.structures, deadline.current(), [*steps]
-        if (last := steps[-1].discovery) is not None:
+        structures, (*before, last) = self.structures, steps
+        if (found := last.discovery) is not None:
             if why := "" if self.stopped else self.incomplete(steps):
-                steps[-1] = replace(steps[-1], discovery=last.not_stated(why))
-            known = {c.effect: c.probability for c in last.candidates}
-            names = steps[-1].calibration.model.names
-            left = [
-                f"{e.name} (probability {probability(known.get(e.name))})"
-                for e in self.given
-                if e.name not in names
-            ]
-            note = f"Weighed anew and left out of the model given: {', '.join(left)}."
-            steps[-1] = steps[-1].noted([note] if left else [])
-        last, shares = steps[-1].calibration, ()
-        used = last
-        if self.max_effects > 0 and last.verdict.ok:
+                last = replace(last, discovery=found.not_stated(why))
+            known = {c.effect: c.probability for c in found.candidates}
+            given = [e.name for e in self.given if e.name not in last.calibration.model.names]
+            left = ", ".join(f"{n} (probability {probability(known.get(n))})" for n in given)
+            last = last.noted(
+                [f"Weighed anew and left out of the model given: {left}."] * bool(left)
+            )
+        used, shares = last.calibration, ()
+        if self.max_effects > 0 and used.verdict.ok:
             try:  # what is used is an average over the structures
-                used, shares = averaged(last, structures, goal.noise, self.seed)
-            except deadline.TimeIsUp:
-                steps[-1] = steps[-1].noted([NOT_AVERAGED.format(end.why)])
-                used = last = steps[-1].calibration
-            last, used = with_latent(last, used, structures, goal)
-            steps[-1] = replace(steps[-1], calibration=last)
-        one = last is used
-        steps[-1] = self.held_against(steps[-1], used, structures)
+                used, shares = averaged(used, structures, goal.noise, self.seed)
+            except deadline.TimeIsUp as early:
+                last = last.noted([NOT_AVERAGED.format(early)])
+                used = last.calibration
+            own, used = with_latent(last.calibration, used, structures, goal)
+            last = replace(last, calibration=own)
+        one = last.calibration is used
+        steps = [*before, self.held_against(last, used, structures)]
         search = search or self.search(complete=not self.stopped, stopped=self.stopped)
-        trail = SearchPath(
-            *judged(steps), self.holdout, _other_path(structures), search, shares=shares
-        )
+        how = {"other_path": _other_path(structures), "search": search, "shares": shares}
+        trail = SearchPath(*judged(steps), self.holdout, **how)
         if one:
             return trail
         verdict = trail.final.calibration.verdict
@@ -380,9 +375,8 @@ class Loop:
         # At the bound, P(complete) is of what may be added no more: it would be high because nothing further is
         # allowed.
         if 0 < self.max_effects <= added and tested:
-            return (
-                f"not stated, as the search added the {added} effects that it may (--max-effects)"
-            )
+            most = f"the {added} effects that it may (--max-effects)"
+            return f"not stated, as the search added {most}"
         if last.left_out and left_out_better(last, steps[:-1]):
             return f"not stated, as the {scheme(last.left_out.group)} error has risen on the way"
         return ""

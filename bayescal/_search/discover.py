@@ -222,9 +222,7 @@ def structures_over(
     def untestable(effect: Effect) -> str | None:
         unknown = (c for c in effect.coefficients if not c.known)
         if any((c.slot or effect.slot) not in slots or c.per == READING for c in unknown):
-            return (
-                "corrects a column or single readings, which no search weighs: add it to the model"
-            )
+            return "corrects a column or single readings, which no search weighs: add it yourself"
         gone = sorted(readings.no_causes.intersection(effect.columns))
         if gone and effect.name not in own:
             return f"the column {', '.join(gone)} is left out"
@@ -280,15 +278,9 @@ def placeholders(model: Model, readings: Measurements) -> list[Effect]:
     names = [name for name, values in derived(readings).items() if np.ptp(values) > 0]
     forms = [form for form in IN_TIME if along_and_form(form)[0] in names]
     columns = [name for name in names if readings.has(name) and name != "time"]
-    straight = {
-        name for effect in model.effects for name in effect.varies
-    }  # a line along them is there
-    forms += [
-        f"{name}, {form}"
-        for name in columns
-        for form in FORMS
-        if form != "line" or name not in straight
-    ]
+    straight = {n for effect in model.effects for n in effect.varies}  # a line along them is there
+    pairs = [(n, form) for n in columns for form in FORMS if form != "line" or n not in straight]
+    forms += [f"{name}, {form}" for name, form in pairs]
     return [instrument.unknown(name) for name in (*names, *forms)]
 
 
@@ -349,14 +341,10 @@ def discovery_at(
     rivals = list(dict.fromkeys(first + leads))[:RIVALS]
     laws = {"": structures.base.noise, **structures.laws} if structures.laws else {}
     each = [LawProbability(n.name, n.in_words, posterior.noise(k)) for k, n in laws.items()]
+    unseen, noise = [c.effect for c in judged if c.unseen], here.problem.noise.name
     return Discovery(
-        nothing_missing=posterior.complete(c.effect for c in judged if c.unseen)
-        if stated
-        else None,
-        unnamed=(
-            *sorted(structures.matters(here)),
-            *[f"{here.problem.noise.name} noise"] * here.noise_describes,
-        ),
+        nothing_missing=posterior.complete(unseen) if stated else None,
+        unnamed=(*sorted(structures.matters(here)), *[f"{noise} noise"] * here.noise_describes),
         latent=tuple(sorted(structures.latent(here.structure))),
         equivalent=said_of_equivalents(structures, here.structure),
         sets=found,
@@ -386,15 +374,14 @@ def _findings(found: Discovery) -> list[str]:
         lines.append(f"missing: {names}, probability {probability(s.probability)}{tail}")
     for c in found.candidates:
         if c.role == "freed" and c.probability is not None:
-            rivals = [
-                f", or {r.effect} is missing ({probability(r.probability)})"
-                for r in found.candidates
-                if r.role != "freed" and (r.probability or 0.0) >= SHOWN_PROBABILITY
-            ]
+            likely = [r for r in found.candidates if (r.probability or 0.0) >= SHOWN_PROBABILITY]
+            rivals = [r for r in likely if r.role != "freed"][:1]
             lines.append(
                 f"{c.frees} contradicts its prior: its stated value is wrong "
-                f"({probability(c.probability)}){''.join(rivals[:1])}"
+                f"({probability(c.probability)})"
             )
+            for r in rivals:
+                lines[-1] += f", or {r.effect} is missing ({probability(r.probability)})"
     return lines
 
 
@@ -407,9 +394,11 @@ def candidates_table(candidates: Sequence[Mapping[str, Any]]) -> ResultTable:
         return shown + ("*" if c["source"] == "refit" else " ")
 
     def size(c: Mapping[str, Any]) -> str:
-        return (
-            f"{with_error(c['size'] or 0.0, c['size_sd'] or 0.0)} {unit_label(c['unit'])}".rstrip()
-        )
+        value = with_error(c["size"] or 0.0, c["size_sd"] or 0.0)
+        return f"{value} {unit_label(c['unit'])}".rstrip()
+
+    def remark(kind: str | None) -> str:
+        return "not detectable in this experiment" if kind == "not visible" else kind or ""
 
     columns = (
         TableColumn("candidate", "effect"),
@@ -417,13 +406,7 @@ def candidates_table(candidates: Sequence[Mapping[str, Any]]) -> ResultTable:
         TableColumn("log BF", factor),
         TableColumn("expected size", size),
         TableColumn("detectable", "minimum_detectable", lambda v: number(v, 2)),
-        TableColumn(
-            "remark",
-            "kind",
-            lambda kind: (
-                "not detectable in this experiment" if kind == "not visible" else kind or ""
-            ),
-        ),
+        TableColumn("remark", "kind", remark),
     )
     tested = [c for c in candidates if c["kind"] != "not testable" and not is_quiet(c)]
     return ResultTable(columns, tested, fold=29)

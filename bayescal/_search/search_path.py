@@ -188,9 +188,7 @@ class SearchPath(Printed):
             return ""
         if found is None:
             reliable = self.steps[0].calibration.verdict.ok
-            why = (
-                "no effect was to be added" if reliable else "the result of the fit is not reliable"
-            )
+            why = "no effect was to be added" if reliable else "the fit is not reliable"
             return search.stopped or f"Nothing was looked for: {why}."
         said = [search.stopped] if search.stopped else []
         added, most = sum(s.added is not None for s in self.steps), search.max_effects or 0
@@ -198,10 +196,8 @@ class SearchPath(Printed):
             said.append(f"The search has added the {most} effects that it may (--max-effects).")
         # Of candidates that these readings can test, the nearest one says how far the search was from another end.
         tested = {c.effect: c.probability for c in found.candidates if c.probability is not None}
-        nearest, sure = (
-            max(tested, key=tested.__getitem__, default=""),
-            settings().found_probability,
-        )
+        nearest = max(tested, key=tested.__getitem__, default="")
+        sure = settings().found_probability
         if not nearest:
             said += [] if said else ["These readings can test no further candidate."]
         elif tested[nearest] >= sure:
@@ -224,11 +220,11 @@ class SearchPath(Printed):
     def _parts(self) -> list[str | ResultTable]:
         """The error, step by step: as fitted, of a new run, held out, and the floor."""
         lines = steps_parts(self.rows)
-        found = [n for n, p in self.added.items() if p is not None]
-        sure = [n for n in found if (self.added[n] or 0.0) >= settings().found_probability]
-        rest = {n: probability(self.added[n]) for n in found if n not in sure}
-        likely = [f"{n} ({p})" for n, p in rest.items() if (self.added[n] or 0.0) > 0.5]
-        others = [f"{n} ({p})" for n, p in rest.items() if not (self.added[n] or 0.0) > 0.5]
+        found = {n: p for n, p in self.added.items() if p is not None}
+        sure = [n for n, p in found.items() if p >= settings().found_probability]
+        rest = {n: p for n, p in found.items() if n not in sure}
+        likely = [f"{n} ({probability(p)})" for n, p in rest.items() if p > 0.5]
+        others = [f"{n} ({probability(p)})" for n, p in rest.items() if p <= 0.5]
         head = "found" if self.complete else "best when the search ended"
         lines += [f"{head}: {', '.join(sure)}"] if sure else []
         lines += [f"more probable than not: {', '.join(likely)}"] if likely else []

@@ -62,11 +62,8 @@ class AddedPose:
     def __str__(self) -> str:
         pairs = zip(AXES, self.direction, strict=True)
         parts = [f"{'−' if d < 0 else ''}{axis}" for axis, d in pairs if d]
-        where = [
-            f"along {parts[0]}",
-            f"at 45° between {' and '.join(parts)}",
-            f"along the diagonal of {', '.join(parts)}",
-        ][len(parts) - 1]
+        words = ("along ", "at 45° between ", "along the diagonal of ")[len(parts) - 1]
+        where = words + (" and " if len(parts) == 2 else ", ").join(parts)
         where = where if self.rate is None else f"{self.rate:g} about the axis {where}"
         return where if self.temperature is None else f"{where}, at {self.temperature:.4g} °C"
 

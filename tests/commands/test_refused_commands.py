@@ -110,12 +110,12 @@ REFUSED = (
     "demo --instrument gyro --out {new}",
     "demo --instrument {level}:INSTRUMENT --out {new}",
     "demo --out {saved}",
-    "predict {saved} {table} --out {table}",
+    "predict {saved} {text} --out {text}",
     "predict {saved} {table} --out {saved}",
     "export {folder}/table -o {saved}",
     "export --axis gyro_x={saved} -o {saved} --format px4-params",
-    "noise {table} --yaml {table}",
-    "fit {table} --instrument mems_gyro --save-mapping {table}",
+    "noise {text} --yaml {text}",
+    "fit {text} --instrument mems_gyro --save-mapping {text}",
     f"{CALIBRATE} --accept-conflict bias.nosuch",
     "triad {table} --instrument mems_gyro",
     "triad {table} --poses --shortest 3",
@@ -166,8 +166,9 @@ def places(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
 
 
 def test_a_refusal_is_one_sentence(places: dict[str, Path]) -> None:
-    """Status 2, nothing printed, nothing written; what is said stands in refused.txt."""
-    before, told = sorted(places["folder"].rglob("*")), {}
+    """Status 2, nothing printed, nothing written or overwritten; what is said stands in refused.txt."""
+    folder, told = places["folder"], {}
+    before = {p: p.is_file() and p.read_bytes() for p in folder.rglob("*")}
     for command in REFUSED:
         done = run(*(word.format(**places) for word in shlex.split(command)))
         assert (done.status, done.out, len(done.said)) == (2, "", 1), (command, done.err)
@@ -175,7 +176,7 @@ def test_a_refusal_is_one_sentence(places: dict[str, Path]) -> None:
         for name in sorted(places, key=lambda n: -len(str(places[n]))):
             said = said.replace(str(places[name]), f"{{{name}}}")
         told[command] = said
-    assert sorted(places["folder"].rglob("*")) == before
+    assert {p: p.is_file() and p.read_bytes() for p in folder.rglob("*")} == before
     assert_golden(Path(__file__).with_name("refused.txt"), told)
 
 

@@ -38,8 +38,8 @@ def test_values_add_the_origin_and_undo_priors(instrument: str) -> None:
     for i, u in enumerate(found.unknowns):
         if u.x is not None:
             assert np.array_equal(values[..., i], u.block.origin + x[..., u.x])
-        elif u.hyper is not None:
-            assert np.array_equal(values[..., i], u.hyper.prior.value(v[..., u.v]))
+        elif u.block is None:
+            assert np.array_equal(values[..., i], u.prior.value(v[..., u.v]))
 
 
 def test_promoted_members_are_in_units_of_their_spread() -> None:

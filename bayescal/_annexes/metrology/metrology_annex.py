@@ -53,8 +53,7 @@ class DecideCommand(InUse, DecisionRule, AsJson, Command):
         found = bc.decide(
             load_saved(self.calibration, self),
             self.limit,
-            rule=self.rule,
-            false_accept=self.false_accept,
+            **self.deciding(),
             population=self.population or None,
             capability=self.capability,
             conformity=self.conformity,
@@ -84,8 +83,7 @@ def certified(asked: ExportCommand) -> Answer:
         raise InputError("an export is no calibration: give the saved calibration (.nc)")
     calibration = load_saved(path, asked)
     if asked.limit:
-        how = {"members": asked.members, "local_gravity": gravity}
-        how |= {"rule": asked.rule, "false_accept": asked.false_accept}
+        how = {"members": asked.members, "local_gravity": gravity, **asked.deciding()}
         decided = bc.decide(calibration, asked.limit, **how)
     text = dcc_text(calibration, asked.certificate, gravity, decided)
     if asked.out is not None:
