@@ -268,7 +268,7 @@ CEILINGS = {
     "bayescal/_annexes/metrology": 1_727,
     "bayescal/_annexes/workbench": 3_623,
     "models": 8_982,
-    "tests": 25_481,
+    "tests": 25_482,
     "benchmarks": 10_893,
 }
 WORDS = 53_899  # of docs/, README.md and CHANGELOG.md together
