@@ -268,7 +268,7 @@ CEILINGS = {
     "bayescal/_annexes/metrology": 1_721,
     "bayescal/_annexes/workbench": 3_620,
     "models": 8_982,
-    "tests": 25_485,
+    "tests": 25_495,
     "benchmarks": 10_893,
 }
 WORDS = 53_814  # of docs/, README.md and CHANGELOG.md together
