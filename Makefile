@@ -38,10 +38,10 @@ test: $(READY)-test  ## the fast tests: what a change must pass
 test-all: $(READY)-test  ## fast and slow ones
 	$(PYTEST) -m "not nightly" $(ARGS)
 
-test-nightly: $(READY)-test  ## those that kill processes, fill disks, start clusters and servers, or execute pages
+test-nightly: $(READY)-test-nightly  ## those that kill processes, fill disks, start clusters and servers, or execute pages
 	$(PYTEST) -m nightly $(ARGS)
 
-test-today: $(READY)-test  ## of slow and nightly ones those whose turn it is on DAY; none begins after WITHIN seconds
+test-today: $(READY)-test-nightly  ## of slow and nightly ones those whose turn it is on DAY; none begins after WITHIN seconds
 	$(PYTEST) --no-loadscope-reorder -m "slow or nightly" --day $(DAY) --within $(WITHIN) $(ARGS)
 
 lint: $(READY)-test-lint  ## format, lint rules and types
@@ -63,16 +63,18 @@ clean:  ## remove what these targets made
 	find . -name __pycache__ -type d -prune -exec rm -rf {} +
 
 # One stamp per interpreter and set of extras: .ready-3.11.7, .ready-3.11.7-test, .ready-3.11.7-test-lint.
-$(READY) $(READY)-workbench $(READY)-test $(READY)-test-lint $(READY)-test-bench $(READY)-docs: pyproject.toml
+$(READY) $(READY)-workbench $(READY)-test $(READY)-test-nightly $(READY)-test-lint $(READY)-test-bench $(READY)-docs: \
+  pyproject.toml
 	@$(PYTHON) -c 'import sys; sys.exit(not (3, 11) <= sys.version_info[:2] < (3, 14))' 2>/dev/null || { \
 	  echo "bayescal needs Python 3.11, 3.12 or 3.13; '$(PYTHON)' is $(or $(VERSION),not a command here)." >&2; \
 	  echo "Name another one: make $(MAKECMDGOALS) PYTHON=python3.13" >&2; exit 1; }
 	@[ "$$($(IN_VENV)/python -c 'import platform; print(platform.python_version())' 2>/dev/null)" = "$(VERSION)" ] \
 	  || { echo "making $(VENV) with Python $(VERSION)"; $(PYTHON) -m venv --clear $(VENV); }
-	$(IN_VENV)/python -m pip install --quiet --no-compile -e '.$(if $(findstring -test,$@),[test$(if $(findstring -lint,$@),$(comma)lint)$(if $(findstring -bench,$@),$(comma)bench)])$(if $(findstring -docs,$@),[docs])$(if $(findstring -workbench,$@),[workbench])'
-	@# pip would compile to bytecode on one core, tests of the packages too: half of an installation. What is of another
-	@# Python, as templates are, does not compile and need not.
-	@$(IN_VENV)/python -m compileall -qq -j 0 -x '/site-packages/.*/tests?/' $(VENV)/lib || true
+	$(IN_VENV)/python -m pip install --quiet --no-compile -e '.$(if $(findstring -test,$@),[test$(if $(findstring -nightly,$@),$(comma)nightly)$(if $(findstring -lint,$@),$(comma)lint)$(if $(findstring -bench,$@),$(comma)bench)])$(if $(findstring -docs,$@),[docs])$(if $(findstring -workbench,$@),[workbench])'
+	@# pip would compile to bytecode on one core, and what nothing here imports too: half of an installation. What is of
+	@# another Python, as templates are, does not compile and need not.
+	@$(IN_VENV)/python -m compileall -qq -j 0 -x '/site-packages/(.*/tests?|$(UNUSED))/' $(VENV)/lib || true
 	@touch $@
 
 comma := ,
+UNUSED := pymavlink/dialects|setuptools|pip|debugpy|IPython|jedi|playwright

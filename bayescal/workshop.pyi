@@ -101,7 +101,7 @@ from ._report.whole_folder import files_of as files_of
 from ._report.whole_folder import folders_of as folders_of
 from ._report.whole_folder import list_files as list_files
 from ._report.whole_folder import whole_folder as whole_folder
-from ._tables.open_table import LOG_FORMATS as LOG_FORMATS
+from ._tables.logs import LOG_FORMATS as LOG_FORMATS
 from ._tables.open_table import open_table as open_table
 from ._tables.raw_table import Objection as Objection
 from ._tables.raw_table import Objections as Objections

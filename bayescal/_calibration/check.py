@@ -28,17 +28,8 @@ from bayescal._core.formatting import WIDTH, number
 from bayescal._core.parallel import on_one_thread
 from bayescal._core.result_table import Printed, ResultTable, TableColumn, plain_table
 from bayescal._core.settings import settings
-from bayescal._data.allan_deviation import (
-    CONFIDENCE,
-    AllanDeviation,
-    AllanTerm,
-    degrees_of_freedom,
-    even_runs,
-    noise_types,
-    of_runs,
-    overlapping,
-    term,
-)
+from bayescal._data import allan_deviation as allan
+from bayescal._data.allan_deviation import CONFIDENCE, AllanDeviation, AllanTerm
 from bayescal._data.unit_conversion import unit_label
 from bayescal._inference.least_squares import LeastSquares
 from bayescal._model.noise_law import WHITE, Noise
@@ -603,17 +594,17 @@ def allan_check(calibration: Fitted) -> AllanCheck | None:
     """The Allan deviation of a fit's residuals; None where readings are not evenly spaced in time, or too few."""
     linear, readings, noise = calibration.linear, calibration.readings, calibration.model.noise
     try:
-        runs = even_runs(readings)
-        measured = of_runs(readings, linear.settled, runs)
+        runs = allan.even_runs(readings)
+        measured = allan.of_runs(readings, linear.settled, runs)
     except InputError:
         return None
     mode = calibration.problem.hyper(calibration.mode.v)
     variance = float(np.mean(linear.variance))
     law = noise.allan_variance(mode, variance, runs.factors, runs.step)
-    taken, _ = overlapping(linear.taken, runs)
+    taken, _ = allan.overlapping(linear.taken, runs)
     left = np.maximum(1 - taken / law, 0.0)  # what a fit has absorbed is not in its residuals
     draws = _drawn(calibration, mode, variance, runs.factors, runs.step) * left
-    edf = degrees_of_freedom(runs, noise_types(law))
+    edf = allan.degrees_of_freedom(runs, allan.noise_types(law))
     ranks = (np.arange(RANKS) + 0.5) / RANKS
     estimates = draws[:, None] * (chdtri(edf, ranks[:, None]) / edf)
     tail = 0.5 * (1 - CONFIDENCE)
@@ -669,8 +660,8 @@ def _law_terms(
     own = float(mode[WHITE]) / size * error.get(WHITE, 0.0) if size > 0 and WHITE in mode else 0.0
     slow = law.coefficients_in_time.items()
     return (
-        term("N", unit, size * step**0.5, own * step**0.5),
-        *(term(symbol, unit, float(mode[n]), error.get(n, 0.0)) for n, symbol in slow),
+        allan.term("N", unit, size * step**0.5, own * step**0.5),
+        *(allan.term(symbol, unit, float(mode[n]), error.get(n, 0.0)) for n, symbol in slow),
     )
 
 

@@ -418,10 +418,10 @@ def replicate(
     """
     found, members = np.empty((len(draws.x), problem.record.size)), members or {}
     for part, own, some, hyper in _stretches(problem, draws):
-        acting = [t for t in own.terms if t.place == "input" or t.known.per in members]
+        acting = [t for t in own.terms if t.place == "input" or t.per in members]
         mean, spreads = _mean_and_spreads(own, some, hyper, acting)
         for t, spread in zip(acting, spreads, strict=True):
-            codes = np.arange(mean.shape[1]) if t.place == "input" else members[str(t.known.per)]
+            codes = np.arange(mean.shape[1]) if t.place == "input" else members[str(t.per)]
             normal = random.standard_normal((len(mean), int(codes.max()) + 2))
             mean = mean + spread * normal[:, codes]  # −1: the last
         seed = int(random.integers(2**31))
@@ -486,7 +486,7 @@ def _mean_and_spreads(
         sd = t.prior_sd
         if t.place != "input":
             # Of an effect that a draw's structure has not, all coefficients are exactly zero.
-            own = [o.at for o in problem.terms if o.place == "x" and o.known.of == t.known.of]
+            own = [o.at for o in problem.terms if o.place == "x" and o.effect.name == t.effect.name]
             there = (
                 np.any([np.any(draws.x[:, at] != 0, axis=1) for at in own], axis=0) if own else 1.0
             )
@@ -498,6 +498,6 @@ def _mean_and_spreads(
 
 def _unseen(problem: Problem, term: Term) -> np.ndarray:
     """Which readings belong to a member of the term's group that is not known."""
-    if term.known.per is None or term.place == "fixed":
+    if term.per is None or term.place == "fixed":
         return np.zeros(1, dtype=bool)
-    return problem.record.codes[term.known.per] < 0
+    return problem.record.codes[term.per] < 0

@@ -71,7 +71,7 @@ class Part(Record):
         steps = np.diff(np.cumsum(np.maximum(step, 0.0))[kept], prepend=0.0)
         steps[np.diff(np.cumsum(step < 0)[kept], prepend=-1) != 0] = -1.0
         frame = whole.frame.reordered(rows, place[order[kept]], steps)
-        super().__init__(whole.instrument, frame, whole.y[rows], plain=whole.plain)
+        super().__init__(whole.instrument, frame, whole.y[rows])
         self.whole, self.rows = whole, rows
 
     def _computed(self, effect: ColumnsOf, values: Sequence[np.ndarray], moves) -> Any:

@@ -68,8 +68,7 @@ def _log_prior(c: Fitted) -> xr.Dataset:
     density = np.zeros_like(values)
     for i, u in enumerate(c.unknowns):
         if (b := u.block) is None:
-            assert u.hyper is not None
-            prior, own = u.hyper.prior, v[..., u.v]
+            prior, own = u.prior, v[..., u.v]
             density[..., i] = prior.log_density(own) - np.log(slope(prior, own))
             continue
         learned = hyper.get(b.group_sd_name) if u.x is None else flat(sd[..., u.x])

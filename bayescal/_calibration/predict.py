@@ -326,8 +326,8 @@ class HoldoutTest:
             x.mean(axis=0)[None], problem.hyper(v.mean(axis=0)), terms
         )[1]
         each = (np.broadcast_to(slope, (1, len(self._noise)))[0] / self._noise for slope in slopes)
-        names = (t.known.effect.coefficient_name(t.index) for t in terms)
-        return [(n, t.known.per, c) for n, t, c in zip(names, terms, each, strict=True)]
+        names = (t.effect.coefficient_name(t.index) for t in terms)
+        return [(n, t.per, c) for n, t, c in zip(names, terms, each, strict=True)]
 
 
 def _orthonormal(columns: Sequence[np.ndarray], size: int) -> Float[np.ndarray, "n k"]:

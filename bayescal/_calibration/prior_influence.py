@@ -22,9 +22,9 @@ from bayescal._core.atomic_file import named_back
 from bayescal._core.errors import InputError
 from bayescal._core.formatting import number, with_error
 from bayescal._data.unit_conversion import unit_label
-from bayescal._model.effect import Coefficient, Effect
+from bayescal._model.effect import Coefficient
+from bayescal._model.parameters import Unknown
 from bayescal._model.prior import coordinate_variance, slope
-from bayescal._model.unknowns import Unknown
 
 
 class VarianceByOrigin(NamedTuple):
@@ -68,49 +68,19 @@ def variance_by_origin(
     return VarianceByOrigin(readings, {n: value for n, value in priors.items() if value > 0})
 
 
-class KnownByPrior(NamedTuple):
-    """An unknown of which its prior says more than the readings do."""
-
-    name: str
-    unit: str
-    effect: Effect | None  # None of a hyperparameter
-    before: float | None  # standard deviation before the readings; None of a hyperparameter
-    now: tuple[float, float]  # mean and standard deviation with them
-
-    def __str__(self) -> str:
-        before = "" if self.before is None else f", ± {number(self.before)} before them"
-        return (
-            f"{self.name} ({with_error(*self.now)} {unit_label(self.unit)}".rstrip() + f"{before})"
-        )
-
-
 @dataclass(frozen=True)
 class NotMeasured:
     """Of what a quantity is made that was not measured."""
 
-    unknowns: tuple[KnownByPrior, ...]  # the largest part of its variance first
-    beside: tuple[str, ...] = ()  # what they are confounded with that is not of the device
+    names: tuple[str, ...]  # of unknowns, the largest part of its variance first
+    words: str  # what is known of each, and was before the readings
+    cure: str  # what would tell, a sentence without its full stop
+    hyperparameter: bool = (
+        False  # whether it is one by itself, whose draws without its prior are not known
+    )
 
     def __str__(self) -> str:
-        return f"the readings tell less of {' and '.join(map(str, self.unknowns))} than was known before"
-
-    @property
-    def hyperparameter(self) -> bool:
-        """Whether it is one by itself, of which draws without its prior are not known."""
-        return self.unknowns[0].before is None
-
-    @property
-    def cure(self) -> str:
-        """What would tell, a sentence without its full stop."""
-        effects = (one.effect for one in self.unknowns if one.effect)
-        columns = dict.fromkeys(column for effect in effects for column in effect.columns)
-        apart = [*(one.name for one in self.unknowns), *self.beside]
-        told = "more readings"
-        if columns:
-            told = f"readings over more of {' and '.join(columns)}"
-        elif apart[1:]:
-            told = f"readings that tell {' and '.join(apart)} apart"
-        return f"What would tell: {told}"
+        return f"the readings tell less of {self.words} than was known before"
 
     def by_readings_alone(
         self, calibration: Calibration, values: Float[np.ndarray, "d g"]
@@ -120,8 +90,7 @@ class NotMeasured:
         A posterior covariance P and a prior's D leave P⁻¹ − D⁻¹ to the readings. What these hardly tell at all gets a
         thousand plausible sizes. The quantity follows by its regression on the unknowns.
         """
-        names = {one.name for one in self.unknowns}
-        rows = [(u, c) for u, c, _ in _with_stated_priors(calibration) if u.name in names]
+        rows = [(u, c) for u, c, _ in _with_stated_priors(calibration) if u.name in self.names]
         if not rows:
             return values
         draws = [(calibration.samples(u.name) - c.mean) / c.size for u, c in rows]
@@ -168,18 +137,21 @@ def not_measured(
         rare: probability of an effect up to which it does not count.
     """
     unknown = next((u for u in calibration.unknowns if u.name == of), None)
-    if unknown is not None and unknown.hyper is not None:
+    if unknown is not None and unknown.block is None:
         # What is positive may be told by its size (a spread near zero) or its logarithm (one far above).
         own, before = calibration.samples(of), unknown.prior_sd
         by_size = before is not None and 2 * own.var() <= before**2
         v = calibration.draws().v[:, unknown.v]
-        if by_size or 2 * np.var(v) <= coordinate_variance(unknown.hyper.prior):
+        if by_size or 2 * np.var(v) <= coordinate_variance(unknown.prior):
             return None
-        now = float(own.mean()), float(own.std())
-        return NotMeasured((KnownByPrior(of, unknown.unit, None, None, now),))
-    found, shares, counts = list[KnownByPrior](), list[np.ndarray](), list[bool]()
+        known = _known(unknown, own)
+        return NotMeasured((of,), known, "What would tell: more readings", hyperparameter=True)
+    found, shares, counts = (
+        list[tuple[Unknown, np.ndarray, float]](),
+        list[np.ndarray](),
+        list[bool](),
+    )
     total = values.var(axis=0) + scatter**2
-    effects = {e.name: e for e in calibration.model.effects}
     for u, c, acting in _with_stated_priors(calibration):
         among = calibration.having[u.effect]
         if among.mean() <= rare:
@@ -188,8 +160,7 @@ def not_measured(
         covariance = (own - own.mean()) @ (inside - inside.mean(axis=0)) / len(own)
         part = among.mean() * (covariance / c.size) ** 2
         shares.append(part / np.where(total > 0, total, np.inf))
-        now = float(own.mean()), float(own.std())
-        found.append(KnownByPrior(u.name, u.unit, effects[u.effect], c.size, now))
+        found.append((u, own, c.size))
         counts.append(acting or u.name == of)
     if not any(counts):
         return None
@@ -197,12 +168,23 @@ def not_measured(
     worst = by_prior[:, int(np.argmax(by_prior[counts].sum(axis=0)))]
     if worst[counts].sum() <= 0.5:  # the readings say more
         return None
-    least = min(CONCERNED_SHARE, worst[counts].max())
-    named = [i for i in np.argsort(-worst) if worst[i] >= least]
-    return NotMeasured(
-        tuple(found[i] for i in named if counts[i]),
-        tuple(found[i].name for i in named if not counts[i]),
-    )
+    named = np.flatnonzero(worst >= min(CONCERNED_SHARE, worst[counts].max()))
+    named = sorted(named, key=lambda i: (not counts[i], -worst[i]))
+    own, told = [found[i] for i in named if counts[i]], "more readings"
+    blocks = (u.block for u, *_ in own)
+    if columns := dict.fromkeys(c for block in blocks if block for c in block.effect.columns):
+        told = f"readings over more of {' and '.join(columns)}"
+    elif len(named) > 1:
+        told = f"readings that tell {' and '.join(found[i][0].name for i in named)} apart"
+    words = (_known(u, draws, f", ± {number(size)} before them") for u, draws, size in own)
+    names = tuple(u.name for u, *_ in own)
+    return NotMeasured(names, " and ".join(words), f"What would tell: {told}")
+
+
+def _known(u: Unknown, draws: Float[np.ndarray, "d"], before: str = "") -> str:
+    """Return what is known of an unknown, in words."""
+    value = f"{with_error(float(draws.mean()), float(draws.std()))} {unit_label(u.unit)}".rstrip()
+    return f"{u.name} ({value}{before})"
 
 
 def coefficients_not_measured(calibration: Calibration) -> set[str]:

@@ -38,17 +38,8 @@ from bayescal._core.importance_weights import resample
 from bayescal._core.parallel import on_one_thread
 from bayescal._core.result_table import Printed, ResultTable, plain_table
 from bayescal._core.settings import settings
-from bayescal._data.allan_deviation import (
-    CONFIDENCE,
-    AllanDeviation,
-    EvenRuns,
-    degrees_of_freedom,
-    even_runs,
-    habit,
-    noise_types,
-    of_runs,
-    overlapping,
-)
+from bayescal._data import allan_deviation as allan
+from bayescal._data.allan_deviation import CONFIDENCE, AllanDeviation, EvenRuns
 from bayescal._data.measurements import Measurements
 from bayescal._data.unit_conversion import STANDARD_GRAVITY, parse, unit_label
 from bayescal._inference.newton import NOWHERE, ByValues, GaussianFit, climb, gaussian_fit
@@ -263,19 +254,19 @@ def noise(readings: Measurements, *, seed: int = 0, time_limit: float | None = N
             )
     with deadline.until(time_limit):
         found = _weigh(readings, seed)
-    step = even_runs(readings).step
+    step = allan.even_runs(readings).step
     readings, runs, unit = found.readings, found.runs, readings.unit("output") or ""
-    measured = of_runs(readings, np.asarray(readings["output"], float), runs)
+    measured = allan.of_runs(readings, np.asarray(readings["output"], float), runs)
     draws = np.concatenate([one.allan_variance(runs.factors, runs.step) for one in found.drawn])
     tail = 0.5 * (1 - CONFIDENCE)
     low, middle, high = np.sqrt(np.quantile(draws, [tail, 0.5, 1 - tail], axis=0))
-    edf = degrees_of_freedom(runs, noise_types(np.median(draws, axis=0)))
+    edf = allan.degrees_of_freedom(runs, allan.noise_types(np.median(draws, axis=0)))
     random = np.random.default_rng(seed)
     spread = np.sqrt(draws * random.chisquare(edf, draws.shape) / edf)
     estimate_low, estimate_high = np.quantile(spread, [tail, 1 - tail], axis=0)
     claims, held = list(found.claims), runs.step / (found.count or 1) / step
     if found.count is None:
-        claims.insert(0, Claim("noise.no_level", "N", name=habit(unit).names[0]))
+        claims.insert(0, Claim("noise.no_level", "N", name=allan.habit(unit).names[0]))
     elif found.count > 1:
         claims.insert(0, Claim("noise.means", "N", time=runs.step, count=found.count))
     if held > 1:
@@ -388,7 +379,7 @@ class WeighedNoise(NamedTuple):
 def _weigh(readings: Measurements, seed: int) -> WeighedNoise:
     """Weigh sums of noise terms on a channel at rest, and draw the parameters of the probable ones; see `noise`."""
     output = np.asarray(readings["output"], float)
-    runs = _without_repeats(output, even_runs(readings))
+    runs = _without_repeats(output, allan.even_runs(readings))
     clear, line = _line(output, runs)
     count = _level_count(output, runs, clear, line)
     # Means of a process that is short against their time are white, but for what neighbours share.
@@ -405,7 +396,7 @@ def _weigh(readings: Measurements, seed: int) -> WeighedNoise:
         limits[ROUNDED if negative > 0 else AVERAGED] = abs(negative), NEIGHBOURS_SD
     further = tuple(term for term, (sigmas, limit) in limits.items() if sigmas > limit)
     kept = tuple(term for term in further if limits[term][0] > SURE_SD)
-    variance, _ = overlapping(output, runs)
+    variance, _ = allan.overlapping(output, runs)
     longest = runs.step * 2.0 ** math.ceil(math.log2(max(runs.lengths)))
     per_reading = dict(zip(TONE, (1.0, 1 / runs.step, runs.step), strict=True))
     line = {name: per_reading[name] * value for name, value in line.items()}
@@ -529,13 +520,13 @@ def _level_count(
     A narrow line is left out: its Allan deviation rises and falls over a period. Single readings are taken where they
     may be level, by two standard deviations, and are not correlated with their neighbours: with others they were, too.
     """
-    variance, _ = overlapping(output, runs)
+    variance, _ = allan.overlapping(output, runs)
     if clear > LINE_SD:
         law = SummedNoise(1.0, 2.0 * len(output), ("tone",))
         variance -= law.allan_variance({WHITE: 0.0, **line}, line[TONE[0]] ** 2, runs.factors, 1.0)
     limit = 4.0 ** (2 * LEVEL_SLOPE) * variance[:-2]
     limit[:1] *= 1 + NEIGHBOURS_SD * np.sqrt(
-        2 / degrees_of_freedom(runs, np.zeros(len(variance)))[2:3]
+        2 / allan.degrees_of_freedom(runs, np.zeros(len(variance)))[2:3]
     )
     level = variance[2:] <= limit
     level[1:] &= sum(runs.lengths) >= FEWEST_MEANS * runs.factors[1:-2]
@@ -714,13 +705,13 @@ def _fit(channel: _AtRest, terms: Terms, fits: Mapping[Terms, GaussianFit]) -> G
 
 def _starts(channel: _AtRest, terms: Terms, priors: dict[str, Any]) -> Iterator[np.ndarray]:
     """Coordinates, from the Allan curve: each term as large as the curve lets it be, times in several places."""
-    tau, allan, step, line = channel.tau, channel.allan, channel.spectrum.step, channel.line
+    tau, curve, step, line = channel.tau, channel.allan, channel.spectrum.step, channel.line
     sizes = {
-        WHITE: math.sqrt(allan[0]),
-        "noise.walk": math.sqrt(3 * allan[-1] / tau[-1]),
-        "noise.flicker": math.sqrt(float(np.min(allan)) / FLAT),
-        "noise.quantisation": tau[0] * math.sqrt(allan[0] / 3),
-        "noise.averaging": math.sqrt(allan[0]),
+        WHITE: math.sqrt(curve[0]),
+        "noise.walk": math.sqrt(3 * curve[-1] / tau[-1]),
+        "noise.flicker": math.sqrt(float(np.min(curve)) / FLAT),
+        "noise.quantisation": tau[0] * math.sqrt(curve[0] / 3),
+        "noise.averaging": math.sqrt(curve[0]),
         **line,
     }
     several = itertools.combinations([0.2, 0.5, 0.8], terms.count("correlated"))
@@ -732,7 +723,7 @@ def _starts(channel: _AtRest, terms: Terms, priors: dict[str, Any]) -> Iterator[
             values[TONE[2]] = min(memory * line[TONE[2]], 0.7 * channel.longest)
         for k, share in enumerate(shares, 1):
             time = step * (channel.longest / step) ** share
-            variance = 1.6 * float(np.interp(math.log(2 * time), np.log(tau), allan))
+            variance = 1.6 * float(np.interp(math.log(2 * time), np.log(tau), curve))
             values[f"noise.correlated{k}.diffusion"] = factor * math.sqrt(2 * variance / time)
             values[f"noise.correlated{k}.time"] = time
             part = math.log(time / before) / math.log(channel.longest / before)
@@ -815,7 +806,7 @@ def _figures(
     found: WeighedNoise, unit: str, curve: Float[np.ndarray, "d k"]
 ) -> tuple[NoiseFigure, ...]:
     """Return the figures of all terms, each over the probable sums that have it, if these are more than half."""
-    names, best, step, own = habit(unit), found.drawn[0], found.runs.step, unit or "1"
+    names, best, step, own = allan.habit(unit), found.drawn[0], found.runs.step, unit or "1"
     (density, bias, walk), (of_density, of_bias, of_walk) = names.names, names.units
     every = sum(len(one.draws[WHITE]) for one in found.drawn)
 

@@ -13,6 +13,7 @@ import re
 import unicodedata
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -149,6 +150,7 @@ def like_a_unit(header: Header) -> str | None:
     return next((r.unit for r in readings_of(header) if r.unit in meant), None)
 
 
+@lru_cache(maxsize=4096)  # each is asked for by many columns
 def plain(name: str) -> str:
     """A name without what people write differently: case, spaces, "temp" for temperature."""
     bare = unicodedata.normalize("NFD", name)
@@ -197,19 +199,18 @@ class ColumnRule:
     def among(
         self,
         headers: Sequence[Header],
-        named: Sequence[Collection[str]],
         free: Collection[int],
         given: Mapping[str, str],
     ) -> dict[int, Header]:
         """Return the free headers that can be read as it, under the likeliest of its names that there are.
 
-        `named` are the names in their readings, as names are compared, `given` units that the user says.
+        `given` are units that the user says.
         """
-        for names in self.tiers:
-            at = [i for i in sorted(free) if not names.isdisjoint(named[i])]
-            if found := {i: r for i in at if (r := self._reading(headers[i], names, given))}:
-                return found
-        return {}
+        tried = (
+            {i: r for i in sorted(free) if (r := self._reading(headers[i], names, given))}
+            for names in self.tiers
+        )
+        return next(filter(None, tried), {})
 
     def _reading(
         self, header: Header, names: Collection[str], given: Mapping[str, str]
@@ -373,7 +374,6 @@ class MatchedFile:
     def _take_known(self) -> None:
         """Take the columns of the instrument: by their own names, else by names that are usual, with a fitting unit."""
         headers = self._headers
-        named = [{compared(reading) for reading in readings_of(h)} for h in headers]
         exact = {headers[i].name: i for i in self._free}
         for name, column in self.expected.items():
             if name in self.options.columns:
@@ -388,7 +388,7 @@ class MatchedFile:
                 unit = unit_in(headers[position].unit or "", rule.kinds) or headers[position].unit
                 self._take(position, replace(headers[position], unit=unit), name)
                 continue
-            found = rule.among(headers, named, self._free, self.options.units)
+            found = rule.among(headers, self._free, self.options.units)
             if len(found) == 1:
                 position, reading = found.popitem()
                 self._take(position, replace(reading, name=name), name)

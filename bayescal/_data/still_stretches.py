@@ -18,6 +18,7 @@ from bayescal._core.errors import InputError
 from bayescal._data.column import UNCERTAINTY
 from bayescal._data.measurements import InstrumentLike, Measurements
 from bayescal._data.pose_rows import ACROSS
+from bayescal._data.records import equal_runs
 
 BLOCK_SECONDS = 0.25  # short against a move by hand, long against a filter of 20 Hz
 QUIET_QUANTILE = 0.1  # quantile of the blocks' scatter, that is taken as at rest
@@ -81,36 +82,34 @@ def still_stretches(
     still = np.all(scatter <= STILL_RATIO * rest, axis=1)
     moved = np.any(np.abs(np.diff(mean, axis=0)) > STILL_RATIO * rest, axis=1)
     label = np.cumsum(np.concatenate([[True], moved | (still[1:] != still[:-1])]))
-    found = list[tuple[float, int, int]]()
-    for one in np.unique(label[still]):
-        inside = np.flatnonzero((label == one) & still)[1:-1]  # a move may reach into the ends
-        if len(inside):
-            # A block counts as a quarter of a second, which a step of 1/20 s makes 0.2499999 of.
-            found.append((round(len(inside) * size * step, 6), int(inside[0]), int(inside[-1]) + 1))
-    lengths = np.array([length for length, *_ in found])
+    begins, counts = equal_runs(label)
+    inner = still[begins] & (counts > 2)
+    first, last = begins[inner] + 1, (begins + counts)[inner] - 1  # a move may reach into the ends
+    # A block counts as a quarter of a second, which a step of 1/20 s makes 0.2499999 of.
+    lengths = np.round((last - first) * size * step, 6)
     if shortest is None:
         brief = np.mean(lengths[lengths >= BRIEF_SECONDS] < SHORTEST_SECONDS) > BRIEF_SHARE
         shortest = BRIEF_SECONDS if brief else SHORTEST_SECONDS
-    kept = [where for length, *where in found if length >= shortest]
-    shorter = tuple(map(float, lengths[(lengths >= BRIEF_SECONDS) & (lengths < shortest)]))
-    if not kept:
+    kept = lengths >= shortest
+    shorter = tuple(map(float, lengths[(lengths >= BRIEF_SECONDS) & ~kept]))
+    if not kept.any():
         raise InputError(
             f"no stretch of the log is still for {shortest:g} s: hold the unit still in each pose for longer, or say a "
             "shorter time" + (f": {said_of(shorter)}" if shorter else "")
         )
-    first, last = zip(*kept, strict=True)
-    ends = list(zip(first, last, strict=True))
+    first, last = first[kept], last[kept]
+    ends = list(zip(first.tolist(), last.tolist(), strict=True))
     # Beside much noise a move begins unseen, in the outer blocks: their means tell of it rather than of the noise.
-    inner = [(a + 1, b - 1) for a, b in ends if b - a >= INNER_BLOCKS + 2] or ends
-    own = [mean[a:b] for a, b in inner]
+    middle = [(a + 1, b - 1) for a, b in ends if b - a >= INNER_BLOCKS + 2] or ends
+    own = [mean[a:b] for a, b in middle]
     spent = sum(len(o) - 1 for o in own) * mean.shape[1]
     between = sum(float(np.sum((o - o.mean(axis=0)) ** 2)) for o in own) / spent
-    within = float(np.mean([np.mean(scatter[a:b] ** 2) for a, b in inner]))
+    within = float(np.mean([np.mean(scatter[a:b] ** 2) for a, b in middle]))
     return StillStretches(
-        first=np.array(first) * size,
-        last=np.array(last) * size,
+        first=first * size,
+        last=last * size,
         mean=np.stack([mean[a:b].mean(axis=0) for a, b in ends]),
-        uncertainty=np.sqrt(between / np.array([b - a for a, b in ends])),
+        uncertainty=np.sqrt(between / (last - first)),
         of_second=float(np.sqrt(between * size * step)),
         ratio=float(np.sqrt(between * size / within)) if within > 0 else 1.0,
         shortest=shortest,

@@ -28,11 +28,11 @@ from bayescal._model.composition import Linearised
 
 NEWTON_STEPS = 50  # to the mode of x at most
 NEWTON_NATS = 1e-6  # that the last of them gains: one more would gain the square of that
-KEPT_LINES = 64  # linearisations
+NUMBERS = 4_000_000  # in linearisations that are kept, and in what is computed at once
 
 
 @dataclass(eq=False)
-class Density:
+class Density(ByValues):
     """log p(y, φ) as a function of φ's coordinates, x integrated out of the structure linearised at a point.
 
     Attributes:
@@ -58,6 +58,9 @@ class Density:
         self._lines: dict[tuple[float, ...], Linearised] = {}
         self._mode = self.x  # of x, where it was sought
         self._evaluated: tuple[np.ndarray, Evaluation | None] | None = None
+        near = None if self.like is None or self.like.tabulated is not None else self.like
+        self._begin(near)
+        self.like = None  # not a chain of all that were
 
     @cached_property
     def tabulated(self) -> Tabulated | None:
@@ -80,10 +83,14 @@ class Density:
         # Only shapes and promoted coefficients move J; what else is in φ (noise, sizes) leaves it as it is.
         key = tuple(float(v[i]) for i in self.problem.moving)
         if key not in self._lines:
-            if len(self._lines) >= KEPT_LINES:
+            if len(self._lines) >= self._together:
                 self._lines.clear()
             self._lines[key] = self.problem.linearise(self.x, hyper)
         return self._lines[key]
+
+    @property
+    def _together(self) -> int:
+        return max(2, NUMBERS // (self.problem.record.size * (self.problem.size + 1)))
 
     def _extra(self, line: Linearised) -> Float[np.ndarray, "n"] | float:
         """Variance that noise on inputs adds to each reading."""
@@ -116,7 +123,9 @@ class Density:
         if self.tabulated is not None:
             return self.tabulated.grams(vs)
         if not problem.noise.gaussian:
-            return self._about_modes(vs)
+            parts = range(0, len(vs), self._together)
+            made = [self._about_modes(vs[i : i + self._together]) for i in parts]
+            return Gram(*map(np.concatenate, zip(*made, strict=True)))
         made = [self.gram(v, problem.hyper(v)) for v in vs]
         return Gram(*(np.stack([np.asarray(g[i]) for g in made]) for i in range(4)))
 
@@ -207,12 +216,6 @@ class Density:
 
     # the density ------------------------------------------------------------------------------------------------
 
-    @cached_property
-    def _by_values(self) -> ByValues:
-        near = self.like if self.like is not None and self.like.tabulated is None else None
-        self.like = None  # not a chain of all that were
-        return ByValues(self.values, like=near and near._by_values)
-
     def evaluate(self, v: np.ndarray, exact: bool = False) -> Any:
         """Return the log density at a coordinate with gradient and curvature; None where there is none.
 
@@ -221,7 +224,7 @@ class Density:
             exact: whether a curvature that is about right will not do.
         """
         if self.tabulated is None:
-            return self._by_values.evaluate(v, exact)
+            return super().evaluate(v, exact)
         if self._evaluated is None or not np.array_equal(self._evaluated[0], v):
             self._evaluated = v.copy(), self.tabulated.evaluate(v, self.flat, True)
         return self._evaluated[1]
@@ -229,7 +232,7 @@ class Density:
     def value(self, v: np.ndarray) -> float:
         """Return the log density at a coordinate that a climb may go on from."""
         if self.tabulated is None:
-            return self._by_values.value(v)
+            return super().value(v)
         found = self.evaluate(v)
         return NOWHERE if found is None else found.log_density
 

@@ -9,6 +9,7 @@ Source: L. Trefethen, Approximation Theory and Approximation Practice, SIAM 2013
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable
 from functools import cache
 from typing import NamedTuple
@@ -30,6 +31,7 @@ KEPT_SHARE = 1e-7  # of the largest principal direction of polynomials' coeffici
 LISTED = 8  # coordinates whose columns are listed together
 MOST_PLACES = 8  # about which Taylor series are kept
 
+_NUMBERS = itertools.count()
 _ORDERS = np.arange(COUNT)
 _TRIED = np.array([-0.93, -0.31, 0.47, 0.98])  # where a series is tried
 
@@ -50,6 +52,7 @@ class Expansion:
         middle: coordinates of the free shapes (d,).
         half: half of the box's width; zero for a Taylor series, which is of its place alone.
         orders: of the Chebyshev polynomials that the shares are (r,); none of a Taylor series.
+        number: its own, by which a table knows its columns without holding them.
     """
 
     def __init__(
@@ -60,7 +63,7 @@ class Expansion:
         orders: np.ndarray = _ORDERS[:0],
     ) -> None:
         self.columns, self.middle, self.half, self.orders = columns, middle, half, orders
-        self.rank = columns.shape[2]
+        self.rank, self.number = columns.shape[2], next(_NUMBERS)
 
     def distance(self, v: Float[np.ndarray, "d"]) -> float:
         """Return how far a coordinate is from the middle, in half widths."""
@@ -127,6 +130,10 @@ class Expansions:
         self._boxes, self._places = list[Expansion](), list[Expansion]()
         self._halvings, self._failures = 0, 0 if dim == 1 else FAILURES
 
+    @property
+    def nbytes(self) -> int:
+        return sum(e.columns.nbytes for e in (*self._boxes, *self._places))
+
     def at(self, v: Float[np.ndarray, "d"], sloped: bool) -> Expansion:
         """Return an expansion that holds at a coordinate, the nearest box first.
 
@@ -159,9 +166,13 @@ class Expansions:
                 which[inside] = len(found)
                 found.append(box)
         left = np.flatnonzero(which < 0)
-        for some in np.array_split(left, -(-len(left) // LISTED)) if len(left) else ():
-            which[some] = len(found)
-            found.append(ListedColumns(np.moveaxis(self._columns(v[some]), 0, 2), v[some]))
+        apart, of = np.unique(
+            v[left], axis=0, return_inverse=True
+        )  # the same one twice counts twice
+        for start in range(0, len(apart), LISTED):
+            some = apart[start : start + LISTED]
+            which[left[(of >= start) & (of < start + LISTED)]] = len(found)
+            found.append(ListedColumns(np.moveaxis(self._columns(some), 0, 2), some))
         return found, which
 
     def fitted(self, draws: Float[np.ndarray, "s d"]) -> PolynomialColumns | None:

@@ -257,7 +257,7 @@ def linear_model(problem: Problem, mode: Mode) -> LinearModel:
         sd.append(np.ones(1))
     # Where x stands in units of its prior: a prior of no width has its coefficient at the mean.
     z = np.where(prior.sd > 0, (x - prior.mean) / np.where(prior.sd > 0, prior.sd, 1.0), 0.0)
-    own = [t.known.of for t in problem.in_x for _ in range(t.at.start, t.at.stop)]
+    own = [t.effect.name for t in problem.in_x for _ in range(t.at.start, t.at.stop)]
     extra = problem.extra(line)
     return LinearModel(
         problem=problem,
@@ -338,7 +338,7 @@ def _left(problem: Problem) -> Float[np.ndarray, "n"]:
     """What the effects leave of the output at least, shapes and deviations of groups at their priors' middle."""
     hyper = problem.hyper(np.zeros(len(problem.hypers)))
     x, y = problem.start, problem.record.y
-    plain = [t.at.start for t in problem.in_x if t.known.per is None and t.group_sd_name is None]
+    plain = [t.at.start for t in problem.in_x if t.per is None and t.group_sd_name is None]
     left = y - np.mean(y)
     for _ in range(GAUSS_NEWTON):
         line = problem.linearise(x, hyper)

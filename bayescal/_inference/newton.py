@@ -146,16 +146,14 @@ class ByValues:
     Args:
         values: log density of several points.
         scale: of each coordinate, in which its prior is about standard normal or wider.
-        like: of a density that is much alike, whose curvature is carried on.
     """
 
-    def __init__(
-        self,
-        values: Values,
-        scale: Float[np.ndarray, "d"] | float = 1.0,
-        like: ByValues | None = None,
-    ) -> None:
+    def __init__(self, values: Values, scale: Float[np.ndarray, "d"] | float = 1.0) -> None:
         self.values, self.scale = values, scale
+        self._begin()
+
+    def _begin(self, like: ByValues | None = None) -> None:
+        """Know nothing yet, or the curvature of a density that is much alike."""
         self._last: tuple[np.ndarray, Slopes] | None = None if like is None else like._last
         self._own = False  # whether this is of the density itself
         self._exact = False  # whether its curvature is by differences

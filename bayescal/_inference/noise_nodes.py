@@ -11,7 +11,7 @@ give TᵀΣ(θ)⁻¹T = Σ_c B_c/D(z_c) and log|Σ(θ)| = Σ_c n_c·log D(z_c), 
 |---|---|---|
 | one variance | one node | none |
 | scatter along a column | the column's place, 25 nodes | none |
-| stationary, even steps | λ = 2 − 2·cos(πk/n), about 76 nodes | cosine transform of each run |
+| stationary, even steps | λ = 2 − 2·cos(πk/n), about 50 nodes | cosine transform of each run |
 
 Weights at the nodes are right to 2e-8, with Matérn's process to 4e-6.
 """
@@ -33,7 +33,7 @@ from bayescal._model.noise_law import WHITE, Noise
 from bayescal._model.noise_spectrum import eigenvalues, end_transform
 
 SINGLE_FREQUENCIES = 16  # the lowest of a run, each a node of its own
-SEGMENT_RATIO = 10.0  # of λ from end to end of a segment of the others,
+SEGMENT_RATIO = 30.0  # of λ from end to end of a segment of the others,
 FINE_RATIO = 10**0.5  # the same about all singular points, of distances from them,
 SEGMENT_NODES = 12  # which has so many nodes
 CHUNK_NUMBERS = 2_000_000  # of what is computed at once for several settings

@@ -177,7 +177,7 @@ def program(layout: Layout, frame: Frame) -> Callable:
                 z = numpyro.sample(
                     f"{b.name}.standard", dist.Normal(0.0, 1.0).expand([b.size]).to_event(1)
                 )
-                spread = values[b.group_sd_name] if c.group_sd is not None else c.size
+                spread = c.size if b.group_sd_name is None else values[b.group_sd_name]
                 site = b.mean + spread * z
             x.append(site)
         x = jnp.concatenate(x) if x else jnp.zeros(0)

@@ -41,7 +41,7 @@ class Host:
         self.codes: Mapping[str, Any] = record.codes
 
     def columns(self, term: Term, shapes: Sequence[Any], moves: dict, sloped: bool) -> tuple:
-        of, record = term.known.columns, self.record
+        of, record = term.columns, self.record
         if any(np.ndim(s) for s in shapes) or any(m.ndim > 1 for m in moves.values()):
             if sloped:
                 return record.moved_columns_of_draws(of, shapes, moves)
@@ -91,9 +91,7 @@ class Problem:
 
     def __post_init__(self) -> None:
         layout = self.layout
-        self.terms, self.corrected = terms_of(
-            layout.blocks, self.record, self.record.plain, self.size_factors
-        )
+        self.terms, self.corrected = terms_of(layout.blocks, self.record, self.size_factors)
         self.host = Host(self.record)
         self.hypers = layout.hypers
         self.size = sum(t.size for t in self.terms if t.place == "x")
@@ -150,14 +148,14 @@ class Problem:
     def mean_of_x(self) -> Float[np.ndarray, "p"]:
         found = np.zeros(self.size)
         for t in self.in_x:
-            found[t.at] = t.known.mean
+            found[t.at] = t.mean
         return found
 
     @cached_property
     def weight_of_x(self) -> Float[np.ndarray, "p"]:
         found = np.ones(self.size)
         for t in self.in_x:
-            if t.known.flat:
+            if t.flat:
                 found[t.at] = 0.0
         return found
 
@@ -186,9 +184,9 @@ class Problem:
 
     def x_of(self, other: Problem, x: Float[np.ndarray, "q"]) -> Float[np.ndarray, "p"]:
         """Another structure's x in this one's terms; what that one has not stands at its prior mean."""
-        found, theirs = self.start, {(t.known.of, t.index): t.at for t in other.in_x}
+        found, theirs = self.start, {(t.effect.name, t.index): t.at for t in other.in_x}
         for t in self.in_x:
-            if (at := theirs.get((t.known.of, t.index))) is not None:
+            if (at := theirs.get((t.effect.name, t.index))) is not None:
                 found[t.at] = x[at]
         return found
 
@@ -214,7 +212,7 @@ class Problem:
     def _acting(self) -> tuple[Term, ...]:
         """The terms to be composed: of an affine output, those whose columns or values φ moves."""
         still = self.affine
-        return tuple(t for t in self.terms if not still or t.place != "x" or t.known.shape_names)
+        return tuple(t for t in self.terms if not still or t.place != "x" or t.shape_names)
 
     @cached_property
     def _still(self) -> tuple[Float[np.ndarray, "n p"], Int[np.ndarray, "q"]]:
@@ -225,7 +223,7 @@ class Problem:
         )
         found = np.zeros((self.record.size, self.size), order="F")
         if self.affine:
-            kept = [t for t in self.in_x if not t.known.shape_names]
+            kept = [t for t in self.in_x if not t.shape_names]
             none = np.zeros(self.size), self.fixed_values
             made = linearised(self.host, kept, self.composed(kept, *none, sloped=True))
             found[:, np.setdiff1d(places, acting)] = made.jacobian

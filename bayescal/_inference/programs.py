@@ -22,7 +22,6 @@ from bayescal._model.frame import Frame
 STEP = 1.25  # from one padded length to the next
 # Readings that a program is padded to at least: few programs serve all short records.
 SHORTEST_LENGTH = 32
-SIDE_BY_SIDE = 2_000_000  # readings of draws that are computed side by side
 # Readings from which a program is run often enough to be worth twice the time to compile.
 OPTIMISED_READINGS = 2000
 

@@ -29,7 +29,7 @@ from bayescal._model.instrument import Instrument
 from bayescal._model.noise_law import Noise
 from bayescal._model.terms import ColumnsOf
 
-KEPT_BYTES = 256 * 2**20  # bytes of columns at shapes, of which the latest are kept
+KEPT_BYTES = 256 * 2**20  # of columns at shapes, of which the latest are kept; and of expansions
 DIFFERENCE = 1e-4  # of the range of a column, for slopes by it
 AFFINE = 1e-9  # change of a slope, relative to the largest, up to which it does not change
 DRAWS_A_CALL = 48  # draws in one call of a program, or half of that,
@@ -56,7 +56,6 @@ class Record:
     _nodes: dict[Any, OneNode | None] = field(default_factory=dict)
     _last: tuple[Any, Any] | None = None  # slots, and what the instrument responded to them
     _for_laws: dict[Noise, tuple[Noise, programs.Leaves]] = field(default_factory=dict)
-    plain: dict[Any, Any] = field(default_factory=dict)  # what problems know of a coefficient
     of: Any = None  # what it was made of, held
 
     @cached_property
@@ -80,7 +79,7 @@ class Record:
         Each array that is handed to a program costs as much as small programs compute in.
         """
         if law not in self._for_laws:
-            plain, frame = law.on(self.frame)
+            plain, frame = law.plain, self.frame.only(law.needs)
             frame = programs.padded(frame if law.independent else frame.in_time())
             self._for_laws[law] = plain, programs.Leaves.of(frame)
         return self._for_laws[law]
@@ -153,6 +152,8 @@ class Record:
             held: values of shapes that are not free; None for those that are.
         """
         key = effect.key, held
+        if sum(e.nbytes for e in self._expansions.values()) > KEPT_BYTES:
+            self._expansions.clear()
         if key not in self._expansions:
 
             def columns(v: Float[np.ndarray, "s d"]) -> Float[np.ndarray, "s n k"]:

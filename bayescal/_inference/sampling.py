@@ -11,8 +11,8 @@ Source: A. Owen and Y. Zhou, JASA 95 (2000) 135 (defensive mixtures); M. West, J
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
-from typing import NamedTuple
+from collections.abc import Callable, Sequence
+from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Float
@@ -333,7 +333,7 @@ def weighted_draws(
     # Further draws have random numbers of their own: the same ones again would tell nothing.
     random = np.random.default_rng(seed if earlier is None else [seed, len(earlier.v)])
     density = ManyPhi(problem, mode)
-    share, above = _prior_share(problem), HIGHER_NATS
+    share, above = prior_share([h.prior for h in problem.hypers], problem.log_priors), HIGHER_NATS
     heavy = heavy or not problem.noise.gaussian
     known = None if earlier is None else earlier.rounds
     while True:
@@ -505,15 +505,15 @@ def _log_proposal(
     return np.logaddexp(*parts)
 
 
-def _prior_share(problem: Problem) -> PriorShare | None:
-    priors = [h.prior for h in problem.hypers]
+def prior_share(priors: Sequence[Any], log_density: Values) -> PriorShare | None:
+    """Return the prior of coordinates to propose from; None where it is improper, or of none."""
     if not priors or any(isinstance(p, (Flat, FlatLine)) for p in priors):
         return None
 
     def draw(random: np.random.Generator, count: int) -> Float[np.ndarray, "s d"]:
         return np.stack([_prior_draws(p, random, count) for p in priors], axis=1)
 
-    return PriorShare(draw, problem.log_priors)
+    return PriorShare(draw, log_density)
 
 
 def _prior_draws(prior, random: np.random.Generator, count: int) -> Float[np.ndarray, "s"]:

@@ -116,12 +116,12 @@ class Tabulated:
     def _parts(self, table: ColumnTable) -> list[TabulatedEffect]:
         problem, effects = self.problem, dict[int, list[Term]]()
         for t in problem.terms:
-            effects.setdefault(id(t.known.effect), []).append(t)
+            effects.setdefault(id(t.effect), []).append(t)
         found = []
         for terms in effects.values():
-            names, fixed = terms[0].known.shape_names, problem.fixed_values
+            names, fixed = terms[0].shape_names, problem.fixed_values
             held = tuple(fixed.get(n) for n in names)
-            config = [(t.index, t.slot, t.factor, t.known.per, t.size) for t in terms]
+            config = [(t.index, t.slot, t.factor, t.per, t.size) for t in terms]
             owners = [
                 np.arange(t.at.start, t.at.stop)
                 if t.place == "x"
@@ -131,8 +131,8 @@ class Tabulated:
             amounts = [np.full(t.size, 1.0 if t.place == "x" else -t.value) for t in terms]
             found.append(
                 TabulatedEffect(
-                    table.number((terms[0].known.key, held, *config)),
-                    problem.record.expansions(terms[0].known.columns, held),
+                    table.number((terms[0].columns.key, held, *config)),
+                    problem.record.expansions(terms[0].columns, held),
                     tuple(terms),
                     [self.places[n] for n in names if n not in fixed],
                     np.concatenate(owners),
@@ -149,13 +149,15 @@ class Tabulated:
 
     def _block(self, part: TabulatedEffect, expansion: Expansion) -> int:
         """Return the number of a part's columns in the table: for each coefficient and member as many as the rank."""
-        return self.table.block((part.key, expansion), lambda: self._columns(part, expansion))
+        return self.table.block(
+            (part.key, expansion.number), lambda: self._columns(part, expansion)
+        )
 
     def _columns(self, part: TabulatedEffect, expansion: Expansion) -> Float[np.ndarray, "n w"]:
         columns = []
         for t in part.terms:
             own = (self.slopes[t.slot] * t.factor)[:, None] * expansion.columns[:, t.index]
-            codes = None if t.known.per is None else self.problem.record.codes[t.known.per]
+            codes = None if t.per is None else self.problem.record.codes[t.per]
             spread = by_member(np, own.T, codes, t.size)  # (r, n, members)
             columns.append(spread.transpose(1, 2, 0).reshape(len(own), -1))
         return np.concatenate(columns, axis=1)
@@ -167,7 +169,7 @@ class Tabulated:
         return {
             self._block(part, self.expansion(part, middle, False)): part
             for part in self.parts
-            if not part.free and part.terms[0].known.effect.weights is None
+            if not part.free and part.terms[0].effect.weights is None
         }
 
     def _about(self, x: Float[np.ndarray, "p"], there: Float[np.ndarray, "d"]) -> ColumnTable:
@@ -336,7 +338,7 @@ class Tabulated:
             found[own], log_det[own] = self.grams_of(rows, vs[own])
         for part, (expansions, _) in zip(self.parts, covers, strict=True):
             for listed in (e for e in expansions if isinstance(e, ListedColumns)):
-                self.table.drop((part.key, listed))
+                self.table.drop((part.key, listed.number))
         return Gram.of(found, log_det)
 
     def grams_of(
@@ -435,7 +437,7 @@ class About:
         self.rows = _StructureRows(whole, expansions)
         for part, expansion in zip(whole.parts, expansions, strict=True):
             if part.free:  # its own
-                whole.table.drop((part.key, expansion))
+                whole.table.drop((part.key, expansion.number))
 
     def grams(self, vs: Float[np.ndarray, "b d"]) -> Gram:
         """Return weighted products of J and r, counted from `at`, at several φ."""

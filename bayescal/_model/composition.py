@@ -95,10 +95,10 @@ def value(source: ColumnSource, term: Term, x: Any, hyper: Hyper) -> Any:
     """
     xp = source.xp
     found = members(xp, term, x, hyper)
-    if term.known.per is None:
+    if term.per is None:
         return found
     none = xp.zeros((*found.shape[:-1], 1))  # the code of no member is −1
-    return xp.concatenate([found, none], axis=-1)[..., source.codes[term.known.per]]
+    return xp.concatenate([found, none], axis=-1)[..., source.codes[term.per]]
 
 
 def members(xp: Any, term: Term, x: Any, hyper: Hyper) -> Any:
@@ -108,13 +108,13 @@ def members(xp: Any, term: Term, x: Any, hyper: Hyper) -> Any:
     draws = x.shape[:-1]
     if term.place in ("fixed", "input"):
         return xp.full((*draws, term.size), term.value)
-    own = [xp.broadcast_to(xp.asarray(hyper[name]), draws) for name in term.members]
+    own = [xp.broadcast_to(xp.asarray(hyper[name]), draws) for name in term.member_names()]
     found = xp.stack(own, axis=-1)
     if term.group_sd_name is not None:
         # Held in units of its learned spread (non-centred), so that a spread near zero makes no funnel (O.
         # Papaspiliopoulos, G. Roberts and M. Sköld, Stat. Sci. 22 (2007) 59).
         spread = xp.broadcast_to(xp.asarray(hyper[term.group_sd_name]), draws)
-        found = term.known.mean + spread[..., None] * found
+        found = term.mean + spread[..., None] * found
     return found
 
 
@@ -144,10 +144,10 @@ def compose(
     others = [i for i, t in enumerate(terms) if t.slot in source.slots]
     for places, sums in ((correcting, moves), (others, slots)):
         shifts = {} if sums is moves else moves
-        for _, own in groupby(places, lambda i: terms[i].known.of):
+        for _, own in groupby(places, lambda i: terms[i].effect.name):
             together = list(own)
             first = terms[together[0]]
-            shapes = [hyper[name] for name in first.known.shape_names]
+            shapes = [hyper[name] for name in first.shape_names]
             found, slopes = source.columns(first, shapes, shifts, sloped)
             for i in together:
                 t = terms[i]
@@ -237,7 +237,7 @@ def _in_one_product(source: ColumnSource, mean: Any, each: list[tuple]) -> Any:
 
 
 def _codes(source: ColumnSource, t: Term) -> Any:
-    return None if t.known.per is None else source.codes[t.known.per]
+    return None if t.per is None else source.codes[t.per]
 
 
 def by_member(xp: Any, column: Any, codes: Any, size: int) -> Any:
@@ -270,7 +270,7 @@ class Traced:
         return frame
 
     def columns(self, term: Term, shapes: Sequence[Any], moves: dict, sloped: bool) -> tuple:
-        of = term.known.columns
+        of = term.columns
         at, own = len(of.own), dict(zip(of.own, shapes, strict=False))
         known: dict[str, Any] = {}
         for c in of.corrections:

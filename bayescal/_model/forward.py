@@ -51,8 +51,7 @@ def prior_sd(
     layout: Layout, hyper: Values, flat: Float[Array, "p"] | float = 1.0
 ) -> Float[Array, "p"]:
     """Prior standard deviation of x given φ; where the prior is flat, the scale `flat` of its column."""
-    terms = [Term.of_block(b, {}, {}) for b in layout.x_blocks]
-    sd = Sizes(terms, layout.model.effects, layout.size).at(hyper)
+    sd = Sizes(terms_of(layout.x_blocks)[0], layout.model.effects, layout.size).at(hyper)
     return jnp.where(prior_weight(layout) > 0, sd, flat * sd)
 
 
@@ -63,7 +62,7 @@ def prior_weight(layout: Layout) -> Float[Array, "p"]:
 
 def coefficients(layout: Layout, x: Float[Array, "p"], hyper: Values) -> Values:
     """The value of every coefficient by name, (size,) each, in its reported unit."""
-    return {b.name: members(jnp, Term.of_block(b, {}, {}), x, hyper) for b in layout.blocks}
+    return {t.name: members(jnp, t, x, hyper) for t in terms_of(layout.blocks)[0]}
 
 
 def composed(

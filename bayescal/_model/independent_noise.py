@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from dataclasses import replace
 from typing import Any, ClassVar
 
 import numpy as np
@@ -23,8 +22,6 @@ from bayescal._model.noise_law import (
 )
 from bayescal._model.prior import HalfCauchy, LogNormal, Normal, Positive
 
-# Column of a frame that holds where readings stand along what scatter follows.
-FOLLOWED = "followed"
 SLOPE, CURVATURE = "noise.slope", "noise.curvature"
 PROPORTIONAL = "noise.proportional"
 # Of a column's largest size to its least, from which a proportion to it is no exponential.
@@ -116,21 +113,10 @@ class Heteroscedastic(Noise):
     def amplitudes(self) -> tuple[str, ...]:
         return (WHITE, PROPORTIONAL) if self.proportional else (WHITE,)
 
-    def on(self, frame: Frame) -> tuple[Noise, Frame]:
-        """The law along a column that is its own column's place: one program serves all columns."""
-        law, own = self.plain, frame.only(())
-        place = self._share(frame) if self.proportional else frame.position(self.column)
-        own = replace(
-            own,
-            columns={**own.columns, FOLLOWED: place},
-            reference={**own.reference, f"{FOLLOWED}_low": 0.0, f"{FOLLOWED}_high": 1.0},
-        )
-        return replace(law, column=FOLLOWED), own
-
     def _share(self, frame: Frame) -> Float[Array, "n"]:
         """Return the size of the column, in parts of the largest at the fit."""
-        ends = (jnp.abs(frame.reference[f"{self.column}_{end}"]) for end in ("low", "high"))
-        return jnp.abs(frame.columns[self.column]) / jnp.maximum(*ends)
+        ends = (xp.abs(frame.reference[f"{self.column}_{end}"]) for end in ("low", "high"))
+        return xp.abs(frame.columns[self.column]) / xp.maximum(*ends)
 
     def parameters(self) -> dict[str, Positive | Normal]:
         if self.proportional:

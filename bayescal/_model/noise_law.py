@@ -126,12 +126,8 @@ class Noise(abc.ABC):
 
     @property
     def plain(self) -> Noise:
-        """The law with the priors that it has if none is given: laws of one `plain` share their compiled programs."""
+        """The law with the priors that it has if none is given: laws of one `plain` share compiled programs."""
         return _with_usual_priors(self)
-
-    def on(self, frame: Frame) -> tuple[Noise, Frame]:
-        """The law with its usual priors and what it takes of readings: those of one form share compiled programs."""
-        return self.plain, frame.only(self.needs)
 
     def why_not(self, output: Float[np.ndarray, "n"]) -> str:
         """Return why readings cannot scatter so, in words; empty where they can."""

@@ -23,12 +23,12 @@ from bayescal._model.effect import READING, Coefficient, Effect
 from bayescal._model.frame import GROUPS, origins
 from bayescal._model.instrument import factor_of
 from bayescal._model.model import Model
-from bayescal._model.prior import Flat, FlatLine, Normal, Positive
+from bayescal._model.prior import Flat, FlatLine, Normal, Positive, deviation
 from bayescal._model.static import static
 
 Place = Literal["x", "input", "phi", "fixed"]
-HyperKind = Literal["noise", "group_sd", "shape", "promoted"]
-MOVING: tuple[HyperKind, ...] = ("shape", "promoted")  # the output's Jacobian depends on them
+UnknownKind = Literal["coefficient", "noise", "group_sd", "shape", "promoted"]
+MOVING: tuple[UnknownKind, ...] = ("shape", "promoted")  # the output's Jacobian depends on them
 Levels = Mapping[str, Sequence[str]]  # the members of each group
 NO_REFERENCE: Mapping[str, Any] = MappingProxyType({})
 
@@ -51,7 +51,7 @@ class CoefficientBlock:
     place: Place
     start: int
     value: float
-    origin: float = 0.0  # what its values are counted from in x and φ, in its unit
+    origin: float  # what its values are counted from in x and φ, in its unit
 
     @property
     def mean(self) -> float:
@@ -63,8 +63,24 @@ class CoefficientBlock:
         return self.effect.coefficients[self.index]
 
     @property
-    def group_sd_name(self) -> str:
-        return self.effect.group_sd_name(self.index)
+    def per(self) -> str | None:
+        """The group of which each member has one; None for one value, and for noise on an input."""
+        return None if self.coefficient.per == READING else self.coefficient.per
+
+    @property
+    def flat(self) -> bool:
+        return self.coefficient.flat
+
+    @property
+    def group_sd_name(self) -> str | None:
+        """Name of its learned standard deviation between members; None where there is none."""
+        learned = self.coefficient.group_sd is not None
+        return self.effect.group_sd_name(self.index) if learned else None
+
+    @property
+    def at(self) -> slice:
+        """Its entries of x."""
+        return slice(self.start, self.start + self.size)
 
     def member_names(self, levels: Levels | None = None) -> list[str]:
         """Names of its entries, each after its member; by their number, as in φ, where members have no names."""
@@ -76,17 +92,51 @@ class CoefficientBlock:
 
 
 @dataclass(frozen=True)
-class Hyper:
-    """One entry of φ, of an effect or of the "noise".
+class Unknown:
+    """One scalar unknown.
 
-    The amplitude and the length of an unknown function are spreads of its coefficients.
+    Attributes:
+        name: its own, with its group member, such as "bias.run(3)".
+        key: name that it shares with the other members of its group, "bias.run".
+        unit: in which it is reported.
+        effect: name of its effect, or "noise".
+        kind: what it is; the amplitude and the length of an unknown function are spreads of its coefficients.
+        prior: of an entry of φ, in its coordinate.
+        x: index in x; None where it stands in φ.
+        v: index in φ; None where it stands in x.
+        block: the coefficient, where it is one.
+        member: label of its group member, or its number where members have no labels.
     """
 
     name: str
+    key: str
     unit: str
-    prior: Positive | Normal | FlatLine
-    kind: HyperKind
     effect: str
+    kind: UnknownKind
+    prior: Positive | Normal | FlatLine | None = None
+    x: int | None = None
+    v: int | None = None
+    block: CoefficientBlock | None = None
+    member: object = None
+
+    @property
+    def group(self) -> str | None:
+        """The group of which it is one member's; None for one value."""
+        return None if self.block is None else self.block.coefficient.per
+
+    @property
+    def held(self) -> bool:
+        """Whether it is a number by definition."""
+        return self.block is not None and self.block.index in self.block.effect.held
+
+    @property
+    def prior_sd(self) -> float | None:
+        """Prior standard deviation, `unit`; None where the prior is flat, learned, or has no variance."""
+        if self.block is None:
+            return deviation(self.prior)
+        c = self.block.coefficient
+        learned = c.group_sd is not None or self.block.effect.weights is not None
+        return None if c.flat or learned else c.size
 
 
 @static
@@ -170,27 +220,30 @@ class Layout:
         return sum(b.size for b in self.x_blocks)
 
     @cached_property
-    def hypers(self) -> tuple[Hyper, ...]:
+    def hypers(self) -> tuple[Unknown, ...]:
         """The entries of φ in order: noise, spreads, shapes, promoted coefficients."""
         unit, fixed = self.model.instrument.unit, dict(self.model.fixed)
-        found: list[Hyper] = []
+        found: list[tuple[str, str, Any, UnknownKind, str]] = []  # name, unit, prior, kind, effect
         for name, prior in self.model.noise.parameters().items():
-            found.append(Hyper(name, self.model.noise.unit(name, unit), prior, "noise", "noise"))
+            found.append((name, self.model.noise.unit(name, unit), prior, "noise", "noise"))
         for block in self.blocks:
             c = block.coefficient
-            if c.group_sd is not None and block.place != "fixed":
-                own = c.unit, c.group_sd, "group_sd", block.effect.name
-                found.append(Hyper(block.group_sd_name, *own))
+            if (name := block.group_sd_name) is not None and block.place != "fixed":
+                found.append((name, c.unit, c.group_sd, "group_sd", block.effect.name))
         for effect in self.model.effects:
             for shape in effect.shapes:
                 kind = "group_sd" if shape.name in effect.weight_shapes else "shape"
                 own = shape.unit, shape.prior, kind, effect.name
-                found.append(Hyper(effect.shape_name(shape), *own))
+                found.append((effect.shape_name(shape), *own))
         for block in self.blocks:
             if block.place == "phi":
                 own = block.coefficient.unit, _promoted_prior(block), "promoted", block.effect.name
-                found += [Hyper(name, *own) for name in block.member_names()]
-        return tuple(h for h in found if h.name not in fixed)
+                found += [(name, *own) for name in block.member_names()]
+        free = (own for own in found if own[0] not in fixed)
+        return tuple(
+            Unknown(name, name, unit, effect, kind, prior, v=i)
+            for i, (name, unit, prior, kind, effect) in enumerate(free)
+        )
 
     @cached_property
     def index_in_phi(self) -> dict[str, int]:
@@ -204,7 +257,7 @@ class Layout:
         in_x = [i for b in own for i in range(b.start, b.start + b.size)]
         return in_x, [i for name, i in self.index_in_phi.items() if name in other.index_in_phi]
 
-    def positions(self, *kinds: HyperKind) -> list[int]:
+    def positions(self, *kinds: UnknownKind) -> list[int]:
         """Where in φ the entries of these kinds stand."""
         return [i for i, h in enumerate(self.hypers) if h.kind in kinds]
 

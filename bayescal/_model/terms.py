@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Float, Int
 
 from bayescal._core.xp import xp
-from bayescal._model.effect import READING, Basis, Effect, basis_of
+from bayescal._model.effect import Basis, Effect, basis_of
 from bayescal._model.parameters import CoefficientBlock
 from bayescal._model.prior import LogNormal, Normal
 
@@ -66,81 +67,29 @@ class Correction(NamedTuple):
 
     @classmethod
     def of_block(cls, block: CoefficientBlock) -> Correction:
-        effect = block.effect
-        names = tuple(map(effect.shape_name, effect.column_shapes))
-        return cls(block.slot, ColumnsOf.of(effect), block.index, block.factor * block.value, names)
+        names = tuple(map(block.effect.shape_name, block.effect.column_shapes))
+        columns = ColumnsOf.of(block.effect)
+        return cls(block.slot, columns, block.index, block.factor * block.value, names)
 
 
-class CoefficientTerms(NamedTuple):
-    """What does not change of a coefficient, in plain data."""
+@dataclass(frozen=True)
+class Term(CoefficientBlock):
+    """One coefficient of the structure with all its members, on readings.
 
-    effect: Effect  # held, so that no other takes its place in memory
-    of: str
-    per: str | None
-    mean: float
-    prior_sd: float
-    flat: bool
-    learned: bool
+    Attributes:
+        columns: what its effect's columns depend on.
+        shape_names: names in φ of the shapes that these take.
+        prior_sd: prior standard deviation, its unit.
+    """
+
     columns: ColumnsOf
     shape_names: tuple[str, ...]
-    key: Any  # what its columns depend on, whoever has them
-
-    @classmethod
-    def of_block(
-        cls, block: CoefficientBlock, corrections: Sequence[Correction]
-    ) -> CoefficientTerms:
-        c, effect, learned = block.coefficient, block.effect, block.coefficient.group_sd is not None
-        columns = ColumnsOf.of(effect).on(corrections)
-        names = (*map(effect.shape_name, effect.column_shapes),)
-        names += tuple(name for by in corrections for name in by.shape_names)
-        own = None if c.per == READING else c.per, block.mean, c.size, c.flat, learned
-        return cls(effect, effect.name, *own, columns, names, columns.key)
-
-
-class Term(NamedTuple):
-    """One coefficient of the structure with all its members."""
-
-    known: CoefficientTerms
-    index: int
-    slot: str
-    size: int
-    place: str
-    factor: float
-    value: float
     prior_sd: float
-    group_sd_name: str | None
-    members: tuple[str, ...]
-    at: slice  # its entries of x
-
-    @classmethod
-    def of_block(
-        cls,
-        block: CoefficientBlock,
-        plain: dict[Any, Any],
-        size_factors: Mapping[str, float],
-        corrections: Sequence[Correction] = (),
-    ) -> Term:
-        """Of a block, on readings of which columns are corrected; `plain` keeps what does not change."""
-        needed = tuple(c for c in corrections if c.column in block.effect.columns)
-        key = (id(block.effect), block.index, needed)
-        if key not in plain:
-            plain[key] = CoefficientTerms.of_block(block, needed)
-        known: CoefficientTerms = plain[key]
-        same = "index", "slot", "size", "place", "factor", "value"
-        return cls(
-            known=known,
-            **{name: getattr(block, name) for name in same},
-            prior_sd=known.prior_sd * size_factors.get(known.of, 1.0),
-            group_sd_name=block.group_sd_name if known.learned else None,
-            members=tuple(block.member_names()) if block.place == "phi" else (),
-            at=slice(block.start, block.start + block.size),
-        )
 
 
 def terms_of(
     blocks: Sequence[CoefficientBlock],
-    source: Any,
-    plain: dict[Any, Any] | None = None,
+    source: Any = None,
     size_factors: Mapping[str, float] | None = None,
 ) -> tuple[tuple[Term, ...], tuple[str, ...]]:
     """The terms of a structure, and the columns of the readings that some of them correct.
@@ -151,11 +100,11 @@ def terms_of(
 
     Args:
         blocks: its coefficients.
-        source: of columns and responses; what acts on a name that is none of its slots corrects that column.
-        plain: keeps what does not change of a coefficient, for other structures.
+        source: of columns and responses; what acts on a name that is none of its slots corrects that column. None:
+            nothing does.
         size_factors: on the plausible sizes of an effect's coefficients, by the effect's name; one where not named.
     """
-    correcting = [b for b in blocks if b.slot not in source.slots]
+    correcting = [b for b in blocks if source is not None and b.slot not in source.slots]
     corrected = tuple(dict.fromkeys(b.slot for b in correcting))
     own = {b.effect.name for b in correcting}
     corrections: tuple[Correction, ...] = ()
@@ -163,13 +112,22 @@ def terms_of(
     if correcting and held and source.read.isdisjoint(corrected):
         corrections, corrected = tuple(map(Correction.of_block, correcting)), ()
         blocks = [b for b in blocks if b.slot in source.slots]
-    plain = {} if plain is None else plain
-
-    def term(b: CoefficientBlock) -> Term:
-        acting = () if b.effect.name in own else corrections
-        return Term.of_block(b, plain, size_factors or {}, acting)
-
-    return tuple(map(term, blocks)), corrected
+    columns: dict[str, tuple[ColumnsOf, tuple[str, ...]]] = {}
+    for effect in {b.effect.name: b.effect for b in blocks}.values():
+        needed = [c for c in corrections if effect.name not in own and c.column in effect.columns]
+        names = [*map(effect.shape_name, effect.column_shapes)]
+        names += [name for c in needed for name in c.shape_names]
+        columns[effect.name] = ColumnsOf.of(effect).on(needed), tuple(names)
+    factors = size_factors or {}
+    terms = (
+        Term(
+            **vars(b),
+            **dict(zip(("columns", "shape_names"), columns[b.effect.name], strict=True)),
+            prior_sd=b.coefficient.size * factors.get(b.effect.name, 1.0),
+        )
+        for b in blocks
+    )
+    return tuple(terms), corrected
 
 
 class _Weighted(NamedTuple):
@@ -196,13 +154,13 @@ class Sizes:
         for t in terms:
             if t.group_sd_name is not None:
                 self.members.setdefault(t.group_sd_name, np.zeros(size))[t.at] = 1.0
-            elif not t.known.flat:
+            elif not t.flat:
                 self.plain[t.at] = t.prior_sd
         self.weighing: dict[str, _Weighted] = {}  # by each shape that sizes follow
         for effect in (e for e in effects if e.weights is not None):
             index = np.full(size, -1)
             for t in terms:
-                if t.known.of == effect.name:
+                if t.effect.name == effect.name:
                     index[t.at] = t.index
             names = {name: f"{effect.name}.{name}" for name in effect.weight_shapes}
             own = _Weighted(effect.weights, names, len(effect.coefficients), index)

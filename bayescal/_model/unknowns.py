@@ -5,62 +5,11 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Literal
 
 import numpy as np
 from jaxtyping import Float
 
-from bayescal._model.parameters import CoefficientBlock, Hyper, Layout, Levels
-from bayescal._model.prior import deviation
-
-
-@dataclass(frozen=True)
-class Unknown:
-    """One scalar unknown.
-
-    Attributes:
-        name: its own, with its group member, such as "bias.run(3)".
-        key: name that it shares with the other members of its group, "bias.run".
-        unit: in which it is reported.
-        effect: name of its effect, or "noise".
-        kind: what it is.
-        x: index in x; None where it stands in φ.
-        v: index in φ; None where it stands in x.
-        block: the coefficient, where it is one.
-        hyper: the entry of φ, where it is none.
-        member: label of its group member, or its number where members have no labels.
-    """
-
-    name: str
-    key: str
-    unit: str
-    effect: str
-    kind: Literal["coefficient", "noise", "group_sd", "shape", "promoted"]
-    x: int | None = None
-    v: int | None = None
-    block: CoefficientBlock | None = None
-    hyper: Hyper | None = None
-    member: object = None
-
-    @property
-    def group(self) -> str | None:
-        """The group of which it is one member's; None for one value."""
-        return None if self.block is None else self.block.coefficient.per
-
-    @property
-    def held(self) -> bool:
-        """Whether it is a number by definition."""
-        return self.block is not None and self.block.index in self.block.effect.held
-
-    @property
-    def prior_sd(self) -> float | None:
-        """Prior standard deviation, `unit`; None where the prior is flat, learned, or has no variance."""
-        if self.hyper is not None:
-            return deviation(self.hyper.prior)
-        assert self.block is not None
-        c = self.block.coefficient
-        learned = c.group_sd is not None or self.block.effect.weights is not None
-        return None if c.flat or learned else c.size
+from bayescal._model.parameters import Layout, Levels, Unknown
 
 
 @dataclass(frozen=True)
@@ -81,9 +30,7 @@ class Unknowns:
                 at = {"x": b.start + i} if b.place == "x" else {"v": layout.index_in_phi[in_phi[i]]}
                 own = name, b.name, b.coefficient.unit, b.effect.name, "coefficient"
                 rows.append(Unknown(*own, **at, block=b, member=labels[i]))
-        for i, h in enumerate(layout.hypers):
-            if h.kind != "promoted":
-                rows.append(Unknown(h.name, h.name, h.unit, h.effect, h.kind, v=i, hyper=h))
+        rows += [h for h in layout.hypers if h.kind != "promoted"]
         return cls(layout, tuple(rows))
 
     def __iter__(self) -> Iterator[Unknown]:
@@ -124,8 +71,7 @@ class Unknowns:
             value = phi[u.v] if u.v is not None else x[..., u.x]
             if (b := u.block) is not None:
                 value = b.origin + value
-                if u.v is not None and b.coefficient.group_sd is not None:
-                    name = b.group_sd_name
+                if u.v is not None and (name := b.group_sd_name) is not None:
                     value = (
                         b.coefficient.mean
                         + (fixed[name] if name in fixed else phi[at[name]]) * value

@@ -517,20 +517,18 @@ def allan(given: Check | Calibration | AllanDeviation) -> Figure:
             "there is no Allan deviation to draw: it needs runs of 30 readings or more, evenly spaced in time; "
             "bc.allan_deviation(readings) says what these lack"
         )
-    ax = axes_of(None, 5.2, 3.6)
+    ax, law = axes_of(None, 5.2, 3.6), found if isinstance(found, AllanCheck) else None
     measured = found.measured if isinstance(found, AllanCheck) else found
-    if isinstance(found, AllanCheck):
-        seen = found.expected > 0
-        tau, low, high = measured.tau[seen], found.low[seen], found.high[seen]
+    if law is not None:
+        seen = law.expected > 0
+        tau, low, high = measured.tau[seen], law.low[seen], law.high[seen]
         ax.fill_between(tau, low, high, color=GREY, alpha=0.25, lw=0)
-        label = f"noise law ({found.law_name}), 95 %"
-        ax.plot(tau, found.expected[seen], "--", color=GREY, lw=1.2, label=label)
-    what = "residuals" if isinstance(found, AllanCheck) else "readings"
-    _measured(ax, measured, fmt="o-", lw=1.2, label=what)
-    if isinstance(found, AllanCheck) and (i := found.apart) is not None:
+        label = f"noise law ({law.law_name}), 95 %"
+        ax.plot(tau, law.expected[seen], "--", color=GREY, lw=1.2, label=label)
+    _measured(ax, measured, fmt="o-", lw=1.2, label="residuals" if law else "readings")
+    if law is not None and (i := law.apart) is not None:
         ax.plot(measured.tau[i], measured.deviation[i], "o", ms=7, color=RED, zorder=3)
-    terms = found.law_terms if isinstance(found, AllanCheck) else ()
-    return _labelled(ax, measured.unit, [f"{t.symbol} = {t}" for t in terms])
+    return _labelled(ax, measured.unit, [f"{t.symbol} = {t}" for t in law.law_terms] if law else [])
 
 
 def noise(found: SensorNoise) -> Figure:

@@ -124,25 +124,19 @@ def coefficients(chapter: Chapter) -> ResultTable:
     untold = coefficients_not_measured(chapter.used)
     known, rows = {r["name"]: r for r in chain(*summary(chapter.used))}, list[dict[str, Any]]()
     for key, (name, value, unit, *_) in unknown_rows(chapter.used).items():
-        if key not in known:  # what single coefficients mean nothing in: a curve, a large group
-            none = dict.fromkeys(("u", "k2", "credible"), "–")
+        none = dict.fromkeys(("u", "k2", "credible"), "–")
+        if (r := known.get(key)) is None:  # a curve, a large group: its coefficients mean nothing
             value = f"{value} {unit}".rstrip()
             rows.append({"name": name, "unit": "", "value": value, "contraction": None, **none})
             continue
-        r = known[key]
-        mean, sd, likely = r["mean"], r["sd"], r["probability"]
+        mean, sd, likely, given = r["mean"], r["sd"], r["probability"], if_there(r, K)
         held = not sd > 1e-9 * abs(mean)
-        given = if_there(r, K)
         note = " (held)" * held + " (mostly its prior)" * (name in untold)
         note += f" (if it is there {given})" if given else ""
         note += f" (probability {probability(likely)})" * (likely < 1 and not given)
-        own = {"u": "held", "k2": "–", "credible": "–"}
-        if not held:
-            own = {
-                "u": number(sd, 2),
-                "k2": interval(mean - K * sd, mean + K * sd, mean, sd),
-                "credible": interval(*r["interval95"], mean, sd),
-            }
+        ends = (mean - K * sd, mean + K * sd), r["interval95"]
+        k2, credible = ("–" if held else interval(*pair, mean, sd) for pair in ends)
+        own = {"u": "held" if held else number(sd, 2), "k2": k2, "credible": credible}
         rows.append({**r, "value": with_error(mean, K * sd), "note": note, **own})
     columns = (
         TableColumn("unknown", "name"),

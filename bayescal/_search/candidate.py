@@ -160,7 +160,7 @@ def _by_refit(effect, with_it: Weighed) -> dict:
         return {"size": shapes[own.name], "size_sd": sd, "shape": shapes, "unit": own.unit}
     if learned := learned_size(effect, problem, mode):
         return {"size": learned[0], "size_sd": learned[1], "shape": shapes}
-    term = next(t for t in problem.in_x if t.known.of == effect.name)
+    term = next(t for t in problem.in_x if t.effect.name == effect.name)
     _, got = Density(problem, mode.x, mode.flat, mode.v).at(mode.v)
     # Given φ̂: the noise and the shapes are held, as in a score.
     sd = 0.0 if got is None else math.sqrt(got.covariance[term.at.start, term.at.start])

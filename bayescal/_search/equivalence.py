@@ -102,7 +102,7 @@ def _columns(structures: Structures) -> tuple[LinearModel, dict[str, _Columns]]:
     line = about_priors(Problem(layout, structures.record), structures.floor)
     random = np.zeros(len(line.owners), dtype=bool)
     for t in line.problem.in_x:
-        random[t.at] = t.group_sd_name is not None or t.known.effect.weights is not None
+        random[t.at] = t.group_sd_name is not None or t.effect.weights is not None
     # Of many readings some, each in the place of several.
     every = -(-line.size // MAX_ROWS)
     white = math.sqrt(every) * line.white_nuisance[::every]

@@ -188,12 +188,12 @@ def outlook(calibration: Calibration, readings: Measurements) -> Outlook:
     covariance = np.linalg.inv(white.T @ white) + np.diag(
         np.broadcast_to(beside, (1, record.size))[0]
     )
-    own = [t for t in problem.terms if t.known.per is not None and t.place != "fixed"]
+    own = [t for t in problem.terms if t.per is not None and t.place != "fixed"]
     _, slopes = problem.expected_with_slopes(middle, hyper, own)
     for t, slope in zip(own, slopes, strict=True):
         sd = t.prior_sd if t.group_sd_name is None else hyper[t.group_sd_name]
         column = np.reshape(slope, -1) * sd
-        member = codes[str(t.known.per)]
+        member = codes[str(t.per)]
         same = (member[:, None] == member) & (member[:, None] >= 0)
         covariance += same * np.outer(column, column)
     return Outlook(means.mean(axis=0), centred.T @ centred / len(means) + covariance)

@@ -112,7 +112,7 @@ class Weighed:
     def acting(self) -> dict[Correction, tuple[float, ...]]:
         """What columns of the readings are corrected by, as by the temperature of a body; its shapes at the mode."""
         phi = self.phi
-        corrections = (c for t in self.problem.terms for c in t.known.columns.corrections)
+        corrections = (c for t in self.problem.terms for c in t.columns.corrections)
         return {c: tuple(phi[n] for n in c.shape_names) for c in corrections}
 
     @property
@@ -140,7 +140,8 @@ class Structures:
         floor: noise that no model removes, output unit.
         spans: which candidates these readings cannot tell from which.
         earlier: structures weighed with other ranges of shapes: where refits begin.
-        form_nats: nats behind the best, up to which forms that no score tells of are weighed.
+        thrifty: whether forms that no score tells of are weighed near the best alone, and other noise laws beside it or
+            where they would lead; structures under these are then looked around only when they do.
     """
 
     base: Model
@@ -152,7 +153,7 @@ class Structures:
     floor: float = 0.0
     spans: Spans = field(default_factory=Spans)
     earlier: Mapping[Structure, Weighed] = field(default_factory=dict)
-    form_nats: float = OTHER_LAW_NATS
+    thrifty: bool = False
     visited: dict[Structure, Weighed] = field(default_factory=dict)
     expected: dict[Structure, float] = field(default_factory=dict)  # totals of others, by score
     experiments: dict[Any, Any] = field(default_factory=dict)  # which tell equivalent effects apart
@@ -370,7 +371,7 @@ class Structures:
         plain = (
             t.at.start
             for t in line.problem.in_x
-            if t.group_sd_name is None and t.known.effect.weights is None and t.known.per is None
+            if t.group_sd_name is None and t.effect.weights is None and t.per is None
         )
         return any(abs(moved[i]) > line.uncertainty(i) for i in plain)
 
@@ -501,8 +502,8 @@ class SizeGains(NamedTuple):
         # Learned spreads are no plausible sizes: φ has them, and the evidence is averaged over them already.
         names, owner = [*begun], np.full(problem.size, -1)
         for t in problem.in_x:
-            if t.known.of in begun and t.group_sd_name is None:
-                owner[t.at] = names.index(t.known.of)
+            if t.effect.name in begun and t.group_sd_name is None:
+                owner[t.at] = names.index(t.effect.name)
         own = np.flatnonzero(owner >= 0)
         root = found.root_of_z[own]
         return cls(dict(begun), owner[own], found.z[own], root @ root.T)

@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable, Collection, Generator, Iterator, Sequence
+from functools import lru_cache, partial
 from typing import NamedTuple
 
 from bayescal._core import deadline
@@ -91,6 +92,7 @@ def walk(library: Library, max_effects: int, given: Structure | None = None) -> 
     named = frozenset(n for n, e in structures.candidates.items() if not e.unnamed)
     physics, every = Scope(named, ("",)), Scope(frozenset(structures.candidates))
     looked: dict[Scope, set[Structure]] = {physics: set(), every: set()}
+    view = lru_cache(BEAM_STRUCTURES)(partial(View, library))  # of either scope
     for among, later in ((physics, None), (every, None), (every, given)):
         for first in () if among is physics else roots(structures):
             yield structures.weigh(first, root)
@@ -102,7 +104,7 @@ def walk(library: Library, max_effects: int, given: Structure | None = None) -> 
         while True:
             if fresh := _next(structures, looked[among], among):
                 looked[among].add(fresh.structure)
-                yield from _look_around(library, fresh, max_effects, among)
+                yield from _look_around(library, fresh, max_effects, among, view)
             elif among is physics:
                 break
             else:
@@ -151,6 +153,8 @@ def _next(structures: Structures, looked: set[Structure], among: Scope) -> Weigh
         if w.total <= ordered[0].total - NEAR_NATS:
             return None
         in_beam = i < BEAM_STRUCTURES or of_law[w.structure.noise] is w
+        if structures.thrifty:
+            in_beam = i < BEAM_STRUCTURES and w.structure.noise == ordered[0].structure.noise
         if in_beam and w.structure not in looked:
             return w
     return None
@@ -187,7 +191,13 @@ class Move(NamedTuple):
     hints: tuple[dict[str, float], ...] = ()
 
 
-def _look_around(library: Library, at: Weighed, max_effects: int, among: Scope) -> Evaluated:
+def _look_around(
+    library: Library,
+    at: Weighed,
+    max_effects: int,
+    among: Scope,
+    view: Callable[[Weighed], View],
+) -> Evaluated:
     """Weigh the neighbours of a structure that may come near the best; of the others keep what is expected."""
     structures, here = library.structures, at.structure
     # The same effects under each law: which effects are probable hangs on the law, and the walk would otherwise have
@@ -200,7 +210,7 @@ def _look_around(library: Library, at: Weighed, max_effects: int, among: Scope) 
         return
     lost = yield from _weigh_forms(structures, at)
     changes = [m for m in _changes_of_noise(structures, at) if among.has(m.to.noise)]
-    moves = [*_moves(View(library, at), max_effects, among)]
+    moves = [*_moves(view(at), max_effects, among)]
     # Without what moves a column nothing that depends on it is what it was: what may stand in its place is seen beside
     # a refit without it.
     for name in sorted(filter(structures.moves_a_column, here.effects)):
@@ -214,7 +224,10 @@ def _look_around(library: Library, at: Weighed, max_effects: int, among: Scope) 
     for move in (*moves, *changes):
         structures.expect(move.to, move.total)
     # Of another law a refit tells little more than was expected, unless it is to be used.
-    moves += [move for move in changes if move.total > at.total]
+    least = at.total
+    if structures.thrifty:
+        least = at.total - NEAR_NATS / 2 if at is structures.best else structures.best.total
+    moves += [move for move in changes if move.total > least]
     # The first ones are refitted whatever is expected of them, since a score at φ̂ of a model that lacks an effect
     # (its noise too large, its shapes elsewhere) may be far too low.
     moves.sort(key=lambda m: -m.total)
@@ -246,7 +259,8 @@ def _weigh_forms(
         The forms that make it so improbable: not to be tried beside one effect more or less.
     """
     lost = set[str]()
-    if not at.total > structures.best.total - structures.form_nats:
+    behind = NEAR_NATS if structures.thrifty else OTHER_LAW_NATS
+    if not at.total > structures.best.total - behind:
         return lost
     for name in sorted(at.structure.effects):
         for to in structures.other_forms(at.structure, name):

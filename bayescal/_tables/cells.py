@@ -145,6 +145,7 @@ def unit_of_counts(values: np.ndarray, longest: float = _LONGEST) -> str | None:
     return None
 
 
+_TEXT = np.dtypes.StringDType()
 MOST_BAD = 1000  # cells that are no number, beyond which no more are kept
 MISSING = frozenset(  # what loggers and C's printf write for a reading that is not there
     ("", "nan", "-nan", "na", "n/a", "#n/a", "#nan", "null", "none", "nil", "-", "--")
@@ -182,6 +183,13 @@ class Cells:
         whole = all(map(unix_seconds, filter(None, texts)))
         return numbers_of(texts) if whole else self
 
+    def _texts(self) -> np.ndarray:
+        return (
+            np.array([*map(cell_text, self.values.tolist())], _TEXT)
+            if self.dates is None
+            else self.dates
+        )
+
     @classmethod
     def joined(cls, parts: Sequence[Cells]) -> Cells:
         """Join stretches of a column, one after the other."""
@@ -190,7 +198,7 @@ class Cells:
             bad |= {done + i: text for i, text in part.bad.items()} if len(bad) < MOST_BAD else {}
             done += len(part.values)
         if any(part.dates is not None for part in parts):
-            dates = np.concatenate([p.values if p.dates is None else p.dates for p in parts])
+            dates = np.concatenate([part._texts() for part in parts])
         return cls(np.concatenate([part.values for part in parts]), bad, dates)
 
 
@@ -201,24 +209,22 @@ def dates_of(texts: Sequence[str], order: str = "") -> tuple[Cells, dict[str, np
     which number is the day, they are also returned by each order, those in which each is a date first, NaN where one
     is none.
     """
-    texts = [cell_text(text) for text in texts]
-    found = [unix_seconds(text) for text in texts]
-    has_zone = next((zoned(text) for text, one in zip(texts, found, strict=True) if one), False)
-    wrong = [
-        i
-        for i, (text, one) in enumerate(zip(texts, found, strict=True))
-        if not is_missing(text) and (not one or zoned(text) != has_zone)
-    ]
-    bad = {i: texts[i] for i in wrong[:MOST_BAD]}
-    values = {n: np.array([one.get("", one.get(n, np.nan)) for one in found]) for n in ORDERS}
-    there = np.array([bool(one) for one in found])
+    rows, bad, has_zone, settled = np.full((len(ORDERS), len(texts)), np.nan), {}, None, True
+    for i, text in enumerate(map(cell_text, texts)):
+        if found := unix_seconds(text):
+            rows[:, i] = [found.get("", found.get(name, np.nan)) for name in ORDERS]
+            has_zone = zoned(text) if has_zone is None else has_zone
+            settled &= "" in found
+        wrong = zoned(text) != has_zone if found else not is_missing(text)
+        if wrong and len(bad) < MOST_BAD:
+            bad[i] = text
+    if settled:
+        return Cells(rows[0], bad), {}
+    values, there = dict(zip(ORDERS, rows, strict=True)), ~np.isnan(rows).all(axis=0)
     fitting = [n for n, own in values.items() if not np.isnan(own[there]).any()]
-    if all("" in one for one in found if one):
-        return Cells(values[ORDERS[0]], bad), {}
-    chosen = order or (fitting[0] if len(fitting) == 1 else "")
-    if chosen:
+    if chosen := order or (fitting[0] if len(fitting) == 1 else ""):
         odd = np.flatnonzero(there & np.isnan(values[chosen]))[:MOST_BAD]
-        bad |= {int(i): f"{texts[i]} in another order" for i in odd}
+        bad |= {int(i): f"{cell_text(texts[i])} in another order" for i in odd}
         return Cells(values[chosen], bad), {}
     some = [n for n, own in values.items() if not np.isnan(own).all()]
     orders = {n: values[n] for n in fitting or some}
@@ -238,7 +244,7 @@ def numbers_of(texts: Sequence[str], decimal: str = ".") -> Cells:
             return Cells(np.fromiter(map(float, plain), np.float64, len(plain)))
     values = np.fromiter(map(number_of, plain), np.float64, len(plain))
     odd = [i for i in np.flatnonzero(np.isnan(values)).tolist() if not is_missing(texts[i])]
-    dates = np.array(texts, object) if odd and unix_seconds(texts[odd[0]]) else None
+    dates = np.array(texts, _TEXT) if odd and unix_seconds(texts[odd[0]]) else None
     return Cells(values, {i: texts[i].strip() for i in odd[:MOST_BAD]}, dates)
 
 

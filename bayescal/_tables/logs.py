@@ -16,10 +16,12 @@ Temperature.msg (temperature in °C); the time is that of the header.
 
 from __future__ import annotations
 
+import importlib
+import io
 import re
 import sqlite3
 from collections.abc import Collection, Iterable
-from contextlib import closing
+from contextlib import closing, redirect_stderr, redirect_stdout
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -29,6 +31,7 @@ import numpy as np
 
 from bayescal._core.errors import InputError
 from bayescal._core.quoting import one_line
+from bayescal._tables.raw_table import Table, as_format, unusable
 
 RATE, ACCELERATION = "rad/s", "m/s^2"  # units in which all these formats log
 AXES = ("x", "y", "z")
@@ -309,3 +312,35 @@ def _bag_sensor(
     channels |= triad("acc", ACCELERATION, values[3:], number)
     known = np.array(sorted(temperature)).T[::-1] if temperature else ()
     return Sensor(time, channels, *known)
+
+
+# Suffix → what people call the format, the package that reads it, and how.
+LOG_FORMATS = {
+    ".ulg": ("PX4 ULog", "pyulog", read_ulog),
+    ".bin": ("ArduPilot log", "pymavlink", read_dataflash),
+    ".bag": ("ROS 1 bag", "rosbags", read_bag),
+    ".mcap": ("ROS 2 bag", "rosbags", read_bag),
+    ".db3": ("ROS 2 bag", "rosbags", read_bag),
+}
+
+
+def open_log(path: Path, file: str, chosen: Collection[str]) -> Table:
+    """Open the chosen channels of a log; all, if `chosen` names none that it has.
+
+    Raises:
+        InputError: the package that reads it is not installed, or the file is not what its suffix says.
+    """
+    title, package, read = LOG_FORMATS[path.suffix.lower()]
+    try:
+        importlib.import_module(package)
+    except ModuleNotFoundError:
+        came = f"is a {title}, which the package {package} reads, and that is not installed"
+        raise unusable(file, came, "pip install 'bayescal[logs]'") from None
+    printed = io.StringIO()  # libraries print; standard output is the command's own
+    with as_format(file, title), redirect_stdout(printed), redirect_stderr(printed):
+        sensors, notes = read(path)
+    lines = [x for x in printed.getvalue().splitlines() if "dfindexer" not in x.lower()]
+    notes += [f"{package} says: {line[:200]}" for line in lines[:1]]
+    columns, more = columns_of(sensors, chosen, file)
+    notes = (*(f"{file}: {note}" for note in notes), *more)
+    return Table.of_columns(file, columns, place=lambda i: f"sample {i + 1}", notes=notes)

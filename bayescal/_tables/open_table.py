@@ -2,39 +2,18 @@
 
 from __future__ import annotations
 
-import importlib
-import io
 from collections import Counter
-from collections.abc import Callable, Collection, Iterator, Sequence
-from contextlib import contextmanager, redirect_stderr, redirect_stdout
+from collections.abc import Collection, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
-from typing import NamedTuple
 
 from bayescal._core.atomic_file import sha256_of
 from bayescal._core.errors import InputError
 from bayescal._core.quoting import one_line
 from bayescal._tables.csv_reader import open_csv
-from bayescal._tables.logs import Sensor, columns_of, read_bag, read_dataflash, read_ulog
-from bayescal._tables.raw_table import Table, as_format, bytes_text, unusable
-
-
-class LogFormat(NamedTuple):
-    """A format: what people call it, the package that reads it, and how."""
-
-    title: str
-    package: str
-    read: Callable[[Path], tuple[list[Sensor], list[str]]]
-
-
-_ROS_2 = LogFormat("ROS 2 bag", "rosbags", read_bag)
-LOG_FORMATS = {
-    ".ulg": LogFormat("PX4 ULog", "pyulog", read_ulog),
-    ".bin": LogFormat("ArduPilot log", "pymavlink", read_dataflash),
-    ".bag": LogFormat("ROS 1 bag", "rosbags", read_bag),
-    ".mcap": _ROS_2,
-    ".db3": _ROS_2,
-}
+from bayescal._tables.logs import LOG_FORMATS, open_log
+from bayescal._tables.raw_table import Table, bytes_text, unusable
 
 MAX_BYTES = 2_000_000_000  # of a file, and of its numbers in memory: a larger one is refused, and not killed for memory
 TEXT = (".csv", ".tsv", ".dsv", ".txt", ".lvm", ".dat")
@@ -118,25 +97,3 @@ def open_table(
             openers |= {".parquet": formats.open_parquet, ".nc": formats.open_netcdf}
             found = openers[suffix](path, name, max_bytes)
         return replace(found, sha256=sha256_of(path))
-
-
-def open_log(path: Path, file: str, chosen: Collection[str]) -> Table:
-    """Open the chosen channels of a log; all, if `chosen` names none that it has.
-
-    Raises:
-        InputError: the package that reads it is not installed, or the file is not what its suffix says.
-    """
-    title, package, read = LOG_FORMATS[path.suffix.lower()]
-    try:
-        importlib.import_module(package)
-    except ModuleNotFoundError:
-        came = f"is a {title}, which the package {package} reads, and that is not installed"
-        raise unusable(file, came, "pip install 'bayescal[logs]'") from None
-    printed = io.StringIO()  # libraries print; standard output is the command's own
-    with as_format(file, title), redirect_stdout(printed), redirect_stderr(printed):
-        sensors, notes = read(path)
-    lines = [x for x in printed.getvalue().splitlines() if "dfindexer" not in x.lower()]
-    notes += [f"{package} says: {line[:200]}" for line in lines[:1]]
-    columns, more = columns_of(sensors, chosen, file)
-    notes = (*(f"{file}: {note}" for note in notes), *more)
-    return Table.of_columns(file, columns, place=lambda i: f"sample {i + 1}", notes=notes)

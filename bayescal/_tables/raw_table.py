@@ -198,10 +198,6 @@ def called(headers: Sequence[Header], name: str) -> int | None:
     return None
 
 
-def row_place(index: int) -> str:
-    return f"row {index + 1}"
-
-
 @dataclass(frozen=True)
 class Table:
     """An opened file.
@@ -223,7 +219,7 @@ class Table:
     rows: int
     load: Callable[[Mapping[int, bool]], dict[int, Cells]]
     sha256: str = ""
-    place: Callable[[int], str] = row_place
+    place: Callable[[int], str] = lambda index: f"row {index + 1}"
     notes: tuple[str, ...] = ()
     problems: tuple[Objection, ...] = ()
     readable: bool = True

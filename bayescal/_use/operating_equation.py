@@ -34,7 +34,7 @@ from bayescal._model.frame import Frame
 from bayescal._model.instrument import Use
 from bayescal._model.noise_law import scores_of_tails
 from bayescal._model.parameters import CoefficientBlock, Layout, member_name
-from bayescal._model.terms import Term
+from bayescal._model.terms import terms_of
 
 NOT_INPUTS = ("output", "output_uncertainty", "temperature_point")
 Scalars = dict[str, Float[Array, ""]]
@@ -233,7 +233,7 @@ class OperatingEquation(eqx.Module):
         source = Traced(self.layout.model.instrument, frame)
         acting = [b for b in self.blocks if b.slot in source.slots or b.slot in frame.columns]
         values = [jnp.reshape(known[b.name], (1,)) for b in acting]
-        made = compose(source, [Term.of_block(b, {}, {}) for b in acting], values, known)
+        made = compose(source, terms_of(acting)[0], values, known)
         slots = {name: made.slots.get(name, jnp.zeros(1)) for name in source.slots}
         return slots, source.moved(made.moves)
 
@@ -423,7 +423,7 @@ def _spread(calibration: Calibration, block: CoefficientBlock) -> Float[np.ndarr
     """Draws of the standard deviation from which a new member is taken."""
     problem, (_, v) = calibration.problem, calibration.draws()
     own = (block.effect.name, block.index)
-    term = next(t for t in problem.terms if (t.known.of, t.index) == own)
+    term = next(t for t in problem.terms if (t.effect.name, t.index) == own)
     return problem.member_sd(term, problem.hyper(v.T), len(v))
 
 

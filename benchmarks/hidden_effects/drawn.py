@@ -11,7 +11,7 @@ from bayescal._inference.problem import Problem
 from bayescal._inference.record import Record
 from bayescal._model.frame import reference_of
 from bayescal._model.noise_terms import CORRELATION_TIME
-from bayescal._model.parameters import Hyper, Layout
+from bayescal._model.parameters import Layout, Unknown
 from bayescal._model.prior import HalfCauchy, HalfNormal
 from bayescal._model.summed_noise import OrnsteinUhlenbeck
 from bayescal._search.discover import structures_over
@@ -65,14 +65,14 @@ def _effects(structures: Structures, names: list[str], rng: np.random.Generator)
     v = np.array([known.get(h.name, _coordinate(h, rng)) for h in problem.hypers])
     hyper = problem.hyper(v)
     prior = problem.prior(hyper, np.ones(problem.size))
-    own = {t.known.of: t.at for t in base.problem.in_x}
+    own = {t.effect.name: t.at for t in base.problem.in_x}
     x, without = np.zeros(problem.size), np.zeros(problem.size)
     placed = dict.fromkeys(own, 0)
     for t in problem.in_x:
-        if t.known.of in own:
-            known = [b for b in base.problem.in_x if b.known.of == t.known.of]
-            at = known[placed[t.known.of]].at
-            placed[t.known.of] += 1
+        if t.effect.name in own:
+            known = [b for b in base.problem.in_x if b.effect.name == t.effect.name]
+            at = known[placed[t.effect.name]].at
+            placed[t.effect.name] += 1
             x[t.at] = without[t.at] = base.mode.x[at]
         else:
             x[t.at] = prior.mean[t.at] + prior.sd[t.at] * rng.standard_normal(t.size)
@@ -81,7 +81,7 @@ def _effects(structures: Structures, names: list[str], rng: np.random.Generator)
     return there.mean - here.mean + moved
 
 
-def _coordinate(h: Hyper, rng: np.random.Generator) -> float:
+def _coordinate(h: Unknown, rng: np.random.Generator) -> float:
     """Of one entry of φ, by its prior."""
     if isinstance(h.prior, HalfNormal):
         return float(np.log(np.abs(rng.standard_normal())))
@@ -95,7 +95,7 @@ def _wander(structures: Structures, rng: np.random.Generator) -> np.ndarray:
     record: Record = structures.record
     priors = structures.laws[WANDER].parameters()
     values = {
-        n: float(p.value(_coordinate(Hyper(n, "", p, "noise", "noise"), rng)))
+        n: float(p.value(_coordinate(Unknown(n, n, "", "noise", "noise", p), rng)))
         for n, p in priors.items()
         if n != "noise.white"
     }

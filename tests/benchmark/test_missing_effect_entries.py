@@ -224,23 +224,3 @@ def test_a_searchs_evidence_is_weighed_by_the_data_sheet(tmp_path: Path, monkeyp
     assert sum(said.values()) == pytest.approx(1.0)
     assert said[()] > said[(a,)] > said[tuple(sorted((a, b)))] > said[tuple(sorted((a, "outside")))]
     assert said[tuple(sorted((a, b, c)))] == 0.0 < said[("outside",)] < said[(a,)]
-
-
-@pytest.mark.slow
-def test_the_horseshoes_evidence_is_that_of_the_whole_covariance() -> None:
-    jax = pytest.importorskip("jax")
-    pytest.importorskip("numpyro")
-    from missing_effect.entries.horseshoe import gained
-
-    jax.config.update("jax_enable_x64", True)
-    rng = np.random.default_rng(3)
-    x, y, sigma = rng.standard_normal((60, 9)), rng.standard_normal(60), 1.3
-    own = np.array([0, 1, 1, 1, 1, 1, 2, 3, 3]) == 1
-    x[:, own] = x[:, own] @ np.linalg.eigh(x[:, own].T @ x[:, own]).eigenvectors
-    size = np.array([0.3, *[2.0] * 5, 0.1, 0.7, 0.7])
-    covariance = sigma**2 * np.eye(60) + (x * size**2) @ x.T
-    whole = -np.linalg.slogdet(covariance)[1] / 2 - y @ np.linalg.solve(covariance, y) / 2
-    alone = -60 * np.log(sigma) - y @ y / (2 * sigma**2)
-    gram, right, each = map(jax.numpy.asarray, (x.T @ x, x.T @ y / sigma, size / sigma))
-    found = gained(gram, right, each, own)
-    assert float(found) == pytest.approx(whole - alone, rel=1e-10)

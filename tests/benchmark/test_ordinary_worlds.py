@@ -6,12 +6,13 @@ import math
 
 import numpy as np
 import pytest
-from scipy.integrate import dblquad, quad
+from scipy.integrate import quad
 from scipy.stats import multivariate_normal
 
-from benchmarks.ordinary_test.bodies import Body, lump, slab, two_stages
+from benchmarks.ordinary_test.bodies import lump, slab, two_stages
 from benchmarks.ordinary_test.oracle import least_squares, log_evidence
 from benchmarks.ordinary_test.worlds import STRUCTURES, Campaign, drawn
+from benchmarks.wrong_model.worlds import inclinometer
 
 BODIES = {
     "die": lump(300.0),
@@ -112,32 +113,32 @@ def test_evidence_is_that_of_the_whole_covariance(k: int) -> None:
     assert log_evidence(y, columns, sd) == pytest.approx(true, abs=1e-3)
 
 
-def test_evidence_is_the_integral_over_coefficient_and_noise() -> None:
-    y, columns, sd = small_problem(1)
-
-    def density(c: float, log_sigma: float) -> float:
-        sigma = math.exp(log_sigma)
-        left = (y - columns[:, 0] * c) / sigma
-        log = -0.5 * left @ left - len(y) * (log_sigma + 0.5 * math.log(2 * math.pi))
-        prior = -0.5 * (c / sd[0]) ** 2 - math.log(sd[0] * math.sqrt(2 * math.pi))
-        return math.exp(log + prior)
-
-    true = math.log(dblquad(density, -3, 3, -6, 6, epsabs=0, epsrel=1e-6)[0])
-    assert log_evidence(y, columns, sd) == pytest.approx(true, abs=1e-3)
+# The worlds of *Where the model may be wrong*: what is called true of a coefficient is true of the readings.
 
 
-def test_what_is_not_there_has_no_evidence() -> None:
-    """The mean over data of exp(−log Bayes factor) under the larger model is one, so it favours the smaller rarely."""
-    rng, gains = np.random.default_rng(5), []
-    for _ in range(200):
-        columns, sd = rng.standard_normal((50, 3)), np.ones(3)
-        y = columns[:, :2] @ rng.standard_normal(2) + rng.standard_normal(50)
-        gains.append(log_evidence(y, columns, sd) - log_evidence(y, columns[:, :2], sd[:2]))
-    assert np.mean(gains) < 0 and np.mean(np.exp(gains)) < 3
+def test_an_inclinometers_axis_is_its_line_where_nothing_is_hidden() -> None:
+    world = inclinometer(3, {})
+    for axis in "xy":
+        own = world.readings["axis"] == axis
+        degrees = np.rad2deg(world.readings["placement_angle"][own])
+        runs = (
+            world.readings["run"][own][:, None] == np.unique(world.readings["run"][own])
+        ).astype(float)
+        found = np.linalg.lstsq(np.c_[runs, degrees], world.truth[own], rcond=None)[0]
+        constant, slope = world.about(f"zero({axis})", 20.0, 2)
+        assert found[-1] == pytest.approx(slope, abs=1e-9)
+        assert np.all(np.abs(found[:-1] - constant) <= 2.0 * np.sqrt(3.0) + 1e-9)  # offsets of runs
 
 
-def test_a_body_needs_no_start_to_be_in_balance() -> None:
-    still = np.full(100, 40.0)
-    for body in BODIES.values():
-        assert isinstance(body, Body)
-        np.testing.assert_allclose(body.inside(still, 1.0), 40.0, rtol=1e-12)
+@pytest.mark.parametrize(
+    "name", ["zero.placement_quadratic", "zero.temperature", "base_tilt.drift"]
+)
+def test_a_hidden_effect_moves_what_is_true_at_zero(name: str) -> None:
+    """By its mean over the readings if it is of time, by its value at T0 if it is of temperature, else not."""
+    bare, made = (inclinometer(3, hidden) for hidden in ({}, {name: 2.0}))
+    moved = [made.about(f"zero({a})", 21.0, 2) - bare.about(f"zero({a})", 21.0, 2) for a in "xy"]
+    assert np.allclose([m[1] for m in moved], 0.0, atol=1e-6)
+    if name == "zero.placement_quadratic":
+        assert np.allclose([m[0] for m in moved], 0.0, atol=1e-6)
+    else:
+        assert min(abs(m[0]) for m in moved) > 0.1

@@ -17,7 +17,7 @@ import pandas as pd
 import pytest
 
 from bayescal_models import accelerometer_triad, differential_pair, gyro_triad
-from tests.commands.test_help_and_tables import COMMANDS
+from tests.commands.test_command_answers import COMMANDS
 from tests.support.command_line import TABLE, needs_installation
 from tests.support.folder_of_strangers import SETTINGS, ran, strangers_folder
 from tests.support.made_up.gyro_lot import table

@@ -44,21 +44,6 @@ def test_the_last_model_of_the_loop_can_be_checked(loop: Ran, folder: Path) -> N
 
 
 @pytest.mark.slow
-def test_the_loop_finds_what_was_hidden_in_a_campaign(tmp_path: Path) -> None:
-    lag = ("--effect", "bias.thermal_lag=0.05")
-    for name, seed in (("lag.csv", 1), ("kept.csv", 2)):
-        run("simulate", *GYRO, *lag, "--seed", seed, "--out", tmp_path / name)
-    calibrate = ("calibrate", tmp_path / "lag.csv", *GYRO, "--json")
-    alone = run(*calibrate).data
-    kept = run(*calibrate, "--holdout", tmp_path / "kept.csv").data
-    assert [s["added"] for s in kept["steps"]] == [s["added"] for s in alone["steps"]]
-    none, added = (s["added"] for s in kept["steps"])
-    assert none is None and added.startswith("bias.thermal_lag"), "in one of its forms"
-    first, last = (step["holdout_rmse"] for step in kept["steps"])
-    assert last < 0.3 * first
-
-
-@pytest.mark.slow
 def test_the_demonstration(tmp_path: Path) -> None:
     done = run("demo", "--out", tmp_path / "demo", "--json")
     assert done.status == 0, done.err

@@ -70,21 +70,6 @@ def test_options_that_are_printed_can_be_pasted(tmp_path: Path, header: str) -> 
 @pytest.mark.slow
 @pytest.mark.usefixtures("unpainted")
 @needs_installation
-def test_three_axes_by_the_names_that_the_file_has(tmp_path: Path) -> None:
-    log = simulate_log(seed=5, campaign=MovesByHand(poses=12, still=3.0, move=2.0))
-    channels = {"Kraft": ("accel", "g"), "Rate": ("gyro", "deg/s")}
-    header = [f"{n} {a} [{unit}]" for n, (_, unit) in channels.items() for a in "xyz"]
-    table = [log["time"], *(log[f"{kind}_{a}"] for kind, _ in channels.values() for a in "xyz")]
-    path = tmp_path / "unit.csv"
-    head = ",".join(["time [s]", *header])
-    np.savetxt(path, np.column_stack(table), "%.9g", ",", header=head, comments="")
-    done = run("imu", path, "--baseline")
-    assert done.status == 0, done.err
-
-
-@pytest.mark.slow
-@pytest.mark.usefixtures("unpainted")
-@needs_installation
 def test_log_of_a_whole_unit_needs_no_options(tmp_path: Path) -> None:
     pytest.importorskip("pyulog")
     log = simulate_log(seed=5, campaign=MovesByHand(poses=12, still=3.0, move=2.0))

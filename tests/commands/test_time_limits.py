@@ -267,16 +267,6 @@ def test_a_command_without_time_answers(command) -> None:
 @needs_installation
 @pytest.mark.slow
 @pytest.mark.usefixtures("at_a_terminal")
-def test_ctrl_c_of_a_process_leaves_the_best_that_it_told_of(tmp_path) -> None:
-    command = simulated(*CALIBRATED[0], tmp_path)
-    done = ended(command, lambda _, said: "best so far: +" in said, tmp_path)
-    assert done.status in (0, 1) and done.best[""] != "nothing to add"
-    left(done, tmp_path / "out", lambda out: {out: done.best[""]})
-
-
-@needs_installation
-@pytest.mark.slow
-@pytest.mark.usefixtures("at_a_terminal")
 @pytest.mark.parametrize("seconds", [0.4, 0.9, 1.4, 1.9])
 def test_ctrl_c_while_a_process_begins(seconds: float, tmp_path) -> None:
     command = simulated(*CALIBRATED[0], tmp_path)

@@ -2,12 +2,21 @@
 
 from __future__ import annotations
 
+import json
+from pathlib import Path
+
 import jax.numpy as jnp
 import numpy as np
+import pandas as pd
+import pyarrow.parquet as pq
 import pytest
+import xarray as xr
 
 import bayescal as bc
+from bayescal_models import mems_gyro
+from tests.support.command_line import run
 from tests.support.export_check import inputs_of, needs_compiler, random_rows, run_header, tilted
+from tests.support.inside import compensate_file
 from tests.support.made_up import bent_sensor, split_search
 
 pytestmark = pytest.mark.filterwarnings("ignore::UserWarning")
@@ -87,36 +96,6 @@ def test_the_header_flags_each_input_outside_its_range(compensator, rows, tmp_pa
     assert [f & own for f in flags] == [0, *bits]
 
 
-@needs_compiler
-def test_lags_of_a_record_carry_the_uncertainty_of_their_time_into_firmware(tmp_path) -> None:
-    """The state of a lag and of its slope by the recursions in the header; then C against Python on that record."""
-    compensator = bc.compensator(bent_sensor.calibration())
-    record = bent_sensor.readings(2)
-    time, temperature = record["time"], record["temperature"]
-    (lag,) = (i for i in compensator.inputs if i.kind == "lag")
-    state, slope = np.zeros(len(time)), np.zeros(len(time))
-    for n in range(1, len(time)):
-        x, change = (time[n] - time[n - 1]) / lag.tau, temperature[n] - temperature[n - 1]
-        shape = np.expm1(-x) / x
-        state[n] = np.exp(-x) * state[n - 1] + shape * change
-        slope[n] = np.exp(-x) * (slope[n - 1] + x * state[n - 1] / lag.tau)
-        slope[n] += (np.exp(-x) + shape) * change / lag.tau
-    own = {
-        **{n: record[n] for n in ("humidity", "temperature")},
-        "elapsed": time - time[0],
-        lag.name: state,
-        f"{lag.name}_by_tau": slope,
-    }
-    rows = np.column_stack([record["output"], *(own[i.name] for i in compensator.inputs)])
-    found = run_header(compensator, rows, tmp_path)
-    want = compensator(record, method="first order", noise=False)
-    np.testing.assert_allclose(found[:, 0], want.value, rtol=0, atol=1e-9 * np.ptp(want.value))
-    np.testing.assert_allclose(found[:, 1], want.uncertainty, rtol=1e-9)
-    as_given = {n: v for n, v in own.items() if n != f"{lag.name}_by_tau"}
-    without = compensator(output=record["output"], method="first order", noise=False, **as_given)
-    assert np.max(np.abs(without.uncertainty / want.uncertainty - 1)) > 1e-3  # it does matter
-
-
 def test_an_effect_that_firmware_cannot_compute_is_refused(tmp_path) -> None:
     gyro = bent_sensor.gyro()
     sorting = bc.Effect(
@@ -129,3 +108,108 @@ def test_an_effect_that_firmware_cannot_compute_is_refused(tmp_path) -> None:
     fit = bc.fit(gyro.model + sorting, gyro.readings, bc.LeastSquares(draws=40), strict=False)
     with pytest.raises(bc.ModelError):
         bc.compensator(fit).export(tmp_path / "gyro.h")
+
+
+# A file is compensated by two columns more; all else stays as it was, or nothing is written.
+
+
+TEXT = (
+    b"\xef\xbb\xbf# logged by hand\r\nnote;when;board [degC];gyro x [deg/s]\r\n"
+    b'"a;b";1;40.5;25.25\r\n\r\nsecond;2;1.0e2;-7.5\r\nthird;3;55;0'
+)
+OWN = ("--instrument", f"{Path(mems_gyro.__file__).parent / 'model.py'}:INSTRUMENT")
+RENAMED = {"output": "gyro x", "temperature": "board"}
+
+
+@pytest.fixture(scope="module")
+def gyro() -> bc.Compensator:
+    return bc.compensator(bent_sensor.gyro())
+
+
+@pytest.fixture(scope="module")
+def saved(tmp_path_factory) -> Path:
+    return bent_sensor.gyro().save(tmp_path_factory.mktemp("saved") / "calibration.nc")
+
+
+def test_every_line_of_a_csv_stays_as_it_was(gyro, tmp_path) -> None:
+    (tmp_path / "in.csv").write_bytes(TEXT)
+    done = compensate_file(gyro, tmp_path / "in.csv", tmp_path / "out.csv", columns=RENAMED)
+    before, after = TEXT.split(b"\n"), (tmp_path / "out.csv").read_bytes().split(b"\n")
+    assert done.rows == 3 and done.columns == ("gyro x_compensated", "gyro x_uncertainty")
+    assert (
+        after[1] == before[1].rstrip() + b";gyro x_compensated [deg/s];gyro x_uncertainty [deg/s]\r"
+    )
+    assert after[0] == before[0] and after[3] == before[3]
+    want = gyro(output=[25.25, -7.5, 0.0], temperature=[40.5, 100.0, 55.0])
+    rows = [line for line in after[2:] if line.strip()]
+    for i, (row, old) in enumerate(zip(rows, [b for b in before[2:] if b.strip()], strict=True)):
+        assert row.startswith(old.rstrip() + b";")
+        value, uncertainty = (float(cell) for cell in row.decode().strip().split(";")[-2:])
+        assert (value, uncertainty) == (want.value[i], want.uncertainty[i])
+    assert done.outside == {"temperature": 1}
+
+
+@pytest.mark.parametrize("suffix", [".csv", ".parquet", ".nc"])
+def test_all_formats_keep_their_columns_and_gain_two(suffix, tmp_path) -> None:
+    """Of a model with memory: the record is read whole, time and all."""
+    bent, record = bc.compensator(bent_sensor.calibration()), bent_sensor.readings(2)
+    path, out = tmp_path / f"in{suffix}", tmp_path / f"out{suffix}"
+    record.write(path)
+    done = compensate_file(bent, path, out)
+    assert done.rows == len(record) and done.unsolved == 0
+    want = bent(record)
+    back = bc.read(out, bent_sensor.SENSOR)
+    for name in record.columns:
+        np.testing.assert_array_equal(back[name], record[name])
+    np.testing.assert_allclose(back["output_compensated"], want.value, rtol=1e-12)
+    np.testing.assert_allclose(back["output_uncertainty"], want.uncertainty, rtol=1e-12)
+    if suffix == ".parquet":
+        fields = pq.read_schema(out)
+        assert fields.field(len(fields) - 1).metadata == {b"units": b"ug"}
+    if suffix == ".nc":
+        assert xr.open_dataset(out, engine="h5netcdf").load()["output_compensated"].units == "ug"
+
+
+def test_a_refused_file_leaves_the_old_one_whole(gyro, tmp_path, monkeypatch) -> None:
+    out = tmp_path / "out.csv"
+    out.write_text("precious")
+    good = "temperature [degC],output [deg/s]\n" + "40,1\n" * 5
+    cases = (
+        good + "40,warm\n",
+        good.replace("temperature", "pressure"),
+        good.replace("[degC]", "[rad]"),
+        "temperature [degC],output [deg/s],output_compensated\n40,1,2\n",
+        good + "40\n",
+    )
+    for text in cases:
+        (tmp_path / "in.csv").write_text(text)
+        with pytest.raises(bc.InputError):
+            compensate_file(gyro, tmp_path / "in.csv", out)
+        assert out.read_text() == "precious"
+        assert sorted(p.name for p in tmp_path.iterdir()) == ["in.csv", "out.csv"]
+    with pytest.raises(bc.InputError):
+        compensate_file(gyro, tmp_path / "in.csv", tmp_path / "out.parquet")
+
+
+# The commands.
+
+
+def test_the_commands_compensate_export_and_budget(saved, tmp_path) -> None:
+    bent_sensor.gyro().readings.write(tmp_path / "in.csv")
+    ran = run("compensate", saved, tmp_path / "in.csv", "-o", tmp_path / "out.csv", *OWN, "--json")
+    assert ran.status == 0, ran.err
+    assert ran.data["rows"] == len(bent_sensor.gyro().readings)
+    ran = run("export", saved, "--format", "json", "--out", tmp_path / "gyro.json", *OWN)
+    assert ran.status == 0, ran.err
+    ran = run("compensate", tmp_path / "gyro.json", tmp_path / "in.csv", "-o", tmp_path / "two.csv")
+    assert ran.status == 0, ran.err
+    one, two = (
+        pd.read_csv(tmp_path / n)["output_compensated [deg/s]"] for n in ("out.csv", "two.csv")
+    )
+    np.testing.assert_allclose(one, two, atol=0.01)
+    ran = run(
+        "budget", saved, "--at", "temperature=60", "--at", "rate_input=50", "-k", 3, "--json", *OWN
+    )
+    assert ran.status == 0, ran.err
+    assert ran.data["k"] == 3 and ran.data["at"] == {"rate_input": 50.0, "temperature": 60.0}
+    json.dumps(ran.data)

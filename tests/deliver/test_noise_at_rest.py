@@ -151,15 +151,6 @@ def test_figures_are_those_of_the_filter() -> None:
         assert one.value == pytest.approx(float(np.median(values)), rel=0.01)
 
 
-@pytest.mark.slow
-def test_endless_line_has_its_root_mean_square() -> None:
-    data, size = still(13, n=20_000), 0.004
-    line = size * math.sqrt(2) * np.cos(2 * math.pi * 2.31 * data["time"])
-    found = bc.noise(data.with_column("output", data["output"] + line))
-    (tone,) = (f for f in found.figures if f.name == "tone, size")
-    assert tone.low < 3600 * size < tone.high < 1.1 * tone.low
-
-
 def test_lost_readings_are_drawn_from_the_law() -> None:
     data, random = still(6, n=2000), np.random.default_rng(5)
     lost = random.random(2000) < 0.05

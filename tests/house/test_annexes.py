@@ -36,7 +36,7 @@ BEHIND = {
         _inference.method: Method
         _inference.problem: Problem
         _inference.record: Record
-        _inference.sampling: PriorShare around_mode propose
+        _inference.sampling: around_mode prior_share propose
         _model.frame: Frame build_frame reference_name reference_of
         _model.parameters: Layout bind
         _model.unknowns: Unknowns
@@ -44,7 +44,7 @@ BEHIND = {
         _search.library: Library
         _search.own_files: in_a_file
         _search.posterior: Posterior
-        _search.walk: NEAR_NATS explore
+        _search.walk: explore
         _tables.cells: Cells
         _tables.open_table: MAX_BYTES READ
         _tables.formats: arrow_cells arrow_headers

@@ -11,6 +11,7 @@ from pathlib import Path
 import pytest
 
 from benchmarks import __main__ as command
+from benchmarks.stated import differing
 
 ROOT = Path(__file__).resolve().parents[2]
 OWN = ("bayescal", "benchmarks")  # and bayescal_models
@@ -56,3 +57,10 @@ def test_what_a_benchmark_imports_is_there(file: Path) -> None:
             for alias in node.names:
                 inside = hasattr(module, alias.name) or find_spec(f"{node.module}.{alias.name}")
                 assert inside, f"{file.name}: no {alias.name} in {node.module}"
+
+
+# Pages that are rendered say what the committed results say.
+
+
+def test_pages_are_as_the_results_have_them() -> None:
+    assert list(differing()) == []

@@ -26,7 +26,6 @@ DOCS = ROOT / "docs"
 PAGES = {str(p.relative_to(DOCS)): p.read_text("utf-8") for p in sorted(DOCS.rglob("*.md"))}
 QUICK = ("how_to/readings.md",)  # the others fit and search: minutes
 SAMPLED = ("instruments/differential_pair.md",)  # by chains, whose draws depend on the processor
-TESTED_ELSEWHERE = ("own_effect.md",)  # by test_own_effects.py
 RUN = [name for name, page in PAGES.items() if re.search("^```(python|sh)", page, re.MULTILINE)]
 
 
@@ -38,14 +37,6 @@ SITE = load_module(DOCS / "build_site.py")
 
 def test_pages_are_reachable_and_links_lead_somewhere() -> None:
     assert [*SITE.broken(SITE.filled_in())] == []
-
-
-def test_broken_names_missing_pages_and_dead_links() -> None:
-    pages = SITE.filled_in()
-    pages["index.md"] = "[a](start.md) ![b](no.png) [c](#no) [d](loop.md#no) [e](../README.md)"
-    pages["extra.md"] = pages.pop("speed.md")
-    named = [problem.split(": ")[0] for problem in SITE.broken(pages)]
-    assert named == ["extra.md", "speed.md", *["index.md"] * 4]
 
 
 # What the code writes.
@@ -116,7 +107,7 @@ def test_quick_pages_do_what_they_show(name: str, tmp_path: Path) -> None:
 
 @pytest.mark.nightly
 @needs_installation
-@pytest.mark.parametrize("name", [n for n in RUN if n not in (*QUICK, *TESTED_ELSEWHERE)])
+@pytest.mark.parametrize("name", [n for n in RUN if n not in QUICK])
 def test_pages_do_what_they_show(name: str, tmp_path: Path) -> None:
     _follow(name, tmp_path)
 

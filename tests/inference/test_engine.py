@@ -188,28 +188,6 @@ def test_outputs_and_jacobians_are_those_of_the_composition(case: str) -> None:
     np.testing.assert_allclose(found.inputs, line.inputs, rtol=1e-9)
 
 
-@pytest.mark.parametrize(
-    "promoted", [(), ("bias.temperature", "scale.constant")], ids=["x", "promoted"]
-)
-def test_jacobian_is_the_derivative_of_the_mean(promoted) -> None:
-    a = assembled("gyro, rich", *promoted)
-    x, v = somewhere(a)
-    layout, frame, hyper = a.layout, a.record.frame, forward.hyper_values(a.layout, jnp.asarray(v))
-
-    def mean(x, error):
-        there = frame.with_column("temperature", frame["temperature"] + error)
-        return forward.mean(layout, there, x, hyper)
-
-    none = jnp.zeros(frame.size)
-    line = composed(a, x, hyper)
-    by_x, by_error = jax.jit(jax.jacfwd(mean, argnums=(0, 1)))(x, none)
-    np.testing.assert_allclose(line.mean, mean(x, none), rtol=1e-13)
-    width = np.abs(by_x).max(axis=0)
-    np.testing.assert_allclose(line.jacobian / width, by_x / width, rtol=1e-11, atol=1e-12)
-    # A thermometer error moves its own reading and no other, so that one number a reading says all.
-    np.testing.assert_allclose(np.diag(line.inputs[:, 0]), by_error, rtol=1e-11, atol=1e-12)
-
-
 def dense(a: Problem, v: np.ndarray, flat: np.ndarray) -> tuple[float, np.ndarray, np.ndarray]:
     """log p(y, φ) about the start, and mean and covariance of x, by the covariance of all readings: Σ + J·D·Jᵀ."""
     start, hyper = a.start, forward.hyper_values(a.layout, jnp.asarray(v))

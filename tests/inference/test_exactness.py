@@ -5,10 +5,13 @@ from __future__ import annotations
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from arviz_stats.base.array import array_stats
+from scipy.signal import lfilter
 
 import bayescal as bc
 from bayescal import effects
 from bayescal_models import mems_gyro
+from tests.support.inside import smoothed
 
 COLUMNS = (
     bc.Column("run", None, "label", required=False),
@@ -236,3 +239,36 @@ def test_least_squares_of_what_is_not_linear_under_any_gaussian_noise(noise: str
     found = bc.fit(model, readings, bc.LeastSquares())
     tau = found.samples("bias.thermal_lag.tau")
     assert abs(tau.mean() - 300.0) < 4 * tau.std()
+
+
+# Least squares where an estimate lies at an edge.
+
+
+def test_noise_that_is_best_at_zero_stays_a_number() -> None:
+    """Readings of a wander without white noise beside it: the logarithm of that would go on for ever."""
+    random, n = np.random.default_rng(3), 200
+    time = 10.0 * np.arange(n)
+    smooth = lfilter([0.3], [1.0, -0.8], random.standard_normal(n))  # as no white noise lets it be
+    wander = lfilter([0.05], [1.0, -0.95], smooth)
+    readings = bc.Measurements.from_arrays(
+        mems_gyro.INSTRUMENT, time=time, temperature=30 + 10 * np.sin(time / 300), output=wander
+    )
+    law = bc.OrnsteinUhlenbeck(20.0, 2000.0)
+    found = bc.fit(mems_gyro.INSTRUMENT.baseline().with_noise(law), readings, bc.LeastSquares())
+    assert found.mode.v.min() >= -30.0
+    assert found.samples("noise.white").max() < 0.01 * wander.std()
+    assert np.isfinite(bc.predict(found).model_sd).all()
+
+
+# Pareto smoothing against ArviZ's.
+
+
+@pytest.mark.parametrize("count", [25, 225, 226, 4000])
+@pytest.mark.parametrize("freedom", [2, 30])
+@pytest.mark.parametrize("size", [1e-3, 0.3, 3.0])
+def test_smoothed_weights_are_those_of_arviz(count: int, freedom: float, size: float) -> None:
+    log_weight = size * np.random.default_rng(count).standard_t(freedom, count)
+    weights, k_hat = smoothed(log_weight)
+    theirs, their_k_hat = array_stats.psislw(-log_weight)
+    assert weights == pytest.approx(np.exp(theirs) / np.exp(theirs).sum(), rel=1e-10)
+    assert k_hat == pytest.approx(float(their_k_hat), abs=1e-10)

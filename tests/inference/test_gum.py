@@ -183,29 +183,6 @@ def test_the_inverse_prediction_of_iso_28037_is_met(name, key, uncertainty, iso)
         assert abs(value - like) <= 1.01 * 10.0**-places / (2 if places < 6 else 1)
 
 
-def test_the_forward_prediction_of_iso_28037_is_met(iso) -> None:
-    example = iso["ex1_equal"]
-    mean, covariance = estimates(fitted(*(tuple(example[k]) for k in ("x", "y", "u_y"))))
-    lever = np.array([1.0, 3.5])
-    own = lever @ covariance @ lever + (mean[1] * 0.2) ** 2
-    said = example["published_gtc"]["forward_for_x_3p5_u_0p2"]
-    np.testing.assert_allclose([lever @ mean, np.sqrt(own)], said, rtol=1e-12)
-
-
-def test_a_line_made_by_hand_is_met() -> None:
-    """y = 1, 3, 4, 6 at x = 0, 1, 2, 3, u = 1: a = 1.1, b = 1.6, u_a² = 0.7, u_b² = 0.2, cov = −0.3."""
-    fit = fitted((0.0, 1.0, 2.0, 3.0), (1.0, 3.0, 4.0, 6.0), (1.0,) * 4)
-    mean, covariance = estimates(fit)
-    np.testing.assert_allclose(mean, [1.1, 1.6], rtol=1e-9)
-    np.testing.assert_allclose(covariance, [[0.7, -0.3], [-0.3, 0.2]], rtol=1e-8)
-    found = bc.compensator(fit)(
-        output=4.3, output_uncertainty=0.5, method="first order", warn=False
-    )
-    variance = (0.25 + 0.7 - 2 * 0.3 * 2.0 + 0.2 * 4.0) / 1.6**2
-    np.testing.assert_allclose(found.value, 2.0, rtol=1e-9)
-    np.testing.assert_allclose(found.uncertainty, np.sqrt(variance), rtol=1e-8)
-
-
 def test_with_flat_priors_all_of_a_budget_comes_from_the_readings() -> None:
     fit = fitted((0.0, 1.0, 2.0, 3.0), (1.0, 3.0, 4.0, 6.0), (1.0,) * 4)
     sources = {s.name: s for s in bc.budget(fit, {"x": 2.0}).sources}

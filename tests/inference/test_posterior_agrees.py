@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import cache
+
 import numpy as np
 import pytest
 from arviz_stats.base.array import array_stats
@@ -14,11 +16,12 @@ from bayescal_models.mems_gyro import INSTRUMENT, TABLE, Campaign, simulate
 from bayescal_models.mems_gyro.model import THERMOMETER
 
 BASELINE = INSTRUMENT.baseline()
+LINE = bc.read(TABLE, INSTRUMENT)
 
 
 @pytest.fixture(scope="module")
 def table() -> bc.Measurements:
-    return bc.read(TABLE, INSTRUMENT)
+    return LINE
 
 
 @pytest.fixture(scope="module")
@@ -109,76 +112,47 @@ def test_gauss_newton_and_full_hessian_agree_on_a_line(least_squares, table) -> 
 # Marginal against NumPyro's NUTS on every unknown.
 
 
-@pytest.mark.slow
-def test_line_agrees_with_nuts(marginal, table) -> None:
-    nuts = bc.fit(BASELINE, table, bc.NUTS())
-    assert nuts.verdict.divergences == 0
-    assert_agree(marginal, nuts)
-
-
-@pytest.mark.slow
-def test_line_agrees_with_nuts_on_whitened_unknowns(marginal, table) -> None:
-    whitened = bc.fit(BASELINE, table, bc.Marginal(sampler="nuts"))
-    assert whitened.verdict.sampler == "NUTS on whitened unknowns"
-    assert_agree(marginal, whitened)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("sampler", ["importance", "nuts"])
-def test_line_with_thermometer_error_agrees_with_nuts(sampler, table) -> None:
-    model = BASELINE + THERMOMETER
-    asked = bc.Marginal(promote=("bias.temperature",), sampler=sampler)
-    found = bc.fit(model, table, asked)
-    assert found.layout.promoted == ("bias.temperature",)
-    assert_agree(found, reference_fit(model, table))
-
-
-@pytest.mark.slow
-def test_parabola_with_thermometer_error_agrees_with_nuts(table) -> None:
-    model = BASELINE + "bias.temperature_quadratic" + THERMOMETER
-    assert_agree(bc.fit(model, table), reference_fit(model, table))
-
-
-@pytest.mark.slow
-def test_a_thermometers_error_beside_outliers_agrees_with_nuts(table) -> None:
-    model = (BASELINE + effects.thermometer(1.5, source="made up")).with_noise(bc.StudentT())
-    assert_agree(bc.fit(model, table), reference_fit(model, table))
-
-
-@pytest.mark.slow
-def test_runs_agree_with_nuts() -> None:
-    data = simulate({"bias.run": 0.05}, seed=3, campaign=Campaign(average=150, runs=4))
-    model = BASELINE + "bias.run"
-    assert_agree(bc.fit(model, data), reference_fit(model, data))
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("sampler", ["importance", "nuts"])
-def test_thermal_lag_agrees_with_nuts(sampler) -> None:
-    data = simulate({"bias.thermal_lag": 0.05}, seed=3, campaign=Campaign(average=150))
-    model = BASELINE + "bias.thermal_lag"
+RUNS = simulate({"bias.run": 0.05}, seed=3, campaign=Campaign(average=150, runs=4))
+LAGGED, FEW_LAGGED = (
+    simulate({"bias.thermal_lag": 0.05}, seed=3, campaign=campaign)
+    for campaign in (Campaign(average=150), Campaign(average=300, runs=2))
+)
+PARABOLA, LAG = BASELINE + "bias.temperature_quadratic", BASELINE + "bias.thermal_lag"
+OUTLIERS = (BASELINE + effects.thermometer(1.5, source="made up")).with_noise(bc.StudentT())
+SLOPE = ("bias.temperature",)
+AGREEING = {
+    "line": (BASELINE, LINE, bc.Marginal()),
+    "line, whitened": (BASELINE, LINE, bc.Marginal(sampler="nuts")),
+    "thermometer": (BASELINE + THERMOMETER, LINE, bc.Marginal(promote=SLOPE)),
+    "thermometer, whitened": (
+        BASELINE + THERMOMETER,
+        LINE,
+        bc.Marginal(sampler="nuts", promote=SLOPE),
+    ),
+    "parabola, thermometer": (PARABOLA + THERMOMETER, LINE, bc.Marginal()),
+    "thermometer beside outliers": (OUTLIERS, LINE, bc.Marginal()),
+    "runs": (BASELINE + "bias.run", RUNS, bc.Marginal()),
+    "lag": (LAG, LAGGED, bc.Marginal()),
     # Of chains on whitened unknowns one seed in seventeen loses itself in long lags, and says so.
-    found = bc.fit(model, data, bc.Marginal(sampler=sampler), seed=1)
-    assert_agree(found, reference_fit(model, data))
+    "lag, whitened": (LAG, LAGGED, bc.Marginal(sampler="nuts")),
+    "lag, thermometer": (LAG + THERMOMETER, FEW_LAGGED, bc.Marginal()),
+}
 
 
 @pytest.mark.slow
-def test_lag_with_thermometer_error_agrees_with_nuts() -> None:
-    data = simulate({"bias.thermal_lag": 0.05}, seed=3, campaign=Campaign(average=300, runs=2))
-    model = BASELINE + "bias.thermal_lag" + THERMOMETER
-    found = bc.fit(model, data)
+@pytest.mark.parametrize(("model", "data", "method"), AGREEING.values(), ids=AGREEING)
+def test_agrees_with_nuts(model: bc.Model, data: bc.Measurements, method: bc.Marginal) -> None:
+    found = bc.fit(model, data, method, seed=1)
+    assert method.promote in (None, found.layout.promoted)
+    whitened = found.verdict.sampler == "NUTS on whitened unknowns"
+    assert whitened == (method.sampler == "nuts")
     assert_agree(found, reference_fit(model, data))
 
 
-_REFERENCES: dict = {}
-
-
+@cache
 def reference_fit(model: bc.Model, data: bc.Measurements) -> bc.Calibration:
-    """A long run of NUTS, made once for a model and readings."""
-    key = (model, data.data["output"].values.tobytes())
-    if key not in _REFERENCES:
-        _REFERENCES[key] = bc.fit(model, data, bc.NUTS(draws=2000), seed=17)
-    return _REFERENCES[key]
+    """A long run of NUTS."""
+    return bc.fit(model, data, bc.NUTS(draws=2000), seed=17)
 
 
 # Evidence.

@@ -6,6 +6,8 @@ instrument are the benchmark `coverage`; here are a hundred.
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 from scipy.stats import norm
@@ -38,8 +40,8 @@ def assert_uniform(found: dict[str, list[float]]) -> None:
 
 def check(
     model: bc.Model,
-    count: int,
     *,
+    count: int = 200,
     promote: tuple[str, ...] = (),
     plan=PLAN,
     uneven: float = 0.05,
@@ -103,43 +105,32 @@ def failures(rows) -> dict:
     return {n: v for n, v in coverage.judged(coverage.joined(rows)).items() if not v.ok}
 
 
-@pytest.mark.slow
-def test_ranks_are_uniform_for_runs_over_a_parabola() -> None:
-    check(BASELINE + "bias.run" + "bias.temperature_quadratic", 200)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    "noise", [bc.HalfNormal(0.1), bc.HalfCauchy(0.1)], ids=lambda n: type(n).__name__
-)
-def test_ranks_are_uniform_for_the_baseline(noise) -> None:
-    check(BASELINE.with_noise(bc.White(noise)), 200)
-
-
-@pytest.mark.slow
-def test_ranks_are_uniform_for_a_thermal_lag() -> None:
-    check(BASELINE + "bias.thermal_lag", 200)
-
-
-@pytest.mark.slow
-def test_ranks_are_uniform_for_thermometer_errors() -> None:
-    plan = PLAN.select(np.arange(22))
-    check(BASELINE + THERMOMETER, 60, promote=("bias.temperature",), plan=plan)
-
-
-@pytest.mark.slow
-def test_ranks_are_uniform_for_wandering_noise() -> None:
-    wandering = bc.OrnsteinUhlenbeck(100.0, 3000.0, bc.HalfNormal(0.1), bc.HalfNormal(0.1))
+HALF = bc.HalfNormal(0.1)
+SUMMED = bc.SummedNoise(300.0, 3300.0, ("correlated", "flicker"), HALF, HALF)
+# A model, and what is asked of it beside 200 data sets on the plan.
+RANKED = {
+    "half-normal noise": (BASELINE.with_noise(bc.White(HALF)), {}),
+    "half-Cauchy noise": (BASELINE.with_noise(bc.White(bc.HalfCauchy(0.1))), {}),
+    "runs over a parabola": (BASELINE + "bias.run" + "bias.temperature_quadratic", {}),
+    "thermal lag": (BASELINE + "bias.thermal_lag", {}),
+    "thermometer errors": (
+        BASELINE + THERMOMETER,
+        {"count": 60, "promote": ("bias.temperature",), "plan": PLAN.select(np.arange(22))},
+    ),
     # From 11 readings a run the wander is often not told from white noise: a posterior of two arms.
-    check(BASELINE.with_noise(wandering), 200, uneven=0.5)
+    "wandering noise": (
+        BASELINE.with_noise(bc.OrnsteinUhlenbeck(100.0, 3000.0, HALF, HALF)),
+        {"uneven": 0.5},
+    ),
+    # Each φ costs a pass over the readings here, so that the draws of all rounds count.
+    "sums of noise terms": (BASELINE.with_noise(SUMMED), {"uneven": 0.1, "rounds": 12}),
+}
 
 
 @pytest.mark.slow
-def test_ranks_are_uniform_for_sums_of_noise_terms() -> None:
-    # Each φ costs a pass over the readings here, so that the draws of all rounds count.
-    half = bc.HalfNormal(0.1)
-    law = bc.SummedNoise(300.0, 3300.0, ("correlated", "flicker"), half, half)
-    check(BASELINE.with_noise(law), 200, uneven=0.1, rounds=12)
+@pytest.mark.parametrize(("model", "asked"), RANKED.values(), ids=RANKED)
+def test_ranks_are_uniform(model: bc.Model, asked: dict[str, Any]) -> None:
+    check(model, **asked)
 
 
 @pytest.mark.slow

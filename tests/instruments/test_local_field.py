@@ -35,7 +35,7 @@ def table(field: float, folder: Path, stated: float | None = None) -> Path:
 
 
 def corrected(path: Path, **how: Any) -> bc.VectorCorrection:
-    return bc.vector_correction(bc.fit(MODEL, bc.read(path, INSTRUMENT, **how)))
+    return bc.vector_correction(bc.fit(MODEL, bc.read(path, INSTRUMENT, **how), bc.LeastSquares()))
 
 
 @pytest.mark.slow

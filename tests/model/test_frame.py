@@ -93,26 +93,6 @@ def test_two_readings_at_one_time_do_not_start_a_run() -> None:
     assert twice.rate()[0] == twice.rate()[1] == 0
 
 
-def test_rate_is_the_slope_of_the_last_minute_and_never_looks_ahead() -> None:
-    rng = np.random.default_rng(2)
-    time = np.cumsum(rng.uniform(3.0, 9.0, 60))
-    temperature = 30 + np.cumsum(rng.normal(0.0, 0.1, 60))
-    rate = np.asarray(framed(thermal(time, temperature)).rate())
-    for i in range(1, 60):
-        past = (time <= time[i]) & (time >= time[i] - 60)
-        assert rate[i] == pytest.approx(np.polyfit(time[past] - time[i], temperature[past], 1)[0])
-    changed = temperature.copy()
-    changed[40:] += 5
-    np.testing.assert_allclose(framed(thermal(time, changed)).rate()[:40], rate[:40], atol=1e-12)
-
-
-def test_rate_over_slow_sampling_is_that_of_the_last_step() -> None:
-    time = np.arange(0.0, 3000.0, 300.0)
-    temperature = 30 + (time / 1000) ** 2
-    rate = framed(thermal(time, temperature)).rate()
-    np.testing.assert_allclose(rate[1:], np.diff(temperature) / 300.0, rtol=1e-9)
-
-
 def test_constants_of_the_bases_are_those_of_the_fit() -> None:
     time = np.arange(20) * 120.0
     data = thermal(time, 50 + 20 * np.sin(time / 900.0), np.repeat(["up", "down"], 10))

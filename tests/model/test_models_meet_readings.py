@@ -3,14 +3,19 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import cache
+from importlib import import_module
 
+import equinox as eqx
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
 import bayescal as bc
 from bayescal import effects
-from bayescal_models import mems_gyro
+from bayescal_models import INSTRUMENTS, mems_gyro
 from bayescal_models.mems_gyro import INSTRUMENT
+from tests.support.inside import frame_of
 from tests.support.made_up.humid_gyro import BASELINE, readings
 
 QUICK = bc.LeastSquares(draws=10)
@@ -57,32 +62,6 @@ def test_as_many_flat_coefficients_as_readings_are_refused() -> None:
     assert bc.fit(flat.fix({"bias.power2": 0.0}), readings(rows=3), QUICK, strict=False)
 
 
-def test_every_unknown_stands_in_exactly_one_place() -> None:
-    data = readings(
-        run=np.repeat(["1", "2"], 6), time=np.tile(np.arange(6.0), 2) + np.repeat([0.0, 100.0], 6)
-    )
-    model = BASELINE + effects.thermometer(0.3, source="none") + ["bias.run", "bias.thermal_lag"]
-    promoted = bc.Marginal(proposals=64, promote=("bias.temperature",))
-    layout = bc.fit(model.fix({"bias.constant": 20.0}), data, promoted, strict=False).layout
-    places = {b.name: b.place for b in layout.blocks}
-    assert places == {
-        "bias.constant": "fixed",
-        "bias.temperature": "phi",
-        "temperature.reading": "input",
-        "bias.run": "x",
-        "bias.thermal_lag": "x",
-        "bias.thermal_lag[start]": "x",
-    }
-    assert layout.size == 2 + 1 + 2
-    assert [h.name for h in layout.hypers] == [
-        "noise.white",
-        "bias.run.group_sd",
-        "bias.thermal_lag[start].group_sd",
-        "bias.thermal_lag.tau",
-        "bias.temperature",
-    ]
-
-
 STATION = effects.deviation("bias", "station", 0.2, "deg/s", source="ours")
 WITH_STATIONS = replace(
     mems_gyro.INSTRUMENT,
@@ -122,3 +101,52 @@ def test_each_member_of_a_declared_group_has_its_deviation(tmp_path) -> None:
         "cellar",
         "roof",
     )
+
+
+# The contract of every effect of every instrument: it reads only the columns that it names.
+
+
+def instrument_effects() -> list:
+    found = []
+    for name in INSTRUMENTS:
+        instrument = import_module(f"bayescal_models.{name}").INSTRUMENT
+        structural = [e for _, make in instrument.structures for e in make().effects]
+        every = {e.name: e for e in (*instrument.effects, *instrument.candidates, *structural)}
+        found += [pytest.param(instrument, e, id=f"{name}-{e.name}") for e in every.values()]
+    return found
+
+
+@cache
+def made_up(instrument: bc.Instrument, rows: int = 12) -> bc.Measurements:
+    """Readings of every column of an instrument, within its plausible ranges."""
+    rng = np.random.default_rng(3)
+    columns = {}
+    for column in instrument.columns:
+        if column.unit is None:
+            columns[column.name] = np.resize(np.repeat(column.allowed or ["a", "b"], 3), rows)
+        elif column.name == "time":
+            columns[column.name] = np.cumsum(rng.uniform(20.0, 300.0, rows))
+        elif column.name == "temperature_point":
+            columns[column.name] = np.resize(np.repeat([20.0, 30.0, 40.0], 2), rows)
+        else:
+            low, high = (20.0, 50.0) if column.unit == "degC" else (0.05, 0.2)
+            low = low if column.low is None else max(low, column.low)
+            high = high if column.high is None else min(high, column.high)
+            high = high if low < high else column.high or 2 * low
+            columns[column.name] = rng.uniform(low, high, rows)
+    free = {c.name: "ug" for c in instrument.columns if c.unit == "any"}  # the file's to say
+    return bc.Measurements.from_arrays(instrument, units=free, **columns)
+
+
+@pytest.mark.parametrize(("instrument", "effect"), instrument_effects())
+def test_an_effect_reads_only_the_columns_it_names(instrument, effect) -> None:
+    frame = frame_of(made_up(instrument))
+    shapes = {s.name: jnp.asarray(0.5 * (s.low + s.high)) for s in effect.shapes}
+    hidden = set(frame.columns) - set(effect.columns)
+    if "time" in effect.columns:
+        hidden.discard("elapsed")
+    nothing = [jnp.full(frame.size, jnp.nan) for _ in hidden]
+    frame = eqx.tree_at(lambda f: [f.columns[n] for n in sorted(hidden)], frame, nothing)
+    basis = effect.evaluate(frame, shapes)
+    assert basis.shape == (frame.size, len(effect.coefficients))
+    assert np.isfinite(basis).all()

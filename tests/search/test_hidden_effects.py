@@ -130,11 +130,6 @@ OTHERS = {
 
 
 @pytest.mark.slow
-def test_an_effect_hidden_in_an_inclinometers_campaign() -> None:
-    elsewhere("inclinometer", "zero.placement_quadratic", seed=7)
-
-
-@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "effect"),
     [(name, effect) for name, found in OTHERS.items() for effect in found],

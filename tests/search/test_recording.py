@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import bayescal as bc
-from bayescal_models import mems_gyro
+from bayescal_models import mems_gyro, still_sensor
 from bayescal_models.mems_gyro import INSTRUMENT
 
 
@@ -62,3 +62,86 @@ def test_an_output_of_too_few_digits_is_refused() -> None:
     far = readings.with_column("output", readings["output"] + 1e14)
     with pytest.raises(bc.ModelError):
         bc.fit(INSTRUMENT.baseline(), far)
+
+
+# Whether a column was rounded or cut off no file tells: half a step, shared by all readings, is in coefficients.
+
+
+QUICK = bc.LeastSquares(draws=400)
+CONSTANT, SLOPE, NOISE = 2000.0, 40.0, 20.0  # of the simulator, µg and µg/°C
+
+
+def fitted(readings: bc.Measurements) -> bc.Calibration:
+    return bc.fit(still_sensor.INSTRUMENT.for_readings(readings).baseline(), readings, QUICK)
+
+
+def off(calibration: bc.Calibration, name: str, true: float) -> float:
+    values = calibration.samples(name)
+    return float(abs(values.mean() - true) / values.std())
+
+
+@pytest.mark.parametrize("cut", [np.floor, np.rint, np.ceil])
+@pytest.mark.parametrize("seed", [306, 307])
+def test_thermometer_of_coarse_steps_widens_the_constant(cut, seed: int) -> None:
+    readings = still_sensor.simulate(seed=seed, interval=30)
+    coarse = readings.with_column("temperature", 0.5 * cut(readings["temperature"] / 0.5))
+    found = fitted(coarse)
+    constant = CONSTANT + SLOPE * (found.hold_at["T0"] - 27.0)
+    assert off(found, "bias.constant", constant) < 3 and off(found, "bias.temperature", SLOPE) < 3
+    least = SLOPE * 0.5 / np.sqrt(12.0)
+    assert found.samples("bias.constant").std() == pytest.approx(least, rel=0.1)
+    assert found.samples("bias.temperature").std() < 0.1
+
+
+@pytest.mark.parametrize("cut", [np.floor, np.rint])
+def test_output_of_coarse_steps_widens_the_constant(cut) -> None:
+    readings = still_sensor.simulate(seed=3)
+    step = 3.0 * NOISE
+    found = fitted(readings.with_column("output", step * cut(readings["output"] / step)))
+    constant = CONSTANT + SLOPE * (found.hold_at["T0"] - 27.0)
+    assert off(found, "bias.constant", constant) < 3
+    assert found.samples("bias.constant").std() == pytest.approx(step / np.sqrt(12.0), rel=0.1)
+
+
+def test_what_fine_digits_and_set_points_say_stays_as_it_is() -> None:
+    readings = still_sensor.simulate(seed=3)
+    fine = readings.with_column("temperature", np.round(readings["temperature"], 3))
+    plain, digits = fitted(readings), fitted(fine)
+    assert digits.samples("bias.constant").std() == pytest.approx(
+        plain.samples("bias.constant").std(), rel=0.05
+    )
+    points = readings.with_column("temperature", 10.0 * np.rint(readings["temperature"] / 10.0))
+    assert fitted(points).samples("bias.constant").std() < 0.1 * SLOPE * 10.0 / np.sqrt(12.0)
+
+
+def test_prediction_with_the_same_thermometer_is_as_good_as_before() -> None:
+    readings = still_sensor.simulate(seed=306, interval=30)
+    coarse = readings.with_column("temperature", 0.5 * np.floor(readings["temperature"] / 0.5))
+    assert bc.predict(fitted(coarse)).model_sd.max() < 0.3 * NOISE
+
+
+@pytest.mark.parametrize(("step", "degrees"), [(0.15, 0.5), (0.05, 0.5)])
+def test_rounded_hold_out_data_are_not_taken_for_those_that_are_fitted(
+    step: float, degrees: float
+) -> None:
+    """Other readings share rounded numbers by chance; the very readings share all of them."""
+
+    def rounded(seed: int) -> bc.Measurements:
+        found = mems_gyro.simulate(seed=seed)
+        for name, to in (
+            ("output", step),
+            ("temperature", degrees),
+            ("board_temperature", degrees),
+        ):
+            found = found.with_column(name, to * np.floor(found[name] / to))
+        return found
+
+    fit, other = rounded(1), rounded(101)
+
+    def said(holdout: bc.Measurements) -> bool:
+        model = mems_gyro.INSTRUMENT.for_readings(fit).baseline()
+        trail = bc.calibrate(model, fit, holdout=holdout, method=QUICK, max_effects=0)
+        flags = trail.calibration.readings.flags
+        return any(getattr(flag, "code", "") == "holdout.not_new" for flag in flags)
+
+    assert not said(other) and said(fit.select(np.arange(200)))

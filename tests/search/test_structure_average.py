@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -9,6 +10,7 @@ import pytest
 
 import bayescal as bc
 from bayescal_models import mems_gyro
+from tests.support.inside import result_of
 from tests.support.made_up import split_search
 
 CAMPAIGNS = 40
@@ -136,3 +138,69 @@ def test_where_the_search_is_split_the_average_covers_and_one_structure_does_not
         averaged.append(shares[1])
     assert len(best) >= 8
     assert np.mean(averaged) > np.mean(best) and np.mean(averaged) > 0.88
+
+
+# Mean, standard uncertainty and interval of a coefficient are of one distribution, wherever they are stated.
+
+
+@cache
+def searched(size: float, seed: int) -> bc.SearchPath:
+    readings = mems_gyro.simulate({"bias.thermal_lag": size}, seed=seed)
+    return bc.calibrate(mems_gyro.INSTRUMENT.baseline(), readings)
+
+
+CASES = [(0.014, 8), (0.018, 8)]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("size", "seed"), CASES)
+def test_mean_uncertainty_and_interval_agree(size, seed) -> None:
+    found = searched(size, seed).calibration
+    rows: Any = found.to_pandas().reset_index().itertuples()
+    for row in rows:
+        draws = found.samples(row.unknown.partition("(")[0])
+        if draws.ndim > 1 or row.effect not in searched(size, seed).final.calibration.model.names:
+            continue
+        assert row.low <= row.mean <= row.high, row.unknown
+        assert 2.0 < (row.high - row.low) / row.sd < 6.0, row.unknown  # 3.9 of a normal one
+        assert row.mean == pytest.approx(draws.mean())
+        np.testing.assert_allclose([row.low, row.high], np.quantile(draws, [0.025, 0.975]))
+
+
+# Numbers that a user may change can be seen and changed, and what was changed is written into the result.
+
+
+def line_of(*temperatures: float) -> bc.Measurements:
+    count = len(temperatures)
+    columns = {"temperature": [*temperatures], "time": [float(i) for i in range(count)]}
+    output = [1.0 + 0.1 * i for i in range(count)]
+    return bc.Measurements.from_arrays(mems_gyro.INSTRUMENT, output=output, **columns)
+
+
+def test_a_record_is_judged_by_them_inside_and_no_further() -> None:
+    with bc.use_settings(bc.Settings(temperature_span=0.5)), pytest.raises(bc.InputError):
+        line_of(20.0, 20.3)
+    assert len(line_of(20.0, 20.3)) == 2
+
+
+@pytest.mark.slow
+def test_draws_are_judged_by_them() -> None:
+    readings = line_of(*range(20, 40))
+    model, few = mems_gyro.INSTRUMENT.baseline(), bc.Marginal(draws=100, proposals=100)
+    with bc.use_settings(bc.Settings(effective_draws=1e6)):
+        assert not bc.fit(model, readings, few, strict=False).verdict.ok
+    with bc.use_settings(bc.Settings(effective_draws=10)):
+        assert bc.fit(model, readings, few, strict=False).verdict.ok
+
+
+@pytest.mark.slow
+def test_a_search_goes_by_them_and_the_result_says_so() -> None:
+    readings = split_search.readings()
+    first = split_search.trail().steps[0].discovery
+    assert first is not None and first.sets
+    with bc.use_settings(bc.Settings(found_probability=0.9999)):
+        trail = bc.calibrate(split_search.trail().steps[0].calibration.model, readings)
+        assert result_of(trail)["settings"] == {"found_probability": 0.9999}
+    other = trail.steps[0].discovery
+    assert other is not None
+    assert [s.effects for s in other.sets] != [s.effects for s in first.sets]

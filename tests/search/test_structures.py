@@ -21,7 +21,7 @@ from bayescal._search.noise_laws import on_residuals
 from bayescal._search.posterior import Posterior
 from bayescal._search.structures import SIZE_FACTORS, Structure, Structures
 from bayescal._search.walk import explore
-from bayescal_models import inclinometer, mems_gyro, quartz_beam_accelerometer, still_sensor
+from bayescal_models import inclinometer, mems_gyro, still_sensor
 from tests.support.inside import constants_of
 
 INSTRUMENT = mems_gyro.INSTRUMENT
@@ -112,17 +112,6 @@ def test_what_cannot_be_told_apart_is_one_finding() -> None:
 
 
 @pytest.mark.slow
-def test_nothing_is_found_where_nothing_is_hidden() -> None:
-    for seed in range(20, 26):
-        made = structures(hidden(seed))
-        explore(Library(made), max_effects=5)
-        posterior = Posterior.of(made)
-        assert not posterior.findings
-        assert not posterior.chosen.effects
-        assert posterior.complete() > 0.4
-
-
-@pytest.mark.slow
 def test_of_a_hundred_empty_campaigns_hardly_any_gains_an_effect() -> None:
     reported = 0
     for seed in range(500, 600):
@@ -137,15 +126,6 @@ def test_a_free_curve_in_time_stands_beside_no_wander() -> None:
     assert "unknown(time)" in made.open_to(Structure())
     assert "unknown(time)" not in made.open_to(Structure(noise=WANDER))
     assert "unknown(time, jump)" in made.open_to(Structure(noise=WANDER))
-
-
-@pytest.mark.slow
-def test_a_lag_three_times_as_large_as_plausible_is_found_in_the_quartz_record() -> None:
-    instrument = quartz_beam_accelerometer.INSTRUMENT
-    readings = quartz_beam_accelerometer.simulate({"bias.thermal_lag": 60.0}, seed=1)
-    made, _ = structures_over(instrument.baseline(), readings, constants_of(readings))
-    explore(Library(made), max_effects=5)
-    assert "bias.thermal_lag" in Posterior.of(made).chosen.effects
 
 
 # Noise laws.

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import re
+from pathlib import Path
+
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
 import bayescal as bc
-from bayescal_models import mems_gyro
+from bayescal_models import mems_gyro, still_sensor
 from tests.support.inside import constants_of, frame_of
 from tests.support.tiers import slow_but
 
@@ -139,3 +142,158 @@ def test_a_named_effect_is_preferred_to_an_unknown_dependence_on_its_covariate()
     curved = mems_gyro.simulate({"bias.temperature_quadratic": 1e-3}, seed=34)
     found = bc.discover(bc.fit(INSTRUMENT.baseline(), curved))
     assert [e.name for e in found.best] == ["bias.temperature_quadratic"]
+
+
+# A package that jumps, or an adhesive that softens, at one temperature: forms of an unknown dependence on it.
+
+
+AT = 52.3  # °C
+WHAT = {"jump": lambda t: 0.4 * (t > AT), "kink": lambda t: 0.02 * np.maximum(0.0, t - AT)}
+
+
+@pytest.mark.parametrize("form", slow_but(["jump"], WHAT))
+def test_it_is_found_where_it_is(form: str) -> None:
+    readings = mems_gyro.simulate({}, seed=5)
+    output = readings["output"] + WHAT[form](readings["temperature"])
+    readings = readings.with_column("output", output, readings.unit("output"))
+    trail = bc.calibrate(mems_gyro.INSTRUMENT.baseline(), readings, method=bc.LeastSquares())
+    name = f"unknown(temperature, {form})"
+    assert [s.added for s in trail.steps] == [None, name]
+    found = trail.steps[0].discovery
+    assert found is not None
+    assert [c.effect for c in found.candidates if c.probability and c.probability > 0.9] == [
+        "unknown(temperature)"
+    ], "a form speaks for its family"
+    final = trail.final.calibration
+    low, high = readings["temperature"].min(), readings["temperature"].max()
+    places = low + final.samples(f"{name}.place") * (high - low)
+    steps = np.diff(np.unique(np.round(readings["temperature"])))
+    assert abs(places.mean() - AT) < max(3 * places.std(), steps.max())
+    assert trail.final.rmse == pytest.approx(0.05, rel=0.15)
+    assert trail.gate.ok
+
+
+# A jump and a cycle in time, of no known cause, are told from wandering noise, measured, drafted and saved.
+
+
+METHOD = bc.LeastSquares(draws=200)
+PLACE, HEIGHT = 0.53, 0.2  # of the record, within the second run; °/s, four times the noise
+CYCLES, WAVE = 6.3, 0.06  # in the record; °/s
+
+
+def part_of_the_record(readings: bc.Measurements) -> np.ndarray:
+    time = readings["time"]
+    return (time - time.min()) / np.ptp(time)
+
+
+def changed(seed: int, contribution) -> bc.Measurements:
+    readings = mems_gyro.simulate({}, seed=seed)
+    at = part_of_the_record(readings)
+    return readings.with_column("output", readings["output"] + contribution(at))
+
+
+def drafted(pattern: str, text: str) -> float:
+    found = re.search(pattern, text)
+    assert found is not None, text
+    return float(found[1])
+
+
+@pytest.fixture(scope="module")
+def jumped() -> bc.SearchPath:
+    readings = changed(41, lambda at: np.where(at > PLACE, HEIGHT, 0.0))
+    return bc.calibrate(INSTRUMENT.baseline(), readings, method=METHOD)
+
+
+@pytest.fixture(scope="module")
+def cycled() -> bc.SearchPath:
+    readings = changed(42, lambda at: WAVE * np.sin(2 * np.pi * CYCLES * at + 0.4))
+    return bc.calibrate(INSTRUMENT.baseline(), readings, method=METHOD)
+
+
+@pytest.mark.slow
+def test_a_jump_is_found_where_it_is_and_as_high_as_it_is(jumped: bc.SearchPath) -> None:
+    final = jumped.final.calibration
+    assert [s.added for s in jumped.steps if s.added] == ["unknown(time, jump)"]
+    at = part_of_the_record(final.readings)
+    beside = np.sort(at[np.argsort(np.abs(at - PLACE))[:2]])  # no reading tells more than these
+    place = float(final.samples("unknown(time, jump).place").mean())
+    assert beside[0] - 0.01 < place < beside[1] + 0.01
+    height = final.samples("unknown(time, jump)[1]")
+    assert abs(height.mean() - HEIGHT) < 4 * height.std()
+    assert jumped.final.rmse == pytest.approx(0.05, rel=0.15)
+    told = [s for s in final.verdict.notes if "which of two levels" in s]
+    apart = drafted(r"which of two levels, (\S+) °/s apart", " ".join(told))
+    assert apart == pytest.approx(abs(float(height.mean())), rel=0.02)
+    assert len(told) == 1
+
+
+@pytest.mark.slow
+def test_a_cycle_is_found_with_its_period_and_amplitude(cycled: bc.SearchPath) -> None:
+    final = cycled.final.calibration
+    assert [s.added for s in cycled.steps] == [None, "unknown(time, cycle)"]
+    assert final.model.noise.law == "white"
+    cycles = float(final.samples("unknown(time, cycle).cycles").mean())
+    assert cycles == pytest.approx(CYCLES, abs=0.05)
+    parts = [final.samples(f"unknown(time, cycle)[{i}]") for i in (1, 2)]
+    wave = np.hypot(*parts)
+    assert wave.mean() == pytest.approx(WAVE, rel=0.2)
+
+
+@pytest.mark.slow
+def test_a_fast_wave_is_found_and_measured_by_the_default_method() -> None:
+    readings = changed(44, lambda at: WAVE * np.sin(2 * np.pi * 13.2 * at))
+    trail = bc.calibrate(INSTRUMENT.baseline(), readings)
+    assert trail.final.calibration.verdict.ok
+    draws = trail.final.calibration.samples("unknown(time, cycle).cycles")
+    assert abs(draws.mean() - 13.2) < max(4 * draws.std(), 0.02)
+    assert 0 < draws.std() < 0.1
+
+
+@pytest.mark.slow
+def test_a_jump_is_measured_by_the_default_method() -> None:
+    readings = changed(45, lambda at: np.where(at > PLACE, HEIGHT, 0.0))
+    sampled = bc.fit(INSTRUMENT.baseline() + "unknown(time, jump)", readings)
+    assert sampled.verdict.ok
+    height = sampled.samples("unknown(time, jump)[1]")
+    assert abs(height.mean() - HEIGHT) < 4 * height.std()
+    assert 0 < sampled.samples("unknown(time, jump).place").std() < 0.02
+
+
+# Outputs without a dimension (ppm, ppb, %, 1), in Hz and in s: read, judged, shown and handed on in their unit.
+
+
+SIZES = {"ppm": 1.0, "ppb": 800.0, "%": 0.1, "1": 1e-6, "Hz": 10.0, "s": 1e-7}  # of the output
+QUICK = bc.LeastSquares(draws=300)
+CURVED = -0.01  # per °C²
+
+
+def record(unit: str, path: Path) -> bc.Measurements:
+    """An oscillator's deviation over temperature."""
+    random = np.random.default_rng(2)
+    time = 10.0 * np.arange(400)
+    temperature = 30 + 15 * np.sin(time / 900)
+    moved = temperature - 30
+    output = 3 + 0.2 * moved + CURVED * moved**2 + 0.05 * random.standard_normal(400)
+    columns = np.column_stack([time, temperature, SIZES[unit] * output])
+    header = f"time [s],temperature [degC],output [{unit}]"
+    np.savetxt(path, columns, delimiter=",", header=header, comments="")
+    return bc.read(path, still_sensor.INSTRUMENT)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("unit", [*SIZES])
+def test_an_output_keeps_its_unit_and_no_shape_is_taken_for_a_size(
+    unit: str, tmp_path: Path
+) -> None:
+    readings = record(unit, tmp_path / "record.csv")
+    instrument = still_sensor.INSTRUMENT.for_readings(readings)
+    model = instrument.baseline() + "bias.temperature_quadratic" + "unknown(time)" + "bias.warm_up"
+    fitted = bc.fit(model, readings, QUICK, strict=False)
+    assert "size.beyond_output" not in [one.code for one in fitted.conflicts]
+    curved = fitted.samples("bias.temperature_quadratic")
+    assert curved.mean() == pytest.approx(CURVED * SIZES[unit], abs=5 * curved.std())
+    if unit != "1":
+        row = next(
+            r for r in str(fitted).splitlines() if r.startswith("bias.temperature_quadratic")
+        )
+        assert f" {unit}/°C²" in row

@@ -51,7 +51,6 @@ from bayescal._report.result_json import result
 from bayescal._report.whole_folder import refuse_mixed as refuse_mixed
 from bayescal._search.next_experiment import Outlook as Outlook
 from bayescal._search.next_experiment import divergence as divergence
-from bayescal._search.next_experiment import outlook as outlook
 from bayescal._search.noise_laws import on_residuals as on_residuals
 from bayescal._search.taken_over import taken_over as taken_over
 from bayescal._tables.mapping_file import load_mapping, save_mapping

@@ -33,11 +33,7 @@ def write_campaign(folder: Path) -> tuple[Path, Path]:
     """A gyroscope's test with two hidden effects, and a second one kept apart, as files."""
     paths = folder / "test.csv", folder / "later.csv"
     for seed, path in enumerate(paths, start=1):
-        readings = mems_gyro.simulate(HIDDEN, seed=seed)
-        table = readings.to_pandas()
-        units = {c: f"{c} [{readings.unit(c)}]" for c in table.columns if readings.unit(c)}
-        table = table.rename(columns=units)
-        table.to_csv(path, index=False)
+        mems_gyro.simulate(HIDDEN, seed=seed).write(path)
     return paths
 
 

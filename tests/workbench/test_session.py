@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import threading
 from pathlib import Path
 from typing import Any
@@ -11,7 +12,7 @@ import pytest
 
 import bayescal as bc
 from bayescal_models import mems_gyro
-from tests.support.inside import Session
+from tests.support.inside import Session, identity_of
 from tests.workbench.conftest import HIDDEN, Campaign
 
 TYPED = "bias.steps: a * board_temperature^2; a = 1e-4 deg/s/degC^2"
@@ -140,3 +141,60 @@ def test_a_typed_formula_is_drawn_before_it_is_added_and_goes_on_with_the_sessio
     assert later.current.model == added.model
     with pytest.raises(bc.InputError):
         session.typed("square: a*(temperatur - 40)^2; a = 1e-3 deg/s")
+
+
+# Nothing is lost: a folder holds every step, whatever ended the process that made them.
+
+
+def same_states(one: Session, other: Session) -> None:
+    assert list(one.states) == list(other.states)
+    for number, state in one.states.items():
+        again = other.states[number]
+        assert again.step.errors() == state.step.errors()
+        assert (again.title, again.parent, again.at) == (state.title, state.parent, state.at)
+        assert identity_of(again.calibration) == identity_of(state.calibration)
+
+
+@pytest.mark.slow
+def test_resumed_as_it_was(session: Session) -> None:
+    session.add_typed(TYPED)
+    session.resize("bias.temperature", 0.2)
+    session.go_to(0)
+    session.noise("student_t")
+    session.go_to(1)
+    later = again(session, origin=session.origin)
+    same_states(session, later)
+    assert later.current.number == 1
+    assert later.script() == session.script()
+    assert later.add("bias.drift").parent == 1
+
+
+# A session that somebody else left: nothing in its folder is run, and it is of its own readings alone.
+
+
+def change(session: Session, **told: object) -> None:
+    """Write something else into session.json."""
+    path = session.folder / "session.json"
+    data = json.loads(path.read_text("utf-8"))
+    path.write_text(json.dumps({**data, **told}), "utf-8")
+
+
+def test_a_formula_of_a_session_is_data(session: Session) -> None:
+    change(session, typed=["bias.evil: __import__('os').system('false') * temperature"])
+    with pytest.raises(bc.InputError):
+        again(session)
+
+
+@pytest.mark.parametrize(
+    "told", [{"current": "one"}, {"current": 7}, {"typed": "0"}, {"schema": ""}]
+)
+def test_a_session_that_was_changed_is_refused(session: Session, told: dict) -> None:
+    change(session, **told)
+    with pytest.raises(bc.InputError, match="no session that can be gone on with"):
+        again(session)
+
+
+def test_a_session_of_other_readings_is_refused(session: Session) -> None:
+    others = mems_gyro.simulate({}, seed=9)
+    with pytest.raises(bc.InputError, match="other readings"):
+        Session.open(session.states[0].model, others, folder=session.folder)

@@ -30,7 +30,7 @@ from bayescal._model.frame import reference_of
 from bayescal._search.discover import structures_over
 from bayescal._search.library import Library
 from bayescal._search.posterior import Posterior
-from bayescal._search.walk import NEAR_NATS, explore
+from bayescal._search.walk import explore
 
 # Probability from which an effect of a device is kept, and printed of the whole: as that of a noise law.
 KEPT_PROBABILITY = 0.01
@@ -99,7 +99,7 @@ def search_device(
     structures, _ = structures_over(
         model, readings, constants, effects=find.effects, widen_noise=find.widen_noise
     )
-    structures = replace(structures, form_nats=NEAR_NATS)
+    structures = replace(structures, thrifty=True)
     if stopped := explore(Library(structures), find.max_effects):
         raise deadline.TimeIsUp(stopped)
     posterior = Posterior.of(structures)

@@ -50,12 +50,12 @@ from bayescal._annexes.fleet.fit_devices import (
     Reference,
     fit_devices,
     tailored,
-    temperature_sums,
 )
 from bayescal._annexes.fleet.odd_devices import odd_devices
 from bayescal._annexes.fleet.population import AskedPopulation, chosen
 from bayescal._core import deadline
 from bayescal._core.settings import settings, unusual
+from bayescal._model.frame import reference_name
 from bayescal.workshop import ReadOptions, note, refuse_missing, stage, tell
 
 if TYPE_CHECKING:
@@ -143,9 +143,15 @@ def fit_part(request: Request, part: Part) -> Fits:
 
 
 def sum_temperatures(request: Request, part: Part) -> dict[str, np.ndarray]:
-    """Return sums and numbers of a part's temperatures."""
+    """Return sum and number of a part's temperatures, by the name of each column's reference."""
+    total: dict[str, np.ndarray] = {}
     with use_settings(request.settings):
-        return temperature_sums(one for piece in request.read(part)[0] for one in piece.devices)
+        for one in (one for piece in request.read(part)[0] for one in piece.devices):
+            for name in (n for n in one.columns if one.unit(n) == "degC"):
+                own = total.setdefault(reference_name(name), np.zeros(2))
+                own += np.sum(one[name]), len(one)
+    total.pop(reference_name("temperature_point"), None)
+    return total
 
 
 @dataclass(frozen=True)

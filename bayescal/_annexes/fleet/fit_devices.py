@@ -18,7 +18,7 @@ Devices of equally many readings are one record, whose arrays have a leading axi
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from typing import Any
@@ -36,13 +36,14 @@ from bayescal import (
     fit,
 )
 from bayescal._annexes.fleet.batch_result import Moments
+from bayescal._annexes.fleet.engine import NOT_REACHED
 from bayescal._calibration.claim import Claim
 from bayescal._calibration.judgement import noiseless
 from bayescal._core import deadline
 from bayescal._inference.method import Method
 from bayescal._inference.problem import Problem
 from bayescal._inference.record import Record
-from bayescal._model.frame import Frame, build_frame, reference_name, reference_of
+from bayescal._model.frame import Frame, build_frame, reference_of
 from bayescal._model.parameters import Layout, bind
 from bayescal._model.unknowns import Unknowns
 from bayescal.workshop import UNCERTAINTY
@@ -59,7 +60,6 @@ ROUNDS = 60  # of σ² and the degrees of freedom that coefficients leave
 DIGITS = 1e-12  # of σ², to which it is the same from below and from above
 LEAST_NOISE = 1e-24  # share of the readings' variance, below which the noise counts as none
 NOISE = "noise.white"
-NOT_REACHED = "not reached ({}): give more time"
 
 
 @dataclass(frozen=True)
@@ -82,16 +82,6 @@ class FitOptions:
         """Return the constants of a device."""
         known = reference_of(readings)
         return known | {n: v for n, v in self.reference.items() if n in known}
-
-
-def temperature_sums(devices: Iterable[Measurements]) -> dict[str, np.ndarray]:
-    """Return sum and number of the readings of each column of temperatures, by the name of its reference."""
-    total: dict[str, np.ndarray] = {}
-    for one in devices:
-        for name in (n for n in one.columns if one.unit(n) == "degC" and n != "temperature_point"):
-            known = reference_name(name)
-            total[known] = total.get(known, np.zeros(2)) + [np.sum(one[name]), len(one)]
-    return total
 
 
 def tailored(model: Model, readings: Measurements) -> Model:
@@ -238,7 +228,7 @@ def _together(layout: Layout, frames: Sequence[Frame]) -> Problem | None:
             jacobian, own = _linearised(problem)[1][0], _linearised(alone)[1]
             like = np.allclose(jacobian, own, rtol=ALIKE, atol=ALIKE * np.max(np.abs(own)))
             return problem if like else None
-    except (ValueError, TypeError, IndexError, BayescalError):  # of two axes
+    except (ValueError, TypeError, LookupError, BayescalError):  # of two axes
         pass
     return None
 

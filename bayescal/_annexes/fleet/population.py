@@ -32,9 +32,8 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import Any
 
-import jax
 import numpy as np
 import pandas as pd
 from jaxtyping import Float
@@ -43,7 +42,7 @@ from bayescal import Coefficient, Flat, HalfCauchy, HalfNormal, Model, ModelErro
 from bayescal._core.importance_weights import smoothed
 from bayescal._inference import trust
 from bayescal._inference.newton import ByValues, climb, gaussian_fit
-from bayescal._inference.sampling import PriorShare, around_mode, propose
+from bayescal._inference.sampling import around_mode, prior_share, propose
 
 # Devices from which a standard deviation between them can be learned: of two, it is their distance.
 FEWEST_DEVICES = 3
@@ -119,23 +118,6 @@ def chosen(model: Model, asked: AskedPopulation) -> Named:
     return {n: (known[n], given.get(n, HalfCauchy(known[n].size))) for n in names}
 
 
-class GivenSd(NamedTuple):
-    """Devices and the population's mean at standard deviations between devices, in units of the plausible sizes.
-
-    Attributes:
-        log_density: of these.
-        mean, covariance: of m, from the centre, (k,) and (k, k).
-        pull: M of each device, (b, k, k).
-        t: τ², (k,).
-    """
-
-    log_density: float
-    mean: Float[np.ndarray, "k"]
-    covariance: Float[np.ndarray, "k k"]
-    pull: Float[np.ndarray, "b k k"]
-    t: Float[np.ndarray, "k"]
-
-
 class Pooled:
     """Devices and the population that they are of; all in units of the coefficients' plausible sizes.
 
@@ -163,8 +145,13 @@ class Pooled:
         self.precision = inverse - np.diag(self.weight)
         self.estimate, self.rest = scaled - self.centre, self.weight * (scaled - own)
 
-    def given(self, v: Float[np.ndarray, "k"]) -> GivenSd:
-        """Return the devices and m at τ = scale·exp(v)."""
+    def given(self, v: Float[np.ndarray, "k"]) -> tuple[float, *tuple[np.ndarray, ...]]:
+        """Return what follows from τ = scale·exp(v).
+
+        Returns:
+            Its log density; mean and covariance of m, from the centre; those of each device's coefficients, m
+            integrated out: c | m has covariance T·M and mean m + T·M·(h − Λm).
+        """
         t, x, e = (self.scale * np.exp(v)) ** 2, self.estimate, self.rest
         inverse = np.linalg.inv(np.eye(len(t)) + self.precision * t)
         weighed = inverse @ self.precision
@@ -176,21 +163,18 @@ class Pooled:
         mean = covariance @ pull
         value = 0.5 * (level + pull @ mean + np.linalg.slogdet(covariance)[1])
         value += self.log_prior(v[None])[0]
-        return GivenSd(float(value), mean, covariance, inverse, t)
+        inner = t[:, None] * inverse
+        inner = 0.5 * (inner + inner.mT)
+        slope = np.eye(len(t)) - inner @ self.precision
+        device = x + (inner @ e[:, :, None])[:, :, 0] + (slope @ (mean - x)[:, :, None])[:, :, 0]
+        return float(value), mean, covariance, device, inner + slope @ covariance @ slope.mT
 
     def log_prior(self, v: Float[np.ndarray, "s k"]) -> Float[np.ndarray, "s"]:
         return np.sum([p.log_density(v[:, i]) for i, p in enumerate(self.priors)], axis=0)
 
-    def prior_draws(self, random: np.random.Generator, count: int) -> Float[np.ndarray, "s k"]:
-        keys = jax.random.split(
-            jax.random.key(int(random.integers(1 << 31))), (len(self.priors), count)
-        )
-        each = zip(self.priors, keys, strict=True)
-        return np.stack([np.asarray(jax.vmap(p.sample)(own)) for p, own in each], axis=1)
-
     def values(self, v: Float[np.ndarray, "s k"]) -> Float[np.ndarray, "s"]:
         """Return log densities."""
-        return np.nan_to_num([self.given(one).log_density for one in v], nan=-np.inf)
+        return np.nan_to_num([self.given(one)[0] for one in v], nan=-np.inf)
 
     def draws(self, seed: int) -> tuple[np.ndarray, np.ndarray, float]:
         """Return draws of v, with smoothed weights and k̂."""
@@ -199,25 +183,11 @@ class Pooled:
         best = climb(density, starts[int(np.argmax(self.values(np.array(starts))))])
         covariance = gaussian_fit(density, best).covariance
         count = int(np.clip(CELLS // len(self.estimate), 200, DRAWS))
-        improper = any(isinstance(prior, Flat) for prior in self.priors)
-        prior = None if improper else PriorShare(self.prior_draws, self.log_prior)
-        random = np.random.default_rng(seed)
+        prior, random = prior_share(self.priors, self.log_prior), np.random.default_rng(seed)
         v, log_proposal = propose(around_mode(best, covariance), prior, random, count)
         log_density = self.values(v)
         log_weight = np.where(np.isfinite(log_density), log_density, -1e300) - log_proposal
         return v, *smoothed(log_weight)
-
-    def moments(self, given: GivenSd) -> tuple[np.ndarray, np.ndarray]:
-        """Return means, from the centre, and covariances of the devices' coefficients, m integrated out.
-
-        c | m has covariance T·M and mean m + T·M·(h − Λm).
-        """
-        inner = given.t[:, None] * given.pull
-        inner = 0.5 * (inner + inner.mT)
-        share = inner @ self.precision
-        slope = np.eye(len(given.t)) - share
-        mean = share @ self.estimate[:, :, None] + inner @ self.rest[:, :, None]
-        return (mean[:, :, 0] + slope @ given.mean), inner + slope @ given.covariance @ slope.mT
 
 
 def learn(
@@ -239,17 +209,14 @@ def learn(
         )
     pooled = Pooled(mean, covariance, named)
     v, weights, k_hat = pooled.draws(seed)
-    # Second moments about the likeliest draw's means, which keeps their digits.
-    about, _ = pooled.moments(pooled.given(v[np.argmax(weights)]))
+    about = pooled.given(v[np.argmax(weights)])[3]  # which keeps the digits of second moments
     centres, squares = np.zeros((len(v), len(named))), np.zeros((len(v), len(named)))
     first, second = np.zeros_like(mean), np.zeros_like(covariance)
     for i, (one, weight) in enumerate(zip(v, weights, strict=True)):
-        given = pooled.given(one)
-        centres[i], squares[i] = given.mean, np.diag(given.covariance)
-        device, inner = pooled.moments(given)
-        first += weight * (device - about)
-        apart = (device - about)[:, :, None]
-        second += weight * (inner + apart * apart.mT)
+        _, centres[i], variance, device, inner = pooled.given(one)
+        squares[i], apart = np.diag(variance), device - about
+        first += weight * apart
+        second += weight * (inner + apart[:, :, None] * apart[:, None])
     second -= first[:, :, None] * first[:, None]
     size, between = pooled.size, pooled.scale * np.exp(v)
     middle = weights @ centres

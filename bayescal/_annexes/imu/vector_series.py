@@ -266,24 +266,24 @@ def _slots(
     for t in at.terms:
         if t.slot not in slots or t.slot in vector.rig or t.place == "input":
             continue
-        new = t.known.per is not None and t.place != "fixed"
+        new = t.per is not None and t.place != "fixed"
         if new:
             spread = t.prior_sd if t.group_sd_name is None else hyper[t.group_sd_name]
             away = spread * random.standard_normal(count)
-            value = (t.known.mean + away - away.mean())[:, None]
+            value = (t.mean + away - away.mean())[:, None]
         else:
             value = at.value(t, x, hyper)
-        shapes = [hyper[name] for name in t.known.shape_names]
-        effect = t.known.effect
+        shapes = [hyper[name] for name in t.shape_names]
+        effect = t.effect
         unknown = {*effect.columns} - known - {c.per for c in effect.coefficients}
         record = calibration.problem.record if unknown else at.record
-        column = record.columns_of_draws(t.known.columns, shapes, {})[..., t.index] * t.factor
+        column = record.columns_of_draws(t.columns, shapes, {})[..., t.index] * t.factor
         if unknown:
             column = np.broadcast_to(column, (count, record.size))[np.arange(count), picked]
             column = (column * (sign if known & {*effect.columns} else 1.0))[:, None]
         slots[t.slot] += value * column
         if new or unknown:
-            sums = of_test.setdefault(t.known.of, {})
+            sums = of_test.setdefault(t.effect.name, {})
             sums[t.slot] = sums.get(t.slot, np.zeros(count)) + (value * column)[:, 0]
     sds = {name: {s: float(np.std(v)) for s, v in sums.items()} for name, sums in of_test.items()}
     whole = {name: MENTIONED_SHARE * np.std(values[:, 0]) for name, values in slots.items()}

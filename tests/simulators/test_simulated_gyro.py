@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import csv
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
+from bayescal_models.mems_gyro import INSTRUMENT, TABLE
 from bayescal_models.mems_gyro.campaign import Campaign
 from bayescal_models.mems_gyro.resonance import Resonance, resonance_denominator
 from bayescal_models.mems_gyro.simulator import NOISE_LAWS, simulate_arrays
@@ -124,3 +126,64 @@ def test_resonance_of_the_table_s_slope_is_nearly_straight() -> None:
     assert slope == pytest.approx(0.0535, rel=0.01) and middle == pytest.approx(21.5, abs=0.01)
     bend = sim.noise_free - np.polyval([slope, middle], temperature - 55.0)
     assert 1e-4 < np.abs(bend).max() < 0.003
+
+
+# The document's gyro table is what its provenance says, misprints included.
+
+
+def table(name: str) -> tuple[list[str], np.ndarray]:
+    """Header and numbers of a file of the gyro's data folder."""
+    with TABLE.with_name(name).open(encoding="utf-8", newline="") as file:
+        header, *rows = csv.reader(file)
+    return header, np.array(rows, dtype=float)
+
+
+def test_table_has_eighteen_rows_and_two_named_columns() -> None:
+    header, rates = table("zero_rate_table.csv")
+    header_volts, volts = table("zero_rate_table_volts.csv")
+    assert header == ["temperature [degC]", "output [deg/s]"]
+    assert header_volts == ["temperature [degC]", "output [V]"]
+    assert rates.shape == volts.shape == (18, 2)
+    np.testing.assert_array_equal(rates[:, 0], volts[:, 0])
+
+
+def test_voltage_and_rate_agree_but_at_two_temperatures() -> None:
+    _, rates = table("zero_rate_table.csv")
+    _, volts = table("zero_rate_table_volts.csv")
+    apart = np.abs(volts[:, 1] - (1.2 + 0.83e-3 * rates[:, 1]))
+    rounding = 0.05e-3 + 0.83e-3 * 0.005
+    assert set(rates[apart > rounding, 0]) == {60.0, 63.0}
+    np.testing.assert_allclose(apart[apart > rounding], [0.12e-3, 0.09e-3], atol=0.005e-3)
+
+
+# Each effect hidden in a gyro campaign is as large as stated, and zero where it should be.
+
+
+SIZES = {e.name: e.coefficients[0].size for e in INSTRUMENT.candidates}
+SIZES["bias.rate"] = INSTRUMENT.effect("bias.rate").coefficients[0].size  # a form of the lag
+UNLISTED = {"unlisted.periodic": 0.1, "unlisted.step": 0.2, "unlisted.humidity": 0.02}
+ALL = {**SIZES, **UNLISTED}
+HIDDEN = list(ALL)
+
+
+def hidden(name: str, campaign: Campaign = DEFAULT, seed: int = 1) -> Simulated:
+    """One effect of its plausible size, hidden alone."""
+    return simulated(campaign, {name: ALL[name]}, seed=seed)
+
+
+@pytest.mark.parametrize("name", HIDDEN)
+def test_an_effect_changes_the_output_by_its_contribution_alone(name: str) -> None:
+    turning = replace(DEFAULT, rate_input=RATES)
+    without, with_it = simulated(turning, seed=5), hidden(name, turning, seed=5)
+    change = with_it.columns["output"] - without.columns["output"]
+    np.testing.assert_allclose(change, with_it.contributions[name], atol=1e-10)
+    np.testing.assert_allclose(sum(with_it.contributions.values()), with_it.noise_free)
+    twice = simulated(turning, {name: 2 * ALL[name]}, seed=5)
+    np.testing.assert_allclose(twice.contributions[name], 2 * with_it.contributions[name])
+    assert np.ptp(change) > 0.02
+
+
+def test_rates_are_cycled_over_the_steps_of_all_runs() -> None:
+    rate = simulated(replace(DEFAULT, rate_input=RATES), seed=1).columns["rate_input"]
+    steps = rate.reshape(-1, 10)
+    np.testing.assert_array_equal(steps, np.resize(RATES, 33)[:, None] * np.ones(10))
