@@ -268,10 +268,10 @@ CEILINGS = {
     "bayescal/_annexes/metrology": 1_721,
     "bayescal/_annexes/workbench": 3_620,
     "models": 8_982,
-    "tests": 25_495,
+    "tests": 25_500,
     "benchmarks": 10_893,
 }
-WORDS = 53_814  # of docs/, README.md and CHANGELOG.md together
+WORDS = 53_866  # of docs/, README.md and CHANGELOG.md together
 
 
 @pytest.mark.parametrize("part", CEILINGS)
