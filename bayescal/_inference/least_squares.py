@@ -15,8 +15,9 @@ from typing import Any, ClassVar, Literal, NamedTuple
 import numpy as np
 from jaxtyping import Float
 from scipy.linalg.lapack import dgeqrf, dtrtri, dtrtrs  # pyright: ignore[reportAttributeAccessIssue]
-from scipy.optimize import least_squares
 
+from bayescal._core.jit import compiled
+from bayescal._core.lazy_jax import jax, jnp
 from bayescal._core.parallel import on_one_thread
 from bayescal._core.progress import stage
 from bayescal._inference import trust
@@ -25,7 +26,9 @@ from bayescal._inference.laplace import NOTHING_KNOWN, Mode, find_mode
 from bayescal._inference.method import CHAINS, Draws, Method, Outcome, Verdict
 from bayescal._inference.noise_on_record import Independent, Whitening, variance, whitening
 from bayescal._inference.problem import Problem, differences
+from bayescal._model import forward
 from bayescal._model.composition import Linearised
+from bayescal._model.noise_law import in_time
 from bayescal._model.parameters import Layout
 
 STILL_SD = 1e-6  # standard deviations: a further step smaller than this is none
@@ -34,14 +37,13 @@ GOOD_SHARE = 1e-5
 ROUND_CHANGE = 1e-9  # change of φ's coordinates in a round, below which it rests
 ROUNDS = 30  # at most
 ROUND_STEPS = 200  # of θ in a round
-TOLERANCE = 1e-12  # of the trust region, relative
-STEPS_FROM_AFAR = 5000  # of the trust region: along a curved valley they are short
-FAR_RESIDUAL = 1e100  # stands for residuals that are no numbers
+TOLERANCE = 1e-12  # of optimistix's solvers, relative and absolute
+STEPS_FROM_AFAR = 5000  # steps from afar: along a curved valley they are short
 SHIFT = 1e-4  # of a coordinate, for slopes by differences
 
 
 class LeastSquares(Method):
-    """Maximum a posteriori, with a Laplace covariance: by Gauss–Newton on QR.
+    """Maximum a posteriori, with a Laplace covariance: by optimistix and, what is linear and the last digits, by QR.
 
     Attributes:
         curvature: "gauss-newton" leaves out second derivatives of the expected output; "hessian" keeps them.
@@ -56,7 +58,7 @@ class LeastSquares(Method):
         with stage("least squares"):
             mode = find_mode(problem, start=start)
             # From where the mode is known to be, the last digits are a few steps of Gauss–Newton away.
-            found = refine(problem, mode, self.curvature == "hessian")
+            found = refine(problem, mode, self.curvature == "hessian", by_optimistix=not start)
         return self.outcome(problem.layout, found, seed)
 
     def outcome(self, layout: Layout, found: Solution, seed: int) -> Outcome:
@@ -160,13 +162,16 @@ class _Given(NamedTuple):
 
 
 @on_one_thread
-def refine(problem: Problem, mode: Mode, full_hessian: bool) -> Solution:
+def refine(
+    problem: Problem, mode: Mode, full_hessian: bool, by_optimistix: bool = False
+) -> Solution:
     """From the mode: (x, shapes) by least squares and scales by restricted likelihood in turn, until both rest.
 
     Args:
         problem: the structure on its record.
         mode: its mode.
         full_hessian: whether the covariance takes second derivatives of the expected output.
+        by_optimistix: begin with its solver where anything is not linear, rather than where Gauss–Newton fails only.
     """
     fit = _Refinement(problem, mode)
     # Where JᵀJ has no Cholesky factor the mode is nowhere; from the prior's centre, QR may find it.
@@ -174,10 +179,17 @@ def refine(problem: Problem, mode: Mode, full_hessian: bool) -> Solution:
     x = mode.x if found else problem.start
     v = np.where(np.isfinite(mode.v), mode.v, 0.0)
     theta, converged = np.concatenate([x, v[fit.places]]), False
+    if by_optimistix and not (
+        problem.affine and not fit.places
+    ):  # what is linear is one step of QR
+        theta = fit.solved(theta, v)
     for round_ in range(ROUNDS):
         theta, converged = fit.fit_theta(theta, v)
         if round_ == 0 and not converged and not problem.affine:
             theta, converged = fit.from_afar(v)
+            if not converged:  # how long its steps are hangs on the size of the noise
+                usual = np.where([kind == "noise" for kind in problem.kinds], 0.0, v)
+                theta, converged = fit.from_afar(usual)
         moved = fit.fit_noise(theta, _put(theta[problem.size :], fit.places, v))
         change = float(np.max(np.abs(moved - v), initial=0.0))
         v = moved
@@ -246,28 +258,23 @@ class _Refinement:
         problem = self.problem
         return whitening(problem.noise, problem.hyper(v), problem.record, extra, left)
 
-    def rows(self, theta: np.ndarray, v: np.ndarray) -> tuple[np.ndarray, float]:
-        """Return the whitened residuals and the prior's beside their slopes by z = (θ − m)/s, and what counts else.
-
-        The prior is rows beside the readings: in steps of z, [A·S; W]·step = [r; −z].
-        """
-        prior, (plain, extra) = self.prior(v), self.table(theta, v)
-        white = self.whiten(v, extra, plain[:, -1])
-        z = prior.weight * (theta - prior.mean) / np.where(prior.sd > 0, prior.sd, 1.0)
-        own = np.column_stack([np.diag(prior.weight), -z])
-        whole = np.concatenate([white(plain) * np.append(prior.sd, 1.0), own])
-        return whole, white.beyond if isinstance(white, Independent) else 0.0
-
     def fit_theta(self, theta: np.ndarray, v: np.ndarray) -> tuple[np.ndarray, bool]:
         """θ by least squares of the whitened residuals and the prior's, given the scales in v."""
         if not theta.size:
             return theta, True
         prior = self.prior(v)
+        own = np.diag(prior.weight)
 
         def look(at: np.ndarray) -> tuple[float, QR]:
-            whole, beyond = self.rows(at, v)
+            plain, extra = self.table(at, v)
+            white = self.whiten(v, extra, plain[:, -1])
+            table = white(plain)
+            # The prior is rows beside the readings: in steps of z = (θ − m)/s, [A·S; W]·step = [r; −z].
+            z = prior.weight * (at - prior.mean) / np.where(prior.sd > 0, prior.sd, 1.0)
+            whole = np.concatenate([table * np.append(prior.sd, 1.0), np.column_stack([own, -z])])
             if not np.all(np.isfinite(whole)):
                 return math.inf, qr(np.zeros_like(whole))
+            beyond = white.beyond if isinstance(white, Independent) else 0.0
             return float(whole[:, -1] @ whole[:, -1]) + beyond, qr(whole)
 
         cost, found = look(theta)
@@ -291,33 +298,35 @@ class _Refinement:
             damping = max(10 * damping, 1e-3)
         return theta, best <= GOOD_SHARE * math.sqrt(cost)
 
-    def from_afar(self, v: np.ndarray) -> tuple[np.ndarray, bool]:
-        """θ where Gauss–Newton ran away or stalled: by a trust region from where the mode was looked for first.
+    def solved(self, begin: np.ndarray, v: np.ndarray, afar: bool = False) -> np.ndarray:
+        """θ by one of optimistix's solvers on the composed residuals, from `begin`; that where it fails.
 
-        It goes in units of a plausible change of each unknown. Laws that are not Gaussian have no residuals of their
-        own.
+        From afar, by the one whose trust region is one of steps. It goes in units of a plausible change of each
+        unknown. Laws that are not Gaussian have no such residuals, and no derivative forward is known of what
+        correlated noise whitens by.
         """
+        problem = self.problem
+        layout, noise = problem.layout, problem.noise
+        if not (noise.gaussian and noise.independent and begin.size):
+            return begin
+        prior, scale = self.prior(v), np.array(self.prior(v).sd)
+        for b in (b for b in layout.x_blocks if b.coefficient.flat):
+            scale[b.start : b.start + b.size] = b.coefficient.size
+        record = problem.record
+        # Padded to one of a few lengths, for each of which it is compiled once.
+        there = np.arange(record.padded_size) < record.size
+        frame = jax.tree.unflatten(record.padded.form, record.padded.arrays)
+        readings = jnp.asarray(record.longer(record.y)), jnp.asarray(there, float)
+        steps = _by_optimistix(
+            afar, layout, frame, readings, v, prior, begin, scale, tuple(self.places)
+        )
+        there = begin + scale * np.asarray(steps)
+        return there if np.all(np.isfinite(there)) else begin
+
+    def from_afar(self, v: np.ndarray) -> tuple[np.ndarray, bool]:
+        """θ where Gauss–Newton ran away or stalled: from where the mode was looked for first."""
         begin = np.append(self.problem.start, np.zeros(len(self.places)))
-        if self.gaussian and np.all(np.isfinite(self.rows(begin, v)[0])):
-            sd, scale = self.prior(v).sd, np.array(self.prior(v).sd)
-            for b in (b for b in self.problem.layout.x_blocks if b.coefficient.flat):
-                scale[b.start : b.start + b.size] = b.coefficient.size
-
-            def rows(steps: np.ndarray) -> np.ndarray:
-                return np.nan_to_num(
-                    self.rows(begin + scale * steps, v)[0], nan=FAR_RESIDUAL, posinf=FAR_RESIDUAL
-                )
-
-            steps = least_squares(
-                lambda steps: rows(steps)[:, -1],
-                np.zeros(len(begin)),
-                lambda steps: -rows(steps)[:, :-1] * (scale / sd),
-                method="trf",
-                **dict.fromkeys(("xtol", "ftol", "gtol"), TOLERANCE),
-                max_nfev=STEPS_FROM_AFAR,
-            ).x
-            begin = begin + scale * steps
-        return self.fit_theta(begin, v)
+        return self.fit_theta(self.solved(begin, v, afar=True), v)
 
     def conditional(self, theta: np.ndarray, v: np.ndarray) -> Callable[..., _Given]:
         """A function of φ's coordinates: θ integrated out of the model linearised here, by QR."""
@@ -400,6 +409,28 @@ class _Refinement:
         # each uncertain by far more than the noise, and steps of parts of that would differ in how they bend.
         rows = differences(slope, np.zeros_like(theta), 1e-3)
         return root @ np.linalg.inv(0.5 * (rows + rows.T)) @ root.T
+
+
+@compiled
+def _by_optimistix(afar, layout, frame, own, v, prior, begin, scale, places):
+    """Steps (q,), in parts of `scale`, to the least squares of the whitened residuals and of the prior's."""
+    import optimistix as optx  # a sixth of a second that only this needs
+
+    (y, real), noise, size = own, layout.model.noise, layout.size
+    at_shapes = jnp.asarray(places, dtype=int)
+
+    def residuals(z: Any, _: Any) -> Any:
+        at = begin + scale * z
+        hyper = forward.hyper_values(layout, v.at[at_shapes].set(at[size:]))
+        mean, extra = forward.with_inputs(layout, frame, at[:size], hyper)
+        ordered, left = in_time(noise, frame, y - mean)
+        white, _ = noise.whiten(left[:, None], 0.0 if extra is None else extra, hyper, ordered)
+        return jnp.append(real * white[:, 0], prior.weight * (at - prior.mean) / prior.sd)
+
+    # From afar a trust region of steps, not of slopes.
+    kind = optx.IndirectLevenbergMarquardt if afar else optx.LevenbergMarquardt
+    none, solver = jnp.zeros(len(begin)), kind(rtol=TOLERANCE, atol=TOLERANCE)
+    return optx.least_squares(residuals, solver, none, max_steps=STEPS_FROM_AFAR, throw=False).value
 
 
 def _put(values: np.ndarray, places: list[int], v: np.ndarray) -> np.ndarray:
