@@ -21,7 +21,7 @@ _SPELLINGS = (
     "\u2044|/ ß|ss \u0303|~ \u0302|^ \u0304|_mean \u0307|_dot"
 )
 _SPELLED = {one[0]: one[2:].replace("␣", " ") for one in _SPELLINGS.split()}
-_GREEK = re.compile(r"GREEK (SMALL|CAPITAL) LETTER (\w+)")
+_GREEK = r"GREEK (SMALL|CAPITAL) LETTER (\w+)"
 
 
 def ascii_text(text: str) -> str:
@@ -36,7 +36,7 @@ def ascii_text(text: str) -> str:
 def _spelled(character: str) -> str:
     if character.isascii() or character in _SPELLED:
         return _SPELLED.get(character, character)
-    if found := _GREEK.fullmatch(unicodedata.name(character, "")):
+    if found := re.fullmatch(_GREEK, unicodedata.name(character, "")):
         return found[2].lower() if found[1] == "SMALL" else found[2].capitalize()
     kind, _, parts = unicodedata.decomposition(character).rpartition("> ")
     if parts:
@@ -52,7 +52,7 @@ def one_line(text: Any) -> str:
     )
 
 
-_JOINT = re.compile(r"(?<=\*)(?=/)|(?<=/)(?=\*)|(?<=\?)(?=\?)|^(?=[*/])|(?<=[*/])$")
+_JOINT = r"(?<=\*)(?=/)|(?<=/)(?=\*)|(?<=\?)(?=\?)|^(?=[*/])|(?<=[*/])$"
 
 
 def c_comment(text: Any) -> str:
@@ -60,7 +60,7 @@ def c_comment(text: Any) -> str:
 
     Backslashes become slashes first, so that no later one completes a `*/`.
     """
-    return _JOINT.sub(" ", _words(text))
+    return re.sub(_JOINT, " ", _words(text))
 
 
 def python_words(text: Any) -> str:
@@ -110,7 +110,7 @@ def html_text(text: Any) -> str:
     return html.escape(str(text))
 
 
-_NOT_XML = re.compile("[^\t\n\r\u0020-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
+_NOT_XML = "[^\t\n\r\u0020-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]"
 
 
 def xml_text(text: Any) -> str:
@@ -118,11 +118,11 @@ def xml_text(text: Any) -> str:
 
     Its markup is escaped by what writes the tree (`xml.etree`).
     """
-    return _NOT_XML.sub(lambda found: f"<U+{ord(found[0]):04X}>", str(text))
+    return re.sub(_NOT_XML, lambda found: f"<U+{ord(found[0]):04X}>", str(text))
 
 
-_FORMULA = re.compile(r"[=+\-@\t\r]")
-_A_NUMBER = re.compile(r"[+-]?(\d+([.,]\d*)?|[.,]\d+)([eE][+-]?\d+)?|[+-]?(nan|inf)")
+_FORMULA = r"[=+\-@\t\r]"
+_A_NUMBER = r"[+-]?(\d+([.,]\d*)?|[.,]\d+)([eE][+-]?\d+)?|[+-]?(nan|inf)"
 
 
 def csv_cell(text: Any) -> str:
@@ -131,13 +131,13 @@ def csv_cell(text: Any) -> str:
     Numbers stay as they are. `csv_cell_read` gives the text back.
     """
     text = str(text)
-    begins = _FORMULA.match(text.lstrip("'"))
-    return f"'{text}" if begins and not _A_NUMBER.fullmatch(text) else text
+    begins = re.match(_FORMULA, text.lstrip("'"))
+    return f"'{text}" if begins and not re.fullmatch(_A_NUMBER, text) else text
 
 
 def csv_cell_read(text: str) -> str:
     """The text of which `csv_cell` made a cell."""
-    return text[1:] if text.startswith("'") and _FORMULA.match(text.lstrip("'")) else text
+    return text[1:] if text.startswith("'") and re.match(_FORMULA, text.lstrip("'")) else text
 
 
 def csv_line(cells: Iterable[Any], separator: str = ",") -> str:
