@@ -171,12 +171,11 @@ def test_what_is_wrong_is_refused_before_anything_that_computes(tmp_path: Path) 
 
 
 def test_commands_of_an_affine_instrument_import_no_jax(tmp_path: Path) -> None:
-    """What each has imported when it ends: scipy where it computes, matplotlib where it draws, nothing else."""
+    """What each has imported when it ends: scipy to compute, matplotlib to draw, pandas for a table of devices."""
     table, rest, fitted = (tmp_path / name for name in ("table.csv", "rest.csv", "fitted.nc"))
     of = ("--instrument", "mems_gyro")
-    lag = ("--effect", "bias.thermal_lag=0.05")
     commands = (
-        ("simulate", *of, *lag, "--out", table),
+        ("simulate", *of, "--effect", "bias.thermal_lag=0.05", "--out", table),
         ("simulate", "--instrument", "still_sensor", "--out", rest),
         ("noise", rest),
         ("fit", table, *of, "--out", fitted),
@@ -184,10 +183,11 @@ def test_commands_of_an_affine_instrument_import_no_jax(tmp_path: Path) -> None:
         ("discover", fitted),
         ("predict", fitted, table, "--out", tmp_path / "predicted.csv"),
         ("calibrate", table, *of, "--out", tmp_path / "result"),
+        ("batch", table, *of, "--out", tmp_path / "fleet"),
     )
     for command, (status, said, loaded) in zip(commands, outcomes(*commands), strict=True):
-        drawn = ["matplotlib"] if command[0] == "calibrate" else []
-        assert (status in (0, 1), loaded) == (True, ["scipy", *drawn]), (command, said)
+        more = {"calibrate": ["matplotlib"], "batch": ["pandas", "matplotlib"]}.get(command[0], [])
+        assert (status in (0, 1), loaded) == (True, ["scipy", *more]), (command, said)
 
 
 @pytest.mark.slow

@@ -20,21 +20,13 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from typing import Any
 
-import jax
 import numpy as np
 from jaxtyping import Bool, Float
 
-from bayescal import (
-    BayescalError,
-    Calibration,
-    LeastSquares,
-    Measurements,
-    Model,
-    fit,
-)
+from bayescal import BayescalError, Calibration, LeastSquares, Measurements, Model, fit
 from bayescal._annexes.fleet.batch_result import Moments
 from bayescal._annexes.fleet.engine import NOT_REACHED
 from bayescal._calibration.claim import Claim
@@ -205,6 +197,13 @@ def _fit_plain(
                 yield Moments(at, of.names, of.units, *own)
 
 
+def _stacked(each: Sequence[Any]) -> Any:
+    """Return arrays of several devices with a leading axis, also within dictionaries."""
+    if isinstance(each[0], dict):
+        return {name: _stacked([one[name] for one in each]) for name in each[0]}
+    return np.stack(each)
+
+
 def _together(layout: Layout, frames: Sequence[Frame]) -> Problem | None:
     """Return a model on the readings of several devices at once; None where it has no closed form, or not together."""
     model, blocks = layout.model, layout.blocks
@@ -217,7 +216,8 @@ def _together(layout: Layout, frames: Sequence[Frame]) -> Problem | None:
     ):
         return None
     try:
-        together = jax.tree.map(lambda *each: np.stack(each), *frames)
+        each = {f.name: [getattr(one, f.name) for one in frames] for f in fields(Frame)}
+        together = Frame(**{name: _stacked(values) for name, values in each.items()})
         constants = {n: v[:, None] for n, v in together.reference.items()}
         frame = replace(together, reference=constants, silence=together.silence[:, None])
         problem, alone = (
