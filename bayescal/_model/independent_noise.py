@@ -25,6 +25,9 @@ from bayescal._model.prior import HalfCauchy, LogNormal, Normal, Positive
 
 SLOPE, CURVATURE = "noise.slope", "noise.curvature"
 PROPORTIONAL = "noise.proportional"
+LEAST_SHARE = (
+    1e-3  # of the largest size, down to which a series along its logarithm is right to 2e-5
+)
 # Of a column's largest size to its least, from which a proportion to it is no exponential.
 RATIO = 3.0
 FREEDOM = "noise.freedom"
@@ -131,11 +134,15 @@ class Heteroscedastic(Noise):
         return self._share(frame) if self.proportional else place_along(frame, self.column)
 
     def variance_place(self, frame):
-        return None if UNCERTAINTY in frame.columns else np.asarray(self._place(frame))
+        place = None if UNCERTAINTY in frame.columns else np.asarray(self._place(frame))
+        if place is None or not self.proportional:
+            return place
+        # Along the share itself the precision has a pole near zero, which a series does not follow.
+        return np.log(place) if np.all(place > LEAST_SHARE) else None
 
     def variance_along(self, values, place):
         if self.proportional:
-            return values[WHITE] ** 2 + (values[PROPORTIONAL] * place) ** 2
+            return values[WHITE] ** 2 + (values[PROPORTIONAL] * np.exp(place)) ** 2
         return (values[WHITE] * scatter(values, place)) ** 2
 
     def variance(self, parameters, frame):

@@ -255,7 +255,7 @@ CEILINGS = {
     "bayescal/_core": 2_117,
     "bayescal/_tables": 1_964,
     "bayescal/_data": 5_247,
-    "bayescal/_model": 5_936,
+    "bayescal/_model": 5_952,
     "bayescal/effects": 721,
     "bayescal/_inference": 6_314,
     "bayescal/_calibration": 5_155,
@@ -271,7 +271,7 @@ CEILINGS = {
     "tests": 25_485,
     "benchmarks": 10_893,
 }
-WORDS = 53_813  # of docs/, README.md and CHANGELOG.md together
+WORDS = 53_819  # of docs/, README.md and CHANGELOG.md together
 
 
 @pytest.mark.parametrize("part", CEILINGS)
