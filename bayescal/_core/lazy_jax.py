@@ -7,7 +7,7 @@ take as trees. What a command computes by NumPy alone needs none of it, and star
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from importlib import import_module
 from importlib.abc import MetaPathFinder
 from importlib.machinery import ModuleSpec
@@ -32,45 +32,45 @@ class _Later:
 class _SetUp(MetaPathFinder):
     """Finds JAX as the others do, and has it set up once it is loaded."""
 
-    def find_spec(
-        self, fullname: str, path: Sequence[str] | None, target: Any = None
-    ) -> ModuleSpec | None:
+    def find_spec(self, fullname: str, path: Any, target: Any = None) -> ModuleSpec | None:
         if fullname != "jax":
             return None
         sys.meta_path.remove(self)
-        spec = find_spec("jax")
+        try:
+            spec = find_spec("jax")
+        finally:
+            sys.meta_path.insert(0, self)  # who finds a module need not load it
         if spec is not None and spec.loader is not None:
             load = spec.loader.exec_module
 
             def loaded(module: Any) -> None:
                 load(module)
+                sys.meta_path.remove(self)
                 _set_up()
 
             spec.loader.exec_module = loaded
         return spec
 
 
-_waiting: list[Callable[[], object]] = []
+_waiting: list[Callable[[], object]] | None = []  # None once JAX is set up
 
 
 def when_imported(do: Callable[[], object]) -> None:
     """Do something with JAX now if it is imported, else as soon as it is."""
-    if _is_there:
+    if _waiting is None:
         do()
     else:
         _waiting.append(do)
 
 
 def _set_up() -> None:
-    global _is_there
-    _is_there = True
+    global _waiting
     configure_jax()
-    for do in _waiting:
+    waiting, _waiting = _waiting or [], None
+    for do in waiting:
         do()
-    _waiting.clear()
 
 
-_is_there = False
 if "jax" in sys.modules:
     _set_up()
 else:
