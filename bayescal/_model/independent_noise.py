@@ -13,7 +13,6 @@ from bayescal._core.xp import special_of, xp
 from bayescal._data.column import UNCERTAINTY
 from bayescal._model.frame import Frame, measured_column, reference_name
 from bayescal._model.noise_law import (
-    LOG_2PI,
     WHITE,
     Noise,
     Parameters,
@@ -299,14 +298,6 @@ class Quantised(Noise):
         # unit.
         inside = xp.log(-xp.expm1(xp.minimum(lower - upper, -1e-300)))
         return upper + inside - math.log(self.step)
-
-    def by_residual(self, left, parameters, frame):
-        sd = xp.sqrt(own_variance(parameters, frame))
-        total = self.log_density(left, 0.0 * left, parameters, frame) + math.log(self.step)
-        low, high = (left - 0.5 * self.step) / sd, (left + 0.5 * self.step) / sd
-        at_low, at_high = (xp.exp(-0.5 * (u**2 + LOG_2PI) - total) / sd for u in (low, high))
-        slope = at_low - at_high
-        return slope, slope**2 + (high * at_high - low * at_low) / sd
 
     def sample(self, key, mean, parameters, frame):
         sd = jnp.sqrt(own_variance(parameters, frame))
