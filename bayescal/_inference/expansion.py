@@ -166,9 +166,8 @@ class Expansions:
                 which[inside] = len(found)
                 found.append(box)
         left = np.flatnonzero(which < 0)
-        apart, of = np.unique(
-            v[left], axis=0, return_inverse=True
-        )  # the same one twice counts twice
+        # Each once: a coordinate that stood there twice would count twice.
+        apart, of = np.unique(v[left], axis=0, return_inverse=True)
         for start in range(0, len(apart), LISTED):
             some = apart[start : start + LISTED]
             which[left[(of >= start) & (of < start + LISTED)]] = len(found)

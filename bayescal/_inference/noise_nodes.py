@@ -285,10 +285,8 @@ class Products:
         for key, runs in self._runs.items():
             if key in weights.inner:
                 ends, inner = weights.ends[key][settings], weights.inner[key][settings]
-                flat = (
-                    ends.reshape(-1, ends.shape[2]) @ runs
-                )  # one product: of small ones each costs a call
-                at_ends = flat.reshape(*ends.shape[:2], -1)
+                # One product: of small ones each costs a call.
+                at_ends = (ends.reshape(-1, ends.shape[2]) @ runs).reshape(*ends.shape[:2], -1)
                 yield at_ends, inner @ at_ends
 
     def gram(self, weights: Weights, settings: slice = slice(None)) -> Float[np.ndarray, "s r r"]:

@@ -272,10 +272,8 @@ def samples(
         return means + np.sqrt(variances(law, hyper, record)) * normal
     # A key does not hang on the number of keys: one program makes those of most numbers of draws.
     count = -(-len(means) // KEYS_TOGETHER) * KEYS_TOGETHER
-    keys = np.asarray(jax.random.key_data(jax.random.split(jax.random.key(seed), count)))[
-        : len(means)
-    ]
-    return _by_draws(_samples, law, record, hyper, means, plain=(keys,))
+    keys = np.asarray(jax.random.key_data(jax.random.split(jax.random.key(seed), count)))
+    return _by_draws(_samples, law, record, hyper, means, plain=(keys[: len(means)],))
 
 
 def normal_scores(

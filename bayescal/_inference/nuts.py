@@ -72,9 +72,8 @@ class NUTS(Method):
         return Outcome(layout, Draws(x, v), mode, verdict, log_evidence=None)
 
 
-Starts = dict[
-    str, tuple[Callable[[Any], Any], Any, Any]
-]  # of each site: value of a coordinate, its mean and sd
+# Of each site: value of a coordinate, its mean and sd.
+Starts = dict[str, tuple[Callable[[Any], Any], Any, Any]]
 
 
 def starts_about(problem: Problem, mode: Mode) -> Starts:

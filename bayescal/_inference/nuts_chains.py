@@ -20,9 +20,8 @@ from bayescal._inference.laplace import Mode
 from bayescal._inference.problem import Problem
 from bayescal._model import forward
 
-BLOCK = (
-    4  # iterations between which a run can be stopped, so that a deadline is met and Ctrl-C heard
-)
+# Iterations between which a run can be stopped, so that a deadline is met and Ctrl-C heard.
+BLOCK = 4
 FEWEST_STEPS = 7  # of an iteration, by which its cost is judged too low rather than too high: a tree of depth three
 PATIENCE = 300.0  # s that chains get that nobody asked for, where there is no time limit
 
@@ -153,11 +152,10 @@ def whitened(problem: Problem, mode: Mode):
         larger = 1.0 if amplitude is None else (hyper[amplitude] / there[amplitude]) ** 2
         precision = sd[:, None] * gram.jtj * sd / larger + jnp.diag(prior.weight)
         chol = jnp.linalg.cholesky(precision)
-        u = jax.scipy.linalg.solve_triangular(chol, sd * pull / larger, lower=True)
+        solve = jax.scipy.linalg.solve_triangular
+        u = solve(chol, sd * pull / larger, lower=True)
         volume = jnp.sum(jnp.log(sd)) - jnp.sum(jnp.log(jnp.diagonal(chol)))
-        return middle + sd * jax.scipy.linalg.solve_triangular(
-            chol, u + z, lower=True, trans=1
-        ), volume
+        return middle + sd * solve(chol, u + z, lower=True, trans=1), volume
 
     def unpack(q: Float[Array, "dim"]):
         x, log_jacobian = place(q[:d], q[d:])

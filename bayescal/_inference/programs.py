@@ -86,9 +86,8 @@ def program(function: Callable[..., Any], costly: bool = False) -> Callable[...,
     return call
 
 
-ByName = dict[
-    str, Array
-]  # shapes; slots or moves of columns, a number a reading; of several draws, one row each
+# Slots, or moves of columns: a number a reading; of several draws, one row each.
+ByName = dict[str, Array]
 
 
 class Leaves(NamedTuple):

@@ -257,9 +257,7 @@ class Tabulated:
         shares, slopes = rows.shares(v, sloped)
         grams = rows.products.gram(weights, slice(0, 1 + 2 * q if sloped else 1))
         gram = rows.select(grams[0])
-        unit = (
-            shares[:, None] * rows.owned
-        )  # (R, p + 1): of J itself, output unit per reported unit
+        unit = shares[:, None] * rows.owned  # (R, p + 1): of J, output unit per reported unit
         pulled = gram @ unit
         found = condition(
             Gram.of(unit.T @ pulled, weights.log_det[0]), problem.record.size, prior, self.at

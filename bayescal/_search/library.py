@@ -223,9 +223,8 @@ def _sizes(effect: Effect, widths: tuple[int, ...]) -> list[Size]:
     ]
 
 
-Place = tuple[
-    dict[str, float], dict[str, float]
-]  # shapes by their own names; coordinates by the full ones
+# Shapes by their own names; coordinates by the full ones.
+Place = tuple[dict[str, float], dict[str, float]]
 
 
 def _at(effect: Effect, grid: np.ndarray) -> list[Place]:

@@ -84,9 +84,7 @@ def run_file(path: Path) -> ModuleType:
         sys.modules.setdefault(path.stem, module)
         try:
             exec(compile(path.read_bytes(), file, "exec", dont_inherit=True), vars(module))
-        except (
-            BaseException
-        ) as error:  # SystemExit too: what a user's file does wrong is said in words
+        except BaseException as error:  # SystemExit too: what a file does wrong is said in words
             where = f", line {line}" if (line := own_file_line(error)[1]) else ""
             del _RAN[ran]
             raise InputError(f"{path}{where} could not be run: {in_one_line(error)}") from None
