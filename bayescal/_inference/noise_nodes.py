@@ -10,7 +10,7 @@ give TᵀΣ(θ)⁻¹T = Σ_c B_c/D(z_c) and log|Σ(θ)| = Σ_c n_c·log D(z_c), 
 | noise | variable | transform |
 |---|---|---|
 | one variance | one node | none |
-| scatter along a column | the column's place, 25 nodes | none |
+| scatter along a column | the column's place, 25 nodes or more | none |
 | stationary, even steps | λ = 2 − 2·cos(πk/n), about 50 nodes | cosine transform of each run |
 
 Weights at the nodes are right to 2e-8, with Matérn's process to 4e-6.
@@ -19,6 +19,7 @@ Weights at the nodes are right to 2e-8, with Matérn's process to 4e-6.
 from __future__ import annotations
 
 import itertools
+import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any, NamedTuple
 
@@ -38,7 +39,8 @@ FINE_RATIO = 10**0.5  # the same about all singular points, of distances from th
 SEGMENT_NODES = 12  # which has so many nodes
 CHUNK_NUMBERS = 2_000_000  # of what is computed at once for several settings
 SIGNS = (1, -1)  # of the two combinations of a run's ends
-COLUMN_NODES = 25  # along a column that the scatter follows
+COLUMN_NODES = 25  # along a column that the scatter follows, at least,
+NODES_PER_UNIT = 6  # and of its place, which may be the logarithm of a size that spans decades
 
 Columns = Float[np.ndarray, "n k"]
 Values = Mapping[str, Any]  # parameters of a law by name: a number, or (s,) of several settings
@@ -89,13 +91,12 @@ class OneNode:
 class AlongColumn(OneNode):
     """Independent noise whose variance is a smooth function of a place z (`Noise.variance_place`)."""
 
-    count = COLUMN_NODES
-
     def __init__(self, z: Float[np.ndarray, "n"]) -> None:
         super().__init__(len(z))
         low, high = float(np.min(z)), float(np.max(z))
         high = high if high > low else low + 1.0
-        self.nodes, self.share = nodes_and_shares(low, high, COLUMN_NODES, z)
+        self.count = max(COLUMN_NODES, math.ceil(NODES_PER_UNIT * (high - low)))
+        self.nodes, self.share = nodes_and_shares(low, high, self.count, z)
         self.rows = self.share.sum(axis=0)
 
     def products(self, a, b):

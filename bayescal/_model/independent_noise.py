@@ -24,9 +24,6 @@ from bayescal._model.prior import HalfCauchy, LogNormal, Normal, Positive
 
 SLOPE, CURVATURE = "noise.slope", "noise.curvature"
 PROPORTIONAL = "noise.proportional"
-LEAST_SHARE = (
-    1e-3  # of the largest size, down to which a series along its logarithm is right to 2e-5
-)
 # Of a column's largest size to its least, from which a proportion to it is no exponential.
 RATIO = 3.0
 FREEDOM = "noise.freedom"
@@ -137,7 +134,7 @@ class Heteroscedastic(Noise):
         if place is None or not self.proportional:
             return place
         # Along the share itself the precision has a pole near zero, which a series does not follow.
-        return np.log(place) if np.all(place > LEAST_SHARE) else None
+        return np.log(place) if np.all(place > 0) else None
 
     def variance_along(self, values, place):
         if self.proportional:
