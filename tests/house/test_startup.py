@@ -47,8 +47,7 @@ SETTINGS = """
 import json
 import os
 import bayescal
-import importlib.util
-import bayescal.effects  # JAX is set up by whoever imports it after a model,
+import bayescal.effects, importlib.util  # JAX is set up by whoever imports it after a model,
 importlib.util.find_spec("jax")  # not by who only asks whether it is there
 import jax
 jax.jit(lambda x: x + 1)(1.0).block_until_ready()
