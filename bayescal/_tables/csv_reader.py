@@ -137,9 +137,8 @@ class CsvText:
         numbered = enumerate(self.rows(), self.first)
         lines = (line for row, line in numbered if row not in self.skipped)
         while stretch := list(islice(lines, _ROWS)):
-            text = (
-                b"".join(stretch).decode(self.written_in).replace("\r\n", "\n").removesuffix("\n")
-            )
+            text = b"".join(stretch).decode(self.written_in)
+            text = text.replace("\r\n", "\n").removesuffix("\n")
             if '"' in text:
                 rows = csv.reader(text.split("\n"), delimiter=self.separator)
                 fields = [field for row in rows for field in row]
@@ -404,9 +403,8 @@ def _names_units(row: Sequence[str], width: int) -> bool:
     texts = [text.strip() for text in row if text.strip()]
     short = all(len(t) <= _LONGEST_UNIT and (t[0] in "[(" or not t.endswith("]")) for t in texts)
     there = abs(len(row) - width) <= 1 and len(texts) >= 2
-    return (
-        there and short and not any(_is_reading(t) or (is_missing(t) and t != "-") for t in texts)
-    )
+    readings = (t for t in texts if _is_reading(t) or (is_missing(t) and t != "-"))
+    return there and short and not any(readings)
 
 
 def _with_units(names: Sequence[str], units: Sequence[str]) -> list[str]:

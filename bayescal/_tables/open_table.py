@@ -41,11 +41,9 @@ def check_files(paths: Sequence[Path], max_bytes: int = MAX_BYTES) -> list[str]:
             raise unusable(str(path), "is not a file", "name a file, or all files of the folder")
         total += size
         if total > max_bytes:
-            held = (
-                f"holds {bytes_text(size)}"
-                if size > max_bytes
-                else f"brings the files to {bytes_text(total)}"
-            )
+            held = f"holds {bytes_text(size)}"
+            if size <= max_bytes:
+                held = f"brings the files to {bytes_text(total)}"
             came = f"{held}, the limit is {bytes_text(max_bytes)}, and nothing was loaded"
             cure = "Average the readings, read fewer files, or raise max_bytes"
             raise unusable(name, came, cure)

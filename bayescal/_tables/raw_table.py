@@ -161,9 +161,8 @@ BRACKETS = [
 _BEHIND_SLASH = re.compile(r"([^/]*?[^/\s])\s*/\s*(.+)", re.DOTALL)
 _BEHIND_COMMA = re.compile(r"(.+?)\s*[,:;]\s*(.+)", re.DOTALL)
 _BEHIND_IN = re.compile(r"(.+?)\s+in\s+(.+)", re.DOTALL)
-_NUMBERED = re.compile(
-    r"[(\[{<]|\d+(?![\d/])"
-)  # no unit begins so: "Thermo 1 (°F)"; one may be 1/K
+# No unit begins so: "Thermo 1 (°F)"; one may be 1/K.
+_NUMBERED = re.compile(r"[(\[{<]|\d+(?![\d/])")
 
 
 @lru_cache(maxsize=4096)  # each is asked for by many columns
@@ -187,12 +186,9 @@ def readings_of(header: Header) -> tuple[Header, ...]:
 
 def called(headers: Sequence[Header], name: str) -> int | None:
     """Where a header is that a user calls so: all of it, its name, or its name in one of its readings."""
-    for names in (
-        lambda h: [h.raw],
-        lambda h: [h.name],
-        lambda h: [r.name for r in readings_of(h)],
-    ):
-        found = [i for i, header in enumerate(headers) if name in names(header)]
+    ways = [({h.raw}, {h.name}, {r.name for r in readings_of(h)}) for h in headers]
+    for names in zip(*ways, strict=True):
+        found = [i for i, own in enumerate(names) if name in own]
         if len(found) == 1:
             return found[0]
     return None
