@@ -6,7 +6,7 @@ import re
 import sys
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from datetime import UTC, date, datetime, time, timedelta
 from functools import lru_cache
 
@@ -60,14 +60,16 @@ def unix_seconds(text: str) -> dict[str, float]:
     elif _CLOCK.fullmatch(text) and ":" in text:
         clock = _time_of_day(text, longest=9999)
         return {} if clock is None else {"": clock}
+    day, clock = _day_and_clock(text)
+    return {name: n * _DAY + clock for name, n in _days(day).items()} if clock is not None else {}
+
+
+def _day_and_clock(text: str) -> tuple[str, float | None]:
+    """Part a date from the time of day behind it, s; None where something else stands there."""
     begin = next((found for form in _FORMS if (found := form.match(text))), None)
-    if not begin:
-        return {}
-    rest = _BETWEEN.sub("", text[begin.end() :], count=1)
-    clock = _time_of_day(rest, longest=23) if begin.end() < len(text) else 0.0
-    if clock is None:
-        return {}
-    return {name: day * _DAY + clock for name, day in _days(begin[0]).items()}
+    day = begin[0] if begin else ""
+    rest = _BETWEEN.sub("", text[len(day) :], count=1)
+    return day, _time_of_day(rest, longest=23) if len(day) < len(text) else 0.0
 
 
 @lru_cache(maxsize=4096)  # days repeat
@@ -161,45 +163,49 @@ class Cells:
     Attributes:
         values: float64, NaN where empty (or bad); or text, stripped, "" where empty.
         bad: index → text of the cells that should be numbers and are not, the first 1000.
-        dates: the cells as text, where the first that is no number is a date; None elsewhere.
+        texts: the cells as text, where one is no number; None elsewhere.
     """
 
     values: np.ndarray
     bad: Mapping[int, str] = field(default_factory=dict)
-    dates: np.ndarray | None = None
+    texts: np.ndarray | None = None
+
+    @property
+    def dates(self) -> np.ndarray | None:
+        """The cells as text, where the first that is no number is a date; None elsewhere."""
+        cells = () if self.texts is None else zip(self.texts, np.isnan(self.values), strict=True)
+        first = next((text for text, odd in cells if odd and not is_missing(text)), "")
+        return self.texts if unix_seconds(first) else None
 
     def take(self, rows: np.ndarray) -> Cells:
         """Return the cells of some rows."""
-        numbered = enumerate(rows.tolist()) if self.bad else ()
-        bad = {i: self.bad[row] for i, row in numbered if row in self.bad}
-        return Cells(self.values[rows], bad, None if self.dates is None else self.dates[rows])
+        bad = {i: self.bad[row] for i, row in enumerate(rows.tolist()) if row in self.bad}
+        return Cells(self.values[rows], bad, None if self.texts is None else self.texts[rows])
 
     def on_days(self, days: Cells) -> Cells:
         """Times of day on the days of another column, where these cells are the one and those the other."""
         if self.dates is None or days.dates is None:
             return self
-        pairs = zip(days.dates, self.dates, strict=True)
-        texts = [f"{day} {clock}" if day and clock else "" for day, clock in pairs]
-        whole = all(map(unix_seconds, filter(None, texts)))
-        return numbers_of(texts) if whole else self
-
-    def _texts(self) -> np.ndarray:
-        return (
-            np.array([*map(cell_text, self.values.tolist())], _TEXT)
-            if self.dates is None
-            else self.dates
-        )
+        texts = list[str]()
+        for day, clock in zip(days.dates, self.dates, strict=True):
+            alone, begin = _day_and_clock(day.strip())
+            both = f"{alone if begin == 0.0 else day} {clock}"  # Excel writes days with a midnight
+            if not unix_seconds(both) and unix_seconds(day) and unix_seconds(clock):
+                return self
+            texts.append("" if is_missing(day) or is_missing(clock) else both)
+        return replace(self, texts=np.array(texts, _TEXT))
 
     @classmethod
     def joined(cls, parts: Sequence[Cells]) -> Cells:
         """Join stretches of a column, one after the other."""
-        bad, done, dates = dict[int, str](), 0, None
+        bad, done, texts = dict[int, str](), 0, None
         for part in parts:
             bad |= {done + i: text for i, text in part.bad.items()} if len(bad) < MOST_BAD else {}
             done += len(part.values)
-        if any(part.dates is not None for part in parts):
-            dates = np.concatenate([part._texts() for part in parts])
-        return cls(np.concatenate([part.values for part in parts]), bad, dates)
+        if any(part.texts is not None for part in parts):
+            own = (map(cell_text, p.values) if p.texts is None else p.texts for p in parts)
+            texts = np.array([text for cells in own for text in cells], _TEXT)
+        return cls(np.concatenate([part.values for part in parts]), bad, texts)
 
 
 def dates_of(texts: Sequence[str], order: str = "") -> tuple[Cells, dict[str, np.ndarray]]:
@@ -227,8 +233,10 @@ def dates_of(texts: Sequence[str], order: str = "") -> tuple[Cells, dict[str, np
         bad |= {int(i): f"{cell_text(texts[i])} in another order" for i in odd}
         return Cells(values[chosen], bad), {}
     some = [n for n, own in values.items() if not np.isnan(own).all()]
-    orders = {n: values[n] for n in fitting or some}
-    return Cells(next(iter(orders.values())), bad), orders
+    orders, shown = {n: values[n] for n in fitting or some}, rows[0]
+    for own in reversed(orders.values()):
+        shown = np.where(np.isnan(own), shown, own)
+    return Cells(shown, bad), orders
 
 
 def numbers_of(texts: Sequence[str], decimal: str = ".") -> Cells:
@@ -244,8 +252,8 @@ def numbers_of(texts: Sequence[str], decimal: str = ".") -> Cells:
             return Cells(np.fromiter(map(float, plain), np.float64, len(plain)))
     values = np.fromiter(map(number_of, plain), np.float64, len(plain))
     odd = [i for i in np.flatnonzero(np.isnan(values)).tolist() if not is_missing(texts[i])]
-    dates = np.array(texts, _TEXT) if odd and unix_seconds(texts[odd[0]]) else None
-    return Cells(values, {i: texts[i].strip() for i in odd[:MOST_BAD]}, dates)
+    bad = {i: texts[i].strip() for i in odd[:MOST_BAD]}
+    return Cells(values, bad, np.array(texts, _TEXT) if odd else None)
 
 
 def is_missing(text: str) -> bool:

@@ -36,6 +36,11 @@ class Good(NamedTuple):
     left_out: tuple[int, ...] = ()
 
 
+def beside(day: str, clock: str) -> str:
+    columns = when(lambda m: f"{m:{day}}"), when(lambda m: f"{m:{clock}}"), TEMPERATURE, RATE
+    return text(("Dato", "Time", *HEAD[1:]), columns)
+
+
 OUTPUT = {"columns": {"output": "gyro_z"}}
 GYRO_Z_UNITS = {"time": "s", "temp": "degC", "gyro_z": "dps"}
 READ = {
@@ -50,9 +55,7 @@ READ = {
         text(("Time [s]", "Temperature [°C]", "Rate [°/s]"), separator=";", decimal=",").encode("cp1252"),
         {"columns": {"output": "Rate"}},
     ),
-    "units behind underscores": Good(
-        text(("t_s", "Temp_C", "gyro_z_dps")), {"columns": {"output": "gyro_z_dps"}}
-    ),
+    "units behind underscores": Good(text(("t_s", "Temp_C", "gyro_z_dps")), {"columns": {"output": "gyro_z_dps"}}),
     "units given": Good(text(("time", "temp", "gyro_z")), {**OUTPUT, "units": GYRO_Z_UNITS}),
     "kelvin and radians": Good(
         text(("time [ms]", "temperature [K]", "output [rad/s]"), (TIME * 1e3, TEMPERATURE + 273.15, np.radians(RATE)))
@@ -77,12 +80,8 @@ READ = {
     "points in dates and times": Good(
         dated(lambda m: f"{m.day}.{m.month}.{m.year} klo {m:%H.%M.%S}.{m.microsecond // 1000:03}", "Aika")
     ),
-    "points in times beside a day": Good(
-        text(
-            ("Dato", "Time", *HEAD[1:]),
-            (when(lambda m: f"{m:%d-%m-%Y}"), when(lambda m: f"{m:%H.%M.%S}"), TEMPERATURE, RATE),
-        )
-    ),
+    "points in times beside a day": Good(beside("%d-%m-%Y", "%H.%M.%S")),
+    "a midnight, a day missing": Good(with_cell(4, 0, "-", beside("%Y-%m-%d 00:00", "%T")), {"missing": "drop"}, (2,)),
     "blanks": Good(text(separator="   ")),
     "blanks and tabs": Good(text(separator=" \t ").replace("\n", "  \r\n")),
     "blanks, units that touch": Good(text(("time[s]", "temperature[°C]", "output[deg / s]"), separator=" ")),
@@ -114,9 +113,7 @@ READ = {
     "degrees behind a line": Good(text(("time (s)", "temp_deg", HEAD[2]))),
     "the sign of degrees": Good(text(("time (s)", "Temperature (°)", HEAD[2]))),
     "a missing reading, dropped": Good(with_cell(4, 2, ""), {"missing": "drop"}, (2,)),
-    "marks of missing readings, dropped": Good(
-        with_cell(4, 1, "N/A", with_cell(7, 2, "1.#QNAN")), {"missing": "drop"}, (2, 5)
-    ),
+    "marks of missing ones": Good(with_cell(4, 1, "N/A", with_cell(7, 2, "1.#QNAN")), {"missing": "drop"}, (2, 5)),
     "-999, dropped": Good(with_cell(5, 2, "-999"), {"missing": "drop"}, (3,)),
 }  # fmt: skip
 
@@ -125,3 +122,9 @@ READ = {
 def test_it_is_read_right(put, name):
     content, options, left_out = READ[name]
     is_right(bc.read(put(content), GYRO, **options), left_out)
+
+
+def test_text_in_a_later_stretch_of_dates_is_refused(put, monkeypatch):
+    monkeypatch.setattr("bayescal._tables.csv_reader._ROWS", 3)
+    with pytest.raises(bc.InputError, match="reads 'error'"):
+        bc.read(put(with_cell(5, 0, "error", dated(spaced))), GYRO, missing="drop")

@@ -50,8 +50,6 @@ def test_what_is_wrong_with_all_outputs_is_said_at_once_and_no_sentence_twice(tm
 
 
 # Outputs of three axes by their headers: a triple in their dimension needs no option where there is just one.
-
-
 ACCELEROMETERS = (
     "ax ay az",
     "a_x a_y a_z",
@@ -73,8 +71,7 @@ KINDS = {
 CASES = [
     *(("m/s^2", names) for names in ACCELEROMETERS),
     *(("rad/s", names) for names in GYROSCOPES),
-    ("uT", "bx by bz"),
-    ("uT", "x_mag y_mag z_mag"),
+    *(("uT", names) for names in ("bx by bz", "x_mag y_mag z_mag")),
 ]
 
 
