@@ -210,7 +210,10 @@ class ColumnReader:
             self._flag("is empty and was left out")
             return
         if label:
-            self._note_labels(cells.values, np.flatnonzero(empty))
+            if empty.any():  # such labels are kept: others tell the order of times
+                self._note_missing(np.flatnonzero(empty), "is empty", "a label")
+            before = len(self.problems)
+            self._note_labels(cells.values)
             if len(self.problems) == before:
                 self._keep(cells.values)
             return
@@ -259,11 +262,9 @@ class ColumnReader:
         earlier = self.converted.missing.get(self.name, rows[:0])
         self.converted.missing[self.name] = np.union1d(earlier, rows)
 
-    def _note_labels(self, labels: np.ndarray, empty: np.ndarray) -> None:
-        """Note labels that are empty, unknown, or hold a control character."""
+    def _note_labels(self, labels: np.ndarray) -> None:
+        """Note labels that are unknown, or hold a control character."""
         allowed = self.column.allowed
-        if empty.size:
-            self._note_missing(empty, "is empty", "a label")
         for label in dict.fromkeys(labels.tolist()):
             if any(unicodedata.category(character) in ("Cc", "Cs") for character in label):
                 came, known, cure = "which holds a control character", "", "Remove it"
@@ -271,9 +272,8 @@ class ColumnReader:
                 came, known, cure = "an unknown label", f"one of {', '.join(allowed)}", "Correct it"
             else:
                 continue
-            self._problem(
-                f"reads {label!r}, {came}", known, cure, rows=np.flatnonzero(labels == label)
-            )
+            rows = np.flatnonzero(labels == label)
+            self._problem(f"reads {label!r}, {came}", known, cure, rows=rows)
 
     def _read_dates(self, texts: Sequence[str]) -> Cells:
         """Read dates; a problem where they leave open which number is the day, and the user does not say."""
