@@ -92,18 +92,15 @@ class ReadOptions:
 
     def __post_init__(self) -> None:
         """Raise InputError where `missing`, `decimal` or `date_order` is another word."""
-        orders = ", ".join(ORDERS)
-        known = {
-            "missing": (MISSING_READINGS, "not one of refuse, drop"),
-            "decimal": (("", ".", ","), "neither a point nor a comma"),
-            "date_order": (
-                ("", *ORDERS),
-                f"not one of {orders}: the order of month, day and year, or of hours, minutes and seconds",
-            ),
-        }
-        for name, (words, fault) in known.items():
-            if (said := getattr(self, name)) not in words:
-                raise InputError(f"{name}={said!r} (--{name.replace('_', '-')}) is {fault}")
+        if self.missing not in MISSING_READINGS:
+            raise InputError(f"missing={self.missing!r} (--missing) is not one of refuse, drop")
+        if self.decimal not in ("", ".", ","):
+            raise InputError(f"decimal={self.decimal!r} (--decimal) is neither a point nor a comma")
+        if self.date_order not in ("", *ORDERS):
+            raise InputError(
+                f"date_order={self.date_order!r} (--date-order) is not one of {', '.join(ORDERS)}: the order of month, "
+                "day and year, or of hours, minutes and seconds"
+            )
 
     @classmethod
     def of(
@@ -163,7 +160,8 @@ class ReadOptions:
         raw, said = {header.raw for header in table.headers}, {*self.headers}
         for before in self.remembered:
             for ours, theirs in before.columns.items():
-                if ours not in {*self.columns, *columns} and theirs not in said and there([theirs]):
+                new = ours not in {*self.columns, *columns}
+                if new and theirs not in {*said, *columns.values()} and there([theirs]):
                     columns[ours] = theirs
             units = {h: unit for h, unit in before.units.items() if h in raw} | units
         return replace(self, columns=columns, units=units, remembered=())
