@@ -352,8 +352,7 @@ class ColumnReader:
 
     def _records(self, raw: np.ndarray) -> np.ndarray:
         """Return the record in time of each row, by the labels that are known."""
-        known = {n: v for n, v in self.converted.values.items() if n in RECORD}
-        return record_codes(known) if known else np.zeros(len(raw), np.int64)
+        return record_codes({**self.converted.values, "": raw})
 
     def _on_clock(self, values: np.ndarray, dates: bool) -> np.ndarray:
         """Count times from the first reading, if they are dates, and from when that was taken, where the user says so.
@@ -476,11 +475,10 @@ class ColumnReader:
         index, target = int(wrong[0]), self.column.unit or "1"
         limits = f"at least {low:g}" if high == np.inf else f"at most {high:g}"
         limits = f"{low:g} … {high:g}" if low > -np.inf and high < np.inf else limits
-        shown, cure, given = units.pretty(target), "Check the unit and the number", ""
-        internal = f", that is {values[index]:.6g} {shown}" * (units.pretty(unit) != shown)
-        came = (
-            f"reads {raw[index]:.6g} {units.pretty(unit)}{internal}; plausible is {limits} {shown}"
-        )
+        read, shown = units.pretty(unit), units.pretty(target)
+        internal = f", that is {values[index]:.6g} {shown}" * (read != shown)
+        came = f"reads {raw[index]:.6g} {read}{internal}; plausible is {limits} {shown}"
+        cure, given = "Check the unit and the number", ""
         if target == "degC" and (period := self._period(values, low, high)):
             came = f"{came}; a counter of {period:g} °C that began anew"
             cure = "Undo it, if that is so"

@@ -27,7 +27,6 @@ from bayescal._data.column import ARRAYS, ASSUMED_GRAVITY, ConvertedColumns, Pla
 from bayescal._data.pose_rows import MAGNITUDE
 from bayescal._data.records import (
     PAUSE_STEPS,
-    RECORD,
     Columns,
     distinct,
     equal_runs,
@@ -565,9 +564,8 @@ def _parts_off_path(
     while at >= 0:
         off[at], at = False, int(before[at])
     edge = np.concatenate([[False], leap & ~seen[:-1], [False]])
-    off &= (
-        edge[begins] | edge[ends] | (lengths <= BESIDE)
-    )  # else the output, or a standstill, ends it
+    # Else the output, or a standstill, ends it.
+    off &= edge[begins] | edge[ends] | (lengths <= BESIDE)
     return [(bool(one_number[k]), int(begins[k]), int(ends[k])) for k in np.flatnonzero(off)]
 
 
@@ -765,13 +763,13 @@ def _odd_run(columns: Columns, one: str, other: str, runs: Mapping[str, np.ndarr
     time, sibling, left = columns["time"], columns[other], dict[str, float]()
     if len(runs) < 3 or any(len(r) < 3 or np.any(np.diff(time[r]) <= 0) for r in runs.values()):
         return None
-    for run in runs:
-        rest = [rows for r, rows in runs.items() if r != run]
-        rate = np.concatenate([np.gradient(sibling[rows], time[rows]) for rows in rest])
-        rows = np.concatenate(rest)
-        basis = np.column_stack([np.ones(len(rows)), sibling[rows], rate])
-        basis /= np.maximum(np.linalg.norm(basis, axis=0), np.finfo(float).tiny)
-        left[run] = _rms(columns[one][rows] - basis @ np.linalg.lstsq(basis, columns[one][rows])[0])
+    basis = np.column_stack([np.ones(len(time)), sibling, np.zeros(len(time))])
+    for rows in runs.values():
+        basis[rows, 2] = np.gradient(sibling[rows], time[rows])
+    basis /= np.maximum(np.linalg.norm(basis, axis=0), np.finfo(float).tiny)
+    for run, rows in runs.items():
+        own, rest = np.delete(columns[one], rows), np.delete(basis, rows, axis=0)
+        left[run] = _rms(own - rest @ np.linalg.lstsq(rest, own)[0])
     best, second, *_ = sorted(left, key=left.__getitem__)
     return best if left[second] > UNLIKE_RATIO * left[best] else None
 
@@ -850,7 +848,7 @@ def wrap_period(columns: Columns, values: np.ndarray) -> float | None:
     value. `columns` are of the time and labels.
     """
     allowed = allowed_changes(columns, values)
-    codes = record_codes({n: columns[n] for n in RECORD if n in columns} or {"": 0.0 * values})
+    codes = record_codes({**columns, "": values})
     low, high = float(values.min()), float(values.max())
     change = np.where(np.diff(codes) == 0, np.abs(np.diff(values)), 0.0)
     for period in (p for p in COUNTER_PERIODS if p >= max(LEAST_PERIOD, high - low)):

@@ -197,10 +197,7 @@ class ColumnRule:
         return [own, *(frozenset(tier.split()) for tier in further)]
 
     def among(
-        self,
-        headers: Sequence[Header],
-        free: Collection[int],
-        given: Mapping[str, str],
+        self, headers: Sequence[Header], free: Collection[int], given: Mapping[str, str]
     ) -> dict[int, Header]:
         """Return the free headers that can be read as it, under the likeliest of its names that there are.
 
@@ -608,9 +605,8 @@ class MatchedFile:
     def _could_be(self, header: Header) -> Column | None:
         """Return the column, not one that the file must have, which it lacks and a header names in part."""
         lacking = (c for n, c in self.expected.items() if n not in self.positions)
-        return next(
-            (c for c in lacking if not _needed(c) and self.rule(c.name).could_be(header)), None
-        )
+        named = (c for c in lacking if not _needed(c) and self.rule(c.name).could_be(header))
+        return next(named, None)
 
     def _note_unclear(self, header: Header, unit: str | None, column: Column | None) -> None:
         """Note a column that would be left out and may be of use: how to keep it, and how to leave it out."""

@@ -16,6 +16,7 @@ from bayescal._core.errors import InputError
 from bayescal._core.formatting import number
 from bayescal._core.netcdf import Variable
 from bayescal._core.result_table import Printed, ResultTable, plain_table
+from bayescal._data import dataset_checks as checks
 from bayescal._data.averaging import average
 from bayescal._data.column import (
     ARRAYS,
@@ -27,13 +28,6 @@ from bayescal._data.column import (
     file_names,
 )
 from bayescal._data.column_conversion import convert_columns, joined
-from bayescal._data.dataset_checks import (
-    Oddity,
-    flags_of,
-    oddities,
-    problems_of_whole,
-    repeated_rows,
-)
 from bayescal._data.pose_rows import MAGNITUDE, MAGNITUDE_READ, scalar_readings
 from bayescal._data.read_options import InstrumentLike, ReadOptions, output_name, unused_options
 from bayescal._data.records import distinct
@@ -159,10 +153,10 @@ class Measurements(Printed):
         return measured([table], instrument, options, allow_one_temperature)
 
     @cached_property
-    def oddities(self) -> tuple[Oddity, ...]:
+    def oddities(self) -> tuple[checks.Oddity, ...]:
         """What is odd in the columns of thermometers."""
         warm = [n for n in self.columns if self.unit(n) == "degC"]
-        return tuple(oddities(self.values, warm, self.output))
+        return tuple(checks.oddities(self.values, warm, self.output))
 
     def __getitem__(self, name: str) -> np.ndarray:
         """A column, in its fixed unit; labels as text.
@@ -402,10 +396,10 @@ def measured(
             parts.append(part)
             records_known = part.unread.isdisjoint(("run", "device", "axis"))
             if problems and records_known:  # said with the rest
-                problems += problems_of_whole(part, instrument, True)
+                problems += checks.problems_of_whole(part, instrument, True)
     problems.refuse()
     whole, output = joined(parts, labels), output_name(instrument)
-    problems_of_whole(whole, instrument, one_temperature).refuse()
+    checks.problems_of_whole(whole, instrument, one_temperature).refuse()
     sources = tuple(
         Source(t.file, t.sha256, t.rows, o.columns.get(output, ""), dict(o.columns), dict(o.units))
         for t, o in zip(tables, own, strict=True)
@@ -424,12 +418,10 @@ def assemble(
     names, output = file_names([source.file for source in sources]), output_name(instrument)
     since, units = converted.origin, converted.units
     if since is not None:
-        began = (
-            f"{names}: time is in s since {date_text(since)} (dates without a zone count as UTC)"
-        )
-        converted.flags.append(began)
-    repeated = repeated_rows(converted.values)
-    flags = [*converted.flags, *flags_of(converted, output, names, repeated)]
+        said = f"time is in s since {date_text(since)} (dates without a zone count as UTC)"
+        converted.flags.append(f"{names}: {said}")
+    repeated = checks.repeated_rows(converted.values)
+    flags = [*converted.flags, *checks.flags_of(converted, output, names, repeated)]
     values = converted.values
     # with the time among the columns, none can be a reading of its own
     if "time" in values and len(repeated):

@@ -108,10 +108,8 @@ def _stuck(readings: Measurements) -> Fault:
     elif readings.has("time"):
         own = pieces(readings.values)
         rows = checks.repeats(output, own, checks.held_rows(output, own))
-        first = rows[0] + 1 if len(rows) else 0
-        said = (
-            f"repeats a value until the next leap, first in row {first}: a logger asked it seldom"
-        )
+        at = rows[0] + 1 if len(rows) else 0
+        said = f"repeats a value until the next leap, first in row {at}: a logger asked it seldom"
     else:
         return Fault()
     return Fault(rows, f"{len(rows)} reading(s) set aside: the output {said}")
@@ -222,10 +220,8 @@ def not_new(readings: Measurements, holdout: Measurements) -> int:
     numbers = (n for n, unit in readings.units.items() if n != "time" and unit is not None)
     shared = [n for n in numbers if holdout.has(n)]
     others = [n for n in shared if n != "output"] or ["output"]
-    (mine, theirs), (beside, its) = (
-        _numbered(readings, holdout, shared),
-        _numbered(readings, holdout, others),
-    )
+    mine, theirs = _numbered(readings, holdout, shared)
+    beside, its = _numbered(readings, holdout, others)
     both = int(np.isin(theirs, mine).sum())
     output = readings["output"]
     noise = max(checks.scatter(output), float(np.spacing(np.max(np.abs(output)))))
