@@ -218,6 +218,28 @@ def _of_saturation(record: CheckedRecord) -> Iterator[str]:
         yield f"column {record.output!r} may be saturated: {count} readings stand exactly at its {end} {level:g}"
 
 
+# Standard deviations within runs, that the temperatures of runs are apart at the least where each has one of its own:
+# a slope within runs then has a hundredth of the information.
+PLATEAU_SD = 10.0
+
+
+def _of_plateaus(record: CheckedRecord) -> Iterator[str]:
+    """Thermometers that stand at one temperature in each run, another in each: run and slope are confounded."""
+    if "run" not in record.columns:
+        return
+    _, codes = distinct([record.columns["run"]])
+    count = np.bincount(codes)
+    for name in record.thermometers if len(count) > 1 else ():
+        values = record.columns[name]
+        means = np.bincount(codes, values) / count
+        within = float(np.sqrt(np.mean((values - means[codes]) ** 2)))
+        if np.diff(np.sort(means)).min() > max(PLATEAU_SD * within, settings().temperature_span):
+            yield (
+                f"each run has one {name} of its own: differences between runs and a dependence on it are confounded, "
+                "parted by their plausible sizes alone. Let it change within a run, or repeat one in another run"
+            )
+
+
 # Share of a record's outputs that are those of another, number for number: far beyond chance, and half of it is a copy.
 COPIED_SHARE = 0.5
 
@@ -372,7 +394,7 @@ def _of_runs(record: CheckedRecord) -> Iterator[str]:
 
 
 CHECKS: tuple[Callable[[CheckedRecord], Iterator[str]], ...] = (
-    *(_of_saturation, _of_copied_records, _of_thermometers, _of_standstills),
+    *(_of_saturation, _of_plateaus, _of_copied_records, _of_thermometers, _of_standstills),
     *(_of_size, _of_clocks, _of_pauses, _of_runs),
 )
 

@@ -179,12 +179,8 @@ def test_a_constant_column_is_flagged_unless_it_is_a_default():
 def test_a_column_that_stands_still_for_a_while_is_flagged():
     rng = np.random.default_rng(2)
     temperature = np.linspace(20, 60, 100) + rng.normal(0, 0.01, 100)
-    columns = {
-        "run": ["a"] * 100,
-        "time": np.arange(100.0),
-        "rate_input": 0.0,
-        "output": rng.normal(size=100),
-    }
+    output, time = rng.normal(size=100), np.arange(100.0)
+    columns = {"run": ["a"] * 100, "time": time, "rate_input": 0.0, "output": output}
     assert "stuck?" not in flags(temperature=temperature, **columns)
     temperature[30:45] = temperature[30]
     assert "stuck?" in flags(temperature=temperature, **columns)
@@ -193,6 +189,12 @@ def test_a_column_that_stands_still_for_a_while_is_flagged():
     assert "stuck?" in flags(temperature=temperature, **columns)
     temperature[:12] = 20.0  # soaks like it
     assert "stands still" not in flags(temperature=temperature, **columns)
+
+
+def test_runs_of_one_temperature_each_are_flagged() -> None:
+    own, warm = {"run": [*"aabb"], "output": [1, 2, 3, 4]}, [20, 20.01, 40, 40.01]
+    assert "each run has one temperature" in flags(temperature=warm, **own)
+    assert "each run has one temperature" not in flags(temperature=warm[::2] * 2, **own)
 
 
 def test_a_thermometer_that_stands_still_over_three_quarters_of_a_record_is_flagged() -> None:

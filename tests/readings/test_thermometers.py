@@ -40,10 +40,8 @@ def said_of(columns: Columns, **changed: np.ndarray) -> list[str]:
     """What is odd, by column and kind; of runs, in which."""
     found = {**columns, **changed}
     return [
-        " ".join(
-            [one.column, one.code, *np.unique(found["run"][one.rows])[: 9 * (one.code == "run")]]
-        )
-        for one in oddities(found)
+        " ".join([o.column, o.code, *np.unique(found["run"][o.rows])[: 9 * (o.code == "run")]])
+        for o in oddities(found)
     ]
 
 
