@@ -75,9 +75,8 @@ class NotMeasured:
     names: tuple[str, ...]  # of unknowns, the largest part of its variance first
     words: str  # what is known of each, and was before the readings
     cure: str  # what would tell, a sentence without its full stop
-    hyperparameter: bool = (
-        False  # whether it is one by itself, whose draws without its prior are not known
-    )
+    # Whether it is one by itself, whose draws without its prior are not known.
+    hyperparameter: bool = False
 
     def __str__(self) -> str:
         return f"the readings tell less of {self.words} than was known before"
@@ -146,11 +145,8 @@ def not_measured(
             return None
         known = _known(unknown, own)
         return NotMeasured((of,), known, "What would tell: more readings", hyperparameter=True)
-    found, shares, counts = (
-        list[tuple[Unknown, np.ndarray, float]](),
-        list[np.ndarray](),
-        list[bool](),
-    )
+    found = list[tuple[Unknown, np.ndarray, float]]()
+    shares, counts = list[np.ndarray](), list[bool]()
     total = values.var(axis=0) + scatter**2
     for u, c, acting in _with_stated_priors(calibration):
         among = calibration.having[u.effect]
