@@ -36,6 +36,7 @@ from bayescal._model.effect import Effect
 from bayescal._model.frame import GROUPS
 from bayescal._model.instrument import Instrument
 from bayescal._model.noise_law import Noise
+from bayescal._model.unknown_effect import covariate_in
 from bayescal._report.whole_folder import AVERAGED, CALIBRATION, files_of, refuse_mixed
 from bayescal._search.calibrate import step_of
 from bayescal._search.discover import Discovery, discover
@@ -305,14 +306,12 @@ def chapters(given: Iterable[Any], effects: Iterable[Effect] = ()) -> list[Chapt
     found: list[Chapter] = []
     waiting: list[Calibration] = []
     for one in [*several, None]:
-        same = (
-            waiting and isinstance(one, Calibration) and one.readings.same_as(waiting[-1].readings)
-        )
-        if waiting and not (
-            same and one.model.instrument.name == waiting[-1].model.instrument.name
-        ):
-            found.append(of_trail(trail_of(waiting, own), _titles(waiting)))
-            waiting = []
+        if waiting:
+            last = waiting[-1]
+            same = isinstance(one, Calibration) and one.readings.same_as(last.readings)
+            if not (same and one.model.instrument.name == last.model.instrument.name):
+                found.append(of_trail(trail_of(waiting, own), _titles(waiting)))
+                waiting = []
         if isinstance(one, Calibration):
             waiting.append(one)
         elif one is not None:
@@ -377,7 +376,8 @@ def _read_result(path: Path) -> dict[str, Any]:
         if schema != SCHEMA:
             raise ValueError(f"its schema is {schema!r}, not {SCHEMA!r}")
         for candidate in (c for step in data["missing"] for c in step["candidates"]):
-            candidate.setdefault("role", "named")  # since 0.2.1
+            unnamed = covariate_in(candidate["effect"])
+            candidate.setdefault("role", "unnamed" if unnamed else "named")  # since 0.2.1
     except (OSError, ValueError, AttributeError, KeyError, TypeError) as error:
         raise InputError(
             f"{path} is no result of this version ({error}): calibrate again"
