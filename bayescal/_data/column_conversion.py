@@ -217,9 +217,9 @@ class ColumnReader:
             if len(self.problems) == before:
                 self._keep(cells.values)
             return
-        dates = self.is_time and cells.dates is not None
-        if dates:  # which are numbers of the time alone
-            cells = self._read_dates(cells.dates)
+        texts = cells.dates if self.is_time else None
+        if dates := texts is not None:  # which are numbers of the time alone
+            cells = self._read_dates(texts)
         unit = "s" if dates else self._unit(cells)
         raw, noted = cells.values, set(cells.bad)
         self._note_text(cells, unit, dates)
@@ -275,7 +275,7 @@ class ColumnReader:
             rows = np.flatnonzero(labels == label)
             self._problem(f"reads {label!r}, {came}", known, cure, rows=rows)
 
-    def _read_dates(self, texts: Sequence[str]) -> Cells:
+    def _read_dates(self, texts: np.ndarray) -> Cells:
         """Read dates; a problem where they leave open which number is the day, and the user does not say."""
         dates, orders = of_cells.dates_of(texts, self.options.date_order)
         if orders:

@@ -16,7 +16,7 @@ from bayescal._core.errors import InputError
 
 EXAMPLE = "2026-11-22 10:00:00.123"
 # Month first, day first, year first; or hours first, of times of day.
-ORDERS = ("mdy", "dmy", "ymd", "hms")
+ORDERS: tuple[str, ...] = ("mdy", "dmy", "ymd", "hms")
 _EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
 _DAY = 86_400.0  # s
 # How dates are written, and where year, month and day stand in each by the order in which it may be meant.
@@ -208,7 +208,7 @@ class Cells:
         return cls(np.concatenate([part.values for part in parts]), bad, texts)
 
 
-def dates_of(texts: Sequence[str], order: str = "") -> tuple[Cells, dict[str, np.ndarray]]:
+def dates_of(texts: np.ndarray, order: str = "") -> tuple[Cells, dict[str, np.ndarray]]:
     """Parse a column of dates in s since 1970; whatever else stands there, a number too, is bad.
 
     They are in `order` of month, day and year, or else in the only one in which each is a date. Where that leaves open
