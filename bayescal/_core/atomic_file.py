@@ -165,7 +165,7 @@ def verified(path: Path, what: str, instead: str) -> memoryview:
     if not found.startswith(b"\x89HDF"):
         said = f"is not {what}"
     elif trailer is None:
-        said = f"is damaged, no {what}, or of an earlier version: at its end stands no checksum"
+        said = f"is damaged, is not {what}, or is of an earlier version: its checksum is missing"
     elif hashlib.sha256(content).hexdigest().encode() != trailer[1]:
         said = "is damaged: its bytes do not have the checksum at its end"
     elif TRAILER.fullmatch(found[max(0, len(content) - LENGTH) : len(content)]):
