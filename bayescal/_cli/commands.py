@@ -135,10 +135,7 @@ class SimulateCommand(AsJson, Command):
         try:
             readings = chosen.simulate(hidden, seed=self.seed, **law)
         except ValueError as error:
-            said = str(error)
-            if said.startswith("simulate_arrays(noise_law"):
-                said = f"--noise-law {self.noise_law}{said[said.index(': ') :]}"
-            raise InputError(said) from None
+            raise InputError(str(error)) from None
         readings.write(self.out)
         hiding = ", ".join(f"{name} = {size:g}" for name, size in hidden.items()) or "nothing"
         text = f"{self.out}: {len(readings)} readings, hidden: {hiding}; seed {self.seed}"

@@ -228,8 +228,8 @@ def simulate_arrays(
         ValueError: an effect or a noise law of an unknown name, or a size that is not finite.
     """
     campaign, effects = campaign or Campaign(), dict(effects or {})
-    known = f"known are {', '.join(NOISE_LAWS)}"
-    refuse(noise_law not in NOISE_LAWS, f"simulate_arrays(noise_law={noise_law!r}): {known}.")
+    laws = ", ".join(NOISE_LAWS)
+    refuse(noise_law not in NOISE_LAWS, f"noise law {noise_law!r} is not one of {laws}")
     of_campaign = effects.keys() & {"bias.temperature", "bias.constant"}
     refuse(
         of_campaign,
