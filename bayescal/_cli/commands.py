@@ -293,11 +293,8 @@ class FitCommand(ModelOptions, ReadRequest, AsJson, Command):
 
             if calibration.verdict.ok:
                 calibration = calibration.with_verdict(against=calibration.conflicts)
-            shown, verdict = (
-                fit_data(calibration) if self.json_ else calibration,
-                calibration.verdict,
-            )
-            written = ""
+            shown = fit_data(calibration) if self.json_ else calibration
+            verdict, written = calibration.verdict, ""
             if folder is not None:
                 with whole_folder(folder, identity(calibration)) as hidden:
                     calibration.save(hidden / CALIBRATION)
