@@ -91,15 +91,12 @@ def why(error: OSError) -> str:
     said = error.strerror or str(error)
     if error.errno in FULL:
         return f"{said}. Make room there, or choose another place; what stood there is as it was"
-    return f"{said}. Choose a folder that may be written to"
+    is_folder = error.errno == errno.EISDIR
+    return f"{said}. {'Name a file' if is_folder else 'Choose a folder that may be written to'}"
 
 
 def write_text(text: str, path: str | Path) -> Path:
-    """Write text as UTF-8 to a place that the user chose.
-
-    Raises:
-        InputError: no such folder, a place that cannot be written to, or no room.
-    """
+    """Write text as UTF-8 to a place that the user chose; see `replacing_for_user`."""
     path = Path(path)
     with replacing_for_user(path) as partial:
         partial.write_text(text, encoding="utf-8", newline="\n")
