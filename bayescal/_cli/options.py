@@ -18,11 +18,12 @@ from bayescal._cli.console import Answer
 from bayescal._core import deadline
 from bayescal._core.errors import InputError
 from bayescal._core.progress import EVERY, stage
+from bayescal._report.whole_folder import AVERAGED, CALIBRATION, CHANNELS, MANIFEST
 from bayescal._tables.mapping_file import load_mapping, save_mapping
 
 METHODS = {"marginal": "Marginal", "least-squares": "LeastSquares", "nuts": "NUTS"}  # public names
 OUTPUTS = ("out", "yaml", "save_mapping")  # options that name what is written
-IN_FOLDER = ("calibration.nc", "averaged.nc")  # what a folder of results stands for, as an input
+IN_FOLDER = (CALIBRATION, AVERAGED, MANIFEST, CHANNELS, "result.json")  # what is read of a folder
 Texts = list[str] | None
 
 
@@ -156,13 +157,13 @@ class Command(Options):
                 raise InputError(f"{option} {out} is a file that is read: name another")
 
 
-def _paths(value: Any) -> Iterator[str]:
+def _paths(value: Any) -> Iterator[Path]:
     """Yield the files that an option may name: as a path, a folder of results, gyro_x=a.nc, my.py:INSTRUMENT."""
     for one in value if isinstance(value, list) else [value]:
-        if isinstance(one, Path):
-            yield from map(str, (one, *(one / name for name in IN_FOLDER)))
-        elif isinstance(one, str):
-            yield from (one.rpartition("=")[2], one.rpartition(":")[0])
+        named = (str(one).rpartition("=")[2], str(one).rpartition(":")[0])
+        for path in (one,) if isinstance(one, Path) else (Path(name) for name in named if name):
+            folder = path.parent if path.name in IN_FOLDER else path
+            yield from (path, *(folder / name for name in IN_FOLDER))
 
 
 class AsJson(Options):
