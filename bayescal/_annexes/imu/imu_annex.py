@@ -157,8 +157,7 @@ class ImuCommand(TriadOptions, Command):
         from bayescal.workshop import LOG_FORMATS, Objections
 
         how, needed = self.for_read(), bool(self.magnetometers or self.local_field)
-        names = (self.accelerometers, self.gyroscopes, self.magnetometers)
-        given = dict(zip(SENSORS, map(_three, names), strict=True))
+        given = {name: _three(sensors, getattr(self, sensors)) for name, sensors in SENSORS.items()}
         if not (needed or all(path.suffix.lower() in LOG_FORMATS for path in self.files)):
             given.popitem()
         logs, problems = dict[str, tuple[Any, Any]](), Objections()
@@ -193,11 +192,11 @@ def _answer(
     return Answer(shown, ok=not why, why="; ".join(why[:1]), made=made)
 
 
-def _three(given: str | None) -> dict[str, str]:
-    """Of three outputs, their columns in a file."""
+def _three(sensors: str, given: str | None) -> dict[str, str]:
+    """Return the columns of three outputs in a file, as the option of these sensors names them."""
     names = names_in(given)
     if len(names) not in (0, 3):
-        raise InputError(f"{given!r} names {len(names)} columns: give three, as ax,ay,az")
+        raise InputError(f"--{sensors} {given!r}: give three, as ax,ay,az, not {len(names)}")
     return dict(zip((f"output_{a}" for a in "xyz"), names, strict=False))
 
 
