@@ -408,8 +408,8 @@ class PredictCommand(ColumnOptions, UsedParts, AsJson, Command):
         loaded = saved.load_saved(self.calibration, self)
         how = self.for_read()
         readings = bc.read(self.files, loaded.model.instrument, like=loaded.readings, **how)
-        self.keep()
         readings = request.averaged(readings, self.average)
+        self.keep()
         print_notes(readings.flags)
         prediction = bc.predict(loaded, readings, same_record=self.same_record)
         from bayescal._cli.output import write_prediction

@@ -50,7 +50,6 @@ def open_channels(
     found = _read(asked.files, general, asked, names)
     if not asked.typed and general.tailor is None:  # what is typed may need the readings
         compose(general, asked, user_effects(asked.effects_file))
-    asked.keep()
     for one in found.values():
         # Rests are looked for in the log of a triad: it is averaged over them.
         if (
@@ -67,6 +66,7 @@ def open_channels(
     for name, one in readings.items():
         tailored = general.for_readings(one)
         models[name] = compose(tailored, asked, own_effects(asked, tailored, one))
+    asked.keep()
     return general, models, readings
 
 

@@ -60,7 +60,7 @@ REFUSED = (
     f"{FIT} --add bias.own --effect 'own: s * supply_voltage'",
     f"{FIT} --structure cube",
     f"{FIT} --local-gravity 0",
-    f"{FIT} --average 1m",
+    f"{FIT} --average 1m --save-mapping {{folder}}/m.toml",
     "fit {overload} --instrument mems_gyro --out {new}",
     "fit {table} --instrument mems_gyro --out {saved}",
     "check no.nc",
