@@ -36,9 +36,9 @@ def test_measurements_that_differ_do_not_stop_each_other(readings, result) -> No
     kept = {n: values for n, values in lacking.values.items() if n != "temperature"}
     lacking = dataclasses.replace(lacking, values=kept)
     broken = broken.with_column("output", np.where(np.arange(len(broken)) == 3, np.nan, 1.0))
-    found = bc.fit_batch(
-        MODEL,
-        {"whole": readings["D00"], "lacking": lacking, "broken": broken, "last": readings["D03"]},
-    )
+    whole, last = readings["D00"], readings["D03"]
+    given = {"whole": whole, "lacking": lacking, "broken": broken, "last": last}
+    found = bc.fit_batch(MODEL, given)
     np.testing.assert_allclose(found["whole"].mean, result["D00"].mean, rtol=1e-12)
     np.testing.assert_allclose(found["last"].mean, result["D03"].mean, rtol=1e-12)
+    assert "Empty" not in str(bc.fit_batch(MODEL, [whole.select(np.arange(2))]))

@@ -400,7 +400,7 @@ class BatchResult:
         lines += [checked if self.checked else NOT_CHECKED, *odd_in_words(self.odd, len(self))]
         lines += first_few(self.missing, len(self.missing), "no results of ", " files")
         lines += first_few(self.left_out, len(self.left_out), "not read: ", ", not read either")
-        lines.append(printed(self.coefficients(), 4))
+        lines += [printed(self.coefficients(), 4)] * bool(self.fitted)
         if len(self.effects):
             shown = printed(self.effects.head(SHOWN_DEVICES), 3)
             lines.append(f"missing from the devices' models:\n{shown}")
