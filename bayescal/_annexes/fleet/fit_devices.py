@@ -180,21 +180,18 @@ def _fit_plain(
             references = [options.reference_for(devices[i]) for i in some]
             frames = [build_frame(devices[i], r) for i, r in zip(some, references, strict=True)]
             layout = bind(model, devices[some[0]], reference=references[0])[0]
-            problem = None
-            if model.with_nuisances(devices[some[0]]) is model and layout.size < count:
-                problem = _together(layout, frames)
-            if problem is not None:
-                with np.errstate(all="ignore"):  # of devices that are no plain ones
-                    plain, x, covariance, sd = _solve(problem, *_linearised(problem))
-                if NOISE not in dict(model.fixed):
-                    x = np.column_stack([x, sd])
-                    covariance = np.pad(
-                        covariance, ((0, 0), (0, 1), (0, 1)), constant_values=np.nan
-                    )
-                t0 = [r.get("T0", np.nan) for r in references]
-                of, at = Unknowns.of(layout), np.array(some)[plain]
-                own = x[plain], covariance[plain], np.full(len(at), count), np.array(t0)[plain]
-                yield Moments(at, of.names, of.units, *own)
+            whole = model.with_nuisances(devices[some[0]]) is model and layout.size < count
+            if not whole or (problem := _together(layout, frames)) is None:
+                continue
+            with np.errstate(all="ignore"):  # of devices that are no plain ones
+                plain, x, covariance, sd = _solve(problem, *_linearised(problem))
+            if NOISE not in dict(model.fixed):
+                x = np.column_stack([x, sd])
+                covariance = np.pad(covariance, ((0, 0), (0, 1), (0, 1)), constant_values=np.nan)
+            t0 = [r.get("T0", np.nan) for r in references]
+            of, at = Unknowns.of(layout), np.array(some)[plain]
+            own = x[plain], covariance[plain], np.full(len(at), count), np.array(t0)[plain]
+            yield Moments(at, of.names, of.units, *own)
 
 
 def _stacked(each: Sequence[Any]) -> Any:
