@@ -107,9 +107,8 @@ def dask_setup(_: Any) -> None:
     obey_no_folder()
 
 
-Outcome = tuple[
-    int, Any, str
-]  # which task, what it returned, why it failed: empty where it did not
+# Which task, what it returned, why it failed: empty where it did not.
+Outcome = tuple[int, Any, str]
 
 
 def run_tasks(
@@ -159,13 +158,11 @@ def _outcome(client: Client, future: Any) -> tuple[Any, str]:
     try:
         return future.result(), ""
     except (Exception, CancelledError) as error:  # whatever a cluster says of tasks it gave up
+        why = str(error) or type(error).__name__
         gone = client.status != "running" or future.status in ("cancelled", "lost")
         if isinstance(error, KilledWorker):
-            return (
-                None,
-                "the workers that it ran on died one after the other: is there memory enough?",
-            )
-        if gone and not isinstance(error, BayescalError):
+            why = "the workers that it ran on died one after the other: is there memory enough?"
+        elif gone and not isinstance(error, BayescalError):
             address = "" if client.scheduler is None else f" at {client.scheduler.address}"
-            return None, f"the scheduler{address} is gone: start it again"
-        return None, str(error) or type(error).__name__
+            why = f"the scheduler{address} is gone: start it again"
+        return None, why
