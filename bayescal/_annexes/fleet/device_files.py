@@ -8,6 +8,7 @@ from __future__ import annotations
 import os
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -70,10 +71,13 @@ class Piece:
         def load(wanted: Mapping[int, bool]) -> dict[int, Cells]:
             return {p: arrow_cells(own.column(p), number) for p, number in wanted.items()}
 
-        def place(index: int) -> str:
+        @cache
+        def rows() -> np.ndarray:
             column = dataset.to_table([self.column]).column(0)
-            rows = np.flatnonzero(pc.is_in(column, self.devices).to_numpy())  # pyright: ignore
-            return f"row {rows[index] + 1}"
+            return np.flatnonzero(pc.is_in(column, self.devices).to_numpy())  # pyright: ignore
+
+        def place(index: int) -> str:
+            return f"row {rows()[index] + 1}"
 
         return Table(file, arrow_headers(own.schema), own.num_rows, load, place=place)
 
