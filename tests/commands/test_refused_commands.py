@@ -23,8 +23,7 @@ SIMULATE = "simulate --instrument mems_gyro --out {folder}/a.csv"
 REFUSED = (
     "instruments --all",
     "instruments everything",
-    "effects",
-    "effects --instrument gyro",
+    *("effects", "effects --instrument gyro"),
     "effects --instrument {level}:LEVEL",
     "effects --instrument mems_gyro --effects no.py",
     "effects --instrument mems_gyro --effects {broken}",
@@ -92,8 +91,7 @@ REFUSED = (
     "export {saved}",
     *("export {saved} --format pascal", "export {saved} --out {folder}/x.txt"),
     "export {saved} --format c --out {folder}",
-    "budget {saved} --at pressure=1",
-    "budget {saved} -k -1",
+    *("budget {saved} --at pressure=1", "budget {saved} -k -1"),
     "compensate {saved} no.csv --out {folder}/o.csv",
     f"{DECIDE} 'bias ±0.5'",
     f"{DECIDE} 'beauty: ±0.5'",
@@ -104,6 +102,7 @@ REFUSED = (
     "decide {saved} --out {folder}/d.json",
     "batch {table} --instrument mems_gyro --out {folder}/b.csv",
     "batch no.csv --instrument mems_gyro --out {folder}/b.parquet",
+    "batch {folder} --instrument mems_gyro --out {folder}/lot.parquet",
     "pairs {table} --instrument mems_gyro",
     "report no.nc --out {folder}/r.html",
     "workbench {no_unit} --instrument mems_gyro --no-open --out {new}",
@@ -145,7 +144,8 @@ def places(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
     }
     for name, text in texts.items():
         (folder / name).write_text(text, encoding="utf-8")
-    bc.read(TABLE, mems_gyro.INSTRUMENT).write(folder / "readings.nc")
+    for name in ("readings.nc", "lot.parquet"):
+        bc.read(TABLE, mems_gyro.INSTRUMENT).write(folder / name)
     for name in ("unit", "vacant", "damaged"):
         (folder / name).mkdir()
     for name in ("calibration.nc", "manifest.json", "result.json"):

@@ -53,7 +53,7 @@ class BatchCommand(ColumnOptions, ModelOptions, AsJson, Command):
     seed: int = Shared.seed
 
     def answer(self) -> Answer:
-        _refuse_place(self.out)
+        _refuse_place(self.out, self.files)
         chosen = instrument_named(self.instrument)
         own = own_effects(self, chosen, None)
         model = compose(chosen, self, own)
@@ -85,8 +85,10 @@ class BatchCommand(ColumnOptions, ModelOptions, AsJson, Command):
 ANNEX = {"commands": (BatchCommand,)}
 
 
-def _refuse_place(out: Path) -> None:
+def _refuse_place(out: Path, files: list[Path]) -> None:
     """Refuse a place that results cannot be written to, before anything is read."""
+    if out.is_file() and {*out.resolve().parents} & {*(file.resolve() for file in files)}:
+        raise InputError(f"--out {out} is a file of the folder that is read: name another")
     if out.suffix and out.suffix != ".parquet":
         raise InputError(f"--out: a batch is saved as Parquet: name it ….parquet, not {out.name!r}")
     if out.is_file() and not out.suffix:
