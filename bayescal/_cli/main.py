@@ -81,9 +81,11 @@ def command() -> int:
     try:
         asked = next((word for word in sys.argv[1:] if not word.startswith("-")), "")
         found = application(asked)(standalone_mode=False, prog_name="bayescal")
-        status = found.run() if isinstance(found, Command) else found
+        if isinstance(found, Command):
+            found.refuse_overwriting()
+            found = found.run()
         sys.stdout.flush()
-        return status if isinstance(status, int) else 0
+        return found if isinstance(found, int) else 0
     except (NotConverged, NotDrawn) as error:
         return _failed(str(error), 1)
     except BayescalError as error:

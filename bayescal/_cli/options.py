@@ -140,7 +140,6 @@ class Command(Options):
 
     def run(self) -> int:
         """Carry it out and print its answer; return the exit status."""
-        self.refuse_overwriting()
         limit = getattr(self, "time_limit", None)
         with stage(self.called(), EVERY), deadline.until(limit):
             answer = self.answer()
