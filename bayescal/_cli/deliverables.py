@@ -39,7 +39,7 @@ class CompensateCommand(ColumnOptions, InUse, AsJson, Command):
     """Turn readings back into what was measured."""
 
     example = "bayescal compensate result/calibration.nc flight.csv --out done.csv"
-    in_place = True
+    in_place = "file"
     calibration: Path = IN_USE
     file: Path = Argument(help="Readings: text, .parquet, .nc, .xlsx or .mat.")
     out: Path = opt(

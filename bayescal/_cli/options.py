@@ -124,11 +124,11 @@ class Command(Options):
 
     Attributes:
         example: how it is called, for the end of its help.
-        in_place: whether it may write what it read.
+        in_place: name of what it reads that its `out` may take the place of.
         json_: whether its answer is printed as JSON.
     """
 
-    example, in_place, json_ = "", False, False
+    example, in_place, json_ = "", "", False
 
     def answer(self) -> Answer | None:
         raise NotImplementedError
@@ -148,9 +148,10 @@ class Command(Options):
     def refuse_overwriting(self) -> None:
         """Refuse an output whose path is an input's."""
         given = {n: v for n, v in vars(self).items() if v and n not in (*OUTPUTS, "mapping")}
-        read = [*filter(os.path.isfile, (p for v in given.values() for p in _paths(v)))]
-        for name in () if self.in_place else OUTPUTS:
+        for name in OUTPUTS:
             out = str(getattr(self, name, None) or "")
+            kept = (v for n, v in given.items() if (name, n) != ("out", self.in_place))
+            read = filter(os.path.isfile, (path for value in kept for path in _paths(value)))
             if os.path.isfile(out) and any(os.path.samefile(out, path) for path in read):
                 option = f"--{name.replace('_', '-')}"
                 raise InputError(f"{option} {out} is a file that is read: name another")

@@ -108,6 +108,8 @@ REFUSED = (
     "demo --out {saved}",
     "predict {saved} {text} --out {text}",
     "predict {saved} {table} --out {saved}",
+    "compensate {saved} {text} --out {text} --save-mapping {text}",
+    "compensate {saved} {readings} --out {saved}",
     "export {folder}/table -o {saved}",
     "export --axis gyro_x={saved} -o {saved} --format px4-params",
     "decide {saved} --limit 'bias: ±1 °/s' --out {folder}/table/manifest.json",
