@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 import pandas as pd
+import pyarrow as pa
+import pyarrow.parquet as pq
 import pytest
 
 import bayescal as bc
@@ -33,12 +35,8 @@ def test_files_are_devices_and_labels_may_have_another_name(tmp_path, result) ->
 
 def test_a_saved_batch_is_the_same(tmp_path, readings) -> None:
     broken = readings["D02"].with_column("output", np.full(len(readings["D02"]), np.nan))
-    given = {
-        "good": readings["D00"],
-        "broken": broken,
-        "also": readings["D01"],
-        "3": readings["D03"],
-    }
+    given = {"good": readings["D00"], "broken": broken}
+    given |= {"also": readings["D01"], "3": readings["D03"]}
     found = bc.fit_batch(MODEL, given, population=["bias.temperature"])
     back = bc.load_batch(found.save(tmp_path / "lot_result.parquet"))
     pd.testing.assert_frame_equal(back.table(), found.table())
@@ -51,12 +49,14 @@ def test_a_saved_batch_is_the_same(tmp_path, readings) -> None:
     assert list(long.columns) == ["device", "coefficient", "mean", "sd", "unit", "ok", "reason"]
     assert list(dict.fromkeys(long.device)) == list(given)
     assert long[long.device == "broken"].shape[0] == 1
-    (tmp_path / "other.parquet").write_bytes(b"nothing")
+    other, whole = tmp_path / "other.parquet", pq.read_table(tmp_path / "lot_result.parquet")
+    other.write_bytes(b"nothing")
     with pytest.raises(bc.InputError):
-        bc.load_batch(tmp_path / "other.parquet")
-    pd.DataFrame({"a": [1]}).to_parquet(tmp_path / "other.parquet")
-    with pytest.raises(bc.InputError):
-        bc.load_batch(tmp_path / "other.parquet")
+        bc.load_batch(other)
+    for changed in (pa.table({"a": [1]}), whole.slice(1), whole.take([0, 3, 1, 2])):
+        pq.write_table(changed, other, write_page_checksum=True)
+        with pytest.raises(bc.InputError):
+            bc.load_batch(other)
 
 
 @needs_installation

@@ -48,8 +48,7 @@ EFFECTS = ["effect", "devices", "possible", "in fleet", "expected", "share", "lo
 
 
 def first_few(items: Mapping[str, str], total: int, head: str = "", more: str = "") -> list[str]:
-    """Names and what is said of them, the first ten; then how many more there are. What is the same of several is said
-    once, what is said of the most first."""
+    """Return names and what is said of them, once where it is the same: the first ten, and how many more there are."""
     alike: dict[str, list[str]] = {}
     for name, why in items.items():
         key = why.replace(repr(name), "").replace(f"device {name}", "")
@@ -424,12 +423,17 @@ def load_batch(path: str | Path) -> BatchResult:
         for name in {*SCHEMA.names} - {*table.column_names}:  # facts, of earlier files
             table = table.append_column(name, pa.nulls(len(table), pa.float64()))
         told = ("about", "odd", "checked", "missing", "left_out")
-        return BatchResult(
+        found = BatchResult(
             table.select(SCHEMA.names).cast(SCHEMA),
             population=head["population"] and Population.of_data(head["population"]),
             effects=pd.DataFrame(head.get("effects", []), columns=EFFECTS),
             **{name: head[name] for name in told if name in head},
         )
+        counts = np.array([end - begin for begin, end in found._spans.values()], dtype=int)
+        lengths = pc.list_value_length(found.rows["covariance"]).fill_null(1).to_numpy()
+        if not np.array_equal(lengths, np.repeat(counts, counts)):
+            raise ValueError("rows of a device are missing")
+        return found
     except Exception as error:  # whatever a damaged file makes Arrow raise
         raise InputError(
             f"{path.name} is no batch of this version, or a damaged one ({type(error).__name__}). {AGAIN}"

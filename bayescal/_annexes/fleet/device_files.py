@@ -52,11 +52,7 @@ class Piece:
         return f"{self.path.name}, devices {self.devices[0]} to {self.devices[-1]}"
 
     def read(self, model: Model, options: ReadOptions) -> Devices:
-        """Read its devices.
-
-        Raises:
-            InputError: it cannot be read, or is too large once unpacked.
-        """
+        """Read its devices; refuse what cannot be read, or is too large once unpacked."""
         table = open_readings(self.path, options) if self.devices is None else self._open()
         needs = tuple(dict.fromkeys(c for e in model.effects for c in e.columns))
         return split_table(table, self.path.stem, model.instrument, options, needs)
