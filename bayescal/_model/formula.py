@@ -128,9 +128,7 @@ class FormulaPart(NamedTuple):
         return self._replace(tree=("*", self.tree, other.unit.factor))
 
 
-Linear = dict[
-    str, FormulaPart
-]  # what each coefficient is multiplied by; "" for what is multiplied by none
+Linear = dict[str, FormulaPart]  # what each coefficient is multiplied by; by none: ""
 
 
 @dataclass(frozen=True)
@@ -364,15 +362,15 @@ class _TypedLine:
                 return {"": FormulaPart(float(node.value), None, at)}
             case ast.Name():
                 name = self.names[node.id]
-                known = name in self.units
-                return (
-                    {"": FormulaPart(name, self.units[name], at)}
-                    if known
-                    else {name: FormulaPart(1.0, None, at)}
-                )
+                if name in self.units:
+                    return {"": FormulaPart(name, self.units[name], at)}
+                return {name: FormulaPart(1.0, None, at)}
             case ast.UnaryOp():
-                found = self.linear(node.operand)
-                if isinstance(node.op, ast.USub):
+                negative = False
+                while isinstance(node, ast.UnaryOp):
+                    negative, node = negative ^ isinstance(node.op, ast.USub), node.operand
+                found = self.linear(node)
+                if negative:
                     found = {n: self._negative(part) for n, part in found.items()}
                 return {n: part._replace(at=at) for n, part in found.items()}
             case ast.BinOp():

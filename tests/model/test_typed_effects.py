@@ -62,7 +62,7 @@ RIGHT = {
         lambda r, e: (r["temperature"] - 25) ** 2, {},
     ),
     "power: k * 2 * T ** 2 ** 1; k = 1e-4 deg/s/degC^2": (lambda r, e: 2 * r["temperature"] ** 2, {}),
-    "signs: -k * --T / -2; k = 0.01 deg/s/degC": (lambda r, e: r["temperature"] / 2, {}),
+    f"signs: -k * {'-' * 484}T / -2; k = 0.01 deg/s/degC": (lambda r, e: r["temperature"] / 2, {}),
     "gradient: g * (`oven temp` - temperature); g = 10 mdps/degC": (lambda r, e: 3 + 0 * e, {}),
     "damp: h * (humidity - 0.45); h = 0.01 deg/s/%": (lambda r, e: r["humidity"] - 0.45, {}),
     "hinge: h * max(0, T - 30); h = 0.01 deg/s/degC": (
@@ -101,7 +101,7 @@ def behind(readings: bc.Measurements, column: str, tau: float = 300.0) -> np.nda
     return np.asarray(frame.lag(jnp.array(tau), column))
 
 
-@pytest.mark.parametrize("line", RIGHT)
+@pytest.mark.parametrize("line", RIGHT, ids=lambda line: line[:40])
 def test_a_formula_is_what_it_says(readings, line) -> None:
     by_hand, shapes = RIGHT[line]
     made = bc.effect(line, readings=readings, instrument=GYROSCOPE)
@@ -123,10 +123,8 @@ def test_the_slot_is_the_one_that_the_units_fit(readings) -> None:
     def slot(line: str) -> str:
         return bc.effect(line, readings=readings, instrument=GYROSCOPE).slot
 
-    assert (
-        slot("own: k * T; k = 1 ppm/degC") == "scale"
-        and slot("own: k * T; k = 1 dps/degC") == "bias"
-    )
+    assert slot("own: k * T; k = 1 ppm/degC") == "scale"
+    assert slot("own: k * T; k = 1 dps/degC") == "bias"
 
 
 def test_what_is_not_said_of_a_size_the_readings_say(readings) -> None:
