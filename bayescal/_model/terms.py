@@ -118,15 +118,13 @@ def terms_of(
         names += [name for c in needed for name in c.shape_names]
         columns[effect.name] = ColumnsOf.of(effect).on(needed), tuple(names)
     factors = size_factors or {}
-    terms = (
-        Term(
-            **vars(b),
-            **dict(zip(("columns", "shape_names"), columns[b.effect.name], strict=True)),
-            prior_sd=b.coefficient.size * factors.get(b.effect.name, 1.0),
-        )
-        for b in blocks
-    )
-    return tuple(terms), corrected
+
+    def term(b: CoefficientBlock) -> Term:
+        of, names = columns[b.effect.name]
+        sd = b.coefficient.size * factors.get(b.effect.name, 1.0)
+        return Term(**vars(b), columns=of, shape_names=names, prior_sd=sd)
+
+    return tuple(map(term, blocks)), corrected
 
 
 class _Weighted(NamedTuple):
