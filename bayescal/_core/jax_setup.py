@@ -1,7 +1,7 @@
 """What must happen before JAX starts: worker threads, double precision, a cache of programs.
 
-Importing this module is cheap and does not import JAX. `bayescal/__init__.py` imports it first;
-each module that computes calls `configure_jax()` at its top.
+Importing this module is cheap and does not import JAX. `bayescal/__init__.py` imports it first; `lazy_jax.py` has
+`configure_jax()` called once JAX is imported, by whoever imports it.
 
 Environment variables:
     NPROC: worker threads of JAX on the CPU; respected where set.
