@@ -45,9 +45,7 @@ def _generalised_pareto(excess: Float[np.ndarray, "t"]) -> tuple[float, float]:
     """
     n, most = len(excess), 30 + int(len(excess) ** 0.5)
     quartile = excess[int(n / 4 + 0.5) - 1]
-    if (
-        quartile == 0.0
-    ):  # equal ones have no tail, and one that counts beside zeros has none that ends
+    if quartile == 0.0:  # equal ones have no tail; one that counts beside zeros has no end
         return np.inf if excess[-1] > 0.0 else 0.0, 0.0
     b = (1 - np.sqrt(most / (np.arange(most) + 0.5))) / (3 * quartile) + 1 / excess[-1]
     k = np.mean(np.log1p(-b[:, None] * excess), axis=1)

@@ -252,26 +252,26 @@ def test_what_is_offered_beside_an_instrument_is_there(group: str) -> None:
 # Lines of Python that each part may have: lowered by whoever takes lines out, never raised. What needs more room takes
 # it from the same part first.
 CEILINGS = {
-    "bayescal/_core": 2_117,
+    "bayescal/_core": 2_116,
     "bayescal/_tables": 1_964,
     "bayescal/_data": 5_247,
-    "bayescal/_model": 5_952,
+    "bayescal/_model": 5_936,
     "bayescal/effects": 721,
-    "bayescal/_inference": 6_314,
-    "bayescal/_calibration": 5_155,
+    "bayescal/_inference": 6_304,
+    "bayescal/_calibration": 5_151,
     "bayescal/_use": 3_080,
-    "bayescal/_search": 5_797,
+    "bayescal/_search": 5_794,
     "bayescal/_report": 2_425,
-    "bayescal/_cli": 1_851,
+    "bayescal/_cli": 1_848,
     "bayescal/_annexes/fleet": 2_530,
-    "bayescal/_annexes/imu": 3_126,
+    "bayescal/_annexes/imu": 3_125,
     "bayescal/_annexes/metrology": 1_721,
     "bayescal/_annexes/workbench": 3_620,
     "models": 8_982,
     "tests": 25_485,
     "benchmarks": 10_893,
 }
-WORDS = 53_819  # of docs/, README.md and CHANGELOG.md together
+WORDS = 53_809  # of docs/, README.md and CHANGELOG.md together
 
 
 @pytest.mark.parametrize("part", CEILINGS)
