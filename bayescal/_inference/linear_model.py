@@ -85,11 +85,12 @@ class LinearModel:
 
     def decorrelate(self, columns: Float[np.ndarray, "n k"]) -> Float[np.ndarray, "n k"]:
         """Return columns whitened and turned by a matrix that is the same for all: for products, not row by row."""
-        problem = self.problem
-        nodes = None if problem.noisy else problem.record.nodes(problem.noise)
-        if isinstance(nodes, InFrequency):
-            return nodes.whitened(problem.noise, problem.hyper(self.mode.v), columns)
-        return self.whiten(columns)
+        law = self.whiten
+        if isinstance(law, Whitening) and not self.problem.noisy:
+            nodes = law.record.nodes(law.law)
+            if isinstance(nodes, InFrequency):
+                return nodes.whitened(law.law, law.values, columns)
+        return law(columns)
 
     @cached_property
     def white_residual(self) -> Float[np.ndarray, "n"]:

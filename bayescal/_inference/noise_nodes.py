@@ -33,6 +33,7 @@ from bayescal._inference.chebyshev import nodes_and_shares
 from bayescal._model.noise_law import WHITE, Noise
 from bayescal._model.noise_spectrum import eigenvalues, end_transform
 
+WRITTEN_STEPS = 0.5  # the last digit that times of an even clock may be written to
 SINGLE_FREQUENCIES = 16  # the lowest of a run, each a node of its own
 SEGMENT_RATIO = 30.0  # of λ from end to end of a segment of the others,
 FINE_RATIO = 10**0.5  # the same about all singular points, of distances from them,
@@ -246,15 +247,24 @@ class InFrequency(OneNode):
 def in_frequency(order: Int[np.ndarray, "n"], step: Float[np.ndarray, "n"]) -> InFrequency | None:
     """Return the nodes of stationary noise; None where steps are uneven or a run has fewer than 3 readings.
 
+    Even are those of a clock that jitters little, and those of times that are written to a few digits: neither adds up.
+
     Args:
         order: of the readings in time, run after run.
         step: since the reading before, s; −1 at a run's first.
     """
     first, inside = np.flatnonzero(step < 0), step[step >= 0]
-    usual = float(np.median(inside)) if len(inside) else 0.0
     runs = np.split(order, first[1:])
-    even = usual > 0 and np.max(np.abs(inside - usual)) <= EVEN_STEPS * usual
-    return InFrequency(runs, float(np.mean(inside))) if even and min(map(len, runs)) >= 3 else None
+    if min(map(len, runs)) < 3 or (usual := float(np.mean(inside))) <= 0:
+        return None
+    if np.max(np.abs(inside - np.median(inside))) <= EVEN_STEPS * usual:
+        return InFrequency(runs, usual)
+    # Each run's times as a line through their indices, about its middle.
+    clocks = [t - t.mean() for t in np.split(np.cumsum(np.maximum(step, 0.0)), first[1:])]
+    places = [np.arange(len(t)) - 0.5 * (len(t) - 1) for t in clocks]
+    one = sum(map(np.dot, places, clocks)) / sum(i @ i for i in places)
+    late = max(float(np.ptp(t - one * i)) for t, i in zip(clocks, places, strict=True))
+    return InFrequency(runs, one) if late <= WRITTEN_STEPS * one else None
 
 
 class Products:

@@ -141,8 +141,8 @@ def too_small_or_large(
     noise = math.sqrt(float(np.median(structures.line(at).variance)))
     for top, *_ in points.values():
         effect = structures.candidates[top.effect]
-        largest = float(np.max(np.abs(top.columns[:, 0])))  # whitened: of the noise
-        most = largest * effect.coefficients[0].size * noise
+        largest = float(np.max(np.abs(top.view.columns(top.view.line, [top.point])[:, 0])))
+        most = largest * effect.coefficients[0].size
         found += off_scale(effect, most, noise, structures.base.instrument.unit)
     return tuple(found)
 
@@ -272,13 +272,15 @@ def _detectable_amplitude(information: np.ndarray, amplitude: float, needed: flo
 def alike(points: Mapping[str, Sequence[ScoredPoint]]) -> dict[str, set[str]]:
     """Which candidates' fitted contributions are one and the same to these readings."""
     outside, inside = [], []
-    for own in points.values():
-        p, sd = own[0], own[0].size.sd
+    tops = [own[0] for own in points.values()]
+    rows = tops[0].view.rows([p.point for p in tops])
+    for p in tops:
+        sd = p.size.sd
         u, information = p.standard
         # What is fitted of each, at its likeliest grid point, and of this what the nuisances leave: two candidates
         # are one where these two vectors are parallel, whatever their columns look like.
         fitted = sd * np.linalg.solve(np.eye(len(sd)) + information, u)
-        outside.append(p.columns @ fitted)
+        outside.append(rows.whiten(p.view.columns(rows, [p.point])) @ fitted)
         inside.append(p.inside @ fitted)
     names, c, p = list(points), np.array(outside), np.array(inside)
     gram = c @ c.T - p @ p.T

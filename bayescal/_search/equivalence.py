@@ -77,7 +77,7 @@ def _left_by_all(structures: Structures) -> float:
     library = Library(structures)
     named = {n: p for n, p in library.points.items() if not structures.candidates[n].is_placeholder}
     points = [point for point, *others in named.values() if not others]
-    columns = np.column_stack([line.nuisance, library.columns(line.slopes, points, {})])
+    columns = np.column_stack([line.nuisance, library.columns(line, points, {})])
     axes, values, _ = np.linalg.svd(columns * column_scale(columns), full_matrices=False)
     axes = axes[:, values > RANK * values.max(initial=0.0)]
     left = line.residual - axes @ (axes.T @ line.residual)
@@ -115,7 +115,7 @@ def _columns(structures: Structures) -> tuple[LinearModel, dict[str, _Columns]]:
         effect = structures.candidates[name]
         per_member = any(c.group_sd for c in effect.coefficients)
         if not (others or per_member or effect.frees) and has_size(effect):
-            columns = library.columns(line.slopes, [point], {}) * library.sizes[name][0].sd
+            columns = library.columns(line, [point], {}) * library.sizes[name][0].sd
             whole = line.whiten(columns)
             beside = of_groups(math.sqrt(every) * whole[::every])
             found[name] = _Columns(whole, beside, of_all(beside))

@@ -15,6 +15,9 @@ from jaxtyping import Float
 from scipy.special import ndtri
 
 from bayescal._core import deadline
+from bayescal._inference.linear_model import LinearModel
+from bayescal._inference.means import Means
+from bayescal._inference.record import Record
 from bayescal._model.composition import by_member
 from bayescal._model.effect import Coefficient, Effect, Shape
 from bayescal._model.instrument import factor_of
@@ -29,6 +32,8 @@ RAGGED_SHAPES = 128  # where the evidence has many maxima over one of them
 HELD_NUMBERS = 2**23
 ACTING_STEP = 0.05  # of a shape that acts on them, prior standard deviations, which no score feels
 LEVELS = 4  # of a learned spread, of an amplitude
+MEANS = 8192  # by which candidates are looked over on longer records
+LOST = 0.01  # of the variance of a candidate's column, which may be within means
 KEPT_EFFECTS = 1024  # whose grids and sizes are kept: devices of a fleet have the same
 
 
@@ -62,6 +67,8 @@ class Library:
         points: of each candidate.
         sizes: of each candidate.
         width: columns in all.
+        blurred: candidates that change within means: they are looked over by all readings, as are those of a short
+            record.
     """
 
     structures: Structures
@@ -69,7 +76,9 @@ class Library:
     points: dict[str, list[GridPoint]] = field(default_factory=dict)
     sizes: dict[str, list[Size]] = field(default_factory=dict)
     width: int = 0
-    _bases: dict[tuple[str, bool], tuple[Any, np.ndarray]] = field(default_factory=dict)
+    blurred: frozenset[str] = frozenset()
+    _means: Means | None = None
+    _bases: dict[tuple[str, bool], tuple[Any, Any, np.ndarray]] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         counts = dict(self.structures.layout.counts)
@@ -91,36 +100,51 @@ class Library:
         effect = self.structures.candidates[name]
         return effect.is_placeholder or effect.coefficients[0].group_sd is not None
 
-    def blocks(self) -> Iterator[list[GridPoint]]:
-        """All points, as many at once as have their columns held together."""
-        size, block = self.structures.record.size, list[GridPoint]()
-        for point in itertools.chain(*self.points.values()):
-            if block and (point.at.stop - block[0].at.start) * size > HELD_NUMBERS:
-                yield block
-                block = []
-            block.append(point)
-        if block:
+    def on_means(self, line: LinearModel) -> LinearModel:
+        """Return a linear model of a long record as one of means, by which candidates are looked over."""
+        count = line.size // MEANS
+        if count < 2:
+            return line
+        if self._means is None:
+            self._means = Means.over(self.structures.record, count)
+            for name, points in self.points.items():
+                columns = self.columns(line, _at_ends(points), {})
+                if np.max(self._means.within(columns)) > LOST:
+                    self.blurred |= {name}
+        return self._means.line(line)
+
+    def blocks(self, size: int) -> Iterator[list[GridPoint]]:
+        """Yield all points, those apart that need all readings: as many as have columns of a length held together."""
+        for needed, own in itertools.groupby(self.points, lambda name: name in self.blurred):
+            block, rows = list[GridPoint](), self.structures.record.size if needed else size
+            for point in itertools.chain.from_iterable(self.points[name] for name in own):
+                if block and (point.at.stop - block[0].at.start) * rows > HELD_NUMBERS:
+                    yield block
+                    block = []
+                block.append(point)
             yield block
 
     def columns(
         self,
-        slopes: Mapping[str, np.ndarray],
+        line: LinearModel,
         points: Iterable[GridPoint],
         acting: Mapping[Correction, tuple[float, ...]],
     ) -> Float[np.ndarray, "n k"]:
-        """∂μ/∂θ at some points, output unit per reported unit, where the output has these slopes by the slots.
+        """∂μ/∂θ at some points, output unit per reported unit, where the output has the slopes of a linear model.
 
         What depends on a column that is corrected is of the corrected one: beside a body a quadratic is of its
         temperature.
         """
-        record, instrument = self.structures.record, self.structures.base.instrument
+        record, instrument = line.problem.record, self.structures.base.instrument
+        slopes = line.slopes
         counts = dict(self.structures.layout.counts)
         points, end = list(points), 0
         width = sum(p.at.stop - p.at.start for p in points)
         made = np.empty((record.size, width), order="F")
         for name, own in itertools.groupby(points, lambda p: p.effect):
             deadline.current().ask()
-            effect, bases = self.structures.candidates[name], self._along(name, list(own), acting)
+            effect = self.structures.candidates[name]
+            bases = self._along(record, name, list(own), acting)
             widths = [_members(c, counts) for c in effect.coefficients]
             begin, end = end, end + len(bases) * sum(widths)
             # A view: (n, points, columns of each).
@@ -139,6 +163,7 @@ class Library:
 
     def _along(
         self,
+        record: Record,
         name: str,
         points: list[GridPoint],
         acting: Mapping[Correction, tuple[float, ...]],
@@ -147,10 +172,10 @@ class Library:
 
         As measured, and beside the latest correction.
         """
-        record, needed = self.structures.record, self._needed(name, acting)
+        needed = self._needed(name, acting)
         held = self._bases.get((name, bool(needed)))
-        if held is not None and held[0] == needed:
-            return held[1][[p.index for p in points]]
+        if held is not None and held[0] is record and held[1] == needed:
+            return held[2][[p.index for p in points]]
         candidates, kept = self.structures.candidates, self.width * record.size <= HELD_NUMBERS
         at = _shapes(self.points[name] if kept else points)
         effect = ColumnsOf.of(candidates[name]).on([*needed])
@@ -158,7 +183,7 @@ class Library:
         made = made[None] if made.ndim == 2 else made
         if not kept:
             return made
-        self._bases[name, bool(needed)] = needed, made
+        self._bases[name, bool(needed)] = record, needed, made
         return made[[p.index for p in points]]
 
     def _needed(
@@ -170,6 +195,13 @@ class Library:
         """
         columns = self.structures.candidates[name].columns
         return {c: _nearby(c, at) for c, at in acting.items() if c.column in columns}
+
+
+def _at_ends(points: Sequence[GridPoint]) -> list[GridPoint]:
+    """Return those of a candidate's points at which a shape is smallest or largest."""
+    along = np.array([[*p.shapes.values()] for p in points])
+    ends = {*along.argmin(axis=0), *along.argmax(axis=0)} if along.size else {0}
+    return [points[i] for i in sorted(ends)]
 
 
 def _shapes(points: Sequence[GridPoint]) -> list[np.ndarray]:

@@ -18,7 +18,7 @@ from jaxtyping import Float
 from scipy.linalg import solve_triangular
 
 from bayescal._core.parallel import on_one_thread
-from bayescal._inference.linear_model import taken_up
+from bayescal._inference.linear_model import LinearModel, taken_up
 from bayescal._search.library import GridPoint, Library, Size
 from bayescal._search.structures import Weighed
 
@@ -55,11 +55,6 @@ class ScoredPoint:
         """Coordinates of φ by name, to begin a refit at."""
         return {**self.point.hint, **self.size.hint}
 
-    @cached_property
-    def columns(self) -> Float[np.ndarray, "n k"]:
-        """Whitened, in output units per reported unit."""
-        return self.view.line.whiten(self.view.columns([self.point]))
-
     @property
     def products(self) -> Float[np.ndarray, "k k"]:
         """Of these columns."""
@@ -83,22 +78,29 @@ class View:
     more than memory holds.
 
     Attributes:
+        line: the structure on the readings.
+        means: the same on means of them, where the record is long.
         products: of each candidate, those of its whitened columns at each point (points, k, k).
     """
 
     @on_one_thread
     def __init__(self, library: Library, at: Weighed):
         line = library.structures.line(at)
-        self.library, self.at, self.line = library, at, line
-        both = line.decorrelate(np.column_stack([line.nuisance, line.residual]))
-        nuisance, residual = both[:, :-1], both[:, -1]
+        self.library, self.at, self.line, self.means = library, at, line, library.on_means(line)
+        whole = dict[LinearModel, tuple[np.ndarray, np.ndarray]]()
+        for rows in {line, self.means}:
+            both = rows.decorrelate(np.column_stack([rows.nuisance, rows.residual]))
+            whole[rows] = both[:, :-1], both[:, -1]
         # With whitened nuisances A, residual r and a column c all scores follow from AᵀA, Aᵀc, cᵀc and cᵀr.
+        nuisance, _ = whole[line]
         self.inner = nuisance.T @ nuisance
         self.cross = np.empty((nuisance.shape[1], library.width))
         self.u = np.empty(library.width)
         products: dict[str, list[np.ndarray]] = {name: [] for name in library.points}
-        for points in library.blocks():
-            white, begin = line.decorrelate(self.columns(points)), points[0].at.start
+        for points in library.blocks(self.means.size):
+            rows, begin = self.rows(points), points[0].at.start
+            nuisance, residual = whole[rows]
+            white = rows.decorrelate(self.columns(rows, points))
             block = slice(begin, points[-1].at.stop)
             self.cross[:, block] = nuisance.T @ white
             self.u[block] = white.T @ residual
@@ -109,9 +111,14 @@ class View:
         self.volume = 0.0
         self.volume = self.without().volume
 
-    def columns(self, points: Sequence[GridPoint]) -> Float[np.ndarray, "n k"]:
+    def rows(self, points: Sequence[GridPoint]) -> LinearModel:
+        """What candidates at some points are looked over by: means, where none changes within these."""
+        blurred = any(p.effect in self.library.blurred for p in points)
+        return self.line if blurred else self.means
+
+    def columns(self, rows: LinearModel, points: Sequence[GridPoint]) -> Float[np.ndarray, "n k"]:
         """Columns of candidates at some points."""
-        return self.library.columns(self.line.slopes, points, self.at.acting)
+        return self.library.columns(rows, points, self.at.acting)
 
     def without(self, *names: str) -> WithoutNuisances:
         """What is left where some of its effects are dropped; φ held."""
@@ -237,10 +244,11 @@ class WithoutNuisances(NamedTuple):
             return []
         # Columns of all points side by side, and one of zeros, which changes no gain: it fills those of fewer up.
         sd = np.concatenate([*(p.size.sd for p in points), [0.0]])
+        rows = self.view.rows([p.point for p in points])
         columns, inside = (
             np.column_stack([part, np.zeros(len(part))])
             for part in (
-                self.view.line.decorrelate(self.view.columns([p.point for p in points])),
+                rows.decorrelate(self.view.columns(rows, [p.point for p in points])),
                 np.column_stack([p.inside for p in points]),
             )
         )
