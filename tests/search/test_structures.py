@@ -15,10 +15,12 @@ from bayescal._inference.density import Density
 from bayescal._inference.laplace import find_mode
 from bayescal._inference.linear_model import linear_model
 from bayescal._inference.problem import Problem
+from bayescal._search import library
 from bayescal._search.discover import structures_over
 from bayescal._search.library import Library
 from bayescal._search.noise_laws import on_residuals
 from bayescal._search.posterior import Posterior
+from bayescal._search.scores import View, gain_of
 from bayescal._search.structures import SIZE_FACTORS, Structure, Structures
 from bayescal._search.walk import explore
 from bayescal_models import inclinometer, mems_gyro, still_sensor
@@ -109,6 +111,28 @@ def test_what_cannot_be_told_apart_is_one_finding() -> None:
     assert set(found.effects) == {"bias.thermal_lag", "bias.twin"}
     assert found.probability >= bc.Settings().found_probability
     assert len(posterior.chosen.effects) == 1
+
+
+def test_a_long_record_is_looked_over_by_means(monkeypatch: pytest.MonkeyPatch) -> None:
+    n, rng = 20_000, np.random.default_rng(4)
+    t = np.arange(n) * 0.324
+    temperature = 25 + 20 * np.sin(9 * t / t[-1])
+    supply = 5 + 0.1 * (-1.0) ** np.arange(n)  # toggles: no mean of two shows it
+    output = 0.3 + 4e-5 * (temperature - 25) ** 2 + 0.01 * rng.standard_normal(n)
+    columns = {"time": np.round(t, 1), "temperature": temperature, "supply_voltage": supply}
+    made = structures(bc.Measurements.from_arrays(INSTRUMENT, columns, output=output))
+    toggle = {n for n in made.candidates if "supply" in n}
+    for law in ("", WANDER):  # on an even clock, though written to a third of a step
+        at, gains = made.weigh(Structure(noise=law)), []
+        assert made.record.nodes(made.noise(at.structure)) is not None
+        for most in (library.MEANS, n):
+            monkeypatch.setattr(library, "MEANS", most)
+            view = View(known := Library(made), at)
+            assert known.blurred >= (toggle if most < n else set())
+            found = view.without().scores([*known.points])
+            gains.append(np.array([gain_of(points) for points in found.values()]))
+        assert np.argmax(gains[0]) == np.argmax(gains[1])
+        np.testing.assert_allclose(gains[0], gains[1], rtol=0.01, atol=0.2)
 
 
 @pytest.mark.slow
