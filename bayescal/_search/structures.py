@@ -42,6 +42,8 @@ UNKNOWN_SHARE = 0.1
 # Share of the noise, rms, that a description without a name may explain, and the model still count as complete: it
 # makes the noise by a fiftieth larger.
 NAMELESS_RMS = 0.2
+# Nats behind the best, up to which a structure is refitted: e⁻⁶ = 0.0025, a quarter of a hundredth.
+NEAR_NATS = 6.0
 # Nats behind the best, from which a structure under another noise law is not refitted.
 OTHER_LAW_NATS = 100.0
 # The same, from which the mode of any is found roughly: what it adds to a probability is below 1e-8.
@@ -188,6 +190,10 @@ class Structures:
         """The name under which a candidate, or an effect of the base, is reported."""
         effect = self.candidates.get(name)
         return name if effect is None else effect.reported
+
+    def families(self, structure: Structure) -> frozenset[str]:
+        """The names under which the effects of a structure are reported."""
+        return frozenset(map(self.family, structure.effects))
 
     def moves_a_column(self, name: str) -> bool:
         """Whether a candidate corrects a column of the readings, as the temperature of a body does: all that depends on
@@ -379,6 +385,16 @@ class Structures:
         """Keep what the score expects of a structure: it counts where that was not refitted."""
         if math.isfinite(total):
             self.expected[structure] = max(total, self.expected.get(structure, -math.inf))
+
+    def total(self, structure: Structure) -> float:
+        """Of a refit, else what was expected of it."""
+        found = self.visited.get(structure)
+        return self.expected.get(structure, -math.inf) if found is None else found.total
+
+    @property
+    def near(self) -> float:
+        """Nats behind the best, up to which a structure is refitted."""
+        return NEAR_NATS / 2 if self.thrifty else NEAR_NATS
 
     @property
     def best(self) -> Weighed:

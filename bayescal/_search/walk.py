@@ -18,13 +18,11 @@ from bayescal._core.progress import stage, tell
 from bayescal._search.library import Library
 from bayescal._search.noise_laws import log_prior
 from bayescal._search.scores import HINTS, ScoredPoint, View, gain_of
-from bayescal._search.structures import OTHER_LAW_NATS, Structure, Structures, Weighed
+from bayescal._search.structures import NEAR_NATS, OTHER_LAW_NATS, Structure, Structures, Weighed
 
 # Most probable structures whose neighbours are looked at before the walk ends; with 4 it finds what enumeration finds
 # in tests/search/test_structures.py.
 BEAM_STRUCTURES = 4
-# Nats behind the best, up to which a structure is refitted: e⁻⁶ = 0.0025, a quarter of a hundredth.
-NEAR_NATS = 6.0
 # Neighbours that are refitted of each structure looked at, at least and at most.
 REFITTED_NEIGHBOURS = (2, 10)
 REFITTED_PAIRS = 4  # pairs of effects among them, for those that show together alone
@@ -103,8 +101,12 @@ def walk(library: Library, max_effects: int, given: Structure | None = None) -> 
         # forms and laws come last: on what a missing effect leaves, each would be fitted for nothing.
         while True:
             if fresh := _next(structures, looked[among], among):
+                alike = _in_other_forms(structures, fresh, looked[among])
                 looked[among].add(fresh.structure)
-                yield from _look_around(library, fresh, max_effects, among, view)
+                if structures.thrifty and alike:
+                    yield from _follow(structures, fresh, alike)
+                else:
+                    yield from _look_around(library, fresh, max_effects, among, view)
             elif among is physics:
                 break
             else:
@@ -205,7 +207,8 @@ def _look_around(
     for law in filter(among.has, ("", *correlated_laws(structures))):
         other = here.under(law)
         other = other.minus(*structures.barred(other))
-        yield structures.weigh(other, at)
+        if _is_open(structures, other, at):
+            yield structures.weigh(other, at)
     if not math.isfinite(at.total):
         return
     lost = yield from _weigh_forms(structures, at)
@@ -226,38 +229,82 @@ def _look_around(
     # Of another law a refit tells little more than was expected, unless it is to be used.
     least = at.total
     if structures.thrifty:
-        least = at.total - NEAR_NATS / 2 if at is structures.best else structures.best.total
+        least = at.total - structures.near if at is structures.best else structures.best.total
     moves += [move for move in changes if move.total > least]
     # The first ones are refitted whatever is expected of them, since a score at φ̂ of a model that lacks an effect
     # (its noise too large, its shapes elsewhere) may be far too low.
     moves.sort(key=lambda m: -m.total)
     for i, move in enumerate(moves[: REFITTED_NEIGHBOURS[1]]):
-        near = move.total > structures.best.total - NEAR_NATS
+        near = move.total > structures.best.total - structures.near
         near = near or i < REFITTED_NEIGHBOURS[0]
-        if near and _expected(structures, move.to, at) > structures.best.total - NEAR_NATS:
+        if near and _is_open(structures, move.to, at):
             yield (found := structures.weigh(move.to, at, move.hints))
             yield from _weigh_forms(structures, found, lost)
     # What a dropped effect explained correlated noise may take up, as no score says that holds the noise.
     if at is structures.best and not structures.noise(here).independent:
         for name in sorted(here.effects):
-            if _expected(structures, here.minus(name), at) > structures.best.total - NEAR_NATS:
+            if _is_open(structures, here.minus(name), at):
                 yield structures.weigh(here.minus(name), at)
 
 
-def _expected(structures: Structures, to: Structure, at: Weighed) -> float:
-    """What a neighbour comes to under a law that no table tells, by the law that this refines; infinite of other laws.
+def _is_open(structures: Structures, to: Structure, at: Weighed) -> bool:
+    """Whether a neighbour is to be refitted: not where enough is known of it without, and that is little.
 
-    A refit there passes over the readings a hundred times, and what an effect is worth hangs little on the finer form.
+    Under a law that no table tells a refit passes over the readings a hundred times, and what an effect is worth hangs
+    little on the finer form: it is known by the law that this refines. Of many devices a change is known by what it
+    came to beside another form of the same effects.
     """
     law = structures.noise(to)
-    if to in structures.visited or law.refines not in structures.laws:
-        return math.inf
-    if to.noise != at.structure.noise or structures.record.nodes(law) is not None:
-        return math.inf
+    if to in structures.visited:
+        return True
+    if structures.thrifty and (gain := _beside_another(structures, to, at.structure)) is not None:
+        structures.expect(to, at.total + gain)
+        return at.total + gain > structures.best.total
+    if law.refines not in structures.laws or to.noise != at.structure.noise:
+        return True
+    if structures.record.nodes(law) is not None:
+        return True
     by_plainer = [structures.weigh(s.under(law.refines), at) for s in (to, at.structure)]
-    total = at.total + by_plainer[0].total - by_plainer[1].total
-    structures.expect(to, total)
-    return total
+    structures.expect(to, at.total + by_plainer[0].total - by_plainer[1].total)
+    return structures.total(to) > structures.best.total - NEAR_NATS
+
+
+def _beside_another(structures: Structures, to: Structure, here: Structure) -> float | None:
+    """What a change gained elsewhere: a form in place of another, or what else beside other forms of the same effects;
+    None where that was never tried."""
+    come, gone, own = (
+        to.effects - here.effects,
+        here.effects - to.effects,
+        structures.families(here),
+    )
+    of_form = come and structures.families(to) == own
+    for s, other in structures.visited.items():
+        if s.noise != here.noise or not gone <= s.effects or come & s.effects:
+            continue
+        families = structures.families(s)
+        if families == own or (of_form and families < own):
+            found = structures.visited.get(Structure(s.effects - gone | come, to.noise))
+            if found is not None and math.isfinite(found.total):
+                return found.total - other.total
+    return None
+
+
+def _in_other_forms(
+    structures: Structures, at: Weighed, looked: Collection[Structure]
+) -> Structure | None:
+    """Return a structure of the same effects in other forms that was looked around."""
+    families, noise = structures.families(at.structure), at.structure.noise
+    alike = (s for s in looked if s.noise == noise and structures.families(s) == families)
+    return next(alike, None)
+
+
+def _follow(structures: Structures, at: Weighed, one: Structure) -> Evaluated:
+    """Weigh what came near the best beside other forms of the same effects: no more than that does beside these."""
+    gone, come = one.effects - at.structure.effects, at.structure.effects - one.effects
+    for s, beside in [*structures.visited.items()]:
+        near = beside.total > structures.best.total - structures.near
+        if near and gone <= s.effects and len(s.effects ^ one.effects) == 1:
+            yield structures.weigh(Structure(s.effects - gone | come, s.noise), at)
 
 
 def _weigh_forms(
@@ -277,7 +324,7 @@ def _weigh_forms(
         The forms that make it so improbable: not to be tried beside one effect more or less.
     """
     lost = set[str]()
-    behind = NEAR_NATS if structures.thrifty else OTHER_LAW_NATS
+    behind = structures.near if structures.thrifty else OTHER_LAW_NATS
     if not at.total > structures.best.total - behind:
         return lost
     for name in sorted(at.structure.effects):
@@ -291,11 +338,9 @@ def _weigh_forms(
                 places = at.problem.layout.index_in_phi
                 alike = {f"{other}.{s.name}": f"{name}.{s.name}" for s in shapes}
                 hint = {n: float(at.mode.v[places[o]]) for n, o in alike.items() if o in places}
-                total = _expected(structures, to, at)
-                if total > structures.best.total - NEAR_NATS:
-                    yield (found := structures.weigh(to, at, [hint]))
-                    total = found.total
-                if not total > at.total - OTHER_LAW_NATS:
+                if _is_open(structures, to, at):
+                    yield structures.weigh(to, at, [hint])
+                if not structures.total(to) > at.total - OTHER_LAW_NATS:
                     lost.add(other)
     return lost
 
