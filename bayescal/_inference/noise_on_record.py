@@ -200,7 +200,9 @@ def _densities(law: Noise, frame: Frame, y, left, extra, values):
         left, extra, own = one
         return log_density_beside(law, y, y - left, extra, own, frame)
 
-    return jax.lax.map(of, (left, extra, values))
+    # A step of several states is a few small products, which do for several settings at once.
+    some = FEWEST_DRAWS_TOGETHER if law.several_states else None
+    return jax.lax.map(of, (left, extra, values), batch_size=some)
 
 
 @partial(program, costly=True)  # a random number costs as much as hundreds of sums

@@ -182,6 +182,11 @@ class Noise(abc.ABC):
         raise NotImplementedError(f"the variance of {self.name} noise follows no place")
 
     @property
+    def several_states(self) -> bool:
+        """Whether it is computed by a filter of several states."""
+        return False
+
+    @property
     def stationary(self) -> bool:
         """Whether it is a function of frequency on readings of even steps (`spectrum`)."""
         return False

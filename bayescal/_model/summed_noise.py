@@ -168,6 +168,10 @@ class SumOfTerms(Noise, interface=True):
     def variance(self, parameters, frame):
         return self._own_variance(parameters, frame) + self.slow_variance(parameters)
 
+    @property
+    def several_states(self):
+        return len(self.parts) > 1
+
     def states(self, parameters: Parameters, step: Float[Array, "n"], z: Any = None) -> States:
         """Its states over steps, s; −1 where they begin. With the column that is followed, from −1 to 1."""
         parameters = parameters if z is None else {**parameters, self.column: z}
