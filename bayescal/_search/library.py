@@ -30,6 +30,7 @@ SOBOL = Path(__file__).with_name("sobol.npz")
 RAGGED_SHAPES = 128  # where the evidence has many maxima over one of them
 # Of candidates' columns, held at once; those of more are made each time.
 HELD_NUMBERS = 2**23
+BLOCK_NUMBERS = 2**20  # that are whitened together
 ACTING_STEP = 0.05  # of a shape that acts on them, prior standard deviations, which no score feels
 LEVELS = 4  # of a learned spread, of an amplitude
 MEANS = 8192  # by which candidates are looked over on longer records
@@ -118,7 +119,7 @@ class Library:
         for needed, own in itertools.groupby(self.points, lambda name: name in self.blurred):
             block, rows = list[GridPoint](), self.structures.record.size if needed else size
             for point in itertools.chain.from_iterable(self.points[name] for name in own):
-                if block and (point.at.stop - block[0].at.start) * rows > HELD_NUMBERS:
+                if block and (point.at.stop - block[0].at.start) * rows > BLOCK_NUMBERS:
                     yield block
                     block = []
                 block.append(point)
