@@ -39,6 +39,8 @@ class Calibration(Printed, Fitted):
         mode: φ̂ and x̂, at which everything is linearised.
         log_evidence: (value, Monte-Carlo error or None), None where a prior is flat.
         start: φ by name where its mode was looked for beside the prior draws; empty for most.
+        form_factor: on the standard uncertainty of the expected output, for formulas that a search does not have; 1 for
+            a fit of a formula that is known.
     """
 
     def _parts(self) -> list[str | ResultTable]:

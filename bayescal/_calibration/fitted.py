@@ -66,6 +66,7 @@ class Fitted:
     log_evidence: tuple[float, float | None] | None
     start: dict[str, float] = field(default_factory=dict)
     confounded: tuple[Confounder, ...] | None = None  # None: to be asked of the readings
+    form_factor: float = 1.0
 
     def with_verdict(self, **changes: Any) -> Self:
         """The same with another verdict; what was computed of it is kept."""

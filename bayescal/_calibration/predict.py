@@ -37,8 +37,8 @@ class Prediction:
 
     Attributes:
         mean: posterior mean of the expected output, output unit, (n,).
-        model_sd: standard uncertainty of the expected output, from coefficients and, for groups that the fit
-            has not seen, from their spread.
+        model_sd: standard uncertainty of the expected output, from coefficients, from the model's form (`form_factor`
+            of the calibration) and, for groups that the fit has not seen, from their spread.
         sd: standard uncertainty of a reading: with noise.
         residual: output − mean.
         correlated_noise: posterior mean of the correlated (Ornstein–Uhlenbeck) noise, for readings between those of the
@@ -115,7 +115,7 @@ def predict(
 
             noise_of = carried
         found = moments(calibration.problem_on(frame), calibration.draws(draws), noise_of)
-        model = found.variance + found.beside
+        model = calibration.form_factor**2 * found.variance + found.beside
         residual = np.asarray(frame["output"]) - found.mean
         return np.stack([residual, np.sqrt(model), np.sqrt(model + found.noise + spread)])
 

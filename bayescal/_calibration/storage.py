@@ -146,6 +146,7 @@ def _read(
         **{"joint": joint, "mode": mode._replace(indefinite=mode.indefinite > 0)},
         "verdict": replace(verdict, against=_with_codes(verdict.against, described)),
         "confounded": tuple(Confounder(**one) for one in described.get("confounded", ())),
+        "form_factor": described.get("form_factor", 1.0),
     }
     if schema == SCHEMA and attributes.get(IDENTITY) != identity(Fitted(**found)):
         raise ValueError("its identity is not that of what it holds")
@@ -207,6 +208,7 @@ def description(c: Fitted) -> dict[str, Any]:
         "averaged": [e.name for e in model.effects if e.held and e == e.averaged],
         "start": dict(c.start),
         "confounded": [one._asdict() for one in c.confounders],
+        "form_factor": c.form_factor if c.form_factor != 1.0 else None,
         # Of flags that code asks for, code and names, by their words.
         "flag_codes": {str(flag): [flag.code, *flag.of] for flag in flags},
         "nominal_scale": asdict(scale) if (scale := readings.scale) else None,

@@ -53,7 +53,7 @@ from bayescal._search.gate import judged, left_out_better
 from bayescal._search.library import Library
 from bayescal._search.posterior import OtherPath, Posterior, Search
 from bayescal._search.search_path import Gate, SearchPath, Step
-from bayescal._search.structure_average import averaged, with_latent
+from bayescal._search.structure_average import averaged, with_form, with_latent
 from bayescal._search.structures import Structure, Structures
 from bayescal._search.walk import explore, path
 
@@ -320,7 +320,10 @@ class Loop:
             except deadline.TimeIsUp as early:
                 last = last.noted([NOT_AVERAGED.format(early)])
                 used = last.calibration
-            own, used = with_latent(last.calibration, used, structures, goal)
+            both = with_latent(last.calibration, used, structures, goal)
+            complete = last.discovery and last.discovery.nothing_missing
+            own = with_form(both[0], complete)
+            used = own if both[1] is both[0] else with_form(both[1], complete)
             last = replace(last, calibration=own)
         one = last.calibration is used
         steps = [*before, self.held_against(last, used, structures)]

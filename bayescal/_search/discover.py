@@ -4,23 +4,25 @@ from __future__ import annotations
 
 import math
 import textwrap
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
 
 from bayescal._calibration.calibration import Calibration
 from bayescal._calibration.claim import Claim
+from bayescal._calibration.fit import fit
 from bayescal._calibration.sensor_noise import SHOWN_PROBABILITY
 from bayescal._core import deadline
-from bayescal._core.errors import InputError
+from bayescal._core.errors import InputError, ModelError
 from bayescal._core.formatting import WIDTH, number, probability, with_error
 from bayescal._core.result_table import Printed, ResultTable, TableColumn
 from bayescal._data.measurements import Measurements
 from bayescal._data.unit_conversion import unit_label
 from bayescal._inference.linear_model import amplitudes, sized
+from bayescal._inference.method import Method
 from bayescal._inference.record import record_of
 from bayescal._model.effect import READING, Effect, with_forms
 from bayescal._model.frame import Reference, derived
@@ -42,6 +44,7 @@ from bayescal._search.library import Library
 from bayescal._search.noise_laws import laws_over
 from bayescal._search.posterior import Found, Posterior
 from bayescal._search.scores import View
+from bayescal._search.structure_average import averaged, with_form, with_latent
 from bayescal._search.structures import Structure, Structures
 from bayescal._search.walk import explore
 
@@ -97,6 +100,26 @@ class Discovery(Printed):
     unnamed: tuple[str, ...] = ()
     latent: tuple[str, ...] = ()
     equivalent: tuple[Claim, ...] = ()
+    _average: Callable[[Method | None, int], Calibration] | None = field(default=None, repr=False)
+
+    def fit(self, method: Method | None = None, *, seed: int = 0) -> Calibration:
+        """Fit the model with what is missing, averaged over the structures that may be the right one.
+
+        Its predictions count what a fit of `model + discovery.best` does not: that another structure may be right, and
+        that none of them may be (`form_factor`).
+
+        Args:
+            method: of the fits; `Marginal()` if not given.
+            seed: of every random number.
+
+        Raises:
+            ModelError: it is part of a `SearchPath`, whose `calibration` is that average.
+        """
+        if self._average is None:
+            raise ModelError(
+                "this is a step of a search: its SearchPath has the average, `path.calibration`"
+            )
+        return self._average(method, seed)
 
     def not_stated(self, why: str) -> Discovery:
         """The same without a probability that the model is complete."""
@@ -185,8 +208,20 @@ def discover(
         with deadline.sooner(SEARCH):
             stopped = explore(library, max_effects)
         found = missing(library, Structure(), shut, stopped)
-        held = structures.unsized(model, found.latent)
-        return replace(found, best=(*(held.effect(n) for n in found.latent), *found.best))
+        held, goal = structures.unsized(model, found.latent), Posterior.of(structures).chosen
+
+        def average(method: Method | None, seed: int) -> Calibration:
+            weighed = structures.weigh(goal)
+            how: dict[str, Any] = {"seed": seed, "reference": calibration.reference}
+            last = fit(weighed.sized_model, readings, method, **how, start=weighed.phi)
+            both = with_latent(
+                last, averaged(last, structures, goal.noise, seed)[0], structures, goal
+            )
+            complete = missing(library, goal, shut, stopped).nothing_missing
+            return with_form(both[1], complete)
+
+        best = (*(held.effect(n) for n in found.latent), *found.best)
+        return replace(found, best=best, _average=average)
 
 
 def missing(library: Library, at: Structure, shut: Sequence[Candidate], stopped: str) -> Discovery:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from functools import cache
 from typing import Any
 
@@ -54,6 +55,28 @@ def test_what_stands_against_its_use_is_what_stands_against_the_last_model(trail
     assert average.verdict.against == last.against
 
 
+def test_a_prediction_counts_that_the_model_may_lack_what_has_no_formula(
+    trail, average, tmp_path
+) -> None:
+    complete = trail.final.discovery.nothing_missing or 0.0
+    factor = np.sqrt(complete + (1 - complete) * 2.25**2)
+    assert average.form_factor == pytest.approx(factor) and factor > 1
+    plain = dataclasses.replace(average, form_factor=1.0)
+    for coefficient in ("bias.constant", "bias.temperature"):
+        assert np.array_equal(average.samples(coefficient), plain.samples(coefficient))
+    wider, own = (bc.predict(c, new_groups=False).model_sd for c in (average, plain))
+    np.testing.assert_allclose(wider, factor * own)
+    assert bc.load(average.save(tmp_path / "c.nc")).form_factor == average.form_factor
+
+
+def test_what_a_discovery_fits_is_what_calibrate_uses() -> None:
+    readings = mems_gyro.simulate({"bias.thermal_lag": 0.05}, seed=1)
+    found = bc.discover(bc.fit(mems_gyro.INSTRUMENT.baseline(), readings)).fit()
+    used = bc.calibrate(mems_gyro.INSTRUMENT.baseline(), readings).calibration
+    assert found.form_factor == pytest.approx(used.form_factor, rel=0.02)
+    np.testing.assert_allclose(bc.predict(found).model_sd, bc.predict(used).model_sd, rtol=0.1)
+
+
 def test_draws_have_each_effect_as_often_as_it_is_probable(trail, average) -> None:
     shares = inclusion(average)
     for name in average.model.names[2:]:
@@ -79,7 +102,7 @@ def test_mean_and_variance_of_a_prediction_are_those_of_a_mixture(trail, average
     sd = np.sqrt(np.sum(p * squares, axis=0) - mean**2)
     found = bc.predict(average, new_groups=False, draws=4000)
     assert np.max(np.abs(found.mean - mean) / sd) < 0.2
-    np.testing.assert_allclose(found.model_sd, sd, rtol=0.15)
+    np.testing.assert_allclose(found.model_sd, average.form_factor * sd, rtol=0.15)
 
 
 def test_it_is_saved_beside_the_structure_that_is_shown_and_commands_use_it(
