@@ -14,7 +14,8 @@ from bayescal_models import mems_gyro, quartz_beam_accelerometer
 SIZES = (0.05, 5.0)  # of the plausible one, log-uniform
 EVERY = 1e4  # s between the beginnings of runs
 SPAN = 5 * EVERY + 2400.0  # s of the runs that are fitted
-LATER = 11  # label of the first hold-out run
+LATER, OTHER = 11, 21  # label of the first hold-out run, and of the first of another profile
+NO_FORMULA = 1000  # from this seed on what is hidden is like nothing in the catalogue
 COUNTS = (0, 0, 1, 1, 2)  # hidden effects, one of these at random
 
 
@@ -30,6 +31,7 @@ class World:
         truth: expected output of the readings without noise, with their runs' own offsets, output unit.
         later: hold-out readings: runs of their own.
         later_truth: of these.
+        other, other_truth: the same of another profile of temperature, beyond the range too; none of an inclinometer.
         hidden: size over the plausible one, by name.
         static: of each slot, given T0, °C, its course about the point at which the baseline's coefficients are, at the
             middle of the record, reported units: of °C from T0; of an inclinometer's axis of degrees from 0.
@@ -41,6 +43,8 @@ class World:
     later_truth: np.ndarray
     hidden: dict[str, float]
     static: dict[str, Callable[[float], Course]]
+    other: bc.Measurements | None = None
+    other_truth: np.ndarray | None = None
 
     def about(self, slot: str, reference: float, count: int) -> np.ndarray:
         """The first terms of a slot's power series, T0 being `reference`, °C: what a baseline's coefficients are."""
@@ -56,8 +60,8 @@ def gyro(seed: int, hidden: Mapping[str, float] | None = None) -> World:
         seed: of everything.
         hidden: sizes over the plausible ones; at random if not given.
     """
-    rng = np.random.default_rng([35, seed])
-    hidden = _drawn(rng, _GYRO) if hidden is None else dict(hidden)
+    rng, laws = np.random.default_rng([35, seed]), _GYRO if seed < NO_FORMULA else _ODD_GYRO
+    hidden = _drawn(rng, laws) if hidden is None else dict(hidden)
     zero, slope = rng.normal(20.0, 5.0), rng.normal(0.05, 0.02)
 
     def made(runs: int, first: int) -> tuple[bc.Measurements, np.ndarray]:
@@ -67,7 +71,7 @@ def gyro(seed: int, hidden: Mapping[str, float] | None = None) -> World:
         truth = zero + slope * at.warmth
         for name, size in hidden.items():
             if name != "bias.run":
-                truth = truth + size * _GYRO[name](at)
+                truth = truth + size * laws[name](at)
         truth = truth + 0.1 * hidden.get("bias.run", 0.0) * _uniform(rng, runs)[run]
         output = truth + rng.normal(0.0, 0.05, truth.size)
         readings = bc.Measurements.from_arrays(
@@ -83,8 +87,8 @@ def gyro(seed: int, hidden: Mapping[str, float] | None = None) -> World:
     readings, truth = made(6, 1)
     later, later_truth = made(2, LATER)
 
-    law = _static(_GYRO, hidden, "bias", (zero, slope), readings)
-    return World(readings, truth, later, later_truth, hidden, {"bias": law})
+    static = {"bias": _static(laws, hidden, "bias", (zero, slope), readings)}
+    return World(readings, truth, later, later_truth, hidden, static, *made(2, OTHER))
 
 
 def quartz(seed: int, hidden: Mapping[str, float] | None = None) -> World:
@@ -94,8 +98,8 @@ def quartz(seed: int, hidden: Mapping[str, float] | None = None) -> World:
         seed: of everything.
         hidden: sizes over the plausible ones; at random if not given.
     """
-    rng = np.random.default_rng([38, seed])
-    hidden = _drawn(rng, _QUARTZ) if hidden is None else dict(hidden)
+    rng, laws = np.random.default_rng([38, seed]), _QUARTZ if seed < NO_FORMULA else _ODD_QUARTZ
+    hidden = _drawn(rng, laws) if hidden is None else dict(hidden)
     own = {"bias": _cubic(rng, 3000.0, 50.0), "scale": _cubic(rng, 800.0, 5.0)}
 
     def made(runs: int, first: int) -> tuple[bc.Measurements, np.ndarray]:
@@ -109,7 +113,7 @@ def quartz(seed: int, hidden: Mapping[str, float] | None = None) -> World:
         )
         square = 0.0
         for name, size in hidden.items():
-            change = size * _QUARTZ[name](at)
+            change = size * laws[name](at)
             if name.startswith("bias"):
                 bias = bias + change
             elif name.startswith("scale"):
@@ -132,8 +136,8 @@ def quartz(seed: int, hidden: Mapping[str, float] | None = None) -> World:
     readings, truth = made(6, 1)
     later, later_truth = made(3, LATER)
 
-    laws = {slot: _static(_QUARTZ, hidden, slot, own[slot], readings) for slot in own}
-    return World(readings, truth, later, later_truth, hidden, laws)
+    static = {slot: _static(laws, hidden, slot, own[slot], readings) for slot in own}
+    return World(readings, truth, later, later_truth, hidden, static, *made(3, OTHER))
 
 
 def inclinometer(seed: int, hidden: Mapping[str, float] | None = None) -> World:
@@ -143,8 +147,11 @@ def inclinometer(seed: int, hidden: Mapping[str, float] | None = None) -> World:
         seed: of everything.
         hidden: sizes over the plausible ones; at random if not given.
     """
-    rng = np.random.default_rng([40, seed])
-    hidden = _drawn(rng, _INCLINOMETER) if hidden is None else dict(hidden)
+    rng, laws = (
+        np.random.default_rng([40, seed]),
+        _INCLINOMETER if seed < NO_FORMULA else _ODD_TABLE,
+    )
+    hidden = _drawn(rng, laws) if hidden is None else dict(hidden)
     own = {axis: rng.normal(0.0, (100.0, 1.0)) for axis in "xy"}
     share = {axis: rng.uniform(0.5, 1.0) * rng.choice((-1.0, 1.0)) for axis in "xy"}
     angles = np.arange(-45.0, 46.0, 3.0)
@@ -162,7 +169,7 @@ def inclinometer(seed: int, hidden: Mapping[str, float] | None = None) -> World:
             at = Table(degrees, warmth, time, forward, turned)
             value = offset + own[axis][0] + own[axis][1] * degrees
             for name, size in hidden.items():
-                value = value + share[axis] * size * _INCLINOMETER[name](at)
+                value = value + share[axis] * size * laws[name](at)
             label = f"{axis}{first + i // 2}"
             parts.append((np.full(degrees.size, axis), np.full(degrees.size, label), at, value))
             clock += EVERY
@@ -193,20 +200,19 @@ def inclinometer(seed: int, hidden: Mapping[str, float] | None = None) -> World:
         def at(reference: float, step: np.ndarray) -> np.ndarray:
             value = own[axis][0] + own[axis][1] * step
             for name, size in hidden.items():
-                if name != "zero.hysteresis":
-                    t = time if name == "base_tilt.drift" else none
+                if not name.endswith("hysteresis"):
+                    t = time if name.startswith("base_tilt") else none
                     warm = np.full(1, reference - 20.0)
                     found = [
-                        np.mean(_INCLINOMETER[name](Table(np.full(1, w), warm, t, none, none)))
-                        for w in step
+                        np.mean(laws[name](Table(np.full(1, w), warm, t, none, none))) for w in step
                     ]
                     value = value + share[axis] * size * np.array(found)
             return value
 
         return lambda reference: lambda step: at(reference, step)
 
-    laws = {f"zero({axis})": of_axis(axis) for axis in "xy"}
-    return World(readings, truth, later, later_truth, hidden, laws)
+    static = {f"zero({axis})": of_axis(axis) for axis in "xy"}
+    return World(readings, truth, later, later_truth, hidden, static)
 
 
 @dataclass(frozen=True)
@@ -274,7 +280,10 @@ def _sweeps(rng: np.random.Generator, runs: int, first: int) -> tuple[np.ndarray
     period = rng.uniform(1200.0, 3600.0, runs)[run]
     phase = rng.uniform(0.0, 2 * np.pi, runs)[run]
     temperature = 55.0 + 25.0 * np.sin(2 * np.pi * since / period + phase)
-    begun = EVERY * (run + 1.5 if first == LATER else run)
+    if first == OTHER:  # held, and on its way at twice the pace, beyond the range by a fifth of it
+        course = np.interp(since, [0, 300, 900, 1200, 1800, 2400], [0, 0, 35, 30, -30, -35])
+        temperature = 55.0 + np.where(run % 2, -1, 1) * course
+    begun = EVERY * (run if first == 1 else run + 1.5)
     return run, since + begun, since, temperature
 
 
@@ -328,6 +337,55 @@ _INCLINOMETER: Mapping[str, Callable[[Table], np.ndarray]] = {
     "zero.temperature": lambda at: 2.0 * 8.0 * np.tanh(at.warmth / 8.0),
     "zero.hysteresis": lambda at: 2.0 * at.forward * (1 - 2 * np.exp(-at.turned / 3.0)),
     "base_tilt.drift": lambda at: 2.0 * np.log1p(2 * at.time / SPAN) / np.log(3.0),
+}
+
+
+def _play(at: Sweep) -> np.ndarray:
+    """°C by which a part with 3 °C of play is behind the thermometer."""
+    found, last = np.zeros_like(at.warmth), 0.0
+    for i, (now, since) in enumerate(zip(at.warmth, at.since, strict=True)):
+        last = now if since == 0 else min(max(last, now - 3.0), now + 3.0)
+        found[i] = last - now
+    return found
+
+
+def _rate(at: Sweep) -> np.ndarray:
+    """°C/min."""
+    same = np.diff(at.run, prepend=-1) == 0
+    return np.where(
+        same, 60 * np.diff(at.warmth, prepend=0.0) / np.diff(at.time, prepend=-1.0), 0.0
+    )
+
+
+# Of none of these has the catalogue a formula, to first order neither.
+_ODD: Mapping[str, Callable[[Sweep], np.ndarray]] = {
+    "bias.temperature_resonance": lambda at: 1 / (1 + ((at.warmth - 8.0) / 4.0) ** 2),
+    "bias.temperature_ripple": lambda at: 0.5 * np.sin(at.warmth / 4.0),
+    "bias.temperature_saw": lambda at: np.mod(at.warmth / 20.0, 1.0) - 0.5,
+    "bias.temperature_kink": lambda at: 0.12 * np.logaddexp(0, (at.warmth + 5) / 1.5),
+    "bias.play": lambda at: _play(at) / 3.0,
+    "bias.memory": lambda at: 0.03 * sum(_behind(at, tau) for tau in (60.0, 400.0, 2500.0)),
+    "bias.creep": lambda at: np.log1p(at.since / 40.0) / 4,
+    "bias.rate_squared": lambda at: _rate(at) ** 2 / 10,
+    "bias.stretched": lambda at: np.exp(-np.sqrt(at.since / 400.0)),
+}
+
+
+def _scaled(size: float, law: Callable[[Sweep], np.ndarray]) -> Callable[[Sweep], np.ndarray]:
+    return lambda at: size * law(at)
+
+
+_ODD_GYRO = {name: _scaled(0.3, law) for name, law in _ODD.items()}
+_ODD_QUARTZ = {
+    f"{s}{n[4:]}": _scaled(30.0, law) for s in ("bias", "scale") for n, law in _ODD.items()
+}
+_ODD_TABLE: Mapping[str, Callable[[Table], np.ndarray]] = {
+    "zero.ripple": lambda at: 2.0 * np.sin(at.degrees / 4.0),
+    "zero.resonance": lambda at: 3.0 / (1 + ((at.degrees - 10.0) / 5.0) ** 2),
+    "zero.saw": lambda at: 2.0 * (np.mod(at.degrees / 30.0, 1.0) - 0.5),
+    "zero.saturation": lambda at: 3.0 * np.tanh(at.warmth / 2.0),
+    "zero.slow_hysteresis": lambda at: 1.5 * at.forward * np.exp(-at.turned / 15.0),
+    "base_tilt.root": lambda at: 2.0 * np.sqrt(np.maximum(at.time, 0.0) / SPAN),
 }
 
 
