@@ -66,17 +66,19 @@ def _effects(structures: Structures, names: list[str], rng: np.random.Generator)
     hyper = problem.hyper(v)
     prior = problem.prior(hyper, np.ones(problem.size))
     own = {t.effect.name: t.at for t in base.problem.in_x}
-    x, without = np.zeros(problem.size), np.zeros(problem.size)
+    x = np.zeros(problem.size)
     placed = dict.fromkeys(own, 0)
     for t in problem.in_x:
         if t.effect.name in own:
             known = [b for b in base.problem.in_x if b.effect.name == t.effect.name]
             at = known[placed[t.effect.name]].at
             placed[t.effect.name] += 1
-            x[t.at] = without[t.at] = base.mode.x[at]
+            x[t.at] = base.mode.x[at]
         else:
             x[t.at] = prior.mean[t.at] + prior.sd[t.at] * rng.standard_normal(t.size)
-    there, here = (problem.linearise(one, hyper) for one in (x, without))
+    # The fitted baseline by itself: a body moves what depends on its temperature too.
+    here = base.problem.linearise(base.mode.x, base.problem.hyper(base.mode.v))
+    there = problem.linearise(x, hyper)
     moved = np.sqrt(problem.extra(there)) * rng.standard_normal(structures.record.size)
     return there.mean - here.mean + moved
 
