@@ -80,6 +80,7 @@ from ._model.prior import LogNormal as LogNormal
 # methods of fitting
 from ._inference.marginal import Marginal as Marginal
 from ._inference.least_squares import LeastSquares as LeastSquares
+from ._inference.non_centred import non_centred as non_centred
 from ._inference.nuts import NUTS as NUTS
 from ._inference.nuts import numpyro_program as numpyro_program
 

@@ -320,16 +320,19 @@ class Loop:
             except deadline.TimeIsUp as early:
                 last = last.noted([NOT_AVERAGED.format(early)])
                 used = last.calibration
-            both = with_latent(last.calibration, used, structures, goal)
-            complete = last.discovery and last.discovery.nothing_missing
-            own = with_form(both[0], complete)
-            used = own if both[1] is both[0] else with_form(both[1], complete)
+            own, used = with_latent(last.calibration, used, structures, goal)
             last = replace(last, calibration=own)
         one = last.calibration is used
-        steps = [*before, self.held_against(last, used, structures)]
+        steps, gate = judged([*before, self.held_against(last, used, structures)])
+        if self.max_effects > 0 and used.verdict.ok:
+            found = last.discovery
+            complete = found.nothing_missing if found and gate.ok else None
+            *before, last = steps
+            own, used = (with_form(c, complete) for c in (last.calibration, used))
+            steps = [*before, replace(last, calibration=own)]
         search = search or self.search(complete=not self.stopped, stopped=self.stopped)
         how = {"other_path": _other_path(structures), "search": search, "shares": shares}
-        trail = SearchPath(*judged(steps), self.holdout, **how)
+        trail = SearchPath(tuple(steps), gate, self.holdout, **how)
         if one:
             return trail
         verdict = trail.final.calibration.verdict

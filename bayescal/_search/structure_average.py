@@ -37,7 +37,7 @@ from bayescal._search.structures import Structure, Structures, Weighed
 COUNT = 4000  # draws in all
 # How much more uncertain the expected output is where something is missing from the model that has no formula here: on
 # campaigns whose formulas are none of the catalogue's, 95 % intervals then hold 95 % (docs/how_we_know.md).
-INCOMPLETE_FACTOR = 2.25
+INCOMPLETE_FACTOR = 2.5
 ROUNDS = 6  # of adaptation at most
 
 
@@ -57,7 +57,7 @@ def with_form(calibration: Calibration, complete: float | None) -> Calibration:
 
     Args:
         calibration: of one structure, or averaged over several.
-        complete: that probability; None where it is not known.
+        complete: that probability; None where it is not known, or something speaks against it.
     """
     of_both = complete or 0.0
     factor = math.sqrt(of_both + (1 - of_both) * INCOMPLETE_FACTOR**2)

@@ -84,7 +84,7 @@ def test_nuts_on_it_agrees(instrument: str) -> None:
 
     module, readings = written_out(instrument)
     fitted = bc.fit(module.equal(), readings)
-    drawn = draws(module.model, module.data(readings), centred=getattr(module, "CENTRED", ()))
+    drawn = draws(module, readings)
     compared = [name for name in map(str, fitted.posterior) if name in drawn]
     assert len(compared) >= 3
     for name in compared:

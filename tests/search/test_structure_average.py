@@ -59,7 +59,7 @@ def test_a_prediction_counts_that_the_model_may_lack_what_has_no_formula(
     trail, average, tmp_path
 ) -> None:
     complete = trail.final.discovery.nothing_missing or 0.0
-    factor = np.sqrt(complete + (1 - complete) * 2.25**2)
+    factor = np.sqrt(complete + (1 - complete) * 2.5**2)
     assert average.form_factor == pytest.approx(factor) and factor > 1
     plain = dataclasses.replace(average, form_factor=1.0)
     for coefficient in ("bias.constant", "bias.temperature"):

@@ -2,7 +2,8 @@
 
 What `bc.fit(equal(), readings)` fits. Nothing here is used by the rest: it is to be read, run and changed.
 
-    MCMC(NUTS(model), num_warmup=500, num_samples=1000).run(key, **data(readings))
+    nuts = NUTS(bc.non_centred(model), dense_mass=True, target_accept_prob=0.95)
+    MCMC(nuts, num_warmup=1000, num_samples=2000).run(key, **data(readings))
 
 Rate output y of reading i in run j, °/s (source 1, the line; runs and sizes ours):
 
