@@ -5,19 +5,16 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
-from bayescal._core.lazy_jax import jax, jnp
+import numpy as np
 
-NEWTON_TOLERANCE = 1e-13  # of the last step, relative
-MOST_STEPS = 40  # that are tried
-NEAR_SHARE = 1e-9  # of the outputs, by which one found may miss
+STEPS = 20  # of Newton's, at most
+MOST_ROUNDING_ERRORS = 1e4  # of the output, by which a solution may miss
 
 
 def stepped(
     equation: Callable[[Any], tuple[Any, Callable[[Any], Any]]], y: Any, s: Any, steps: int
 ):
-    """s where an equation gives y, by so many steps of Newton, each of which squares the error; NumPy's or JAX's.
-
-    So firmware does it, and what is differentiated backward.
+    """s where an equation gives y, by so many steps of Newton from s, each of which squares the error; in JAX too.
 
     Args:
         equation: of s, the output, and what a small change of the output comes to in s: its division by the slope.
@@ -31,24 +28,20 @@ def stepped(
     return s
 
 
-def settled(equation: Callable[[Any], Any], y: Any, affine: bool) -> tuple[Any, Any]:
-    """s where an equation of one number gives y, and its slope there, in JAX; NaN where none is found.
-
-    Args:
-        equation: of s, the output.
-        y: the output.
-        affine: whether the equation is a straight line, which needs no search.
-    """
-    at_zero, slope = jax.value_and_grad(lambda s: equation(s) - y)(0.0)
-    first = -at_zero / slope
-    if affine:
-        return first, slope
-    import optimistix as optx  # a sixth of a second that only a curved equation needs
-
-    solver = optx.Newton(rtol=NEWTON_TOLERANCE, atol=1e-300)
-    found = optx.root_find(
-        lambda s, _: equation(s) - y, solver, first, max_steps=MOST_STEPS, throw=False
-    ).value
-    miss, slope = jax.value_and_grad(lambda s: equation(s) - y)(found)
-    near = jnp.abs(miss) <= NEAR_SHARE * (jnp.abs(y) + jnp.abs(at_zero))
-    return jnp.where(near, found, jnp.nan), slope
+def solved(
+    equation: Callable[[Any], tuple[Any, Any]], y: np.ndarray, affine: bool
+) -> tuple[np.ndarray, np.ndarray]:
+    """s where an equation (of s, the output and its slope) gives y, and the slope there; NaN where there is none."""
+    s, precision = np.zeros_like(y), np.finfo(y.dtype).eps
+    with np.errstate(all="ignore"):
+        for _ in range(1 if affine else STEPS):
+            there, slope = equation(s)
+            step = (there - y) / slope
+            s = s - step
+            if not np.any(np.abs(step) > precision * np.abs(s)):
+                break
+        if affine:
+            return s, slope
+        there, slope = equation(s)
+        near = np.abs(there - y) <= MOST_ROUNDING_ERRORS * precision * (np.abs(y) + np.abs(there))
+        return np.where(near, s, np.nan).astype(y.dtype), slope

@@ -53,6 +53,12 @@ class Namespace:
         setattr(self, name, found)
         return found
 
+    def asarray(self, values: Any, dtype: Any = None) -> Any:
+        """Return values as an array; one of a class of its own, such as of symbols, as it is."""
+        if isinstance(values, np.ndarray) and type(values) is not np.ndarray:
+            return values
+        return _dispatched("asarray", np.asarray)(values, dtype)
+
     def placed(self, order: Any, values: Any) -> Any:
         """Return values at the places of an order: found[..., order] = values (..., n)."""
         if is_traced((order, values)):
@@ -77,7 +83,7 @@ class Namespace:
         for row in zip(*rows, strict=True) if isinstance(rows, tuple) else rows:
             state, given = advance(state, row)
             found.append(given)
-        return np.array(found)
+        return np.stack(found)
 
 
 def _dispatched(path: str, on_host: Callable[..., Any]) -> Callable[..., Any]:

@@ -161,9 +161,8 @@ def causal_slope(
     """
     t, y, here = time[order], values[order], np.arange(time.size)
     window = rate_window(step) * (1 + 1e-9)
-    begins = np.flatnonzero(step < 0)
     first = np.empty(t.size, dtype=int)  # reading of each window, one of an earlier time at least
-    for low, high in itertools.pairwise([*begins, t.size]):
+    for low, high in itertools.pairwise([*np.flatnonzero(step < 0), t.size]):
         own = t[low:high]
         earlier = np.searchsorted(own, own) - 1
         first[low:high] = low + np.clip(np.searchsorted(own, own - window), 0, earlier.clip(0))
@@ -180,14 +179,15 @@ def recursion(
     share: Float[np.ndarray, "*s n"], push: Float[np.ndarray, "*s n"]
 ) -> Float[np.ndarray, "*s n"]:
     """Return x of xᵢ = shareᵢ·xᵢ₋₁ + pushᵢ, from zero: a unit bidiagonal matrix, LAPACK's banded solver."""
-    from scipy.linalg.lapack import dtbtrs  # only what computes loads SciPy
+    from scipy.linalg.lapack import dtbtrs, ztbtrs  # only what computes loads SciPy
 
     share, push = np.broadcast_arrays(share, push)
+    solve = ztbtrs if np.iscomplexobj(share) else dtbtrs
     # All recursions are one, which begins anew at the first element of each.
-    band = np.ones((share.size, 2))
+    band = np.ones((share.size, 2), share.dtype)
     np.negative(share.reshape(-1)[1:], out=band[:-1, 1])
     band[share.shape[-1] - 1 :: share.shape[-1], 1] = 0.0
-    return dtbtrs(band.T, push.reshape(-1), uplo="L", diag="U")[0].reshape(push.shape)
+    return solve(band.T, push.reshape(-1), uplo="L", diag="U")[0].reshape(push.shape)
 
 
 def _window_sums(t: np.ndarray, y: np.ndarray, first: np.ndarray) -> np.ndarray:

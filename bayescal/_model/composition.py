@@ -19,7 +19,7 @@ from typing import Any, NamedTuple, Protocol
 import numpy as np
 
 from bayescal._core.lazy_jax import jax, jnp
-from bayescal._model.effect import matrix
+from bayescal._model.effect import Basis, matrix
 from bayescal._model.frame import Frame
 from bayescal._model.instrument import Instrument
 from bayescal._model.terms import Term
@@ -269,6 +269,10 @@ class Traced:
             frame = frame.with_column(name, frame[name] + shift)
         return frame
 
+    def matrix(self, basis: Basis, frame: Frame, shapes: Mapping[str, Any]) -> Any:
+        """Columns of a basis."""
+        return matrix(*basis, frame, shapes)
+
     def columns(self, term: Term, shapes: Sequence[Any], moves: dict, sloped: bool) -> tuple:
         of = term.columns
         at, own = len(of.own), dict(zip(of.own, shapes, strict=False))
@@ -276,12 +280,12 @@ class Traced:
         for c in of.corrections:
             theirs = dict(zip(c.of.shapes, shapes[at:], strict=False))
             at += len(c.of.shapes)
-            shift = c.factor * matrix(*c.of.basis, self.frame, theirs)[:, c.index]
+            shift = c.factor * self.matrix(c.of.basis, self.frame, theirs)[:, c.index]
             known[c.column] = known.get(c.column, 0.0) + shift
 
         def made(moves: dict) -> Any:
             every = {n: known.get(n, 0.0) + moves.get(n, 0.0) for n in {**known, **moves}}
-            return matrix(*of.basis, self.moved(every), own)
+            return self.matrix(of.basis, self.moved(every), own)
 
         if not (moves and sloped):
             return made(moves), {}
@@ -319,16 +323,6 @@ def slopes_of(
 def _alone(values: Mapping[str, Any], name: str) -> dict[str, Any]:
     """Ones for one name, zeros for the others."""
     return {n: jnp.ones_like(v) if n == name else jnp.zeros_like(v) for n, v in values.items()}
-
-
-def live(function, *arguments: Any) -> list[bool]:
-    """Which leaves of the arguments the value of a function depends on, by its traced operations."""
-    jaxpr = jax.make_jaxpr(function)(*arguments).jaxpr
-    wanted = {id(v) for v in jaxpr.outvars}
-    for equation in reversed(jaxpr.eqns):
-        if any(id(v) in wanted for v in equation.outvars):
-            wanted |= {id(v) for v in equation.invars}
-    return [id(v) in wanted for v in jaxpr.invars]
 
 
 def columns_read(instrument: Instrument, frame: Frame) -> frozenset[str]:

@@ -36,7 +36,6 @@ from bayescal._use.compensator import Compensator, compensator
 from bayescal._use.operating_equation import (
     ALL_DRAWS,
     OperatingEquation,
-    linearised,
     posterior_moments,
 )
 
@@ -244,7 +243,7 @@ def budget(
     sd = np.sqrt(np.diag(covariance))
     share = gradient * (covariance @ gradient) / (variance or np.inf)
     numbers = (chosen._moments.mean, sd, gradient, np.abs(gradient) * sd, share)
-    unknowns = chosen._equation.unknowns()
+    unknowns = chosen._equation.unknowns
     return Budget(
         stimulus=chosen.stimulus,
         unit=chosen.unit,
@@ -274,16 +273,15 @@ def _operating_point(chosen: Compensator, at: dict[str, float]) -> dict[str, flo
             )
         if not np.isfinite(value):
             raise InputError(f"{name} = {value}: give a finite number")
-    middle = {n: v for n, v in chosen.middle.items() if n in names}
-    return {**middle, **{n: float(v) for n, v in at.items()}}
+    return {n: float(at.get(n, v)) for n, v in chosen.middle.items() if n in names}
 
 
 def _slopes(chosen: Compensator, point: Mapping[str, float]) -> tuple[float, float, np.ndarray]:
     """Expected output and its slope at a point, and ∂value/∂θ there; inputs that are not in it are zero, as unused."""
-    equation = chosen._equation
-    inputs = {n: np.full(1, point.get(n, 0.0)) for n in equation.names}
-    at = np.full(1, float(point[chosen.stimulus])), inputs
-    expected, slope, gradient = linearised(equation, chosen._moments.mean, *at)
+    places = {name: np.full(1, value) for name, value in point.items()}
+    expected, slope, gradient = chosen._equation.linearised(
+        chosen._moments.mean, places[chosen.stimulus], places
+    )
     return float(expected[0]), float(slope[0]), 0.0 - np.asarray(gradient[0] / slope[0])
 
 
@@ -298,7 +296,7 @@ def _by_source(
         chosen = compensator(chosen._calibration.without(unlikely), members=members)
         *_, gradient = _slopes(chosen, point)
         total = float(gradient @ chosen._moments.covariance @ gradient)
-    calibration, unknowns = chosen._calibration, chosen._equation.unknowns()
+    calibration, unknowns = chosen._calibration, chosen._equation.unknowns
     slopes, learned = dict[str, float](), _learned_group_sds(chosen._equation)
     for i, unknown in enumerate(unknowns):
         if unknown.kind == "new":
@@ -358,16 +356,15 @@ def notes_on(chosen: Compensator, of_correction: bool = True) -> tuple[str, ...]
     """Which coverage of a budget is short, and what is not counted in it, of a correction or of a slot alone."""
     notes = list[str]()
     learned = _learned_group_sds(chosen._equation)
-    for block in chosen._equation.blocks:
-        per = block.coefficient.per
-        if per is not None and block.name in learned:
-            count = len(chosen._calibration.levels.get(per, ()))
-            if count < FEWEST_GROUPS_FOR_NORMAL:
-                notes.append(
-                    f"{block.name} of a new {per} is known from {count} of them: an expanded uncertainty covers less "
-                    "than that of a normal distribution."
-                )
-    if of_correction and not chosen._equation.slope_calibrated(chosen._calibration):
+    for block in (b for b in chosen._equation.blocks if b.name in learned):
+        per = str(block.coefficient.per)
+        count = len(chosen._calibration.levels.get(per, ()))
+        if count < FEWEST_GROUPS_FOR_NORMAL:
+            notes.append(
+                f"{block.name} of a new {per} is known from {count} of them: an expanded uncertainty covers less than "
+                "that of a normal distribution."
+            )
+    if of_correction and not chosen._equation.slope_calibrated:
         notes.append(bias_only(chosen.stimulus))
     clock = clock_note(chosen._calibration, chosen._equation.inputs)
     return (*clock, *dict.fromkeys(notes), SHARED)

@@ -121,9 +121,7 @@ def compensate_file(
         expected, local_gravity=local_gravity, missing=missing, only=True, **given
     )
     with replacing_for_user(out) as partial:
-        limit = (
-            1 << 62 if suffix == ".parquet" else MAX_BYTES
-        )  # of which only what is needed is held
+        limit = 1 << 62 if suffix == ".parquet" else MAX_BYTES  # only what is needed is held
         table = open_table(path, path.name, limit, options.decimal, options.headers)
         options = options.of_file(table)
         raw, names = _names(table, expected, options)
@@ -144,10 +142,8 @@ def compensate_file(
         _refuse_another_clock(compensator, readings, bool(options.begin))
         found = compensator(readings, noise=noise, method=method, warn=False)
         values = np.full((2, table.rows), np.nan)
-        values[:, slice(None) if converted.kept is None else converted.kept] = (
-            found.value,
-            found.uncertainty,
-        )
+        kept = slice(None) if converted.kept is None else converted.kept
+        values[:, kept] = found.value, found.uncertainty
         writers = {".parquet": _parquet, ".nc": _netcdf, **dict.fromkeys(AS_CSV, _as_csv)}
         added = AddedColumns(names, compensator.unit, values, options.decimal)
         writers.get(suffix, _csv)(added, path, partial, table, raw)

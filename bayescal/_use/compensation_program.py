@@ -1,6 +1,6 @@
 """What firmware needs of a calibration, as one value that can be run: inputs, equation, covariance, provenance.
 
-The equation in use is traced to a graph of scalar operations (`expression_graph.py`), its derivatives with it:
+The graph of the equation in use (`expression_graph.py`) is taken at the posterior mean of θ, its derivatives with it:
 
     expected(s), slope = d expected/ds, gradient = d expected/dθ,   at θ = the posterior mean.
 
@@ -11,7 +11,7 @@ The stimulus solves expected(s) = reading: one Newton step from 0 where the equa
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
@@ -24,9 +24,8 @@ from bayescal._calibration.storage import sources_of
 from bayescal._core.as_json import as_json
 from bayescal._core.errors import InputError, ModelError
 from bayescal._core.formatting import number
-from bayescal._core.inverse import stepped
+from bayescal._core.inverse import solved
 from bayescal._core.json_shape import as_type
-from bayescal._core.lazy_jax import jax, jnp
 from bayescal._core.version import __version__
 from bayescal._data.measurements import Measurements
 from bayescal._data.time_in_runs import RATE_WINDOW, rate_window
@@ -34,17 +33,19 @@ from bayescal._data.unit_conversion import unit_label
 from bayescal._model.frame import Frame, build_frame, held_name
 from bayescal._tables.cells import date_text
 from bayescal._use.correction import NOT_RELIABLE, CorrectionInUse
-from bayescal._use.expression_graph import Graph, NotExportable, trace
+from bayescal._use.expression_graph import Graph
 from bayescal._use.operating_equation import (
-    Lag,
-    NoiseInUse,
+    STIMULUS,
     OperatingEquation,
     PosteriorMoments,
-    Scalars,
+    input_name,
     left_out,
 )
 
 PAST = ("rate", "lag", "lag slope")  # kinds of input that follow from a temperature's past
+IMAGINARY_STEP = 1e-30j  # relative: the imaginary part of what is analytic is its slope
+# Of the standard uncertainty, that something may still move: half a percent of it, in the root of the sum of squares.
+SETTLED = 0.1
 MARGIN = 0.01  # of the range of the stimulus: a reading at its end scatters about it
 
 
@@ -90,44 +91,35 @@ def inputs_in_use(
     calibration: Calibration, equation: OperatingEquation, values: Mapping[str, np.ndarray]
 ) -> list[Input]:
     """Inputs of the equation, as people and firmware are told of them; `values` are those of the fit, by name."""
-    lags = {name: lag for lag in equation.lags for name in (lag.name, lag.slope)}
+    found, frame = list[Input](), calibration.frame
+
+    def add(name: str, unit: str, meaning: str, kind: str, column: str, **past: Any) -> None:
+        if name in equation.inputs and name in values:
+            span = float(values[name].min()), float(values[name].max())
+            found.append(Input(name, unit, meaning, kind, column, *span, **past))
+
     own = {c.name: c.meaning for c in calibration.model.instrument.columns}
-    found = list[Input]()
-    for name in (n for n in equation.inputs if n in values):
-        span = {"low": float(values[name].min()), "high": float(values[name].max())}
-        if name in lags:
-            found.append(_lag_input(calibration, lags[name], name, span))
-        elif name not in equation.known:
-            column = dict(equation.rated)[name]
-            meaning = (
-                f"rate of {column}: least-squares slope over the last {RATE_WINDOW:g} s (or the last two "
-                "readings, if these are further apart), 0 at the start"
-            )
-            window = rate_window(np.asarray(calibration.frame.step))
-            found.append(Input(name, "degC/s", meaning, "rate", column, **span, tau=window))
-        elif name == "elapsed":
-            meaning = "time since the start (of the run, of power)"
-            found.append(Input(name, "s", meaning, "elapsed", "time", **span))
-        else:
-            meaning = clock_words(calibration) if name == "time" else own.get(name, "")
-            unit = calibration.readings.unit(name) or "1"
-            found.append(Input(name, unit, meaning, "column", name, **span))
-    return found
-
-
-def _lag_input(calibration: Calibration, lag: Lag, name: str, span: dict[str, float]) -> Input:
-    """The input that carries a lag, or its slope by the time constant; exports compute both of a record."""
-    held = bool(calibration.reference.get(held_name(lag.column), 0.0))
-    silence = None if held else float(calibration.frame.silence)
-    past = {"column": lag.column, **span, "tau": lag.tau, "silence": silence, "held": held}
-    if name == lag.name:
+    for name in (n for n in equation.known if n != "elapsed"):
+        meaning = clock_words(calibration) if name == "time" else own.get(name, "")
+        add(name, calibration.readings.unit(name) or "1", meaning, "column", name)
+    add("elapsed", "s", "time since the start (of the run, of power)", "elapsed", "time")
+    for name, column in equation.rated:
+        meaning = (
+            f"rate of {column}: least-squares slope over the last {RATE_WINDOW:g} s (or the last two readings, if "
+            "these are further apart), 0 at the start"
+        )
+        add(name, "degC/s", meaning, "rate", column, tau=rate_window(np.asarray(frame.step)))
+    for lag in equation.lags:  # exports compute a lag and its slope of a record
+        held = bool(calibration.reference.get(held_name(lag.column), 0.0))
+        past = {"tau": lag.tau, "silence": None if held else float(frame.silence), "held": held}
         meaning = f"lag of {lag.column} behind the thermometer by {lag.tau!r} s, 0 at the start"
-        return Input(name, "delta_degC", meaning, "lag", **past)
-    meaning = (
-        f"change of {lag.name} by its time constant, which carries the uncertainty of that; 0 at the start, 0 "
-        "throughout leaves it out"
-    )
-    return Input(name, "delta_degC/s", meaning, "lag slope", **past)
+        add(lag.name, "delta_degC", meaning, "lag", lag.column, **past)
+        meaning = (
+            f"change of {lag.name} by its time constant, which carries the uncertainty of that; 0 at the start, 0 "
+            "throughout leaves it out"
+        )
+        add(lag.slope or "", "delta_degC/s", meaning, "lag slope", lag.column, **past)
+    return sorted(found, key=lambda i: i.name)
 
 
 def inputs_at_fit(calibration: Calibration, equation: OperatingEquation) -> dict[str, np.ndarray]:
@@ -144,9 +136,8 @@ def inputs_at_fit(calibration: Calibration, equation: OperatingEquation) -> dict
 
 def _lag_and_slope(frame: Frame, tau: float, column: str) -> tuple[np.ndarray, np.ndarray]:
     """T̃ − T of a record, °C, and its derivative by the time constant, °C/s, (n,) each."""
-    at = jnp.asarray(tau), jnp.ones(())
-    found, slope = jax.jvp(lambda tau: frame.lag(tau, column), at[:1], at[1:])
-    return np.asarray(found), np.asarray(slope)
+    found = frame.lag(np.asarray(tau * (1 + IMAGINARY_STEP)), column)
+    return found.real, found.imag / (tau * IMAGINARY_STEP.imag)
 
 
 def gathered(
@@ -157,10 +148,7 @@ def gathered(
 ) -> tuple[dict[str, np.ndarray], Frame | None]:
     """Output, inputs and known uncertainties, (n,) each; and the record, where its past is needed.
 
-    Args:
-        inputs: that are needed.
-        readings: on the calibration's clock, or `columns`.
-        columns: numbers, and dates that count from the epoch, seconds since 1970.
+    Readings are on the calibration's clock; dates among the columns count from the epoch, seconds since 1970.
 
     Raises:
         InputError: a column that is needed is missing, columns are of different lengths, or there are dates and no
@@ -191,11 +179,10 @@ def gathered(
         record = _record(needed, readings, given)
         for i in needed:
             if i.kind in ("rate", "elapsed"):
-                own = record.rates[i.column] if i.kind == "rate" else record.elapsed
-                given[i.name] = np.asarray(own)
+                given[i.name] = record.rates[i.column] if i.kind == "rate" else record.elapsed
             else:
-                assert i.tau is not None
-                given[i.name] = _lag_and_slope(record, i.tau, i.column)[i.kind == "lag slope"]
+                both = _lag_and_slope(record, float(i.tau or 0.0), i.column)
+                given[i.name] = both[i.kind == "lag slope"]
     for i in inputs:
         if i.name not in given:
             raise InputError(
@@ -279,10 +266,9 @@ def provenance_of(calibration: Calibration, equation: OperatingEquation) -> Prov
 
 def clock_words(calibration: Calibration) -> str:
     """Say what the calibration's time counts from."""
-    if calibration.readings.since is None:
+    if (since := calibration.readings.since) is None:
         return "from the zero of the calibration's column 'time', which has no date"
-    began = date_text(calibration.readings.since)
-    return f"from {began} UTC, as which dates without a zone count"
+    return f"from {date_text(since)} UTC, as which dates without a zone count"
 
 
 def clock_note(calibration: Calibration, inputs: Collection[str]) -> list[str]:
@@ -318,13 +304,11 @@ def bias_only(stimulus: str) -> str:
 
 
 def notes_on_use(
-    calibration: Calibration,
-    equation: OperatingEquation,
-    stimulus_range: tuple[float, float] | None,
+    calibration: Calibration, equation: OperatingEquation, has_range: bool
 ) -> tuple[str, ...]:
     """What to know before a reading is compensated, each a sentence."""
     notes = [*averaged_over(calibration), *clock_note(calibration, equation.inputs)]
-    new = [u.name for u in equation.unknowns() if u.kind == "new"]
+    new = [u.name for u in equation.unknowns if u.kind == "new"]
     if new:
         notes.append(
             f"Taken as new in use, with the between-group standard deviation of the calibration: {', '.join(new)}."
@@ -338,15 +322,16 @@ def notes_on_use(
         )
     for lag in equation.lags:
         if lag.shape and lag.name in equation.inputs:
-            share = "" if lag.multiple == 1.0 else f"{lag.multiple:.3g} · "
+            multiple = lag.tau / equation.shapes[lag.shape]
+            share = "" if multiple == 1.0 else f"{multiple:.3g} · "
             notes.append(
                 f"{lag.name} is the lag for {share}{lag.shape} = {lag.tau:.6g} s; the uncertainty of this time is "
                 f"counted through {lag.slope}."
             )
     stimulus = equation.use.stimulus
-    if not equation.slope_calibrated(calibration):
+    if not equation.slope_calibrated:
         notes.append(bias_only(stimulus))
-    elif stimulus_range is None:
+    elif not has_range:
         notes.append(f"The range of {stimulus} in the calibration is not stated.")
     return tuple(notes)
 
@@ -354,8 +339,6 @@ def notes_on_use(
 SCHEMA, VERSION = "bayescal.compensator", 3
 # 1 knew no lag slopes, and left the uncertainty of a time constant out of its lag; 1 and 2 had one noise everywhere.
 READ = (1, 2, 3)
-STIMULUS = "(stimulus)"  # its name as an input of the graph
-STEPS = 20  # of Newton
 AGAIN = "Export it again"
 KINDS = ("column", "elapsed", *PAST)
 
@@ -393,8 +376,7 @@ class CompensationProgram(CorrectionInUse):
 
     about: Provenance  # what it is
     inputs: tuple[Input, ...]  # covariates needed, beside the reading
-    # in the calibration; None where the stimulus was not varied or not a column
-    stimulus_range: tuple[float, float] | None
+    stimulus_range: tuple[float, float] | None  # None where it was not varied or is no column
     unknowns: tuple[ProgramUnknown, ...]
     covariance: list[list[float]]  # of these, in reported units
     affine: bool  # whether the equation is a straight line in the stimulus
@@ -430,36 +412,59 @@ class CompensationProgram(CorrectionInUse):
         """Stimulus, its standard uncertainty without noise, and |d stimulus/d output|, (n,) each."""
         target = np.asarray(output, kind)
         given = {i.name: np.asarray(inputs[i.name], kind) for i in self.inputs if i.name in inputs}
+        places = self.equation.expected, self.equation.slope
 
-        def at(s: np.ndarray, *outputs: int) -> list[Any]:
-            return self.graph.evaluate(outputs, {**given, STIMULUS: s}, kind)
+        def equation(s: np.ndarray) -> list[Any]:
+            return self.graph.evaluate(places, {**given, STIMULUS: s}, kind)
 
-        def equation(s: np.ndarray) -> tuple[np.ndarray, Callable[[np.ndarray], np.ndarray]]:
-            found, slope = at(s, self.equation.expected, self.equation.slope)
-            return found, lambda miss: miss / slope
+        s, _ = solved(equation, target, self.affine)
+        _, slope, uncertainty = self._at({**given, STIMULUS: s}, kind)
+        return s, uncertainty / np.abs(slope), 1 / np.abs(slope)
 
-        with np.errstate(all="ignore"):
-            steps = 1 if self.affine else STEPS
-            s = stepped(equation, target, np.zeros_like(target), steps)
-        if not self.affine:
-            (found,) = at(s, self.equation.expected)
-            near = 1e4 * np.finfo(kind).eps * (np.abs(target) + np.abs(found))
-            s = np.where(np.abs(found - target) <= near, s, np.nan).astype(kind)
-        slope, *gradient = at(s, self.equation.slope, *self.equation.gradient)
-        factor = self.factor.astype(kind)
-        square = np.zeros_like(target)
-        for j in range(len(gradient)):
-            total = np.zeros_like(target)
-            for i in range(j, len(gradient)):
-                total = total + gradient[i] * factor[i, j]
-            square = square + total * total
-        size = np.abs(np.broadcast_to(slope, target.shape))
-        return s, np.sqrt(square) / size, 1 / size
+    def _at(self, places: Mapping[str, np.ndarray], kind: Any) -> tuple[np.ndarray, ...]:
+        """Expected output, its slope, and its standard uncertainty without noise, (n,) each."""
+        outputs = self.equation.expected, self.equation.slope, *self.equation.gradient
+        found = self.graph.evaluate(outputs, places, kind)
+        expected, slope, *gradient = (np.broadcast_to(f, places[STIMULUS].shape) for f in found)
+        parts = self.factor.T.astype(kind) @ np.reshape(gradient, (-1, expected.size))
+        return expected, slope, np.sqrt(np.sum(parts**2, axis=0))
 
     def noise_variance(self, stimulus: np.ndarray, inputs: Mapping[str, Any]) -> np.ndarray:
         """Return the variance of one reading's noise, output unit squared, (n,)."""
         (found,) = self.graph.evaluate([self.equation.noise], {**inputs, STIMULUS: stimulus})
         return np.broadcast_to(found, stimulus.shape)
+
+    def settles(self, time: Input) -> bool:
+        """Whether nothing follows a time any more, from the last quarter of its range on.
+
+        At the low ends, middles and high ends of all inputs, output and uncertainty move by less than a tenth of it.
+        """
+        late = time.high + (time.high - time.low) * np.r_[0.0, -0.25, 2.0 ** np.arange(-4, 31)]
+        low, high = self.stimulus_range or (0.0, 0.0)
+        for share in (0.0, 0.5, 1.0):
+            given = {i.name: i.low + share * (i.high - i.low) + 0.0 * late for i in self.inputs}
+            given |= {time.name: late, STIMULUS: low + share * (high - low) + 0.0 * late}
+            expected, _, uncertainty = self._at(given, float)
+            moves = np.abs(np.array([expected - expected[0], uncertainty - uncertainty[0]]))
+            scatter = np.sqrt(self.noise_variance(given[STIMULUS], given))
+            if np.any(moves > SETTLED * uncertainty[0]) or np.ptp(scatter) > SETTLED * scatter[0]:
+                return False
+        return True
+
+    def exportable(self) -> CompensationProgram:
+        """This program, all of which firmware has a form of.
+
+        Raises:
+            ModelError: an effect, or the noise law, is made of other operations.
+        """
+        for op, *args in self.equation.operations:
+            if op == "call":
+                raise ModelError(
+                    f"the model cannot be exported: {args[0].why_not}. Write bases with arithmetic, powers, exp, sin "
+                    "and jnp.where, take the effect that has it out (model - name) and fit again, or compensate in "
+                    "Python: bayescal compensate"
+                )
+        return self
 
     def data(self) -> dict[str, Any]:
         """As JSON, with schema and version."""
@@ -504,8 +509,8 @@ def _refuse_torn(program: CompensationProgram) -> None:
     own = program.unknowns, equation.gradient, program.covariance, *program.covariance
     if len({len(part) for part in own}) > 1:
         raise ValueError("its covariance, unknowns and gradient are of different sizes")
-    names = [i.name for i in program.inputs]
-    if len(set(names)) < len(names):
+    names = {i.name for i in program.inputs}
+    if len(names) < len(program.inputs):
         raise ValueError("two of its inputs have one name")
     if strange := program.graph.inputs(range(nodes)) - {*names, STIMULUS}:
         raise ValueError(f"its equation needs {sorted(strange)[0]!r}, which is none of its inputs")
@@ -520,62 +525,27 @@ def program_of(
     equation: OperatingEquation,
     moments: PosteriorMoments,
     inputs: Sequence[Input],
-    *,
     stimulus_range: tuple[float, float] | None,
-    noise: NoiseInUse,
+    noise: tuple[Mapping[str, float], float],
     about: Provenance,
 ) -> CompensationProgram:
-    """Trace an equation in use, its derivatives and the noise of one reading.
-
-    Raises:
-        ModelError: an effect, or the noise law, is made of operations that firmware has no form of.
-    """
-    graph, unknowns = Graph(), equation.unknowns()
-    theta = {u.key: jnp.asarray(m) for u, m in zip(unknowns, moments.mean, strict=True)}
-    names = sorted(equation.inputs)
-    ones = {n: jnp.ones(()) for n in names}
-    places = [graph.input(STIMULUS), *(graph.input(n) for n in names)]
-    derivatives = _with_derivatives(equation, theta)
-
-    def of_noise(s: Any, given: Scalars) -> Any:
-        return noise.level * equation.noise_variance(noise.law, s, given)
-
-    try:
-        expected, slope, *gradient = trace(graph, derivatives, (jnp.ones(()), ones), places)
-        (own,) = trace(graph, of_noise, (jnp.ones(()), ones), places)
-    except NotExportable as error:
-        raise ModelError(
-            f"the model cannot be exported: {error}. Write bases with arithmetic, powers, exp, sin and jnp.where, take "
-            "the effect that has it out (model - name) and fit again, or compensate in Python: bayescal compensate"
-        ) from None
-    acting = [i for i, node in enumerate(gradient) if graph.value(node) != 0]
-    small, moved = graph.part([expected, slope, own, *(gradient[i] for i in acting)])
-    needed = small.inputs(moved)
+    """Take an equation in use, its derivatives and the noise of one reading at the mean of its unknowns."""
+    unknowns = equation.unknowns
+    means = {input_name(u.key): float(m) for u, m in zip(unknowns, moments.mean, strict=True)}
+    law = {input_name(name): value for name, value in noise[0].items()}
+    places = [equation.expected, equation.noise, *equation.gradient.values()]
+    graph, (expected, variance, slope, *gradient) = equation.graph.part(places, law | means)
+    variance = graph.apply("mul", graph.constant(noise[1]), variance)
+    acting = [i for i, place in enumerate(gradient) if graph.value(place) != 0]
     each = ((unknowns[i], float(moments.mean[i])) for i in acting)
+    outputs = [expected, slope, variance, *(gradient[i] for i in acting)]
+    small, (expected, slope, variance, *gradient) = graph.part(outputs, {})
     return CompensationProgram(
         about=about,
-        inputs=tuple(i for i in inputs if i.name in needed),
+        inputs=tuple(inputs),
         stimulus_range=stimulus_range,
         unknowns=tuple(ProgramUnknown(u.name, u.unit, mean) for u, mean in each),
         covariance=moments.covariance[np.ix_(acting, acting)].tolist(),
-        affine=graph.input(STIMULUS) not in graph.needed([slope]),
-        equation=TracedEquation(small.data(), *moved[:2], tuple(moved[3:]), moved[2]),
+        affine=STIMULUS not in small.inputs([slope]),
+        equation=TracedEquation(small.data(), expected, slope, tuple(gradient), variance),
     )
-
-
-def _with_derivatives(equation: OperatingEquation, theta: Scalars) -> Callable[..., Any]:
-    """A function of stimulus and inputs: expected output, its slope, its gradient by each unknown."""
-
-    def expected_slope_gradient(s, given):
-        # Forward, because the reverse of a slice is a padding, for which there is no scalar operation.
-        def along(key, value):
-            def at(v):
-                moved = {STIMULUS: s, **theta, key: v}
-                return equation.point(moved, moved[STIMULUS], given)
-
-            return jax.jvp(at, (value,), (jnp.ones(()),))
-
-        expected, slope = along(STIMULUS, s)
-        return expected, slope, [along(key, value)[1] for key, value in theta.items()]
-
-    return expected_slope_gradient

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -21,7 +21,6 @@ from bayescal._data.column import UNCERTAINTY, Column
 from bayescal._data.measurements import Measurements
 from bayescal._data.time_in_runs import on_clock
 from bayescal._model.composition import columns_read
-from bayescal._use import operating_equation
 from bayescal._use.compensation_program import (
     PAST,
     CompensationProgram,
@@ -31,7 +30,6 @@ from bayescal._use.compensation_program import (
     gathered,
     inputs_at_fit,
     inputs_in_use,
-    limits,
     notes_on_use,
     program_of,
     provenance_of,
@@ -39,18 +37,15 @@ from bayescal._use.compensation_program import (
 from bayescal._use.correction import NOT_RELIABLE
 from bayescal._use.correction_files import as_text, format_of, kind_of, load_correction
 from bayescal._use.operating_equation import (
-    NoiseInUse,
     OperatingEquation,
     PosteriorMoments,
     equation_in_use,
     noise_in_use,
-    noise_variances,
     posterior_moments,
+    solved_over_draws,
 )
 
 Method = Literal["draws", "first order"]
-# Of the standard uncertainty, that something may still move: half a percent of it, in the root of the sum of squares.
-SETTLED = 0.1
 
 
 @dataclass(frozen=True)
@@ -61,8 +56,7 @@ class Compensated:
         value: the stimulus, (n,); NaN where the equation has no solution.
         uncertainty: its standard uncertainty, (n,).
         unit: of both.
-        outside: name → where that covariate (or the stimulus) is outside its calibrated range, (n,); only those
-            that are outside somewhere.
+        outside: name → where that covariate (or the stimulus) is outside its range, (n,); only those that are.
     """
 
     value: np.ndarray
@@ -80,8 +74,7 @@ class Compensator:
         compensate.export("calibration.h")                # or .json, .py
 
     Attributes:
-        calibration: that it is of; None for one loaded from an export, which knows mean and covariance only.
-        equation: of the calibrated instrument in use; None for a loaded one.
+        calibration, equation: that it is of; None for one loaded from an export, which knows mean and covariance only.
         draws: posterior draws to average over, at most.
         loaded: the program of a loaded one.
     """
@@ -121,19 +114,19 @@ class Compensator:
                 have dates and the calibration has none (or the other way round) and the correction changes with them.
         """
         method = method or ("draws" if self.calibration is not None else "first order")
-        if method == "draws" and self.calibration is None:
-            raise InputError(
-                "a loaded compensator has no draws: use method='first order', or the calibration itself"
-            )
         if readings is not None:
             readings = on_clock(readings, self.epoch, lambda: self.dated)
         given, record = gathered(self.inputs, readings, columns, self.epoch)
-        if self.calibration is None:
-            value, own, inclination = self.program.run(given["output"], given)
+        if method == "first order":
+            value, own, inclination = self.in_use.run(given["output"], given)
             variance, inclination = own**2, inclination**2
+        elif self.equation is None:
+            raise InputError(
+                "a loaded compensator has no draws: use method='first order', or the calibration itself"
+            )
         else:
-            value, variance, inclination = operating_equation.solved(
-                self._equation, self._moments, given, record, by_draws=method == "draws"
+            value, variance, inclination = solved_over_draws(
+                self.equation, self._moments.draws, given["output"], given, record
             )
         if noise:
             own = self.noise_variance({**given, self.stimulus: value})
@@ -145,8 +138,8 @@ class Compensator:
         if warn and outside:
             ranges = self.calibrated.items()
             known = {n: " (calibrated: {:.6g} to {:.6g} {})".format(*span) for n, span in ranges}
-            counts = {n: f"{mask.sum()} of {len(mask)}" for n, mask in outside.items()}
-            said = (f"{n} in {count} readings{known.get(n, '')}" for n, count in counts.items())
+            each = ((n, mask.sum(), known.get(n, "")) for n, mask in outside.items())
+            said = (f"{n} in {count} of {len(value)} readings{span}" for n, count, span in each)
             warnings.warn(
                 f"outside the calibrated range: {'; '.join(said)}. There the result is an extrapolation, and its "
                 "uncertainty does not say by how much the equation itself may fail",
@@ -156,11 +149,36 @@ class Compensator:
         return Compensated(value, np.sqrt(variance), self.unit, outside)
 
     @cached_property
+    def in_use(self) -> CompensationProgram:
+        """Mean, covariance and equation, as they stand: of a fit, without what a check says of it."""
+        if self.loaded:
+            return self.loaded
+        equation, calibration = self._equation, self._calibration
+        inputs = inputs_in_use(calibration, equation, self._inputs_at_fit)
+        noise = noise_in_use(equation, calibration, self._inputs_at_fit)
+        about = provenance_of(calibration, equation)
+        made = program_of(equation, self._moments, inputs, self._calibrated_stimulus, noise, about)
+        settled = (replace(i, settled=i.kind == "elapsed" and made.settles(i)) for i in inputs)
+        return replace(made, inputs=tuple(settled))
+
+    @cached_property
+    def program(self) -> CompensationProgram:
+        """Mean, covariance and equation, as exports hold them.
+
+        Raises:
+            ModelError: an effect cannot be exported; says which and what to do.
+        """
+        if self.loaded:
+            return self.loaded
+        said = self.why_not
+        notes = (*self.notes, *(f"{NOT_RELIABLE}{one}" for one in (said,) if one))
+        named = {"calibration": identity(self._calibration), "why_not": said, "notes": notes}
+        return replace(self.in_use, about=replace(self.about, **named)).exportable()
+
+    @property
     def about(self) -> Provenance:
         """What it is of; of a fitted one without its notes, and without what stands against using it."""
-        if self.loaded:
-            return self.loaded.about
-        return provenance_of(self._calibration, self._equation)
+        return self.in_use.about
 
     @property
     def stimulus(self) -> str:
@@ -173,11 +191,17 @@ class Compensator:
         return self.about.unit
 
     @property
+    def inputs(self) -> tuple[Input, ...]:
+        """Covariates that are needed, with their calibrated ranges."""
+        return self.in_use.inputs
+
+    @property
     def notes(self) -> tuple[str, ...]:
         """What to know before a reading is compensated, each a sentence."""
         if self.loaded:  # the last says what stands against using it
             return self.about.notes[: -1 if self.why_not else None]
-        return notes_on_use(self._calibration, self._equation, self.stimulus_range)
+        has_range = self.in_use.stimulus_range is not None
+        return notes_on_use(self._calibration, self._equation, has_range)
 
     @property
     def why_not(self) -> str:
@@ -202,54 +226,20 @@ class Compensator:
         Args:
             places: the stimulus and the inputs by name, fixed units, (n,) each.
         """
-        if self.loaded:
-            return self.loaded.noise_variance(places[self.stimulus], places)
-        return noise_variances(self._equation, self._noise, places)
-
-    @cached_property
-    def inputs(self) -> tuple[Input, ...]:
-        """Covariates that are needed, with their calibrated ranges."""
-        if self.loaded:
-            return self.loaded.inputs
-        found = inputs_in_use(self._calibration, self._equation, self._inputs_at_fit)
-        settled = {i.name for i in found if i.kind == "elapsed" and self._settles(i, found)}
-        return tuple(replace(i, settled=i.name in settled) for i in found)
-
-    def _settles(self, time: Input, inputs: Sequence[Input]) -> bool:
-        """Whether nothing follows a time any more, from the last quarter of its range on: of all inputs at their low
-        ends, middles and high ends neither the expected output nor its uncertainty moves by more than a tenth of this,
-        nor the noise by a tenth of itself.
-        """
-        late = time.high + (time.high - time.low) * np.r_[0.0, -0.25, 2.0 ** np.arange(-4, 31)]
-        (low, high), moments = self.stimulus_range or (0.0, 0.0), self._moments
-        for share in (0.0, 0.5, 1.0):
-            stimulus = np.full(len(late), low + share * (high - low))
-            given = {i.name: i.low + share * (i.high - i.low) + 0.0 * late for i in inputs}
-            given = {**dict.fromkeys(self._equation.names, 0.0 * late), **given, time.name: late}
-            expected, _, gradient = map(
-                np.asarray,
-                operating_equation.linearised(self._equation, moments.mean, stimulus, given),
-            )
-            variance = np.einsum("ni,ij,nj->n", gradient, moments.covariance, gradient)
-            uncertainty = np.sqrt(np.maximum(variance, 0.0))
-            moves = np.abs(np.array([expected - expected[0], uncertainty - uncertainty[0]]))
-            scatter = np.sqrt(self.noise_variance({self.stimulus: stimulus, **given}))
-            if np.any(moves > SETTLED * uncertainty[0]) or np.ptp(scatter) > SETTLED * scatter[0]:
-                return False
-        return True
+        return self.in_use.noise_variance(places[self.stimulus], places)
 
     @property
     def calibrated(self) -> dict[str, tuple[float, float, str]]:
         """Lowest and highest value and unit of each input, and of the stimulus where it was varied."""
         ranges = {i.name: (i.low, i.high, i.unit) for i in self.inputs}
-        if self.stimulus_range is not None:
-            ranges[self.stimulus] = (*self.stimulus_range, self.unit)
+        if (span := self.in_use.stimulus_range) is not None:
+            ranges[self.stimulus] = (*span, self.unit)
         return ranges
 
     @property
     def middle(self) -> dict[str, float]:
         """The operating point where nothing is said of it: stimulus and inputs by name, in fixed units."""
-        low, high = self.stimulus_range or (0.0, 0.0)
+        low, high = self.in_use.stimulus_range or (0.0, 0.0)
         return {self.stimulus: 0.5 * (low + high), **{i.name: i.middle for i in self.inputs}}
 
     @property
@@ -271,27 +261,6 @@ class Compensator:
             Column("output", self.about.output_unit, "reading"),
             Column("run", None, required=False),
             *(said[name] if name in said else Column(name, units[name]) for name in needed),
-        )
-
-    @cached_property
-    def program(self) -> CompensationProgram:
-        """Mean, covariance and equation, as exports hold them.
-
-        Raises:
-            ModelError: an effect cannot be exported; says which and what to do.
-        """
-        if self.loaded:
-            return self.loaded
-        said = self.why_not
-        notes = (*self.notes, *(f"{NOT_RELIABLE}{one}" for one in (said,) if one))
-        named = {"calibration": identity(self._calibration), "why_not": said, "notes": notes}
-        return program_of(
-            self._equation,
-            self._moments,
-            self.inputs,
-            stimulus_range=self.stimulus_range,
-            noise=self._noise,
-            about=replace(self.about, **named),
         )
 
     def export(
@@ -319,31 +288,22 @@ class Compensator:
 
     @property
     def _calibration(self) -> Calibration:
-        assert self.calibration is not None
-        return self.calibration
+        return self.calibration  # pyright: ignore[reportReturnType]
 
     @property
     def _equation(self) -> OperatingEquation:
-        assert self.equation is not None
-        return self.equation
+        return self.equation  # pyright: ignore[reportReturnType]
 
     @cached_property
     def _moments(self) -> PosteriorMoments:
         return posterior_moments(self._equation, self._calibration, self.draws)
 
     @cached_property
-    def _noise(self) -> NoiseInUse:
-        return noise_in_use(self._equation, self._calibration, self._inputs_at_fit)
-
-    @cached_property
     def _inputs_at_fit(self) -> dict[str, np.ndarray]:
         return inputs_at_fit(self._calibration, self._equation)
 
-    @cached_property
-    def stimulus_range(self) -> tuple[float, float] | None:
-        """Of the stimulus in the calibration; None where it was not varied, or is no column."""
-        if self.loaded:
-            return self.loaded.stimulus_range
+    @property
+    def _calibrated_stimulus(self) -> tuple[float, float] | None:
         readings, name = self._calibration.readings, self._equation.use.stimulus
         if self._equation.use.equation is not None or not readings.has(name):
             return None
@@ -360,8 +320,8 @@ class Compensator:
                 values = self._inputs_at_fit[name]
                 if name not in ("time", "elapsed") and np.ptp(values) > 0:
                     ranges.setdefault(name, (float(values.min()), float(values.max())))
-        if self.stimulus_range:
-            ranges[self.stimulus] = limits(self.stimulus_range)
+        if span := self.in_use.stimulus_limits:
+            ranges[self.stimulus] = span
         return ranges
 
 

@@ -11,27 +11,29 @@ import re
 import zlib
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 from bayescal._core.annex import offered
 from bayescal._core.as_json import json_text
 from bayescal._core.errors import InputError
+from bayescal._core.inverse import STEPS
 from bayescal._core.json_shape import read_json
 from bayescal._core.quoting import identifier, number_text, python_string
 from bayescal._core.templates import template
 from bayescal._data.time_in_runs import RATE_WINDOW, SILENCE_WINDOWS
 from bayescal._use.compensation_program import (
+    KINDS,
     PAST,
     SCHEMA,
-    STEPS,
-    STIMULUS,
     CompensationProgram,
     Input,
     from_data,
 )
 from bayescal._use.correction import CorrectionInUse, CorrectionKind, Writer
 from bayescal._use.expression_graph import LANGUAGES, Language, statements
+from bayescal._use.operating_equation import STIMULUS
 
 # Names that the templates give themselves.
 _WORDS = "reading stimulus inputs expected slope gradient noise square total values outside math j dt self state now"
@@ -79,10 +81,8 @@ def program_text(
 
 def _record(program: CompensationProgram, fields: Mapping[str, str]) -> dict[str, Any]:
     """What a record is corrected by, reading by reading: fields of its columns, and of what is made of their past."""
-    now = [i for i in program.inputs if i.kind == "column"]
-    of: dict[str, list[Input]] = {
-        kind: [i for i in program.inputs if i.kind == kind] for kind in (*PAST, "elapsed")
-    }
+    of = {kind: [i for i in program.inputs if i.kind == kind] for kind in KINDS}
+    now = of["column"]
     columns = {i.column: (fields[i.name], i.unit) for i in now}
     for i in (i for i in program.inputs if i.kind in PAST and i.column not in columns):
         taken = {*_OWN_WORDS, *fields.values(), *(own for own, _ in columns.values())}
@@ -112,11 +112,7 @@ def _record(program: CompensationProgram, fields: Mapping[str, str]) -> dict[str
 def include_guard(name: str, *computed: Any) -> str:
     """The first lines of a header: it is taken once, and not at all where another of its name was.
 
-    Else the second of two would be passed over without a word, and its sensor be corrected by the first.
-
-    Args:
-        name: of the sensor.
-        computed: what the header computes, whose checksum is the guard's value.
+    Else the second would be passed over without a word. The guard's value is a checksum of what the header computes.
     """
     stamp = f"0x{zlib.crc32(repr(computed).encode()):08x}UL"
     guard = f"BAYESCAL_{name.upper()}_H"
@@ -138,17 +134,14 @@ def in_form(write: Callable[..., str], *how: Any) -> Writer:
     return lambda named, uncertainty: write(*named.values(), *how)
 
 
-def _program(language: Language) -> Writer:
-    def write(named: Mapping[str, Any], uncertainty: bool) -> str:
-        return "".join(program_text(one, language, n, uncertainty) for n, one in named.items())
-
-    return write
+def _program(language: Language, named: Mapping[str, Any], uncertainty: bool) -> str:
+    return "".join(program_text(one, language, n, uncertainty) for n, one in named.items())
 
 
 ONE_OUTPUT = CorrectionKind(
     of=CompensationProgram,
     axes="one output",
-    writers={"json": as_data, **{name: _program(one) for name, one in LANGUAGES.items()}},
+    writers={"json": as_data, **{name: partial(_program, one) for name, one in LANGUAGES.items()}},
     suffixes={".json": "json", ".h": "c", ".py": "python"},
     is_data=lambda data: data.get("schema") == SCHEMA,
     read=from_data,
@@ -215,10 +208,8 @@ def format_of(path: str | Path | None, format: str | None) -> str:
     suffix = Path(path or "").suffix.lower()
     chosen = format or next((k.suffixes[suffix] for k in kinds() if suffix in k.suffixes), None)
     if chosen is None:
-        known = dict.fromkeys(suffix for kind in kinds() for suffix in kind.suffixes)
-        raise InputError(
-            f"{path}: a correction is written as {', '.join(known)}, or give the format"
-        )
+        known = ", ".join(dict.fromkeys(suffix for kind in kinds() for suffix in kind.suffixes))
+        raise InputError(f"{path}: a correction is written as {known}, or give the format")
     return chosen
 
 

@@ -1,19 +1,19 @@
-"""An equation as a graph of scalar operations: traced from JAX, simplified, evaluated by NumPy, written as code.
+"""An equation as a graph of scalar operations: traced, simplified, differentiated, evaluated, written as code.
 
-One table says of each operation how NumPy computes it and how C and Python write it, so that every export means the
-same. Nodes that are equal are one node.
+One table says of each operation how NumPy computes it, how C and Python write it, and how a slope passes back through
+it, so that what is computed here and what is exported is one program. Nodes that are equal are one node.
 
-A JAX function of scalars comes to a graph through its jaxpr, which is run with arrays of graph nodes in place of
-numbers. Arithmetic makes nodes; what only moves elements about (reshape, broadcast, slice, gather, concatenate) is run
-by JAX itself on the *places* of the elements, so that none of it is left in the graph; constants are computed. So an
-effect of the user's own is exported like any other, as long as it is made of operations that firmware has.
+An equation comes to a graph by being called with `Symbols`, arrays whose elements are nodes in place of numbers:
+NumPy's functions of them make nodes, and what only moves elements about (reshape, stack, take) moves them. So an effect
+of a user's own is exported like any other, as long as it is made of operations that firmware has. What is written for
+JAX alone is traced by it (`jax_equations.py`).
 """
 
 from __future__ import annotations
 
 import math
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 from typing import Any, Literal
@@ -21,8 +21,11 @@ from typing import Any, Literal
 import numpy as np
 
 from bayescal._core.errors import InputError, ModelError
-from bayescal._core.lazy_jax import jax, jnp
 from bayescal._core.quoting import c_comment, python_words
+
+
+class NotExportable(ModelError):
+    """An operation that the export does not have."""
 
 
 @dataclass(frozen=True)
@@ -35,19 +38,17 @@ class Operation:
     boolean: bool = False
 
 
-def _infix(compute: Callable[..., Any], sign: str, boolean: bool = False) -> Operation:
+def _infix(compute: np.ufunc, sign: str, boolean: bool = False) -> Operation:
     written = f"{{0}} {sign} {{1}}"
     return Operation(compute, written, written, boolean)
 
 
-def _function(name: str) -> Operation:
-    """Called the same in NumPy, C and Python."""
-    return Operation(getattr(np, name), f"BAYESCAL_CALL({name}, {{0}})", f"math.{name}({{0}})")
+def _function(compute: np.ufunc, name: str) -> Operation:
+    """Called the same in C and Python."""
+    return Operation(compute, f"BAYESCAL_CALL({name}, {{0}})", f"math.{name}({{0}})")
 
 
-FUNCTIONS = "exp log expm1 log1p sqrt sin cos tan asin acos atan sinh cosh tanh floor ceil"
-
-
+_SAME = "exp log expm1 log1p sqrt sin cos tan sinh cosh tanh floor ceil"
 OPERATIONS: dict[str, Operation] = {
     "add": _infix(np.add, "+"),
     "sub": _infix(np.subtract, "-"),
@@ -63,7 +64,11 @@ OPERATIONS: dict[str, Operation] = {
     "pow": Operation(np.power, "BAYESCAL_CALL2(pow, {0}, {1})", "{0} ** {1}"),
     "atan2": Operation(np.arctan2, "BAYESCAL_CALL2(atan2, {0}, {1})", "math.atan2({0}, {1})"),
     "rem": Operation(np.fmod, "BAYESCAL_CALL2(fmod, {0}, {1})", "math.fmod({0}, {1})"),
-    **{name: _function(name) for name in FUNCTIONS.split()},
+    **{name: _function(getattr(np, name), name) for name in _SAME.split()},
+    **{
+        f"a{name}": _function(getattr(np, f"arc{name}"), f"a{name}")
+        for name in ("sin", "cos", "tan")
+    },
     "gt": _infix(np.greater, ">", True),
     "ge": _infix(np.greater_equal, ">=", True),
     "lt": _infix(np.less, "<", True),
@@ -78,9 +83,42 @@ OPERATIONS: dict[str, Operation] = {
         lambda x: np.where(x, 1.0, 0.0), "{0} ? (BAYESCAL_REAL)1 : (BAYESCAL_REAL)0", "float({0})"
     ),
 }
+# By operation and argument, what of a slope d passes back to that argument; nothing by those that are not here.
+PULLBACKS: dict[str, tuple[Callable[..., Any], ...]] = {
+    "add": (lambda d, x, y: d, lambda d, x, y: d),
+    "sub": (lambda d, x, y: d, lambda d, x, y: -d),
+    "mul": (lambda d, x, y: d * y, lambda d, x, y: d * x),
+    "div": (lambda d, x, y: d / y, lambda d, x, y: -(d * x / (y * y))),
+    "neg": (lambda d, x: -d,),
+    "abs": (lambda d, x: d * np.sign(x),),
+    "max": (lambda d, x, y: np.where(x > y, d, 0.0), lambda d, x, y: np.where(x > y, 0.0, d)),
+    "min": (lambda d, x, y: np.where(x < y, d, 0.0), lambda d, x, y: np.where(x < y, 0.0, d)),
+    "pow": (lambda d, x, y: d * y * x ** (y - 1), lambda d, x, y: d * np.log(x) * x**y),
+    "atan2": (lambda d, y, x: d * x / (x * x + y * y), lambda d, y, x: -(d * y / (x * x + y * y))),
+    "rem": (lambda d, x, y: d, lambda d, x, y: d * (np.fmod(x, y) - x) / y),
+    "exp": (lambda d, x: d * np.exp(x),),
+    "log": (lambda d, x: d / x,),
+    "expm1": (lambda d, x: d * np.exp(x),),
+    "log1p": (lambda d, x: d / (1 + x),),
+    "sqrt": (lambda d, x: 0.5 * d / np.sqrt(x),),
+    "sin": (lambda d, x: d * np.cos(x),),
+    "cos": (lambda d, x: -(d * np.sin(x)),),
+    "tan": (lambda d, x: d * (1 + np.tan(x) * np.tan(x)),),
+    "asin": (lambda d, x: d / np.sqrt(1 - x * x),),
+    "acos": (lambda d, x: -(d / np.sqrt(1 - x * x)),),
+    "atan": (lambda d, x: d / (1 + x * x),),
+    "sinh": (lambda d, x: d * np.cosh(x),),
+    "cosh": (lambda d, x: d * np.sinh(x),),
+    "tanh": (lambda d, x: d * (1 - np.tanh(x) * np.tanh(x)),),
+    "select": (
+        *(lambda d, p, x, y: 0.0, lambda d, p, x, y: np.where(p, d, 0.0)),
+        lambda d, p, x, y: np.where(p, 0.0, d),
+    ),
+}
 
 
-# ("const", value), ("input", name), or an operation and the places of what it is of, each before its own.
+# ("const", value), ("input", name), ("call", function, *places), or an operation and the places of what it is of,
+# each before its own.
 Node = tuple[Any, ...]
 
 
@@ -99,9 +137,8 @@ class Graph:
         return self.places[key]
 
     def constant(self, value: float | bool) -> int:
-        return self.put(
-            ("const", bool(value) if isinstance(value, bool | np.bool_) else float(value))
-        )
+        is_boolean = isinstance(value, bool | np.bool_)
+        return self.put(("const", bool(value) if is_boolean else float(value)))
 
     def input(self, name: str) -> int:
         return self.put(("input", name))
@@ -112,7 +149,7 @@ class Graph:
             return isinstance(args[0], bool)
         if op == "select":
             return self.boolean(args[1])
-        return op != "input" and OPERATIONS[op].boolean
+        return op in OPERATIONS and OPERATIONS[op].boolean
 
     def value(self, place: int) -> float | bool | None:
         """Of a constant; None of anything else."""
@@ -178,9 +215,11 @@ class Graph:
         Raises:
             InputError: an input is missing.
         """
-        values: dict[int, Any] = {}
+        values, needed = dict[int, Any](), self.needed(outputs)
+        last = {a: place for place in needed for a in self.nodes[place][1:] if type(a) is int}
+        last |= dict.fromkeys(outputs, len(self.nodes))
         with np.errstate(all="ignore"):
-            for place in self.needed(outputs):
+            for place in needed:
                 op, *args = self.nodes[place]
                 if op == "const":
                     values[place] = args[0] if isinstance(args[0], bool) else kind(args[0])
@@ -189,19 +228,78 @@ class Graph:
                         raise InputError(f"the input {args[0]!r} is missing")
                     values[place] = inputs[args[0]]
                 else:
-                    found = OPERATIONS[op].compute(*(values[a] for a in args))
-                    own = OPERATIONS[op].boolean or found.dtype in (kind, bool)
-                    values[place] = found if own else found.astype(kind)
+                    operation = args.pop(0) if op == "call" else OPERATIONS[op]
+                    found = operation.compute(*(values[a] for a in args))
+                    kept = operation.boolean or found.dtype in (kind, bool)
+                    values[place] = found if kept else found.astype(kind)
+                    for a in (a for a in args if last[a] == place):  # no longer needed
+                        values.pop(a, None)
         return [values[o] for o in outputs]
 
-    def part(self, outputs: Sequence[int]) -> tuple[Graph, list[int]]:
-        """A graph of what these outputs need and no more."""
-        small, moved = Graph(), dict[int, int]()
+    def gradient(self, output: int, names: Collection[str]) -> dict[str, int]:
+        """The slopes of a node by those of some inputs that it depends on, by one pass back."""
+        needed, moved = self.needed([output]), set[int]()  # by these inputs
+        for place in needed:
+            op, *args = self.nodes[place]
+            acts = args[0] in names if op == "input" else not moved.isdisjoint(args)
+            if op != "const" and acts:
+                moved.add(place)
+        slopes, found = dict[int, Any]({output: 1.0}), dict[str, int]()
+        for place in (p for p in reversed(needed) if p in moved and p in slopes):
+            op, *args = self.nodes[place]
+            slope = slopes.pop(place)
+            if op == "input":
+                found[args[0]] = self.place_of(slope)
+                continue
+            pullbacks = args.pop(0).pullbacks if op == "call" else PULLBACKS.get(op, ())
+            values = [self.symbols(self._element(a)) for a in args]
+            for a, pullback in zip(args, pullbacks, strict=False):
+                if a in moved:
+                    share = pullback(slope, *values)
+                    slopes[a] = slopes[a] + share if a in slopes else share
+        return found
+
+    def part(
+        self, outputs: Sequence[int], constants: Mapping[str, float]
+    ) -> tuple[Graph, list[int]]:
+        """A graph of what these outputs need and no more, some inputs of which are constants."""
+        whole, moved = Graph(), dict[int, int]()
         for place in self.needed(outputs):
             op, *args = self.nodes[place]
-            own = [moved[a] for a in args] if op in OPERATIONS else args
-            moved[place] = small.put((op, *own))
-        return small, [moved[o] for o in outputs]
+            if op in OPERATIONS:
+                moved[place] = whole.apply(op, *(moved[a] for a in args))
+            elif op == "input" and args[0] in constants:
+                moved[place] = whole.constant(constants[args[0]])
+            else:
+                moved[place] = whole.put((op, *(moved[a] if type(a) is int else a for a in args)))
+        return whole, [moved[o] for o in outputs]
+
+    def symbols(self, elements: Any) -> Symbols:
+        """Symbols and numbers as an array."""
+        found = np.asarray(elements, dtype=object).view(Symbols)
+        found.graph = self
+        return found
+
+    def elementwise(self, op: str, *arrays: Any) -> Symbols:
+        """An operation on arrays of symbols and numbers, broadcast."""
+        function = np.frompyfunc(partial(self.applied, op), len(arrays), 1)
+        return self.symbols(function(*(np.asarray(a, dtype=object) for a in arrays)))
+
+    def place_of(self, element: Any) -> int:
+        """The node of a symbol or a number."""
+        element = element.item() if isinstance(element, np.ndarray) else element
+        return element.place if isinstance(element, Symbol) else self.constant(element)
+
+    def _element(self, place: int) -> Symbol | float | bool:
+        value = self.value(place)
+        return Symbol(place) if value is None else value
+
+    def applied(self, op: str, *elements: Any) -> Symbol | float | bool:
+        """An operation on symbols and numbers; what is true counts as one where a number is asked for."""
+        places = [self.place_of(element) for element in elements]
+        if op not in ("and", "or", "not", "real", "select"):
+            places = [self.apply("real", p) if self.boolean(p) else p for p in places]
+        return self._element(self.apply(op, *places))
 
     def data(self) -> list[list[Any]]:
         """As JSON, a list for each node; numbers that are not finite as text."""
@@ -230,215 +328,114 @@ class Graph:
                 arity = len(set(re.findall(r"{\d}", OPERATIONS[op].c)))
                 if len(rest) != arity or not all(type(a) is int and 0 <= a < place for a in rest):
                     raise InputError(f"its operation {place}, {op!r}, cannot take {str(rest)[:60]}")
+            elif op == "call" and hasattr(rest[0], "compute"):
+                pass  # of no file: what JAX computes
             elif op != "input" or not isinstance(value, str):
                 raise InputError(f"its operation {place} is not known here: {str(row)[:60]}")
             graph.nodes.append((op, *rest))
         return graph
 
 
-# primitive → operation
-SAME = {name: name for name in OPERATIONS.keys() - {"select", "real"}} | {"add_any": "add"}
-_MOVES = (
-    "broadcast_in_dim reshape squeeze expand_dims slice dynamic_slice gather concatenate transpose rev copy stack "
-    "unstack split"
-)
-MOVES = tuple(_MOVES.split())
-_CALLS = "pjit jit closed_call custom_jvp_call custom_vjp_call remat checkpoint"
-CALLS = tuple(_CALLS.split())
+class Symbol:
+    """A node as an element of an array. It is no number: what asks for its value is refused."""
+
+    __slots__ = ("place",)
+    __hash__ = None  # pyright: ignore[reportAssignmentType]
+
+    def __init__(self, place: int) -> None:
+        self.place = place
+
+    def __bool__(self) -> bool:
+        raise NotExportable("a branch that depends on a covariate has no form in an export")
+
+    def __eq__(self, other: object) -> bool:
+        return bool(self)
 
 
-class NotExportable(ModelError):
-    """An operation that the export does not have."""
+class Symbols(np.ndarray):
+    """An array of symbols and numbers: NumPy's functions make nodes of its graph of them, or move them about."""
+
+    graph: Graph
+
+    def __array_finalize__(self, other: Any) -> None:
+        if isinstance(other, Symbols):
+            self.graph = other.graph
+
+    def __getitem__(self, place: Any) -> Any:
+        return self.graph.symbols(super().__getitem__(place))
+
+    def __iter__(self) -> Any:
+        return (self[i] for i in range(len(self)))
+
+    def astype(self, dtype: Any, *args: Any, **how: Any) -> Any:
+        """Numbers of what is true; whether a number is not zero."""
+        if np.dtype(dtype).kind not in "fb":
+            raise NotExportable("a covariate turned into a whole number has no form in an export")
+        return self != 0 if np.dtype(dtype).kind == "b" else self + 0.0
+
+    def __array_ufunc__(self, ufunc: np.ufunc, method: str, *inputs: Any, **how: Any) -> Any:
+        name, graph = ufunc.__name__, self.graph
+        if method == "__call__" and name in COMPOSED:
+            return COMPOSED[name](*map(graph.symbols, inputs))
+        if name not in BY_FUNCTION or method not in ("__call__", "reduce"):
+            raise NotExportable(f"the operation {name!r} has no form in C or plain Python here")
+        if method == "__call__":
+            return graph.elementwise(BY_FUNCTION[name], *inputs)
+        found, axes = np.asarray(inputs[0]), how.get("axis", 0)
+        combine = np.frompyfunc(partial(graph.applied, BY_FUNCTION[name]), 2, 1)
+        axes = range(found.ndim) if axes is None else np.atleast_1d(axes) % found.ndim
+        for axis in sorted(axes, reverse=True):
+            found = np.asarray(combine.reduce(found, axis=axis), dtype=object)
+        return graph.symbols(
+            np.expand_dims(found, tuple(axes)) if how.get("keepdims") is True else found
+        )
+
+    def __array_function__(self, func: Any, types: Any, args: Any, kwargs: Any) -> Any:
+        if func is np.where and len(args) == 3:
+            return self.graph.elementwise("select", *args)
+        if func is np.dot:
+            return np.matmul(*args)
+
+        def symbols(found: Any) -> Any:
+            if isinstance(found, list | tuple):
+                return [*map(symbols, found)]
+            is_object = isinstance(found, np.ndarray) and found.dtype == object
+            return self.graph.symbols(found) if is_object else found
+
+        return symbols(super().__array_function__(func, types, args, kwargs))
 
 
-def trace(
-    graph: Graph, function: Callable[..., Any], arguments: Sequence[Any], places: Sequence[int]
-) -> list[int]:
-    """The nodes of a function's scalar results.
-
-    Args:
-        graph: that they are put in.
-        function: of JAX scalars; returns a pytree of scalars.
-        arguments: examples of its arguments (a sequence of pytrees).
-        places: nodes of the arguments' leaves, in order.
-
-    Raises:
-        NotExportable: the function is made of operations that have no scalar form here.
-    """
-    closed = jax.make_jaxpr(function)(*arguments)
-    inputs = [np.array(p, dtype=object) for p in places]
-    results = _run(graph, closed.jaxpr, closed.consts, inputs)
-    return [int(r.reshape(-1)[0]) for r in results]
+BY_FUNCTION = {o.compute.__name__: n for n, o in OPERATIONS.items() if n not in ("select", "real")}
+BY_FUNCTION |= {"bitwise_and": "and", "bitwise_or": "or", "invert": "not"}
 
 
-def _nodes(graph: Graph, value: Any) -> np.ndarray:
-    """An array of numbers as an array of constant nodes."""
-    array = np.asarray(value)
-    if array.dtype.kind not in "biuf":
-        raise NotExportable(f"values of type {array.dtype} have no place in an export")
-    return _elementwise(graph.constant, array.astype(object))
+def _power(x: Symbols, y: Symbols) -> Symbols:
+    """By products where the exponent is a small whole number, else by the operation."""
+    exponent = y.item() if y.size == 1 else None
+    if isinstance(exponent, Symbol | None) or exponent % 1 or abs(exponent) > 64:
+        return x.graph.elementwise("pow", x, y)
+    made, square, left = x.graph.symbols(1.0), x, int(abs(exponent))
+    while left:
+        made = made * square if left & 1 else made
+        left >>= 1
+        square = square * square if left else square
+    return np.broadcast_to(made if exponent >= 0 else 1.0 / made, np.broadcast(x, y).shape)
 
 
-def _elementwise(function: Callable[..., int], *arguments: Any) -> np.ndarray:
-    """A function of nodes on arrays of them, of one shape once they are broadcast."""
-    found = np.frompyfunc(function, len(arguments), 1)(*arguments)
-    return np.array(found, dtype=object) if np.ndim(found) == 0 else found
-
-
-def _run(
-    graph: Graph, jaxpr: Any, constants: Sequence[Any], inputs: Sequence[np.ndarray]
-) -> list[np.ndarray]:
-    values: dict[Any, np.ndarray] = {}
-
-    def read(atom: Any) -> np.ndarray:
-        return _nodes(graph, atom.val) if hasattr(atom, "val") else values[atom]
-
-    for variable, constant in zip(jaxpr.constvars, constants, strict=True):
-        values[variable] = _nodes(graph, constant)
-    for variable, given in zip(jaxpr.invars, inputs, strict=True):
-        values[variable] = given
-    for equation in jaxpr.eqns:
-        arguments = [read(a) for a in equation.invars]
-        results = _apply(graph, equation, arguments)
-        for variable, result in zip(equation.outvars, results, strict=True):
-            values[variable] = result
-    return [read(v) for v in jaxpr.outvars]
-
-
-def _apply(graph: Graph, equation: Any, arguments: list[np.ndarray]) -> list[np.ndarray]:
-    name, parameters = equation.primitive.name, equation.params
-    if name in CALLS:
-        inner = parameters.get("jaxpr", parameters.get("call_jaxpr", parameters.get("fun_jaxpr")))
-        if hasattr(inner, "jaxpr"):
-            return _run(graph, inner.jaxpr, inner.consts, arguments)
-        return _run(graph, inner, (), arguments)
-    constants = [
-        _numbers(graph, a, v.aval) for a, v in zip(arguments, equation.invars, strict=True)
-    ]
-    if all(c is not None for c in constants):
-        found = equation.primitive.bind(*(jnp.asarray(c) for c in constants), **parameters)
-        return [
-            _nodes(graph, f) for f in (found if equation.primitive.multiple_results else [found])
-        ]
-    if name in MOVES:
-        return _moved(equation, arguments, constants)
-    if name in SAME:
-        return [_elementwise(partial(graph.apply, SAME[name]), *arguments)]
-    made = _others(graph, name, parameters, arguments)
-    if made is None:
-        raise NotExportable(f"the operation {name!r} has no form in C or plain Python here")
-    return [made]
-
-
-def _numbers(graph: Graph, array: np.ndarray, aval: Any) -> np.ndarray | None:
-    """The numbers of an array of constants; None if one element is none."""
-    flat = [graph.value(p) for p in array.reshape(-1)]
-    return None if None in flat else np.array(flat).reshape(array.shape).astype(aval.dtype)
-
-
-def _moved(
-    equation: Any, arguments: list[np.ndarray], constants: list[np.ndarray | None]
-) -> list[np.ndarray]:
-    """What only moves elements, run on the numbers of their places; indices stay what they are."""
-    many = equation.primitive.name in ("concatenate", "stack")
-    pool: list[Any] = []
-    placed = []
-    for i, (argument, constant) in enumerate(zip(arguments, constants, strict=True)):
-        if i and not many:
-            if constant is None:
-                raise NotExportable(
-                    "an element whose place depends on a covariate has no form in an export"
-                )
-            placed.append(jnp.asarray(constant))
-            continue
-        placed.append(jnp.arange(len(pool), len(pool) + argument.size).reshape(argument.shape))
-        pool += argument.reshape(-1).tolist()
-    parameters = dict(equation.params)
-    if "fill_value" in parameters:
-        parameters["fill_value"] = None if parameters["fill_value"] is None else 0
-    found = equation.primitive.bind(*placed, **parameters)
-    return [
-        _elementwise(pool.__getitem__, np.asarray(index).astype(object))
-        for index in (found if equation.primitive.multiple_results else [found])
-    ]
-
-
-def _others(graph: Graph, name: str, parameters: Any, arguments: list[np.ndarray]):
-    """Operations made of several of ours; None if there is no such thing."""
-    apply, first = graph.apply, arguments[0]
-    one = graph.constant(1.0)
-    each: dict[str, Callable[..., int]] = {
-        "square": lambda x: apply("mul", x, x),
-        "one_minus_square": lambda x: apply("sub", one, apply("mul", x, x)),  # JAX 0.12
-        "integer_pow": lambda x: _power(graph, x, parameters["y"]),
-        "rsqrt": lambda x: apply("div", one, apply("sqrt", x)),
-        "logistic": lambda x: apply("div", one, apply("add", one, apply("exp", apply("neg", x)))),
-        "exp2": lambda x: apply("pow", graph.constant(2.0), x),
-        "stop_gradient": lambda x: x,
-        "reduce_precision": lambda x: x,
-        "clamp": lambda a, x, b: apply("min", apply("max", x, a), b),
-    }
-    if name == "select_n" and len(arguments) == 3:
-        return _elementwise(lambda p, no, yes: apply("select", p, yes, no), *arguments)
-    if name in each:
-        return _elementwise(each[name], *arguments)
-    if name == "convert_element_type":
-        return _converted(graph, first, np.dtype(parameters["new_dtype"]))
-    if name in REDUCTIONS:
-        return _reduced(graph, REDUCTIONS[name], first, parameters["axes"])
-    if name == "dot_general":
-        return _dot(graph, arguments, parameters["dimension_numbers"])
-    return None
-
-
-REDUCTIONS = {"reduce_sum": "add", "reduce_max": "max", "reduce_min": "min", "reduce_prod": "mul"}
-
-
-def _power(graph: Graph, x: int, exponent: int) -> int:
-    if exponent < 0:
-        return graph.apply("div", graph.constant(1.0), _power(graph, x, -exponent))
-    made, square = graph.constant(1.0), x
-    while exponent:
-        if exponent & 1:
-            made = graph.apply("mul", made, square)
-        exponent >>= 1
-        if exponent:
-            square = graph.apply("mul", square, square)
-    return made
-
-
-def _converted(graph: Graph, array: np.ndarray, kind: np.dtype) -> np.ndarray:
-    if kind.kind == "f":
-        return _elementwise(lambda x: graph.apply("real", x) if graph.boolean(x) else x, array)
-    if kind.kind == "b":
-        zero = graph.constant(0.0)
-        return _elementwise(lambda x: x if graph.boolean(x) else graph.apply("ne", x, zero), array)
-    raise NotExportable("a covariate turned into a whole number has no form in an export")
-
-
-def _reduced(graph: Graph, op: str, array: np.ndarray, axes: Sequence[int]) -> np.ndarray:
-    kept = [i for i in range(array.ndim) if i not in axes]
-    rows = np.transpose(array, [*kept, *axes]).reshape(*(array.shape[i] for i in kept), -1)
-    found = np.frompyfunc(partial(graph.apply, op), 2, 1).reduce(rows, axis=-1)
-    return np.array(found, dtype=object)
-
-
-def _dot(graph: Graph, arguments: list[np.ndarray], numbers: Any) -> np.ndarray:
-    """A product of matrices or vectors, without batch dimensions."""
-    (left, right), (batch, _) = numbers
-    if batch:
+def _product(x: Symbols, y: Symbols) -> Symbols:
+    """Of an array and a matrix, or a vector."""
+    if y.ndim > 2:
         raise NotExportable("products with batch dimensions have no form in an export")
-    a, b = (
-        np.moveaxis(one, axes, range(-len(axes), 0))
-        for one, axes in zip(arguments, (left, right), strict=True)
-    )
-    a = a.reshape(
-        *a.shape[: a.ndim - len(left)],
-        *(1,) * (b.ndim - len(right)),
-        *a.shape[a.ndim - len(left) :],
-    )
-    products = _elementwise(partial(graph.apply, "mul"), a, b)
-    return _reduced(graph, "add", products, range(products.ndim - len(left), products.ndim))
+    return np.sum(x * y, axis=-1) if y.ndim == 1 else np.sum(x[..., None] * y, axis=-2)
+
+
+# NumPy's functions that come to several operations; of others JAX knows how.
+COMPOSED: dict[str, Callable[..., Symbols]] = {
+    "power": _power,
+    "matmul": _product,
+    "square": lambda x: x * x,
+    "clip": lambda x, low, high: np.minimum(np.maximum(x, low), high),
+}
 
 
 @dataclass(frozen=True)

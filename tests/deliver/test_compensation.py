@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import warnings
+from collections.abc import Callable
+from typing import Any
 
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
@@ -66,7 +69,7 @@ def test_a_new_run_brings_its_spread(gyro) -> None:
     (known,) = [r for r in bent_sensor.gyro().levels["run"] if r == "1"]
     same = bc.compensator(bent_sensor.gyro(), members={"run": known})
     assert same.equation is not None
-    names = [e.name for e in same.equation.unknowns()]
+    names = [e.name for e in same.equation.unknowns]
     assert "bias.run(1)" in names
 
 
@@ -121,6 +124,55 @@ def test_a_time_constant_that_is_hardly_known_stays_in_its_range(seed: int) -> N
     found = bc.compensator(calibration)(readings, warn=False)
     assert np.max(abs(found.value - acts) / found.uncertainty) < 4.5
     assert np.max(found.uncertainty) < 16
+
+
+TABLE = np.linspace(-60.0, 120.0, 40)
+WIDTH, TAU = bc.Shape("width", "degC", 10.0, 90.0), bc.Shape("tau", "s", 60.0, 900.0)
+
+
+def own_effect(basis: Callable[..., Any], unit: str, shape: bc.Shape) -> bc.Compensator:
+    """A compensator of a gyro with an effect of the user's own."""
+    campaign = mems_gyro.Campaign(average=300, runs=3, rate_input=(0.0, 100.0, -100.0))
+    coefficients = (bc.Coefficient(unit, bc.Normal(0.0, 100.0)),)
+    own = bc.Effect("own.part", "bias", basis, coefficients, (shape,), columns=("temperature",))
+    model = mems_gyro.INSTRUMENT.baseline() + "scale.constant" + own
+    readings = mems_gyro.simulate(seed=3, campaign=campaign)
+    return bc.compensator(bc.fit(model, readings, bc.LeastSquares(draws=60), strict=False))
+
+
+def bell(xp: Any) -> bc.Compensator:
+    return own_effect(lambda r, width: xp.exp(-((r["temperature"] / width) ** 2)), "deg/h", WIDTH)
+
+
+def behind(xp: Any) -> bc.Compensator:
+    return own_effect(lambda r, tau: xp.tanh(r["time"] / 9e3) * r.lag(tau), "deg/h/degC", TAU)
+
+
+@pytest.mark.parametrize("made", [bell, behind])
+def test_an_effect_written_for_jax_alone_compensates_and_exports(made) -> None:
+    plain, ours = made(jnp), made(bc.xp)
+    readings = plain.calibration.readings
+    for method in ("draws", "first order"):
+        found, wanted = (one(readings, method=method) for one in (plain, ours))
+        np.testing.assert_allclose(found.value, wanted.value, rtol=1e-7, atol=1e-7)
+        np.testing.assert_allclose(found.uncertainty, wanted.uncertainty, rtol=1e-7)
+    assert len(plain.program.equation.operations) == len(ours.program.equation.operations)
+
+
+def test_an_operation_that_firmware_lacks_is_computed_by_jax_with_its_slope(tmp_path) -> None:
+    def looked_up(r, width):
+        return jnp.interp(30 * r["temperature"] / width, TABLE, np.sin(TABLE / 30))
+
+    made = own_effect(looked_up, "deg/h", WIDTH)
+    equation, mean = made.equation, made._moments.mean
+    place = [u.key for u in equation.unknowns].index("own.part.width")
+    at = np.zeros(5), {"temperature": np.linspace(-20.0, 70.0, 5)}
+    step = 1e-5 * mean[place] * np.eye(len(mean))[place]
+    up, down = equation.points(np.array([mean + step, mean - step]), *at)
+    slope = equation.linearised(mean, *at)[2][:, place]
+    np.testing.assert_allclose(slope, (up - down) / (2 * step[place]), rtol=1e-5, atol=1e-12)
+    with pytest.raises(bc.ModelError, match="cannot be exported"):
+        made.export(tmp_path / "gyro.h")
 
 
 def test_what_is_missing_is_refused_by_name(bent, gyro) -> None:

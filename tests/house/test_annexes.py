@@ -64,10 +64,9 @@ BEHIND = {
     """,
     "metrology": """
         _calibration.prior_influence: NotMeasured coefficients_not_measured not_measured
-        _use: operating_equation
         _use.budget: notes_on
         _use.compensation_program: PAST averaged_over limits
-        _use.operating_equation: ALL_DRAWS equation_in_use
+        _use.operating_equation: ALL_DRAWS STIMULUS equation_in_use
     """,
     "workbench": """
         _calibration.check: covariates_of place_in_words

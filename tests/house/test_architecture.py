@@ -252,10 +252,10 @@ def test_what_is_offered_beside_an_instrument_is_there(group: str) -> None:
 # Lines of Python that each part may have: lowered by whoever takes lines out, never raised. What needs more room takes
 # it from the same part first.
 CEILINGS = {
-    "bayescal/_core": 2_116,
+    "bayescal/_core": 2_115,
     "bayescal/_tables": 1_964,
     "bayescal/_data": 5_247,
-    "bayescal/_model": 5_936,
+    "bayescal/_model": 5_930,
     "bayescal/effects": 721,
     "bayescal/_inference": 6_304,
     "bayescal/_calibration": 5_151,
@@ -265,9 +265,9 @@ CEILINGS = {
     "bayescal/_cli": 1_848,
     "bayescal/_annexes/fleet": 2_530,
     "bayescal/_annexes/imu": 3_125,
-    "bayescal/_annexes/metrology": 1_721,
+    "bayescal/_annexes/metrology": 1_720,
     "bayescal/_annexes/workbench": 3_620,
-    "models": 8_982,
+    "models": 8_978,
     "tests": 25_485,
     "benchmarks": 10_893,
 }

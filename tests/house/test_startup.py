@@ -183,6 +183,9 @@ def test_commands_of_an_affine_instrument_import_no_jax(tmp_path: Path) -> None:
         ("check", fitted),
         ("discover", fitted),
         ("predict", fitted, table, "--out", tmp_path / "predicted.csv"),
+        ("compensate", fitted, table, "--out", tmp_path / "compensated.csv"),
+        *(("export", fitted, "--format", name) for name in ("c", "python", "json")),
+        ("budget", fitted),
         ("calibrate", table, *of, "--out", tmp_path / "result"),
         ("batch", table, *of, "--out", tmp_path / "fleet"),
     )

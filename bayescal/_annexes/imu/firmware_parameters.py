@@ -72,7 +72,7 @@ def at_rest(
     _, own, slope = program.run(expected, inputs)
     own = own / np.where(slope > 0, slope, 1.0)  # of the reading, not of the stimulus
     scale = np.zeros(1)
-    if chosen.equation.slope_calibrated(calibration):
+    if chosen.equation.slope_calibrated:
         like = {"local_gravity": local_gravity, "difference": True}
         scale = 1 / slope / float(convert(1.0, chosen.unit, calibration.unit, **like)) - 1
 

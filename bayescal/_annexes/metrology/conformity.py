@@ -35,17 +35,15 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import NamedTuple
 
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
-from scipy.special import ndtr
+from scipy.special import ndtr, ndtri
 
 from bayescal import Calibration, Compensator, InputError
-from bayescal._use import operating_equation
 from bayescal._use.budget import notes_on
 from bayescal._use.compensation_program import PAST
 from bayescal._use.compensation_program import limits as calibrated_limits
-from bayescal._use.operating_equation import ALL_DRAWS, equation_in_use
+from bayescal._use.operating_equation import ALL_DRAWS, STIMULUS, equation_in_use
 from bayescal.workshop import (
     STANDARD_GRAVITY,
     convert,
@@ -203,6 +201,7 @@ def spread_of_devices(text: str) -> SpreadOfDevices:
 
 # Shifts, and draws, by which the most favourable one is looked for: its p_c need only be within 1/400 of the top.
 SHIFTS, SHIFT_DRAWS = 401, 400
+SCORE_DRAWS = 100  # over which the distribution of one reading is
 DEVIATIONS = np.sinh(np.linspace(-5.3, 5.3, 107))  # standard deviations of one reading, up to 100
 BISECTIONS, EDGE_RTOL = 60, 1e-15  # each halves the bracket; of an acceptance limit
 FAR_SD = 10.0  # standard deviations beyond which a normal distribution has 1e-23
@@ -421,19 +420,13 @@ class LimitedQuantity:
     @cached_property
     def _acting(self) -> set[str]:
         """Inputs, and the stimulus, that it depends on."""
-        if self.chosen is None:
+        if (chosen := self.chosen) is None:
             return set()
-        equation = self.chosen._equation
+        equation = chosen._equation
         if self.is_error:
             return set(equation.inputs)
-        theta, inputs = equation.ones()
-
-        def value(s, inputs):
-            return equation.point(theta, s, inputs, self.limit.quantity)
-
-        live = operating_equation.live(value, jnp.ones(()), inputs)
-        names = (self.chosen.stimulus, *sorted(inputs))
-        return {n for n, acts in zip(names, live, strict=True) if acts}
+        found = equation.graph.inputs([equation.slot_place(self.limit.quantity)])
+        return {chosen.stimulus if name == STIMULUS else name for name in found}
 
     @property
     def follows_time(self) -> bool:
@@ -453,23 +446,29 @@ class LimitedQuantity:
         equation, moments = chosen._equation, chosen._moments
         if "time" in places:
             places["time"] = places["time"] + later
-        zero = np.zeros(len(places[chosen.stimulus]))
-        inputs = {n: jnp.asarray(places.get(n, zero)) for n in equation.names}
-        stimulus, draws = jnp.asarray(places[chosen.stimulus]), jnp.asarray(moments.draws)
-        if not self.is_error:
-            name = self.limit.quantity
-            found = operating_equation.points_over_draws(equation, draws, stimulus, inputs, name)
-            return DrawnQuantity(np.asarray(found), zero)
-        mean = jnp.asarray(moments.mean)
-        found, inclination = operating_equation.errors_over_draws(
-            equation, draws, mean, stimulus, inputs
-        )
-        if self.limit.quantity == MEAN:
-            return DrawnQuantity(np.asarray(found), zero)
+        stimulus, slot = places[chosen.stimulus], None if self.is_error else self.limit.quantity
+        found = equation.points(moments.draws, stimulus, places, slot)
+        if self.is_error:  # where θ is what a draw says, and the correction is made with its mean
+            found = equation.solve(moments.mean, found, places)[0] - stimulus
+        if self.limit.quantity != READING:
+            return DrawnQuantity(found, np.zeros(len(stimulus)))
         noise = np.sqrt(chosen.noise_variance(places))
-        deviations = np.outer(noise, DEVIATIONS)
-        scores = operating_equation.noise_scores(equation, chosen._calibration, places, deviations)
-        return DrawnQuantity(np.asarray(found), noise * np.asarray(inclination), scores)
+        _, slope, _ = equation.linearised(moments.mean, stimulus, places)
+        scores = _noise_scores(chosen, places, np.outer(noise, DEVIATIONS))
+        return DrawnQuantity(found, noise / np.abs(slope), scores)
+
+
+def _noise_scores(
+    chosen: Compensator, places: Mapping[str, np.ndarray], deviations: Float[np.ndarray, "n m"]
+) -> Float[np.ndarray, "n m"]:
+    """Return standard normal scores of the predictive probability that one reading's noise is below a deviation."""
+    calibration, noise = chosen._calibration, chosen._calibration.model.noise
+    each = {n: np.repeat(x, deviations.shape[1]) for n, x in places.items()}
+    frame = chosen._equation.frame_of(each[chosen.stimulus], each)
+    laws = (calibration.problem.hyper(v) for v in calibration.draws(SCORE_DRAWS).v)
+    scores = [np.asarray(noise.normal_scores(deviations.ravel(), law, frame)) for law in laws]
+    tails = ndtr(-np.abs(scores)).mean(axis=0).reshape(deviations.shape)  # the smaller keep digits
+    return -np.sign(deviations) * ndtri(np.maximum(tails, np.finfo(float).tiny))
 
 
 def limited_quantity(

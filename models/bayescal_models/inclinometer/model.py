@@ -104,16 +104,12 @@ def _exact_waves(r: bc.Frame) -> Any:
 
 def _spline(r: bc.Frame) -> Any:
     """Values of the natural cubic splines that are 1 at one knot and 0 at the others; straight lines beyond."""
-    angle = r["placement_angle"]
     spline = CubicSpline(KNOTS, np.eye(KNOTS.size), bc_type="natural")
-    low, high = KNOTS[0], KNOTS[-1]
-    inside = xp.clip(angle, low, high)
-    step = KNOTS[1] - KNOTS[0]
-    piece = xp.clip(xp.floor((inside - low) / step).astype(int), 0, KNOTS.size - 2)
-    h = (inside - low - piece * step)[..., None]
-    c = xp.take(spline.c, piece, axis=1)
-    slope = xp.where((angle < low)[..., None], spline(low, 1), spline(high, 1))
-    return c[3] + h * (c[2] + h * (c[1] + h * c[0])) + (angle - inside)[..., None] * slope
+    # A line from below the first knot, bent at each knot by the step of its third derivative.
+    steps = np.diff(spline.c[0], axis=0, prepend=0.0, append=0.0)
+    beyond = r["placement_angle"][..., None] - KNOTS
+    line = spline(KNOTS[0]) + beyond[..., :1] * spline(KNOTS[0], 1)
+    return line + xp.maximum(beyond, 0.0) ** 3 @ steps
 
 
 def _one_way(readings: bc.Measurements) -> str | None:
