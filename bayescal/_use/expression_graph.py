@@ -411,15 +411,13 @@ BY_FUNCTION |= {"bitwise_and": "and", "bitwise_or": "or", "invert": "not"}
 
 def _power(x: Symbols, y: Symbols) -> Symbols:
     """By products where the exponent is a small whole number, else by the operation."""
-    exponent = y.item() if y.size == 1 else None
+    exponent = y.item() if y.ndim == 0 else None
     if isinstance(exponent, Symbol | None) or exponent % 1 or abs(exponent) > 64:
         return x.graph.elementwise("pow", x, y)
-    made, square, left = x.graph.symbols(1.0), x, int(abs(exponent))
-    while left:
-        made = made * square if left & 1 else made
-        left >>= 1
-        square = square * square if left else square
-    return np.broadcast_to(made if exponent >= 0 else 1.0 / made, np.broadcast(x, y).shape)
+    if exponent < 0:
+        return 1.0 / x**-exponent
+    half = x ** (exponent // 2) if exponent > 1 else x.graph.symbols(np.ones(x.shape))
+    return half * half * x if exponent % 2 else half * half
 
 
 def _product(x: Symbols, y: Symbols) -> Symbols:
