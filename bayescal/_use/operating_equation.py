@@ -472,10 +472,9 @@ def solved_over_draws(
                 given[lag.slope] = np.zeros(size)  # it is at this τ already
         length = max(1, NUMBERS_AT_ONCE // len(draws))
         for rows in (slice(start, start + length) for start in range(0, size, length)):
-            own = {n: v[..., rows] for n, v in given.items()}
-            s, slope = np.broadcast_arrays(*equation.solve(draws, output[rows], own), draws[:, :1])[
-                :2
-            ]
+            own, y = {n: v[..., rows] for n, v in given.items()}, output[rows]
+            found = equation.solve(draws, y, own)
+            s, slope = (np.broadcast_to(one, (len(draws), len(y))) for one in found)
             if first == 0:  # about which sums of squares keep their digits
                 origin[rows] = s.mean(axis=0)
             away = s - origin[rows]

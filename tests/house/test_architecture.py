@@ -259,7 +259,7 @@ CEILINGS = {
     "bayescal/effects": 721,
     "bayescal/_inference": 6_304,
     "bayescal/_calibration": 5_151,
-    "bayescal/_use": 3_078,
+    "bayescal/_use": 3_077,
     "bayescal/_search": 5_794,
     "bayescal/_report": 2_425,
     "bayescal/_cli": 1_848,
