@@ -41,6 +41,7 @@ from bayescal._use.operating_equation import (
 
 REST = "between-group sd, shapes, curvature"
 STRUCTURES = "which effects there are (average over structures)"
+FORM = "form of the model: formulas that the search does not have"
 LEAST_VARIANCE_SHARE = 5e-4  # share of the variance below which a coefficient is not printed
 READINGS = "noise of the calibration's readings"
 SHARED = (
@@ -315,6 +316,10 @@ def _by_source(
             if u.kind == "coefficient" and (own := one.shares.get(u.key)):
                 moved += float(slope) * own[known.index[u.name] - known.by_key[u.key].start]
         parts[f"{one.of_column}, not told from the model's own", "B"] = moved**2
+    if (factor := calibration.form_factor) != 1.0:
+        own = np.where([u.kind != "new" for u in chosen._equation.unknowns], gradient, 0.0)
+        whole = float(own @ chosen._moments.covariance @ own)
+        parts[FORM, "B"] = (1 - factor**-2) * whole
     rows = sorted(parts.items(), key=lambda p: -p[1])
     rows += [((REST, ""), total - sum(parts.values()))]
     rows += [((STRUCTURES, ""), variance - total)] * bool(unlikely)

@@ -363,7 +363,7 @@ def posterior_moments(
     """Draws of θ, at most `draws` of them evenly thinned; mean and covariance from all, which coefficients' draws have.
 
     A deviation that is new in use is independent of everything measured, and so are its draws: what is computed from
-    draws and from moments agrees.
+    draws and from moments agrees. All that was measured is as uncertain as the form of the model makes what it expects.
     """
     unknowns, (_, v), problem = equation.unknowns, calibration.draws(), calibration.problem
     total, random = len(v), np.random.default_rng(calibration.seed)
@@ -375,6 +375,7 @@ def posterior_moments(
         mean[i] = values[:, i].mean()
     thin = values[::step].copy()
     covariance = np.atleast_2d(np.cov(values.T)) if len(unknowns) else np.zeros((0, 0))
+    covariance *= calibration.form_factor**2
     for i in new:
         term = next(t for t in problem.terms if t.name == unknowns[i].key)
         spread = problem.member_sd(term, problem.hyper(v.T), total)
@@ -383,7 +384,7 @@ def posterior_moments(
         thin[:, i] = mean[i] + _independent(thin - mean, spread[::step], covariance[i, i], random)
     # A shape moved so may leave its range.
     linear = [i for i, u in enumerate(unknowns) if u.kind != "shape"]
-    if step > 1:
+    if step > 1 or calibration.form_factor != 1.0:
         own = mean[linear], covariance[np.ix_(linear, linear)]
         thin[:, linear] = _with_moments(thin[:, linear], *own)
     return PosteriorMoments(thin, mean, covariance)
