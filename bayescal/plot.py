@@ -7,12 +7,9 @@ from __future__ import annotations
 
 from bayescal._report.plots import allan as allan
 from bayescal._report.plots import coefficients as coefficients
-from bayescal._report.plots import identifiability as identifiability
 from bayescal._report.plots import loop as loop
-from bayescal._report.plots import members as members
 from bayescal._report.plots import missing as missing
 from bayescal._report.plots import noise as noise
-from bayescal._report.plots import pairs as pairs
 from bayescal._report.plots import predictive as predictive
 from bayescal._report.plots import residuals as residuals
 from bayescal._report.plots import save as save

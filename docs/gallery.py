@@ -82,30 +82,6 @@ def of_the_posterior(after: bc.Calibration) -> list[Entry]:
             lambda: bc.plot.coefficients(after),
         ),
         Entry(
-            "allan",
-            "bc.plot.allan(trail.final.calibration)",
-            "Allan deviation of the residuals with its 95 % intervals, and what the noise law lets one expect (grey).",
-            lambda: bc.plot.allan(after),
-        ),
-        Entry(
-            "members",
-            'bc.plot.members(trail.final.calibration, f"{trail.steps[-1].added}[start]")',
-            "A coefficient with one value for each run: means, 50 % and 95 % credible intervals.",
-            lambda: bc.plot.members(after, f"{after.model.names[-1]}[start]"),
-        ),
-        Entry(
-            "identifiability",
-            "bc.plot.identifiability(trail.final.calibration)",
-            "How much narrower than its prior each unknown became: at 1 the readings said nothing.",
-            lambda: bc.plot.identifiability(after),
-        ),
-        Entry(
-            "pairs",
-            "bc.plot.pairs(trail.final.calibration)",
-            "The most correlated unknowns, two by two.",
-            lambda: bc.plot.pairs(after),
-        ),
-        Entry(
             "predictive",
             "bc.plot.predictive(trail.final.calibration)",
             "Whether readings fall where the model expects them: within the band if it is right.",
@@ -119,7 +95,8 @@ def page(shown: list[Entry]) -> str:
     parts = [
         "# Gallery",
         "Made by `python docs/gallery.py`. Every picture is a function that returns a Matplotlib figure; "
-        "`bc.plot.save(figure, path)` writes it. Colours are those that the colour-blind tell apart (Okabe and Ito).",
+        "`bc.plot.save(figure, path)` writes it. Colours are those that the colour-blind tell apart (Okabe and Ito). "
+        "More of a posterior is drawn by ArviZ, as `arviz_plots.plot_forest(calibration.tree)` or `plot_pair`.",
         f"The readings are simulated: a MEMS gyroscope over temperature (seed {SEED}), with {hidden} hidden in it.",
         "```python\nimport bayescal as bc\nfrom bayescal_models import mems_gyro\n\n"
         f"readings = mems_gyro.simulate({json.dumps(HIDDEN)}, seed={SEED})\n"

@@ -8,15 +8,13 @@ dependence by the columns of `unknown(covariate)`.
 from __future__ import annotations
 
 import math
-import textwrap
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import combinations
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float
-from scipy.special import bdtr, chdtr, chdtrc, chdtri, kolmogorov, logsumexp, ndtr
+from scipy.special import bdtr, kolmogorov, logsumexp, ndtr
 
 from bayescal._calibration import judgement
 from bayescal._calibration.calibration import Calibration
@@ -24,19 +22,15 @@ from bayescal._calibration.fit import fit
 from bayescal._calibration.fitted import Fitted
 from bayescal._calibration.leave_group_out import leave_one_group_out
 from bayescal._core.errors import InputError
-from bayescal._core.formatting import WIDTH, number
+from bayescal._core.formatting import number
 from bayescal._core.parallel import on_one_thread
-from bayescal._core.result_table import Printed, ResultTable, TableColumn, plain_table
+from bayescal._core.result_table import Printed, ResultTable, TableColumn
 from bayescal._core.settings import settings
-from bayescal._data import allan_deviation as allan
-from bayescal._data.allan_deviation import CONFIDENCE, AllanDeviation, AllanTerm
 from bayescal._data.unit_conversion import unit_label
 from bayescal._inference.least_squares import LeastSquares
-from bayescal._model.noise_law import WHITE, Noise
 from bayescal._model.unknown_effect import process_columns, process_weights, resolution
 
 SIGNIFICANT_P = 1e-3  # p-value of the tests without a Bayes factor
-IN_TIME = ("time", "elapsed", "order", "run")  # what correlated noise seems to follow
 
 
 @dataclass(frozen=True)
@@ -90,66 +84,6 @@ class FixedComparison:
         return self.rms > 2 * self.noise
 
 
-@dataclass(frozen=True)
-class AllanCheck:
-    """The Allan deviation of residuals beside that which the fitted noise law lets one expect of them."""
-
-    measured: AllanDeviation  # of the residuals
-    law: str  # name of the noise law
-    expected: np.ndarray = field(repr=False)  # under it, of the residuals of such a fit (k,)
-    low: np.ndarray = field(repr=False)  # between which it puts 95 % of such estimates (k,)
-    high: np.ndarray = field(repr=False)
-    law_terms: tuple[AllanTerm, ...]  # N, and K where the noise is correlated, as the law has them
-    apart: int | None  # averaging time at which the two differ the most; None where they agree
-
-    def __str__(self) -> str:
-        return f"{self.table()}\n{self.sentence()}"
-
-    def table(self) -> ResultTable:
-        """The terms of the noise law in the units of data sheets."""
-        rows = [[f"{t.name} {t.symbol}", str(t)] for t in self.law_terms]
-        return plain_table([f"noise law ({self.law_name})", "value"], rows)
-
-    @property
-    def law_name(self) -> str:
-        """As a person reads it."""
-        named = (law for law in Noise.known.values() if law.law == self.law)
-        return next((law.words for law in named if law.words), self.law)
-
-    def sentence(self) -> str:
-        """Where the two differ the most, or over which times they agree."""
-        m, unit, k = self.measured, unit_label(self.measured.unit), self.apart
-        if k is None:
-            times = f"{number(m.tau[0])} to {number(m.tau[-1])} s"
-            return f"Allan deviation and noise law ({self.law_name}) agree from {times}"
-        more = "more" if m.deviation[k] > self.expected[k] else "less"
-        return (
-            f"at {number(m.tau[k])} s the Allan deviation is {number(m.deviation[k])} {unit}, the noise law "
-            f"({self.law_name}) says {number(self.low[k])} to {number(self.high[k])} {unit} (95 %): the residuals "
-            f"change {more} over this time than such noise would"
-        )
-
-    def data(self) -> dict[str, Any]:
-        """As in result.json."""
-        return {
-            "unit": self.measured.unit,
-            "runs": self.measured.runs,
-            "curve": allan_rows(self.measured, self.expected, self.low, self.high),
-            "terms": [vars(t) for t in self.law_terms],
-            "agrees": self.apart is None,
-            "in_words": self.sentence(),
-        }
-
-
-def allan_rows(
-    measured: AllanDeviation, law: np.ndarray, low: np.ndarray, high: np.ndarray
-) -> list[dict[str, float]]:
-    """An Allan deviation beside that of a noise law, time by time, as in JSON."""
-    m, names = measured, ("tau", "deviation", "low", "high", "law", "law_low", "law_high")
-    rows = zip(m.tau, m.deviation, m.low, m.high, law, low, high, strict=True)
-    return [dict(zip(names, map(float, row), strict=True)) for row in rows]
-
-
 @dataclass(frozen=True, repr=False)
 class Check(Printed):
     """Where a model fails.
@@ -167,7 +101,6 @@ class Check(Printed):
         one_sided: p-value of as many readings far above the model as far below it.
         fixed: only for models with fixed coefficients.
         residuals: (n,), output unit.
-        allan: Allan deviation of the residuals beside the noise law; None where readings are not evenly spaced in time.
     """
 
     entries: tuple[Entry, ...]
@@ -181,7 +114,6 @@ class Check(Printed):
     pit_p: float
     fixed: FixedComparison | None
     residuals: np.ndarray = field(repr=False)
-    allan: AllanCheck | None = None
     one_sided: float = 1.0
 
     def _parts(self) -> list[str | ResultTable]:
@@ -230,8 +162,8 @@ def check_table(rows: Sequence[Mapping[str, Any]]) -> ResultTable:
 def check_parts(check: Check, most: int | None = None) -> list[str | ResultTable]:
     """Where a model fails, the worst covariate first.
 
-    Of `most` covariates alone, what always stands below them (neighbours in time, probabilities of single readings,
-    Allan deviation) is left out too.
+    Of `most` covariates alone, what always stands below them (neighbours in time, probabilities of single readings) is
+    left out too.
     """
     unit, rows = unit_label(check.unit), check.data()[:most]
     noise = f"judged against noise of {check.noise:.3g} {unit}"
@@ -260,15 +192,6 @@ def check_parts(check: Check, most: int | None = None) -> list[str | ResultTable
         lines.append(f"leave-one-out probabilities uniform: p = {check.pit_p:.2g}")
     if check.one_sided < SIGNIFICANT_P:
         lines.append(f"readings far from the model stand on one side (p = {check.one_sided:.1g})")
-    if (found := check.allan) is None or most is not None:
-        return lines
-    # Where the noise law is contradicted; else its terms as data sheets give them: what a covariate explains is no
-    # noise, and has no such terms.
-    known = (e.log_bayes_factor for e in check.entries if e.against not in IN_TIME)
-    if found.apart is not None:
-        lines.append(textwrap.fill(found.sentence(), WIDTH, subsequent_indent="  "))
-    elif max(known, default=0.0) <= strong:
-        lines += ["", found.table()]
     return lines
 
 
@@ -314,8 +237,6 @@ SCALES = (3, 4)  # lengths of the process over their plausible range; in time, w
 AMPLITUDES = tuple(np.geomspace(0.15, 15.0, 7))  # in noise standard deviations
 WAVES = 2  # along each of two covariates together
 INVISIBLE = 1e-12  # I·W of a direction below this: its prior spread is lost in its uncertainty
-LAW_DRAWS = 100  # of a correlated law's parameters
-RANKS = 50  # of a χ², equally probable, that stand for it
 ROUNDING = 64 * float(np.finfo(float).eps)  # of the largest of its group: below it is only rounding
 
 
@@ -367,7 +288,6 @@ def check(calibration: Calibration) -> Check:
         one_sided=one_sided,
         fixed=fixed,
         residuals=residual,
-        allan=allan_check(judged),
     )
 
 
@@ -588,81 +508,6 @@ def _scatter_with(
     sizes = _ranks(np.abs(standardised))
     found = {n: judgement.correlation(sizes, _ranks(values))[1] for n, values in varied.items()}
     return {name: p for name, p in found.items() if p < SIGNIFICANT_P}
-
-
-def allan_check(calibration: Fitted) -> AllanCheck | None:
-    """The Allan deviation of a fit's residuals; None where readings are not evenly spaced in time, or too few."""
-    linear, readings, noise = calibration.linear, calibration.readings, calibration.model.noise
-    try:
-        runs = allan.even_runs(readings)
-        measured = allan.of_runs(readings, linear.settled, runs)
-    except InputError:
-        return None
-    mode = calibration.problem.hyper(calibration.mode.v)
-    variance = float(np.mean(linear.variance))
-    law = noise.allan_variance(mode, variance, runs.factors, runs.step)
-    taken, _ = allan.overlapping(linear.taken, runs)
-    left = np.maximum(1 - taken / law, 0.0)  # what a fit has absorbed is not in its residuals
-    draws = _drawn(calibration, mode, variance, runs.factors, runs.step) * left
-    edf = allan.degrees_of_freedom(runs, allan.noise_types(law))
-    ranks = (np.arange(RANKS) + 0.5) / RANKS
-    estimates = draws[:, None] * (chdtri(edf, ranks[:, None]) / edf)
-    tail = 0.5 * (1 - CONFIDENCE)
-    low, high = np.sqrt(np.quantile(estimates, [tail, 1 - tail], axis=(0, 1)))
-    terms = _law_terms(calibration, mode, variance, runs.step)
-    apart = _apart(measured, draws, edf) if noise.gaussian else None
-    return AllanCheck(measured, noise.law, np.sqrt(law * left), low, high, terms, apart)
-
-
-def _drawn(
-    calibration: Fitted, mode: dict[str, Any], variance: float, factors: np.ndarray, step: float
-) -> Float[np.ndarray, "d k"]:
-    """Allan variances under the law's parameters drawn from the posterior, or at the mode.
-
-    White noise is known better than any of its averages, and stays at the mode. So does a law that was taken over from
-    the same model with free coefficients.
-    """
-    law = calibration.model.noise
-    names = set(law.parameters())
-    varying = names & calibration.unknowns.by_key.keys()
-    if law.independent or not varying or calibration.layout.stated:
-        return law.allan_variance(mode, variance, factors, step)[None]
-    every = -(-len(calibration.samples(min(varying))) // LAW_DRAWS)
-    values = {n: np.asarray(mode[n]) for n in names}
-    values |= {n: calibration.samples(n)[::every] for n in varying}
-    known = max(variance - float(mode[WHITE]) ** 2 - float(law.slow_variance(mode)), 0.0)
-    total = values[WHITE] ** 2 + np.asarray(law.slow_variance(values)) + known
-    return law.allan_variance(values, total, factors, step)
-
-
-def _apart(
-    measured: AllanDeviation, draws: Float[np.ndarray, "d k"], edf: Float[np.ndarray, "k"]
-) -> int | None:
-    """Where the measured curve is the rarest under the law, if it is rare among all averaging times (Bonferroni)."""
-    with np.errstate(divide="ignore"):
-        ratio = edf * measured.deviation**2 / draws
-    sides = np.stack([chdtr(edf, ratio).mean(axis=0), chdtrc(edf, ratio).mean(axis=0)])
-    rare = 2 * sides.min(axis=0) * len(edf) < SIGNIFICANT_P
-    # Of several that are all but impossible, the one that is the most standard deviations off.
-    off = np.abs(np.log(np.median(ratio, axis=0) / edf)) * np.sqrt(edf / 2)
-    return int(np.argmax(np.where(rare, off, -1.0))) if rare.any() else None
-
-
-def _law_terms(
-    calibration: Fitted, mode: dict[str, Any], variance: float, step: float
-) -> tuple[AllanTerm, ...]:
-    """N = √(σ²·Δ) of the white part, and K = q of correlated noise, with the posterior's standard deviations."""
-    law, unit = calibration.model.noise, calibration.unit
-    names = {WHITE, *law.coefficients_in_time} & calibration.unknowns.by_key.keys()
-    error = {name: float(calibration.samples(name).std()) for name in names}
-    size = float(np.sqrt(max(variance - float(law.slow_variance(mode)), 0.0)))
-    # Of σ² = σ₀² + what is known, only σ₀ is uncertain.
-    own = float(mode[WHITE]) / size * error.get(WHITE, 0.0) if size > 0 and WHITE in mode else 0.0
-    slow = law.coefficients_in_time.items()
-    return (
-        allan.term("N", unit, size * step**0.5, own * step**0.5),
-        *(allan.term(symbol, unit, float(mode[n]), error.get(n, 0.0)) for n, symbol in slow),
-    )
 
 
 def noise_floor(calibration: Fitted) -> float:

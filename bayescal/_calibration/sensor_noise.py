@@ -29,7 +29,6 @@ from numpy.polynomial.legendre import legvander
 from scipy.fft import dct, idct
 from scipy.special import ndtri, softmax
 
-from bayescal._calibration.check import allan_rows
 from bayescal._calibration.claim import Claim
 from bayescal._core import deadline
 from bayescal._core.errors import InputError
@@ -101,6 +100,7 @@ FILTER_REACHES_SHARE = 0.95
 SHOWN_SUMS = 4  # sums that are printed with their probabilities
 # Averaging times at which a record may lie outside the law's 95 % interval: one in 20 does, and neighbours together.
 MAX_OUTSIDE = 2
+CURVE = ("tau", "deviation", "low", "high", "law", "law_low", "law_high")  # in JSON
 
 
 @dataclass(frozen=True)
@@ -214,7 +214,9 @@ class SensorNoise(Printed):
 
     def data(self) -> dict[str, Any]:
         """Plain numbers, for JSON."""
-        n, k = self.for_filter()
+        (n, k), m = self.for_filter(), self.measured
+        law = (self.expected, self.low, self.high)
+        columns = [column.tolist() for column in (m.tau, m.deviation, m.low, m.high, *law)]
         return {
             "file": self.file,
             "unit": self.unit,
@@ -222,7 +224,7 @@ class SensorNoise(Printed):
             "law": self.law,
             "probabilities": dict(self.probabilities),
             "figures": [{**vars(f), "si": list(f.si)} for f in self.figures],
-            "curve": allan_rows(self.measured, self.expected, self.low, self.high),
+            "curve": [dict(zip(CURVE, row, strict=True)) for row in zip(*columns, strict=True)],
             "for_filter": {"quantile": FILTER_QUANTILE, "N": n, "K": k, "horizon": self.horizon},
             "claims": [claim.data() for claim in self.claims],
         }

@@ -16,7 +16,7 @@ from jaxtyping import Float
 from scipy.special import gammaincinv
 
 from bayescal._core.errors import InputError
-from bayescal._core.formatting import number, with_error
+from bayescal._core.formatting import number
 from bayescal._core.result_table import plain_table
 from bayescal._data.measurements import Measurements
 from bayescal._data.time_in_runs import EVEN_STEPS, run_codes
@@ -28,7 +28,6 @@ FULL_SHARE = 0.5  # of the readings of an average, that must be there
 CUT_STEPS = 1.5  # of a grid, over which the stamps of readings may lie about it; two readings on one stamp are over 1
 # Of the places of a run's grid, that may have no reading: drivers lose some per cent.
 LOST_SHARE = 0.2
-SYMBOLS = "NBK"
 
 
 class Habit(NamedTuple):
@@ -37,24 +36,6 @@ class Habit(NamedTuple):
     names: tuple[str, str, str]
     units: tuple[str, str, str]
     rounded: str
-
-
-@dataclass(frozen=True)
-class AllanTerm:
-    """One term (N, B or K) of noise, in the unit of data sheets, with the name of IEEE 952 and 1293.
-
-    Attributes:
-        uncertainty: standard uncertainty of the value.
-    """
-
-    symbol: str
-    name: str
-    unit: str
-    value: float
-    uncertainty: float
-
-    def __str__(self) -> str:
-        return f"{with_error(self.value, self.uncertainty)} {unit_label(self.unit)}".strip()
 
 
 WALKS = ("velocity random walk", "bias instability", "acceleration random walk")
@@ -76,14 +57,6 @@ def habit(unit: str) -> Habit:
         return Habit(WALKS, ("m/s/h^0.5", "m/s^2", "m/s^2/h^0.5"), "m/s")
     names = ("white noise", "bias instability", "random walk")
     return Habit(names, (f"{own}/Hz^0.5", own, f"{own}/s^0.5"), f"{own}*s")
-
-
-def term(symbol: str, unit: str, value: float, uncertainty: float) -> AllanTerm:
-    """Return a term in its data-sheet unit; values in the output's unit times √s (N), as it is (B), per √s (K)."""
-    i, known = SYMBOLS.index(symbol), habit(unit)
-    # Both in base units, of which the second is one and the hertz its inverse.
-    factor = parse(unit or "1").factor / parse(known.units[i]).factor
-    return AllanTerm(symbol, known.names[i], known.units[i], value * factor, uncertainty * factor)
 
 
 SHARE = 4  # of the longest run that is averaged, at most: Riley's stop ratio of this estimator

@@ -1,8 +1,7 @@
 """Every picture: where a model fails, what is missing and how the error falls, what a fit knows, noise, poses.
 
 Pictures of the search are drawn from results, or from what `result.json` says of them. Those of a fit are its
-coefficients, how far the readings told them, their correlations, predictions. An Allan deviation stands beside that of
-the noise law: of a record, of residuals, of a sensor at rest. Poses stand on two hemispheres, z up and z down, as seen
+coefficients and predictions; ArviZ draws more of its `tree`. Poses stand on two hemispheres, z up and z down, as seen
 from outside, each an equal-area map (Lambert's azimuthal), so that poses that are spread evenly look so.
 """
 
@@ -23,17 +22,16 @@ from matplotlib.patches import Patch
 from matplotlib.transforms import ScaledTranslation
 
 from bayescal._calibration.calibration import Calibration
-from bayescal._calibration.check import AllanCheck, Check, Entry, allan_check, check, covariates_of
+from bayescal._calibration.check import Check, Entry, check, covariates_of
 from bayescal._calibration.leave_group_out import scheme
 from bayescal._calibration.sensor_noise import SensorNoise
-from bayescal._calibration.summary import curve_weights, summary
+from bayescal._calibration.summary import curve_weights
 from bayescal._core.atomic_file import replacing_for_user
 from bayescal._core.errors import InputError, ModelError
 from bayescal._core.formatting import number
 from bayescal._data.allan_deviation import AllanDeviation
 from bayescal._data.pose_rows import ACROSS
 from bayescal._data.unit_conversion import unit_label
-from bayescal._model.frame import GROUPS
 from bayescal._report.plot_colours import BLUE, CYCLE, GREEN, GREY, ORANGE, PALE, RED
 from bayescal._search.discover import Discovery, is_quiet
 from bayescal._search.search_path import SearchPath
@@ -292,9 +290,8 @@ def loop(found: SearchPath) -> Figure:
 
 
 DRAWS = 1000  # in a picture
-INTERVAL = 0.95  # probability within the bands that are drawn
+INTERVAL = (0.025, 0.975)  # quantiles between which a band is drawn
 MOST_UNKNOWNS = 24  # in one picture
-PAIRED = 4  # unknowns in a picture of pairs
 
 
 def coefficients(
@@ -315,7 +312,7 @@ def coefficients(
     for ax, (name, unknown) in zip(panels, data.items(), strict=False):
         draws = unknown.values.ravel()
         _density(ax, draws)
-        ax.plot(_ends(draws, INTERVAL), [0, 0], color=ORANGE, lw=4, solid_capstyle="butt")
+        ax.plot(np.quantile(draws, INTERVAL), [0, 0], color=ORANGE, lw=4, solid_capstyle="butt")
         ax.plot(draws.mean(), 0, "o", color=RED, ms=5)
         ax.set_xlabel(axis_label("", unknown.attrs["units"]).strip(), fontsize=9)
         ax.set_title(plain(str(name)), fontsize=9)
@@ -336,86 +333,6 @@ def _density(ax: Any, draws: np.ndarray) -> None:
     ax.set_yticks([])
     open_sides(ax)
     ax.spines["left"].set_visible(False)
-
-
-def _ends(draws: np.ndarray, share: float) -> np.ndarray:
-    """Of the credible interval that holds this share of the draws along the last axis (2, …)."""
-    return np.quantile(draws, [0.5 - share / 2, 0.5 + share / 2], axis=-1)
-
-
-def members(calibration: Calibration, name: str) -> Figure:
-    """What each run, cell or device has of a coefficient, with 50 % and 95 % credible intervals.
-
-    Args:
-        calibration: a fit.
-        name: of a coefficient with one value for each member of a group.
-
-    Raises:
-        InputError: there is no such coefficient.
-    """
-    posterior = calibration.posterior
-    grouped = [n for n in map(str, posterior) if set(posterior[n].dims) & set(GROUPS)]
-    if name not in grouped:
-        raise InputError(
-            f"{name!r} has no value for each member of a group; these have: {', '.join(grouped) or 'none'}"
-        )
-    data = posterior[name].isel(draw=_thin(posterior))
-    (group,) = {str(d) for d in data.dims} - {"chain", "draw"}
-    draws = data.transpose(group, ...).values.reshape(data.sizes[group], -1)
-    at = np.arange(len(draws))
-    ax = axes_of(None, 6.4, 1.0 + 0.25 * len(draws))
-    for share, width in ((INTERVAL, 1.5), (0.5, 4.0)):
-        ax.hlines(at, *_ends(draws, share), color=BLUE, lw=width)
-    ax.plot(draws.mean(axis=1), at, "o", color=RED)
-    ax.set_yticks(at, [plain(f"{group} {label}") for label in data[group].values])
-    ax.invert_yaxis()
-    ax.set_xlabel(axis_label(name, data.attrs["units"]))
-    return ax.figure
-
-
-def pairs(calibration: Calibration, names: Sequence[str] | None = None) -> Figure:
-    """Joint draws of the unknowns, two by two, and the density of each.
-
-    Args:
-        calibration: a fit.
-        names: which; the four most correlated, if not given.
-
-    Raises:
-        InputError: no such unknown, or fewer than two.
-    """
-    data = _chosen(calibration, names)
-    if len(data) < 2:
-        raise InputError(f"a picture of pairs needs two unknowns or more, not {len(data)}")
-    if names is None:
-        data = data[most_correlated(data)]
-    draws = [unknown.values.ravel() for unknown in data.values()]
-    units = [axis_label("", unknown.attrs["units"]).strip() for unknown in data.values()]
-    said = [f"{plain(str(name))}\n{unit}" for name, unit in zip(data, units, strict=True)]
-    side = 1.0 + 1.5 * len(data)
-    figure = new_figure(side, side)
-    panels = figure.subplots(len(data), len(data), sharex="col")
-    for (row, column), ax in np.ndenumerate(panels):
-        ax.set_visible(column <= row)
-        if column == row:
-            _density(ax, draws[row])
-        elif column < row:  # thousands of points in a vector picture weigh too much
-            ax.plot(draws[column], draws[row], ".", color=BLUE, alpha=0.25, ms=3, rasterized=True)
-            ax.locator_params(axis="y", nbins=3)
-        ax.tick_params(labelsize=7)
-        ax.locator_params(axis="x", nbins=2)
-        if row == len(said) - 1:
-            ax.set_xlabel(said[column], fontsize=8)
-        if column == 0 and row > 0:
-            ax.set_ylabel(said[row], fontsize=8)
-    return figure
-
-
-def most_correlated(data: xr.Dataset) -> list[str]:
-    """The unknowns of the strongest correlations, in their own order."""
-    names = list(map(str, data))
-    correlation = np.abs(np.corrcoef([data[n].values.ravel() for n in names]))
-    strongest = np.argsort(-np.max(correlation - np.eye(len(names)), axis=0), kind="stable")
-    return [names[i] for i in sorted(strongest[:PAIRED])]
 
 
 def predictive(calibration: Calibration) -> Figure:
@@ -451,27 +368,6 @@ def predictive(calibration: Calibration) -> Figure:
     return figure
 
 
-def identifiability(calibration: Calibration, ax: Any = None) -> Figure:
-    """How much narrower than its prior each unknown became: posterior over prior standard deviation."""
-    found, hyperparameters = summary(calibration)
-    rows = [r for r in (*found, *hyperparameters) if r["contraction"] is not None]
-    rows = sorted(rows, key=lambda r: r["contraction"])[:MOST_UNKNOWNS][::-1]
-    ax = axes_of(ax, 5.6, 0.28 * max(len(rows), 3) + 1.0)
-    ratio = [float(np.sqrt(max(1 - r["contraction"], 1e-12))) for r in rows]
-    colours = [ORANGE if value > 0.7 else BLUE for value in ratio]
-    ax.barh([plain(r["name"]) for r in rows], ratio, color=colours)
-    ax.axvline(1, color=GREY, lw=1)
-    ax.set_xscale("log")
-    ax.xaxis.set_major_formatter(lambda value, _: number(value))
-    ax.xaxis.set_minor_formatter(lambda value, _: "")
-    for y, value in enumerate(ratio):
-        ax.text(value * 1.05, y, number(value, 2), va="center", fontsize=7.5)
-    if ratio:
-        ax.set_xlim(min(0.1, min(ratio)) / 2, max(2.0, 2 * max(ratio)))
-    ax.set_xlabel("posterior sd / prior sd [1]")
-    return ax.figure
-
-
 def _chosen(calibration: Calibration, names: Sequence[str] | None) -> xr.Dataset:
     """Draws of the named unknowns, thinned; of those with one value each, but a curve's weights, if none is named."""
     posterior = calibration.posterior
@@ -499,36 +395,11 @@ def _thin(data: xr.Dataset) -> slice:
     return slice(None, None, max(1, data.sizes["draw"] * data.sizes["chain"] // DRAWS))
 
 
-def allan(given: Check | Calibration | AllanDeviation) -> Figure:
-    """Allan deviation over averaging time with its 95 % intervals, the noise law's band in grey.
-
-    The averaging time at which the two differ the most is red, where they do.
-
-    Args:
-        given: a check, a fit, or what `bc.allan_deviation` returned, which has no noise law.
-
-    Raises:
-        InputError: the readings are not evenly spaced in time, or too few.
-    """
-    found = given.allan if isinstance(given, Check) else given
-    found = allan_check(found) if isinstance(found, Calibration) else found
-    if found is None:
-        raise InputError(
-            "there is no Allan deviation to draw: it needs runs of 30 readings or more, evenly spaced in time; "
-            "bc.allan_deviation(readings) says what these lack"
-        )
-    ax, law = axes_of(None, 5.2, 3.6), found if isinstance(found, AllanCheck) else None
-    measured = found.measured if isinstance(found, AllanCheck) else found
-    if law is not None:
-        seen = law.expected > 0
-        tau, low, high = measured.tau[seen], law.low[seen], law.high[seen]
-        ax.fill_between(tau, low, high, color=GREY, alpha=0.25, lw=0)
-        label = f"noise law ({law.law_name}), 95 %"
-        ax.plot(tau, law.expected[seen], "--", color=GREY, lw=1.2, label=label)
-    _measured(ax, measured, fmt="o-", lw=1.2, label="residuals" if law else "readings")
-    if law is not None and (i := law.apart) is not None:
-        ax.plot(measured.tau[i], measured.deviation[i], "o", ms=7, color=RED, zorder=3)
-    return _labelled(ax, measured.unit, [f"{t.symbol} = {t}" for t in law.law_terms] if law else [])
+def allan(found: AllanDeviation) -> Figure:
+    """Allan deviation over averaging time with its 95 % intervals, as `bc.allan_deviation` returned it."""
+    ax = axes_of(None, 5.2, 3.6)
+    _measured(ax, found, fmt="o-", lw=1.2, label="readings")
+    return _labelled(ax, found.unit, [])
 
 
 def noise(found: SensorNoise) -> Figure:

@@ -84,11 +84,6 @@ class Pictures:
         """The errors of steps, as in result.json."""
         return self.draw(lambda: plots.trail({"steps": steps}), "The error, step by step")
 
-    def allan(self, found: Check, which: str) -> Picture | None:
-        """The Allan deviation of the residuals, where there is one."""
-        caption = f"Allan deviation of the residuals of {which}, and of its noise law (grey, 95 %)"
-        return None if found.allan is None else self.draw(lambda: plots.allan(found), caption)
-
     def of_fit(self, name: str, calibration: Calibration) -> Picture | None:
         """One of `OF_FIT`; None where there is nothing to draw."""
         make, caption = OF_FIT[name]
@@ -105,11 +100,6 @@ OF_FIT: dict[str, tuple[Callable[[Calibration], Figure], str]] = {
         partial(plots.coefficients, columns=5),
         "Posterior of each unknown, its mean and its 95 % credible interval",
     ),
-    "identifiability": (
-        plots.identifiability,
-        "Posterior over prior standard deviation: 1 where the readings said nothing",
-    ),
-    "pairs": (plots.pairs, "The most correlated unknowns, two by two"),
     "predictive": (
         plots.predictive,
         "Readings against their predictive probabilities: within the band if the model is right",
@@ -359,5 +349,4 @@ def _pictures(chapter: Chapter, pictures: Pictures) -> dict[str, Any]:
         "front": sphere or next(iter(of_last), None),  # on the page that is signed
         "error": pictures.error(chapter.data["steps"]),
         **{name: pictures.of_fit(name, chapter.used) for name in OF_FIT},
-        "allan": pictures.allan(chapter.check, "the last model"),
     }

@@ -71,12 +71,10 @@ def result(trail: SearchPath) -> dict[str, Any]:
         averaged = {k: row[k] for k in OVER_STRUCTURES}
         row["averaged"] = None if trail.average is None else averaged
         del row["probability"], row["given"]  # of a single structure: one, and the same
-    found: dict[str, list[dict[str, Any]]] = {k: [] for k in ("check", "pairs", "allan", "missing")}
+    found: dict[str, list[dict[str, Any]]] = {k: [] for k in ("check", "pairs", "missing")}
     for i, step in enumerate(trail.steps):
         found["check"] += [{"step": i, **row} for row in step.check.data()]
         found["pairs"] += [{"step": i, **as_json(pair)} for pair in step.check.pairs]
-        if step.check.allan is not None:
-            found["allan"].append({"step": i, **step.check.allan.data()})
         if step.discovery is not None:
             found["missing"].append(missing_data(step.discovery, i, step.check))
     verdict = final.verdict

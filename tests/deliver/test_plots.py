@@ -22,13 +22,11 @@ def every() -> dict[str, Figure]:
     assert found.steps[0].discovery is not None
     return {
         "residuals": bc.plot.residuals(final),
-        "allan": bc.plot.allan(final),
+        "allan": bc.plot.allan(bc.allan_deviation(final.readings)),
         "trail": bc.plot.trail(found),
         "coefficients": bc.plot.coefficients(final),
         "missing": bc.plot.missing(found.steps[0].discovery),
         "predictive": bc.plot.predictive(final),
-        "identifiability": bc.plot.identifiability(final),
-        "pairs": bc.plot.pairs(final),
         "loop": bc.plot.loop(found),
     }
 
@@ -70,15 +68,6 @@ def test_coefficients_show_mean_and_credible_interval_unrounded(figures) -> None
     mean = next(line for line in ax.lines if line.get_marker() == "o")
     assert mean.get_xdata()[0] == pytest.approx(draws.mean(), abs=0.2 * draws.std())
     assert ax.get_xlabel() == "[°/s]"
-
-
-def test_identifiability_is_the_root_of_what_is_left(figures) -> None:
-    c = trail().final.calibration
-    ax = figures["identifiability"].axes[0]
-    names = [t.get_text() for t in ax.get_yticklabels()]
-    width = ax.patches[names.index("bias.temperature")].get_width()
-    prior = c.model.effect("bias.temperature").coefficients[0].size
-    assert width == pytest.approx(c.samples("bias.temperature").std(ddof=1) / prior, rel=1e-6)
 
 
 # A picture that fails never costs the result, which is on the disk before anything is drawn.

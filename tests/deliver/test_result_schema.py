@@ -47,8 +47,6 @@ KEYS = {
     "steps[].noise": "law white correlated diffusion tau slope curvature freedom",
     "check[]": "step against log_bayes_factor worst",
     "check[].worst": "from to group size unit",
-    "allan[]": "step unit runs curve terms agrees in_words",
-    "allan[].terms[]": "symbol name unit value uncertainty",
     "missing[]": "step nothing_missing_probability unstated correlated_noise noise_laws unnamed sets candidates "
     "unknown",
     "missing[].sets[]": "effects probability",

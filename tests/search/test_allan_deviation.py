@@ -8,8 +8,8 @@ import pytest
 from scipy.stats import chi2
 
 import bayescal as bc
-from bayescal_models import mems_gyro, still_sensor
-from tests.support.inside import EvenRuns, allan_check, degrees_of_freedom, overlapping, term
+from bayescal_models import still_sensor
+from tests.support.inside import EvenRuns, degrees_of_freedom, overlapping
 
 # W. Riley, Handbook of Frequency Stability Analysis, NIST SP 1065 (2008), section 12: the data, their overlapping Allan
 # deviations at one and two readings, and at 1, 10 and 100.
@@ -91,20 +91,6 @@ def ornstein_uhlenbeck(
     return drawn
 
 
-@pytest.mark.parametrize(
-    ("unit", "printed"),
-    [
-        ("deg/s", ("60.0 ± 6.0 °/√h", "3600 ± 360 °/h", "216000 ± 21600 °/h/√h")),
-        ("ug", ("1.00 ± 0.10 µg/√Hz", "1.00 ± 0.10 µg", "60.0 ± 6.0 µg/√h")),
-        ("m/s^2", ("60.0 ± 6.0 m/s/√h", "1.00 ± 0.10 m/s²", "60.0 ± 6.0 m/s²/√h")),
-        ("mdeg", ("1.00 ± 0.10 m°/√Hz", "1.00 ± 0.10 m°", "1.00 ± 0.10 m°/√s")),
-        ("", ("1.00 ± 0.10 1/√Hz", "1.00 ± 0.10", "1.00 ± 0.10 1/√s")),
-    ],
-)
-def test_units_are_those_of_data_sheets(unit: str, printed: tuple[str, ...]) -> None:
-    assert tuple(str(term(s, unit, 1.0, 0.1)) for s in "NBK") == printed
-
-
 LAW = bc.OrnsteinUhlenbeck(1.0, 1e9)
 
 
@@ -132,46 +118,6 @@ def test_correlated_noise_over_short_times_is_a_random_walk() -> None:
         values = {"noise.white": 0.0, "noise.diffusion": 0.1, "noise.correlated.time": time}
         law = LAW.allan_variance(values, 0.1**2 * time / 2, factors, 1.0)
         assert law == pytest.approx(0.1**2 * (2 * factors**2 + 1) / (6 * factors), rel=1e-4)
-
-
-def fitted(readings: bc.Measurements, noise: bc.Noise | None = None) -> bc.Calibration:
-    model = still_sensor.INSTRUMENT.for_readings(readings).baseline()
-    model = model if noise is None else model.with_noise(noise)
-    return bc.fit(model, readings, bc.LeastSquares(draws=200), strict=False)
-
-
-@pytest.mark.slow
-def test_a_check_says_where_the_noise_law_is_contradicted() -> None:
-    rng = np.random.default_rng(2)
-    made = 0.02 * rng.standard_normal(3000) + ornstein_uhlenbeck(rng, 3000, 300.0, 5e-4)
-    readings = record(made, 1.0)
-    white = bc.check(fitted(readings))
-    assert white.allan is not None
-    assert white.allan.apart is not None
-    said = " ".join(str(white).split())
-    assert "the noise law (white) says" in said
-    assert "the residuals change more over this time than such noise would" in said
-    law = bc.OrnsteinUhlenbeck(1.0, 3000.0, bc.HalfCauchy(0.01), bc.HalfCauchy(0.01))
-    told = allan_check(fitted(readings, law))
-    assert told is not None
-    assert told.apart is None
-    assert "Ornstein–Uhlenbeck) agree" in told.sentence()
-    assert [t.symbol for t in told.law_terms] == ["N", "K"]
-    assert told.law_terms[1].value == pytest.approx(5e-4 * 3600 * 60, rel=0.4)
-
-
-def test_the_noise_of_a_good_model_is_not_contradicted() -> None:
-    """The law's band takes account of what the fit absorbs (seeds 0 to 19; one in a thousand each)."""
-    told = []
-    for seed in range(20):
-        readings = mems_gyro.simulate({}, seed=seed)
-        fit = bc.fit(
-            mems_gyro.INSTRUMENT.baseline(), readings, bc.LeastSquares(draws=50), strict=False
-        )
-        found = allan_check(fit)
-        assert found is not None
-        told.append(found.apart is not None)
-    assert sum(told) <= 1
 
 
 NOISE = np.random.default_rng(5).standard_normal(100)

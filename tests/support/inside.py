@@ -21,7 +21,6 @@ from bayescal._annexes.metrology.conformity import acceptance as acceptance
 from bayescal._annexes.metrology.conformity import global_risks as global_risks
 from bayescal._annexes.workbench.kept import Origin as Origin
 from bayescal._annexes.workbench.session import Session as Session
-from bayescal._calibration.check import allan_check as allan_check
 from bayescal._calibration.check import autocorrelation as autocorrelation
 from bayescal._calibration.claim import WORDS as WORDS
 from bayescal._calibration.claim import Claim as Claim
@@ -32,7 +31,6 @@ from bayescal._core.importance_weights import smoothed as smoothed
 from bayescal._data.allan_deviation import EvenRuns as EvenRuns
 from bayescal._data.allan_deviation import degrees_of_freedom as degrees_of_freedom
 from bayescal._data.allan_deviation import overlapping as overlapping
-from bayescal._data.allan_deviation import term as term
 from bayescal._data.column import overloads
 from bayescal._data.set_aside import not_new, said_of
 from bayescal._data.still_stretches import still_stretches as still_stretches

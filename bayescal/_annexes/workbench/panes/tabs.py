@@ -2,7 +2,7 @@
 
 The error is the tree of steps with the path so far, every step to go back to, the whole search with its progress.
 Behind it are questions to the current step, answered in text (verdict, comparison, budget, decisions, next
-experiment); the Allan deviation of the residuals; report, export and Python, as the command line writes them.
+experiment); report, export and Python, as the command line writes them.
 """
 
 from __future__ import annotations
@@ -135,29 +135,6 @@ def step_rows(states: Mapping[int, Any], current: int) -> tuple[list[str], list[
         shown = {"cells": [{"text": step}, *numbers], "actions": [] if now else here}
         rows.append({"id": str(row["state"]), **shown, "current": now})
     return [*table.head, ""], rows
-
-
-NONE = (
-    "No Allan deviation: it needs a column time, and runs of 30 readings or more, evenly spaced in time "
-    "within 5 %."
-)
-
-
-class AllanPane(Pane):
-    """The report's picture of the curve with its intervals and the law's band; the terms of data sheets."""
-
-    def __init__(self, bench: Any) -> None:
-        super().__init__(bench)
-        self.told, self.terms = words(""), words("", "table")
-        self.picture = picture_room()
-        self.view = halves(self.picture, column(self.told, self.terms, kinds=("bare", "scrolls")))
-
-    def show(self, state: Any) -> None:
-        found = state.step.check.allan
-        drawn = Pictures().allan(state.step.check, "this step")
-        self.picture.object = "" if drawn is None else str(drawn.body)
-        self.told.object = NONE if found is None else found.sentence()
-        self.terms.object = "" if found is None else str(found.table())
 
 
 class AskPane(Pane):
@@ -440,7 +417,6 @@ class Tabs(Pane):
             "Budget": BudgetPane(bench),
             "Decision": DecisionPane(bench),
             "Next experiment": ExperimentPane(bench),
-            "Allan deviation": AllanPane(bench),
             "Report": ReportPane(bench),
             "Export": ExportPane(bench),
             "Python": PythonPane(bench),
