@@ -26,19 +26,11 @@ from bayescal._data.records import RECORD, Columns, pieces, record_codes, stretc
 SPIKE_SD = 8.0
 # Readings of a stretch, below which its scatter is not known well enough to call one a spike.
 SPIKE_FEWEST = 50
-# Share of all readings; where more stand out, the noise may be heavy-tailed, and its tail is asked.
+# Share of all readings; where more stand out, the noise may be heavy-tailed, and its law takes them.
 SPIKE_SHARE = 0.005
 SPIKE_NEIGHBOURS = 3  # readings on either side, whose distances a spike's own exceeds
-SPIKE_MOST_SHARE = 0.05  # share of all readings; more are no spikes, whatever the tail
-TAIL_SD = 4.0  # robust standard deviations, from which a distance is in the tail
-# Exponent of a tail before it is seen, and how many distances that counts as: Student's t with two degrees of freedom,
-# the heaviest for which laws of noise are asked.
-USUAL_TAIL = (2.0, 5.0)
-TAIL_P = 0.01  # probability that a tail without spikes has a gap like that before one
-# Share of the hold-out data that occur among the readings; more is no chance where each is one of its kind.
-NOT_NEW_SHARE = 0.1
-# Standard deviations of a number of chance agreements, beyond which there are others.
-BY_CHANCE_SD = 5.0
+# Share of the hold-out data that are readings of the fit: what rounding makes equal by chance is less.
+NOT_NEW_SHARE = 0.9
 
 
 class Fault(NamedTuple):
@@ -147,96 +139,53 @@ def find_spikes(readings: Measurements) -> np.ndarray:
 
     A smooth signal, however large, has small distances; a step has two large ones side by side and is kept.
     Only records in time have neighbours: without a column `time` there are no spikes. Where more readings stand out
-    than spikes would, the noise may have heavy tails: what lies beyond a gap that such a tail lacks is a spike there.
+    than spikes would, there are none: the noise may have heavy tails.
     """
     none = np.zeros(0, dtype=int)
     if not readings.has("time"):
         return none
-    found, heights, rest = [none], [np.zeros(0)], [np.zeros(0)]
-    codes = record_codes(readings.values)
-    for piece in stretches(readings["time"], codes, SPIKE_FEWEST):
-        at, high, others = _standing_out(readings["output"][piece])
-        found.append(piece[at])
-        heights.append(high)
-        rest.append(others)
-    rows, high = np.concatenate(found), np.concatenate(heights)
-    if len(rows) > max(1.0, SPIKE_SHARE * len(readings)):
-        rows = rows[_beyond_the_tail(high, np.concatenate(rest), len(readings))]
-    return np.sort(rows)
+    codes, most = record_codes(readings.values), max(1.0, SPIKE_SHARE * len(readings))
+    own = stretches(readings["time"], codes, SPIKE_FEWEST)
+    found = [piece[_standing_out(readings["output"][piece], most)] for piece in own]
+    rows = np.sort(np.concatenate([none, *found]))
+    return rows if len(rows) <= most else none
 
 
-def _standing_out(y: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Readings that stand out, their heights, and heights of all others, in robust standard deviations.
+def _standing_out(y: np.ndarray, most: float) -> np.ndarray:
+    """Return readings that stand out from the line through their neighbours, until they are more than `most`.
 
     Those that stand out the most among their neighbours are taken out and the others are judged anew, until none does.
     A spike at an end and its neighbour stand out alike: then it is the end.
     """
-    left, found, high, scale = np.arange(len(y)), [np.zeros(0, int)], [np.zeros(0)], 0.0
+    left, found, scale = np.arange(len(y)), np.zeros(0, int), 0.0
     while True:
         rest = y[left]
         inner = np.abs(rest[1:-1] - 0.5 * (rest[:-2] + rest[2:]))
         heights = np.concatenate([inner[:1], inner, inner[-1:] * (1.0 + 1e-12)])
         scale = scale or 1.4826 * float(np.median(heights))
         worst = (heights > 0) & (heights >= SPIKE_SD * scale)
-        enough = sum(map(len, found)) > SPIKE_MOST_SHARE * len(y) + 1
-        if scale == 0 or enough or not worst.any() or len(left) < SPIKE_NEIGHBOURS:
-            size = scale or 1.0
-            return np.concatenate(found), np.concatenate(high) / size, heights / size
+        if scale == 0 or len(found) > most or not worst.any() or len(left) < SPIKE_NEIGHBOURS:
+            return found
         around = sliding_window_view(np.pad(heights, SPIKE_NEIGHBOURS), 2 * SPIKE_NEIGHBOURS + 1)
         before, after = around[:, :SPIKE_NEIGHBOURS], around[:, SPIKE_NEIGHBOURS + 1 :]
         worst &= (heights > before.max(axis=1)) & (heights >= after.max(axis=1))
-        found.append(left[worst])
-        high.append(heights[worst])
-        left = left[~worst]
-
-
-def _beyond_the_tail(high: np.ndarray, rest: np.ndarray, count: int) -> np.ndarray:
-    """Which of the heights that stand out lie beyond a gap that a heavy tail would not have.
-
-    Of a tail like x^−ν the i-th largest height is above the next by a factor whose logarithm times i·ν is standard
-    exponential (A. Rényi, On the theory of order statistics, Acta Math. Hung. 4 (1953) 191); ν is that of the heights
-    below the gap (B. Hill, Ann. Stat. 3 (1975) 1163).
-    """
-    order = np.argsort(-high)
-    tail = np.concatenate([high[order], np.sort(rest[rest > TAIL_SD])[::-1], [TAIL_SD]])
-    logs = np.log(np.maximum(tail / TAIL_SD, 1.0))
-    most = min(len(high), int(SPIKE_MOST_SHARE * count))
-    i = np.arange(1, most + 1)
-    below, sums = len(tail) - 1 - i, np.cumsum(logs[::-1])[::-1]
-    nu, weight = USUAL_TAIL
-    exponent = (below + weight) / (sums[i] + i * logs[i] + weight / nu)
-    gaps = i * exponent * (logs[i - 1] - logs[i])
-    beyond = np.flatnonzero(gaps > np.log(max(most, 1) / TAIL_P))
-    return order[: beyond[-1] + 1] if beyond.size else order[:0]
+        found, left = np.concatenate([found, left[worst]]), left[~worst]
 
 
 def not_new(readings: Measurements, holdout: Measurements) -> int:
     """Return how many of the hold-out data are readings that are fitted, whatever their time and labels say.
 
-    A reading is known by its numbers but for the time: output, temperatures, inputs. Of a rounded output a number
-    occurs again by chance, where the others agree: two readings with noise of σ agree to a step in step/(2√π·σ) of
-    cases. As many as that gives say nothing, and 0 is returned.
+    A reading is known by its numbers but for the time: output, temperatures, inputs. Where these are so rounded that
+    most occur again, nothing is said.
     """
     numbers = (n for n, unit in readings.units.items() if n != "time" and unit is not None)
     shared = [n for n in numbers if holdout.has(n)]
-    others = [n for n in shared if n != "output"] or ["output"]
-    mine, theirs = _numbered(readings, holdout, shared)
-    beside, its = _numbered(readings, holdout, others)
-    both = int(np.isin(theirs, mine).sum())
-    output = readings["output"]
-    noise = max(checks.scatter(output), float(np.spacing(np.max(np.abs(output)))))
-    alike = min(1.0, checks.resolution(output) / (2.0 * np.sqrt(np.pi) * noise))
-    chances = np.bincount(beside, minlength=int(its.max(initial=-1)) + 1)[its]
-    by_chance = float(np.sum(1.0 - (1.0 - alike) ** chances))
-    least = max(NOT_NEW_SHARE * len(theirs), by_chance + BY_CHANCE_SD * np.sqrt(by_chance))
-    return both if both > least else 0
-
-
-def _numbered(one: Measurements, other: Measurements, names: list[str]) -> list[np.ndarray]:
-    """Return of each reading of both which of their different rows of these columns it is."""
-    rows = [np.round(np.column_stack([r[n] for n in names]), 12) for r in (one, other)]
+    rows = [np.round(np.column_stack([r[n] for n in shared]), 12) for r in (readings, holdout)]
     codes = np.unique(np.concatenate(rows), axis=0, return_inverse=True)[1].ravel()
-    return np.split(codes, [len(one)])
+    mine, theirs = np.split(codes, [len(readings)])
+    both = int(np.isin(theirs, mine).sum())
+    own = len(np.unique(mine)) > checks.ROUNDED_SHARE * len(mine)
+    return both if own and both > NOT_NEW_SHARE * len(theirs) else 0
 
 
 def said_of(readings: Measurements, holdout: Measurements) -> str:
