@@ -2,8 +2,8 @@
 
 Spikes of the output, single readings far from both of their neighbours, are faults of the record and not of the sensor,
 and one of them can outweigh thousands of readings. At spikes of a thermometer it is not known what the output belongs
-to; nor where one that the model needs repeats an old value, stands at its end, or was another's for a run. Hold-out
-data that are fitted already say nothing of new readings.
+to; nor where one that the model needs repeats an old value, is stuck, or stands at its end. Hold-out data that are
+fitted already say nothing of new readings.
 """
 
 from __future__ import annotations
@@ -180,8 +180,8 @@ def not_new(readings: Measurements, holdout: Measurements) -> int:
     """
     numbers = (n for n, unit in readings.units.items() if n != "time" and unit is not None)
     shared = [n for n in numbers if holdout.has(n)]
-    rows = [np.round(np.column_stack([r[n] for n in shared]), 12) for r in (readings, holdout)]
-    codes = np.unique(np.concatenate(rows), axis=0, return_inverse=True)[1].ravel()
+    rows = [np.column_stack([np.nan_to_num(r[n]) for n in shared]) for r in (readings, holdout)]
+    codes = np.unique(np.round(np.concatenate(rows), 12), axis=0, return_inverse=True)[1].ravel()
     mine, theirs = np.split(codes, [len(readings)])
     both = int(np.isin(theirs, mine).sum())
     own = len(np.unique(mine)) > checks.ROUNDED_SHARE * len(mine)

@@ -151,7 +151,6 @@ def test_another_level_shuts_the_gate_whatever_was_found(period: float) -> None:
     readings = readings_of(time, np.mod(warm, period), output)
     trail = bc.calibrate(STILL.for_readings(readings).baseline(), readings)
     assert not trail.ok
-    assert "column.odd" in [claim.code for claim in trail.gate.claims]
 
 
 @pytest.mark.slow

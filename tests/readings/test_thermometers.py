@@ -37,12 +37,8 @@ def oddities(columns: Columns) -> tuple[Any, ...]:
 
 
 def said_of(columns: Columns, **changed: np.ndarray) -> list[str]:
-    """What is odd, by column and kind; of runs, in which."""
-    found = {**columns, **changed}
-    return [
-        " ".join([o.column, o.code, *np.unique(found["run"][o.rows])[: 9 * (o.code == "run")]])
-        for o in oddities(found)
-    ]
+    """What is odd, by column and kind."""
+    return [f"{o.column} {o.code}" for o in oddities({**columns, **changed})]
 
 
 def in_runs(columns: Columns, change: Callable[[np.ndarray], np.ndarray]) -> np.ndarray:
@@ -72,19 +68,12 @@ def held(count: int) -> Callable[[np.ndarray], np.ndarray]:
     return lambda t: t[np.arange(len(t)) // count * count]
 
 
-def wrapped(warm: np.ndarray) -> np.ndarray:
-    high = warm.min() + 0.8 * np.ptp(warm)
-    return np.where(warm > high, warm - 0.8 * np.ptp(warm), warm)
-
-
 FAULTS = {
     "held for 3 readings": (held(3), "held"),
     "held for 10 readings": (held(10), "held"),
     "held for 30 readings": (held(30), "held"),
-    "a converter at its maximum": (lambda t: np.minimum(t, 47.0), "saturated"),
-    "a converter at its minimum": (lambda t: np.maximum(t, 3.0), "saturated"),
-    "wrapped": (wrapped, "level"),
-    "re-seated": (lambda t: t - 3.0 * (np.arange(len(t)) > 55), "level"),
+    "a converter at its maximum": (lambda t: np.minimum(t, 47.0), "stuck"),
+    "a converter at its minimum": (lambda t: np.maximum(t, 3.0), "stuck"),
 }
 
 
@@ -140,51 +129,25 @@ def test_leaps_are_found_where_they_are_and_set_aside_by_name() -> None:
 
 
 @pytest.mark.parametrize(
-    ("change", "named"),
+    "change",
     [
-        (lambda t: t + 3.0, "1 3"),
-        (lambda t: 1.8 * t + 32.0, "3"),
-        (lambda t: 1.1 * t, "3"),
-        (lambda t: np.r_[np.full(10, t[0]), t[:-10]], "3"),
-        (lambda t: t[::-1], "3"),
+        lambda t: 1.8 * t + 32.0,
+        lambda t: 1.1 * t,
+        lambda t: np.r_[np.full(10, t[0]), t[:-10]],
+        lambda t: t[::-1],
     ],
-    ids=["re-seated", "Fahrenheit", "gain", "late", "backwards"],
+    ids=["Fahrenheit", "gain", "late", "backwards"],
 )
-def test_a_run_in_which_one_of_two_thermometers_was_different(
-    siblings: Columns, change, named: str
-) -> None:
-    """The first and the third run have one profile; the second, which has another, tells which of them is right.
-
-    A thermometer re-seated by 3 °C differs less than its sibling's lag makes of it on the way down.
-    """
+def test_a_run_in_which_one_of_two_thermometers_was_different(siblings: Columns, change) -> None:
     last, warm = siblings["run"] == "3", siblings[TEMPERATURE].copy()
     warm[last] = change(warm[last])
-    (said,) = said_of(siblings, temperature=warm)
-    assert said == f"temperature run {named}"
-
-
-def test_a_thermometer_changed_in_the_midst_of_a_run_is_not_trusted_before_it(
-    ramps: Columns,
-) -> None:
-    """From half of the first of three equal runs on it reads 1 °C lower: so a run of another profile may be right."""
-    first, count = np.flatnonzero(ramps["run"] == "1"), int(np.sum(ramps["run"] == "1"))
-    sibling = 0.98 * ramps[TEMPERATURE] + 1.0
-    warm = ramps[TEMPERATURE] - 1.0
-    warm[first[: count // 2]] += 1.0
-    columns = {**ramps, TEMPERATURE: warm, "case": sibling}
-    (odd,) = (o for o in oddities(columns) if o.code == "run")
-    assert odd.column == TEMPERATURE
-    assert odd.wrong.tolist() == odd.rows.tolist() == first.tolist()
-    earlier = {n: values[first][::-1] for n, values in columns.items()}
-    earlier |= {"run": np.full(count, "0"), "time": ramps["time"][first] - 10_000.0}
-    both = {n: np.concatenate([earlier[n], columns[n]]) for n in columns}
-    (odd,) = (o for o in oddities(both) if o.code == "run")
-    assert set(both["run"][odd.rows]) == {"1"}
-    assert len(odd.wrong) == 0
+    odd = [o for o in oddities({**siblings, TEMPERATURE: warm}) if o.code == "run"]
+    assert TEMPERATURE in {o.column for o in odd}
+    assert all(set(siblings["run"][o.rows]) == {"3"} and not len(o.wrong) for o in odd)
 
 
 def test_readings_of_a_wrong_thermometer_are_set_aside_where_the_model_needs_it() -> None:
-    """Of a held one the first of each value stays, of a run of its own none; nothing where half or more would go."""
+    """Of a held one the first of each value stays."""
     record = mems_gyro.simulate(seed=1, campaign=mems_gyro.Campaign(average=60))
     columns, needed = columns_of(record), {TEMPERATURE}
     held = in_runs(columns, lambda t: t[np.arange(len(t)) // 5 * 5])
@@ -194,16 +157,10 @@ def test_readings_of_a_wrong_thermometer_are_set_aside_where_the_model_needs_it(
     assert kept[TEMPERATURE] == pytest.approx(
         columns[TEMPERATURE][np.isin(record["time"], kept["time"])]
     )
-    gain = columns[TEMPERATURE].copy()
-    gain[columns["run"] == "3"] *= 1.1
-    spoilt = record.with_column(TEMPERATURE, gain)
-    kept = bc.set_aside(spoilt, needed=needed)
-    assert set(kept["run"]) == {"1", "2"}
-    assert len(kept) == sum(runs[:2])
-    for whole in (bc.set_aside(spoilt), bc.set_aside(spoilt, keep_spikes=True, needed=needed)):
+    few = in_runs(columns, lambda t: t[np.arange(len(t)) // 20 * 20])
+    held = record.with_column(TEMPERATURE, few)
+    for whole in (bc.set_aside(held), bc.set_aside(held, keep_spikes=True, needed=needed)):
         assert len(whole) == len(record)
-    two = spoilt.select(np.flatnonzero(spoilt["run"] != "2"))
-    assert len(bc.set_aside(two, needed=needed)) == len(two)  # which of both is right is not known
 
 
 @pytest.mark.parametrize("name", sorted(INSTRUMENTS))
