@@ -252,13 +252,12 @@ def page(
 def _chapter(chapter: Chapter, pictures: Pictures) -> dict[str, Any]:
     """All that the template lays out for one set of readings."""
     c, data = chapter.calibration, chapter.data
-    may, not_for = report_text.use_and_limits(chapter)
     rows = report_text.coefficients(chapter)
     signed = report_text.signed(rows, c.model)
     found, no_budget = _budget(chapter)
     ends = sorted({0, len(data["steps"]) - 1})
     checks = [check_table([r for r in data["check"] if r["step"] == step]) for step in ends]
-    own = ("conclusion", "effects", "files", "ok", "skewed", "steps", "convergence", "unexplained")
+    own = ("conclusion", "effects", "files", "ok", "steps", "convergence")
     return {
         **{name: getattr(report_text, name)(chapter) for name in own},
         "instrument": c.model.instrument,
@@ -273,8 +272,6 @@ def _chapter(chapter: Chapter, pictures: Pictures) -> dict[str, Any]:
         "groups": _groups(data),
         "signed": signed,
         "further": len(rows.rows) - len(signed.rows) + len(c.model.fixed),
-        "may": may,
-        "not_for": not_for,
         "ranges": report_text.ranges_table(report_text.ranges(chapter.used)),
         "noise": c.model.noise.in_words,
         "reference": [(n, f"{v:g} {unit_label(u)}") for n, (v, u) in c.held_at.items()],

@@ -1,6 +1,6 @@
 """The text of a report: its tables as plain data, which a template lays out, and its sentences.
 
-The sentences are the result in one paragraph, its use and limits, what is left open.
+The sentences are the result in one paragraph.
 """
 
 from __future__ import annotations
@@ -17,10 +17,8 @@ from bayescal._calibration.prior_influence import coefficients_not_measured
 from bayescal._calibration.storage import sources_of
 from bayescal._calibration.summary import (
     curve_extent,
-    curve_weights,
     if_there,
     place_of,
-    range_of,
     summary,
     unknown_rows,
 )
@@ -37,12 +35,11 @@ from bayescal._model.effect import Effect
 from bayescal._model.model import Model
 from bayescal._model.prior import Flat, HalfCauchy, HalfNormal, LogNormal, LogUniform, Normal
 from bayescal._report.result_json import Chapter
-from bayescal._search.discover import is_quiet, not_tested
+from bayescal._search.discover import not_tested
 from bayescal._search.gate import WORSE
 from bayescal._search.search_path import rises, steps_table
 
 K = 2.0  # coverage factor of every expanded uncertainty in a report
-GAUSSIAN = 0.9545  # what k = 2 covers of a Gaussian
 SUMMARY = 14  # coefficients on the page that is signed
 UNUSED = "recorded; the model does not use it"
 READ = "what was read"
@@ -198,20 +195,6 @@ def convergence(chapter: Chapter) -> ResultTable:
     return ResultTable(columns, [*enumerate(chapter.data["steps"])])
 
 
-def skewed(chapter: Chapter) -> list[str]:
-    """Unknowns whose mean ± 2 u holds clearly more or less than a Gaussian's share of the draws."""
-    found, c = [], chapter.used
-    drawn = curve_weights(c)
-    for name in (n for n in c.unknowns.by_key if n not in drawn):
-        draws = c.samples(name)
-        sd = draws.std(axis=0)
-        if np.all(sd > 1e-9 * np.abs(draws.mean(axis=0))):
-            inside = float(np.mean(np.abs(draws - draws.mean(axis=0)) <= K * sd))
-            if abs(inside - GAUSSIAN) > 0.01:
-                found.append(f"{name} {100 * inside:.1f} %")
-    return found
-
-
 def effects(chapter: Chapter) -> ResultTable:
     """Each effect of the model: equation, unknowns with their priors, source, the step that brought it."""
     since = dict[str, str]()
@@ -308,20 +291,7 @@ def in_output_unit(chapter: Chapter, unit: str) -> ResultTable:
     return plain_table(["quantity", "value", "unit"], rows, fold=40)
 
 
-NAMED = 4  # effects of the first model that are named
-# What a constant of these slots moves is off by it; of any other it is the coefficient itself.
-_SUBJECTS = {"bias": "the output", "scale": "the scale factor", "zero": "the zero"}
-_COEFFICIENTS = {
-    "second_order": "the second-order coefficient",
-    "third_order": "the third-order coefficient",
-    "cross_axis": "the cross-axis sensitivity",
-    "sensitivity": "the sensitivity to acceleration",
-}
-_GROUPS = {
-    "run": "run to run",
-    "cell": "one temperature point to the next",
-    "device": "device to device",
-}
+NAMED = 4  # effects of the first model, unknowns of one that is found, that are named
 
 
 def conclusion(chapter: Chapter) -> str:
@@ -352,14 +322,29 @@ def _found(chapter: Chapter) -> str:
         names = [n for n in c.model.names if n not in latent[-1]]
         model = f"{len(names)} effects" if len(names) > NAMED else ", ".join(names) or "no effect"
         return f"{weighed} the first model ({model})."
-    by_subject: dict[str, list[str]] = {}
+    found = []
     for effect in added:
         likely, how = _probability(chapter, effect), ""
         if likely is not None and likely < settings().found_probability:
             how = f"probably ({likely:.2f}) "
-        by_subject.setdefault(_subject(effect), []).append(how + _does(chapter.used, effect))
-    sentences = (f"{subject} {listed(does)}." for subject, does in by_subject.items())
-    return " ".join(s[0].upper() + s[1:] for s in sentences)
+        found.append(how + _in_numbers(chapter.used, effect))
+    return f"Found beside the first model: {'; '.join(found)}."
+
+
+def _in_numbers(c: Calibration, effect: Effect) -> str:
+    """An effect by its name, with its size: of a curve its extent, else its unknowns, given that it is there."""
+    if effect.is_placeholder:
+        _, largest, covariate, at = curve_extent(c, effect.name)
+        there = place_of(c, covariate, at)
+        return f"{effect.name}, up to {measured(abs(largest), c.unit, 2)}, most at {there}"
+    told = list[str]()
+    for row in chain(*summary(c)):
+        if row["effect"] == effect.name and "[" not in row["name"]:
+            name = row["name"].removeprefix(effect.name).removeprefix(".")
+            value = with_error(row["given"]["mean"], row["given"]["sd"])
+            told.append(f"{name} {value} {unit_label(row['unit'])}".strip())
+    told[NAMED:] = [f"{len(told) - NAMED} more"] * (len(told) > NAMED)
+    return f"{effect.name} ({', '.join(told)})" if told else effect.name
 
 
 def _probability(chapter: Chapter, effect: Effect) -> float | None:
@@ -371,96 +356,6 @@ def _probability(chapter: Chapter, effect: Effect) -> float | None:
         return 1.0
     known = {c["effect"]: c["probability"] for c in first["candidates"]}
     return known.get(effect.family)
-
-
-def _subject(effect: Effect) -> str:
-    if effect.held:  # what depends on the column is the output
-        return _SUBJECTS["bias"]
-    own = {**_SUBJECTS, **_COEFFICIENTS}
-    words = own.get(effect.slot) or own.get(effect.quantity)
-    return words or f"the {effect.slot.replace('_', ' ')}"
-
-
-def _does(c: Calibration, effect: Effect) -> str:
-    """What an effect makes of its subject, with its size."""
-    kind = effect.kind
-    if kind in ("line", "jump", "kink"):
-        size = measured(float(np.ptp(c.linear.contribution(effect.name))), c.unit, 2)
-        if kind == "line":
-            return f"is proportional to {effect.covariate.replace('_', ' ')}, {size} over its range"
-        low, high = range_of(c, effect.covariate)
-        share = float(c.samples(f"{effect.name}.place").mean())
-        at = place_of(c, effect.covariate, low + share * (high - low))
-        jump = f"has a step of {size} at {at}"
-        return jump if kind == "jump" else f"has a kink at {at}, of up to {size}"
-    if kind == "cycle":
-        return f"varies periodically in time by up to {_extent(c, effect)}"
-    if effect.is_placeholder:
-        return f"depends on {effect.covariate} in a form that has no name here, by up to {_extent(c, effect)}"
-    times = {s.name: _shape(c, effect, s.name) for s in effect.shapes}
-    if effect.held and "tau" in times:
-        column = effect.slot.replace("_", " ")
-        return f"follows the {column} with a lag of {times['tau']}, in all that depends on it"
-    size, group = _size(c, effect), effect.coefficients[0].per
-    if kind == "lag":
-        return f"follows the temperature with a lag of {times['tau']} ({size})"
-    if kind == "warm-up":
-        return f"settles after the start by {size} with a time constant of {times['tau']}"
-    if group is not None and effect.coefficients[0].group_sd is not None:
-        between = _GROUPS.get(group, f"{group} to {group}")
-        return f"differs from {between} by {size} (standard deviation)"
-    columns = [n.replace("_", " ") for n in effect.columns if n != "time"]
-    column = columns[0] if columns else "time"
-    way = "direction of approach" if column == "direction" else f"way that {column} went before"
-    words: dict[str, str] = {
-        "constant": f"is off by {size}" if effect.quantity in _SUBJECTS else f"is {size}",
-        "linear": f"changes with {column} by {size}",
-        "quadratic": f"bends with {column} by {size}",
-        "cubic": f"has a cubic term in {column} of {size}",
-        "quartic": f"has a quartic term in {column} of {size}",
-        "rate": f"follows the rate of change of {column} by {size}",
-        "drift": f"drifts by {size} over the test",
-        "hysteresis": f"depends on the {way}, by {size}",
-    }
-    return words.get(kind, f"shows {effect.name} ({effect.equation or column}), {size}")
-
-
-def _extent(c: Calibration, effect: Effect) -> str:
-    _, largest, covariate, at = curve_extent(c, effect.name)
-    return f"{measured(abs(largest), c.unit, 2)}, most at {place_of(c, covariate, at)}"
-
-
-def _size(c: Calibration, effect: Effect) -> str:
-    """Of the largest coefficient, where there are several; of one for each member, from the least to the largest.
-
-    In an average over structures given that the effect is there.
-    """
-    found, there = [], c.having[effect.name]
-    for i, one in enumerate(effect.coefficients):
-        name, unit = effect.coefficient_name(i), unit_label(one.unit)
-        between = effect.group_sd_name(i)
-        draws = c.samples(between if one.per and between in c.unknowns.by_key else name)[there]
-        mean, sd = draws.mean(axis=0), draws.std(axis=0)
-        if draws.ndim > 1:
-            ends = (number(float(v), 2) for v in (mean.min(), mean.max()))
-            found.append((float(np.abs(mean).max()), f"{' to '.join(ends)} {unit}".rstrip()))
-        else:
-            found.append(
-                (abs(float(mean)), f"{with_error(float(mean), float(sd))} {unit}".rstrip())
-            )
-    largest = max(found)[1]
-    same = len({one.unit for one in effect.coefficients}) == 1
-    if len(found) == 1 or not same:
-        return found[0][1]
-    return f"{largest} (the largest of {len(found)} coefficients)"
-
-
-def _shape(c: Calibration, effect: Effect, name: str) -> str:
-    shape = next(s for s in effect.shapes if s.name == name)
-    fixed = dict(c.model.fixed).get(effect.shape_name(shape))
-    draws = None if fixed is not None else c.samples(effect.shape_name(shape))
-    said = number(fixed) if draws is None else with_error(float(draws.mean()), float(draws.std()))
-    return f"{said} {unit_label(shape.unit)}".rstrip()
 
 
 def _error(chapter: Chapter) -> str:
@@ -551,103 +446,5 @@ def listed(words: list[str], last: str = "and") -> str:
     return words[0] if len(words) == 1 else f"{', '.join(words[:-1])} {last} {words[-1]}"
 
 
-ABOVE_NOISE = 1.1  # rms error over the noise floor from which something is left to explain
-
-
-def use_and_limits(chapter: Chapter) -> tuple[list[str], list[str]]:
-    """What the calibration may be used for, and where not, a sentence each."""
-    c = chapter.calibration
-    instrument = c.model.instrument
-    rows = ranges(c)
-    if not ok(chapter):
-        return [], ["For nothing until what stands against it is settled: see the verdict."]
-    covered = [
-        f"{r['name']} {r['low']} to {r['high']} {r['unit']}".strip()
-        for r in rows
-        if not r["constant"] and r["part"] not in (READ, UNUSED) and r["name"] not in ("time",)
-    ]
-    what = (
-        f"turning a reading of the output into {instrument.use.stimulus} [{unit_label(instrument.use.unit) or '1'}]"
-        if instrument.use is not None
-        else "predicting the output"
-    )
-    may = [f"{what[0].upper()}{what[1:]}, by the model of this report."]
-    if covered:
-        may.append("Within what was covered: " + "; ".join(covered) + ".")
-    return may, _limits(chapter, rows)
-
-
-def _limits(chapter: Chapter, rows: list[dict[str, Any]]) -> list[str]:
-    use = chapter.calibration.model.instrument.use
-    stimulus, varied = use and use.stimulus, {r["name"] for r in rows if not r["constant"]}
-    not_for = [
-        "Outside these ranges: nothing was measured there, and nothing warns but the compensator."
-    ]
-    for r in rows:
-        if r["constant"] and r["name"] not in ("output", stimulus):
-            at = f"{r['low']} {r['unit']}".strip()
-            not_for.append(
-                f"Under another {r['name']} than {at}, at which all readings were taken."
-            )
-    if use is not None and use.equation is None and stimulus not in varied:
-        not_for.append(
-            f"To tell how the output follows {stimulus}: it was not varied, so the model's own equation stands "
-            "untested."
-        )
-    candidates = (last_discovery(chapter) or {"candidates": []})["candidates"]
-    blind = [c["effect"] for c in candidates if c["kind"] == "not visible" and not is_quiet(c)]
-    if blind:
-        not_for.append(
-            f"Where {listed(blind, 'or')} matters: it is not detectable in this experiment."
-        )
-    spreads = {b.group_sd_name for b in chapter.used.layout.blocks}
-    new = [r["name"] for r in chapter.data["hyperparameters"] if r["name"] in spreads]
-    if new:
-        not_for.append(
-            f"By its coefficients' uncertainties alone: a new member of a group brings a deviation of its own "
-            f"({', '.join(new)}). The uncertainty budget and compensated readings contain it."
-        )
-    return not_for
-
-
-def last_discovery(chapter: Chapter) -> dict[str, Any] | None:
-    """What was missing from the last model; None where that was not asked."""
-    last = len(chapter.data["steps"]) - 1
-    return next((m for m in chapter.data["missing"] if m["step"] == last), None)
-
-
 def ok(chapter: Chapter) -> bool:
     return bool(chapter.data["verdict"]["ok"])
-
-
-def unexplained(chapter: Chapter) -> list[str]:
-    """What the last model leaves open and the conclusion does not say, a sentence each."""
-    data, unit = chapter.data, chapter.calibration.unit
-    rms, new, noise = (data["steps"][-1][k] for k in ("rmse_fitted", "rmse", "noise_floor"))
-    more = "nothing beyond the noise."
-    if rms > ABOVE_NOISE * noise:
-        more = f"about {measured((rms**2 - noise**2) ** 0.5, unit, 2)} rms is more than noise."
-    floor = measured(noise, unit, 3)
-    said = [
-        f"rms error as fitted {measured(rms, unit, 3)} against a noise floor of {floor}: {more}"
-    ]
-    if new > ABOVE_NOISE * rms:
-        said.append(
-            f"A new run has an rms error of {measured(new, unit, 3)}: it brings a deviation of its own."
-        )
-    last, why = last_discovery(chapter), (data.get("search") or {}).get("ending")
-    if last is None and not why:
-        said.append("What is missing was not asked: the last fit did not converge.")
-    elif last is not None:
-        said.append(
-            "Probability that the model is complete, that is, that no candidate that these readings can show is "
-            f"missing: {last.get('unstated') or probability(last['nothing_missing_probability'])}."
-        )
-        for kind in ("finding", "lead"):
-            names = [c["effect"] for c in last["candidates"] if c["kind"] == kind]
-            said += (
-                [f"{kind.capitalize()}, not in the model: {listed(names, 'or')}."] if names else []
-            )
-    if outliers := len(chapter.check.outliers):
-        said.append(f"{outliers} outlying readings (more than 4 standard deviations).")
-    return [*said, *filter(None, (why,))]
