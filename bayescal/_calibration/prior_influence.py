@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections import defaultdict
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
@@ -18,8 +18,6 @@ from jaxtyping import Float
 from bayescal._calibration.calibration import Calibration
 from bayescal._calibration.judgement import FREE_SIZES
 from bayescal._calibration.summary import CONCERNED_SHARE, WEAK_INFORMATION
-from bayescal._core.atomic_file import named_back
-from bayescal._core.errors import InputError
 from bayescal._core.formatting import number, with_error
 from bayescal._data.unit_conversion import unit_label
 from bayescal._model.effect import Coefficient
@@ -204,21 +202,3 @@ def _with_stated_priors(calibration: Calibration) -> Iterator[tuple[Unknown, Coe
         # What is held is a body's temperature, which has the coefficient of what depends on it.
         if u.block is not None and not u.held and u.prior_sd is not None:
             yield u, u.block.coefficient, u.block.slot in slots
-
-
-def prior_sensitivity(calibration: Calibration) -> Any:
-    """How much each posterior moves when the prior, or the likelihood, is scaled a little (ArviZ's psense).
-
-    A table of ArviZ's: columns prior, likelihood (sensitivities; above 0.05 matters) and diagnosis, a row for each
-    unknown. Raises InputError if no unknown has a proper prior.
-    """
-    from arviz_stats.psense import psense_summary  # a second that only this needs
-
-    tree = calibration.with_log_likelihood()
-    if not tree["log_prior"].data_vars:
-        raise InputError("every prior is flat: there is no prior to be sensitive to")
-    posterior = tree["posterior"].to_dataset()
-    spread, size = posterior.std(), abs(posterior.mean())
-    held = [n for n in posterior.data_vars if not float(spread[n]) > 1e-12 * float(size[n])]
-    tree["posterior"].dataset = posterior.drop_vars(held)  # what is held has nothing to move
-    return psense_summary(tree).rename(index=named_back)

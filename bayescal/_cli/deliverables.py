@@ -165,19 +165,11 @@ class BudgetCommand(InUse, AsJson, Command):
     calibration: Path = Shared.calibration
     at: Texts = opt("temperature=60: operating point, in fixed units; repeat for more.")
     k: float = opt("Coverage factor of the expanded uncertainty.", 2.0, "-k")
-    prior_sensitivity: bool = opt("Also how much the priors matter (psense).", False)
 
     def answer(self) -> Answer:
-        from bayescal._calibration.prior_influence import prior_sensitivity
-
         chosen = saved.compensator_from(self.calibration, self)
         found = bc.budget(chosen, named_numbers(self.at, "--at"), k=self.k)
-        text, data = str(found), found.data()
-        if self.prior_sensitivity and chosen.calibration is not None:
-            priors = prior_sensitivity(chosen.calibration)
-            text += f"\n\nPrior sensitivity (above 0.05 it matters):\n{priors}"
-            data = {**data, "prior_sensitivity": priors.to_dict("index")}
-        return Answer(text, data, **saved.reliable({"": chosen}))
+        return Answer(found, **saved.reliable({"": chosen}))
 
 
 class ReportCommand(OwnParts, DecisionRule, AsJson, Command):

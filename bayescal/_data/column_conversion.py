@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 import unicodedata
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -43,8 +42,6 @@ _EMPTY = "holds no number (empty, NaN, - or the like)"
 _TEXTS = 3  # of a column, that are quoted
 _OVERLOAD = "reads {:.4g}, an instrument's code for an overload or no reading at all (SCPI writes ±9.9E37 and 9.91E37)"
 _PLACEHOLDER = "reads {:g}, far from all other numbers: it stands for a missing reading"
-_MOST_AT_REST = 20.0  # g; a sensor that takes any unit is at rest, or nearly so
-_COLDEST = 100.0  # K; no inertial sensor is tested below, and no difference between two of its temperatures is above
 _SINCE_1904 = 2_082_844_800.0  # s, from 1904 to 1970
 _EARLIEST_1904 = of_cells.EARLIEST + _SINCE_1904  # s; the year 2000 counted from 1904
 _BITS = (12, 16, 20, 24, 32)  # of converters
@@ -231,7 +228,6 @@ class ColumnReader:
                 raw[rows] = np.nan
         raw = self._unwrapped(raw, unit)
         self._note_unsigned(raw)
-        self._note_mass(raw, unit)
         with np.errstate(over="ignore"):
             values = raw if dates or unit is None else self._convert(raw, unit)
         if values is None:
@@ -376,21 +372,6 @@ class ColumnReader:
         self.converted.origin = begin if dated else self.options.epoch
         return values - np.nanmin(values) + (0.0 if dated else begin)
 
-    def _note_mass(self, raw: np.ndarray, unit: str | None) -> None:
-        """Note a g that is hardly that of gravity, where the instrument takes whatever unit there is."""
-        anything = {c.name for c in self.file.instrument.columns if c.unit == units.ANY}
-        if unit is None or self.name not in anything or self.options.units.keys() & {*self.names}:
-            return
-        powers, known = units.parse(unit).powers, raw[np.isfinite(raw)]
-        far = powers == {"ug": 1} and known.size
-        far = far and np.median(units.convert(abs(known), unit, "g")) > _MOST_AT_REST
-        if far or (powers.get("ug") == 1 and powers.get("m") == -3):
-            mass = re.sub(r"\b([mu]?)g\b", r"\1gram", unit)
-            came = f"reads {known[0]:.4g} {units.pretty(unit)}, and g is gravity here: hardly an acceleration"
-            cure = f"Is it a mass? Its unit is {mass}; if it is gravity, say so: "
-            cure += option("--unit", f"{self.header.raw}={unit}")
-            self._problem(came, cure=cure, option=option("--unit", f"{self.header.raw}={mass}"))
-
     def _note_unsigned(self, raw: np.ndarray) -> None:
         """Note signed counts that were written as unsigned: at both ends of the bits, and never between."""
         known = raw[np.isfinite(raw)]
@@ -417,9 +398,6 @@ class ColumnReader:
             try:
                 return units.convert(values, unit, target, **how)
             except InputError as error:  # a difference of temperatures, say
-                if (absolute := _above_zero(values, unit, target)) is not None:
-                    self._flag(f"[{unit}] taken as temperatures above absolute zero")
-                    return absolute
                 self._problem(str(error), option=asked)
                 return None
         also = hint = ""
@@ -501,13 +479,6 @@ class ColumnReader:
 
 def _number_in(unit: str | None) -> str:
     return "a number" if unit is None else f"a number in {units.pretty(unit)}"
-
-
-def _above_zero(values: np.ndarray, unit: str, target: str) -> np.ndarray | None:
-    """Temperatures in parts of a kelvin, such as mK, that can only be absolute; None where they may be differences."""
-    kelvin = units.convert(values, unit, "delta_degC") if unit.endswith("K") else np.zeros(1)
-    found = kelvin[np.isfinite(kelvin)]
-    return units.convert(kelvin, "K", target) if found.size and found.min() > _COLDEST else None
 
 
 def joined(parts: Sequence[ConvertedColumns], labels: Sequence[str]) -> ConvertedColumns:

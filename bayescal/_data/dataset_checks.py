@@ -215,28 +215,6 @@ def _of_saturation(record: CheckedRecord) -> Iterator[str]:
         yield f"column {record.output!r} may be saturated: {count} readings stand exactly at its {end} {level:g}"
 
 
-# Standard deviations within runs, that the temperatures of runs are apart at the least where each has one of its own:
-# a slope within runs then has a hundredth of the information.
-PLATEAU_SD = 10.0
-
-
-def _of_plateaus(record: CheckedRecord) -> Iterator[str]:
-    """Thermometers that stand at one temperature in each run, another in each: run and slope are confounded."""
-    if "run" not in record.columns:
-        return
-    _, codes = distinct([record.columns["run"]])
-    count = np.bincount(codes)
-    for name in record.thermometers if len(count) > 1 else ():
-        values = record.columns[name]
-        means = np.bincount(codes, values) / count
-        within = float(np.sqrt(np.mean((values - means[codes]) ** 2)))
-        if np.diff(np.sort(means)).min() > max(PLATEAU_SD * within, settings().temperature_span):
-            yield (
-                f"each run has one {name} of its own: differences between runs and a dependence on it are confounded, "
-                "parted by their plausible sizes alone. Let it change within a run, or repeat one in another run"
-            )
-
-
 # Share of a record's outputs that are those of another, number for number: far beyond chance, and half of it is a copy.
 COPIED_SHARE = 0.5
 
@@ -375,28 +353,17 @@ COUNTED_RUNS = 8  # runs of one reading each, below which that may be the plan o
 
 
 def _of_runs(record: CheckedRecord) -> Iterator[str]:
-    """Runs that are a counter; or each begins with one and the same output, exactly, that hardly occurs elsewhere."""
-    runs, values = record.columns.get("run", np.zeros(0)), record.columns.get(record.output)
-    if len(runs) < COUNTED_RUNS:
-        return
-    _, first = np.unique(runs, return_index=True)
-    if len(first) == len(runs):
+    """Runs that are a counter."""
+    runs = record.columns.get("run", np.zeros(0))
+    if len(runs) >= COUNTED_RUNS and len(np.unique(runs)) == len(runs):
         yield (
             f"column 'run' gives each of the {len(runs)} readings a run of its own: nothing goes on from one to the "
             "next, and no rate, lag or correlation is seen. Is it a counter? Leave it out, or label the runs"
         )
-    elif values is not None and len(first) > 1 and np.all(values[first] == values[first[0]]):
-        level = values[first[0]]
-        if np.count_nonzero(values == level) <= len(first):
-            yield (
-                f"column {record.output!r} reads exactly {level:g} at the first reading of every run: was it set "
-                "there, or does a filter in the logger (a high-pass) begin so? What the output was before that filter "
-                "is not known"
-            )
 
 
 CHECKS: tuple[Callable[[CheckedRecord], Iterator[str]], ...] = (
-    *(_of_saturation, _of_plateaus, _of_copied_records, _of_thermometers, _of_standstills),
+    *(_of_saturation, _of_copied_records, _of_thermometers, _of_standstills),
     *(_of_size, _of_clocks, _of_pauses, _of_runs),
 )
 
@@ -486,9 +453,9 @@ def oddities(
 
     A leap that the output takes part in was the body's.
     """
-    if "time" not in columns:
+    if "time" not in columns or not (whole := pieces(columns)):
         return []
-    found, whole = list[Oddity](), pieces(columns)
+    found = list[Oddity]()
     names = sorted(n for n in thermometers if np.ptp(columns[n]) > 0)  # false of NaN
     with np.errstate(all="ignore"):  # of numbers that no temperature is
         body = off_path(columns.get(output, np.zeros(len(columns["time"]))), whole)
@@ -498,7 +465,8 @@ def oddities(
                 continue
             leaps = np.setdiff1d(off_path(values, own, UNLIKE_DEGREES), body)
             if 0 < len(np.unique(values[leaps])) <= LEAP_SHARE * len(values):
-                own = [piece[~np.isin(piece, leaps)] for piece in own]
+                rest = (piece[~np.isin(piece, leaps)] for piece in own)
+                own = [piece for piece in rest if len(piece)]
                 read = ", ".join(
                     f"{v:g}" for v in dict.fromkeys(values[leaps][:SHOWN_VALUES].tolist())
                 )

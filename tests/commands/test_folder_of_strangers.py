@@ -44,7 +44,7 @@ GIVEN = {
     "imu": "{data}/unit.csv --baseline --out {out}/unit",
     "compensate": "{result} {data}/table.csv --out {out}/done.csv",
     "export": "{result} --format c --out {out}/gyro.h",
-    "budget": "{result} --prior-sensitivity",
+    "budget": "{result}",
     "decide": "{result} --limit|" + LIMIT,
     "report": "{result} --out {out}/report.html",
     "batch": "{data}/lot.csv --instrument mems_gyro --workers 2 --out {out}/lot",

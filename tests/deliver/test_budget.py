@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from functools import cache
-from pathlib import Path
 from typing import Any
 
 import jax.numpy as jnp
@@ -13,7 +12,6 @@ import pytest
 import bayescal as bc
 from bayescal import effects
 from bayescal_models import mems_gyro
-from tests.support.command_line import run
 from tests.support.made_up import bent_sensor, split_search
 
 READINGS = "noise of the calibration's readings"
@@ -79,15 +77,6 @@ def test_of_few_runs_the_coverage_is_said_to_be_short_and_their_spread_is_type_a
     found = bc.budget(bc.fit(model, readings, bc.LeastSquares(draws=200)))
     spread = next(s for s in found.sources if s.name.startswith("bias.run"))
     assert spread.kind == "A"
-
-
-def test_a_prior_that_matters_shows_in_its_sensitivity(tmp_path: Path) -> None:
-    """Of the rig's constant and the bias the readings know the sum: priors decide. A well measured slope is its own."""
-    saved = bent_sensor.calibration().save(tmp_path / "c.nc")
-    own = ("--instrument", f"{bent_sensor.__file__}:SENSOR")
-    found = run("budget", saved, *own, "--prior-sensitivity", "--json").data["prior_sensitivity"]
-    assert found["rig.constant"]["prior"] > 0.05 > found["bias.temperature"]["prior"]
-    assert "noise.white" not in found  # held at its estimate
 
 
 @pytest.mark.slow

@@ -191,12 +191,6 @@ def test_a_column_that_stands_still_for_a_while_is_flagged():
     assert "stands still" not in flags(temperature=temperature, **columns)
 
 
-def test_runs_of_one_temperature_each_are_flagged() -> None:
-    own, warm = {"run": [*"aabb"], "output": [1, 2, 3, 4]}, [20, 20.01, 40, 40.01]
-    assert "each run has one temperature" in flags(temperature=warm, **own)
-    assert "each run has one temperature" not in flags(temperature=warm[::2] * 2, **own)
-
-
 def test_a_thermometer_that_stands_still_over_three_quarters_of_a_record_is_flagged() -> None:
     rng = np.random.default_rng(2)
     temperature = np.round(np.linspace(20, 22, 200), 1)  # each value five times or so

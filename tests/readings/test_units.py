@@ -9,7 +9,6 @@ import pytest
 
 import bayescal as bc
 from bayescal.workshop import base_unit, convert, parse, pretty, same_dimension
-from bayescal_models import mems_gyro
 from tests.support.inside import coefficient_factor
 
 ARCSEC = math.pi / 648000
@@ -119,16 +118,3 @@ mgram/m^3 1e-6 kg/m^3
 def test_units_of_mass_force_volume_amount_pressure_and_flow(unit, size, base) -> None:
     assert base_unit(unit) == base
     assert np.isclose(convert(1.0, unit, base), float(size), rtol=1e-9)
-
-
-@pytest.mark.parametrize(("coldest", "absolute"), [(268_150, True), (25_000, False)])
-def test_millikelvin_are_temperatures_where_they_can_be_nothing_else(tmp_path, coldest, absolute):
-    rows = [f"{60 * i},{coldest + 1000 * i},{0.02 * (i % 3):.3f}" for i in range(40)]
-    path = tmp_path / "cold.csv"
-    path.write_text("\n".join(["time [s],temperature [mK],output [deg/s]", *rows]))
-    if not absolute:
-        with pytest.raises(bc.InputError):
-            bc.read(path, mems_gyro.INSTRUMENT)
-        return
-    readings = bc.read(path, mems_gyro.INSTRUMENT)
-    assert readings["temperature"] == pytest.approx(np.arange(-5.0, 35.0))
