@@ -34,10 +34,6 @@ def campaign() -> bc.SearchPath:
 
 
 def entries(trail: bc.SearchPath) -> list[Entry]:
-    return [*of_the_search(trail), *of_the_posterior(trail.final.calibration)]
-
-
-def of_the_search(trail: bc.SearchPath) -> list[Entry]:
     """What the first model misses, and that the last one does not."""
     first, last = trail.steps[0], trail.final
     assert first.discovery is not None
@@ -72,31 +68,14 @@ def of_the_search(trail: bc.SearchPath) -> list[Entry]:
     ]
 
 
-def of_the_posterior(after: bc.Calibration) -> list[Entry]:
-    """What is known of the unknowns in the last model."""
-    return [
-        Entry(
-            "coefficients",
-            "bc.plot.coefficients(trail.final.calibration)",
-            "The posterior of each unknown, its mean (red) and its 95 % credible interval (orange).",
-            lambda: bc.plot.coefficients(after),
-        ),
-        Entry(
-            "predictive",
-            "bc.plot.predictive(trail.final.calibration)",
-            "Whether readings fall where the model expects them: within the band if it is right.",
-            lambda: bc.plot.predictive(after),
-        ),
-    ]
-
-
 def page(shown: list[Entry]) -> str:
     hidden = ", ".join(f"{name} = {size:g} °/s/°C" for name, size in HIDDEN.items())
     parts = [
         "# Gallery",
         "Made by `python docs/gallery.py`. Every picture is a function that returns a Matplotlib figure; "
         "`bc.plot.save(figure, path)` writes it. Colours are those that the colour-blind tell apart (Okabe and Ito). "
-        "More of a posterior is drawn by ArviZ, as `arviz_plots.plot_forest(calibration.tree)` or `plot_pair`.",
+        "A posterior is drawn by ArviZ: `arviz_plots.plot_forest(calibration.tree)`, `plot_dist`, `plot_pair`, "
+        "`plot_ppc_pit`.",
         f"The readings are simulated: a MEMS gyroscope over temperature (seed {SEED}), with {hidden} hidden in it.",
         "```python\nimport bayescal as bc\nfrom bayescal_models import mems_gyro\n\n"
         f"readings = mems_gyro.simulate({json.dumps(HIDDEN)}, seed={SEED})\n"

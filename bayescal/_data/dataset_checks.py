@@ -215,30 +215,6 @@ def _of_saturation(record: CheckedRecord) -> Iterator[str]:
         yield f"column {record.output!r} may be saturated: {count} readings stand exactly at its {end} {level:g}"
 
 
-# Share of a record's outputs that are those of another, number for number: far beyond chance, and half of it is a copy.
-COPIED_SHARE = 0.5
-
-
-def _of_copied_records(record: CheckedRecord) -> Iterator[str]:
-    """Records that hold the outputs of an earlier one, number for number: noise does not repeat.
-
-    Of an output so rounded that most numbers occur again, nothing can be said.
-    """
-    runs, values = runs_of(record.columns), record.columns.get(record.output)
-    if values is None or len(runs) < 2 or rounding_step(values):
-        return
-    names, of = list(runs), record_codes(record.columns)
-    _, first, same = np.unique(values, return_index=True, return_inverse=True)
-    for last, rows in enumerate(runs.values()):
-        counts = np.bincount(of[first[same[rows]]], minlength=len(names))
-        counts[last] = 0
-        if (share := counts.max() / len(rows)) > COPIED_SHARE:
-            yield (
-                f"{share:.0%} of {record.output!r} in record {names[last]!r} are the very numbers of record "
-                f"{names[counts.argmax()]!r}: one record under two labels? Leave one out: copied readings count twice"
-            )
-
-
 def _of_thermometers(record: CheckedRecord) -> Iterator[str]:
     for odd in record.oddities:
         yield f"column {odd.column!r} {odd.said} (first at {record.where(int(odd.rows[0]))})"
@@ -328,27 +304,6 @@ def _of_clocks(record: CheckedRecord) -> Iterator[str]:
         )
 
 
-def _of_pauses(record: CheckedRecord) -> Iterator[str]:
-    """A pause in one record that no other of as many readings, hence of one plan, makes there: the clock was set."""
-    if (time := record.columns.get("time")) is None:
-        return
-    records = {n: r[np.argsort(time[r], kind="stable")] for n, r in runs_of(record.columns).items()}
-    pauses = {}
-    for name, rows in records.items():
-        steps = np.diff(time[rows])
-        usual = float(np.median(steps)) if len(steps) else 0.0
-        pauses[name] = set(np.flatnonzero(steps > PAUSE_STEPS * usual).tolist())
-    for name, rows in records.items():
-        alike = [pauses[n] for n, own in records.items() if n != name and len(own) == len(rows)]
-        alone = pauses[name].difference(*alike) if alike else set()
-        if len(alone) == 1:
-            last, following = time[rows[(at := alone.pop()) : at + 2]]
-            yield (
-                f"column 'time' makes a pause of {following - last:.3g} s in {name!r}, after {last:.12g} s, and in no "
-                "other record of as many readings: was the clock set there? Lags, rates and drifts hang on it"
-            )
-
-
 COUNTED_RUNS = 8  # runs of one reading each, below which that may be the plan of a test
 
 
@@ -363,8 +318,8 @@ def _of_runs(record: CheckedRecord) -> Iterator[str]:
 
 
 CHECKS: tuple[Callable[[CheckedRecord], Iterator[str]], ...] = (
-    *(_of_saturation, _of_copied_records, _of_thermometers, _of_standstills),
-    *(_of_size, _of_clocks, _of_pauses, _of_runs),
+    *(_of_saturation, _of_thermometers, _of_standstills),
+    *(_of_size, _of_clocks, _of_runs),
 )
 
 # Share of all readings that distinct values are at most where values occur again by rounding.

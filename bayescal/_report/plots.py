@@ -1,7 +1,6 @@
-"""Every picture: where a model fails, what is missing and how the error falls, what a fit knows, noise, poses.
+"""Every picture but those that ArviZ draws of a fit's `tree`: where a model fails, what is missing, noise, poses.
 
-Pictures of the search are drawn from results, or from what `result.json` says of them. Those of a fit are its
-coefficients and predictions; ArviZ draws more of its `tree`. Poses stand on two hemispheres, z up and z down, as seen
+Pictures of the search are drawn from results, or from what `result.json` says of them. Poses stand on two hemispheres, z up and z down, as seen
 from outside, each an equal-area map (Lambert's azimuthal), so that poses that are spread evenly look so.
 """
 
@@ -25,9 +24,8 @@ from bayescal._calibration.calibration import Calibration
 from bayescal._calibration.check import Check, Entry, check, covariates_of
 from bayescal._calibration.leave_group_out import scheme
 from bayescal._calibration.sensor_noise import SensorNoise
-from bayescal._calibration.summary import curve_weights
 from bayescal._core.atomic_file import replacing_for_user
-from bayescal._core.errors import InputError, ModelError
+from bayescal._core.errors import ModelError
 from bayescal._core.formatting import number
 from bayescal._data.allan_deviation import AllanDeviation
 from bayescal._data.pose_rows import ACROSS
@@ -37,7 +35,7 @@ from bayescal._search.discover import Discovery, is_quiet
 from bayescal._search.search_path import SearchPath
 
 if TYPE_CHECKING:
-    import xarray as xr
+    pass
 
 LABEL_LETTERS = 32  # letters of a label; what is longer leaves no room for the picture
 DRAWING = RLock()  # held while something is drawn
@@ -120,21 +118,14 @@ def residuals(
     entries = [e for e in found.entries if not e.by_group][:MOST_PANELS]
     if against is not None:
         entries = [e for e in found.entries if e.against == against]
-    figure, axes = _panels(len(entries), 3, 4.2, 3.0)
+    columns, rows = min(3, max(1, len(entries))), -(-len(entries) // 3) or 1
+    figure = new_figure(4.2 * columns, 3.0 * rows)
+    axes = figure.subplots(rows, columns, squeeze=False).ravel()
     for ax, entry in zip(axes, entries, strict=False):
         residual_panel(ax, calibration, found, entry)
-    return figure
-
-
-def _panels(count: int, columns: int, width: float, height: float, more: float = 0.0) -> Any:
-    """An empty figure of so many panels, each of a size in inches, and their axes; what is left of a row is hidden."""
-    columns = min(columns, max(1, count))
-    rows = -(-count // columns) or 1
-    figure = new_figure(width * columns, height * rows + more)
-    axes = figure.subplots(rows, columns, squeeze=False).ravel()
-    for ax in axes[count:]:
+    for ax in axes[len(entries) :]:
         ax.set_visible(False)
-    return figure, axes
+    return figure
 
 
 def residual_panel(
@@ -287,112 +278,6 @@ def loop(found: SearchPath) -> Figure:
     trail(found, falls)
     falls.set_title("4  the error falls", fontsize=10, loc="left")
     return figure
-
-
-DRAWS = 1000  # in a picture
-INTERVAL = (0.025, 0.975)  # quantiles between which a band is drawn
-MOST_UNKNOWNS = 24  # in one picture
-
-
-def coefficients(
-    calibration: Calibration, names: Sequence[str] | None = None, columns: int = 3
-) -> Figure:
-    """Posterior of each coefficient, its mean and its 95 % credible interval.
-
-    Args:
-        calibration: a fit.
-        names: which; the coefficients and shapes that have one value, if not given.
-        columns: panels in a row.
-
-    Raises:
-        InputError: no such unknown, or none at all.
-    """
-    data = _chosen(calibration, names)
-    figure, panels = _panels(len(data), columns, 2.8, 2.0, 0.3)
-    for ax, (name, unknown) in zip(panels, data.items(), strict=False):
-        draws = unknown.values.ravel()
-        _density(ax, draws)
-        ax.plot(np.quantile(draws, INTERVAL), [0, 0], color=ORANGE, lw=4, solid_capstyle="butt")
-        ax.plot(draws.mean(), 0, "o", color=RED, ms=5)
-        ax.set_xlabel(axis_label("", unknown.attrs["units"]).strip(), fontsize=9)
-        ax.set_title(plain(str(name)), fontsize=9)
-        ax.locator_params(axis="x", nbins=4)
-        ax.tick_params(labelsize=8)
-    return figure
-
-
-def _density(ax: Any, draws: np.ndarray) -> None:
-    """The density of draws, by a Gaussian kernel; a line where all are the same."""
-    from scipy.stats import gaussian_kde  # a third of a second that only a picture needs
-
-    if _moves(draws):
-        at = np.linspace(draws.min(), draws.max(), 200)
-        ax.plot(at, gaussian_kde(draws)(at), color=BLUE)
-    else:
-        ax.axvline(draws[0], color=BLUE)
-    ax.set_yticks([])
-    open_sides(ax)
-    ax.spines["left"].set_visible(False)
-
-
-def predictive(calibration: Calibration) -> Figure:
-    """Whether readings fall where the model expects them (ArviZ's `plot_ppc_pit`).
-
-    The share of readings below each predictive probability, minus that probability: a model that is right stays
-    within the band.
-    """
-    import xarray as xr
-    from arviz_plots import plot_ppc_pit  # a second that only a picture needs
-    from matplotlib import pyplot
-
-    group = calibration.tree["posterior_predictive"].to_dataset()
-    tree = xr.DataTree.from_dict(
-        {
-            "posterior_predictive": group.isel(draw=_thin(group)),
-            "observed_data": calibration.tree["observed_data"].to_dataset(),
-        }
-    )
-    made = plot_ppc_pit(
-        tree,
-        visuals={"title": False, "xlabel": False, "ylabel": False, "ecdf_lines": {"color": BLUE}},
-        figure_kwargs={"figsize": (5.6, 3.0)},
-    )
-    figure = made.viz["figure"].item()
-    pyplot.close(figure)  # nothing is shown, nothing is kept
-    FigureCanvasAgg(figure)
-    figure.set_layout_engine("constrained")
-    ax = figure.axes[0]
-    ax.set_xlabel("predictive probability of the reading [1]")
-    ax.set_ylabel("share of readings below it,\nminus expected [1]")
-    open_sides(ax)
-    return figure
-
-
-def _chosen(calibration: Calibration, names: Sequence[str] | None) -> xr.Dataset:
-    """Draws of the named unknowns, thinned; of those with one value each, but a curve's weights, if none is named."""
-    posterior = calibration.posterior
-    single = [str(n) for n in posterior if set(posterior[n].dims) == {"chain", "draw"}]
-    unknown = [n for n in names or () if n not in single]
-    if unknown:
-        raise InputError(
-            f"no unknown with one value is called {', '.join(unknown)}; there are: {', '.join(single)}"
-        )
-    drawn = curve_weights(calibration)
-    told = [n for n in single if n not in drawn]
-    moving = [n for n in told if _moves(posterior[n].values)]
-    chosen = list(names or moving)[:MOST_UNKNOWNS]
-    if not chosen:
-        raise InputError("every unknown is held at a value: there is nothing to draw")
-    return posterior[chosen].isel(draw=_thin(posterior))
-
-
-def _moves(draws: np.ndarray) -> bool:
-    """Whether an unknown was drawn, and not held at an estimate."""
-    return float(np.std(draws)) > 1e-9 * abs(float(np.mean(draws)))
-
-
-def _thin(data: xr.Dataset) -> slice:
-    return slice(None, None, max(1, data.sizes["draw"] * data.sizes["chain"] // DRAWS))
 
 
 def allan(found: AllanDeviation) -> Figure:

@@ -84,27 +84,8 @@ class Pictures:
         """The errors of steps, as in result.json."""
         return self.draw(lambda: plots.trail({"steps": steps}), "The error, step by step")
 
-    def of_fit(self, name: str, calibration: Calibration) -> Picture | None:
-        """One of `OF_FIT`; None where there is nothing to draw."""
-        make, caption = OF_FIT[name]
-        try:
-            return self.draw(lambda: make(calibration), caption)
-        except InputError:
-            return None
-
 
 ELSEWHERE = ". The tables of this report hold the same."
-# What is drawn of a fit: by what, and its caption.
-OF_FIT: dict[str, tuple[Callable[[Calibration], Figure], str]] = {
-    "coefficients": (
-        partial(plots.coefficients, columns=5),
-        "Posterior of each unknown, its mean and its 95 % credible interval",
-    ),
-    "predictive": (
-        plots.predictive,
-        "Readings against their predictive probabilities: within the band if the model is right",
-    ),
-}
 
 
 def as_svg(figure: Figure) -> str:
@@ -345,5 +326,4 @@ def _pictures(chapter: Chapter, pictures: Pictures) -> dict[str, Any]:
         "last": of_last if sphere else of_last[1:],
         "front": sphere or next(iter(of_last), None),  # on the page that is signed
         "error": pictures.error(chapter.data["steps"]),
-        **{name: pictures.of_fit(name, chapter.used) for name in OF_FIT},
     }

@@ -8,7 +8,9 @@ from typing import Any
 
 import numpy as np
 import pytest
+from arviz_plots import plot_forest, plot_ppc_pit
 from arviz_stats import loo, psense_summary, summary
+from matplotlib import pyplot
 from scipy import stats
 
 import bayescal as bc
@@ -112,6 +114,13 @@ def test_arviz_does_leave_one_out_and_prior_sensitivity(found) -> None:
     sensitive = psense_summary(tree)
     assert float(sensitive.loc["bias.temperature", "prior"]) < 0.05
     assert "log_likelihood" not in found.tree.children
+
+
+def test_arviz_draws_the_tree(found) -> None:
+    for draw in (plot_forest, plot_ppc_pit):
+        made = draw(found.tree).viz["figure"].item()
+        assert made.axes
+        pyplot.close(made)
 
 
 def test_draws_of_a_tree_with_log_likelihood_are_thinned_together(found, monkeypatch) -> None:

@@ -24,9 +24,7 @@ def every() -> dict[str, Figure]:
         "residuals": bc.plot.residuals(final),
         "allan": bc.plot.allan(bc.allan_deviation(final.readings)),
         "trail": bc.plot.trail(found),
-        "coefficients": bc.plot.coefficients(final),
         "missing": bc.plot.missing(found.steps[0].discovery),
-        "predictive": bc.plot.predictive(final),
         "loop": bc.plot.loop(found),
     }
 
@@ -60,14 +58,6 @@ def test_the_trail_shows_the_fall_to_the_floor(figures) -> None:
     assert floor.get_xdata()[0] == pytest.approx(trail().final.noise_floor)
     told = " ".join(t.get_text() for t in ax.texts)
     assert f"+ {HIDDEN}   (−{100 * (1 - errors[1] / errors[0]):.0f} %)" in told
-
-
-def test_coefficients_show_mean_and_credible_interval_unrounded(figures) -> None:
-    draws = trail().final.calibration.samples("bias.constant")[::1]
-    (ax,) = [a for a in figures["coefficients"].axes if a.get_title() == "bias.constant"]
-    mean = next(line for line in ax.lines if line.get_marker() == "o")
-    assert mean.get_xdata()[0] == pytest.approx(draws.mean(), abs=0.2 * draws.std())
-    assert ax.get_xlabel() == "[°/s]"
 
 
 # A picture that fails never costs the result, which is on the disk before anything is drawn.

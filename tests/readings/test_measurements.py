@@ -206,25 +206,6 @@ def test_a_further_column_may_carry_its_unit_as_in_a_file():
     np.testing.assert_allclose(m["humidity"], [0.45, 0.5])
 
 
-@pytest.mark.parametrize(
-    ("step", "copied"), [(0.0, True), (0.0, False), (1.0, True)], ids=["copy", "none", "rounded"]
-)
-def test_a_run_under_two_labels_is_noticed(step: float, copied: bool) -> None:
-    random, time = np.random.default_rng(1), np.arange(60.0)
-    outputs = [random.normal(0.0, 1.0, 60) for _ in range(3)]
-    outputs[2] = outputs[0] if copied else outputs[2]
-    values = np.concatenate(outputs)
-    readings = bc.Measurements.from_arrays(
-        SCALE,
-        run=np.repeat(["a", "b", "again"], 60),
-        time=np.concatenate([time, time + 1e3, time + 2e3]),
-        output=step * np.round(values / step) if step else values,
-    )
-    found = [flag for flag in readings.flags if "number" in flag]
-    assert len(found) == (copied and not step)
-    assert all("'again'" in flag and "100%" in flag for flag in found)
-
-
 def test_columns_come_as_a_mapping_behind_the_instrument():
     m = bc.Measurements.from_arrays(SCALE, {"output": [1.0, 2.0], "humidity [%]": [40.0, 41.0]})
     assert m.has("humidity") and len(m) == 2

@@ -64,17 +64,3 @@ def test_hold_out_data_that_are_new(readings: bc.Measurements) -> None:
     rounded = readings.with_column("output", 1000 * np.rint(readings["output"] / 1000))
     rounded = rounded.with_column("temperature", 20 * np.rint(readings["temperature"] / 20))
     assert readings_again(rounded, rounded) == 0  # equal numbers say nothing there
-
-
-def test_a_pause_that_one_run_makes_alone(readings: bc.Measurements) -> None:
-    """Not one that all make, and none where the readings are not of one plan."""
-    time, run = np.array(readings["time"]), readings["run"]
-    second = np.flatnonzero(run == "2")
-    later = np.arange(len(time)) >= second[100]
-    (word,) = said(readings, time=np.where(later, time + 3600.0, time))
-    assert word.startswith("column 'time' makes a pause of 3.61e+03 s in '2', after 6990 s")
-    within = np.concatenate([np.arange(np.sum(run == name)) for name in np.unique(run)])
-    assert said(readings, time=np.where(within >= 100, time + 3600.0, time)) == []
-    fewer = np.setdiff1d(np.arange(len(time)), second[:1])
-    late = np.where(later, time + 3600.0, time)[fewer]
-    assert said(readings.select(fewer), time=late) == []
