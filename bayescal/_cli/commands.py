@@ -211,12 +211,9 @@ class CalibrateCommand(SearchRequest, AsJson, Command):
     covariates: str | None = Shared.covariates
     out: Path | None = Shared.folder
     verbose: bool = opt("With all candidates of every step, and drafts of effects.", False)
-    output_unit: str | None = opt("Errors and coefficients in this unit of the output too.")
 
     def answer(self) -> Answer:
         names = options.channel_names(self.channels)
-        if names and self.output_unit is not None:
-            raise InputError("--output-unit is of one output: leave it out, or --channels")
         if not names and self.out is not None and (self.out / CHANNELS).is_file():
             raise InputError(
                 f"{self.out} holds the channels of a unit ({CHANNELS}), of which reports and parameters would still "
@@ -233,11 +230,6 @@ class CalibrateCommand(SearchRequest, AsJson, Command):
                 **self.settings(),
                 "covariates": request.covariates(self.covariates),
             }
-            if self.output_unit is not None:
-                from bayescal._report.report_text import output_factor
-
-                scale = first.scale or models[name].instrument.nominal_scale
-                output_factor(self.output_unit, first.unit("output") or "1", scale)
             from bayescal._cli.output import ConsoleReporter, search_shown
 
             told = ConsoleReporter(self.json_ or bool(names), self.verbose)
@@ -258,7 +250,7 @@ class CalibrateCommand(SearchRequest, AsJson, Command):
             fitted = {n: t.final.calibration.readings for n, t in trails.items()}
             before = request.flags_of(readings)
             print_notes(flag for flag in request.flags_of(fitted) if flag not in before)
-            text = {"begun": told.begun, "verbose": self.verbose, "output_unit": self.output_unit}
+            text = {"begun": told.begun, "verbose": self.verbose}
             shown = search_shown(found, self.json_, **text)
             why = found.reason if isinstance(found, bc.Channels) else found.gate.reason
             return Answer(shown, ok=found.ok, why=why, made=made, written=written)

@@ -183,7 +183,6 @@ class ReportCommand(OwnParts, DecisionRule, AsJson, Command):
     title: str = opt("Of the report.", "")
     certificate: Path | None = Shared.certificate
     limit: Texts = Shared.limit
-    output_unit: str | None = opt("Errors and coefficients in this unit of the output too.")
 
     def answer(self) -> Answer:
         stated = decided = None
@@ -197,7 +196,7 @@ class ReportCommand(OwnParts, DecisionRule, AsJson, Command):
                 )
             decide = first_offered("decided", "--limit")
             decided = decide(given[0].used, self.limit, **self.deciding())
-        how = {"title": self.title, "certificate": stated, "output_unit": self.output_unit}
+        how = {"title": self.title, "certificate": stated}
         whole = drawn(partial(bc.report, given, self.out, decisions=decided, **how))
         verdicts = [c.data["verdict"] for c in given]
         return Answer(

@@ -20,8 +20,7 @@ from bayescal._data.measurements import Measurements
 from bayescal._data.unit_conversion import unit_label
 from bayescal._model.effect import Effect
 from bayescal._model.instrument import Instrument
-from bayescal._report.report_text import in_output_unit
-from bayescal._report.result_json import of_trail, result
+from bayescal._report.result_json import result
 from bayescal._report.save_search import channels_data
 from bayescal._search.calibrate_channels import Channels
 from bayescal._search.draft_effect import draft_effect
@@ -147,7 +146,6 @@ def loop_text(
     trail: SearchPath,
     begun: bool = False,
     verbose: bool = False,
-    output_unit: str | None = None,
 ) -> str:
     """`calibrate` from its first model to its last.
 
@@ -155,7 +153,6 @@ def loop_text(
         trail: what it did.
         begun: the first table stands already.
         verbose: with all candidates of every step, and drafts of effects.
-        output_unit: in which errors and coefficients are said once more.
     """
     final = trail.final
     parts = [""] if begun else [first_text(trail, verbose)]
@@ -174,10 +171,6 @@ def loop_text(
     parts.append(_headed("THE ERROR, STEP BY STEP", trail, *said))
     said = [averaged_text(trail, verbose), filled(f"gate: {trail.gate.reason}")]
     parts.append(_headed("COEFFICIENTS", coefficients_text(trail, verbose), *filter(None, said)))
-    if output_unit is not None:
-        shown = in_output_unit(of_trail(trail), output_unit)
-        over = ", over structures" * (trail.average is not None)
-        parts.append(_headed(f"IN {unit_label(output_unit)}{over}", shown))
     parts.append(_headed("IN SHORT", textwrap.fill(trail.in_short, WIDTH)))
     return "\n\n".join(parts).removeprefix("\n")
 

@@ -1,7 +1,8 @@
-"""Every picture but those that ArviZ draws of a fit's `tree`: where a model fails, what is missing, noise, poses.
+"""Every picture but those of draws, which ArviZ draws: where a model fails, what is missing, the error, noise, poses.
 
-Pictures of the search are drawn from results, or from what `result.json` says of them. Poses stand on two hemispheres, z up and z down, as seen
-from outside, each an equal-area map (Lambert's azimuthal), so that poses that are spread evenly look so.
+Pictures of the search are drawn from results, or from what `result.json` says of them. Poses stand on two hemispheres,
+z up and z down, as seen from outside, each an equal-area map (Lambert's azimuthal), so that poses that are spread
+evenly look so.
 """
 
 from __future__ import annotations

@@ -145,7 +145,6 @@ def report(
     effects: Iterable[Effect] = (),
     certificate: str | Path | Foreworded | None = None,
     decisions: Foreworded | None = None,
-    output_unit: str | None = None,
 ) -> Path:
     """Write the report for sign-off.
 
@@ -160,15 +159,13 @@ def report(
         certificate: TOML file of what a certificate states beside the numbers: device, serial number, place,
             operator, ambient conditions, standards, dates.
         decisions: about limits, as `bc.decide` made them: they stand before everything else, with their rule.
-        output_unit: in which errors and coefficients are said once more, such as the file's mV; of the raw output by
-            the nominal scale.
 
     Returns:
         The path.
 
     Raises:
         InputError: nothing to report of, another suffix, a place that cannot be written to, or a certificate that
-            states something unknown; a folder's result that is not as it was written; an output in no such unit.
+            states something unknown; a folder's result that is not as it was written.
         NotDrawn: a picture could not be drawn; the page is written, and says so in its place.
     """
     path = Path(path)
@@ -188,7 +185,7 @@ def report(
     folders = [str(c.folder) for c in found if c.folder is not None]
     pictures = Pictures(OF_DAMAGE if folders else ())
     try:
-        text = page(found, pictures, title, before, output_unit)
+        text = page(found, pictures, title, before)
     except (TemplateError, *OF_DAMAGE) as e:
         if not folders:
             raise
@@ -207,7 +204,6 @@ def page(
     pictures: Pictures,
     title: str = "",
     before: Sequence[Foreword] = (),
-    output_unit: str | None = None,
 ) -> str:
     """The report as HTML."""
     filters = {
@@ -218,15 +214,12 @@ def page(
         "lines": lambda text: Markup("<br>").join(text.split("\n")),
         "measured": report_text.measured,
     }
-    again = [report_text.in_output_unit(c, output_unit) if output_unit else None for c in found]
     return template("bayescal._report", "report.html.j2", filters, autoescape=True).render(
         title=title or "Calibration report",
         written=datetime.now(UTC).strftime("%Y-%m-%d %H:%M UTC"),
         chapters=[_chapter(c, pictures) for c in found],
         k=report_text.K,
         before=before,
-        output_unit=output_unit,
-        in_output_unit=again,
     )
 
 
