@@ -33,7 +33,7 @@ from bayescal._data.read_options import (
     period_of,
     unit_of,
 )
-from bayescal._data.records import RECORD, record_codes
+from bayescal._data.records import record_codes
 from bayescal._tables import cells as of_cells
 from bayescal._tables.cells import MOST_BAD, Cells, date_text
 from bayescal._tables.raw_table import Objection, Objections, Table, load_whole, option
@@ -456,25 +456,11 @@ class ColumnReader:
         read, shown = units.pretty(unit), units.pretty(target)
         internal = f", that is {values[index]:.6g} {shown}" * (read != shown)
         came = f"reads {raw[index]:.6g} {read}{internal}; plausible is {limits} {shown}"
-        cure, given = "Check the unit and the number", ""
-        if target == "degC" and (period := self._period(values, low, high)):
-            came = f"{came}; a counter of {period:g} °C that began anew"
-            cure = "Undo it, if that is so"
-            given = option("--unwrap", f"{self.header.raw}={period:g}degC")
-        self._problem(came, "", cure, given, rows=wrong)
-
-    def _period(self, values: np.ndarray, low: float, high: float) -> float | None:
-        """Return the period, °C, of a counter without whose wraps all temperatures are plausible; None for none."""
-        known, labels = np.isfinite(values), ("time", *RECORD)
-        columns = {n: v[known] for n, v in self.converted.values.items() if n in labels}
-        values, codes = values[known], self._records(values)[known]
-        found = checks.wrap_period(columns, values)
-        whole = () if (values <= high).any() else checks.COUNTER_PERIODS  # all readings are beyond
-        for period in (p for p in (found, *whole) if p and values.max() < p):
-            undone = checks.unwrap(values, codes, period, checks.ROOM)
-            if low < undone.min() and undone.max() < high:
-                return period
-        return None
+        cure = "Check the unit and the number"
+        if target == "degC" and values[index] > high:
+            undo = option("--unwrap", f"{self.header.raw}=PERIODdegC")
+            cure += f"; a counter that began anew is undone by {undo}"
+        self._problem(came, "", cure, rows=wrong)
 
 
 def _number_in(unit: str | None) -> str:

@@ -1,6 +1,6 @@
 """Checks of a whole data set: what makes it unusable, and what its owner should know of.
 
-Refused: one temperature only, time running backwards, a thermometer whose counter wrapped. Flagged: what the list
+Refused: one temperature only, time running backwards. Flagged: what the list
 `CHECKS` finds. Thresholds stand above the check that they are of; what they are set against ("good records") are the
 campaigns that the six instruments simulate, as they are, rounded as displays do, and noisy.
 
@@ -53,7 +53,6 @@ def problems_of_whole(
         files = [table.file for table in converted.tables if table.file != ARRAYS]
         problems += same_temperature(columns, file_names(files))
     problems += backward_time(columns, converted.where)
-    problems += _wrapped(converted)
     return problems
 
 
@@ -64,17 +63,6 @@ def _objection(
     places = [where(int(row)) for row in rows]
     at = tuple(place.row for place in places)
     return Objection(places[0].file, came, "", cure, option, column, places=at)
-
-
-def _wrapped(converted: ConvertedColumns) -> Iterator[Objection]:
-    """Find thermometers whose counter began anew, each with the option that undoes it."""
-    columns = converted.values
-    for name in converted.thermometers if "time" in columns else ():
-        if period := wrap_period(columns, columns[name]):
-            came = f"leaps by {period:g} °C, as a counter that began anew"
-            undo = option("--unwrap", f"{name}={period:g}degC")
-            rows = [1 + int(np.argmax(np.abs(np.diff(columns[name]))))]
-            yield _objection(converted.where, rows, name, came, "Undo it, if that is so", undo)
 
 
 def same_temperature(columns: Columns, names: str) -> Iterator[Objection]:
@@ -220,6 +208,25 @@ def _of_thermometers(record: CheckedRecord) -> Iterator[str]:
         yield f"column {odd.column!r} {odd.said} (first at {record.where(int(odd.rows[0]))})"
 
 
+LEAP_DEGREES = 40.0  # °C, between neighbours, that no body changes by
+
+
+def _of_leaps(record: CheckedRecord) -> Iterator[str]:
+    """Leaps that no error value makes: of counters that began anew, as a rule."""
+    for name in record.thermometers if "time" in record.columns else ():
+        gone = [odd.rows for odd in record.oddities if odd.column == name and odd.code == "leap"]
+        for rows in runs_of(record.columns).values():
+            rows = np.setdiff1d(rows, [row for some in gone for row in some], assume_unique=True)
+            leap = np.abs(np.diff(record.columns[name][rows]))
+            if np.any(leap > LEAP_DEGREES):
+                at = int(np.argmax(leap))
+                yield (
+                    f"column {name!r} leaps by {leap[at]:.4g} °C at {record.where(int(rows[at + 1]))}: a counter that "
+                    f"began anew? {option('--unwrap', f'{name}=PERIODdegC')} undoes it"
+                )
+                break
+
+
 STUCK_READINGS = 8  # readings in a row without a change, below which that may be chance
 STUCK_RATIO = 4.0  # times the next longest stretch without a change, below which it is like others
 STUCK_SHARE = 0.5  # of a record, from which a stretch is no plateau of a rounded thermometer
@@ -318,7 +325,7 @@ def _of_runs(record: CheckedRecord) -> Iterator[str]:
 
 
 CHECKS: tuple[Callable[[CheckedRecord], Iterator[str]], ...] = (
-    *(_of_saturation, _of_thermometers, _of_standstills),
+    *(_of_saturation, _of_thermometers, _of_leaps, _of_standstills),
     *(_of_size, _of_clocks, _of_runs),
 )
 
@@ -524,26 +531,7 @@ def standing_rows(values: np.ndarray, own: Sequence[np.ndarray]) -> np.ndarray:
     return np.sort(rows[values[rows] == worst]) if far and _hardly_repeats(others) else rows[:0]
 
 
-def allowed_changes(columns: Columns, values: np.ndarray) -> np.ndarray:
-    """Return what a thermometer's column, °C (n,), may change by from each reading of a file to the next (n − 1,)."""
-    change = np.abs(np.diff(values))
-    steps = np.abs(np.diff(columns["time"])) if "time" in columns else np.ones(len(change))
-    on = steps > 0
-    pace = float(np.quantile(change[on] / steps[on], USUAL_CHANGES_SHARE)) if on.any() else 0.0
-    return UNLIKE_DEGREES + PACE_RATIO * pace * steps
-
-
-PACE_RATIO = 3.0  # times the usual pace, up to which a column may change
 ROOM = 20.0  # °C, near which a record begins where its counter leaves open which of its periods it is in
-# What a thermometer's counter of some bits holds, °C: in whole degrees and parts of them by two, and in decimals.
-COUNTER_PERIODS = sorted(
-    {2.0**bits * size for bits in range(4, 21) for size in (1.0, 0.1, 0.01, 0.001)}
-)
-LEAST_PERIOD = 50.0  # °C; steps of less are other faults'
-# °C, of counters that may go on from their largest value at the smallest: ±64, ±128
-SIGNED = (128.0, 256.0)
-PART = 0.25  # of a period, that a column may change by at the most where a change tells that it began anew
-LEAST_LEVELS = 3  # values beyond a wrap; fewer are an error value
 
 
 def unwrap(values: np.ndarray, codes: np.ndarray, period: float, start: float) -> np.ndarray:
@@ -561,26 +549,3 @@ def unwrap(values: np.ndarray, codes: np.ndarray, period: float, start: float) -
             found[rows] = own - period * np.round(near / period)
             middle = found[rows].mean() if middle is None else middle
     return found
-
-
-def wrap_period(columns: Columns, values: np.ndarray) -> float | None:
-    """Return the period, °C, at which a thermometer's counter began anew; None where it did not.
-
-    Within a record each change by more than half of it is one of a period, to what the column may change by; all values
-    (n,) lie in one period, from 0 or (of signed bytes) about 0; and those beyond the others are more than an error
-    value. `columns` are of the time and labels.
-    """
-    allowed = allowed_changes(columns, values)
-    codes = record_codes({**columns, "": values})
-    low, high = float(values.min()), float(values.max())
-    change = np.where(np.diff(codes) == 0, np.abs(np.diff(values)), 0.0)
-    for period in (p for p in COUNTER_PERIODS if p >= max(LEAST_PERIOD, high - low)):
-        begin = 0.0 if period not in SIGNED or low >= 0 else -0.5 * period
-        wraps = (change > 0.5 * period) & (allowed < PART * period)
-        inside = begin <= low and high <= begin + period
-        if inside and wraps.any() and np.all(period - change[wraps] <= allowed[wraps]):
-            beyond = np.round((unwrap(values, codes, period, ROOM) - values) / period)
-            levels, counts = np.unique(beyond, return_counts=True)
-            if len(np.unique(values[beyond != levels[np.argmax(counts)]])) >= LEAST_LEVELS:
-                return period
-    return None

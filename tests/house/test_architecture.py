@@ -254,7 +254,7 @@ def test_what_is_offered_beside_an_instrument_is_there(group: str) -> None:
 CEILINGS = {
     "bayescal/_core": 2_115,
     "bayescal/_tables": 1_964,
-    "bayescal/_data": 4_841,
+    "bayescal/_data": 4_792,
     "bayescal/_model": 5_936,
     "bayescal/effects": 721,
     "bayescal/_inference": 6_304,
