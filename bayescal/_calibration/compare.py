@@ -16,7 +16,7 @@ import numpy as np
 
 from bayescal._calibration.calibration import Calibration
 from bayescal._calibration.leave_group_out import LeaveOneGroupOut, leave_one_group_out, scheme
-from bayescal._calibration.predict import Prediction, predict
+from bayescal._calibration.predict import predict
 from bayescal._core.errors import InputError
 from bayescal._core.formatting import WIDTH, number
 from bayescal._core.importance_weights import stacking
@@ -28,7 +28,6 @@ from bayescal._inference.trust import K_HAT
 FEWEST_GROUPS = 10  # for a standard error over groups: over three it is uncertain by half
 BY_GROUPS, BY_EVIDENCE = "leave-one-group-out", "log evidence"
 BY_READINGS = "pointwise leave-one-out"
-SAME_CURVE = 0.15  # of the noise: the largest difference of curves that count as the same
 
 
 @dataclass(frozen=True)
@@ -132,7 +131,6 @@ def compare(calibrations: Mapping[str, Calibration] | Sequence[Calibration]) -> 
                 f"{one!r} and {name!r} were fitted to different readings ({first.readings.file}, "
                 f"{c.readings.file}): fit both to the same"
             )
-    curves = {name: predict(c) for name, c in calibrations.items()}
     loo = {name: pointwise_loo(c) for name, c in calibrations.items()}
     best_loo = max((points for points, _ in loo.values()), key=np.sum)
     weights = stacking(np.stack([points for points, _ in loo.values()], axis=1))
@@ -147,7 +145,7 @@ def compare(calibrations: Mapping[str, Calibration] | Sequence[Calibration]) -> 
         row = ComparisonRow(
             name=name,
             effects=", ".join(c.model.names),
-            rmse=curves[name].rmse,
+            rmse=predict(c).rmse,
             group_score=out and float(out.log_score.sum()),
             group_difference=None if gap is None else float(gap.sum()),
             group_error=None if gap is None or len(gap) < FEWEST_GROUPS else _error(gap),
@@ -171,7 +169,7 @@ def compare(calibrations: Mapping[str, Calibration] | Sequence[Calibration]) -> 
         groups=fold.count if fold else len(own),
         unit=first.unit,
         chosen_by=by,
-        warnings=(*_warnings(rows, by, fold), *_alike(curves, first.unit)),
+        warnings=tuple(_warnings(rows, by, fold)),
     )
 
 
@@ -229,20 +227,3 @@ def _named(calibrations: Sequence[Calibration]) -> dict[str, Calibration]:
         name = " ".join(f"+ {n}" for n in c.model.names if n not in shared)
         named[name if name and name not in named else f"model {i}"] = c
     return named
-
-
-def _alike(curves: Mapping[str, Prediction], unit: str) -> list[str]:
-    """Models whose fitted curves are one and the same against the noise, each with the first that it is like."""
-    said, named = [], set[str]()
-    for name, curve in curves.items():
-        noise = float(np.sqrt(np.mean(curve.sd**2)))
-        others = {n: c for n, c in curves.items() if n not in {*named, name}}
-        gaps = {n: float(np.max(np.abs(c.mean - curve.mean))) for n, c in others.items()}
-        same = [n for n, gap in gaps.items() if gap < SAME_CURVE * noise]
-        if same and name not in named:
-            named |= {name, *same}
-            said.append(
-                f"{', '.join(map(repr, [name, *same]))} are the same curve to within "
-                f"{max(gaps[n] for n in same):.2g} {unit} (noise {noise:.2g}): corrections by them are the same."
-            )
-    return said

@@ -41,7 +41,6 @@ from bayescal._data.unit_conversion import (
     spelled,
     unit_in,
 )
-from bayescal._tables.cells import dates_of
 from bayescal._tables.raw_table import (
     BRACKETS,
     LONGEST_UNIT,
@@ -61,7 +60,7 @@ NAMES = {
     "time": "t timestamp time_stamp date_time datetime epoch unix_time utc time_utc utc_time | date_and_time "
     "time_and_date zeitstempel datum_uhrzeit datum_zeit scan_time | sample_time start_time local_time | elapsed "
     "elapsed_time relative_time messzeit laufzeit sekunden seconds temps x_value millis zeit uhrzeit time_of_day heure "
-    "| date datum",
+    "| date datum | horodatage fecha_hora fecha_y_hora data_ora data_e_ora data_hora tidsstempel tijdstip aikaleima",
     "temperature": "T temperatur thermometer",
     "supply_voltage": "supply supply_v v_supply vsupply vcc vdd power_supply | battery battery_voltage v_bat vbat ubat "
     "u_bat versorgung versorgungsspannung betriebsspannung alimentation tension_d_alimentation",
@@ -85,12 +84,6 @@ NO_UNIT = frozenset(
     ["", "1", "-", "#", "no", "no.", "nr", "nr.", "n", "№", "id", "text", "label", "index", "none"]
 )
 MIN_READINGS_PER_LABEL = 3.0  # readings, on average, that have one label before the next
-# How names begin under which what is missing is logged, by its unit.
-BEGINNINGS = {
-    "deg/s": ("gyr", "rate", "omega", "gx", "gy", "gz", "wx", "wy", "wz"),
-    "ug": ("acc", "ax", "ay", "az"),
-    "rad": ("tilt", "angle", "incl", "roll", "pitch"),
-}
 # A column of days beside one of times of day, in the languages of those who write both with points.
 DAYS = (
     *("date", "datum", "day", "tag", "dato", "dag", "data", "giorno", "fecha", "dia", "jour"),
@@ -412,7 +405,7 @@ class MatchedFile:
                 self._take(position, replace(header, name=f"output_{axis}"), f"output_{axis}")
 
     def _take_by_cells(self) -> None:
-        """Take labels by name and cells; and for the time the one column of dates, or in a unit of time, that rises."""
+        """Take labels by their names and cells."""
         for i in sorted(self._free):
             ours = labels_in(self._headers[i])
             if ours is None or ours in {*self.positions, *self.options.columns}:
@@ -420,31 +413,6 @@ class MatchedFile:
             if self._holds_labels(i, ours == "device"):
                 reading = replace(self._headers[i], name=ours, unit=None)
                 self._take(i, reading, ours, ", as its values are labels")
-        if "time" not in self.expected or "time" in (*self.positions, *self.options.columns):
-            return
-        for dates, what in ((True, "dates"), (False, "times that go on")):
-            found = [(i, r) for i in sorted(self._free) if (r := self._as_time(i, dates))]
-            if len(found) == 1:
-                self._take(*found[0], "time", f", as its values are {what}")
-                return
-
-    def _as_time(self, position: int, dates: bool) -> Header | None:
-        """The reading of a header as the time, if its cells are dates, or numbers in a unit of time, that go on."""
-        header = self._headers[position]
-        reading = header if header.unit or dates else longest_unit(header)
-        timed = reading is not None and alike(unit_of(reading, "", self.options) or "", "s")
-        if reading is None or (bool(reading.unit) if dates else not timed):
-            return None
-        if self.options.leaves_out(header) or not self.table.readable:
-            return None
-        cells = load_whole(self.table, {position: True})[position]
-        if cells.dates is not None:
-            cells, _ = dates_of(cells.dates)
-        elif dates:
-            return None
-        steps = np.diff(cells.values)
-        goes_on = steps.size > 1 and bool(np.median(steps) > 0)
-        return replace(reading, name="time") if goes_on else None
 
     def _take_others(self, named: set[str]) -> None:
         """Name the other columns, those in `named` by the user, as the file does; without their units."""

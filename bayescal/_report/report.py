@@ -149,13 +149,11 @@ def report(
     """Write the report for sign-off.
 
     Args:
-        given: a calibration or a trail, or several. Calibrations of the same readings become one chapter, in which the
-            error falls from the first to the last, and the last is what is signed for; what each of them lacks is
-            looked for, which takes a few seconds each. A trail brings all that with it.
+        given: a calibration or a trail, or several, a chapter each. What a calibration lacks is looked for, which
+            takes a few seconds; a trail brings all that with it.
         path: of the file, ending in .html.
         title: of the report.
-        effects: of your own, candidates where what a calibration lacks is looked for; those that one of the
-            calibrations has are so anyway.
+        effects: of your own, candidates where what a calibration lacks is looked for; its own are so anyway.
         certificate: TOML file of what a certificate states beside the numbers: device, serial number, place,
             operator, ambient conditions, standards, dates.
         decisions: about limits, as `bc.decide` made them: they stand before everything else, with their rule.

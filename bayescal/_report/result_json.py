@@ -1,8 +1,7 @@
 """A trail as data, `result.json`, and what a report is of: chapters of trails in memory, or read back from a folder.
 
-The schema is bayescal.result/2; numbers that are not finite become null. A chapter is one set of readings. Calibrations
-of the same readings make one chapter, in the order in which they are given: the first is where it began, the last is
-what is signed for.
+The schema is bayescal.result/2; numbers that are not finite become null. A chapter is of one
+calibration, or of the search that led to it.
 """
 
 from __future__ import annotations
@@ -13,7 +12,6 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
 from importlib.metadata import PackageNotFoundError, version
-from itertools import pairwise
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -283,7 +281,7 @@ class Chapter:
 
 
 def chapters(given: Iterable[Any], effects: Iterable[Effect] = ()) -> list[Chapter]:
-    """Chapters of what is given, in its order; calibrations of the same readings that stand together are one.
+    """Chapters of what is given, in its order.
 
     Args:
         given: calibrations, trails, chapters, or errors that ended a fit and carry its calibration.
@@ -301,32 +299,15 @@ def chapters(given: Iterable[Any], effects: Iterable[Effect] = ()) -> list[Chapt
             f"a report is of calibrations or trails, not of {', '.join(wrong) or 'nothing'}: give what bc.fit, "
             "bc.calibrate or bc.load returned"
         )
-    found: list[Chapter] = []
-    waiting: list[Calibration] = []
-    for one in [*several, None]:
-        if waiting:
-            last = waiting[-1]
-            same = isinstance(one, Calibration) and one.readings.same_as(last.readings)
-            if not (same and one.model.instrument.name == last.model.instrument.name):
-                found.append(of_trail(trail_of(waiting, own), _titles(waiting)))
-                waiting = []
-        if isinstance(one, Calibration):
-            waiting.append(one)
-        elif one is not None:
-            found.append(of_trail(one) if isinstance(one, SearchPath) else one)
-    return found
+    trails = (trail_of(g, own) if isinstance(g, Calibration) else g for g in several)
+    return [one if isinstance(one, Chapter) else of_trail(one) for one in trails]
 
 
-def of_trail(trail: SearchPath, titles: list[str] | None = None) -> Chapter:
+def of_trail(trail: SearchPath) -> Chapter:
     """The chapter of a trail in memory."""
-    data = result(trail)
-    for i, title in enumerate(titles or []):
-        step, before = data["steps"][i], data["steps"][max(i - 1, 0)]["effects"]
-        more = [n for n in step["effects"] if n not in before]
-        step |= {"title": title, "added": more[0] if len(more) == 1 else None}
     first, final = trail.steps[0], trail.final
     began = {"first": first.calibration, "first_check": first.check}
-    return Chapter(final.calibration, final.check, data, **began, average=trail.average)
+    return Chapter(final.calibration, final.check, result(trail), **began, average=trail.average)
 
 
 def of_folder(
@@ -383,28 +364,10 @@ def _read_result(path: Path) -> dict[str, Any]:
     return data
 
 
-def trail_of(calibrations: list[Calibration], effects: tuple[Effect, ...] = ()) -> SearchPath:
-    """The trail of calibrations of the same readings, each checked and asked what it lacks.
-
-    An effect of the user's own that one of them has is a candidate for the others.
-    """
-    catalogue = calibrations[0].model.instrument.known
-    used = {e.name: e for c in calibrations for e in c.model.effects}
-    own = (*(e for n, e in used.items() if n not in catalogue), *effects)
-    asked = [discover(c, effects=own) if c.verdict.ok else None for c in calibrations]
-    steps = [replace(step_of(c), discovery=d) for c, d in zip(calibrations, asked, strict=True)]
-    return SearchPath(tuple(steps), gate(steps[-1:]), None)
-
-
-def _titles(calibrations: list[Calibration]) -> list[str]:
-    """Each model by what it has more and less than the one before."""
-    first = calibrations[0].model
-    baseline = set(first.names) == {e.name for e in first.instrument.effects}
-    titles = ["baseline" if baseline else ", ".join(first.names)]
-    for before, own in pairwise(c.model for c in calibrations):
-        more = [f"+ {n}" for n in own.names if n not in before.names]
-        less = [f"− {n}" for n in before.names if n not in own.names]
-        law = own.noise.in_words
-        noise = [] if law == before.noise.in_words else [f"noise: {law}"]
-        titles.append(" ".join([*more, *less, *noise]) or "the same effects")
-    return titles
+def trail_of(calibration: Calibration, effects: tuple[Effect, ...] = ()) -> SearchPath:
+    """The trail of one calibration, checked and asked what it lacks; effects of the user's own are candidates."""
+    known = calibration.model.instrument.known
+    own = (*(e for e in calibration.model.effects if e.name not in known), *effects)
+    asked = discover(calibration, effects=own) if calibration.verdict.ok else None
+    step = replace(step_of(calibration), discovery=asked)
+    return SearchPath((step,), gate([step]), None)

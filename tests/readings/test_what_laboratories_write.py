@@ -179,13 +179,6 @@ def test_a_unit_is_all_of_what_a_header_ends_in(put, head, unit, size) -> None:
     assert np.allclose(np.diff(found["output"]), 0.5 * size)
 
 
-def test_dates_that_go_on_are_the_time_whatever_they_are_called(put) -> None:
-    dates = [f"2025-03-01 10:{i:02}:00" for i in range(60)]
-    of_test = ["2024-12-24"] * 60
-    path = put(at_rest(**{"Horodatage": dates, "Étalonné le": of_test}))
-    assert np.allclose(np.diff(bc.read(path, STILL)["time"]), 60.0)
-
-
 def test_commas_in_names_and_numbers_part_nothing_beside_semicolons(put) -> None:
     rows = (f"{i},5;{20 + i},25;0,{i:02}" for i in range(30))
     found = bc.read(put("\n".join(["time, s;temp, °C;output, deg/s", *rows])), GYRO)
