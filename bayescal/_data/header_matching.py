@@ -84,6 +84,12 @@ NO_UNIT = frozenset(
     ["", "1", "-", "#", "no", "no.", "nr", "nr.", "n", "№", "id", "text", "label", "index", "none"]
 )
 MIN_READINGS_PER_LABEL = 3.0  # readings, on average, that have one label before the next
+# How names begin under which what is missing is logged, by its unit.
+BEGINNINGS = {
+    "deg/s": ("gyr", "rate", "omega", "gx", "gy", "gz", "wx", "wy", "wz"),
+    "ug": ("acc", "ax", "ay", "az"),
+    "rad": ("tilt", "angle", "incl", "roll", "pitch"),
+}
 # A column of days beside one of times of day, in the languages of those who write both with points.
 DAYS = (
     *("date", "datum", "day", "tag", "dato", "dag", "data", "giorno", "fecha", "dia", "jour"),
