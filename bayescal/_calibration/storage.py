@@ -80,7 +80,7 @@ def save(calibration: Fitted, path: Path) -> Path:
         "draws": draws_group(calibration.joint),
         "mode": {n: Variable(tuple(f"{n}_{i}" for i in range(a.ndim)), a) for n, a in mode.items()},
     }
-    described = json.dumps({**description(calibration), "schema": SCHEMA})
+    described = json.dumps({"schema": SCHEMA, **description(calibration)})
     content = netcdf_bytes(groups, bayescal=described, bayescal_identity=identity(calibration))
     with replacing_for_user(path) as partial:
         write_sealed(content, partial)
@@ -177,8 +177,7 @@ def identity(c: Fitted) -> str:
     """
     digest = hashlib.sha256(json.dumps(description(c), sort_keys=True).encode())
     c.readings.add_to(digest)
-    # Between x and v stood unknowns of single readings once, as a rule none: identities stay what they were.
-    for draws in (c.joint.x, np.zeros((*c.joint.x.shape[:2], len(c.readings), 0)), c.joint.v):
+    for draws in (c.joint.x, c.joint.v):
         digest.update(f"{draws.shape}\n".encode())
         digest.update(np.ascontiguousarray(draws, dtype="<f8").tobytes())
     return digest.hexdigest()
@@ -214,7 +213,6 @@ def description(c: Fitted) -> dict[str, Any]:
         "nominal_scale": asdict(scale) if (scale := readings.scale) else None,
     }
     return {
-        "schema": "bayescal.calibration/1",  # of 0.2: identities stay what they were
         "instrument": model.instrument.name,
         "settings": dict(model.instrument.settings),
         "effects": list(model.names),
@@ -231,16 +229,11 @@ def description(c: Fitted) -> dict[str, Any]:
         "method": c.method,
         "seed": c.seed,
         "log_evidence": c.log_evidence,
-        "verdict": _since(asdict(c.verdict), "against", "checked"),
-        "sources": [_since(asdict(s), "columns", "units") for s in readings.sources],
+        "verdict": asdict(c.verdict),
+        "sources": [asdict(s) for s in readings.sources],
         "flags": list(readings.flags),
         **{key: value for key, value in further.items() if value},
     }
-
-
-def _since(fields: Mapping[str, Any], *names: str) -> dict[str, Any]:
-    """Return fields, of those that there were not at first only the ones that are not empty."""
-    return {key: value for key, value in fields.items() if key not in names or value}
 
 
 def _is_resized(e: Effect, catalogue: Mapping[str, Effect]) -> bool:

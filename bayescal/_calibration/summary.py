@@ -117,12 +117,6 @@ def curves(calibration: Fitted) -> set[str]:
     return {e.name for e in calibration.model.effects if e.is_placeholder}
 
 
-def curve_weights(calibration: Fitted) -> set[str]:
-    """Names of the coefficients of these."""
-    drawn = curves(calibration)
-    return {u.key for u in calibration.unknowns if u.block is not None and u.effect in drawn}
-
-
 def curve_extent(calibration: Fitted, name: str) -> tuple[float, float, str, float | None]:
     """How large a curve is over the readings: rms and the largest, output unit; along what, and where that is."""
     values = np.asarray(calibration.linear.contribution(name))

@@ -6,7 +6,6 @@ SVG within the page: one colour with its text, names of their own, nothing from 
 
 from __future__ import annotations
 
-import base64
 import io
 import re
 from collections.abc import Callable, Iterable, Sequence
@@ -69,8 +68,8 @@ class Pictures:
             self.failed.append(NotDrawn(f"A picture ({caption})", error))
             return Picture(Markup("<p>{}.</p>").format(self.failed[-1]), caption)
 
-    def residuals(self, calibration: Calibration, found: Check, which: str) -> list[Picture]:
-        """Residuals against the covariates, the worst first, a picture each."""
+    def residuals(self, calibration: Calibration, found: Check) -> list[Picture]:
+        """Residuals of the last model against the covariates, the worst first, a picture each."""
 
         def panel(against: str) -> Figure:
             figure = plots.residuals(calibration, found, against)
@@ -78,7 +77,9 @@ class Pictures:
             return figure
 
         names = [e.against for e in found.entries if not e.by_group][:RESIDUAL_PANELS]
-        return [self.draw(partial(panel, n), f"Residuals of {which} against {n}") for n in names]
+        return [
+            self.draw(partial(panel, n), f"Residuals of the last model against {n}") for n in names
+        ]
 
     def error(self, steps: Sequence[dict[str, Any]]) -> Picture:
         """The errors of steps, as in result.json."""
@@ -116,16 +117,6 @@ def inline(svg: str, prefix: str, alt: str) -> Markup:
     view = re.search(r'viewBox="[^"]*"', opening)
     head = f'<svg role="img" aria-label="{escape(alt)}" style="max-width:{width:.0f}px"'
     return Markup(f"{head} {view[0] if view else ''}>{rest}")
-
-
-def embedded(loop: bytes) -> Picture:
-    """The picture of the loop, a PNG, as data within the page."""
-    caption = "The loop as it was drawn when the calibration was made"
-    data = base64.b64encode(loop).decode("ascii")
-    image = Markup('<img alt="{}" src="data:image/png;base64,{}">').format(
-        caption + ELSEWHERE, data
-    )
-    return Picture(image, caption)
 
 
 # What the layout meets where a result.json is not as it was written, beside errors of its template.
@@ -300,20 +291,14 @@ def _budget(chapter: Chapter) -> tuple[Budget | None, str]:
 
 
 def _pictures(chapter: Chapter, pictures: Pictures) -> dict[str, Any]:
-    c, last = chapter.calibration, len(chapter.data["steps"]) - 1
-    first: list[Picture] = []
-    if last and chapter.first is not None and chapter.first_check is not None:
-        first = pictures.residuals(chapter.first, chapter.first_check, "the first model")
-    elif last and chapter.picture is not None:
-        first = [embedded(chapter.picture)]
-    of_last = pictures.residuals(c, chapter.check, "the last model")
+    c = chapter.calibration
+    of_last = pictures.residuals(c, chapter.check)
     sphere = None
     vector = c.model.instrument.vector
     if vector is not None and vector.acting is None:
         caption = "Residuals of the magnitude along the sphere of poses, in standard deviations"
         sphere = pictures.draw(lambda: plots.sphere(c), caption)
     return {
-        "first": first,
         "last": of_last if sphere else of_last[1:],
         "front": sphere or next(iter(of_last), None),  # on the page that is signed
         "error": pictures.error(chapter.data["steps"]),

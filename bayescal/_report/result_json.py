@@ -234,7 +234,6 @@ def experiment_data(found: NextExperiment) -> dict[str, Any]:
 
 
 PICTURE = "loop.png"
-PNG = b"\x89PNG\r\n\x1a\n"
 
 
 @dataclass(frozen=True)
@@ -265,11 +264,6 @@ class Chapter:
     calibration: Calibration  # the last model's
     check: Check  # where it fails
     data: dict[str, Any]  # everything that was found, as in result.json
-    # first, first_check: where it began; None where only result.json tells of it
-    first: Calibration | None = None
-    first_check: Check | None = None
-    # the loop as it was drawn at the time (PNG); None where the pictures can be drawn again
-    picture: bytes | None = None
     folder: Path | None = None  # that it was read from; None for what was found in memory
     # the last model's calibration averaged over structures; None where one has nearly all probability
     average: Calibration | None = None
@@ -305,9 +299,8 @@ def chapters(given: Iterable[Any], effects: Iterable[Effect] = ()) -> list[Chapt
 
 def of_trail(trail: SearchPath) -> Chapter:
     """The chapter of a trail in memory."""
-    first, final = trail.steps[0], trail.final
-    began = {"first": first.calibration, "first_check": first.check}
-    return Chapter(final.calibration, final.check, result(trail), **began, average=trail.average)
+    final = trail.final
+    return Chapter(final.calibration, final.check, result(trail), average=trail.average)
 
 
 def of_folder(
@@ -334,12 +327,10 @@ def of_folder(
             f"{RESULT} and {CALIBRATION} in {folder} are of different fits: identity {told} and {fitted}. Calibrate "
             f"again, or give {CALIBRATION} alone"
         )
-    drawn = (folder / PICTURE).read_bytes() if (folder / PICTURE).is_file() else b""
     return Chapter(
         calibration,
         check(calibration),
         data,
-        picture=drawn if drawn.startswith(PNG) else None,
         folder=folder,
         average=load(folder / AVERAGED, **own) if AVERAGED in listed else None,
     )
