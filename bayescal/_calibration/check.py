@@ -76,7 +76,6 @@ class FixedComparison:
     noise: float  # standard deviation used as the measure
     rms: float  # of the residuals
     free_fit: float  # noise of the same model with free coefficients
-    known: dict[str, float]  # contributions known before any fit, by name
 
     @property
     def wrong(self) -> bool:
@@ -209,17 +208,12 @@ def place_in_words(row: Mapping[str, Any]) -> str:
 
 
 def _fixed_text(f: FixedComparison, residuals: np.ndarray, unit: str) -> str:
-    known = sum(v**2 for v in f.known.values()) ** 0.5
     lines = [
         f"with the fixed coefficients: {np.sum(residuals > 0)} of {residuals.size} residuals are positive, mean "
         f"{residuals.mean():.2f} ({residuals.min():.2f} to {residuals.max():.2f}) {unit}, rms {f.rms:.2f}",
         f"the same model with free coefficients leaves {f.free_fit:.3g} {unit}: "
         f"the rms is {f.rms / f.noise:.1f} times that",
     ]
-    if known > 0:
-        parts = ", ".join(f"{k} {v:.2g}" for k, v in f.known.items())
-        lines.append(f"known beforehand: {known:.2g} {unit} ({parts}):")
-        lines.append(f"  the rms is {f.rms / known:.0f} times that")
     return "\n".join(lines)
 
 
@@ -244,8 +238,8 @@ ROUNDING = 64 * float(np.finfo(float).eps)  # of the largest of its group: below
 def check(calibration: Calibration) -> Check:
     """Where a fitted model fails.
 
-    A model with fixed coefficients is judged against the noise of the same model with free coefficients (and that is
-    set beside the noise known before any fit), not against a noise inflated to cover its misfit.
+    A model with fixed coefficients is judged against the noise of the same model with free coefficients, not against a
+    noise inflated to cover its misfit.
     """
     judged, free = _judged(calibration)
     linear, fixed = judged.linear, None
@@ -273,7 +267,7 @@ def check(calibration: Calibration) -> Check:
             above = int(np.sum(loo[np.argsort(-np.abs(loo))[:count]] > 0))
             one_sided = min(1.0, 2 * float(bdtr(min(above, count - above), count, 0.5)))
     if free is not None:
-        fixed = FixedComparison(noise, rms, free, known_noise(calibration))
+        fixed = FixedComparison(noise, rms, free)
     far = settings().outlier_sd
     return Check(
         entries=tuple(sorted(entries, key=lambda e: -e.log_bayes_factor)),
@@ -323,20 +317,6 @@ def _judged(calibration: Calibration) -> tuple[Calibration, float | None]:
         v[i] = free.mode.v[free.layout.index_in_phi[calibration.layout.hypers[i].name]]
     judged = replace(calibration, mode=calibration.mode._replace(v=v))
     return judged, float(np.sqrt(np.mean(free.linear.variance)))
-
-
-def known_noise(calibration: Calibration) -> dict[str, float]:
-    """Standard deviations known before any fit, output unit, by name: the output's own, and what the uncertainty of
-    another column makes of the slope that the output has over it."""
-    readings, found = calibration.readings, dict[str, float]()
-    columns = (c for c in calibration.model.instrument.columns if c.known and readings.has(c.name))
-    for column in sorted(columns, key=lambda c: c.name != "output"):
-        slope, values = 1.0, readings[column.name]
-        if column.name != "output":
-            output = readings[readings.output]
-            slope = float(np.polyfit(values, output, 1)[0]) if np.ptp(values) > 0 else 0.0
-        found |= {name: sd * abs(slope) for name, sd in column.known}
-    return found
 
 
 @dataclass(frozen=True)

@@ -41,17 +41,12 @@ class Prediction:
             of the calibration) and, for groups that the fit has not seen, from their spread.
         sd: standard uncertainty of a reading: with noise.
         residual: output − mean.
-        correlated_noise: posterior mean of the correlated (Ornstein–Uhlenbeck) noise, for readings between those of the
-            fit in the same record; NaN beyond them, None where it was not asked for or the noise is not correlated.
-        correlated_noise_sd: its standard deviation.
     """
 
     mean: np.ndarray
     model_sd: np.ndarray
     sd: np.ndarray
     residual: np.ndarray
-    correlated_noise: np.ndarray | None = None
-    correlated_noise_sd: np.ndarray | None = None
 
     @property
     def rmse(self) -> float:
@@ -63,7 +58,6 @@ def predict(
     readings: Measurements | None = None,
     *,
     new_groups: bool = True,
-    same_record: bool = False,
     draws: int = 1000,
 ) -> Prediction:
     """Predict readings.
@@ -79,8 +73,6 @@ def predict(
         new_groups: take every run, cell or device as one that the fit has not seen: its deviation is zero,
             give or take its spread. False uses the deviations of members that the fit knows by name. An axis
             is part of its instrument: one that the fit knows is itself either way.
-        same_record: the readings belong to the very record that was fitted, on its clock and with its labels: groups
-            are known, and between fitted readings `correlated_noise` is what these say of the correlated noise.
         draws: posterior draws to average over, at most.
 
     Raises:
@@ -90,7 +82,6 @@ def predict(
     """
     known = readings is None
     readings = calibration.readings if readings is None else readings
-    new_groups = new_groups and not same_record
     if calibration.readings.has("run") and not readings.has("run") and new_groups:
         readings = readings.with_column("run", np.full(len(readings), "new"))
     calibration = calibration.with_columns(readings.columns)
@@ -103,7 +94,7 @@ def predict(
         count, noise_of, spread = len(past), None, 0.0
         if count and correlated:
             later = some.select(np.arange(count, len(some)))
-            noise = _noise_at(calibration, past, later, beyond=True)
+            noise = _noise_at(calibration, past, later)
             output = frame["output"][:count]
             spread = np.append(np.zeros(count), noise(np.zeros((count, 1)))[1])
 
@@ -125,13 +116,7 @@ def predict(
         frame = calibration.frame_of(readings)
         frame = _of_new_groups(frame) if new_groups else frame
         residual, model_sd, sd = moments_of(readings, frame, NONE)
-    made = Prediction(readings["output"] - residual, model_sd, sd, residual)
-    if not (same_record and correlated):
-        return made
-    past = np.arange(len(calibration.readings))
-    noise = _noise_at(calibration, past, readings, beyond=False)
-    mean, spread = noise(predict(calibration, new_groups=False).residual[:, None])
-    return replace(made, correlated_noise=mean[:, 0], correlated_noise_sd=np.sqrt(spread))
+    return Prediction(readings["output"] - residual, model_sd, sd, residual)
 
 
 def replicates(
@@ -181,12 +166,12 @@ def _of_new_groups(frame: Frame) -> Frame:
 
 
 def _noise_at(
-    calibration: Calibration, past: np.ndarray, readings: Measurements, beyond: bool
+    calibration: Calibration, past: np.ndarray, readings: Measurements
 ) -> Callable[[Float[np.ndarray, "n b"]], tuple[np.ndarray, np.ndarray]]:
     """What fitted readings `past` say of the correlated noise at others of their runs, at the mode of its parameters.
 
     Of what a model leaves of the fitted readings (n, b) it is the mean (m, b), which is linear in that, and variance
-    (m,); NaN where nothing is said. `beyond`: also before and after a run's fitted readings.
+    (m,); NaN where nothing is said.
     """
     fitted, record = calibration.readings.select(past), calibration.problem.record
     law, values = calibration.model.noise, calibration.problem.hyper(calibration.mode.v)
@@ -202,8 +187,7 @@ def _noise_at(
             if name not in names:
                 continue
             rows = np.flatnonzero(known == names.index(name))
-            inside = (at >= time[rows].min()) & (at <= time[rows].max())
-            others = np.flatnonzero((codes == code) & (beyond | inside))
+            others = np.flatnonzero(codes == code)
             both = None
             if before is not None and after is not None:
                 both = np.asarray(before)[rows], np.asarray(after)[others]

@@ -391,9 +391,6 @@ class PredictCommand(ColumnOptions, UsedParts, AsJson, Command):
     calibration: Path = Shared.calibration
     files: list[Path] = Shared.files
     out: Path | None = opt("File to write: .csv, .parquet or .nc.")
-    same_record: bool = opt(
-        "The record that was fitted: give its correlated noise between fitted readings.", False
-    )
     average: str | None = Shared.average
 
     def answer(self) -> Answer:
@@ -403,7 +400,7 @@ class PredictCommand(ColumnOptions, UsedParts, AsJson, Command):
         readings = request.averaged(readings, self.average)
         self.keep()
         print_notes(readings.flags)
-        prediction = bc.predict(loaded, readings, same_record=self.same_record)
+        prediction = bc.predict(loaded, readings)
         from bayescal._cli.output import write_prediction
         from bayescal._core.formatting import number
         from bayescal._data.unit_conversion import unit_label

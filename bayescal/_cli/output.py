@@ -228,12 +228,9 @@ def _missing_lines(trail: SearchPath) -> list[str]:
 
 
 def write_prediction(prediction: Prediction, readings: Measurements, path: Path) -> None:
-    """Write the readings with columns predicted, predicted_uncertainty, residual, and correlated noise if asked for."""
+    """Write the readings with columns predicted, predicted_uncertainty, residual."""
     p = prediction
     columns = {"predicted": p.mean, "predicted_uncertainty": p.sd, "residual": p.residual}
-    if p.correlated_noise is not None:
-        columns["correlated_noise"] = p.correlated_noise
-        columns["correlated_noise_uncertainty"] = p.correlated_noise_sd
     for name, values in columns.items():
         readings = readings.with_column(name, values, readings.unit("output"))
     readings.write(path)

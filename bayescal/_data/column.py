@@ -39,8 +39,6 @@ class Column:
         low, high: least and greatest plausible value, in `unit`; what lies beyond is refused.
         allowed: the labels that are known; empty allows any.
         also: further names under which files hold it.
-        known: standard uncertainties of a reading that are known before any fit, in `unit`, by name, such as that of
-            a converter's step.
     """
 
     name: str
@@ -52,7 +50,6 @@ class Column:
     high: float | None = None
     allowed: tuple[str, ...] = ()
     also: tuple[str, ...] = ()
-    known: tuple[tuple[str, float], ...] = ()
 
     def __post_init__(self) -> None:
         """Raise InputError where the column contradicts itself."""
@@ -64,12 +61,7 @@ class Column:
             " is a label: it has no low and high": unit is None and (low, high) != (None, None),
             f" may be in any unit: its default {self.default!r} has none": unit == ANY
             and self.default is not None,
-            " has no unit that known uncertainties could have": self.known and unit in (None, ANY),
             f": low {low} is not below high {high}": None not in (low, high) and not low < high,
-        }
-        faults |= {
-            f": {name} {value} must be a positive number": not 0 < value < math.inf
-            for name, value in self.known
         }
         for fault in (text for text, holds in faults.items() if holds):
             raise InputError(f"column {self.name!r}{fault}")

@@ -94,32 +94,3 @@ def test_correlated_noise_does_not_take_the_place_of_a_constant(missing) -> None
         assert ((tau >= law.shortest) & (tau <= law.longest)).all()
         assert np.median(diffusion * np.sqrt(tau / 2)) < np.ptp(right["output"])
     assert errors[1] == pytest.approx(errors[0], rel=0.02)
-
-
-def test_between_fitted_readings_a_prediction_tells_the_wander_and_beyond_them_never() -> None:
-    whole = still_sensor.simulate({}, seed=3, runs=2, noise_law="ornstein_uhlenbeck")
-    inside = np.arange(len(whole)) % 3 == 1
-    last = whole["time"] > np.quantile(whole["time"][whole["run"] == "2"], 0.8)
-    fitted = whole.select(np.flatnonzero(~inside & ~last))
-    model = still_sensor.INSTRUMENT.for_readings(fitted).baseline()
-    wandering = over_record(model.noise.parameters()["noise.white"], 10.0, 2400.0)
-    made = bc.fit(model.with_noise(wandering), fitted, FAST)
-    asked = whole.select(np.flatnonzero(inside | last))
-    found = bc.predict(made, asked, same_record=True)
-    assert found.correlated_noise is not None and found.correlated_noise_sd is not None
-    own = {run: fitted["time"][fitted["run"] == run] for run in ("1", "2")}
-    low, high = np.array([(own[run].min(), own[run].max()) for run in asked["run"]]).T
-    beyond = (asked["time"] < low) | (asked["time"] > high)
-    assert beyond.sum() > 40
-    assert (
-        np.isnan(found.correlated_noise[beyond]).all()
-        and np.isfinite(found.correlated_noise[~beyond]).all()
-    )
-    left = (found.residual - found.correlated_noise)[~beyond]
-    assert np.std(left) < 0.9 * np.std(found.residual[~beyond])
-    expected = np.hypot(found.correlated_noise_sd[~beyond], float(made.samples("noise.white")[0]))
-    assert np.mean((left / expected) ** 2) == pytest.approx(1.0, abs=0.2)
-    assert bc.predict(made, asked).correlated_noise is None
-    other = asked.with_column("run", np.full(len(asked), "another"))
-    lost = bc.predict(made, other, same_record=True).correlated_noise
-    assert lost is not None and np.isnan(lost).all()

@@ -52,22 +52,6 @@ def test_the_run_that_stands_apart_is_named(readings) -> None:
     assert entry.log_bayes_factor > 5
 
 
-def test_noise_known_beforehand_stands_beside_a_published_line() -> None:
-    table = bc.read(mems_gyro.TABLE, mems_gyro.INSTRUMENT)
-    line = {"bias.constant": 19.80, "bias.temperature": 0.041}  # source 1, as printed
-    found = bc.check(bc.fit(MODEL.fix(line), table, FAST, reference={"T0": 0.0}, strict=False))
-    slope = np.polyfit(table["temperature"], table["output"], 1)[0]
-    step = 1 / 0.83e-3 / np.sqrt(12)  # V as °/s, uniform
-    assert found.fixed is not None
-    assert found.fixed.known == pytest.approx(
-        {
-            "converter step": 0.0311e-3 * step,
-            "rounding of the voltage": 0.1e-3 * step,
-            "thermometer": 0.5 / np.sqrt(3) * slope,
-        }
-    )
-
-
 @pytest.mark.parametrize("seed", [1, 2])
 def test_outliers_on_one_side_are_told_from_outliers_on_both(seed: int) -> None:
     readings = mems_gyro.simulate({}, seed=seed)

@@ -8,7 +8,6 @@ import bayescal as bc
 from bayescal_models.supply import SUPPLY
 
 SENSITIVITY = 0.83e-3  # V per °/s, source 1
-CONVERTER_STEP = 0.0311e-3 / SENSITIVITY  # °/s, source 1
 VOLTAGE_STEP = 0.1e-3 / SENSITIVITY  # °/s, rounding of the printed voltage, source 1
 THERMOMETER_SD = 0.5 / math.sqrt(3)  # °C; good to 0.5 °C, taken as uniform; source 1
 
@@ -21,7 +20,6 @@ COLUMNS = (
         "ambient thermometer",
         low=-273.15,
         high=250.0,
-        known=(("thermometer", THERMOMETER_SD),),
     ),
     SUPPLY,
     bc.Column("board_temperature", "degC", "electronics", required=False, low=-273.15, high=250.0),
@@ -30,10 +28,6 @@ COLUMNS = (
         "output",
         "deg/s",
         "output, or V with the nominal scale",
-        known=(
-            ("converter step", CONVERTER_STEP / math.sqrt(12)),
-            ("rounding of the voltage", VOLTAGE_STEP / math.sqrt(12)),
-        ),
     ),
 )
 NOMINAL_SCALE = bc.NominalScale("V", gain=SENSITIVITY, offset=1.2)

@@ -12,6 +12,5 @@ from .tables import TABLE as TABLE
 COLUMNS: tuple[bc.Column, ...]
 NOMINAL_SCALE: bc.NominalScale
 SENSITIVITY: float
-CONVERTER_STEP: float
 VOLTAGE_STEP: float
 THERMOMETER_SD: float
