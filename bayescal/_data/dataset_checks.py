@@ -135,16 +135,7 @@ def backward_time(columns: Columns, where: Where) -> Iterator[Objection]:
 
 @dataclass(frozen=True)
 class CheckedRecord:
-    """Readings as the checks of `CHECKS` take them.
-
-    Attributes:
-        columns, units: name → values (n,), and their unit; None for labels.
-        output: name of the output column.
-        thermometers: names of columns of measured temperatures, °C.
-        given: names of the columns of numbers that were measured, and not filled in.
-        oddities: of the thermometers.
-        where: names a reading's file and row.
-    """
+    """Readings as `CHECKS` take them; `given` are names of the columns of numbers that were measured, not filled in."""
 
     columns: Columns
     units: Mapping[str, str | None]
@@ -229,45 +220,20 @@ def _of_leaps(record: CheckedRecord) -> Iterator[str]:
 
 STUCK_READINGS = 8  # readings in a row without a change, below which that may be chance
 STUCK_RATIO = 4.0  # times the next longest stretch without a change, below which it is like others
-STUCK_SHARE = 0.5  # of a record, from which a stretch is no plateau of a rounded thermometer
 # Share of the other readings that repeat the one before, above which all are rounded, or set.
 REPEATED_SHARE = 0.1
 
 
-def stuck_rows(values: np.ndarray, thermometer: bool = False) -> tuple[int, int] | None:
-    """Return first and last row of a stretch, far longer than any other, in which a column that else changes does not.
-
-    Of a thermometer half of all readings in one stretch suffice, however often the others repeat.
-    """
-    begins, lengths = equal_runs(values)
-    worst = int(np.argmax(lengths))
-    length, others = int(lengths[worst]), np.delete(lengths, worst)
-    half = thermometer and length >= STUCK_SHARE * len(values)
-    if not others.size or not (half or _hardly_repeats(others)):
-        return None
-    if length < max(STUCK_READINGS, STUCK_RATIO * np.max(others)):
-        return None
-    return int(begins[worst]), int(begins[worst]) + length - 1
-
-
-def _hardly_repeats(lengths: np.ndarray) -> bool:
-    """Whether stretches of equal values have these lengths by chance, and not by rounding."""
-    return bool(np.sum(lengths - 1) <= REPEATED_SHARE * np.sum(lengths))
-
-
 def _of_standstills(record: CheckedRecord) -> Iterator[str]:
-    """Columns that do not change, at all or for long."""
+    """Columns that do not change, at all or, where no thermometer's oddity says so, for long."""
+    told = {odd.column for odd in record.oddities}
     for name in record.given:
         values = record.columns[name]
         if len(values) > 1 and (values == values[0]).all():
             yield f"column {name!r} is constant ({values[0]:g})"
-        elif (stuck := stuck_rows(values, name in record.thermometers)) is not None:
-            if any(odd.column == name and stuck[1] in odd.rows for odd in record.oddities):
-                continue
-            first, last = map(record.where, stuck)
-            share = (stuck[1] - stuck[0] + 1) / len(values)
-            much = f", {100 * share:.0f} % of all readings" * (share > STUCK_SHARE)
-            yield f"column {name!r} stands still at {values[stuck[0]]:g} from {first} to {last}{much}: was it stuck?"
+        elif name not in told and len(rows := standing_rows(values, [np.arange(len(values))])):
+            first, last = record.where(int(rows[0])), record.where(int(rows[-1]))
+            yield f"column {name!r} stands still at {values[rows[0]]:g} from {first} to {last}: was it stuck?"
 
 
 # Unit, least and largest range of an output that any sensor resolves and measures. Least: a superconducting gravimeter
@@ -527,8 +493,11 @@ def standing_rows(values: np.ndarray, own: Sequence[np.ndarray]) -> np.ndarray:
     levels, rows = values[np.concatenate(starts)], np.concatenate([*own])
     worst = levels[np.argmax(lengths)]
     others = lengths[levels != worst]
-    far = np.max(lengths) >= max(STUCK_READINGS, STUCK_RATIO * np.max(others, initial=1))
-    return np.sort(rows[values[rows] == worst]) if far and _hardly_repeats(others) else rows[:0]
+    far = others.size and np.max(lengths) >= max(
+        STUCK_READINGS, STUCK_RATIO * np.max(others, initial=1)
+    )
+    by_rounding = np.sum(others - 1) > REPEATED_SHARE * np.sum(others)
+    return rows[:0] if by_rounding or not far else np.sort(rows[values[rows] == worst])
 
 
 ROOM = 20.0  # °C, near which a record begins where its counter leaves open which of its periods it is in

@@ -93,10 +93,9 @@ def _stuck(readings: Measurements) -> Fault:
     output = readings["output"]
     if np.ptp(output) == 0 or checks.rounding_step(output):
         return Fault()
-    if (stuck := checks.stuck_rows(output)) is not None:
-        first, last = stuck
-        rows = np.arange(first + 1, last + 1)
-        said = f"stands still at {output[first]:.6g} (rows {first + 2} to {last + 1})"
+    rows = checks.standing_rows(output, [np.arange(len(output))])[1:]
+    if len(rows):
+        said = f"stands still at {output[rows[0]]:.6g} (rows {rows[0] + 1} to {rows[-1] + 1})"
     elif readings.has("time"):
         own = pieces(readings.values)
         rows = checks.repeats(output, own, checks.held_rows(output, own))

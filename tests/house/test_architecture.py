@@ -254,9 +254,9 @@ def test_what_is_offered_beside_an_instrument_is_there(group: str) -> None:
 CEILINGS = {
     "bayescal/_core": 2_115,
     "bayescal/_tables": 1_964,
-    "bayescal/_data": 4_758,
+    "bayescal/_data": 4_726,
     "bayescal/_model": 5_936,
-    "bayescal/effects": 721,
+    "bayescal/effects": 715,
     "bayescal/_inference": 6_304,
     "bayescal/_calibration": 4_910,
     "bayescal/_use": 3_080,
@@ -268,7 +268,7 @@ CEILINGS = {
     "bayescal/_annexes/metrology": 1_721,
     "bayescal/_annexes/workbench": 3_596,
     "models": 8_976,
-    "tests": 25_221,
+    "tests": 25_210,
     "benchmarks": 10_893,
 }
 WORDS = 53_155  # of docs/, README.md and CHANGELOG.md together
