@@ -285,16 +285,43 @@ def _found(chapter: Chapter) -> str:
     return f"Found beside the first model: {'; '.join(found)}."
 
 
+PHYSICS = {  # what an effect is, by the form of its dependence
+    "linear": "a slope along",
+    "quadratic": "a bend along",
+    "cubic": "a cubic term along",
+    "quartic": "a quartic term along",
+    "rate": "a dependence on the rate of",
+    "lag": "a lag behind",
+    "hysteresis": "a hysteresis along",
+    "warm-up": "a warm-up over",
+    "drift": "a drift over",
+    "curve": "an unknown curve along",
+    "line": "an unknown slope along",
+    "jump": "a step along",
+    "kink": "a kink along",
+    "cycle": "a cycle over",
+}
+
+
 def _in_numbers(c: Calibration, effect: Effect) -> str:
-    """An effect by its name, with its size: of a curve its extent, else its unknowns, given that it is there."""
+    """What an effect is, with its name and size: of a curve its extent, else its unknowns, given that it is there."""
+    of = c.model.instrument.known.get(effect.reported, effect)  # a form is what its family is
+    along = effect.covariate if effect.is_placeholder else of.columns[-1] if of.columns else ""
+    what = f"{PHYSICS[of.kind]} {along.replace('_', ' ')}, " if of.kind in PHYSICS else ""
+    if (per := effect.coefficients[0].per) and not effect.shapes:
+        what = f"differences from {per} to {per}, "
+    return what + _numbers(c, effect)
+
+
+def _numbers(c: Calibration, effect: Effect) -> str:
     if effect.is_placeholder:
         _, largest, covariate, at = curve_extent(c, effect.name)
         there = place_of(c, covariate, at)
         return f"{effect.name}, up to {measured(abs(largest), c.unit, 2)}, most at {there}"
     told = list[str]()
     for row in chain(*summary(c)):
-        if row["effect"] == effect.name and "[" not in row["name"]:
-            name = row["name"].removeprefix(effect.name).removeprefix(".")
+        name = row["name"].removeprefix(effect.name).removeprefix(".")
+        if row["effect"] == effect.name and not {*"[("} & {*name}:
             value = with_error(row["given"]["mean"], row["given"]["sd"])
             told.append(f"{name} {value} {unit_label(row['unit'])}".strip())
     told[NAMED:] = [f"{len(told) - NAMED} more"] * (len(told) > NAMED)

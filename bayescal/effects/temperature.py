@@ -5,7 +5,7 @@ from __future__ import annotations
 from functools import partial
 from typing import Any
 
-from bayescal._model.effect import Coefficient, Effect
+from bayescal._model.effect import Coefficient, Effect, Kind
 from bayescal._model.frame import Frame, reference_name
 from bayescal._model.prior import Normal
 
@@ -14,7 +14,7 @@ def _powered(column: str, order: int, r: Frame) -> Any:
     return r.centred(column) ** order
 
 
-def _power(called: str, order: int, said: str, suffix: str, sign: str, per: str):
+def _power(called: Kind, order: int, said: str, suffix: str, sign: str, per: str):
     """A maker of effects, in its own words; its type is that of `made`."""
 
     def made(
@@ -36,6 +36,7 @@ def _power(called: str, order: int, said: str, suffix: str, sign: str, per: str)
             varies=(column,),
             equation=f"c·({there}){sign}",
             source=source,
+            kind=called,
         )
 
     made.__name__ = made.__qualname__ = called

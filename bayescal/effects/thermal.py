@@ -115,6 +115,7 @@ def rate(slot: str, size: float, unit: str, *, source: str, column: str = "tempe
         equation="c·(T − T̃)/w,  w·dT̃/dt = T − T̃",
         source=source,
         along=f"{column} rate",
+        kind="rate",
     )
 
 
@@ -151,6 +152,7 @@ def hysteresis(
         untestable=partial(_one_way, column, widths),
         equation="c·D + d[run]·exp(−∫|dT|/w),  dD/dT = (sign(dT) − D)/w",
         source=source,
+        kind="hysteresis",
     )
 
 
@@ -199,6 +201,7 @@ def thermal_lag(
             column,
             source,
         ),
+        kind="lag",
         forms=tuple(
             replace(
                 body(

@@ -51,6 +51,7 @@ def drift(slot: str, size: float, unit: str, *, source: str) -> Effect:
             columns=("time",),
             equation=equation,
             source=source,
+            kind="drift",
         )
 
     bend = Shape("bend", "1", *BENDS)
@@ -86,6 +87,7 @@ def warm_up(slot: str, size: float, unit: str, *, low: float, high: float, sourc
             equation=equation,
             source=source,
             along="elapsed",
+            kind="warm-up",
         )
 
     terms = " + ".join(f"{w:.3g}·exp(−t/({m:.3g}·τ))" for m, w in slab())
