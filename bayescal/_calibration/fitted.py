@@ -193,7 +193,7 @@ class Fitted:
     def _acting(self, column: str, at: float) -> set[str]:
         """Names of the effects that are not zero where a column has a value."""
         values: Any = np.full(self._probe.size, at)
-        there = self._probe.with_column(column, values)
+        there = replace(self._probe, columns={**self._probe.columns, column: values})
         by = (e for e in self.model.effects if column in e.columns and not e.is_placeholder)
         return {e.name for e in by if np.any(self._basis(e, there))}
 
@@ -216,7 +216,7 @@ class Fitted:
             return ()
         now = self._probe
         moved = 0.3 * float(self.reference["time_span"])  # pyright: ignore[reportArgumentType]
-        later = now.with_column("time", now["time"] + moved)
+        later = now.moved({"time": moved})
         in_time = (e for e in self.model.effects if "time" in e.columns)
         both = ((e.name, self._basis(e, now), self._basis(e, later)) for e in in_time)
         return tuple(name for name, here, there in both if not np.array_equal(here, there))

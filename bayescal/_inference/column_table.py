@@ -20,10 +20,8 @@ class ColumnTable:
     """Columns by block, and the products of each two blocks at the nodes of a law, made when first asked for.
 
     What a first structure's fixed columns explain is taken out of the residual, so that sums of squares are small
-    differences; structures without these columns have them put back (`taken`).
-
-    Attributes:
-        taken: for each block that a part of the readings was taken by, the amounts of its columns.
+    differences; structures without these columns have them put back. For each block that a part of the readings was
+    `taken` by, there are the amounts of its columns.
     """
 
     def __init__(self, residual: Float[np.ndarray, "n"]) -> None:

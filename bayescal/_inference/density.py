@@ -35,14 +35,8 @@ NUMBERS = 4_000_000  # in linearisations that are kept, and in what is computed 
 class Density(ByValues):
     """log p(y, φ) as a function of φ's coordinates, x integrated out of the structure linearised at a point.
 
-    Attributes:
-        problem: the structure on its record.
-        x: where.
-        flat: scales of the coefficients with flat priors.
-        there: coordinates of φ at which a nonlinear structure is linearised in its shapes too; the middle of their
-            priors if not given.
-        held: variance that noise on inputs adds to each reading; that at x, if not given.
-        like: the density about a point nearby, which bends alike.
+    A nonlinear structure is linearised in its shapes at the coordinates `there`. What noise on inputs adds to each
+    variance is `held`, if given. A density about a point nearby bends alike.
     """
 
     problem: Problem
@@ -217,12 +211,7 @@ class Density(ByValues):
     # the density ------------------------------------------------------------------------------------------------
 
     def evaluate(self, v: np.ndarray, exact: bool = False) -> Any:
-        """Return the log density at a coordinate with gradient and curvature; None where there is none.
-
-        Args:
-            v: the coordinate.
-            exact: whether a curvature that is about right will not do.
-        """
+        """Return log density, gradient and curvature, an `exact` one or about right; None where there is none."""
         if self.tabulated is None:
             return super().evaluate(v, exact)
         if self._evaluated is None or not np.array_equal(self._evaluated[0], v):

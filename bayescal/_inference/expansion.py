@@ -10,15 +10,16 @@ Source: L. Trefethen, Approximation Theory and Approximation Practice, SIAM 2013
 from __future__ import annotations
 
 import itertools
+import math
 from collections.abc import Callable
 from functools import cache
 from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
+from scipy.optimize import brentq
 
 from bayescal._inference.chebyshev import points, polynomials, to_coefficients
-from bayescal._inference.polynomials import DEGREES, Polynomials
 
 COUNT = 9  # Chebyshev points of a box
 BOX_WIDTH = 1.2  # of the largest box, prior standard deviations of a shape
@@ -28,6 +29,12 @@ KEPT_TERM, TOLERANCE = 1e-9, 1e-8  # of the largest number in a column: least te
 DIFFERENCE = 2e-3  # of a coordinate, for slopes about a place
 TRIED_DRAWS = 12  # draws at which fitted polynomials are tried
 KEPT_SHARE = 1e-7  # of the largest principal direction of polynomials' coefficients, down to which they are kept
+BOX_SD = 5.0  # standard deviations of a Gaussian fit of φ, up to which polynomials are fitted
+DEGREES = {
+    1: (6, 12, 20),
+    2: (4, 8, 12, 17),
+    3: (3, 5, 7, 9),
+}  # tried in turn, by the number of shapes
 LISTED = 8  # coordinates whose columns are listed together
 MOST_PLACES = 8  # about which Taylor series are kept
 
@@ -95,6 +102,42 @@ class ListedColumns(Expansion):
         return np.all(v[:, None] == self.middle, axis=2).astype(float)
 
 
+class Polynomials:
+    """Chebyshev's polynomials up to a total degree, by least squares in coordinates that a Gaussian fit is round in.
+
+    Source: G. Migliorati et al., Found. Comput. Math. 14 (2014) 419 (polynomials by least squares at Chebyshev's
+    density).
+    """
+
+    def __init__(self, draws: Float[np.ndarray, "s m"], degree: int) -> None:
+        self.centre = draws.mean(axis=0)
+        covariance = np.atleast_2d(np.cov(draws.T))
+        self.root = BOX_SD * np.linalg.cholesky(covariance + 1e-12 * np.diag(np.diag(covariance)))
+        self.degree, self.dim = degree, len(self.centre)
+        powers = list(itertools.combinations_with_replacement(range(self.dim + 1), degree))
+        self._powers = np.array([[c.count(j + 1) for j in range(self.dim)] for c in powers])
+        # Twice as many points as terms, and a few: with points of the density 1/√(1 − t²), which the cosine below
+        # gives, least squares is then stable (Migliorati et al. 2014).
+        count = 2 * math.comb(self.dim + degree, self.dim) + 4
+        # A Kronecker sequence: multiples of irrational steps, modulo one, leave no gaps whatever their number.
+        ratio = brentq(lambda x: x ** (self.dim + 1) - x - 1, 1, 2, xtol=1e-15)
+        steps = (np.arange(1, count + 1)[:, None] * ratio ** -np.arange(1, self.dim + 1) + 0.5) % 1
+        self.points = self.centre + np.cos(np.pi * steps) @ self.root.T
+
+    def _round(self, coordinates: Float[np.ndarray, "*b m"]) -> Float[np.ndarray, "*b m"]:
+        return np.linalg.solve(self.root, (coordinates - self.centre)[..., None])[..., 0]
+
+    def reach(self, coordinates: Float[np.ndarray, "*b m"]) -> np.ndarray:
+        """Whether they are where the polynomials were fitted."""
+        return np.max(np.abs(self._round(coordinates)), axis=-1) <= 1
+
+    def terms(self, coordinates: Float[np.ndarray, "b m"]) -> Float[np.ndarray, "b t"]:
+        """Return the terms at coordinates; beyond the box, where they mean nothing, at its edge towards its centre."""
+        t = self._round(coordinates)
+        one = polynomials(t / np.maximum(1.0, np.max(np.abs(t), axis=1))[:, None], self.degree + 1)
+        return np.prod([one[:, j, self._powers[:, j]] for j in range(self.dim)], axis=0)
+
+
 class PolynomialColumns(Expansion):
     """Columns as polynomials of the shapes where a Gaussian fit of φ has its draws, without slopes."""
 
@@ -116,12 +159,7 @@ class PolynomialColumns(Expansion):
 
 
 class Expansions:
-    """Expansions of one effect's columns, made where they are asked for and kept.
-
-    Args:
-        columns: function of coordinates of the free shapes (s, d) that gives columns (s, n, k).
-        dim: free shapes.
-    """
+    """Expansions of one effect's columns (s, n, k), functions of its shapes (s, d), made where asked for and kept."""
 
     def __init__(
         self, columns: Callable[[Float[np.ndarray, "s d"]], Float[np.ndarray, "s n k"]], dim: int
@@ -135,12 +173,7 @@ class Expansions:
         return sum(e.columns.nbytes for e in (*self._boxes, *self._places))
 
     def at(self, v: Float[np.ndarray, "d"], sloped: bool) -> Expansion:
-        """Return an expansion that holds at a coordinate, the nearest box first.
-
-        Args:
-            v: coordinates of the free shapes.
-            sloped: whether slopes will be asked for, so that a box is worth its columns.
-        """
+        """Return an expansion that holds at a coordinate, the nearest box first; `sloped`: slopes will be asked for."""
         sloped = sloped and self.dim > 0
         nearest = min(self._boxes, key=lambda box: box.distance(v), default=None)
         if nearest is not None and nearest.distance(v) <= 1:
@@ -184,7 +217,7 @@ class Expansions:
             values, there = made[:count].reshape(count, -1), made[count:].reshape(TRIED_DRAWS, -1)
             if not np.all(np.isfinite(made)):
                 break
-            coefficients = polynomials.fit(values)
+            coefficients = np.linalg.pinv(polynomials.terms(polynomials.points)) @ values
             error = polynomials.terms(draws[:TRIED_DRAWS]) @ coefficients - there
             apart = np.max(np.abs(error), initial=0.0) / np.max(np.abs(values), initial=1e-300)
             if apart >= best:

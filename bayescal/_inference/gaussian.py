@@ -11,6 +11,7 @@ flat prior has weight 0 and the scale of its column in place of s.
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, NamedTuple
 
@@ -45,13 +46,9 @@ class Prior(NamedTuple):
     def from_point(self, at: Any, told: Any) -> tuple[Any, Any]:
         """Where the prior's mean is from a point: by a step to take first, and in its own standard deviations.
 
-        The step, where the prior tells a coefficient better than the readings: one of no width stands at its mean
-        exactly. In standard deviations, where the readings do: the difference of a far prior mean and as far a way
-        back has no digits left.
-
-        Args:
-            at: the point (p,).
-            told: the diagonal of JᵀΣ⁻¹J there.
+        The step, where the prior tells a coefficient better than readings (`told`, the diagonal of JᵀΣ⁻¹J): one of no
+        width stands at its mean exactly. In standard deviations, where the readings do: the difference of a far prior
+        mean and as far a way back has no digits left.
         """
         off = self.weight * (self.mean - at)
         inside = self.sd**2 * told > 1
@@ -68,23 +65,17 @@ class Prior(NamedTuple):
         return np.sum(log_sd + 0.5 * LOG_2PI * (1 - self.weight), axis=-1)
 
 
+@dataclass(eq=False)
 class Conditional:
-    """x given φ and the readings, x = mean + sd·L⁻ᵀ·ε, and the log density of the readings given φ.
+    """x given φ and the readings, x = mean + sd·L⁻ᵀ·ε, and the log density of the readings given φ."""
 
-    Attributes:
-        log_marginal: of the readings, x integrated out.
-        mean: of x (p,).
-        sd: of the prior (p,).
-        chol: L, the lower factor of the precision of z (p, p).
-        z: the mean, in standard deviations from that of the prior (p,).
-        rest: sum of squares at the mean, the prior's share included.
-        squares: of the whitened residuals at the mean alone.
-    """
-
-    def __init__(self, log_marginal, mean, sd, chol, z, rest, squares) -> None:
-        self.log_marginal, self.mean, self.sd = float(log_marginal), mean, sd
-        self.chol, self.z = chol, z
-        self.rest, self.squares = float(rest), float(squares)
+    log_marginal: float  # of the readings, x integrated out
+    mean: Float[np.ndarray, "p"]
+    sd: Float[np.ndarray, "p"]  # of the prior
+    chol: Float[np.ndarray, "p p"]  # L, the lower factor of the precision of z
+    z: Float[np.ndarray, "p"]  # the mean, in standard deviations from that of the prior
+    rest: float  # sum of squares at the mean, the prior's share included
+    squares: float  # of the whitened residuals at the mean alone
 
     @cached_property
     def root_of_z(self) -> Float[np.ndarray, "p p"]:
@@ -106,11 +97,7 @@ def condition(
 ) -> Conditional | None:
     """Integrate x out; None where the precision has no Cholesky factor, or the sum of squares no digits.
 
-    Args:
-        gram: weighted products of J and r.
-        size: number of readings.
-        prior: prior of x.
-        at: x̂, where r was taken.
+    r and the products were taken at x̂, `at`.
     """
     sd, weight = prior.sd, prior.weight
     # With x = x̂ + offset + S·t, S = diag(s), what is left is (r − J·offset) − J·S·t, and the prior is t ~ N(far, W⁻¹)
@@ -118,9 +105,8 @@ def condition(
     # A flat prior is centred at x̂ itself.
     p = len(sd)
     if not p:
-        log_marginal = -0.5 * (size * LOG_2PI + gram.logdet + gram.rtr)
-        nothing = np.zeros((0, 0))
-        return Conditional(log_marginal, at, sd, nothing, sd, gram.rtr, gram.rtr)
+        log_marginal, squares = -0.5 * (size * LOG_2PI + gram.logdet + gram.rtr), float(gram.rtr)
+        return Conditional(float(log_marginal), at, sd, np.zeros((0, 0)), sd, squares, squares)
     offset, far = prior.from_point(at, gram.jtj.diagonal())
     pulled = sd * (gram.jtr - gram.jtj @ offset) + far
     precision = sd[:, None] * gram.jtj * sd
@@ -143,23 +129,19 @@ def condition(
     log_marginal = flat - 0.5 * (size * LOG_2PI + volume + rest)
     if not math.isfinite(log_marginal):
         return None
-    return Conditional(log_marginal, at + move, sd, chol, z, rest, squares)
+    own = float(rest), float(squares)
+    return Conditional(float(log_marginal), at + move, sd, chol, z, *own)
 
 
 class Drawn(NamedTuple):
-    """Coefficients drawn given each of several φ, and the log density of the readings given φ.
+    """Coefficients drawn given each of several φ, and the log density of the readings given φ."""
 
-    Attributes:
-        log_marginal: −∞ where there is none.
-        x: drawn.
-        squares: of x from its prior mean, in standard deviations of its prior, where that is proper.
-        log_volume: of the map from standard normal numbers to x, proper coefficients in units of their prior's standard
-            deviation: so a standard deviation of zero is not asked for.
-    """
-
-    log_marginal: Float[np.ndarray, "b"]
-    x: Float[np.ndarray, "b p"]
+    log_marginal: Float[np.ndarray, "b"]  # −∞ where there is none
+    x: Float[np.ndarray, "b p"]  # drawn
+    # of x from its prior mean, in standard deviations of its prior, where that is proper
     squares: Float[np.ndarray, "b"]
+    # of the map from standard normal numbers to x, proper coefficients in units of their prior's standard deviation:
+    # so a standard deviation of zero is not asked for
     log_volume: Float[np.ndarray, "b"]
 
     def of(self, some: np.ndarray) -> Drawn:
@@ -170,15 +152,7 @@ class Drawn(NamedTuple):
 def draw(
     grams: Gram, size: int, prior: Prior, at: Float[np.ndarray, "p"], normal: np.ndarray
 ) -> Drawn:
-    """`condition` of many φ side by side, and the x that standard normal numbers stand for.
-
-    Args:
-        grams: of several φ (b, …).
-        size: number of readings.
-        prior: of x, its standard deviations (b, p).
-        at: x̂ (p,), where r was taken.
-        normal: (b, p).
-    """
+    """`condition` of many φ side by side (b, …), and the x that standard normal numbers (b, p) stand for."""
     sd, weight = prior.sd, prior.weight
     offset, far = prior.from_point(at, np.diagonal(grams.jtj, axis1=1, axis2=2))
     pulled = sd * (grams.jtr - np.einsum("bij,bj->bi", grams.jtj, offset)) + far

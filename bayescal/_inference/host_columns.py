@@ -6,6 +6,7 @@ A basis that calls JAX by itself, as one of a user's own may, is compiled for th
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -21,11 +22,7 @@ NUMBERS_AT_ONCE = 4_000_000  # of columns that are computed together, which boun
 
 
 class HostColumns:
-    """Columns of bases on one set of readings.
-
-    Attributes:
-        frame: the readings; of several devices with a leading axis.
-    """
+    """Columns of bases on one set of readings, or on those of several devices: a frame with a leading axis."""
 
     def __init__(self, frame: Frame) -> None:
         self.frame = frame
@@ -35,30 +32,22 @@ class HostColumns:
     def at(
         self, basis: Basis, shapes: Mapping[str, Any], moves: Mapping[str, np.ndarray]
     ) -> Float[np.ndarray, "n k"]:
-        """Return columns at values of the shapes.
-
-        Args:
-            basis: which.
-            shapes: a value of each.
-            moves: what columns of the readings are corrected by, (n,) each.
+        """Return columns at a value of each shape, columns of the readings moved by (n,) each.
 
         Raises:
             ModelError: the basis returns another shape, or asks for a column that is not there.
         """
         if basis not in self._programs:
             try:
-                with np.errstate(all="ignore"):  # what is not finite is refused where that is asked
-                    made = self._matrix(basis, shapes, moves)
+                made = self._matrix(basis, shapes, moves)
+                if not is_traced(made):
+                    return made
             except ModelError:
                 raise
             except Exception:  # of arrays of NumPy's that it cannot take
-                made = None
-            if made is not None and not is_traced(made):
-                return made
+                pass
             self._together[basis] = False
-            self._programs[basis] = jax.jit(
-                lambda shapes, moves: self._matrix(basis, shapes, moves)
-            )
+            self._programs[basis] = jax.jit(partial(self._matrix, basis))
         return np.asarray(self._programs[basis](shapes, moves))
 
     def along(
@@ -70,13 +59,11 @@ class HostColumns:
         """Return columns at several values of the shapes, as `at`; columns of readings moved for each, or for all."""
         lengths = [len(v) for v in shapes.values()] + [len(m) for m in moves.values() if m.ndim > 1]
         size = max(lengths, default=1)
-        step = max(1, NUMBERS_AT_ONCE // self.frame.size)
         parts = []
-        for start in range(0, size, step):
-            here = slice(start, min(size, start + step))
+        for here in np.array_split(np.arange(size), -(-size * self.frame.size // NUMBERS_AT_ONCE)):
             own = {n: np.broadcast_to(v, (size,))[here] for n, v in shapes.items()}
             moved = {n: m[here] if m.ndim > 1 else m for n, m in moves.items()}
-            parts.append(self._part(basis, own, moved, here.stop - start))
+            parts.append(self._part(basis, own, moved, len(here)))
         return np.concatenate(parts)
 
     def _part(
@@ -89,8 +76,7 @@ class HostColumns:
         if size > 1 and self._together.get(basis, True):
             try:
                 leading = {n: v[:, None] for n, v in shapes.items()}
-                with np.errstate(all="ignore"):
-                    made = self._matrix(basis, leading, moves, (size,))
+                made = self._matrix(basis, leading, moves, (size,))
             except Exception:  # written for one value
                 made = None
             # Such a basis may return the right shape by chance.
@@ -109,7 +95,6 @@ class HostColumns:
         moves: Mapping[str, Any],
         lead: tuple[int, ...] = (),
     ) -> Any:
-        frame = self.frame
-        for name, shift in moves.items():
-            frame = frame.with_column(name, frame[name] + shift)
-        return matrix(*basis, frame, shapes, (*lead, *frame.order.shape[:-1]))
+        frame = self.frame.moved(moves)
+        with np.errstate(all="ignore"):  # what is not finite is refused where that is asked
+            return matrix(*basis, frame, shapes, (*lead, *frame.order.shape[:-1]))

@@ -28,13 +28,7 @@ def correction(
     """Log ratio of the true joint density to what x was drawn from given each φ, times the closed form: that of true to
     linearised likelihood.
 
-    Args:
-        problem: the structure on its record.
-        found: x drawn given each φ,
-        normal: by these numbers; see `normal_numbers`.
-        hyper: φ by name, one value a draw.
-        exact: whether the closed form was that of φ itself.
-        heavy: whether these numbers are Student-t.
+    x was drawn by these normal numbers, Student-t if `heavy`; `exact`: the closed form was that of φ itself.
     """
     if problem.affine and exact:
         return np.zeros(len(found.x))

@@ -56,13 +56,11 @@ def find_mode(
     """The mode, from the best of some coordinates of φ. Deterministic.
 
     Args:
-        problem: the structure on its record.
-        starts: coordinates to begin at; prior draws if not given. The most probable is taken.
+        starts: coordinates, of which the most probable is begun at; prior draws if not given.
         x: where x̂ may be; its prior mean, or what directions of an ellipsoid give, if not given.
-        still: standard deviations that a round moves anything by, below which the mode is found. The log evidence is
+        still: standard deviations that a round moves anything by, below which the mode is found: the log evidence is
             off by about half their square.
-        start: φ by name where the mode may be, a start beside the prior draws; what it does not name is at its prior's
-            middle.
+        start: φ by name where the mode may be, beside the prior draws; others are at their priors' middle.
         wanted_from: log density, below which a mode found to a hundredth of a nat will do.
     """
     x, dim = _start(problem) if x is None else x, len(problem.hypers)
@@ -163,9 +161,8 @@ def _climbed(
 
 def best(density: Density, starts: Sequence[np.ndarray]) -> np.ndarray:
     """Return the most probable of some coordinates."""
-    return (
-        starts[int(np.argmax(density.values(np.array(starts))))] if len(starts) > 1 else starts[0]
-    )
+    found = int(np.argmax(density.values(np.array(starts)))) if len(starts) > 1 else 0
+    return starts[found]
 
 
 def _about_x(
@@ -257,14 +254,9 @@ def at_mode(
     x: Float[np.ndarray, "p"] | None = None,
     exact: bool = True,
 ) -> Mode:
-    """The Gaussian fit of φ at its mode, and the Laplace evidence.
+    """The Gaussian fit of φ at its mode, and the Laplace evidence; x̂ there is the density's own, if not given.
 
-    Args:
-        density: of φ.
-        v: its mode.
-        change: of the last round, in standard deviations.
-        x: x̂ there; the density's own if not given.
-        exact: whether a curvature that is about right will not do.
+    The last round moved it by `change` standard deviations. `exact`: a curvature that is about right will not do.
     """
     x = density.x if x is None else x
     spreads = np.array([kind == "group_sd" for kind in density.problem.kinds], dtype=bool)

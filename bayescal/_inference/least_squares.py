@@ -17,7 +17,7 @@ from jaxtyping import Float
 from scipy.linalg.lapack import dgeqrf, dtrtri, dtrtrs  # pyright: ignore[reportAttributeAccessIssue]
 
 from bayescal._core.jit import compiled
-from bayescal._core.lazy_jax import jax, jnp
+from bayescal._core.lazy_jax import jnp
 from bayescal._core.parallel import on_one_thread
 from bayescal._core.progress import stage
 from bayescal._inference import trust
@@ -25,11 +25,12 @@ from bayescal._inference.gaussian import Prior
 from bayescal._inference.laplace import NOTHING_KNOWN, Mode, find_mode
 from bayescal._inference.method import CHAINS, Draws, Method, Outcome, Verdict
 from bayescal._inference.noise_on_record import Independent, Whitening, variance, whitening
-from bayescal._inference.problem import Problem, differences
+from bayescal._inference.problem import Problem, differences, put
 from bayescal._model import forward
 from bayescal._model.composition import Linearised
 from bayescal._model.noise_law import in_time
 from bayescal._model.parameters import Layout
+from bayescal._model.prior import slope
 
 STILL_SD = 1e-6  # standard deviations: a further step smaller than this is none
 # Share of the residuals in the tangent plane, at which a point counts as the optimum.
@@ -38,7 +39,7 @@ ROUND_CHANGE = 1e-9  # change of φ's coordinates in a round, below which it res
 ROUNDS = 30  # at most
 ROUND_STEPS = 200  # of θ in a round
 TOLERANCE = 1e-12  # of optimistix's solvers, relative and absolute
-STEPS_FROM_AFAR = 5000  # steps from afar: along a curved valley they are short
+MOST_STEPS = 5000  # of these: along a curved valley they are short
 SHIFT = 1e-4  # of a coordinate, for slopes by differences
 
 
@@ -167,11 +168,7 @@ def refine(
 ) -> Solution:
     """From the mode: (x, shapes) by least squares and scales by restricted likelihood in turn, until both rest.
 
-    Args:
-        problem: the structure on its record.
-        mode: its mode.
-        full_hessian: whether the covariance takes second derivatives of the expected output.
-        by_optimistix: begin with its solver where anything is not linear, rather than where Gauss–Newton fails only.
+    `by_optimistix`: begin with its solver where anything is not linear.
     """
     fit = _Refinement(problem, mode)
     # Where JᵀJ has no Cholesky factor the mode is nowhere; from the prior's centre, QR may find it.
@@ -179,18 +176,11 @@ def refine(
     x = mode.x if found else problem.start
     v = np.where(np.isfinite(mode.v), mode.v, 0.0)
     theta, converged = np.concatenate([x, v[fit.places]]), False
-    if by_optimistix and not (
-        problem.affine and not fit.places
-    ):  # what is linear is one step of QR
+    if by_optimistix and (fit.places or not problem.affine):  # what is linear is one step of QR
         theta = fit.solved(theta, v)
-    for round_ in range(ROUNDS):
+    for _ in range(ROUNDS):
         theta, converged = fit.fit_theta(theta, v)
-        if round_ == 0 and not converged and not problem.affine:
-            theta, converged = fit.from_afar(v)
-            if not converged:  # how long its steps are hangs on the size of the noise
-                usual = np.where([kind == "noise" for kind in problem.kinds], 0.0, v)
-                theta, converged = fit.from_afar(usual)
-        moved = fit.fit_noise(theta, _put(theta[problem.size :], fit.places, v))
+        moved = fit.fit_noise(theta, put(theta[problem.size :], fit.places, v))
         change = float(np.max(np.abs(moved - v), initial=0.0))
         v = moved
         if not change > ROUND_CHANGE:
@@ -241,7 +231,7 @@ class _Refinement:
         problem, size = self.problem, self.problem.size
 
         def linearised(at: np.ndarray) -> Linearised:
-            return problem.linearise(at[:size], problem.hyper(_put(at[size:], self.places, v)))
+            return problem.linearise(at[:size], problem.hyper(put(at[size:], self.places, v)))
 
         line, x = linearised(theta), theta[:size]
         moved = differences(lambda w: linearised(np.append(x, w)).mean, theta[size:], SHIFT)
@@ -298,12 +288,11 @@ class _Refinement:
             damping = max(10 * damping, 1e-3)
         return theta, best <= GOOD_SHARE * math.sqrt(cost)
 
-    def solved(self, begin: np.ndarray, v: np.ndarray, afar: bool = False) -> np.ndarray:
-        """θ by one of optimistix's solvers on the composed residuals, from `begin`; that where it fails.
+    def solved(self, begin: np.ndarray, v: np.ndarray) -> np.ndarray:
+        """θ by optimistix on the composed residuals, in units of a plausible change of each; `begin` where it fails.
 
-        From afar, by the one whose trust region is one of steps. It goes in units of a plausible change of each
-        unknown. Laws that are not Gaussian have no such residuals, and no derivative forward is known of what
-        correlated noise whitens by.
+        Laws that are not Gaussian have no such residuals, and no derivative forward is known of what correlated noise
+        whitens by.
         """
         problem = self.problem
         layout, noise = problem.layout, problem.noise
@@ -315,18 +304,12 @@ class _Refinement:
         record = problem.record
         # Padded to one of a few lengths, for each of which it is compiled once.
         there = np.arange(record.padded_size) < record.size
-        frame = jax.tree.unflatten(record.padded.form, record.padded.arrays)
         readings = jnp.asarray(record.longer(record.y)), jnp.asarray(there, float)
         steps = _by_optimistix(
-            afar, layout, frame, readings, v, prior, begin, scale, tuple(self.places)
+            layout, record.padded, readings, v, prior, begin, scale, tuple(self.places)
         )
         there = begin + scale * np.asarray(steps)
         return there if np.all(np.isfinite(there)) else begin
-
-    def from_afar(self, v: np.ndarray) -> tuple[np.ndarray, bool]:
-        """θ where Gauss–Newton ran away or stalled: from where the mode was looked for first."""
-        begin = np.append(self.problem.start, np.zeros(len(self.places)))
-        return self.fit_theta(self.solved(begin, v, afar=True), v)
 
     def conditional(self, theta: np.ndarray, v: np.ndarray) -> Callable[..., _Given]:
         """A function of φ's coordinates: θ integrated out of the model linearised here, by QR."""
@@ -378,8 +361,9 @@ class _Refinement:
             if not (left := len(y) - found.spent) > 0:
                 return v
             ratio = max(found.squares / left, least)  # of variances
-            step = 0.5 * math.log(ratio) / self.problem.value_slope(v, place)
-            v = _put(v[place] + step, [place], v)
+            prior = self.problem.hypers[place].prior
+            step = 0.5 * math.log(ratio) * float(prior.value(v[place]) / slope(prior, v[place]))
+            v = put(v[place] + step, [place], v)
             if abs(step) < 1e-12:
                 break
         return v
@@ -387,12 +371,9 @@ class _Refinement:
     def curved(
         self, theta: np.ndarray, v: np.ndarray, root: Float[np.ndarray, "q q"]
     ) -> Float[np.ndarray, "q q"]:
-        """Covariance of θ from the curvature of its log density, second derivatives of the expected output included.
+        """Covariance of θ at the maximum, second derivatives of the expected output included.
 
-        Args:
-            theta: the maximum.
-            v: coordinates of all φ.
-            root: of the covariance by Gauss–Newton.
+        `root` is that of the covariance by Gauss–Newton.
         """
         prior = self.prior(v)
         # Slopes of ½·(eᵀΣ⁻¹e + zᵀWz) by θ; their differences hold the second derivatives that Gauss–Newton leaves
@@ -412,7 +393,7 @@ class _Refinement:
 
 
 @compiled
-def _by_optimistix(afar, layout, frame, own, v, prior, begin, scale, places):
+def _by_optimistix(layout, frame, own, v, prior, begin, scale, places):
     """Steps (q,), in parts of `scale`, to the least squares of the whitened residuals and of the prior's."""
     import optimistix as optx  # a sixth of a second that only this needs
 
@@ -427,14 +408,5 @@ def _by_optimistix(afar, layout, frame, own, v, prior, begin, scale, places):
         white, _ = noise.whiten(left[:, None], 0.0 if extra is None else extra, hyper, ordered)
         return jnp.append(real * white[:, 0], prior.weight * (at - prior.mean) / prior.sd)
 
-    # From afar a trust region of steps, not of slopes.
-    kind = optx.IndirectLevenbergMarquardt if afar else optx.LevenbergMarquardt
-    none, solver = jnp.zeros(len(begin)), kind(rtol=TOLERANCE, atol=TOLERANCE)
-    return optx.least_squares(residuals, solver, none, max_steps=STEPS_FROM_AFAR, throw=False).value
-
-
-def _put(values: np.ndarray, places: list[int], v: np.ndarray) -> np.ndarray:
-    """v with other values in some places."""
-    found = v.copy()
-    found[places] = values
-    return found
+    none, solver = jnp.zeros(len(begin)), optx.LevenbergMarquardt(rtol=TOLERANCE, atol=TOLERANCE)
+    return optx.least_squares(residuals, solver, none, max_steps=MOST_STEPS, throw=False).value

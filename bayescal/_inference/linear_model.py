@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -22,7 +22,7 @@ from bayescal._inference.noise_on_record import (
     variance,
     whitening,
 )
-from bayescal._inference.problem import Problem
+from bayescal._inference.problem import Problem, differences, put
 from bayescal._inference.record import Record
 from bayescal._model.composition import Linearised
 from bayescal._model.effect import Effect
@@ -39,40 +39,27 @@ GAUSS_NEWTON = 4  # linearisations of the expected output: enough for an order o
 def learned_size(effect: Effect, problem: Problem, mode: Mode) -> tuple[float, float] | None:
     """Spread or amplitude that says how large an effect is, with its standard uncertainty; None if nothing does."""
     learned = effect.measure_name or effect.group_sd_name(0)
-    if (i := problem.layout.index_in_phi.get(learned)) is None:
-        return None
-    # By the logarithm of the value: its standard uncertainty relative to itself, from that of its coordinate.
-    value = float(problem.hyper(mode.v)[learned])
-    return value, abs(value * problem.value_slope(mode.v, i)) * math.sqrt(mode.covariance[i, i])
+    known = learned in problem.layout.index_in_phi
+    return problem.value_and_sd(learned, mode.v, mode.covariance) if known else None
 
 
 @dataclass(frozen=True, eq=False)
 class LinearModel:
-    """The readings as y = μ + columns·θ + noise about a mode.
+    """The readings as y = μ + columns·θ + noise about a mode."""
 
-    Attributes:
-        problem, mode: of the structure.
-        line: at the mode.
-        residual: at the posterior mean of θ, output unit (n,).
-        nuisance: slopes by x and by the moving entries of φ, times their prior's standard deviations (n, q).
-        weight: 1 where the prior is proper, 0 where it is flat (q,).
-        owners: of each of these columns, the effect (q,).
-        z: where θ stands, in standard deviations from its prior mean; 0 where the prior is flat (q,).
-        whiten: of the readings.
-        extra: variance that noise on inputs adds (n,), or 0.
-    """
-
-    problem: Problem
+    problem: Problem  # of the structure
     mode: Mode
-    line: Linearised
-    residual: Float[np.ndarray, "n"]
+    line: Linearised  # at the mode
+    residual: Float[np.ndarray, "n"]  # at the posterior mean of θ, output unit (n,)
+    # slopes by x and by the moving entries of φ, times their prior's standard deviations (n, q)
     nuisance: Float[np.ndarray, "n q"]
-    weight: Float[np.ndarray, "q"]
+    weight: Float[np.ndarray, "q"]  # 1 where the prior is proper, 0 where it is flat (q,)
     sd: Float[np.ndarray, "q"]
-    owners: tuple[str, ...]
+    owners: tuple[str, ...]  # of each of these columns, the effect (q,)
+    # where θ stands, in standard deviations from its prior mean; 0 where the prior is flat (q,)
     z: Float[np.ndarray, "q"]
-    whiten: Whitening | Independent
-    extra: Float[np.ndarray, "n"] | float
+    whiten: Whitening | Independent  # of the readings
+    extra: Float[np.ndarray, "n"] | float  # variance that noise on inputs adds (n,), or 0
 
     @property
     def size(self) -> int:
@@ -217,14 +204,10 @@ class LinearModel:
 def taken_up(
     u: Float[np.ndarray, "*b k"], information: Float[np.ndarray, "*b k k"]
 ) -> tuple[Float[np.ndarray, "*b"], Float[np.ndarray, "*b"]]:
-    """What columns of standard normal coefficients take up: half a log volume, and of the sum of squares.
-
-    Args:
-        u: their score after the nuisances.
-        information: after the nuisances.
+    """What columns of standard normal coefficients take up, by their score and information after the nuisances.
 
     Returns:
-        Of each set of columns; an infinite volume where there is none.
+        Of each set of columns half a log volume, infinite where there is none, and what of the sum of squares.
     """
     # With columns of standard normal coefficients the log Bayes factor is ½·uᵀ(I + K)⁻¹u − ½·log|I + K|, K the
     # information: these are its two parts, the second by L·Lᵀ = I + K.
@@ -246,16 +229,13 @@ def linear_model(problem: Problem, mode: Mode) -> LinearModel:
     # The variance that noise on inputs adds moves with x, which a step of Gauss–Newton does not know.
     x = mode.x if found is None or problem.noisy else found.mean
     residual = problem.record.y - line.mean - line.jacobian @ (x - mode.x)
-    columns, sd = [line.jacobian * prior.sd], [prior.sd]
+
+    def mean(shapes: np.ndarray) -> np.ndarray:
+        return problem.linearise(x, problem.hyper(put(shapes, problem.moving, mode.v))).mean
+
     # To first order a shape is one more unknown: the slope of the output by its coordinate is its column, of prior
     # width one.
-    for i in problem.moving:
-        up, down = mode.v.copy(), mode.v.copy()
-        up[i] += STEP
-        down[i] -= STEP
-        ends = [problem.linearise(x, problem.hyper(v)).mean for v in (up, down)]
-        columns.append(((ends[0] - ends[1]) / (2 * STEP))[:, None])
-        sd.append(np.ones(1))
+    slopes = differences(mean, mode.v[problem.moving], STEP)
     # Where x stands in units of its prior: a prior of no width has its coefficient at the mean.
     z = np.where(prior.sd > 0, (x - prior.mean) / np.where(prior.sd > 0, prior.sd, 1.0), 0.0)
     own = [t.effect.name for t in problem.in_x for _ in range(t.at.start, t.at.stop)]
@@ -265,9 +245,9 @@ def linear_model(problem: Problem, mode: Mode) -> LinearModel:
         mode=mode,
         line=line,
         residual=residual,
-        nuisance=np.concatenate(columns, axis=1),
-        weight=np.append(prior.weight, np.ones(len(problem.moving))),
-        sd=np.concatenate(sd),
+        nuisance=np.column_stack([line.jacobian * prior.sd, *slopes]),
+        weight=np.append(prior.weight, np.ones(len(slopes))),
+        sd=np.append(prior.sd, np.ones(len(slopes))),
         owners=(*own, *(problem.hypers[i].effect for i in problem.moving)),
         z=np.append(prior.weight * z, mode.v[problem.moving]),
         whiten=whitening(problem.noise, hyper, problem.record, extra, residual),
@@ -276,12 +256,7 @@ def linear_model(problem: Problem, mode: Mode) -> LinearModel:
 
 
 def about_priors(problem: Problem, noise: float | None = None) -> LinearModel:
-    """A structure about the means of its priors, before anything is fitted.
-
-    Args:
-        problem: the structure.
-        noise: standard deviation of the white part, output unit; that of its prior if not given.
-    """
+    """A structure about the means of its priors; `noise`: standard deviation of the white part, if not that of its."""
     v, x = np.zeros(len(problem.hypers)), problem.start
     for i, h in enumerate(problem.hypers):
         if h.name == WHITE and noise is not None:
@@ -299,20 +274,19 @@ def sized(model: Model, readings: Measurements, record: Record) -> Model:
     Raises:
         ModelError: one adds to a slot that is not in the output's unit.
     """
-    if not any(e.open for e in model.effects):
+    if not (open_ := [e for e in model.effects if e.open]):
         return model
-    for e in model.effects:
-        if e.open and model.instrument.slot(e.slot).unit != model.instrument.unit:
+    for e in open_:
+        if model.instrument.slot(e.slot).unit != model.instrument.unit:
             raise ModelError(
                 f"Effect {e.name!r} adds to {e.slot!r}, which is not in the output's unit [{model.instrument.unit}]: "
                 "give its plausible amplitudes, low and high"
             )
-    named = Model(
-        model.instrument, tuple(e for e in model.effects if not e.open), model.noise, model.fixed
+    named = replace(model, effects=tuple(e for e in model.effects if not e.open))
+    plausible = amplitudes(named, readings, record)
+    return replace(
+        model, effects=tuple(e.sized(*plausible) if e.open else e for e in model.effects)
     )
-    low, high = amplitudes(named, readings, record)
-    effects = tuple(e.sized(low, high) if e.open else e for e in model.effects)
-    return Model(model.instrument, effects, model.noise, model.fixed)
 
 
 def amplitudes(model: Model, readings: Measurements, record: Record) -> tuple[float, float]:

@@ -10,7 +10,7 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Callable
-from typing import Any, NamedTuple, Protocol
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -33,15 +33,6 @@ NOWHERE = -1e300  # log density where there is none
 Values = Callable[[np.ndarray], np.ndarray]  # log density of several points, (s, d) → (s,)
 
 
-class Climbable(Protocol):
-    """A log density with gradient and curvature; `scale` is of its coordinates."""
-
-    scale: Any
-
-    def value(self, v: Float[np.ndarray, "d"]) -> float: ...
-    def evaluate(self, v: Float[np.ndarray, "d"], exact: bool = False) -> Any: ...
-
-
 class Slopes(NamedTuple):
     """A log density at a point, its gradient, and its negative curvature."""
 
@@ -51,15 +42,7 @@ class Slopes(NamedTuple):
 
 
 class GaussianFit(NamedTuple):
-    """A density at its mode.
-
-    Attributes:
-        v: the mode (d,).
-        covariance: inverse curvature (d, d).
-        log_density: at the mode.
-        log_evidence: by Laplace's approximation.
-        indefinite: whether the curvature had to be mended.
-    """
+    """A density at its mode: inverse curvature, evidence by Laplace, and whether the curvature had to be mended."""
 
     v: Float[np.ndarray, "d"]
     covariance: Float[np.ndarray, "d d"]
@@ -69,17 +52,12 @@ class GaussianFit(NamedTuple):
 
 
 def climb(
-    density: Climbable, v: Float[np.ndarray, "d"], wanted_from: float = -math.inf
+    density: ByValues, v: Float[np.ndarray, "d"], wanted_from: float = -math.inf
 ) -> Float[np.ndarray, "d"]:
-    """Return the mode uphill from v.
+    """Return the mode uphill from v; below `wanted_from` one that is found to a hundredth of a nat will do.
 
     Directions that the density bends up along are gone the other way, those that it hardly bends along as if it did
     (J. Nocedal and S. Wright, Numerical Optimization, 2006, §3.4).
-
-    Args:
-        density: which.
-        v: where to begin.
-        wanted_from: log density, below which a mode found to a hundredth of a nat will do.
     """
     scale, doubtful = np.broadcast_to(density.scale, v.shape), False
     for _ in range(STEPS if len(v) else 0):
@@ -110,7 +88,7 @@ def climb(
 
 
 def gaussian_fit(
-    density: Climbable,
+    density: ByValues,
     v: Float[np.ndarray, "d"],
     spreads: Bool[np.ndarray, "d"] | bool = False,
     exact: bool = True,
@@ -138,14 +116,10 @@ def gaussian_fit(
 
 
 class ByValues:
-    """Slopes and curvature of a log density by central differences.
+    """Slopes and curvature of a log density by differences; in `scale` priors are about standard normal or wider.
 
     Of a point that is asked for by a climb the curvature is carried on from the one before it, by what the gradient
     changed on the way (BFGS: J. Nocedal and S. Wright, Numerical Optimization, 2006, eq. 6.19).
-
-    Args:
-        values: log density of several points.
-        scale: of each coordinate, in which its prior is about standard normal or wider.
     """
 
     def __init__(self, values: Values, scale: Float[np.ndarray, "d"] | float = 1.0) -> None:

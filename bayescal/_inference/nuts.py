@@ -19,7 +19,7 @@ from bayescal._inference.laplace import NOTHING_KNOWN, Mode, find_mode
 from bayescal._inference.linear_model import sized
 from bayescal._inference.marginal import Marginal
 from bayescal._inference.method import Draws, Method, Outcome
-from bayescal._inference.nuts_chains import Chains, Plan, iterate
+from bayescal._inference.nuts_chains import Plan, iterate
 from bayescal._inference.problem import Problem
 from bayescal._inference.record import record_of
 from bayescal._model import forward
@@ -38,13 +38,7 @@ from bayescal._model.prior import (
 
 
 class NUTS(Method):
-    """NumPyro's NUTS on every unknown, learned spreads non-centred.
-
-    Attributes:
-        warmup, draws: per chain.
-        chains: run in parallel.
-        dense: adapt a dense mass matrix.
-    """
+    """NumPyro's NUTS on every unknown, learned spreads non-centred: iterations of each chain, a dense mass matrix."""
 
     warmup: int = 1000
     draws: int = 1000
@@ -59,49 +53,40 @@ class NUTS(Method):
         with deadline.finishing():
             mode = find_mode(problem, start=start)
         plan = Plan(self.warmup, self.draws, self.chains, self.dense)
+        kernel = plan.kernel(program(layout, frame), init_strategy=beginning(problem, mode))
         deadline.current().defer_interrupt()
         try:
-            ran, sites = sampled(
-                program(layout, frame), (y,), plan, seed, starts_about(problem, mode)
-            )
+            with stage("NUTS on every unknown"):
+                ran = iterate(kernel, jax.random.key(seed), (y,), None, plan)
         except deadline.TimeIsUp as early:
             return Marginal().about_the_mode(problem, mode, seed, (), str(early))
+        sites = jax.jit(jax.vmap(jax.vmap(kernel.postprocess_fn((y,), {}))))(ran.draws)
         x, v = (np.asarray(sites[k]) for k in ("x", "v"))
         ran = ran._replace(draws=np.concatenate([x, v], axis=2))
         verdict = trust.chain_verdict(ran, "NUTS", ())
         return Outcome(layout, Draws(x, v), mode, verdict, log_evidence=None)
 
 
-# Of each site: value of a coordinate, its mean and sd.
-Starts = dict[str, tuple[Callable[[Any], Any], Any, Any]]
-
-
-def starts_about(problem: Problem, mode: Mode) -> Starts:
-    """Return where chains begin: about the mode, a standard deviation to either side.
+def beginning(problem: Problem, mode: Mode) -> Callable[[Any], Any]:
+    """Return NumPyro's strategy for where chains begin: about the mode, a standard deviation to either side.
 
     From draws of the priors they may end on another, far less probable hill: with noise on an input each steep line is
     on one, since its slope widens the variance.
     """
-    _, found = Density(problem, mode.x, mode.flat, mode.v).at(mode.v)
-    if found is None or not np.all(np.isfinite(mode.covariance)):
-        return {}
-    prior = problem.prior(problem.hyper(mode.v), mode.flat)
-    scale = np.where(prior.weight > 0, np.maximum(prior.sd, 1e-300), 1.0)
-    z, sd = (mode.x - prior.weight * prior.mean) / scale, np.sqrt(np.diag(found.covariance)) / scale
-    each = zip(problem.hypers, mode.v, np.sqrt(np.diag(mode.covariance)), strict=True)
-    starts: Starts = {h.name: (h.prior.value, at, wide) for h, at, wide in each}
-    for b in problem.layout.x_blocks:
-        own = slice(b.start, b.start + b.size)
-        name = b.name if b.coefficient.flat else f"{b.name}.standard"
-        starts[name] = (jnp.asarray, z[own], sd[own])
-    return starts
-
-
-def sampled(
-    model: Callable, arguments: tuple, plan: Plan, seed: int, starts: Starts
-) -> tuple[Chains, dict[str, Array]]:
-    """Run NumPyro's NUTS on every unknown of a program; also return every site by name, (chains, draws, …)."""
     from numpyro.infer import init_to_median  # half a second that only these chains need
+
+    # Of each site: value of a coordinate, its mean and sd.
+    starts = dict[str, tuple[Callable[[Any], Any], Any, Any]]()
+    _, found = Density(problem, mode.x, mode.flat, mode.v).at(mode.v)
+    if found is not None and np.all(np.isfinite(mode.covariance)):
+        prior = problem.prior(problem.hyper(mode.v), mode.flat)
+        scale = np.where(prior.weight > 0, np.maximum(prior.sd, 1e-300), 1.0)
+        z, sd = (mode.x - prior.weight * prior.mean) / scale, np.sqrt(np.diag(found.covariance))
+        each = zip(problem.hypers, mode.v, np.sqrt(np.diag(mode.covariance)), strict=True)
+        starts |= {h.name: (h.prior.value, at, wide) for h, at, wide in each}
+        for b in problem.layout.x_blocks:
+            name = b.name if b.coefficient.flat else f"{b.name}.standard"
+            starts[name] = (jnp.asarray, z[b.at], (sd / scale)[b.at])
 
     def begin(site: Any) -> Any:
         if site["type"] != "sample" or site["name"] not in starts:
@@ -109,11 +94,7 @@ def sampled(
         value, at, wide = starts[site["name"]]
         return value(at + wide * jax.random.normal(site["kwargs"]["rng_key"], np.shape(at)))
 
-    kernel = plan.kernel(model, init_strategy=partial(begin))
-    with stage("NUTS on every unknown"):
-        found = iterate(kernel, jax.random.key(seed), arguments, None, plan)
-        place = jax.jit(jax.vmap(jax.vmap(kernel.postprocess_fn(arguments, {}))))
-        return found, place(found.draws)
+    return partial(begin)
 
 
 def law_of(prior: Normal | FlatLine | Positive) -> Any:

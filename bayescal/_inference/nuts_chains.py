@@ -35,13 +35,7 @@ class Chains(NamedTuple):
 
 
 class Plan(NamedTuple):
-    """How chains are run.
-
-    Attributes:
-        warmup, draws: iterations of each.
-        chains: how many, side by side.
-        dense: whether a dense mass matrix is adapted.
-    """
+    """How chains are run: iterations of each, how many side by side, and whether a dense mass matrix is adapted."""
 
     warmup: int
     draws: int
@@ -82,14 +76,8 @@ def run(
 def iterate(kernel: Any, key: Array, arguments: tuple, begin: Any, plan: Plan) -> Chains:
     """Run a NumPyro kernel, all chains side by side, a few iterations at once.
 
-    Chains that have no time to end are not begun, as far as the first iterations can tell.
-
-    Args:
-        kernel: of NumPyro.
-        key: split over the chains.
-        arguments: of the kernel's model.
-        begin: first point of each chain; None where the kernel finds it.
-        plan: how many, and how long.
+    Chains that have no time to end are not begun, as far as the first iterations can tell. They begin where the kernel
+    finds a place, if `begin` is None.
 
     Raises:
         TimeIsUp: the deadline came first, or surely would.

@@ -30,11 +30,6 @@ def with_origin(model: Model, readings: Measurements, reference: Reference) -> R
 
     An origin is a multiple of a power of two no finer than the digits of the outputs, so that taking it off rounds
     nothing. Of three axes each has its own.
-
-    Args:
-        model: whose constants take the origins back.
-        readings: that the model is fitted to.
-        reference: of their frame.
     """
     known = origins(reference)
     plain = {name: v for name, v in reference.items() if name not in known}

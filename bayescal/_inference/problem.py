@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -23,11 +24,11 @@ from bayescal._model.composition import (
 )
 from bayescal._model.composition import expected as expected_of
 from bayescal._model.parameters import MOVING, Layout
+from bayescal._model.prior import slope
 from bayescal._model.terms import Sizes, Term, terms_of
 
 Values = dict[str, float]
 ABSENT = -30.0  # coordinate of a standard deviation that is not there (1e-13 of its scale)
-NUDGE = 1e-6  # of a coordinate, for derivatives of priors
 
 
 class Host:
@@ -53,37 +54,24 @@ class Host:
         return found[0], {n: slope[0] for n, slope in slopes.items()}
 
     def response(self, slots: dict, moves: dict) -> np.ndarray:
-        if _one(slots, moves):
-            return self.record.response(slots, moves)[0]
-        return self.record.several(self._every(slots, moves), moves)
+        every = self._every(slots, moves)
+        return self.record.several(every, moves) if every else self.record.response(slots, moves)[0]
 
     def slopes(self, slots: dict, moves: dict) -> tuple[np.ndarray, Mapping[str, np.ndarray]]:
-        if _one(slots, moves):
-            return self.record.response(slots, moves)
-        return self.record.responses(self._every(slots, moves), moves)
+        every = self._every(slots, moves)
+        return self.record.responses(every, moves) if every else self.record.response(slots, moves)
 
     def _every(self, slots: dict, moves: dict) -> dict[str, np.ndarray]:
-        """Slots of several draws, those that nothing adds to among them."""
-        shape = (
-            max(len(a) for a in (*slots.values(), *moves.values()) if np.ndim(a) > 1),
-            self.size,
-        )
-        return {name: np.broadcast_to(slots.get(name, 0.0), shape) for name in self.slots}
-
-
-def _one(slots: Mapping[str, np.ndarray], moves: Mapping[str, np.ndarray]) -> bool:
-    return all(np.ndim(value) < 2 for value in (*slots.values(), *moves.values()))
+        """Slots of several draws, those that nothing adds to among them; none where there is one draw."""
+        counts = [len(a) for a in (*slots.values(), *moves.values()) if np.ndim(a) > 1]
+        shape = (max(counts, default=0), self.size)
+        each = self.slots if counts else ()
+        return {name: np.broadcast_to(slots.get(name, 0.0), shape) for name in each}
 
 
 @dataclass(eq=False)
 class Problem:
-    """A structure bound to a record.
-
-    Attributes:
-        layout: which unknowns there are, and where.
-        record: the readings.
-        size_factors: on the plausible sizes of an effect's coefficients, by the effect's name; one where not named.
-    """
+    """A structure bound to a record; plausible sizes of coefficients are multiplied by `size_factors`, by effect."""
 
     layout: Layout
     record: Record
@@ -124,16 +112,11 @@ class Problem:
         parts = [density(v[:, i]) for i, (*_, density) in enumerate(self._coordinates)]
         return np.sum(parts, axis=0) if parts else np.zeros(len(v))
 
-    def value_slope(self, v: np.ndarray, i: int) -> float:
-        """Slope of the logarithm of one entry of φ by its coordinate."""
-        # Positive unknowns move by their logarithm: a difference of logarithms has no units to lose.
-        value = self._coordinates[i][1]
-        return float(np.log(value(v[i] + NUDGE) / value(v[i] - NUDGE))) / (2 * NUDGE)
-
-    def value_change(self, v: np.ndarray, i: int) -> float:
-        """Slope of one entry of φ by its coordinate."""
-        value = self._coordinates[i][1]
-        return float(value(v[i] + NUDGE) - value(v[i] - NUDGE)) / (2 * NUDGE)
+    def value_and_sd(self, name: str, v: np.ndarray, covariance: np.ndarray) -> tuple[float, float]:
+        """One entry of φ and its standard uncertainty, those of its coordinates given."""
+        i = self.layout.index_in_phi[name]
+        prior = self.hypers[i].prior
+        return float(prior.value(v[i])), abs(slope(prior, v[i])) * math.sqrt(covariance[i, i])
 
     @cached_property
     def in_x(self) -> tuple[Term, ...]:
@@ -294,3 +277,10 @@ def differences(f: Callable[[np.ndarray], Any], at: np.ndarray, step: Any) -> np
     """Slopes of a function by each coordinate, from both sides; one step, or one each."""
     shifts = np.diag(np.broadcast_to(step, at.shape))
     return np.array([(f(at + s) - f(at - s)) / (2 * s.sum()) for s in shifts])
+
+
+def put(values: np.ndarray, places: list[int], v: np.ndarray) -> np.ndarray:
+    """v with other values in some places."""
+    found = v.copy()
+    found[places] = values
+    return found

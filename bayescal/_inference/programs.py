@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 from functools import cache, partial, wraps
 from typing import Any, NamedTuple
 
@@ -34,7 +35,7 @@ def padded_length(size: int) -> int:
 
 
 def padded(frame: Frame) -> Frame:
-    """The same readings, the last of them repeated up to the padded length, each repetition a run of its own."""
+    """The same readings as a program takes them, the last repeated up to the padded length, each time as a run."""
     size = frame.size
     more = padded_length(size) - size
 
@@ -46,61 +47,38 @@ def padded(frame: Frame) -> Frame:
     def all_of(values: Mapping[str, Any]) -> dict[str, Any]:
         return {name: longer(v) for name, v in values.items()}
 
-    return Frame(
-        columns=all_of(frame.columns),
-        labels=all_of(frame.labels),
-        rates=all_of(frame.rates),
-        codes={
-            g: np.pad(np.asarray(c), (0, more), constant_values=-1) for g, c in frame.codes.items()
-        },
-        reference={k: np.asarray(v) for k, v in frame.reference.items()},
-        order=np.append(np.asarray(frame.order), np.arange(size, size + more, dtype=np.int32)),
-        step=np.append(np.asarray(frame.step), -np.ones(more)),
-        record=all_of(frame.record),
-        silence=np.asarray(frame.silence),
+    codes = {g: np.pad(c, (0, more), constant_values=-1) for g, c in frame.codes.items()}
+    found = replace(
+        frame,
+        **{name: all_of(getattr(frame, name)) for name in ("columns", "labels", "rates", "record")},
+        codes=codes,
+        order=np.append(frame.order, np.arange(size, size + more, dtype=np.int32)),
+        step=np.append(frame.step, -np.ones(more)),
     )
+    return jax.tree.map(jnp.asarray, found)
 
 
 def program(function: Callable[..., Any], costly: bool = False) -> Callable[..., Any]:
     """Compile a function of something that is no array, of a frame, and of arrays, when it is first called.
 
-    Args:
-        function: which.
-        costly: whether computing counts for more than compiling, whatever the readings.
+    It is optimised if `costly`, whatever the number of readings: computing then counts for more than compiling.
     """
 
     @cache
-    def made(long: bool) -> Callable[..., Any]:
-        def whole(what: Any, form: Any, arrays: tuple[Array, ...], *args: Any) -> Any:
-            return function(what, jax.tree.unflatten(form, arrays), *args)
-
-        whole.__name__ = function.__name__  # in profiles and logs of compilations
-        options = known(ALWAYS if long else QUICK)
-        return jax.jit(whole, static_argnums=(0, 1), compiler_options=options)
+    def made(optimised: bool) -> Callable[..., Any]:
+        options = known(ALWAYS if optimised else QUICK)
+        return jax.jit(function, static_argnums=0, compiler_options=options)
 
     @wraps(function)
-    def call(what: Any, leaves: Leaves, *args: Any) -> Any:
+    def call(what: Any, frame: Frame, *args: Any) -> Any:
         loops = not getattr(what, "independent", True)  # through all readings, at each φ
-        return made(leaves.long or loops or costly)(what, leaves.form, leaves.arrays, *args)
+        return made(frame.size >= OPTIMISED_READINGS or loops or costly)(what, frame, *args)
 
     return call
 
 
 # Slots, or moves of columns: a number a reading; of several draws, one row each.
 ByName = dict[str, Array]
-
-
-class Leaves(NamedTuple):
-    """A frame taken apart, so that handing it to a program costs little."""
-
-    arrays: tuple[Array, ...]
-    form: Any
-    long: bool
-
-    @classmethod
-    def of(cls, frame: Frame) -> Leaves:
-        arrays, form = jax.tree.flatten(frame)
-        return cls(tuple(map(jnp.asarray, arrays)), form, frame.size >= OPTIMISED_READINGS)
 
 
 @program
@@ -140,11 +118,4 @@ def slopes_of_draws(
 
 def _respond(response: Callable[..., Any], frame: Frame, both: tuple[ByName, ByName]) -> Array:
     slots, moves = both
-    return jnp.broadcast_to(response(slots, _moved(frame, moves)), (frame.size,))
-
-
-def _moved(frame: Frame, moves: ByName) -> Frame:
-    """The readings with some of their columns corrected."""
-    for name, shift in moves.items():
-        frame = frame.with_column(name, frame[name] + shift)
-    return frame
+    return jnp.broadcast_to(response(slots, frame.moved(moves)), (frame.size,))

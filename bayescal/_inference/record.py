@@ -38,13 +38,7 @@ CALL_NUMBERS = 16_384  # and more of a short record: draws times readings, up to
 
 @dataclass(eq=False)
 class Record:
-    """Readings of one instrument, with their columns and slopes.
-
-    Attributes:
-        instrument: whose.
-        frame: the readings.
-        y: the outputs (n,).
-    """
+    """Readings of one instrument (outputs y are (n,)), with their columns and slopes."""
 
     instrument: Instrument
     frame: Frame
@@ -55,7 +49,7 @@ class Record:
     _expansions: dict[Any, Expansions] = field(default_factory=dict)
     _nodes: dict[Any, OneNode | None] = field(default_factory=dict)
     _last: tuple[Any, Any] | None = None  # slots, and what the instrument responded to them
-    _for_laws: dict[Noise, tuple[Noise, programs.Leaves]] = field(default_factory=dict)
+    _for_laws: dict[Noise, tuple[Noise, Frame]] = field(default_factory=dict)
     of: Any = None  # what it was made of, held
 
     @cached_property
@@ -63,25 +57,25 @@ class Record:
         return self.frame.size
 
     @cached_property
-    def padded(self) -> programs.Leaves:
+    def padded(self) -> Frame:
         of = self.of
         if isinstance(of, Record) and of.frame is self.frame:
             return of.padded
-        return programs.Leaves.of(programs.padded(self.frame))
+        return programs.padded(self.frame)
 
     @cached_property
     def on_host(self) -> HostColumns:
         return HostColumns(self.frame)
 
-    def for_law(self, law: Noise) -> tuple[Noise, programs.Leaves]:
+    def for_law(self, law: Noise) -> tuple[Noise, Frame]:
         """A noise law as its programs have it, and what it takes of the readings, in the order of time if that matters.
 
         Each array that is handed to a program costs as much as small programs compute in.
         """
         if law not in self._for_laws:
-            plain, frame = law.plain, self.frame.only(law.needs)
+            frame = self.frame.only(law.needs)
             frame = programs.padded(frame if law.independent else frame.in_time())
-            self._for_laws[law] = plain, programs.Leaves.of(frame)
+            self._for_laws[law] = law.plain, frame
         return self._for_laws[law]
 
     def beside(self, frame: Frame | None = None) -> Record:
@@ -94,23 +88,18 @@ class Record:
         return made
 
     def require_finite(self, effects: Iterable[Effect]) -> None:
-        """Refuse effects of the user's own of which a basis is not finite in a reading.
+        """Refuse effects of the user's own that divide by zero, or take the root of a negative number, in a reading.
 
         Raises:
-            ModelError: so one is.
+            ModelError: so one does, at the middle of its shapes.
         """
-        for effect in self.instrument.shown_by(self.frame, effects):
-            if not (effect.name in self.instrument.known or effect.is_placeholder):
-                self._require_finite(effect)
-
-    def _require_finite(self, effect: Effect) -> None:
-        """Refuse a basis that divides by zero, or takes the root of a negative number, at the middle of its shapes."""
-        of = ColumnsOf.of(effect)
-        if of.corrections:
-            return
-        middle = tuple(float(prior.value(0.0)) for prior in of.priors)
-        lost = np.flatnonzero(~np.isfinite(self.columns(of, middle)).all(axis=1))
-        if len(lost):
+        known, shown = self.instrument.known, self.instrument.shown_by(self.frame, effects)
+        for effect in (e for e in shown if not (e.name in known or e.is_placeholder)):
+            of = ColumnsOf.of(effect)
+            middle = tuple(float(prior.value(0.0)) for prior in of.priors)
+            lost = np.flatnonzero(~np.isfinite(self.columns(of, middle)).all(axis=1))
+            if not len(lost):
+                continue
             held = [c for c in effect.columns if c in self.frame.columns]
             at = ", ".join(f"{c} {self.frame[c][lost[0]]:.6g}" for c in held)
             raise ModelError(
@@ -145,12 +134,7 @@ class Record:
         return ColumnTable(self.y - self.affine[0])  # pyright: ignore[reportOptionalSubscript]
 
     def expansions(self, effect: ColumnsOf, held: tuple[float | None, ...]) -> Expansions:
-        """Return an effect's columns as functions of the coordinates of its free shapes.
-
-        Args:
-            effect: whose.
-            held: values of shapes that are not free; None for those that are.
-        """
+        """Return an effect's columns as functions of the coordinates of its free shapes; the others are `held`."""
         key = effect.key, held
         if sum(e.nbytes for e in self._expansions.values()) > KEPT_BYTES:
             self._expansions.clear()
@@ -207,7 +191,9 @@ class Record:
     def columns(self, effect: ColumnsOf, values: tuple[float, ...]) -> Float[np.ndarray, "n k"]:
         """Columns of an effect at values of its shapes, on the readings as measured; not to be written to."""
         if not effect.shapes:
-            return self._fixed_columns(effect.basis)
+            if effect.basis not in self._fixed:
+                self._fixed[effect.basis] = self.on_host.at(effect.basis, {}, {})
+            return self._fixed[effect.basis]
         key = (effect.key, values)
         found = self._shaped.pop(key, None)
         if found is None:
@@ -217,11 +203,6 @@ class Record:
                 self._bytes -= self._shaped.popitem(last=False)[1].nbytes
         self._shaped[key] = found
         return found
-
-    def _fixed_columns(self, key: Basis) -> Float[np.ndarray, "n k"]:
-        if key not in self._fixed:
-            self._fixed[key] = self.on_host.at(key, {}, {})
-        return self._fixed[key]
 
     def response(
         self, slots: Mapping[str, np.ndarray], moves: Mapping[str, np.ndarray]
@@ -236,11 +217,8 @@ class Record:
 
     def _respond(self, slots: Mapping[str, Any], moves: Mapping[str, np.ndarray]) -> Any:
         """The response by NumPy, columns of the readings moved."""
-        frame = self.frame
-        for name, shift in moves.items():
-            frame = frame.with_column(name, frame[name] + shift)
         every = {name: slots.get(name, np.zeros(self.size)) for name in self.slots}
-        made = self.instrument.response(every, frame)
+        made = self.instrument.response(every, self.frame.moved(moves))
         return np.broadcast_to(made, np.broadcast_shapes(np.shape(made), (self.size,)))
 
     def _moved(
@@ -264,9 +242,8 @@ class Record:
         last = self._last
         if last is None or last[0] != key:
             full = {name: slots.get(name, np.zeros(self.size)) for name in self.slots}
-            made = programs.response_slopes(
-                self._what, self.padded, self._longer(full), self._longer(moves)
-            )
+            padded = ({n: self.longer(v) for n, v in own.items()} for own in (full, moves))
+            made = programs.response_slopes(self._what, self.padded, *padded)
             self._last = last = key, jax.tree.map(lambda a: np.asarray(a)[: self.size], made)
         return last[1]
 
@@ -324,14 +301,12 @@ class Record:
     ) -> Float[np.ndarray, "*b n k"]:
         """Columns of an effect for several draws; (n, k), the same for all, where nothing moves them.
 
-        Args:
-            effect: whose.
-            values: of its shapes, (b,) each, or one number for all.
-            moves: what columns of the readings are corrected by, (b, n) each.
+        Values of its shapes are (b,) each, or one number for all; columns of the readings are moved by (b, n) each.
         """
         if not values and not moves:
             return self.columns(effect, ())
-        values = _one_a_draw(values, moves)
+        count = max((len(v) for v in moves.values()), default=1)
+        values = np.broadcast_arrays(*values, np.zeros(count))[:-1]
         return self._computed(effect, values, moves)
 
     def _computed(self, effect: ColumnsOf, values: Sequence[np.ndarray], moves) -> Any:
@@ -368,19 +343,22 @@ class Record:
         return self.columns_of_draws(effect, values, moves), slopes
 
     def _together(self, program, what: Any, count: int, *both: Mapping[str, np.ndarray]) -> Any:
-        """What a program gives for `count` draws, computed in stretches, without what these were padded with."""
-        whole, done = None, 0
-        for part in self._stretches(count, *both):
-            made = program(what, self.padded, *part)
+        """What a program gives for `count` draws, some at once; readings are padded, and the last draw repeated."""
+        # Full stretches and half ones: two lengths to compile, whatever the number of draws; and a sixth, where
+        # computing is what costs.
+        most = max(DRAWS_A_CALL, CALL_NUMBERS // self.padded_size)
+        parts = (6, 2, 1) if DRAWS_A_CALL * self.padded_size > 2 * CALL_NUMBERS else (2, 1)
+        together = next((most // n for n in parts if count <= most // n), most)
+        whole = None
+        for start in range(0, count, together):
+            stop = min(start + together, count)
+            draws = np.minimum(np.arange(start, start + together), count - 1)[:, None]
+            some = ({n: v[draws, self._to_length] for n, v in own.items()} for own in both)
+            made = program(what, self.padded, *some)
             if whole is None:
                 whole = jax.tree.map(lambda a: np.empty((count, self.size, *a.shape[2:])), made)
-
-            def put(into: np.ndarray, own: Any, start: int = done) -> int:
-                there = into[start : start + len(own)]
-                there[:] = np.asarray(own)[: len(there), : self.size]
-                return len(own)
-
-            done += max(jax.tree.leaves(jax.tree.map(put, whole, made)))
+            for into, own in zip(*map(jax.tree.leaves, (whole, made)), strict=True):
+                into[start:stop] = np.asarray(own)[: stop - start, : self.size]
         return whole
 
     def several(
@@ -406,28 +384,6 @@ class Record:
         count = len(next(iter(slots.values())))
         return self._together(programs.slopes_of_draws, self._what, count, slots, moves)
 
-    def _stretches(
-        self, count: int, one: Mapping[str, np.ndarray], other: Mapping[str, np.ndarray]
-    ) -> Iterator[tuple[dict[str, np.ndarray], dict[str, np.ndarray]]]:
-        """Values for `count` draws, some at once, readings padded; the last draw stands in for missing ones."""
-        # Full stretches and half ones: two lengths to compile, whatever the number of draws; and a sixth, where
-        # computing is what costs.
-        most = max(DRAWS_A_CALL, CALL_NUMBERS // self.padded_size)
-        parts = (6, 2, 1) if DRAWS_A_CALL * self.padded_size > 2 * CALL_NUMBERS else (2, 1)
-        together = next((most // n for n in parts if count <= most // n), most)
-        for start in range(0, count, together):
-            pick = np.minimum(start + np.arange(together), count - 1)
-            yield tuple(  # pyright: ignore[reportReturnType]
-                {
-                    k: v[pick] if v.ndim == 1 else self._longer({k: v[pick]})[k]
-                    for k, v in both.items()
-                }
-                for both in (one, other)
-            )
-
-    def _longer(self, values: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
-        return {name: self.longer(v) for name, v in values.items()}
-
     def longer(self, values: Float[np.ndarray, "... n"]) -> Float[np.ndarray, "... m"]:
         """One number a reading, the last repeated up to the padded length."""
         return values[..., self._to_length]
@@ -435,11 +391,6 @@ class Record:
     @cached_property
     def padded_size(self) -> int:
         return programs.padded_length(self.size)
-
-    @property
-    def long(self) -> bool:
-        """Whether computing counts for more than compiling."""
-        return self.padded_size >= programs.OPTIMISED_READINGS
 
     @cached_property
     def _to_length(self) -> Int[np.ndarray, "m"]:
@@ -449,18 +400,9 @@ class Record:
 _LIVE: WeakValueDictionary[Any, Record] = WeakValueDictionary()
 
 
-def record_of(
-    instrument: Instrument,
-    readings: Measurements,
-    reference: Reference,
-) -> Record:
+def record_of(instrument: Instrument, readings: Measurements, reference: Reference) -> Record:
     """Readings as the engine sees them. Their frame and the columns that no shape moves are made once, while any has
     them; products and columns at shapes are each record's own, so that no result hangs on what was done before.
-
-    Args:
-        instrument: whose.
-        readings: measurements.
-        reference: constants of the bases.
     """
     key = id(readings), instrument, _as_value(reference)
     base = _LIVE.get(key)
@@ -475,11 +417,3 @@ def _as_value(of: Any) -> Any:
     if isinstance(of, Mapping):
         return tuple(sorted((name, _as_value(own)) for name, own in of.items()))
     return of
-
-
-def _one_a_draw(
-    values: Sequence[Any], moves: Mapping[str, np.ndarray]
-) -> Sequence[Float[np.ndarray, "b"]]:
-    """Values of shapes, as many of each as there are draws."""
-    count = max((len(v) for v in moves.values()), default=1)
-    return np.broadcast_arrays(*values, np.zeros(count))[:-1]

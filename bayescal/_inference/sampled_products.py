@@ -1,9 +1,8 @@
 """Products of unknowns: which coefficients to sample with φ.
 
-Where the product of two unknowns matters against the noise, the expected output is not linear in both, but it is
-linear in either one given the other. One of them then belongs to φ. It is chosen by the size of the
-second-order term: the change of the Jacobian over one posterior standard deviation of a coefficient, carried by
-the posterior of the others, in units of the noise.
+Where the product of two unknowns matters against the noise, the expected output is linear in either one given the
+other: one of them then belongs to φ. It is chosen by the second-order term: the change of the Jacobian over one
+posterior standard deviation of a coefficient, carried by the posterior of the others, in units of the noise.
 """
 
 from __future__ import annotations
@@ -16,6 +15,7 @@ from jaxtyping import Float
 from bayescal._core.errors import ModelError
 from bayescal._inference.density import Density
 from bayescal._inference.laplace import NOTHING_KNOWN, Mode, find_mode
+from bayescal._inference.noise_on_record import variance
 from bayescal._inference.problem import Problem
 
 # Root-sum-square over the readings, in noise standard deviations, of the second-order term of a product of two
@@ -24,22 +24,14 @@ from bayescal._inference.problem import Problem
 PRODUCT_SD = 0.3
 
 MOST_PROMOTED = 6  # entries of φ that promotion may add
-AFFINE = 1e-9  # bend in parts of the change, up to which there is none
 STEP = 0.01  # standard deviations, for the change of the Jacobian
 MOST_MEMBERS = 12  # a group coefficient with more members than this is not promoted
 
 
 def choose(
-    problem: Problem,
-    asked: tuple[str, ...] | None,
-    start: Mapping[str, float] = NOTHING_KNOWN,
+    problem: Problem, asked: tuple[str, ...] | None, start: Mapping[str, float] = NOTHING_KNOWN
 ) -> tuple[Problem, tuple[str, ...], Mode | None]:
-    """The model with what must be promoted, what to say about it, and its mode where that was sought.
-
-    Args:
-        problem: the model on its readings.
-        asked: what to promote, where somebody said it.
-        start: φ by name where its mode may be.
+    """The model with what must be promoted, or is `asked` for; what to say about it; its mode where that was sought.
 
     Raises:
         ModelError: a name that was asked for is no coefficient of the model.
@@ -53,7 +45,7 @@ def choose(
                     f"promote: nothing that could be promoted is called {name!r}; there is: {', '.join(known)}"
                 )
         return Problem(layout.promote(*asked), record), (), None
-    while _bends(problem):
+    while problem.size and not problem.affine:
         free, least = MOST_PROMOTED - len(layout.positions("promoted")), PRODUCT_SD
         few = [b for b in layout.x_blocks if b.coefficient.per is None or b.size <= MOST_MEMBERS]
         few = [b for b in few if b.size <= free]
@@ -76,30 +68,14 @@ def choose(
         parts = [b for b in parts if b is best or strength[b.name] >= 0.1 * least]
         chosen = parts if sum(b.size for b in parts) <= free else [best]
         layout = layout.promote(*(b.name for b in chosen))
-        several = len(chosen) > 1
-        notes = (
-            *notes,
-            f"{', '.join(b.name for b in chosen)} {'are' if several else 'is'} sampled with the hyper-parameters: "
-            f"{'the' if several else 'its'} product with other unknowns amounts to {strength[best.name]:.2g} noise "
-            "standard deviations.",
+        verb, whose = ("are", "the") if len(chosen) > 1 else ("is", "its")
+        said = (
+            f"{', '.join(b.name for b in chosen)} {verb} sampled with the hyper-parameters: {whose} product with other "
+            f"unknowns amounts to {strength[best.name]:.2g} noise standard deviations."
         )
+        notes = (*notes, said)
         problem = Problem(layout, record)
     return problem, notes, None
-
-
-def _bends(problem: Problem) -> bool:
-    if problem.affine or not problem.size:
-        return False
-    random, v = np.random.default_rng(1), np.zeros(len(problem.hypers))
-    hyper = problem.hyper(v)
-    sd = problem.prior(hyper, np.ones(problem.size)).sd
-    # An affine f has f(a + b) − f(0) = (f(a) − f(0)) + (f(b) − f(0)) for all a and b: tried at random ones of prior
-    # size.
-    one, two = sd * random.standard_normal((2, problem.size))
-    moves = 0 * one, one, two, one + two
-    base, a, b, both = (problem.linearise(problem.start + x, hyper).mean for x in moves)
-    scale = np.max(np.abs(a - base)) + np.max(np.abs(b - base)) + 1e-300
-    return bool(np.max(np.abs((both - base) - (a - base) - (b - base))) > AFFINE * scale)
 
 
 def _second_order(problem: Problem, mode: Mode) -> Float[np.ndarray, "p"]:
@@ -108,22 +84,13 @@ def _second_order(problem: Problem, mode: Mode) -> Float[np.ndarray, "p"]:
     found = Density(problem, mode.x, mode.flat).at(mode.v)[1]
     if found is None:
         return np.zeros(problem.size)
-    covariance = found.covariance
-    root = np.linalg.cholesky(covariance + 1e-12 * np.diag(np.diag(covariance)))
-    frame = problem.record.frame
-    noise = np.sqrt(np.asarray(problem.noise.variance(hyper, frame)))  # pyright: ignore[reportArgumentType]
-    noise = np.broadcast_to(noise, frame.size)[:, None]
-    sd = np.sqrt(np.diag(covariance))
-
-    def size(i: int) -> float:
-        ends = []
-        for sign in (1, -1):
-            x = mode.x.copy()
-            x[i] += sign * STEP * sd[i]
-            ends.append(problem.linearise(x, hyper))
-        # What one posterior standard deviation of xᵢ changes in J, times a root of the covariance of the others: the
-        # second-order term that the linearised model leaves out of each reading, in units of its noise.
-        bent = (ends[0].jacobian - ends[1].jacobian) / (2 * STEP) @ root / noise
-        return float(np.sqrt(np.sum(bent**2)))
-
-    return np.array([size(i) for i in range(problem.size)])
+    variances = np.diag(found.covariance)
+    root = np.linalg.cholesky(found.covariance + 1e-12 * np.diag(variances))
+    noise = np.sqrt(variance(problem.noise, hyper, problem.record))[:, None]
+    sizes = []
+    # What one posterior standard deviation of xᵢ changes in J, times a root of the covariance of the others: the
+    # second-order term that the linearised model leaves out of each reading, in units of its noise.
+    for step in STEP * np.diag(np.sqrt(variances)):
+        up, down = (problem.linearise(mode.x + s, hyper).jacobian for s in (step, -step))
+        sizes.append(np.linalg.norm((up - down) / (2 * STEP) @ root / noise))
+    return np.array(sizes)

@@ -49,12 +49,8 @@ KEPT_TABLES = 3  # of a structure's rows in boxes, the latest
 
 
 class Evaluation(NamedTuple):
-    """A structure at one φ.
-
-    Attributes:
-        log_density: log p(y, φ).
-        given: x given φ.
-        gradient, curvature: of −log p(y, φ) the second; by φ's coordinates; None where not asked for.
+    """A structure at one φ: log p(y, φ), x given φ and, where asked for, gradient and curvature of −log p(y, φ) by φ's
+    coordinates.
     """
 
     log_density: float
@@ -64,34 +60,23 @@ class Evaluation(NamedTuple):
 
 
 class TabulatedEffect(NamedTuple):
-    """One effect of a structure: its coefficients beside each other in one block of the table.
+    """One effect of a structure: its coefficients beside each other in one block of the table."""
 
-    Attributes:
-        key: of its columns, whoever has them; a number.
-        expansions: of its columns.
-        terms: its coefficients.
-        free: entries of φ that its columns move with.
-        owners: for each coefficient and group member, its place in x; the residual's of one that is held.
-        amounts: for each of these 1, or minus the value that it is held at.
-    """
-
-    key: int
-    expansions: Expansions
-    terms: tuple[Term, ...]
-    free: list[int]
+    key: int  # of its columns, whoever has them; a number
+    expansions: Expansions  # of its columns
+    terms: tuple[Term, ...]  # its coefficients
+    free: list[int]  # entries of φ that its columns move with
+    # for each coefficient and group member, its place in x; the residual's of one that is held
     owners: Int[np.ndarray, "m"]
-    amounts: Float[np.ndarray, "m"]
+    amounts: Float[np.ndarray, "m"]  # for each of these 1, or minus the value that it is held at
+
+    def at(self, v: Float[np.ndarray, "d"], sloped: bool) -> Expansion:
+        """Return its columns near φ."""
+        return self.expansions.at(v[self.free], sloped)
 
 
 class Tabulated:
-    """A structure's density on a table of products.
-
-    Args:
-        problem: the structure on its record.
-        nodes: of its noise law.
-        x: where a nonlinear output is linearised, at coordinates `there` of φ.
-        there: these.
-    """
+    """A structure's density on a table of products, a nonlinear output linearised at x, at coordinates `there` of φ."""
 
     def __init__(
         self,
@@ -141,12 +126,6 @@ class Tabulated:
             )
         return found
 
-    def expansion(
-        self, part: TabulatedEffect, v: Float[np.ndarray, "d"], sloped: bool
-    ) -> Expansion:
-        """Return the columns of a part's effect near φ."""
-        return part.expansions.at(v[part.free], sloped)
-
     def _block(self, part: TabulatedEffect, expansion: Expansion) -> int:
         """Return the number of a part's columns in the table: for each coefficient and member as many as the rank."""
         return self.table.block(
@@ -167,7 +146,7 @@ class Tabulated:
         """Parts that nothing moves, by their blocks; without curves, whose columns are nearly alike."""
         middle = np.zeros(len(self.problem.hypers))
         return {
-            self._block(part, self.expansion(part, middle, False)): part
+            self._block(part, part.at(middle, False)): part
             for part in self.parts
             if not part.free and part.terms[0].effect.weights is None
         }
@@ -180,7 +159,7 @@ class Tabulated:
         self.parts = self._parts(self.table)
         taken = dict.fromkeys(self._plain)
         for part in self.parts:
-            expansion = self.expansion(part, there, False)
+            expansion = part.at(there, False)
             inside = part.owners < problem.size
             amounts = np.where(inside, np.append(x, 0.0)[part.owners], -part.amounts)
             if (number := self._block(part, expansion)) in taken:
@@ -221,12 +200,8 @@ class Tabulated:
 
     # the density ------------------------------------------------------------------------------------------------
 
-    def weights(self, v: Float[np.ndarray, "d"], sloped: bool) -> Weights:
-        """Return the noise at φ, and about it for slopes."""
-        shifts = _stencil(len(self.noise)) if sloped else np.zeros((1, len(self.noise)))
-        return self._weights_at(v[self.noise] + shifts)
-
-    def _weights_at(self, coordinates: Float[np.ndarray, "s q"]) -> Weights:
+    def weights(self, coordinates: Float[np.ndarray, "s q"]) -> Weights:
+        """Return the noise at several settings."""
         problem, values = self.problem, dict[str, Any]()
         for name in problem.noise.parameters():
             values[name] = np.full(len(coordinates), problem.fixed_values.get(name, 0.0))
@@ -238,20 +213,14 @@ class Tabulated:
     def evaluate(
         self, v: Float[np.ndarray, "d"], flat: Float[np.ndarray, "p"], sloped: bool = True
     ) -> Evaluation | None:
-        """Return the log density at a φ; None where there is none.
-
-        Args:
-            v: coordinates of φ.
-            flat: scales of coefficients with flat priors.
-            sloped: whether with gradient and curvature.
-        """
+        """Return the log density at a φ, with gradient and curvature if `sloped`; None where there is none."""
         problem, p, q = self.problem, self.problem.size, len(self.noise)
         hyper = problem.hyper(v)
         prior = problem.prior(hyper, flat)
         if not np.all(np.isfinite(prior.sd)):
             return None
-        rows = self.rows(tuple(self.expansion(part, v, sloped) for part in self.parts))
-        weights = self.weights(v, sloped)
+        rows = self.rows(tuple(part.at(v, sloped) for part in self.parts))
+        weights = self.weights(v[self.noise] + _stencil(q)[: None if sloped else 1])
         if not np.isfinite(weights.log_det[0]):
             return None
         shares, slopes = rows.shares(v, sloped)
@@ -324,10 +293,8 @@ class Tabulated:
 
     def grams(self, vs: Float[np.ndarray, "b d"]) -> Gram:
         """Return weighted products of J and r, counted from `at`, at several φ."""
-        p, covers = (
-            self.problem.size,
-            [p.expansions.cover(vs[:, p.free]) for p in self.parts],
-        )
+        p = self.problem.size
+        covers = [part.expansions.cover(vs[:, part.free]) for part in self.parts]
         found, log_det = np.empty((len(vs), p + 1, p + 1)), np.empty(len(vs))
         boxes = np.array([which for _, which in covers]).reshape(len(covers), len(vs)).T
         for box in np.unique(boxes, axis=0):
@@ -345,7 +312,7 @@ class Tabulated:
         """Return products of [J r] and log|Σ| at several φ of some rows' boxes."""
         made = []
         for some in np.array_split(vs, -(-len(vs) * rows.width**2 // NUMBERS_AT_ONCE)):
-            weights = self._weights_at(some[:, self.noise])
+            weights = self.weights(some[:, self.noise])
             gram = rows.products.gram(weights)
             if not rows.plain:
                 gram = gram[:, rows.column[:, None], rows.column]
@@ -367,7 +334,7 @@ class Tabulated:
             own = part.expansions.fitted(draws[:, part.free]) if part.free else None
             if part.free and own is None:
                 return None
-            expansions.append(own or self.expansion(part, v, False))
+            expansions.append(own or part.at(v, False))
         found = About(self, tuple(expansions))
         if not any(part.free for part in self.parts):
             return found

@@ -47,11 +47,7 @@ def unevenness(
 ) -> str:
     """Why weighted draws are not reliable, in numbers; empty if they are.
 
-    Args:
-        weights: smoothed, summing to one.
-        k_hat: theirs.
-        limit: largest k̂ that is trusted; that of the settings if None.
-        enough: effective draws, below which they are too few; likewise.
+    The largest k̂ that is trusted and how many effective draws are enough are the settings', if not given.
     """
     effective = effective_size(weights)
     limit, enough = K_HAT if limit is None else limit, enough or settings().effective_draws

@@ -28,19 +28,12 @@ Hyper = Mapping[str, Any]  # φ by name: one number, or one a draw
 
 
 class ColumnSource(Protocol):
-    """Where columns and responses come from.
+    """Where columns and responses come from."""
 
-    Attributes:
-        xp: NumPy, or JAX's.
-        size: of the readings, n.
-        slots: of the instrument.
-        codes: by group, the member that each reading belongs to (n,), −1 for none.
-    """
-
-    xp: Any
-    size: int
-    slots: tuple[str, ...]
-    codes: Mapping[str, Any]
+    xp: Any  # NumPy, or JAX's
+    size: int  # of the readings, n
+    slots: tuple[str, ...]  # of the instrument
+    codes: Mapping[str, Any]  # by group, the member that each reading belongs to (n,), −1 for none
 
     def columns(self, term: Term, shapes: Sequence[Any], moves: dict, sloped: bool) -> tuple:
         """Columns of a term's effect (…, n, k), with columns of the readings moved; their slopes by each move."""
@@ -56,21 +49,14 @@ class ColumnSource(Protocol):
 
 
 class Composed(NamedTuple):
-    """What a response is taken of.
+    """What a response is taken of."""
 
-    Attributes:
-        slots: what the coefficients of each slot come to, (…, n); slots that nothing adds to are left out.
-        moves: what each column of the readings is corrected by.
-        values: each term's coefficient at each reading, (…, n), or one for all, (…, 1).
-        columns: each term's column, slot units per reported unit (…, n).
-        by_move: slopes of these by each move, where asked for.
-    """
-
+    # what the coefficients of each slot come to, (…, n); slots that nothing adds to are left out
     slots: dict[str, Any]
-    moves: dict[str, Any]
-    values: list[Any]
-    columns: list[Any]
-    by_move: list[Mapping[str, Any]]
+    moves: dict[str, Any]  # what each column of the readings is corrected by
+    values: list[Any]  # each term's coefficient at each reading, (…, n), or one for all, (…, 1)
+    columns: list[Any]  # each term's column, slot units per reported unit (…, n)
+    by_move: list[Mapping[str, Any]]  # slopes of these by each move, where asked for
 
 
 class Linearised(NamedTuple):
@@ -85,14 +71,7 @@ class Linearised(NamedTuple):
 
 
 def value(source: ColumnSource, term: Term, x: Any, hyper: Hyper) -> Any:
-    """A term's coefficient at each reading (…, n), or one for all (…, 1).
-
-    Args:
-        source: of the members' codes.
-        term: whose.
-        x: coefficients (…, p), reported units.
-        hyper: φ by name.
-    """
+    """A term's coefficient at each reading (…, n), or one for all (…, 1), x (…, p) being in reported units."""
     xp = source.xp
     found = members(xp, term, x, hyper)
     if term.per is None:
@@ -125,16 +104,9 @@ def compose(
     hyper: Hyper,
     sloped: bool = False,
 ) -> Composed:
-    """Add up what the terms come to.
+    """Add up what the terms come to; `sloped`: slopes of columns by corrections are wanted too.
 
     Effects that correct a column of the readings see these as recorded, the others the corrected ones.
-
-    Args:
-        source: of columns.
-        terms: that act.
-        values: of their coefficients.
-        hyper: φ by name, for shapes.
-        sloped: whether slopes of columns by corrections are wanted.
     """
     made: list[Any] = [None] * len(terms)
     by_move: list[Mapping[str, Any]] = [{}] * len(terms)
@@ -262,13 +234,6 @@ class Traced:
         """Columns that the response takes itself."""
         return columns_read(self.instrument, self.frame)
 
-    def moved(self, moves: Mapping[str, Any]) -> Frame:
-        """The readings with columns corrected."""
-        frame = self.frame
-        for name, shift in moves.items():
-            frame = frame.with_column(name, frame[name] + shift)
-        return frame
-
     def matrix(self, basis: Basis, frame: Frame, shapes: Mapping[str, Any]) -> Any:
         """Columns of a basis."""
         return matrix(*basis, frame, shapes)
@@ -285,7 +250,7 @@ class Traced:
 
         def made(moves: dict) -> Any:
             every = {n: known.get(n, 0.0) + moves.get(n, 0.0) for n in {**known, **moves}}
-            return self.matrix(of.basis, self.moved(every), own)
+            return self.matrix(of.basis, self.frame.moved(every), own)
 
         if not (moves and sloped):
             return made(moves), {}
@@ -297,7 +262,7 @@ class Traced:
         return {name: jnp.broadcast_to(values.get(name, 0.0), (self.size,)) for name in names}
 
     def response(self, slots: dict, moves: dict) -> Any:
-        found = self.instrument.response(self._whole(slots, self.slots), self.moved(moves))
+        found = self.instrument.response(self._whole(slots, self.slots), self.frame.moved(moves))
         return jnp.broadcast_to(found, (self.size,))
 
     def slopes(self, slots: dict, moves: dict) -> tuple[Any, dict[str, Any]]:

@@ -20,15 +20,7 @@ from bayescal._core.lazy_jax import Array
 from bayescal._core.xp import xp
 from bayescal._data.measurements import Measurements
 from bayescal._model.frame import Frame
-from bayescal._model.prior import (
-    Flat,
-    HalfCauchy,
-    HalfNormal,
-    Known,
-    LogNormal,
-    LogUniform,
-    Normal,
-)
+from bayescal._model.prior import Flat, HalfCauchy, HalfNormal, Known, LogNormal, LogUniform, Normal
 from bayescal._model.static import set_once, static
 
 Kind = Literal[
@@ -377,11 +369,6 @@ def with_forms(effects: Iterable[Effect]) -> Iterator[Effect]:
 
 
 Basis = tuple[Callable[..., Any], int, str]  # a basis, how many columns it has, whose it is
-
-
-def basis_of(effect: Effect) -> Basis:
-    """What an effect's columns depend on: not its priors."""
-    return effect.basis, len(effect.coefficients), effect.name
 
 
 def matrix(

@@ -109,17 +109,12 @@ NUMBER = Dimension((), 1.0)
 
 
 class FormulaPart(NamedTuple):
-    """A part of a formula, its numbers in base units.
+    """A part of a formula, its numbers in base units."""
 
-    Attributes:
-        tree: a number, a name, or a function (an operator by its sign, "neg") with its arguments.
-        unit: its dimension; None of a literal, which takes that of what it is added to or compared with.
-        at: where it begins in the line.
-    """
-
-    tree: Any
+    tree: Any  # a number, a name, or a function (an operator by its sign, "neg") with its arguments
+    # its dimension; None of a literal, which takes that of what it is added to or compared with
     unit: Dimension | None
-    at: int
+    at: int  # where it begins in the line
 
     def like(self, other: FormulaPart) -> FormulaPart:
         """Return the part, a literal in the unit of another."""
@@ -133,19 +128,13 @@ Linear = dict[str, FormulaPart]  # what each coefficient is multiplied by; by no
 
 @dataclass(frozen=True)
 class Formula:
-    """The basis of a typed effect, in base units: called with readings and the shapes.
+    """The basis of a typed effect, in base units: called with readings and the shapes."""
 
-    Attributes:
-        text: the line that it was made of, with sizes and units.
-        parts: for each coefficient, what it is multiplied by, as `FormulaPart.tree`.
-        columns: name in the formula → the readings' column and its factor to base units.
-        shapes: names of the shapes.
-    """
-
-    text: str
-    parts: tuple[Any, ...]
+    text: str  # the line that it was made of, with sizes and units
+    parts: tuple[Any, ...]  # for each coefficient, what it is multiplied by, as `FormulaPart.tree`
+    # name in the formula → the readings' column and its factor to base units
     columns: tuple[tuple[str, str, float], ...]
-    shapes: tuple[str, ...] = ()
+    shapes: tuple[str, ...] = ()  # names of the shapes
 
     @property
     def __signature__(self) -> inspect.Signature:
@@ -242,8 +231,6 @@ class _TypedLine:
     """A formula with what is said of its names, and the readings or instrument that it is for.
 
     Attributes:
-        name: of the effect.
-        given: what is said, by name.
         columns: name in the formula → column, and its fixed unit; empty where that is not known yet.
         shapes: the unknowns that the formula is not linear in.
         coefficients: for each other unknown what it is multiplied by.

@@ -1,13 +1,9 @@
 """The composed model in JAX: expected output and Jacobian, log density, simulation.
 
-(NumPyro's program of it stands in `_inference/nuts.py`, because only there NumPyro is needed.)
-
 Everything here is a pure JAX function of a `Layout` (static), a `Frame`, and values.
 """
 
 from __future__ import annotations
-
-from collections.abc import Mapping
 
 from jaxtyping import Float
 
@@ -19,8 +15,6 @@ from bayescal._model.composition import (
     compose,
     expected,
     linearised,
-    members,
-    slopes,
     value,
     variance_of_inputs,
 )
@@ -60,11 +54,6 @@ def prior_weight(layout: Layout) -> Float[Array, "p"]:
     return jnp.asarray(layout.of_x([float(not b.coefficient.flat) for b in layout.x_blocks]))
 
 
-def coefficients(layout: Layout, x: Float[Array, "p"], hyper: Values) -> Values:
-    """The value of every coefficient by name, (size,) each, in its reported unit."""
-    return {t.name: members(jnp, t, x, hyper) for t in terms_of(layout.blocks)[0]}
-
-
 def composed(
     layout: Layout, frame: Frame, x: Array, hyper: Values, sloped: bool = False
 ) -> tuple[Traced, tuple[Term, ...], Composed]:
@@ -79,13 +68,6 @@ def mean(layout: Layout, frame: Frame, x: Float[Array, "p"], hyper: Values) -> F
     """Expected output, output unit."""
     source, _, made = composed(layout, frame, x, hyper)
     return expected(source, made)
-
-
-def slopes_by_slot(
-    layout: Layout, frame: Frame, x: Float[Array, "p"], hyper: Values
-) -> Mapping[str, Float[Array, "n"]]:
-    """Derivative of the expected output by each slot and each corrected column, reading by reading."""
-    return slopes(*composed(layout, frame, x, hyper, sloped=True))[1]
 
 
 def linearise(layout: Layout, frame: Frame, x: Float[Array, "p"], hyper: Values) -> Linearised:

@@ -208,9 +208,10 @@ class Frame:
         places = xp.arange(self.size, dtype=order.dtype)
         return self.reordered(order, places, self.step)
 
-    def with_column(self, name: str, values: Float[Array, "n"]) -> Frame:
-        """The same readings with one measured column corrected (its rate stays that of the record)."""
-        return replace(self, columns={**self.columns, name: values})
+    def moved(self, moves: Mapping[str, Float[Array, "n"]]) -> Frame:
+        """The same readings with measured columns corrected by what is added (rates stay those of the record)."""
+        corrected = {name: self.columns[name] + shift for name, shift in moves.items()}
+        return replace(self, columns={**self.columns, **corrected}) if moves else self
 
 
 when_imported(lambda: jax.tree_util.register_dataclass(Frame, [f.name for f in fields(Frame)], []))
@@ -304,14 +305,10 @@ def build_frame(
     levels: Mapping[str, tuple[str, ...]] | None = None,
     record: Measurements | None = None,
 ) -> Frame:
-    """A frame of readings under a stored reference.
+    """A frame of readings, on the clock of the fit, under the constants stored at the fit.
 
-    Args:
-        readings: the measurements, on the clock of the fit.
-        reference: constants stored at the fit.
-        levels: group members known to the fit; members that are not among them get the code −1. None (at
-            the fit itself) takes the readings' own.
-        record: the fitted readings, whose runs these may be of; None where they are their own.
+    Members of groups that are not among `levels` get the code −1; None, at the fit itself, takes the readings' own.
+    Runs may be those of the fitted readings, the `record`.
     """
     unit = {name: readings.unit(name) for name in readings.columns if name != "temperature_point"}
     columns = {name: np.asarray(readings[name]) for name in unit if unit[name] is not None}

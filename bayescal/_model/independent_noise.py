@@ -113,11 +113,6 @@ class Heteroscedastic(Noise):
     def amplitudes(self) -> tuple[str, ...]:
         return (WHITE, PROPORTIONAL) if self.proportional else (WHITE,)
 
-    def _share(self, frame: Frame) -> Float[Array, "n"]:
-        """Return the size of the column, in parts of the largest at the fit."""
-        ends = (xp.abs(frame.reference[f"{self.column}_{end}"]) for end in ("low", "high"))
-        return xp.abs(frame.columns[self.column]) / xp.maximum(*ends)
-
     def parameters(self) -> dict[str, Positive | Normal]:
         if self.proportional:
             return {WHITE: self.scale, PROPORTIONAL: self.scale}
@@ -127,7 +122,11 @@ class Heteroscedastic(Noise):
         return "1" if name in (SLOPE, CURVATURE) else output
 
     def _place(self, frame: Frame) -> Float[Array, "n"]:
-        return self._share(frame) if self.proportional else place_along(frame, self.column)
+        """Return the place along the column; or the size of the column, in parts of the largest at the fit."""
+        if not self.proportional:
+            return place_along(frame, self.column)
+        ends = (xp.abs(frame.reference[f"{self.column}_{end}"]) for end in ("low", "high"))
+        return xp.abs(frame.columns[self.column]) / xp.maximum(*ends)
 
     def variance_place(self, frame):
         place = None if UNCERTAINTY in frame.columns else np.asarray(self._place(frame))

@@ -31,17 +31,12 @@ Lambda = Float[np.ndarray, "j"]
 
 
 class SpectralTerm(NamedTuple):
-    """One term of a covariance, diag(symbol) − Σ± U·M±·Uᵀ in frequency.
+    """One term of a covariance, diag(symbol) − Σ± U·M±·Uᵀ in frequency."""
 
-    Attributes:
-        symbol: its diagonal (s, j), output unit squared.
-        ends: functions of λ (s, j) each, q of them; times the transform of e± they are the columns of U.
-        correction: of a run's length and a sign, +1 or −1, M (q, q, s).
-    """
-
-    symbol: Any
+    symbol: Any  # its diagonal (s, j), output unit squared
+    # functions of λ (s, j) each, q of them; times the transform of e± they are the columns of U
     ends: tuple[Any, ...]
-    correction: Callable[[int, int], Any]
+    correction: Callable[[int, int], Any]  # of a run's length and a sign, +1 or −1, M (q, q, s)
 
 
 def eigenvalues(n: int, k: Float[np.ndarray, "j"]) -> Lambda:
@@ -126,16 +121,11 @@ def _end_of_exponential(x: Any, n: int, sign: int) -> tuple[Any, Any]:
     return top / whole, (slope_of_top - top * slope_of_whole / whole) / whole
 
 
-def difference_of_errors(size: Any, lam: Lambda) -> SpectralTerm:
-    """Return differences of neighbouring independent errors: size²·(L + e₊e₊ᵀ + e₋e₋ᵀ)."""
+def errors(size: Any, passed: float, lam: Lambda) -> SpectralTerm:
+    """Return independent errors, passed on to the next reading: their differences (−1), or their sums (1).
+
+    Differences are size²·(L + e₊e₊ᵀ + e₋e₋ᵀ), sums size²·(4·I − L − e₊e₊ᵀ − e₋e₋ᵀ).
+    """
     square = np.asarray(size) ** 2
-    return SpectralTerm(
-        square * lam, (np.ones_like(lam),), lambda n, sign: -square.reshape(1, 1, -1)
-    )
-
-
-def mean_of_errors(size: Any, lam: Lambda) -> SpectralTerm:
-    """Return means of two neighbouring independent errors: ¼·size²·(4·I − L − e₊e₊ᵀ − e₋e₋ᵀ)."""
-    square = 0.25 * np.asarray(size) ** 2
-    symbol = square * (4 - lam)
-    return SpectralTerm(symbol, (np.ones_like(lam),), lambda n, sign: square.reshape(1, 1, -1))
+    symbol, ends = square * (4 - lam if passed > 0 else lam), passed * square.reshape(1, 1, -1)
+    return SpectralTerm(symbol, (np.ones_like(lam),), lambda n, sign: ends)

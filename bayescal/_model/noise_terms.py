@@ -46,18 +46,12 @@ FLAT = 2 * math.log(2) / math.pi  # Allan variance of flicker noise over B²
 
 
 class Bounds(NamedTuple):
-    """What a record can tell, and how much of it.
+    """What a record can tell, and how much of it."""
 
-    Attributes:
-        shortest, longest: of correlation times, s: the usual step and the longest run.
-        correlated: prior of a correlated part's standard deviation, output unit.
-        column: that the frequency of a tone follows; none if empty.
-    """
-
-    shortest: float
+    shortest: float  # of correlation times, s: the usual step and the longest run
     longest: float
-    correlated: Positive
-    column: str = ""
+    correlated: Positive  # prior of a correlated part's standard deviation, output unit
+    column: str = ""  # that the frequency of a tone follows; none if empty
 
     @property
     def middle(self) -> float:
@@ -71,17 +65,11 @@ class Bounds(NamedTuple):
 
 @static
 class NoiseTerm(abc.ABC):
-    """One term of a sum. Its unknowns have names of their own, in the output unit or as `unit` says.
+    """One term of a sum. Its unknowns have names of their own, in the output unit or as `unit` says."""
 
-    Attributes:
-        words: as a person reads it.
-        symbol: of IEEE 952, where its first unknown is that coefficient.
-        bounded: whether its states hang on the bounds of the record.
-    """
-
-    words: ClassVar[str]
-    symbol: ClassVar[str] = ""
-    bounded: ClassVar[bool] = False
+    words: ClassVar[str]  # as a person reads it
+    symbol: ClassVar[str] = ""  # of IEEE 952, where its first unknown is that coefficient
+    bounded: ClassVar[bool] = False  # whether its states hang on the bounds of the record
 
     @abc.abstractmethod
     def parameters(self, bounds: Bounds) -> dict[str, Any]:
@@ -101,11 +89,7 @@ class NoiseTerm(abc.ABC):
     def spectrum(
         self, values: Values, bounds: Bounds, step: float, lam: Float[np.ndarray, "j"]
     ) -> list[SpectralTerm]:
-        """Return its covariance in frequency on readings a step apart; values are arrays (s, 1).
-
-        Raises:
-            NotImplementedError: it is not stationary, or nobody needs it yet.
-        """
+        """Return its covariance in frequency on readings a step apart, where it is stationary; values (s, 1)."""
         raise NotImplementedError(f"{self.words} noise has no spectrum here")
 
     @abc.abstractmethod
@@ -154,12 +138,9 @@ class CorrelatedTerm(ExponentialTerm):
     """Ornstein–Uhlenbeck noise; of several, each has a longer time than the one before.
 
     Of one before it with the time τ' it has τ = τ'·(longest/τ')^u, u uniform from 0 to 1: so they cannot exchange.
-
-    Attributes:
-        place: 1 for the first, and so on; 0 for one that is alone, whose names have no number.
     """
 
-    place: int
+    place: int  # 1 for the first, and so on; 0 for one that is alone, whose names have no number
     words: ClassVar[str] = "Ornstein–Uhlenbeck"
 
     def _name(self, what: str, place: int | None = None) -> str:
@@ -302,7 +283,7 @@ class SmoothTerm(NoiseTerm):
         # c − a·∂c/∂a in one evaluation: c(a·(1 + i·ε)) = c + i·ε·a·∂c/∂a, and its imaginary part keeps the digits
         # that a difference of two c would lose.
         tiny = 1e-30
-        turned = _exponential_complex(m, a * (1 + 1j * tiny))
+        turned = allan_of_exponential(m + 0j, a * (1 + 1j * tiny))
         whole, x = turned.real - turned.imag / tiny, m * a
         shape = np.where(x < SMOOTH, x**2 / 2 - 7 * x**3 / 15, whole)
         return values["noise.smooth"] ** 2 * shape
@@ -348,8 +329,6 @@ class ToneTerm(NoiseTerm):
         return Block(plain.carry * pairs(c, s, -s, c), plain.fresh * each, plain.start * each)
 
     def spectrum(self, values, bounds, step, lam):
-        if bounds.column:
-            raise NotImplementedError("a tone whose frequency follows a column is not stationary")
         own = (values[f"noise.tone{part}"] for part in (".time", ".frequency"))
         return [noise_spectrum.tone(self.variance(values, bounds), *own, step, lam)]
 
@@ -359,7 +338,7 @@ class ToneTerm(NoiseTerm):
         fall, found = step / values["noise.tone.time"], []
         for z in places:
             turn = 2j * math.pi * step * self._frequency(values, bounds, z)
-            found.append(_exponential_complex(m, fall - turn).real)
+            found.append(allan_of_exponential(m + 0j, fall - turn).real)
         return values["noise.tone"] ** 2 * np.mean(found, axis=0)
 
     def starts(self, step, left, z):
@@ -442,6 +421,9 @@ class ErrorsTerm(NoiseTerm):
         fresh = pairs(square + nothing, nothing, nothing, nothing)
         return Block(carry, fresh, square * jnp.eye(2), shown=True)
 
+    def spectrum(self, values, bounds, step, lam):
+        return [noise_spectrum.errors(self.size(values, bounds), self.passed, lam)]
+
 
 class RoundedAngleTerm(ErrorsTerm):
     """Quantisation noise of IEEE 952, Q: readings are differences of an angle that each has an error of its own."""
@@ -459,9 +441,6 @@ class RoundedAngleTerm(ErrorsTerm):
 
     def size(self, values, bounds):
         return values["noise.quantisation"] / bounds.shortest
-
-    def spectrum(self, values, bounds, step, lam):
-        return [noise_spectrum.difference_of_errors(self.size(values, bounds), lam)]
 
     def allan(self, values, bounds, m, step):
         # IEEE 952: σ²(τ) = 3·Q²/τ², τ = m·step.
@@ -486,9 +465,6 @@ class AveragingTerm(ErrorsTerm):
     def size(self, values, bounds):
         return 0.5 * values["noise.averaging"]
 
-    def spectrum(self, values, bounds, step, lam):
-        return [noise_spectrum.mean_of_errors(values["noise.averaging"], lam)]
-
     def allan(self, values, bounds, m, step):
         # A mean of m readings has (2m − 1)/2m² of s², and shares 1/4m² with the next.
         return values["noise.averaging"] ** 2 * (m - 0.75) / m**2
@@ -499,20 +475,12 @@ def allan_of_exponential(m: Float[np.ndarray, "k"], a: Any) -> Any:
 
     With ρ = exp(−a) and a fall E = 1 − ρᵐ it is [(1 + ρ)/(1 − ρ) − ρ·E·(2 + E)/(m·(1 − ρ)²)]/m: from the variance V of
     a mean of m readings of such a sequence, as 2·V(m) − 2·V(2m). Over times short against the correlation's it is a
-    random walk's, a·(2m² + 1)/(3m); IEEE 952 has the limits of continuous averages.
-
-    Args:
-        m: readings averaged.
-        a: step over correlation time; complex for a correlation that turns, of which the real part is then taken.
+    random walk's, a·(2m² + 1)/(3m); IEEE 952 has the limits of continuous averages. Of a correlation that turns, a
+    complex, the real part is then taken.
     """
     rho, fall, gap = np.exp(-a), -np.expm1(-m * a), -np.expm1(-a)
     stationary = ((1 + rho) / gap - rho * fall * (2 + fall) / (m * gap**2)) / m
     return np.where(np.abs(m * a) < SHORT_TIMES, a * (2 * m**2 + 1) / (3 * m), stationary)
-
-
-def _exponential_complex(m: Float[np.ndarray, "k"], a: Any) -> Any:
-    """The same of complex exponents, which keeps the imaginary part."""
-    return allan_of_exponential(np.asarray(m, complex), a)
 
 
 TERMS: dict[str, type[NoiseTerm]] = {

@@ -93,31 +93,19 @@ class CoefficientBlock:
 
 @dataclass(frozen=True)
 class Unknown:
-    """One scalar unknown.
+    """One scalar unknown."""
 
-    Attributes:
-        name: its own, with its group member, such as "bias.run(3)".
-        key: name that it shares with the other members of its group, "bias.run".
-        unit: in which it is reported.
-        effect: name of its effect, or "noise".
-        kind: what it is; the amplitude and the length of an unknown function are spreads of its coefficients.
-        prior: of an entry of φ, in its coordinate.
-        x: index in x; None where it stands in φ.
-        v: index in φ; None where it stands in x.
-        block: the coefficient, where it is one.
-        member: label of its group member, or its number where members have no labels.
-    """
-
-    name: str
-    key: str
-    unit: str
-    effect: str
+    name: str  # its own, with its group member, such as "bias.run(3)"
+    key: str  # name that it shares with the other members of its group, "bias.run"
+    unit: str  # in which it is reported
+    effect: str  # name of its effect, or "noise"
+    # what it is; the amplitude and the length of an unknown function are spreads of its coefficients
     kind: UnknownKind
-    prior: Positive | Normal | FlatLine | None = None
-    x: int | None = None
-    v: int | None = None
-    block: CoefficientBlock | None = None
-    member: object = None
+    prior: Positive | Normal | FlatLine | None = None  # of an entry of φ, in its coordinate
+    x: int | None = None  # index in x; None where it stands in φ
+    v: int | None = None  # index in φ; None where it stands in x
+    block: CoefficientBlock | None = None  # the coefficient, where it is one
+    member: object = None  # label of its group member, or its number where members have no labels
 
     @property
     def group(self) -> str | None:
@@ -141,18 +129,12 @@ class Unknown:
 
 @static
 class Layout:
-    """A model bound to group sizes. It has no arrays: equal layouts share one compiled program.
+    """A model bound to group sizes. It has no arrays: equal layouts share one compiled program."""
 
-    Attributes:
-        model: the model.
-        counts: (group, number of members).
-        promoted: names of coefficients that stand in φ.
-        origin: (coefficient, what outputs are counted from in the frame, output unit): it takes that back.
-    """
-
-    model: Model
-    counts: tuple[tuple[str, int], ...]
-    promoted: tuple[str, ...] = ()
+    model: Model  # the model
+    counts: tuple[tuple[str, int], ...]  # (group, number of members)
+    promoted: tuple[str, ...] = ()  # names of coefficients that stand in φ
+    # (coefficient, what outputs are counted from in the frame, output unit): it takes that back
     origin: tuple[tuple[str, float], ...] = ()
 
     @cached_property
@@ -292,11 +274,7 @@ def bind(
 ) -> tuple[Layout, dict[str, tuple[str, ...]]]:
     """The model's layout for these readings, and the members of each group.
 
-    Args:
-        model: the model.
-        readings: that it is fitted to.
-        more: effects that may be added to it, whose groups are counted too.
-        reference: of the frame, in which outputs may be counted from an origin.
+    Groups of effects that may be added are counted too (`more`); outputs are counted from what the reference says.
 
     Raises:
         ModelError: fewer readings than flat coefficients, or a group effect without its group.

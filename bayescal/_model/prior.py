@@ -13,9 +13,6 @@ import math
 from dataclasses import field
 from typing import Any
 
-from jaxtyping import Float
-
-from bayescal._core.lazy_jax import Array, jax, jnp
 from bayescal._core.xp import special_of, xp
 from bayescal._model.static import static
 
@@ -32,9 +29,6 @@ class _StandardNormal:
         """Log density in the coordinate."""
         return -0.5 * v**2 - _HALF_LOG_2PI
 
-    def sample(self, key: Array) -> Float[Array, ""]:
-        return jax.random.normal(key)
-
 
 @static
 class _Scaled:
@@ -48,13 +42,6 @@ class _Scaled:
 
     def coordinate(self, value: Any) -> Any:
         return xp.log(value / self.scale)
-
-
-class _Improper:
-    """A prior that cannot be drawn from."""
-
-    def sample(self, key: Array) -> Float[Array, ""]:
-        raise ValueError("a flat prior cannot be sampled: give a proper prior to simulate from it")
 
 
 @static
@@ -77,14 +64,10 @@ class Normal(_StandardNormal):
 
 @static
 class Known:
-    """No unknown at all: a coefficient that is one by definition, as that of a body's temperature.
+    """No unknown at all: a coefficient that is one by definition, as that of a body's temperature."""
 
-    Attributes:
-        mean: the number.
-        averaged: whether it is zero in some draws, those of structures without the effect.
-    """
-
-    mean: float = 1.0
+    mean: float = 1.0  # the number
+    # whether it is zero in some draws, those of structures without the effect
     averaged: bool = False
     sd: float = field(default=0.0, init=False, repr=False)
 
@@ -124,8 +107,7 @@ class LogUniform(_StandardNormal):
     def coordinate(self, value: Any) -> Any:
         """Finite at the bounds, where rounding may have put a value."""
         share = xp.log(value / self.low) / math.log(self.high / self.low)
-        special = special_of(value)
-        return special.ndtri(xp.clip(share, _EDGE, 1 - _EDGE))
+        return special_of(value).ndtri(xp.clip(share, _EDGE, 1 - _EDGE))
 
 
 @static
@@ -135,9 +117,6 @@ class HalfNormal(_Scaled):
     def log_density(self, v: Any) -> Any:
         return _LOG_2 - _HALF_LOG_2PI - 0.5 * xp.exp(2 * v) + v
 
-    def sample(self, key: Array) -> Float[Array, ""]:
-        return jnp.log(jnp.abs(jax.random.normal(key)))
-
 
 @static
 class HalfCauchy(_Scaled):
@@ -146,12 +125,9 @@ class HalfCauchy(_Scaled):
     def log_density(self, v: Any) -> Any:
         return math.log(2 / math.pi) - xp.logaddexp(0.0, 2 * v) + v
 
-    def sample(self, key: Array) -> Float[Array, ""]:
-        return jnp.log(jnp.abs(jax.random.cauchy(key)))
-
 
 @static
-class Flat(_Improper, _Scaled):
+class Flat(_Scaled):
     """No preference at all. Improper: the evidence of a model that holds one is not defined.
 
     For a coefficient: flat on the real line. For a spread or a noise scale: flat on the positive half line,
@@ -163,7 +139,7 @@ class Flat(_Improper, _Scaled):
 
 
 @static
-class FlatLine(_Improper):
+class FlatLine:
     """A flat prior on the whole line, for a flat coefficient that is sampled with the hyper-parameters."""
 
     scale: float = 1.0

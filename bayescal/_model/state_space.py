@@ -12,19 +12,12 @@ from bayescal._core.lazy_jax import Array, jax, jnp
 
 
 class Block(NamedTuple):
-    """States of a term over the steps before n readings.
+    """States of a term over the steps before n readings."""
 
-    Attributes:
-        carry: what is kept of each state, by all (n, k, k).
-        fresh: covariance of what is new (n, k, k).
-        start: the stationary covariance (k, k).
-        shown: whether a reading shows all of them together, or the first alone.
-    """
-
-    carry: Float[Array, "n k k"]
-    fresh: Float[Array, "n k k"]
-    start: Float[Array, "k k"]
-    shown: bool = False
+    carry: Float[Array, "n k k"]  # what is kept of each state, by all (n, k, k)
+    fresh: Float[Array, "n k k"]  # covariance of what is new (n, k, k)
+    start: Float[Array, "k k"]  # the stationary covariance (k, k)
+    shown: bool = False  # whether a reading shows all of them together, or the first alone
 
 
 def exponential(time: Any, variance: Any, h: Float[Array, "n"]) -> Block:
@@ -41,17 +34,11 @@ def pairs(a: Array, b: Array, c: Array, d: Array) -> Float[Array, "n 2 2"]:
 
 
 class States(NamedTuple):
-    """All states of a sum, a row for each reading; those of a run's first reading begin anew.
+    """All states of a sum, a row for each reading; those of a run's first reading begin anew."""
 
-    Attributes:
-        carry: what is kept over the step before (n, p, p).
-        fresh: covariance of what is new (n, p, p).
-        shown: how much of each state a reading shows (p,).
-    """
-
-    carry: Float[Array, "n p p"]
-    fresh: Float[Array, "n p p"]
-    shown: Float[np.ndarray, "p"]
+    carry: Float[Array, "n p p"]  # what is kept over the step before (n, p, p)
+    fresh: Float[Array, "n p p"]  # covariance of what is new (n, p, p)
+    shown: Float[np.ndarray, "p"]  # how much of each state a reading shows (p,)
 
 
 def states_of(blocks: Sequence[Block], step: Float[Array, "n"]) -> States:
@@ -90,13 +77,8 @@ def filtered(
 ) -> tuple[Float[Array, "n m"], Float[Array, "n"]]:
     """Whiten columns by the Kalman filter; return them, and the log standard deviation of each innovation.
 
-    With P the covariance of the states given the readings before: g = P·1 over the states shown, s = 1ᵀg + w of the
-    reading, gain g/s; P goes on as A·(P − g·gᵀ/s)·Aᵀ + what is new.
-
-    Args:
-        states: of a sum.
-        white: variance w of each reading by itself.
-        columns: in the order of time within runs.
+    With P the covariance of the states given the readings before, w the variance of a reading by itself: g = P·1 over
+    the states shown, s = 1ᵀg + w of the reading, gain g/s; P goes on as A·(P − g·gᵀ/s)·Aᵀ + what is new.
     """
     passed = _forward(states, white, columns)
     return passed.new / jnp.sqrt(passed.total)[:, None], 0.5 * jnp.log(passed.total)
@@ -142,11 +124,7 @@ def smoothed(
 ) -> tuple[Float[Array, "n m"], Float[Array, "n"]]:
     """Mean and variance of what the states show at each row, given all readings of its run; a column by itself.
 
-    Args:
-        states: of a sum.
-        white: variance of each reading by itself; infinite where there is none, and the states alone are asked for.
-        columns: readings, in the order of time within runs.
-
+    The variance of a reading by itself is infinite where there is none, and the states alone are asked for.
     Source: J. Durbin and S. Koopman, Time Series Analysis by State Space Methods (2012), §4.4.
     """
     seen = jnp.asarray(states.shown)

@@ -55,9 +55,10 @@ class SumOfTerms(Noise, interface=True):
     scatter: ClassVar[str] = ""
 
     def __post_init__(self) -> None:
-        if not 0 < self.shortest < self.longest:
+        low, high = self.shortest, self.longest
+        if not 0 < low < high:
             raise ValueError(
-                f"correlation times must be positive and in order, not {self.shortest} and {self.longest}"
+                f"correlation times must be positive and in order, not {low} and {high}"
             )
 
     # what it is made of -----------------------------------------------------------------------------------------
@@ -114,13 +115,7 @@ class SumOfTerms(Noise, interface=True):
     def spectrum(
         self, values: Parameters, step: float, lam: Float[np.ndarray, "j"]
     ) -> list[SpectralTerm]:
-        """Return its correlated terms in frequency on readings a step apart; values are arrays (s, 1).
-
-        Raises:
-            NotImplementedError: it is not stationary.
-        """
-        if self.scatter:
-            raise NotImplementedError("noise whose scatter follows a column is not stationary")
+        """Return its correlated terms in frequency on readings a step apart, if `stationary`; values (s, 1)."""
         return [t for p in self.parts for t in p.spectrum(values, self.bounds, step, lam)]
 
     def parameters(self) -> dict[str, Any]:
@@ -341,13 +336,7 @@ def _start_of_scatter(frame: Frame, left: Float[np.ndarray, "n"], column: str) -
 
 
 def over_record(scale: Positive, step: float, span: float) -> OrnsteinUhlenbeck:
-    """White noise beside correlated noise whose correlation time the record can tell: from one step to its span.
-
-    Args:
-        scale: prior of the standard deviation of either part, output unit.
-        step: usual time between neighbours, s.
-        span: of the longest run, s.
-    """
+    """White noise beside correlated noise of a time that the record can tell: from its step to its longest run, s."""
     # A correlation time below a step is white noise to these readings, and one beyond the span a random walk.
     return OrnsteinUhlenbeck(step, max(span, 10 * step), scale, scale)
 
@@ -362,13 +351,7 @@ def over_octaves(
 ) -> SummedNoise:
     """A sum whose times a record can tell. Bounds are whole octaves of a second: alike records share programs.
 
-    Args:
-        scale: prior of the standard deviation of each part, output unit.
-        step: usual time between neighbours, s.
-        span: of the longest run, s.
-        terms: beside white noise.
-        column: that a tone follows.
-        scatter: that the white part's standard deviation follows.
+    A tone follows `column`, the white part's standard deviation `scatter`.
     """
     shortest, longest = 2.0 ** math.floor(math.log2(step)), 2.0 ** math.ceil(math.log2(span))
     return SummedNoise(shortest, longest, terms, scale, scale, column, scatter)

@@ -10,26 +10,20 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from bayescal._core.xp import xp
-from bayescal._model.effect import Basis, Effect, basis_of
+from bayescal._model.effect import Basis, Effect
 from bayescal._model.parameters import CoefficientBlock
 
 
 class ColumnsOf(NamedTuple):
-    """What an effect's columns depend on.
+    """What an effect's columns depend on: its basis, the shapes that this takes, and those of the corrections.
 
-    Attributes:
-        basis: its own.
-        shapes: that this takes, then those of the corrections.
-        priors: of the shapes.
-        corrections: of columns of the readings, by effects without an unknown but their shapes.
-        ragged: whether they run too sharply along a shape to be interpolated, as a step does.
+    Corrections are of columns of the readings, by effects without an unknown but their shapes.
     """
 
     basis: Basis
     shapes: tuple[str, ...]
     priors: tuple[Any, ...]
     corrections: tuple[Correction, ...] = ()
-    ragged: bool = False
 
     def on(self, corrections: Sequence[Correction]) -> ColumnsOf:
         """The same where columns of the readings are corrected."""
@@ -52,7 +46,7 @@ class ColumnsOf(NamedTuple):
     def of(cls, effect: Effect) -> ColumnsOf:
         shapes = effect.column_shapes
         names, priors = tuple(s.name for s in shapes), tuple(s.prior for s in shapes)
-        return cls(basis_of(effect), names, priors, ragged=any(s.ragged for s in shapes))
+        return cls((effect.basis, len(effect.coefficients), effect.name), names, priors)
 
 
 class Correction(NamedTuple):
@@ -73,13 +67,7 @@ class Correction(NamedTuple):
 
 @dataclass(frozen=True)
 class Term(CoefficientBlock):
-    """One coefficient of the structure with all its members, on readings.
-
-    Attributes:
-        columns: what its effect's columns depend on.
-        shape_names: names in φ of the shapes that these take.
-        prior_sd: prior standard deviation, its unit.
-    """
+    """One coefficient of the structure with all its members, on readings; names in φ are of its columns' shapes."""
 
     columns: ColumnsOf
     shape_names: tuple[str, ...]
@@ -95,13 +83,7 @@ def terms_of(
 
     What corrects a column without an unknown but its shapes, as the temperature of a body does, is no term where the
     response does not take that column itself: it is part of the other effects' columns, and these stay linear in their
-    coefficients.
-
-    Args:
-        blocks: its coefficients.
-        source: of columns and responses; what acts on a name that is none of its slots corrects that column. None:
-            nothing does.
-        size_factors: on the plausible sizes of an effect's coefficients, by the effect's name; one where not named.
+    coefficients. Without a source nothing corrects a column. Plausible sizes are multiplied by factors, by effect.
     """
     correcting = [b for b in blocks if source is not None and b.slot not in source.slots]
     corrected = tuple(dict.fromkeys(b.slot for b in correcting))

@@ -62,13 +62,7 @@ def along_and_form(covariate: str) -> tuple[str, str]:
 
 
 def placeholder(covariate: str, slot: str, unit: str) -> Effect:
-    """The placeholder for a covariate, and for its forms: "humidity, line", ", jump", ", kink", "time, cycle".
-
-    Args:
-        covariate: a numeric column, "elapsed" (time within the run), or "temperature rate"; a form after a comma.
-        slot: what it adds to.
-        unit: of the slot.
-    """
+    """The placeholder for a covariate, and for its forms: "humidity, line", ", jump", ", kink", "time, cycle"."""
     along, form = along_and_form(covariate)
     if form == "cycle" and along == "time":
         return cycle(slot, *OPEN, unit)
@@ -93,24 +87,14 @@ def freed(effect: Effect, times: float = 1.0) -> Effect:
 
 
 def process_columns(position: Any, terms: int) -> Any:
-    """Columns Φ with Φ·diag(w²)·Φᵀ near the squared-exponential kernel, w by `process_weights`.
-
-    Args:
-        position: of each reading in the covariate's range, 0 to 1; a NumPy or a JAX array (n,), as is the result.
-        terms: how many eigenfunctions.
-    """
+    """Columns Φ with Φ·diag(w²)·Φᵀ near the squared-exponential kernel, w by `process_weights`; positions 0 to 1."""
     centred = xp.clip(2 * position - 1, -WIDER_RATIO, WIDER_RATIO)
     order = xp.arange(1, terms + 1) * math.pi / (2 * WIDER_RATIO)
     return xp.sin(order * (centred[..., None] + WIDER_RATIO)) / math.sqrt(WIDER_RATIO)
 
 
 def process_weights(length: Any, terms: int) -> Any:
-    """Standard deviations of the columns' coefficients, of a process of unit amplitude.
-
-    Args:
-        length: of the process, in parts of the range.
-        terms: how many eigenfunctions.
-    """
+    """Standard deviations of the columns' coefficients, of a process of unit amplitude and a length in ranges."""
     order = np.arange(1, terms + 1) * math.pi / (2 * WIDER_RATIO)
     scale = 2 * length
     return xp.sqrt(scale * math.sqrt(2 * math.pi)) * xp.exp(-((scale * order) ** 2) / 4)

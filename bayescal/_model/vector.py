@@ -98,10 +98,6 @@ class Vector:
         is not where outputs are far from it in length (a hard iron, another unit): a fit that begins with the
         directions of the outputs themselves ends where a scale factor is zero.
 
-        Args:
-            frame: of the readings, on the host.
-            y: outputs, of which those of projections are kept.
-
         Returns:
             Frame and outputs; None where outputs are near the magnitude, what acts is known, or no ellipsoid is found.
         """

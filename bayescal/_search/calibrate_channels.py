@@ -25,7 +25,7 @@ from bayescal._model.model import Model
 from bayescal._search.calibrate import Loop, prepared
 from bayescal._search.library import Library
 from bayescal._search.search_path import SearchPath
-from bayescal._search.shared_shape import FromOthers, ShapeEvidence, SharedShape, said
+from bayescal._search.shared_shape import FromOthers, ShapeEvidence, SharedShape, evidence_of
 from bayescal._search.structures import Structure, Structures
 from bayescal._search.walk import BEAM_STRUCTURES
 
@@ -210,18 +210,15 @@ def calibrate_channels(
 
 @dataclass(eq=False)
 class _Channel:
-    """One channel: its search, and what it and the others say of what they share.
-
-    Attributes:
-        shared: shapes that all channels share, as the instrument states them, by the candidate that has it.
-        heard: what the others said of these when the channel was last asked; at first what the instrument says.
-        says: what it says of them itself, by the structures evaluated; empty until it is asked.
-    """
+    """One channel: its search, and what it and the others say of what they share."""
 
     name: str
     loop: Loop
+    # shapes that all channels share, as the instrument states them, by the candidate that has it
     shared: Mapping[str, Shape] = field(default_factory=dict)
+    # what the others said of these when the channel was last asked; at first what the instrument says
     heard: dict[str, FromOthers] = field(default_factory=dict)
+    # what it says of them itself, by the structures evaluated; empty until it is asked
     says: dict[str, ShapeEvidence] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
@@ -286,7 +283,7 @@ class _Channel:
 
     def said(self, structures: Structures) -> dict[str, ShapeEvidence]:
         """What it says of the shared shapes by its structures."""
-        return {n: said(structures, n, shape) for n, shape in self.shared.items()}
+        return {n: evidence_of(structures, n, shape) for n, shape in self.shared.items()}
 
 
 def _shared(channels: Sequence[_Channel], follow: Follow) -> Iterator[list[SharedShape]]:

@@ -99,13 +99,9 @@ def judge(
     at: Weighed,
     with_it: Weighed | None,
 ) -> Candidate:
-    """Return what is known of one candidate by itself.
+    """Return what is known of one candidate, a family, in its most probable form.
 
-    Args:
-        library, at: the candidates, and the structure that it may be missing from.
-        name, form: its family, and the most probable form.
-        points: its scores beside that structure; none where it has no score.
-        with_it: that structure with the form, where it was evaluated.
+    That is by its scores beside a structure and, where it was evaluated, by that structure `with_it`.
     """
     structures = library.structures
     scored, several = points[0].effect if points else form, len(structures.forms[name]) > 1
@@ -153,11 +149,9 @@ def _by_refit(effect, with_it: Weighed) -> dict:
     hyper = problem.hyper(mode.v)
     shapes = {s.name: float(hyper[effect.shape_name(s)]) for s in effect.shapes}
     if effect.held:  # a body: what is to be known of it is its time
-        own = next(iter(effect.shapes))
-        at = problem.layout.index_in_phi[effect.shape_name(own)]
-        slope = abs(problem.value_change(mode.v, at))
-        sd = slope * math.sqrt(mode.covariance[at, at])
-        return {"size": shapes[own.name], "size_sd": sd, "shape": shapes, "unit": own.unit}
+        own = effect.shapes[0]
+        size, sd = problem.value_and_sd(effect.shape_name(own), mode.v, mode.covariance)
+        return {"size": size, "size_sd": sd, "shape": shapes, "unit": own.unit}
     if learned := learned_size(effect, problem, mode):
         return {"size": learned[0], "size_sd": learned[1], "shape": shapes}
     term = next(t for t in problem.in_x if t.effect.name == effect.name)
@@ -293,13 +287,7 @@ def alike(points: Mapping[str, Sequence[ScoredPoint]]) -> dict[str, set[str]]:
 
 
 def kind_of(candidate: Candidate, found: bool, effect: Effect | None) -> Candidate:
-    """Return the candidate with its kind: whether it is found, a lead, or not to be seen.
-
-    Args:
-        candidate: that was judged.
-        found: whether it is one of a finding.
-        effect: by which it was scored; None where it has no score.
-    """
+    """Return the candidate with its kind: whether it is found, a lead, or not to be seen by the effect of its score."""
     if found:
         return replace(candidate, kind="finding")
     if (candidate.probability or 0.0) >= LEAD_PROBABILITY:

@@ -244,8 +244,7 @@ def structures_over(
 ) -> tuple[Structures, list[Candidate]]:
     """All structures over a model, and the families of which these readings can test no form, each with the reason.
 
-    Args:
-        latent: whether they hold what these readings cannot tell from their effects.
+    They hold what these readings cannot tell from their effects, if `latent`.
     """
     instrument = model.instrument
     listed = (*instrument.candidates, *instrument.effects)
@@ -328,11 +327,8 @@ def discovery_at(
 ) -> Discovery:
     """What the posterior over structures says is missing from one of them.
 
-    Args:
-        library, at: the candidates, and which of their structures.
-        shut: candidates that these readings cannot test.
-        stopped: why the walk ended early: nothing further is evaluated then, and P(complete) is not stated.
-        scored: whether candidates are scored beside that structure, which takes time with many readings.
+    Of a walk that `stopped` early nothing further is evaluated, and P(complete) is not stated. Candidates are `scored`
+    beside that structure, which takes time with many readings.
     """
     structures = library.structures
     posterior = Posterior.of(structures, at.effects)

@@ -52,27 +52,19 @@ def draft_effect(calibration: Calibration, name: str) -> str:
     value = f"r[{column}]" if measured == covariate else f"r.rate({column})"
     if covariate == "elapsed":
         value, column = "r.elapsed", '"time"'
-    return DRAFT.format(
-        **{"looks": f"{python_words(name)}: {words}", "word": word, "value": value},
-        **{"basis": basis, "columns": f"({column},)", "unit": python_string(calibration.unit)},
-        **{"name": python_string(f"{slot}.{word}"), "slot": python_string(slot)},
-        middle=float(0.5 * (low + high)),
-        span=float(high - low),
-        size=float(f"{2 * max(curve.std(), 1e-300):.2g}"),
-    )
-
-
-DRAFT = """\
-# {looks}
+    own, slot, unit = map(python_string, (f"{slot}.{word}", slot, calibration.unit))
+    size = float(f"{2 * max(curve.std(), 1e-300):.2g}")
+    return f"""\
+# {python_words(name)}: {words}
 import bayescal as bc
 
 
 def {word}(r):  # columns in the units of the instrument, others in base units, ratios as plain numbers
-    x = ({value} - {middle:.6g}) / {span:.6g}  # −½ … ½ over the range seen
+    x = ({value} - {0.5 * (low + high):.6g}) / {high - low:.6g}  # −½ … ½ over the range seen
     return {basis}
 
 
-effect = bc.Effect({name}, {slot}, {word}, (bc.Coefficient({unit}, bc.Normal(0.0, {size:g})),), columns={columns})"""
+effect = bc.Effect({own}, {slot}, {word}, (bc.Coefficient({unit}, bc.Normal(0.0, {size:g})),), columns=({column},))"""
 
 
 def _closest(x: np.ndarray, curve: np.ndarray) -> tuple[str, str]:

@@ -38,11 +38,9 @@ MAX_EXPERIMENT_READINGS = 1500  # the same of an experiment
 
 
 class Equivalent(NamedTuple):
-    """Effects of which readings tell only what they come to together.
+    """Effects of which readings tell only what they come to together, the first in the span of others and the model.
 
-    Attributes:
-        effects: candidates, of which the first is in the span of the others and the model.
-        coefficients: of the model, that it stands for where there are no others.
+    Where there are no others, it stands for these coefficients of the model.
     """
 
     effects: tuple[str, ...]

@@ -101,20 +101,20 @@ def _followed(steps: Sequence[Step]) -> list[TakenOver]:
 
 
 def sensor_or_thermometer(steps: Sequence[Step]) -> Iterator[Claim]:
-    """What the last model holds that a thermometer or a logger would make as well.
+    """What the last model holds that a thermometer or a logger would make as well; no reading of the file tells.
 
     A thermometer that is late by τ, alike in every run, turns c·T into c·T − c·τ·dT/dt, and so does an output that is
     early; one that drifts in every run makes a warm-up, and one that drifts over the record, or is slow in one run, an
-    effect in time that was not expected. Which of them it is no reading of the file tells.
+    effect in time that was not expected.
     """
     readings, model = steps[-1].calibration.readings, steps[-1].calibration.model
     warm = sorted(n for n in model.columns if readings.has(n) and readings.unit(n) == "degC")
-    had = {e.name for e in steps[0].calibration.model.effects}
+    added = {*model.names} - {*steps[0].calibration.model.names}
+    timed = [e for e in model.effects if "time" in e.columns or e.along == "elapsed"]
     in_time = [
         e.name
-        for e in model.effects
-        if e.along == "elapsed"
-        or ("time" in e.columns and (e.name not in had or not set(warm).isdisjoint(e.columns)))
+        for e in timed
+        if e.along == "elapsed" or e.name in added or not set(warm).isdisjoint(e.columns)
     ]
     if warm and in_time:
         yield Claim("thermometer.or_sensor", *in_time, columns=tuple(warm))

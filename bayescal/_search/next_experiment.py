@@ -34,22 +34,16 @@ VERY_STRONG_NATS = 5.0
 DRAWS = 300  # of each possibility: noise is in closed form, and they only have to rank campaigns
 # Readings of a campaign that are looked at, evenly spread: their covariances are n × n.
 MOST_READINGS = 1500
-DRAWS_TOGETHER = 256  # draws that are worked out together
 
 
 @dataclass(frozen=True)
 class Experiment:
-    """One feasible campaign.
+    """One feasible campaign."""
 
-    Attributes:
-        name: what is done, in words.
-        expected: (truth, rival) → expected log Bayes factor for the truth.
-        readings: the campaign's plan; its outputs count for nothing.
-    """
-
-    name: str
+    name: str  # what is done, in words
+    # (truth, rival) → expected log Bayes factor for the truth
     expected: dict[tuple[str, str], float]
-    readings: Measurements = field(repr=False)
+    readings: Measurements = field(repr=False)  # the campaign's plan; its outputs count for nothing
 
     @property
     def worst(self) -> float:
@@ -64,12 +58,7 @@ class Experiment:
 
 @dataclass(frozen=True, repr=False)
 class NextExperiment(Printed):
-    """Feasible campaigns, the most telling first.
-
-    Attributes:
-        members: the effects to tell apart.
-        experiments: ranked by the least expected log Bayes factor.
-    """
+    """Feasible campaigns to tell effects apart, ranked by the least expected log Bayes factor."""
 
     members: tuple[str, ...]
     experiments: tuple[Experiment, ...]
@@ -115,9 +104,7 @@ def next_experiment(
     instrument = calibration.model.instrument
     chosen = [instrument.effect(e) if isinstance(e, str) else e for e in effects]
     if len(chosen) < 2:
-        raise ModelError(
-            f"next_experiment needs two effects or more to tell apart, not {len(chosen)}"
-        )
+        raise ModelError(f"next_experiment tells two effects or more apart, not {len(chosen)}")
     plans = experiments
     if plans is None:
         listed = instrument.experiments
@@ -177,8 +164,7 @@ def outlook(calibration: Calibration, readings: Measurements) -> Outlook:
     unseen = replace(frame, codes={group: np.full_like(own, -1) for group, own in codes.items()})
     problem = calibration.problem_on(unseen)
     record, (x, v) = problem.record, calibration.draws(DRAWS)
-    parts = np.array_split(np.arange(len(x)), -(-len(x) // DRAWS_TOGETHER))
-    means = np.concatenate([problem.expected(x[p], problem.hyper(v[p].T)) for p in parts])
+    means = problem.expected(x, problem.hyper(v.T))
     centred = means - means.mean(axis=0)
     # The rest at the middle of the draws. Whitening the unit matrix gives L⁻¹; Σ = (L⁻ᵀL⁻¹)⁻¹, whatever the law.
     hyper = problem.hyper(np.median(v, axis=0))

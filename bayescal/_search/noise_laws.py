@@ -74,19 +74,10 @@ NO_FIT = OnResiduals(-math.inf, {})
 
 
 @on_one_thread
-def on_residuals(
-    law: Noise,
-    record: Record,
-    near: OnResiduals = NO_FIT,
-) -> OnResiduals:
-    """A law of known expected output, by Laplace: the fit of a model without effects.
+def on_residuals(law: Noise, record: Record, near: OnResiduals = NO_FIT) -> OnResiduals:
+    """A law on what an expected output leaves of the readings (`Record.of_noise`), by Laplace: a fit without effects.
 
-    There is no evidence where nothing is left of the readings.
-
-    Args:
-        law: which.
-        record: what the expected output leaves of the readings, as `Record.of_noise` has it.
-        near: the law on other residuals, whose maximum may be near.
+    There is no evidence where nothing is left. Its maximum on other residuals may be `near`.
     """
     starts = _starts(law, record, near.hint)
     if not starts:

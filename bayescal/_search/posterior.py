@@ -27,17 +27,9 @@ class Found:
 
 @dataclass(frozen=True, eq=False)
 class Posterior:
-    """Structures that hold some effects, with their probabilities: refitted ones, and others by what was expected.
+    """Structures that hold the effects given, the most probable first: refitted ones, and others by what was expected.
 
-    An effect that is asked for is asked for in all forms of its family.
-
-    Attributes:
-        space: all structures.
-        given: effects that those here hold.
-        structures: the most probable first.
-        total: log evidence and log prior of each.
-        probability: of each.
-        refitted: those of them that were refitted.
+    An effect that is asked for is asked for in all forms of its family. `total` is log evidence and log prior.
     """
 
     space: Structures
@@ -204,21 +196,13 @@ def _mass(sets: Iterable[frozenset[str]], probability: Iterable[float]) -> dict[
 
 @dataclass(frozen=True)
 class OtherPath:
-    """The runner-up model: where the search ends under another noise law, if these readings do not decide.
+    """The runner-up model: where the search ends under another noise law, if these readings do not decide."""
 
-    Attributes:
-        noise: that law.
-        in_words: the same.
-        added: what was added under it.
-        log_bayes_factor: of that end against the trail's own, natural logarithm; negative.
-        correlated: whether one of the two laws alone is correlated in time.
-    """
-
-    noise: str
-    added: tuple[str, ...]
-    log_bayes_factor: float
-    in_words: str
-    correlated: bool = False
+    noise: str  # that law
+    added: tuple[str, ...]  # what was added under it
+    log_bayes_factor: float  # of that end against the trail's own, natural logarithm; negative
+    in_words: str  # that law, in words
+    correlated: bool = False  # whether one of the two laws alone is correlated in time
 
     def __str__(self) -> str:
         what = " and ".join(self.added) if self.added else "nothing"
@@ -236,11 +220,9 @@ class OtherPath:
 
 @dataclass(frozen=True)
 class ShownStructure:
-    """A structure as a search leaves it: what it adds, its noise law, how probable it is.
+    """A structure as a search leaves it: what it adds, its noise law ("" for the one given), how probable it is.
 
-    Attributes:
-        noise: name of the law; "" for that of the model given.
-        rms: error as fitted, output unit; of the most probable structure alone.
+    The error as fitted, output unit, is said of the most probable one alone.
     """
 
     effects: tuple[str, ...]
@@ -256,23 +238,14 @@ class ShownStructure:
 
 @dataclass(frozen=True)
 class Search:
-    """How a search stands, or how it ended.
+    """How a search stands, or how it ended."""
 
-    Attributes:
-        structures: the most probable ones.
-        weighed: how many were.
-        complete: whether it came to its end.
-        stopped: why it did not, in words; empty where it did, or goes on.
-        seconds: since it began.
-        max_effects: most effects that it may add.
-    """
-
-    structures: tuple[ShownStructure, ...]
-    weighed: int
-    complete: bool
-    stopped: str = ""
-    seconds: float = 0.0
-    max_effects: int | None = None
+    structures: tuple[ShownStructure, ...]  # the most probable ones
+    weighed: int  # how many were
+    complete: bool  # whether it came to its end
+    stopped: str = ""  # why it did not, in words; empty where it did, or goes on
+    seconds: float = 0.0  # since it began
+    max_effects: int | None = None  # most effects that it may add
 
     @classmethod
     def of(cls, structures: Structures, *, complete: bool, **counts: Any) -> Search:

@@ -33,37 +33,25 @@ RISES = " ↑"  # beside a hold-out error that is so
 
 @dataclass(frozen=True)
 class Step:
-    """One model of the sequence, with its errors in the output unit.
+    """One model of the sequence, with its errors in the output unit."""
 
-    Attributes:
-        calibration: the fit.
-        added: effect that this step added, or several where there was no time for each; None for the first and where
-            something else was changed.
-        changed: what was done to the model beside or in place of that, in words; empty if nothing.
-        rmse: of the fitted readings, group deviations at zero (what an unseen group would see).
-        rmse_fitted: the same with group deviations as fitted.
-        holdout_rmse: of the hold-out data; None without them.
-        holdout_test: what they say against this model.
-        against: why nothing can be learnt from this model; empty for most.
-        different: members of groups that differ far more than is plausible, or along a column.
-        left_out: each group predicted from the others.
-        noise_floor: from neighbouring readings alone, whatever the model.
-        check: where this model fails.
-        discovery: what is missing from it; None where probabilities would not be honest.
-    """
-
-    calibration: Calibration
+    calibration: Calibration  # the fit
+    # effect that this step added, or several where there was no time for each; None for the first and where something
+    # else was changed
     added: str | None
-    rmse: float
-    rmse_fitted: float
-    holdout_rmse: float | None
-    left_out: LeaveOneGroupOut | None
-    noise_floor: float
-    check: Check
+    rmse: float  # of the fitted readings, group deviations at zero (what an unseen group would see)
+    rmse_fitted: float  # the same with group deviations as fitted
+    holdout_rmse: float | None  # of the hold-out data; None without them
+    left_out: LeaveOneGroupOut | None  # each group predicted from the others
+    noise_floor: float  # from neighbouring readings alone, whatever the model
+    check: Check  # where this model fails
+    # what is missing from it; None where probabilities would not be honest
     discovery: Discovery | None
+    # what was done to the model beside or in place of that, in words; empty if nothing
     changed: str = ""
-    holdout_test: HoldoutTest | None = None
-    against: tuple[Claim, ...] = ()
+    holdout_test: HoldoutTest | None = None  # what they say against this model
+    against: tuple[Claim, ...] = ()  # why nothing can be learnt from this model; empty for most
+    # members of groups that differ far more than is plausible, or along a column
     different: tuple[Claim, ...] = ()
 
     def judged(self, against: Sequence[str]) -> Step:
@@ -112,13 +100,7 @@ class Step:
 
 @dataclass(frozen=True)
 class Gate:
-    """Whether probabilities of missing effects may be given at all.
-
-    Attributes:
-        ok: whether.
-        reason: in words.
-        claims: what stands against it.
-    """
+    """Whether probabilities of missing effects may be given at all, and what stands against it."""
 
     ok: bool
     reason: str
@@ -127,25 +109,17 @@ class Gate:
 
 @dataclass(frozen=True, repr=False)
 class SearchPath(Printed):
-    """The sequence of models from the first to the chosen one, and whether to trust the last.
+    """The sequence of models from the first to the chosen one, and whether to trust the last."""
 
-    Attributes:
-        steps: in order.
-        gate: of the last model.
-        holdout: the hold-out data.
-        other_path: an end under another noise law that is nearly as probable; None where there is none.
-        search: the structures weighed; None where none was asked for.
-        average: the last model's calibration averaged over the structures; None where one has nearly all probability.
-        shares: of the structures in it.
-    """
-
-    steps: tuple[Step, ...]
-    gate: Gate
-    holdout: Measurements | None
+    steps: tuple[Step, ...]  # in order
+    gate: Gate  # of the last model
+    holdout: Measurements | None  # the hold-out data
+    # an end under another noise law that is nearly as probable; None where there is none
     other_path: OtherPath | None = None
-    search: Search | None = None
+    search: Search | None = None  # the structures weighed; None where none was asked for
+    # the last model's calibration averaged over the structures; None where one has nearly all probability
     average: Calibration | None = None
-    shares: tuple[StructureShare, ...] = ()
+    shares: tuple[StructureShare, ...] = ()  # of the structures in it
 
     @property
     def final(self) -> Step:
@@ -219,7 +193,9 @@ class SearchPath(Printed):
 
     def _parts(self) -> list[str | ResultTable]:
         """The error, step by step: as fitted, of a new run, held out, and the floor."""
-        lines = steps_parts(self.rows)
+        rows = self.rows
+        note = f"{RISES.strip()} held-out error more than a twentieth above that of the step before"
+        lines = [steps_table(rows), *[note] * any(r["rises"] for r in rows)]
         found = {n: p for n, p in self.added.items() if p is not None}
         sure = [n for n, p in found.items() if p >= settings().found_probability]
         rest = {n: p for n, p in found.items() if n not in sure}
@@ -259,14 +235,8 @@ def rises(now: float | None, then: float | None) -> bool:
     return now is not None and then is not None and now > WORSE_RATIO * then
 
 
-def steps_parts(rows: Sequence[Mapping[str, Any]]) -> list[str | ResultTable]:
-    """Errors of steps, and what a mark beside one means; of `Step.row` or the steps of a result.json."""
-    note = f"{RISES.strip()} held-out error more than a twentieth above that of the step before"
-    return [steps_table(rows), *[note] * any(r["rises"] for r in rows)]
-
-
 def steps_table(rows: Sequence[Mapping[str, Any]]) -> ResultTable:
-    """The errors of steps, one below the other."""
+    """The errors of steps, one below the other, by `Step.row` or the steps of a result.json."""
     unit = unit_label(rows[-1]["unit"])
     group = next((r["leave_one_group_out"]["group"] for r in rows if r["leave_one_group_out"]), "")
 

@@ -84,14 +84,9 @@ class Conclusion(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class SharedShape:
-    """What the channels say of an effect whose shape they share.
+    """What the channels say of an effect whose shape they share, and how probable it is a priori that the unit has it.
 
-    Attributes:
-        effect: its name.
-        shape: as the instrument states it.
-        v: grid of the shape's coordinate, standard normal a priori (k,).
-        prior: probability that the unit has the effect.
-        says: of each channel, log ratio of its evidence with the effect, at each v, to that without it (k,).
+    Each says the log ratio of its evidence with the effect, at each v of the shape's coordinate, to that without (k,).
     """
 
     effect: str
@@ -166,7 +161,7 @@ def log_mass(v: Float[np.ndarray, "k"], mean: float = 0.0, sd: float = 1.0) -> n
     return log_density - np.logaddexp.reduce(log_density)
 
 
-def said(structures: Structures, name: str, shape: Shape) -> ShapeEvidence:
+def evidence_of(structures: Structures, name: str, shape: Shape) -> ShapeEvidence:
     """What a channel says of a shape by the structures weighed of it."""
     own = structures.candidates[name].shared_shape
     assert own is not None

@@ -47,13 +47,7 @@ WARMER = 30.0  # °C, where all readings are at one temperature
 
 @dataclass(frozen=True)
 class AddedPose:
-    """A reading to add.
-
-    Attributes:
-        direction: of what acts, unit vector (3,).
-        temperature: °C; None where none is recorded.
-        rate: output unit, where what acts is a known rate.
-    """
+    """A reading to add: direction of what acts, temperature, °C, if one is recorded, and a known rate, output unit."""
 
     direction: tuple[float, float, float]
     temperature: float | None = None
@@ -70,19 +64,12 @@ class AddedPose:
 
 @dataclass(frozen=True, repr=False)
 class Undetermined(Printed):
-    """What planned readings do not tell.
+    """What planned readings do not tell."""
 
-    Attributes:
-        readings: how many there are; poses, of an instrument of three axes.
-        combinations: of coefficients, each a sentence.
-        add: poses that would determine them, the most telling first.
-        left: combinations that none of these poses determines; zero where no pose was sought.
-    """
-
-    readings: int
-    combinations: tuple[str, ...]
-    add: tuple[AddedPose, ...] = ()
-    left: int = 0
+    readings: int  # how many there are; poses, of an instrument of three axes
+    combinations: tuple[str, ...]  # of coefficients, each a sentence
+    add: tuple[AddedPose, ...] = ()  # poses that would determine them, the most telling first
+    left: int = 0  # combinations that none of these poses determines; zero where no pose was sought
 
     def _parts(self) -> list[str]:
         if not self.combinations:
@@ -173,9 +160,7 @@ def _candidates(
 def _greedy(columns: Float[np.ndarray, "c r k"], effort: list[int]) -> tuple[list[int], int]:
     """Candidates that determine k directions, one after the other, and how many directions none determines.
 
-    Args:
-        columns: whitened, of each candidate's readings by each direction.
-        effort: of setting each: those of less are taken where they add nearly as much.
+    Of whitened columns, one set a candidate; those of less effort are taken where they add nearly as much.
     """
     k = columns.shape[2]
     information, chosen = np.zeros((k, k)), list[int]()

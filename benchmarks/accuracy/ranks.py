@@ -20,9 +20,11 @@ from jaxtyping import Array
 from scipy import stats
 
 import bayescal as bc
+from bayescal._inference.nuts import law_of
 from bayescal._model import forward
 from bayescal._model.frame import build_frame, reference_of
 from bayescal._model.parameters import Layout, bind
+from bayescal._model.unknowns import Unknowns
 
 MEMBERS = 4  # of each group: the others are exchangeable with them
 POINTS = 50  # at which an ECDF is compared with its band
@@ -35,17 +37,14 @@ def draw_prior(layout: Layout, key: Array) -> tuple[Array, Array]:
     Raises:
         ValueError: a prior is flat.
     """
+    if layout.improper:
+        raise ValueError("a flat prior cannot be sampled: give a proper prior to simulate from it")
     # One more than is needed: a seed stands for the data set that it always gave.
     keys = jax.random.split(key, len(layout.hypers) + 2)
-    v = jnp.stack([h.prior.sample(keys[i]) for i, h in enumerate(layout.hypers)] or [jnp.zeros(())])
-    v = v[: len(layout.hypers)]
-    if any(b.coefficient.flat for b in layout.x_blocks):
-        raise ValueError("a flat prior cannot be sampled: give a proper prior to simulate from it")
-    hyper = forward.hyper_values(layout, v)
-    x = forward.prior_mean(layout) + forward.prior_sd(layout, hyper) * jax.random.normal(
-        keys[-1], (layout.size,)
-    )
-    return x, v
+    each = enumerate(h.prior for h in layout.hypers)
+    v = jnp.array([p.coordinate(law_of(p).sample(keys[i])) for i, p in each], dtype=float)
+    sd = forward.prior_sd(layout, forward.hyper_values(layout, v))
+    return forward.prior_mean(layout) + sd * jax.random.normal(keys[-1], (layout.size,)), v
 
 
 def drawn(
@@ -65,13 +64,13 @@ def drawn(
     def one(key):
         k1, k2 = jax.random.split(key)
         x, v = draw_prior(layout, k1)
-        hyper = forward.hyper_values(layout, v)
-        values = forward.coefficients(layout, x, hyper)
-        return forward.draw_readings(layout, frame, x, v, k2), {**hyper, **values}
+        return forward.draw_readings(layout, frame, x, v, k2), x, v
 
-    outputs, truth = jax.jit(jax.vmap(one))(jax.random.split(jax.random.key(seed), count))
+    outputs, x, v = jax.jit(jax.vmap(one))(jax.random.split(jax.random.key(seed), count))
+    unknowns = Unknowns.of(layout)
+    values = unknowns.values(np.asarray(x), np.asarray(v))
     data = [plan.with_column("output", np.asarray(y)) for y in outputs]
-    return data, {name: np.asarray(value) for name, value in truth.items()}
+    return data, {name: unknowns.select(values, name) for name in unknowns.by_key}
 
 
 class Posterior(NamedTuple):

@@ -15,8 +15,8 @@ from bayescal._search.shared_shape import (
     FromOthers,
     ShapeEvidence,
     SharedShape,
+    evidence_of,
     log_mass,
-    said,
 )
 from bayescal._search.structures import Structures
 from bayescal._search.walk import explore
@@ -105,7 +105,7 @@ def test_a_channel_says_what_refits_with_the_shape_held_say() -> None:
     made = weighed(readings)
     effect = made.candidates[LAG]
     assert effect.shared_shape is not None
-    v, log_ratio = said(made, LAG, effect.shared_shape)
+    v, log_ratio = evidence_of(made, LAG, effect.shared_shape)
     assert LAG in made.best.structure.effects
     prior = effect.shared_shape.prior
     peak = v[int(np.argmax(log_ratio))]

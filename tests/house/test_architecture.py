@@ -255,23 +255,23 @@ CEILINGS = {
     "bayescal/_core": 2_115,
     "bayescal/_tables": 1_964,
     "bayescal/_data": 4_726,
-    "bayescal/_model": 5_936,
-    "bayescal/effects": 715,
-    "bayescal/_inference": 6_304,
-    "bayescal/_calibration": 4_910,
-    "bayescal/_use": 3_080,
+    "bayescal/_model": 5_691,
+    "bayescal/effects": 721,
+    "bayescal/_inference": 6_041,
+    "bayescal/_calibration": 4_915,
+    "bayescal/_use": 3_083,
     "bayescal/_search": 5_794,
-    "bayescal/_report": 1_827,
+    "bayescal/_report": 1_854,
     "bayescal/_cli": 1_818,
     "bayescal/_annexes/fleet": 2_530,
     "bayescal/_annexes/imu": 3_125,
-    "bayescal/_annexes/metrology": 1_721,
+    "bayescal/_annexes/metrology": 1_720,
     "bayescal/_annexes/workbench": 3_596,
-    "models": 8_976,
-    "tests": 25_210,
-    "benchmarks": 10_893,
+    "models": 8_982,
+    "tests": 25_265,
+    "benchmarks": 10_962,
 }
-WORDS = 53_150  # of docs/, README.md and CHANGELOG.md together
+WORDS = 53_433  # of docs/, README.md and CHANGELOG.md together
 
 
 @pytest.mark.parametrize("part", CEILINGS)
