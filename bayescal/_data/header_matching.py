@@ -60,7 +60,8 @@ NAMES = {
     "time": "t timestamp time_stamp date_time datetime epoch unix_time utc time_utc utc_time | date_and_time "
     "time_and_date zeitstempel datum_uhrzeit datum_zeit scan_time | sample_time start_time local_time | elapsed "
     "elapsed_time relative_time messzeit laufzeit sekunden seconds temps x_value millis zeit uhrzeit time_of_day heure "
-    "aika | date datum | horodatage fecha_hora fecha_y_hora data_ora data_e_ora data_hora tidsstempel tijdstip aikaleima",
+    "aika | date datum | horodatage fecha_hora fecha_y_hora data_ora data_e_ora data_hora tidsstempel tijdstip "
+    "aikaleima",
     "temperature": "T temperatur thermometer",
     "supply_voltage": "supply supply_v v_supply vsupply vcc vdd power_supply | battery battery_voltage v_bat vbat ubat "
     "u_bat versorgung versorgungsspannung betriebsspannung alimentation tension_d_alimentation",

@@ -316,10 +316,9 @@ def _by_source(
             if u.kind == "coefficient" and (own := one.shares.get(u.key)):
                 moved += float(slope) * own[known.index[u.name] - known.by_key[u.key].start]
         parts[f"{one.of_column}, not told from the model's own", "B"] = moved**2
-    if (factor := calibration.form_factor) != 1.0:
-        own = np.where([u.kind != "new" for u in chosen._equation.unknowns], gradient, 0.0)
-        whole = float(own @ chosen._moments.covariance @ own)
-        parts[FORM, "B"] = (1 - factor**-2) * whole
+    if (lost := 1 - calibration.form_factor**-2) > 0:
+        own = gradient * [u.kind != "new" for u in unknowns]
+        parts[FORM, "B"] = lost * float(own @ chosen._moments.covariance @ own)
     rows = sorted(parts.items(), key=lambda p: -p[1])
     rows += [((REST, ""), total - sum(parts.values()))]
     rows += [((STRUCTURES, ""), variance - total)] * bool(unlikely)

@@ -364,8 +364,8 @@ def posterior_moments(
 ) -> PosteriorMoments:
     """Draws of θ, at most `draws` of them evenly thinned; mean and covariance from all, which coefficients' draws have.
 
-    A deviation that is new in use is independent of everything measured, and so are its draws: what is computed from
-    draws and from moments agrees. All that was measured is as uncertain as the form of the model makes what it expects.
+    What was measured is as uncertain as the model's form makes what it expects; a deviation that is new in use is
+    independent of it, and so are its draws: what is computed from draws and from moments agrees.
     """
     unknowns, (_, v), problem = equation.unknowns, calibration.draws(), calibration.problem
     total, random = len(v), np.random.default_rng(calibration.seed)
@@ -376,8 +376,8 @@ def posterior_moments(
         values[:, i] = calibration.samples(u.name)
         mean[i] = values[:, i].mean()
     thin = values[::step].copy()
-    covariance = np.atleast_2d(np.cov(values.T)) if len(unknowns) else np.zeros((0, 0))
-    covariance *= calibration.form_factor**2
+    moved = calibration.form_factor * (values - mean)
+    covariance = np.atleast_2d(np.cov(moved.T)) if len(unknowns) else np.zeros((0, 0))
     for i in new:
         term = next(t for t in problem.terms if t.name == unknowns[i].key)
         spread = problem.member_sd(term, problem.hyper(v.T), total)
