@@ -126,11 +126,6 @@ class LinearModel:
         """
         return self._eigen[1]
 
-    @property
-    def taken(self) -> Float[np.ndarray, "n q"]:
-        """F, output unit: residuals have the covariance Σ − F·Fᵀ if the model is right; L·G for Σ = L·Lᵀ."""
-        return self.nuisance @ self.root
-
     @cached_property
     def settled(self) -> Float[np.ndarray, "n"]:
         """Residual once all of θ is fitted together, shapes too, output unit."""

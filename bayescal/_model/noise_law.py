@@ -237,11 +237,6 @@ class Noise(abc.ABC):
         """
         return np.asarray(variance)[..., None] / factors
 
-    @property
-    def coefficients_in_time(self) -> dict[str, str]:
-        """Parameters that are coefficients of IEEE 952, such as K of a random walk, by name."""
-        return {}
-
     def slow_variance(self, values: Parameters) -> Any:
         """Part of a reading's variance that it shares with its neighbours, output unit squared."""
         return 0.0

@@ -68,7 +68,6 @@ class NoiseTerm(abc.ABC):
     """One term of a sum. Its unknowns have names of their own, in the output unit or as `unit` says."""
 
     words: ClassVar[str]  # as a person reads it
-    symbol: ClassVar[str] = ""  # of IEEE 952, where its first unknown is that coefficient
     bounded: ClassVar[bool] = False  # whether its states hang on the bounds of the record
 
     @abc.abstractmethod
@@ -154,10 +153,6 @@ class CorrelatedTerm(ExponentialTerm):
             return {**found, self._name("time"): LogUniform(bounds.shortest, bounds.longest)}
         return {**found, self._name("place"): Normal(0.0, 1.0)}
 
-    @property
-    def symbol(self) -> str:  # pyright: ignore[reportIncompatibleVariableOverride]
-        return "" if self.place else "K"
-
     def unit(self, name: str, output: str) -> str:
         units = {self._name("diffusion"): f"{output}/s^0.5", self._name("time", 1): "s"}
         return units.get(name, "1")
@@ -189,7 +184,6 @@ class WalkTerm(ExponentialTerm):
     """A random walk (IEEE 952: rate random walk, K) that has gone on for long before the record."""
 
     words: ClassVar[str] = "random walk"
-    symbol: ClassVar[str] = "K"
     bounded: ClassVar[bool] = True
 
     def parameters(self, bounds: Bounds) -> dict[str, Any]:
@@ -214,7 +208,6 @@ class FlickerTerm(ExponentialTerm):
     """
 
     words: ClassVar[str] = "flicker"
-    symbol: ClassVar[str] = "B"
     bounded: ClassVar[bool] = True
 
     def parameters(self, bounds: Bounds) -> dict[str, Any]:
@@ -429,7 +422,6 @@ class RoundedAngleTerm(ErrorsTerm):
     """Quantisation noise of IEEE 952, Q: readings are differences of an angle that each has an error of its own."""
 
     words: ClassVar[str] = "quantisation"
-    symbol: ClassVar[str] = "Q"
     bounded: ClassVar[bool] = True
     passed: ClassVar[float] = -1.0
 

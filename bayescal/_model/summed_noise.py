@@ -138,10 +138,6 @@ class SumOfTerms(Noise, interface=True):
             return output
         return part.unit(name, output)
 
-    @property
-    def coefficients_in_time(self) -> dict[str, str]:
-        return {next(iter(p.parameters(self.bounds))): p.symbol for p in self.parts if p.symbol}
-
     def derived(self, values):
         host = {n: np.asarray(v, float) for n, v in values.items() if n in self.parameters()}
         found: dict[str, Any] = {}

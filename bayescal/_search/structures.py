@@ -195,6 +195,10 @@ class Structures:
         """The names under which the effects of a structure are reported."""
         return frozenset(map(self.family, structure.effects))
 
+    def alike(self, one: Structure, other: Structure) -> bool:
+        """Whether two structures have the same effects, in whatever form, and the same noise law."""
+        return one.noise == other.noise and self.families(one) == self.families(other)
+
     def moves_a_column(self, name: str) -> bool:
         """Whether a candidate corrects a column of the readings, as the temperature of a body does: all that depends on
         the column changes with it, so that no score beside the others says what it is worth."""

@@ -101,10 +101,10 @@ def walk(library: Library, max_effects: int, given: Structure | None = None) -> 
         # forms and laws come last: on what a missing effect leaves, each would be fitted for nothing.
         while True:
             if fresh := _next(structures, looked[among], among):
-                alike = _in_other_forms(structures, fresh, looked[among])
-                looked[among].add(fresh.structure)
-                if structures.thrifty and alike:
-                    yield from _follow(structures, fresh, alike)
+                here, known = fresh.structure, [*looked[among]] if structures.thrifty else []
+                looked[among].add(here)
+                if alike := [s for s in known if structures.alike(s, here)]:
+                    yield from _follow(structures, fresh, alike[0])
                 else:
                     yield from _look_around(library, fresh, max_effects, among, view)
             elif among is physics:
@@ -287,15 +287,6 @@ def _beside_another(structures: Structures, to: Structure, here: Structure) -> f
             if found is not None and math.isfinite(found.total):
                 return found.total - other.total
     return None
-
-
-def _in_other_forms(
-    structures: Structures, at: Weighed, looked: Collection[Structure]
-) -> Structure | None:
-    """Return a structure of the same effects in other forms that was looked around."""
-    families, noise = structures.families(at.structure), at.structure.noise
-    alike = (s for s in looked if s.noise == noise and structures.families(s) == families)
-    return next(alike, None)
 
 
 def _follow(structures: Structures, at: Weighed, one: Structure) -> Evaluated:

@@ -342,7 +342,6 @@ def test_ornstein_uhlenbeck_noise_is_the_sum_of_one_term(rng) -> None:
     assert list(alone.parameters()) == ["noise.white", "noise.diffusion", "noise.correlated.time"]
     assert [*alone.parameters().values()] == [*one.parameters().values()]
     assert set(alone.derived(VALUES)) == {"noise.correlated"}
-    assert alone.coefficients_in_time == {"noise.diffusion": "K"}
 
 
 @pytest.mark.parametrize(
