@@ -18,6 +18,7 @@ from bayescal._inference.newton import NOWHERE, ByValues
 from bayescal._inference.noise_on_record import (
     Independent,
     Whitening,
+    both_of_several,
     density_terms,
     total_log_density,
     whitening,
@@ -106,10 +107,14 @@ class Density(ByValues):
         """Weighted products of the readings at φ."""
         if not self.problem.noise.gaussian:
             return Gram(*(one[0] for one in self._about_modes(v[None])))
+        white, table = self._table(v, hyper)
+        white, logdet = white.both(table)
+        return Gram.of(white.T @ white, logdet)
+
+    def _table(self, v: np.ndarray, hyper: Values) -> tuple[Whitening | Independent, np.ndarray]:
         line = self._line(v, hyper)
         table = np.column_stack([line.jacobian, self.problem.record.y - line.mean])
-        white, logdet = self._white(line, hyper).both(table)
-        return Gram.of(white.T @ white, logdet)
+        return self._white(line, hyper), table
 
     def grams(self, vs: Float[np.ndarray, "b d"]) -> Gram:
         """Weighted products at several φ, x counted from `origin`."""
@@ -120,7 +125,8 @@ class Density(ByValues):
             parts = range(0, len(vs), self._together)
             made = [self._about_modes(vs[i : i + self._together]) for i in parts]
             return Gram(*map(np.concatenate, zip(*made, strict=True)))
-        made = [self.gram(v, problem.hyper(v)) for v in vs]
+        pairs = [self._table(v, problem.hyper(v)) for v in vs]
+        made = [Gram.of(white.T @ white, logdet) for white, logdet in both_of_several(pairs)]
         return Gram(*(np.stack([np.asarray(g[i]) for g in made]) for i in range(4)))
 
     def _about_modes(self, vs: Float[np.ndarray, "b d"]) -> Gram:

@@ -7,7 +7,7 @@ and their share of a log determinant or density is left out.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from functools import partial
 from typing import Any, NamedTuple
 
@@ -140,6 +140,32 @@ def _padded(law: Noise, record: Record, table: np.ndarray) -> np.ndarray:
 @program
 def _whitened(law: Noise, frame: Frame, table, extra, values):
     return law.whiten(table, extra, values, frame)
+
+
+@program
+def _several_whitened(law: Noise, frame: Frame, tables, extras, values):
+    return jax.vmap(lambda *one: law.whiten(*one, frame))(tables, extras, values)
+
+
+def both_of_several(
+    pairs: Sequence[tuple[Whitening | Independent, Float[np.ndarray, "n m"]]],
+) -> list[tuple[Float[np.ndarray, "n m"], float]]:
+    """Return `both` of tables; by a filter of several states for some settings at once (`_densities`)."""
+    (first, table), at_once = pairs[0], FEWEST_DRAWS_TOGETHER
+    few = len(pairs) == 1 or at_once * table.size > CELLS
+    if few or isinstance(first, Independent) or not first.law.several_states:
+        return [white.both(table) for white, table in pairs]
+    found, (n, m) = [], table.shape
+    for start in range(0, len(pairs), at_once):
+        some = [white._arguments(one) for white, one in pairs[start : start + at_once]]  # type: ignore[union-attr]
+        whole = [*some, *[some[-1]] * (at_once - len(some))]  # one length to compile
+        tables, extras = (np.stack([one[k] for one in whole]) for k in (2, 3))
+        values = {name: np.stack([one[4][name] for one in whole]) for name in some[0][4]}
+        made = _several_whitened(*some[0][:2], tables, extras, values)
+        for white, log_sd in zip(*map(np.asarray, made), strict=True):
+            own = _back(first.law, first.record, white[:n, :m])
+            found.append((own, 2.0 * float(np.sum(log_sd[:n]))))
+    return found[: len(pairs)]
 
 
 class Terms(NamedTuple):

@@ -257,7 +257,7 @@ CEILINGS = {
     "bayescal/_data": 4_727,
     "bayescal/_model": 5_674,
     "bayescal/effects": 721,
-    "bayescal/_inference": 6_036,
+    "bayescal/_inference": 6_068,
     "bayescal/_calibration": 4_915,
     "bayescal/_use": 3_084,
     "bayescal/_search": 5_789,
