@@ -271,7 +271,7 @@ CEILINGS = {
     "tests": 25_264,
     "benchmarks": 10_962,
 }
-WORDS = 53_433  # of docs/, README.md and CHANGELOG.md together
+WORDS = 53_504  # of docs/, README.md and CHANGELOG.md together
 
 
 @pytest.mark.parametrize("part", CEILINGS)
