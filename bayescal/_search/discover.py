@@ -333,7 +333,7 @@ def discovery_at(
     structures = library.structures
     posterior = Posterior.of(structures, at.effects)
     here = structures.weigh(at)
-    had = posterior.families(at.effects | structures.latent(at))
+    had = posterior.space.families(at.effects | structures.latent(at))
     names = [n for n in library.points if scored and structures.family(n) not in had]
     points = View(library, here).without().scores(names) if names else {}
     # Of forms that have a score the one that has the best speaks for its family.
@@ -343,7 +343,7 @@ def discovery_at(
     in_sets = {name: set(f.effects) for f in found for name in f.effects}
     unscored = structures.unscored if scored else structures.candidates
     judged = []
-    for name in (*points, *sorted(posterior.families(unscored) - had)):
+    for name in (*points, *sorted(posterior.space.families(unscored) - had)):
         own, form = points.get(name, ()), posterior.form(name)
         if not own:
             form = form if form in structures.candidates else structures.forms[name][0]

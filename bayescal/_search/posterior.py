@@ -62,10 +62,6 @@ class Posterior:
         """Of each structure, the families of its effects and of what takes their place for all that readings tell."""
         return tuple(map(self.space.reported, self.structures))
 
-    def families(self, names: Iterable[str]) -> frozenset[str]:
-        """The names under which effects are reported."""
-        return frozenset(map(self.space.family, names))
-
     @property
     def best(self) -> Structure:
         """The most probable of those refitted."""
@@ -80,7 +76,9 @@ class Posterior:
         nothing.
         """
         structures, given = self.space, Structure(self.given)
-        rest = structures.reported(given) | self.families({*unseen, *structures.latent(given)})
+        rest = structures.reported(given) | structures.families(
+            {*unseen, *structures.latent(given)}
+        )
         found, each = [], zip(self.structures, self.reported, self.probability, strict=True)
         for s, own, probability in each:
             unnamed = {n for n in s.effects if structures.candidates[n].unnamed}
@@ -102,7 +100,7 @@ class Posterior:
     def inclusion(self, *names: str) -> float:
         """Probability that at least one of these effects is missing."""
         # At least one: probabilities of structures are added, not those of effects, which are not independent.
-        wanted = self.families(names)
+        wanted = self.space.families(names)
         return self._of_any([not wanted.isdisjoint(own) for own in self.reported])
 
     @cached_property
@@ -130,14 +128,14 @@ class Posterior:
         # far.
         for effect in self.best.effects - self.given:
             name = self.space.family(effect)
-            members = [name, *sorted(self.families(rivals[effect]) - {name})]
+            members = [name, *sorted(self.space.families(rivals[effect]) - {name})]
             while self.inclusion(*members) < settings().found_probability:
                 further = self._substitute(members)
                 if further is None:
                     break
                 members.append(further)
             if self.inclusion(*members) >= settings().found_probability:
-                own = [self.families(s.effects) for s in self.structures]
+                own = [self.space.families(s.effects) for s in self.structures]
                 share = {n: self._of_any([n in there for there in own]) for n in members}
                 order = sorted(members, key=lambda n: -share[n])
                 found.append(Found(tuple(order), self.inclusion(*members)))
@@ -146,7 +144,9 @@ class Posterior:
     def _substitute(self, members: list[str]) -> str | None:
         """The likeliest effect in the members' place: of the structures that have none of them."""
         # Effects that are in for other reasons are nobody's substitutes.
-        settled = (self.families(self.best.effects) - {members[0]}) | self.families(self.given)
+        settled = (self.space.families(self.best.effects) - {members[0]}) | self.space.families(
+            self.given
+        )
         others = [r - settled if r.isdisjoint(members) else frozenset() for r in self.reported]
         mass = _mass(others, self.probability)
         return max(mass, key=mass.__getitem__, default=None)
@@ -167,7 +167,7 @@ class Posterior:
             # them have, in any form; then which form. Without the condition two substitutes of one half each would both
             # be out.
             further, each = [s.effects - effects for s, _ in inside], [p for _, p in inside]
-            of_form, share = _mass(further, each), _mass(map(self.families, further), each)
+            of_form, share = _mass(further, each), _mass(map(self.space.families, further), each)
             likely = max(share, key=lambda n: (share[n], n), default="")
             if not likely or share[likely] <= 0.5 * sum(each):
                 break
@@ -175,7 +175,7 @@ class Posterior:
             likeliest = max(own, key=lambda n: (of_form[n], n))
             effects |= {likeliest}
             inside = [(s, p) for s, p in inside if likeliest in s.effects]
-        there = self.families(effects)
+        there = self.space.families(effects)
         effects |= {
             n
             for n in self.best.effects

@@ -171,7 +171,7 @@ def shares_of(structures: Structures, noise: str) -> tuple[StructureShare, ...]:
     found = [frozenset(f.effects) for f in posterior.findings]
     kept, total = list[tuple[frozenset[str], float]](), 0.0
     for effects in sorted(mass, key=lambda e: -mass[e]):
-        there, enough = posterior.families(effects), settings().found_probability
+        there, enough = posterior.space.families(effects), settings().found_probability
         if total < enough and not any(f.isdisjoint(there) for f in found):
             kept.append((effects, mass[effects]))
         total += mass[effects] / sum(mass.values())

@@ -191,13 +191,14 @@ class Structures:
         effect = self.candidates.get(name)
         return name if effect is None else effect.reported
 
-    def families(self, structure: Structure) -> frozenset[str]:
-        """The names under which the effects of a structure are reported."""
-        return frozenset(map(self.family, structure.effects))
+    def families(self, names: Iterable[str]) -> frozenset[str]:
+        """The names under which effects are reported."""
+        return frozenset(map(self.family, names))
 
     def alike(self, one: Structure, other: Structure) -> bool:
         """Whether two structures have the same effects, in whatever form, and the same noise law."""
-        return one.noise == other.noise and self.families(one) == self.families(other)
+        same = self.families(one.effects) == self.families(other.effects)
+        return same and one.noise == other.noise
 
     def moves_a_column(self, name: str) -> bool:
         """Whether a candidate corrects a column of the readings, as the temperature of a body does: all that depends on
@@ -251,7 +252,7 @@ class Structures:
     def reported(self, structure: Structure) -> frozenset[str]:
         """Families of the effects of a structure, and of those that take their place."""
         named = structure.effects.union(*self.rivals(structure).values())
-        return frozenset(map(self.family, named))
+        return self.families(named)
 
     def noise(self, structure: Structure) -> Noise:
         return self.laws.get(structure.noise, self.base.noise)

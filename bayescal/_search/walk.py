@@ -272,16 +272,13 @@ def _is_open(structures: Structures, to: Structure, at: Weighed) -> bool:
 def _beside_another(structures: Structures, to: Structure, here: Structure) -> float | None:
     """What a change gained elsewhere: a form in place of another, or what else beside other forms of the same effects;
     None where that was never tried."""
-    come, gone, own = (
-        to.effects - here.effects,
-        here.effects - to.effects,
-        structures.families(here),
-    )
-    of_form = come and structures.families(to) == own
+    come, gone = to.effects - here.effects, here.effects - to.effects
+    own = structures.families(here.effects)
+    of_form = come and structures.families(to.effects) == own
     for s, other in structures.visited.items():
         if s.noise != here.noise or not gone <= s.effects or come & s.effects:
             continue
-        families = structures.families(s)
+        families = structures.families(s.effects)
         if families == own or (of_form and families < own):
             found = structures.visited.get(Structure(s.effects - gone | come, to.noise))
             if found is not None and math.isfinite(found.total):

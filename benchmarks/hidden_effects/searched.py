@@ -76,7 +76,7 @@ class Searched:
 
     def reported_names(self, structure: Structure) -> list[str]:
         """Effects of a structure, each by the name of its family."""
-        return sorted(self.posterior.families(structure.effects))
+        return sorted(self.structures.families(structure.effects))
 
     def error(self, structure: Structure, later: Later) -> float:
         """Root mean square error of a structure on a second record, its runs unseen."""

@@ -111,7 +111,7 @@ def search_device(
     prior = {n: float(expit(of_family)) for n, of_family in odds.items()}
     structure = DeviceStructure(
         tuple(sorted(chosen.effects)),
-        frozenset(posterior.families(chosen.effects)),
+        frozenset(posterior.space.families(chosen.effects)),
         frozenset(name for finding in posterior.findings for name in finding.effects),
         Evidence(prior, _weighed(posterior, odds)),
     )
@@ -122,7 +122,7 @@ def _weighed(posterior: Posterior, log_odds: Mapping[str, float]) -> dict[tuple[
     """Log evidence of sets of effects, in whatever form, less that of the best."""
     total: dict[tuple[str, ...], float] = {}
     for structure, log_posterior in zip(posterior.structures, posterior.total, strict=True):
-        effects = tuple(sorted(posterior.families(structure.effects)))
+        effects = tuple(sorted(posterior.space.families(structure.effects)))
         own = log_posterior - sum(log_odds[name] for name in effects)
         total[effects] = float(np.logaddexp(total.get(effects, -np.inf), own))
     best = max(total.values())
