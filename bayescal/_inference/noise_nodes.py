@@ -33,7 +33,7 @@ from bayescal._inference.chebyshev import nodes_and_shares
 from bayescal._model.noise_law import WHITE, Noise
 from bayescal._model.noise_spectrum import eigenvalues, end_transform
 
-WRITTEN_STEPS = 0.5  # the last digit that times of an even clock may be written to
+WRITTEN_STEPS = 0.5  # of a step, by which times of an even clock may scatter where they are written to few digits
 SINGLE_FREQUENCIES = 16  # the lowest of a run, each a node of its own
 SEGMENT_RATIO = 30.0  # of λ from end to end of a segment of the others,
 FINE_RATIO = 10**0.5  # the same about all singular points, of distances from them,

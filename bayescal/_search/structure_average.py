@@ -35,10 +35,10 @@ from bayescal._search.posterior import Posterior
 from bayescal._search.structures import Structure, Structures, Weighed
 
 COUNT = 4000  # draws in all
-# How much more uncertain the expected output is where something is missing from the model that has no formula here: on
-# campaigns whose formulas are none of the catalogue's, 95 % intervals then hold 95 % (docs/how_we_know.md).
-INCOMPLETE_FACTOR = 2.5
 ROUNDS = 6  # of adaptation at most
+# How much more uncertain the expected output is where something is missing from the model that has no formula here: on
+# campaigns whose formulas are none of the catalogue's, 95 % intervals then hold about 95 % (docs/wrong_model.md).
+INCOMPLETE_FACTOR = 2.5
 
 
 @dataclass(frozen=True)
@@ -59,8 +59,8 @@ def with_form(calibration: Calibration, complete: float | None) -> Calibration:
         calibration: of one structure, or averaged over several.
         complete: that probability; None where it is not known, or something speaks against it.
     """
-    of_both = complete or 0.0
-    factor = math.sqrt(of_both + (1 - of_both) * INCOMPLETE_FACTOR**2)
+    known = complete or 0.0
+    factor = math.sqrt(known + (1 - known) * INCOMPLETE_FACTOR**2)
     why = "unknown" if complete is None else f"{complete:.2f}"
     said = (
         f"Form of the model: the probability that it is complete is {why}; the expected output's standard uncertainty "

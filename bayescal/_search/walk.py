@@ -265,8 +265,9 @@ def _is_open(structures: Structures, to: Structure, at: Weighed) -> bool:
     if structures.record.nodes(law) is not None:
         return True
     by_plainer = [structures.weigh(s.under(law.refines), at) for s in (to, at.structure)]
-    structures.expect(to, at.total + by_plainer[0].total - by_plainer[1].total)
-    return structures.total(to) > structures.best.total - NEAR_NATS
+    total = at.total + by_plainer[0].total - by_plainer[1].total
+    structures.expect(to, total)
+    return total > structures.best.total - NEAR_NATS
 
 
 def _beside_another(structures: Structures, to: Structure, here: Structure) -> float | None:
