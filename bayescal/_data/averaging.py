@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from contextlib import suppress
 
 import numpy as np
+from jaxtyping import Float, Int
 
 from bayescal._core.errors import InputError
 from bayescal._data.column import MAY_BE_EMPTY, UNCERTAINTY
@@ -65,7 +66,7 @@ def average(
     counts = np.diff(begins, append=time.size)
     _refuse_useless(time[order], same, counts, seconds, names)
     means = {
-        name: values[order][begins] if units[name] is None else _means(values[order], begins)
+        name: values[order][begins] if units[name] is None else mean_rows(values[order], begins)
         for name, values in columns.items()
     }
     noise = 0.0
@@ -125,11 +126,11 @@ def _steps(values: np.ndarray, same: np.ndarray) -> np.ndarray:
     return stepped & (np.count_nonzero(stepped) <= SET_JUMPS_SHARE * values.size)
 
 
-def _means(values: np.ndarray, begins: np.ndarray) -> np.ndarray:
-    """Of each stretch, as distances from its first value: a value that is held stays what it was."""
-    counts = np.diff(begins, append=values.size)
-    first = values[begins]
-    return first + np.add.reduceat(values - np.repeat(first, counts), begins) / counts
+def mean_rows(rows: Float[np.ndarray, "n *k"], begins: Int[np.ndarray, "m"]) -> np.ndarray:
+    """Return means of stretches, as distances from the first of each: a value that is held stays what it was."""
+    counts, first = np.diff(begins, append=len(rows)), rows[begins]
+    away = np.add.reduceat(rows - np.repeat(first, counts, axis=0), begins, axis=0)
+    return first + away / counts.reshape(-1, *(1,) * (rows.ndim - 1))
 
 
 def _noise(

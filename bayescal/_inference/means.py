@@ -7,10 +7,12 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from jaxtyping import Float, Int
 
+from bayescal._data.averaging import mean_rows
 from bayescal._inference.linear_model import LinearModel
 from bayescal._inference.noise_on_record import Independent, Whitening
 from bayescal._inference.problem import Problem
@@ -37,23 +39,28 @@ class Means:
     @classmethod
     def over(cls, record: Record, count: int) -> Means:
         """Return means of so many readings each, fewer where a run or a label ends."""
-        frame, (order, step) = record.frame, record.in_time
-        new = step < 0
+        frame = record.frame.in_time()
+        new = frame.step < 0
         for labels in (*frame.codes.values(), *frame.labels.values()):
-            new[1:] |= np.diff(np.asarray(labels)[order]) != 0
+            new[1:] |= np.diff(labels) != 0
         stretches = np.flatnonzero(new)
         place = np.arange(len(new)) - np.repeat(stretches, np.diff(stretches, append=len(new)))
         begins = np.flatnonzero(place % count == 0)
-        clock = mean_rows(np.cumsum(np.maximum(step, 0.0)), begins)
+        clock = mean_rows(np.cumsum(np.maximum(frame.step, 0.0)), begins)
+        step = np.where(frame.step[begins] < 0, -1.0, np.diff(clock, prepend=0.0))
+        short = frame.reordered(begins, np.arange(len(begins)), step)
         found = {
-            n: {k: mean_rows(np.asarray(a)[order], begins) for k, a in getattr(frame, n).items()}
+            n: {k: mean_rows(a, begins) for k, a in getattr(frame, n).items()}
             for n in BY_READING
+            if n not in ("codes", "labels")  # the same in each
         }
-        found["codes"] = {k: np.asarray(a)[order][begins] for k, a in frame.codes.items()}
-        steps = np.where(step[begins] < 0, -1.0, np.diff(clock, prepend=0.0))
-        short = replace(frame, **found, order=np.arange(len(begins)), step=steps)
-        y = mean_rows(record.y[order], begins)
-        return cls(record, Record(record.instrument, short, y), begins, count)
+        y = mean_rows(record.y[record.in_time[0]], begins)
+        return cls(record, Record(record.instrument, replace(short, **found), y), begins, count)
+
+    @cached_property
+    def counts(self) -> Int[np.ndarray, "m"]:
+        """Readings of each mean."""
+        return np.diff(self.begins, append=self.of.size)
 
     def __call__(self, rows: Float[np.ndarray, "n *k"]) -> Float[np.ndarray, "m *k"]:
         """Return means of what belongs to readings."""
@@ -62,10 +69,9 @@ class Means:
 
     def within(self, rows: Float[np.ndarray, "n k"]) -> Float[np.ndarray, "k"]:
         """Return the share of each column's variance that is within means."""
-        counts = np.diff(self.begins, append=len(rows))
         centred = rows - rows.mean(axis=0)
         total = np.sum(centred**2, axis=0)
-        kept = counts @ self(centred) ** 2
+        kept = self.counts @ self(centred) ** 2
         return np.where(total > 0, 1 - kept / np.where(total > 0, total, 1.0), 0.0)
 
     def line(self, line: LinearModel) -> LinearModel:
@@ -73,8 +79,8 @@ class Means:
         problem, whiten = line.problem, line.whiten
         if isinstance(whiten, Independent):
             precision = 1 / whiten.sd**2
-            counts, each = np.diff(self.begins, append=line.size), self(precision)
-            whiten = Independent(1 / np.sqrt(counts * each))
+            each = self(precision)
+            whiten = Independent(1 / np.sqrt(self.counts * each))
             residual = self(precision * line.residual) / each
             nuisance = self(precision[:, None] * line.nuisance) / each[:, None]
         else:
@@ -88,9 +94,3 @@ class Means:
         slopes = line.slopes.items()
         vars(made)["slopes"] = {n: self(np.broadcast_to(s, line.size)) for n, s in slopes}
         return made
-
-
-def mean_rows(rows: Float[np.ndarray, "n *k"], begins: Int[np.ndarray, "m"]) -> np.ndarray:
-    """Return means of stretches of rows, each from where it begins to the next."""
-    counts = np.diff(begins, append=len(rows))
-    return np.add.reduceat(rows, begins, axis=0) / counts.reshape(-1, *(1,) * (rows.ndim - 1))
