@@ -100,7 +100,11 @@ class Discovery(Printed):
     unnamed: tuple[str, ...] = ()
     latent: tuple[str, ...] = ()
     equivalent: tuple[Claim, ...] = ()
-    _average: Callable[[Method | None, int], Calibration] | None = field(default=None, repr=False)
+    _average: Callable[..., Calibration] | None = field(default=None, repr=False, compare=False)
+
+    def __getstate__(self) -> dict[str, Any]:
+        """What was found, as pickle writes it: the structures that it was found among stay where they are."""
+        return {**vars(self), "_average": None}
 
     def fit(self, method: Method | None = None, *, seed: int = 0) -> Calibration:
         """Fit the model with what is missing, averaged over the structures that may be the right one.
@@ -113,11 +117,12 @@ class Discovery(Printed):
             seed: of every random number.
 
         Raises:
-            ModelError: it is part of a `SearchPath`, whose `calibration` is that average.
+            ModelError: it is part of a `SearchPath`, whose `calibration` is that average, or of another process.
         """
         if self._average is None:
             raise ModelError(
-                "this is a step of a search: its SearchPath has the average, `path.calibration`"
+                "only what bc.discover returns can be fitted, in the process that found it: of a search take "
+                "path.calibration, of a discovery that was sent elsewhere fit model + discovery.best"
             )
         return self._average(method, seed)
 
@@ -211,14 +216,12 @@ def discover(
         held, goal = structures.unsized(model, found.latent), Posterior.of(structures).chosen
 
         def average(method: Method | None, seed: int) -> Calibration:
-            weighed = structures.weigh(goal)
-            how: dict[str, Any] = {"seed": seed, "reference": calibration.reference}
-            last = fit(weighed.sized_model, readings, method, **how, start=weighed.phi)
-            both = with_latent(
-                last, averaged(last, structures, goal.noise, seed)[0], structures, goal
-            )
+            at, of = structures.weigh(goal), calibration.reference
+            last = fit(at.sized_model, readings, method, seed=seed, reference=of, start=at.phi)
+            mixed, _ = averaged(last, structures, goal.noise, seed)
+            _, used = with_latent(last, mixed, structures, goal)
             complete = missing(library, goal, shut, stopped).nothing_missing
-            return with_form(both[1], complete)
+            return with_form(used, complete)
 
         best = (*(held.effect(n) for n in found.latent), *found.best)
         return replace(found, best=best, _average=average)

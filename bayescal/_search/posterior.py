@@ -76,9 +76,8 @@ class Posterior:
         nothing.
         """
         structures, given = self.space, Structure(self.given)
-        rest = structures.reported(given) | structures.families(
-            {*unseen, *structures.latent(given)}
-        )
+        further = {*unseen, *structures.latent(given)}
+        rest = structures.reported(given) | structures.families(further)
         found, each = [], zip(self.structures, self.reported, self.probability, strict=True)
         for s, own, probability in each:
             unnamed = {n for n in s.effects if structures.candidates[n].unnamed}
@@ -144,9 +143,8 @@ class Posterior:
     def _substitute(self, members: list[str]) -> str | None:
         """The likeliest effect in the members' place: of the structures that have none of them."""
         # Effects that are in for other reasons are nobody's substitutes.
-        settled = (self.space.families(self.best.effects) - {members[0]}) | self.space.families(
-            self.given
-        )
+        best, given = map(self.space.families, (self.best.effects, self.given))
+        settled = (best - {members[0]}) | given
         others = [r - settled if r.isdisjoint(members) else frozenset() for r in self.reported]
         mass = _mass(others, self.probability)
         return max(mass, key=mass.__getitem__, default=None)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import pickle
 from functools import cache
 from typing import Any
 
@@ -71,7 +72,12 @@ def test_a_prediction_counts_that_the_model_may_lack_what_has_no_formula(
 
 def test_what_a_discovery_fits_is_what_calibrate_uses() -> None:
     readings = mems_gyro.simulate({"bias.thermal_lag": 0.05}, seed=1)
-    found = bc.discover(bc.fit(mems_gyro.INSTRUMENT.baseline(), readings)).fit()
+    discovery = bc.discover(bc.fit(mems_gyro.INSTRUMENT.baseline(), readings))
+    sent = pickle.loads(pickle.dumps(discovery))
+    assert sent == discovery
+    with pytest.raises(bc.ModelError, match=r"discovery\.best"):
+        sent.fit()
+    found = discovery.fit()
     used = bc.calibrate(mems_gyro.INSTRUMENT.baseline(), readings).calibration
     assert found.form_factor == pytest.approx(used.form_factor, rel=0.02)
     np.testing.assert_allclose(bc.predict(found).model_sd, bc.predict(used).model_sd, rtol=0.1)
