@@ -125,7 +125,7 @@ class Density(ByValues):
             parts = range(0, len(vs), self._together)
             made = [self._about_modes(vs[i : i + self._together]) for i in parts]
             return Gram(*map(np.concatenate, zip(*made, strict=True)))
-        pairs = [self._table(v, problem.hyper(v)) for v in vs]
+        pairs = (self._table(v, problem.hyper(v)) for v in vs)
         made = [Gram.of(white.T @ white, logdet) for white, logdet in both_of_several(pairs)]
         return Gram(*(np.stack([np.asarray(g[i]) for g in made]) for i in range(4)))
 

@@ -91,6 +91,5 @@ class Means:
             whiten = Whitening(problem.noise, values, self.record, extra)
         short = Problem(problem.layout, self.record, problem.size_factors)
         made = replace(line, problem=short, residual=residual, nuisance=nuisance, whiten=whiten)
-        slopes = line.slopes.items()
-        vars(made)["slopes"] = {n: self(np.broadcast_to(s, line.size)) for n, s in slopes}
+        vars(made)["slopes"] = {n: self(s) for n, s in line.slopes.items()}
         return made

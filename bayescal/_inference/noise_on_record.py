@@ -7,8 +7,9 @@ and their share of a log determinant or density is left out.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping
 from functools import partial
+from itertools import islice
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -148,24 +149,25 @@ def _several_whitened(law: Noise, frame: Frame, tables, extras, values):
 
 
 def both_of_several(
-    pairs: Sequence[tuple[Whitening | Independent, Float[np.ndarray, "n m"]]],
-) -> list[tuple[Float[np.ndarray, "n m"], float]]:
-    """Return `both` of tables; by a filter of several states for some settings at once (`_densities`)."""
-    (first, table), at_once = pairs[0], FEWEST_DRAWS_TOGETHER
-    few = len(pairs) == 1 or at_once * table.size > CELLS
-    if few or isinstance(first, Independent) or not first.law.several_states:
-        return [white.both(table) for white, table in pairs]
-    found, (n, m) = [], table.shape
-    for start in range(0, len(pairs), at_once):
-        some = [white._arguments(one) for white, one in pairs[start : start + at_once]]  # type: ignore[union-attr]
-        whole = [*some, *[some[-1]] * (at_once - len(some))]  # one length to compile
-        tables, extras = (np.stack([one[k] for one in whole]) for k in (2, 3))
-        values = {name: np.stack([one[4][name] for one in whole]) for name in some[0][4]}
-        made = _several_whitened(*some[0][:2], tables, extras, values)
-        for white, log_sd in zip(*map(np.asarray, made), strict=True):
-            own = _back(first.law, first.record, white[:n, :m])
-            found.append((own, 2.0 * float(np.sum(log_sd[:n]))))
-    return found[: len(pairs)]
+    pairs: Iterable[tuple[Whitening | Independent, Float[np.ndarray, "n m"]]],
+) -> Iterator[tuple[Float[np.ndarray, "n m"], float]]:
+    """Yield `both` of tables of one law; by a filter of several states some at once, as in `_densities`."""
+    pairs, at_once = iter(pairs), FEWEST_DRAWS_TOGETHER
+    for white, table in pairs:
+        part = [(white, table)]
+        if isinstance(white, Whitening) and white.law.several_states:
+            part += islice(pairs, at_once - 1 if at_once * table.size <= CELLS else 0)
+        if isinstance(white, Independent) or len(part) == 1:
+            yield white.both(table)
+            continue
+        some = [one._arguments(own) for one, own in part if isinstance(one, Whitening)]
+        some += [some[-1]] * (at_once - len(some))  # one length to compile
+        tables, extras = (np.stack([one[k] for one in some]) for k in (2, 3))
+        values = {name: np.stack([one[4][name] for one in some]) for name in some[0][4]}
+        made = map(np.asarray, _several_whitened(*some[0][:2], tables, extras, values))
+        n, m = table.shape
+        for _, own, log_sd in zip(part, *made, strict=False):
+            yield _back(white.law, white.record, own[:n, :m]), 2.0 * float(np.sum(log_sd[:n]))
 
 
 class Terms(NamedTuple):
