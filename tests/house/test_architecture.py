@@ -254,10 +254,10 @@ def test_what_is_offered_beside_an_instrument_is_there(group: str) -> None:
 CEILINGS = {
     "bayescal/_core": 2_115,
     "bayescal/_tables": 1_964,
-    "bayescal/_data": 4_727,
+    "bayescal/_data": 4_728,
     "bayescal/_model": 5_674,
     "bayescal/effects": 721,
-    "bayescal/_inference": 6_068,
+    "bayescal/_inference": 6_069,
     "bayescal/_calibration": 4_915,
     "bayescal/_use": 3_084,
     "bayescal/_search": 5_789,
@@ -268,10 +268,10 @@ CEILINGS = {
     "bayescal/_annexes/metrology": 1_720,
     "bayescal/_annexes/workbench": 3_596,
     "models": 8_982,
-    "tests": 25_264,
+    "tests": 25_270,
     "benchmarks": 10_962,
 }
-WORDS = 53_504  # of docs/, README.md and CHANGELOG.md together
+WORDS = 53_507  # of docs/, README.md and CHANGELOG.md together
 
 
 @pytest.mark.parametrize("part", CEILINGS)
