@@ -11,7 +11,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from threading import RLock
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float
@@ -34,9 +34,6 @@ from bayescal._data.unit_conversion import unit_label
 from bayescal._report.plot_colours import BLUE, CYCLE, GREEN, GREY, ORANGE, PALE, RED
 from bayescal._search.discover import Discovery, is_quiet
 from bayescal._search.search_path import SearchPath
-
-if TYPE_CHECKING:
-    pass
 
 LABEL_LETTERS = 32  # letters of a label; what is longer leaves no room for the picture
 DRAWING = RLock()  # held while something is drawn
