@@ -394,7 +394,7 @@ class CompensationProgram(CorrectionInUse):
     def graph(self) -> Graph:
         return Graph.from_data(self.equation.operations)
 
-    @property
+    @cached_property
     def factor(self) -> np.ndarray:
         """L of C = LLᵀ, lower triangular; by QR of a symmetric root, so that C may be singular."""
         covariance = np.array(self.covariance, float).reshape(2 * (len(self.unknowns),))

@@ -254,7 +254,7 @@ class OperatingEquation:
         needed = self.graph.inputs([self.expected, self.noise])
         return tuple(n for n in sorted(self.names) if n in needed)
 
-    @property
+    @cached_property
     def affine(self) -> bool:
         """Whether the output is a straight line in the stimulus."""
         return STIMULUS not in self.graph.inputs([self.gradient[STIMULUS]])
