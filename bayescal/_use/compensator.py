@@ -351,7 +351,7 @@ def compensator(
         return whole
     held = tuple(
         (i.name, float(i.middle), i.unit)
-        for i in whole.inputs
+        for i in inputs_in_use(calibration, whole._equation, whole._inputs_at_fit)
         if not needed.issuperset({i.column} if i.kind == "column" else {i.column, "time"})
     )
     return replace(whole, equation=replace(whole._equation, held_inputs=held))
