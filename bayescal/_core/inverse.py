@@ -31,7 +31,7 @@ def stepped(
 def solved(
     equation: Callable[[Any], tuple[Any, Any]], y: np.ndarray, affine: bool
 ) -> tuple[np.ndarray, np.ndarray]:
-    """s where an equation (of s, the output and its slope) gives y, and the slope there; NaN where there is none."""
+    """s where an equation (of s, the output and its slope) gives y, and the slope there; both NaN where none is."""
     s, precision = np.zeros_like(y), np.finfo(y.dtype).eps
     with np.errstate(all="ignore"):
         for _ in range(1 if affine else STEPS):
@@ -44,4 +44,4 @@ def solved(
             return s, slope
         there, slope = equation(s)
         near = np.abs(there - y) <= MOST_ROUNDING_ERRORS * precision * (np.abs(y) + np.abs(there))
-        return np.where(near, s, np.nan).astype(y.dtype), slope
+        return np.where(near, s, np.nan).astype(y.dtype), np.where(near, slope, np.nan)

@@ -33,11 +33,7 @@ from bayescal._data.unit_conversion import (
 )
 from bayescal._use.compensation_program import PAST, bias_only, clock_note
 from bayescal._use.compensator import Compensator, compensator
-from bayescal._use.operating_equation import (
-    ALL_DRAWS,
-    OperatingEquation,
-    posterior_moments,
-)
+from bayescal._use.operating_equation import ALL_DRAWS, OperatingEquation, posterior_moments
 
 REST = "between-group sd, shapes, curvature"
 STRUCTURES = "which effects there are (average over structures)"
@@ -225,7 +221,7 @@ def budget(
         k: coverage factor of the expanded uncertainty.
 
     Raises:
-        InputError: a name that the calibration does not know, or k is not positive.
+        InputError: a name that the calibration does not know, k is not positive, or the output stands still there.
         ModelError: the instrument does not say what it measures.
     """
     chosen = compensator(calibration) if isinstance(calibration, Calibration) else calibration
@@ -283,6 +279,11 @@ def _slopes(chosen: Compensator, point: Mapping[str, float]) -> tuple[float, flo
     expected, slope, gradient = chosen._equation.linearised(
         chosen._moments.mean, places[chosen.stimulus], places
     )
+    if slope[0] == 0:
+        at = ", ".join(f"{name} = {value:.6g}" for name, value in point.items())
+        raise InputError(
+            f"at {at} the output does not follow {chosen.stimulus}: choose another point"
+        )
     return float(expected[0]), float(slope[0]), 0.0 - np.asarray(gradient[0] / slope[0])
 
 

@@ -413,13 +413,11 @@ class CompensationProgram(CorrectionInUse):
         target = np.asarray(output, kind)
         given = {i.name: np.asarray(inputs[i.name], kind) for i in self.inputs if i.name in inputs}
         places = self.equation.expected, self.equation.slope
-
-        def equation(s: np.ndarray) -> list[Any]:
-            return self.graph.evaluate(places, {**given, STIMULUS: s}, kind)
-
-        s, _ = solved(equation, target, self.affine)
-        _, slope, uncertainty = self._at({**given, STIMULUS: s}, kind)
-        return s, uncertainty / np.abs(slope), 1 / np.abs(slope)
+        s, slope = solved(
+            lambda s: self.graph.evaluate(places, {**given, STIMULUS: s}, kind), target, self.affine
+        )
+        *_, uncertainty = self._at({**given, STIMULUS: s}, kind)
+        return s, uncertainty / np.abs(slope), np.broadcast_to(1 / np.abs(slope), s.shape)
 
     def _at(self, places: Mapping[str, np.ndarray], kind: Any) -> tuple[np.ndarray, ...]:
         """Expected output, its slope, and its standard uncertainty without noise, (n,) each."""

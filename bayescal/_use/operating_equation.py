@@ -201,9 +201,8 @@ class OperatingEquation:
         values, shapes = [known[b.name] for b in acting], {n: v[0] for n, v in known.items()}
         made = compose(terms, terms_of(acting)[0], values, shapes)
         none = self.graph.symbols([0.0])
-        return terms.frame.moved(made.moves), {
-            name: made.slots.get(name, none) for name in terms.slots
-        }
+        slots = {name: made.slots.get(name, none) for name in terms.slots}
+        return terms.frame.moved(made.moves), slots
 
     @cached_property
     def expected(self) -> int:

@@ -174,11 +174,9 @@ def test_the_evidence_of_a_set_is_that_of_the_whole_covariance() -> None:
     """Base, coloured noise and two coefficients against none, at the noise's size that the set leaves."""
     rng = np.random.default_rng(4)
     lags = np.abs(np.subtract.outer(np.arange(50), np.arange(50)))
-    coloured, base, x = (
-        np.exp(-lags / 3),
-        rng.standard_normal((50, 4)),
-        rng.standard_normal((50, 2)),
-    )
+    coloured = np.exp(-lags / 3)
+    base = rng.standard_normal((50, 4))
+    x = rng.standard_normal((50, 2))
     y = rng.standard_normal(50) + x @ [1.0, -0.5]
     term = exhaustive.Columns("a", x[None], x[None])
     law = exhaustive.Law("coloured", covariance=coloured)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
 import jax.numpy as jnp
@@ -87,9 +88,8 @@ def test_outside_its_calibrated_range_it_warns_and_flags(gyro) -> None:
 def test_a_time_has_no_upper_end_where_what_follows_it_has_died_out(bent, tmp_path) -> None:
     """The decay of where a run begins, of 400 s, is over after the two hours of the test; a creep is not."""
     creep = bc.effect("bias.creep", "c * elapsed", c="0.01 ug/s")
-    fit = bc.fit(
-        bent_sensor.SENSOR.baseline() + creep, bent_sensor.readings(1), bc.LeastSquares(draws=60)
-    )
+    creeping = bent_sensor.SENSOR.baseline() + creep
+    fit = bc.fit(creeping, bent_sensor.readings(1), bc.LeastSquares(draws=60))
     late = {"temperature": 30.0, "humidity": 40.0, "temperature_lag": 0.0, "elapsed": [100.0, 1e6]}
     for made, flagged in ((bent, []), (bc.compensator(fit), ["elapsed"])):
         loaded = bc.load_compensator(made.export(tmp_path / "c.json"))
@@ -104,10 +104,8 @@ def test_a_time_has_no_upper_end_where_what_follows_it_has_died_out(bent, tmp_pa
 def test_a_time_constant_that_is_hardly_known_stays_in_its_range(seed: int) -> None:
     """Warm-up of 1.5 standard deviations of the noise: a draw of τ below zero made 1e85 µg of a reading."""
     random, count = np.random.default_rng(seed), 48
-    elapsed, angle = (
-        np.tile(140.0 * np.arange(count), 2),
-        np.tile(np.arange(count) % 12 * np.pi / 6, 2),
-    )
+    elapsed = np.tile(140.0 * np.arange(count), 2)
+    angle = np.tile(np.arange(count) % 12 * np.pi / 6, 2)
     temperature = 25 + 30 * np.sin(elapsed / 1500)
     acts = 1e6 * np.sin(angle)
     bias = 100 + 10 * (temperature - 25) + 12 * np.exp(-elapsed / 1000)
@@ -175,13 +173,24 @@ def test_an_operation_that_firmware_lacks_is_computed_by_jax_with_its_slope(tmp_
         made.export(tmp_path / "gyro.h")
 
 
-def test_what_is_missing_is_refused_by_name(bent, gyro) -> None:
+def test_where_the_output_stops_a_reading_has_no_value_and_the_stimulus_no_budget() -> None:
+    gyro = mems_gyro.INSTRUMENT
+    stopped = replace(gyro, response=lambda s, r: bc.xp.clip(gyro.response(s, r), -50.0, 50.0))
+    fit = bc.fit(stopped.baseline(), mems_gyro.simulate(seed=3), bc.LeastSquares(draws=60))
+    compensate = bc.compensator(fit)
+    for method in ("draws", "first order"):
+        found = compensate(output=[20.0, 70.0], temperature=40.0, method=method, warn=False)
+        assert np.isnan([found.value, found.uncertainty]).tolist() == [[False, True]] * 2
     with pytest.raises(bc.InputError):
-        gyro(output=1.0)
+        bc.budget(compensate, {compensate.stimulus: 90.0})
+
+
+def test_what_is_missing_is_refused_by_name(bent, gyro) -> None:
+    for lacking in ({"output": 1.0}, {"temperature": 30.0}):
+        with pytest.raises(bc.InputError):
+            gyro(**lacking)
     with pytest.raises(bc.InputError):
         bent(output=1.0, temperature=30.0, humidity=40.0)
-    with pytest.raises(bc.InputError):
-        gyro(temperature=30.0)
     with pytest.raises(bc.InputError):
         bc.compensator(bent_sensor.gyro(), members={"device": "A"})
 

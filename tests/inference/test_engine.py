@@ -195,10 +195,8 @@ def dense(a: Problem, v: np.ndarray, flat: np.ndarray) -> tuple[float, np.ndarra
     extra = np.broadcast_to(a.extra(line), a.record.size)
     one = jnp.eye(a.record.size)
     white, _ = a.noise.whiten(one, jnp.asarray(extra), hyper, a.record.frame)
-    sd, j = (
-        np.asarray(forward.prior_sd(a.layout, hyper, jnp.asarray(flat))),
-        np.asarray(line.jacobian),
-    )
+    sd = np.asarray(forward.prior_sd(a.layout, hyper, jnp.asarray(flat)))
+    j = np.asarray(line.jacobian)
     covariance = np.linalg.inv(np.asarray(white.T @ white)) + (j * sd**2) @ j.T
     left = a.record.y - np.asarray(line.mean) + j @ (start - a.mean_of_x)
     volume = np.linalg.slogdet(covariance)[1] + left @ np.linalg.solve(covariance, left)

@@ -87,10 +87,8 @@ def test_quantised_is_the_probability_of_the_rounding_interval() -> None:
     found = log_density(*LAWS["quantised"], grid, 0.4)
     normal = stats.norm(0.4, 0.3)
     upper = grid > 0.4  # there from the far side, where scipy keeps its digits
-    near, far = (
-        np.where(upper, -1, 1) * (grid - STEP / 2),
-        np.where(upper, -1, 1) * (grid + STEP / 2),
-    )
+    near = np.where(upper, -1, 1) * (grid - STEP / 2)
+    far = np.where(upper, -1, 1) * (grid + STEP / 2)
     other = stats.norm(-0.4, 0.3)
     interval = np.where(upper, other.cdf(near) - other.cdf(far), normal.cdf(far) - normal.cdf(near))
     np.testing.assert_allclose(np.exp(found) * STEP, interval, rtol=1e-6, atol=1e-300)

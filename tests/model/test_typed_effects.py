@@ -73,9 +73,7 @@ RIGHT = {
         lambda r, e: np.sin(2 * 3.14159 * r["time"] / 1000.0), {"p": 1000.0},
     ),
     "scale.own: k * (T - 25) / 100; k = 500 ppm/degC": (lambda r, e: (r["temperature"] - 25) / 100, {}),
-    "input: k * (rate_input - 50); k = 0.5 %": (
-        lambda r, e: None, {},
-    ),
+    "input: k * (rate_input - 50); k = 0.5 %": (lambda r, e: None, {}),
     "root: k * sqrt(abs(T - 25)) * (1.5e0 + .5); k = 0.1 deg/s/degC^0.5": (
         lambda r, e: 2 * np.sqrt(abs(r["temperature"] - 25)), {},
     ),

@@ -56,10 +56,8 @@ class Drawn:
                 reported[i] = declared
         self.form, self.columns, unit = FORMS[str(random.choice([*FORMS]))]
         self.unit = unit.format(y=reported[0], a=reported[1], b=reported[2])
-        a, b = (
-            random.uniform(1, 3, rows) * size[1][self.a],
-            random.uniform(1, 3, rows) * size[2][self.b],
-        )
+        a = random.uniform(1, 3, rows) * size[1][self.a]
+        b = random.uniform(1, 3, rows) * size[2][self.b]
         one = size[0][reported[0]] / self.form(size[1][reported[1]], size[2][reported[2]])  # in SI
         si = size[0][self.y]
         self.truth = float(random.uniform(10, 30) * si / np.abs(one * self.form(a, b)).max())

@@ -256,10 +256,7 @@ def test_hold_out_data_are_judged_by_a_test(line, p: float, ok: bool) -> None:
         ({"scatter_with": {"temperature": 1e-6}}, "noise.scatter"),
         ({"pit_p": 1e-6}, "noise.tails"),
         ({"one_sided": 1e-6}, "noise.one_sided"),
-        (
-            {"entries": [SimpleNamespace(log_bayes_factor=11.0, against="run")]},
-            "residuals.depend",
-        ),
+        ({"entries": [SimpleNamespace(log_bayes_factor=11.0, against="run")]}, "residuals.depend"),
         ({"autocorrelation": (0.3, 5.0)}, "noise.correlated"),
     ],
 )
