@@ -150,16 +150,14 @@ class Budget(Printed):
         unit, (by_coefficient, by_source) = unit_label(shown.unit), shown.tables()
         seen = [c for c in shown.coefficients if abs(c.share) >= LEAST_VARIANCE_SHARE]
         left = len(shown.coefficients) - len(seen)
-        hidden = f" {left} coefficients below {LEAST_VARIANCE_SHARE:.2%} are not shown." * (
-            left > 0
-        )
+        rest = f" {left} coefficients below {LEAST_VARIANCE_SHARE:.2%} are not shown." * (left > 0)
         sizes = shown.uncertainty, shown.noise, shown.expanded_reading / shown.k
         combined, noise, both = (f"{number(size)} {unit}" for size in sizes)
         parts = [
             f"Uncertainty budget of {shown.stimulus} at {shown.place}",
             replace(by_coefficient, rows=seen),
             "Shares count correlations and add up to 100 %; a negative share reduces the variance."
-            + hidden,
+            + rest,
             by_source,
             f"Combined standard uncertainty {combined}; with the noise of one reading ({noise}): {both}.",
             f"Expanded uncertainty (k = {shown.k:g}): {number(shown.expanded)} {unit}; with the noise of one reading: "

@@ -507,6 +507,10 @@ def _refuse_torn(program: CompensationProgram) -> None:
     own = program.unknowns, equation.gradient, program.covariance, *program.covariance
     if len({len(part) for part in own}) > 1:
         raise ValueError("its covariance, unknowns and gradient are of different sizes")
+    covariance = np.reshape(program.covariance, 2 * (len(program.unknowns),))
+    sd = np.sqrt(np.diag(covariance).clip(0))
+    if np.any(np.abs(covariance) > (1 + 1e-9) * np.outer(sd, sd)):  # but for rounding
+        raise ValueError("its covariance has a variance below zero, or a correlation beyond 1")
     names = {i.name for i in program.inputs}
     if len(names) < len(program.inputs):
         raise ValueError("two of its inputs have one name")

@@ -282,6 +282,8 @@ CHANGES: dict[str, Callable[[dict[str, Any]], object]] = {
     "is not known here: ['system', 0]": lambda d: d["equation"]["operations"].append(["system", 0]),
     "is no operation of it": lambda d: d["equation"].update(slope=10**6),
     "covariance": lambda d: d["covariance"].pop(),
+    "a variance below zero": lambda d: d["covariance"][0].__setitem__(0, -1.0),
+    "a correlation beyond 1": lambda d: d["covariance"][0].__setitem__(1, 1.5),
 }
 
 
