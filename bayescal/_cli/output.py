@@ -142,11 +142,7 @@ def search_shown(found: SearchPath | Channels, as_data: bool, **how: Any) -> Any
     return channels_data(found) if as_data else "\n".join([f"{found}\n\nIN SHORT\n", *said])
 
 
-def loop_text(
-    trail: SearchPath,
-    begun: bool = False,
-    verbose: bool = False,
-) -> str:
+def loop_text(trail: SearchPath, begun: bool = False, verbose: bool = False) -> str:
     """`calibrate` from its first model to its last.
 
     Args:

@@ -15,13 +15,7 @@ from bayescal._calibration.calibration import Calibration
 from bayescal._calibration.check import Entry
 from bayescal._calibration.prior_influence import coefficients_not_measured
 from bayescal._calibration.storage import sources_of
-from bayescal._calibration.summary import (
-    curve_extent,
-    if_there,
-    place_of,
-    summary,
-    unknown_rows,
-)
+from bayescal._calibration.summary import curve_extent, if_there, place_of, summary, unknown_rows
 from bayescal._core.flag import Flag
 from bayescal._core.formatting import interval, number, probability, with_error
 from bayescal._core.result_table import ResultTable, TableColumn, plain_table
