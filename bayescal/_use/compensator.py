@@ -128,10 +128,10 @@ class Compensator:
             value, variance, inclination = solved_over_draws(
                 self.equation, self._moments.draws, given["output"], given, record
             )
-        if noise:
-            own = self.noise_variance({**given, self.stimulus: value})
-            variance = variance + inclination * (own + given.get(UNCERTAINTY, np.zeros(1)) ** 2)
         values = {**given, self.stimulus: value}
+        if noise:
+            own = self.noise_variance(values) + given.get(UNCERTAINTY, np.zeros(1)) ** 2
+            variance = variance + inclination * own
         spans = {n: span for n, span in self._ranges.items() if n in values}
         outside = {n: (values[n] < low) | (values[n] > high) for n, (low, high) in spans.items()}
         outside = {name: mask for name, mask in outside.items() if mask.any()}
