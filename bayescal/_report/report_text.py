@@ -416,9 +416,9 @@ def _not_decided(chapter: Chapter) -> Iterator[str]:
         yield f"Undecided: {what}, is nearly as probable ({factor})."
 
 
-def listed(words: list[str], last: str = "and") -> str:
+def listed(words: list[str]) -> str:
     """As words of a sentence: "a, b and c"."""
-    return words[0] if len(words) == 1 else f"{', '.join(words[:-1])} {last} {words[-1]}"
+    return words[0] if len(words) == 1 else f"{', '.join(words[:-1])} and {words[-1]}"
 
 
 def ok(chapter: Chapter) -> bool:
