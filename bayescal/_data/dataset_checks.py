@@ -1,8 +1,8 @@
 """Checks of a whole data set: what makes it unusable, and what its owner should know of.
 
-Refused: one temperature only, time running backwards. Flagged: what the list
-`CHECKS` finds. Thresholds stand above the check that they are of; what they are set against ("good records") are the
-campaigns that the six instruments simulate, as they are, rounded as displays do, and noisy.
+Refused: one temperature only, time running backwards. Flagged: what the list `CHECKS` finds. Thresholds stand above
+the check that they are of; what they are set against ("good records") are the campaigns that the six instruments
+simulate, as they are, rounded as displays do, and noisy.
 
 A thermometer is a measurement too: a reading of it may be an error value or a spike, a repeated value of a logger that
 asks seldom, or that of a converter that is stuck or at its end. Which readings these are is said by name and row.
@@ -135,15 +135,15 @@ def backward_time(columns: Columns, where: Where) -> Iterator[Objection]:
 
 @dataclass(frozen=True)
 class CheckedRecord:
-    """Readings as `CHECKS` take them; `given` are names of the columns of numbers that were measured, not filled in."""
+    """Readings as `CHECKS` take them."""
 
     columns: Columns
-    units: Mapping[str, str | None]
-    output: str
-    thermometers: Sequence[str]
-    given: Sequence[str]
-    oddities: Sequence[Oddity]
-    where: Where
+    units: Mapping[str, str | None]  # None for labels
+    output: str  # name of the output column
+    thermometers: Sequence[str]  # names of columns of measured temperatures, °C
+    given: Sequence[str]  # names of the columns of numbers that were measured, not filled in
+    oddities: Sequence[Oddity]  # of the thermometers
+    where: Where  # names a reading's file and row
 
 
 def flags_of(
@@ -204,10 +204,11 @@ LEAP_DEGREES = 40.0  # °C, between neighbours, that no body changes by
 
 def _of_leaps(record: CheckedRecord) -> Iterator[str]:
     """Leaps that no error value makes: of counters that began anew, as a rule."""
-    for name in record.thermometers if "time" in record.columns else ():
-        gone = [odd.rows for odd in record.oddities if odd.column == name and odd.code == "leap"]
-        for rows in runs_of(record.columns).values():
-            rows = np.setdiff1d(rows, [row for some in gone for row in some], assume_unique=True)
+    gone = {odd.column: odd.rows for odd in record.oddities if odd.code == "leap"}
+    runs = runs_of(record.columns).values() if "time" in record.columns else ()
+    for name in record.thermometers:
+        for rows in runs:
+            rows = rows[~np.isin(rows, gone.get(name, ()))]
             leap = np.abs(np.diff(record.columns[name][rows]))
             if np.any(leap > LEAP_DEGREES):
                 at = int(np.argmax(leap))
@@ -350,9 +351,8 @@ UNLIKE_DEGREES = 0.3
 HELD_STEPS = 3.0
 # Standard deviations of a column's noise, beyond which a reading is off its path.
 LEAP_NOISE_SD = 8.0
-LEAP_SHARE = (
-    0.05  # of all readings; more that are off the path are a thermometer's noise, or its way
-)
+# Share of all readings, that different values off the path are at most; more are a thermometer's noise, or its way.
+LEAP_SHARE = 0.05
 BESIDE = 3  # readings on either side, whose median is the path
 SHOWN_VALUES = 3  # of a column, that a message names
 
@@ -488,16 +488,15 @@ def repeats(values: np.ndarray, own: Sequence[np.ndarray], rows: np.ndarray) -> 
 
 def standing_rows(values: np.ndarray, own: Sequence[np.ndarray]) -> np.ndarray:
     """Return rows of the one level at which a column stands for far longer than at any other, if there is one."""
-    starts = [piece[equal_runs(values[piece])[0]] for piece in own]
-    lengths = np.concatenate([equal_runs(values[piece])[1] for piece in own])
-    levels, rows = values[np.concatenate(starts)], np.concatenate([*own])
+    begins, lengths = zip(*(equal_runs(values[piece]) for piece in own), strict=True)
+    levels = np.concatenate([values[p[first]] for p, first in zip(own, begins, strict=True)])
+    rows, lengths = np.concatenate(own), np.concatenate(lengths)
     worst = levels[np.argmax(lengths)]
     others = lengths[levels != worst]
-    far = others.size and np.max(lengths) >= max(
-        STUCK_READINGS, STUCK_RATIO * np.max(others, initial=1)
-    )
+    least = max(STUCK_READINGS, STUCK_RATIO * np.max(others, initial=1))
     by_rounding = np.sum(others - 1) > REPEATED_SHARE * np.sum(others)
-    return rows[:0] if by_rounding or not far else np.sort(rows[values[rows] == worst])
+    far = others.size and np.max(lengths) >= least and not by_rounding
+    return np.sort(rows[values[rows] == worst]) if far else rows[:0]
 
 
 ROOM = 20.0  # °C, near which a record begins where its counter leaves open which of its periods it is in
