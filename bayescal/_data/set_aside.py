@@ -124,8 +124,8 @@ def _wrong(readings: Measurements, needed: Collection[str], begun: int) -> Fault
 def _can_go(columns: Columns, odd: checks.Oddity, begun: int) -> bool:
     """Whether enough is left without what is wrong: half of the readings; of a held column, each value once."""
     count = len(columns[odd.column])
-    kept, held = np.setdiff1d(np.arange(count), odd.wrong), len(odd.wrong) < len(odd.rows)
-    least = checks.FEW_CHANGES if held and count == begun else 0.5 * begun
+    kept = np.setdiff1d(np.arange(count), odd.wrong)
+    least = checks.FEW_CHANGES if odd.code == "held" and count == begun else 0.5 * begun
     if not len(odd.wrong) or len(kept) < least:
         return False
     labels = [n for n in RECORD if n != "run" and n in columns]
