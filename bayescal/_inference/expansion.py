@@ -30,11 +30,8 @@ DIFFERENCE = 2e-3  # of a coordinate, for slopes about a place
 TRIED_DRAWS = 12  # draws at which fitted polynomials are tried
 KEPT_SHARE = 1e-7  # of the largest principal direction of polynomials' coefficients, down to which they are kept
 BOX_SD = 5.0  # standard deviations of a Gaussian fit of φ, up to which polynomials are fitted
-DEGREES = {
-    1: (6, 12, 20),
-    2: (4, 8, 12, 17),
-    3: (3, 5, 7, 9),
-}  # tried in turn, by the number of shapes
+# Tried in turn, by the number of shapes.
+DEGREES = {1: (6, 12, 20), 2: (4, 8, 12, 17), 3: (3, 5, 7, 9)}
 LISTED = 8  # coordinates whose columns are listed together
 MOST_PLACES = 8  # about which Taylor series are kept
 

@@ -279,9 +279,8 @@ def sized(model: Model, readings: Measurements, record: Record) -> Model:
             )
     named = replace(model, effects=tuple(e for e in model.effects if not e.open))
     plausible = amplitudes(named, readings, record)
-    return replace(
-        model, effects=tuple(e.sized(*plausible) if e.open else e for e in model.effects)
-    )
+    effects = tuple(e.sized(*plausible) if e.open else e for e in model.effects)
+    return replace(model, effects=effects)
 
 
 def amplitudes(model: Model, readings: Measurements, record: Record) -> tuple[float, float]:

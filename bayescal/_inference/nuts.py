@@ -38,7 +38,13 @@ from bayescal._model.prior import (
 
 
 class NUTS(Method):
-    """NumPyro's NUTS on every unknown, learned spreads non-centred: iterations of each chain, a dense mass matrix."""
+    """NumPyro's NUTS on every unknown, learned spreads non-centred.
+
+    Attributes:
+        warmup, draws: iterations of each chain.
+        chains: run side by side.
+        dense: whether a dense mass matrix is adapted.
+    """
 
     warmup: int = 1000
     draws: int = 1000

@@ -103,9 +103,8 @@ class Problem:
 
     def log_prior(self, v: np.ndarray) -> float:
         """Log prior density of φ in its coordinates."""
-        return float(
-            sum(density(one) for (*_, density), one in zip(self._coordinates, v, strict=True))
-        )
+        each = zip(self._coordinates, v, strict=True)
+        return float(sum(density(one) for (*_, density), one in each))
 
     def log_priors(self, v: Float[np.ndarray, "b d"]) -> Float[np.ndarray, "b"]:
         """Log prior densities of several φ."""

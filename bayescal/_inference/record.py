@@ -211,9 +211,8 @@ class Record:
         if not moves and self.affine is not None:
             base, slopes = self.affine
             return sum((slopes[name] * value for name, value in slots.items()), base), slopes
-        return (
-            self._response(slots, moves) if self._host_affine is None else self._moved(slots, moves)
-        )
+        respond = self._response if self._host_affine is None else self._moved
+        return respond(slots, moves)
 
     def _respond(self, slots: Mapping[str, Any], moves: Mapping[str, np.ndarray]) -> Any:
         """The response by NumPy, columns of the readings moved."""

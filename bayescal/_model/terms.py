@@ -67,11 +67,11 @@ class Correction(NamedTuple):
 
 @dataclass(frozen=True)
 class Term(CoefficientBlock):
-    """One coefficient of the structure with all its members, on readings; names in φ are of its columns' shapes."""
+    """One coefficient of the structure with all its members, on readings."""
 
-    columns: ColumnsOf
-    shape_names: tuple[str, ...]
-    prior_sd: float
+    columns: ColumnsOf  # what its effect's columns depend on
+    shape_names: tuple[str, ...]  # names in φ of the shapes that these take
+    prior_sd: float  # its unit
 
 
 def terms_of(

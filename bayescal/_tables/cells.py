@@ -240,7 +240,7 @@ def dates_of(texts: np.ndarray, order: str = "") -> tuple[Cells, dict[str, np.nd
 
 
 def numbers_of(texts: Sequence[str], decimal: str = ".") -> Cells:
-    """Parse text, one for each reading, as numbers, or as dates if that is what the first that is no number is.
+    """Parse text, one for each reading, as numbers; where one is none, the text of all is kept, as it may be of dates.
 
     Empty, "nan" and other marks of a missing reading are NaN; `decimal` is a point or a comma.
     """
