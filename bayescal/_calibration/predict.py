@@ -171,7 +171,7 @@ def _noise_at(
     """What fitted readings `past` say of the correlated noise at others of their runs, at the mode of its parameters.
 
     Of what a model leaves of the fitted readings (n, b) it is the mean (m, b), which is linear in that, and variance
-    (m,); NaN where nothing is said.
+    (m,).
     """
     fitted, record = calibration.readings.select(past), calibration.problem.record
     law, values = calibration.model.noise, calibration.problem.hyper(calibration.mode.v)
@@ -182,10 +182,8 @@ def _noise_at(
     before, after = (law.followed(calibration.frame_of(some)) for some in (fitted, readings))
 
     def noise(left: Float[np.ndarray, "n b"]) -> tuple[np.ndarray, np.ndarray]:
-        mean, spread = np.full((len(at), left.shape[1]), np.nan), np.full(len(at), np.nan)
+        mean, spread = np.empty((len(at), left.shape[1])), np.empty(len(at))
         for code, name in enumerate(asked):
-            if name not in names:
-                continue
             rows = np.flatnonzero(known == names.index(name))
             others = np.flatnonzero(codes == code)
             both = None
