@@ -27,6 +27,7 @@ from bayescal._data.records import (
     Columns,
     distinct,
     equal_runs,
+    members,
     pieces,
     record_codes,
     runs_of,
@@ -509,8 +510,7 @@ def unwrap(values: np.ndarray, codes: np.ndarray, period: float, start: float) -
     a later one is as near as may be to that of the first. The counter begins anew at `period`.
     """
     found, middle = values.copy(), None
-    for code in np.unique(codes):
-        rows = np.flatnonzero((codes == code) & np.isfinite(values))
+    for rows in (record[np.isfinite(values[record])] for record in members(codes)):
         if rows.size:
             own = np.unwrap(values[rows], period=period)
             near = own[0] - start if middle is None else own.mean() - middle
