@@ -148,12 +148,11 @@ def _refuse_stuck(readings: Measurements) -> None:
 def _refuse_lost(problem: Problem, readings: Measurements) -> None:
     """A constant so far from where its prior has it that the square of that has no digits left for the noise."""
     for b in problem.layout.x_blocks:
-        at = slice(b.start, b.start + b.size)
-        sd = problem.sizes.plain[at] * problem.weight_of_x[at]
+        sd = problem.sizes.plain[b.at] * problem.weight_of_x[b.at]
         if not (b.origin and np.all(sd > 0)):
             continue
         away = float(np.max(np.abs(b.mean) / sd))
-        if away**2 * np.finfo(float).eps > 1:
+        if away > np.finfo(float).eps ** -0.5:
             raise ModelError(
                 f"{readings.file}: the output stands {away:.2g} times the plausible size of {b.name} from its prior's "
                 "mean: too few digits are left to calculate with. Subtract a constant from it, give the nominal zero, "

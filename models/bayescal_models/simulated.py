@@ -34,12 +34,12 @@ def refuse_effects(effects: Mapping[str, float], known: Collection[str], where: 
         where: in what they are hidden, such as "a gyro campaign".
 
     Raises:
-        ValueError: an unknown name, or a size that is not finite.
+        ValueError: an unknown name, or a size that is not finite, or so large that what it makes may not be.
     """
     for name, size in effects.items():
         choices = f"choose among {', '.join(known)}"
         refuse(name not in known, f"no effect {name!r} can be hidden in {where}: {choices}")
-        refuse(not np.isfinite(size), f"the size of {name!r} is {size!r}: give a finite number")
+        refuse(not abs(size) < 1e100, f"the size of {name!r} is {size!r}: give one below 1e100")
 
 
 def refuse(wrong: Any, message: str) -> None:

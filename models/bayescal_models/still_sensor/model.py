@@ -114,7 +114,7 @@ def tailored(readings: bc.Measurements, **settings: Any) -> bc.Instrument:
         settings: of `instrument`, not to be taken from the readings.
 
     Raises:
-        InputError: the output does not change, so that no size can be taken from it.
+        InputError: the output does not change, or its square is no number, so that no size can be taken from it.
     """
     if set(settings) == SETTINGS:
         return instrument(**settings)
@@ -122,12 +122,11 @@ def tailored(readings: bc.Measurements, **settings: Any) -> bc.Instrument:
     middle = float(np.median(output))
     low, high = np.quantile(output, [0.005, 0.995])
     size = settings.get("size") or 0.5 * float(high - low) or 0.5 * float(np.ptp(output))
-    if not size > 0:
+    if not 1e-150 < size < 1e150:  # whose squares are numbers
         column = next((s.output for s in readings.sources if s.output), "output")
-        raise bc.InputError(
-            f"{readings.file}, column {column!r}: reads {middle:g} throughout, so no size can be "
-            "taken from it: choose another channel"
-        )
+        about = f"{middle:g} within ±{size:.3g}" if size > 0 else f"{middle:g} throughout"
+        said = f"{readings.file}, column {column!r}: reads {about}, so no size can be taken from it"
+        raise bc.InputError(f"{said}: choose another channel")
     span = 0.5 * float(np.ptp(readings["temperature"])) if readings.has("temperature") else 0.0
     found = {
         "unit": readings.unit("output"),
