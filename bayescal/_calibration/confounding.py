@@ -86,7 +86,7 @@ def confounders(
         for slot in slots
     ]
     acting += [(name, step / math.sqrt(12.0) * by, step) for name, (step, by) in steps.items()]
-    parts = {b.name: slice(b.start, b.start + b.size) for b in layout.x_blocks}
+    parts = {b.name: b.at for b in layout.x_blocks}
     found = list[Confounder]()
     for name, values, step in acting:
         # The column at its size, whitened; what the model's columns take of it, P, and leave, K.

@@ -244,7 +244,7 @@ class Fitted:
         x, found = self.draws().x, dict[str, np.ndarray]()
         for e in self.model.effects:
             own = [b for b in self.layout.x_blocks if b.effect.name == e.name]
-            any_of = [np.any(x[:, b.start : b.start + b.size] != 0, axis=1) for b in own]
+            any_of = [np.any(x[:, b.at] != 0, axis=1) for b in own]
             # One that is held, or sampled with φ, is not averaged over.
             found[e.name] = np.any(any_of, axis=0) if own else np.ones(len(x), dtype=bool)
         return found

@@ -235,8 +235,7 @@ def untold(
         several = {
             b.effect.name: None
             for b in layout.x_blocks
-            if not _single(b, layout)
-            and size[b.start : b.start + b.size].max() > TRACE_SHARE * size.max()
+            if not _single(b, layout) and size[b.at].max() > TRACE_SHARE * size.max()
         }
         told = {"count": len(others), "combination": ", ".join(several)}
         found.append(Claim("direction.members", *several, **told))

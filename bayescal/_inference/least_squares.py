@@ -300,7 +300,7 @@ class _Refinement:
             return begin
         prior, scale = self.prior(v), np.array(self.prior(v).sd)
         for b in (b for b in layout.x_blocks if b.coefficient.flat):
-            scale[b.start : b.start + b.size] = b.coefficient.size
+            scale[b.at] = b.coefficient.size
         record = problem.record
         # Padded to one of a few lengths, for each of which it is compiled once.
         there = np.arange(record.padded_size) < record.size

@@ -161,7 +161,7 @@ class Problem:
         x = self.mean_of_x.copy()
         for b in self.layout.x_blocks:
             if b.origin:
-                x[b.start : b.start + b.size] = 0.0
+                x[b.at] = 0.0
         return x
 
     def x_of(self, other: Problem, x: Float[np.ndarray, "q"]) -> Float[np.ndarray, "p"]:

@@ -53,9 +53,7 @@ def choose(
             return problem, notes, None
         mode = find_mode(problem, start=start)
         sizes = _second_order(problem, mode)
-        strength = {
-            b.name: float(np.sqrt(np.sum(sizes[b.start : b.start + b.size] ** 2))) for b in few
-        }
+        strength = {b.name: float(np.sqrt(np.sum(sizes[b.at] ** 2))) for b in few}
         # Either factor of a product will do. In units of a spread that is learned itself, a coefficient would make a
         # funnel with it, so such a one is only taken where no other matters.
         matter = [b for b in few if strength[b.name] >= least]
