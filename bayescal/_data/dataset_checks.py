@@ -335,9 +335,8 @@ def repeated_rows(columns: Columns) -> np.ndarray:
         values = columns[name]
         number = values.dtype.kind == "f"
         own = np.unique(values, return_inverse=True)[1] if number else distinct([values])[1]
-        _, first, codes = np.unique(
-            codes * (int(own.max()) + 1) + own, return_index=True, return_inverse=True
-        )
+        both = codes * (int(own.max()) + 1) + own
+        _, first, codes = np.unique(both, return_index=True, return_inverse=True)
         if len(first) == len(codes):
             break
     return np.setdiff1d(np.arange(len(codes)), first)
@@ -396,9 +395,8 @@ def oddities(
             if 0 < len(np.unique(values[leaps])) <= LEAP_SHARE * len(values):
                 rest = (piece[~np.isin(piece, leaps)] for piece in own)
                 own = [piece for piece in rest if len(piece)]
-                read = ", ".join(
-                    f"{v:g}" for v in dict.fromkeys(values[leaps][:SHOWN_VALUES].tolist())
-                )
+                some = dict.fromkeys(values[leaps][:SHOWN_VALUES].tolist())
+                read = ", ".join(map("{:g}".format, some))
                 said = f"reads {read} °C, far from the readings about it, in {len(leaps)} reading(s): an error value?"
                 found.append(Oddity("leap", name, said, leaps, leaps))
             if len(rows := held_rows(values, own)):
@@ -423,11 +421,18 @@ def _unlike(columns: Columns, names: Sequence[str]) -> Iterator[Oddity]:
         rates = np.zeros(len(time))
         for rows in runs.values():
             rates[rows] = np.gradient(columns[other][rows], time[rows])
-        basis, left = np.stack([np.ones(len(time)), columns[other], rates]), dict[str, float]()
-        basis /= np.maximum(np.linalg.norm(basis, axis=1, keepdims=True), np.finfo(float).tiny)
+        basis, left = np.column_stack([np.ones(len(time)), columns[other], rates]), {}
+        basis /= np.maximum(np.linalg.norm(basis, axis=0), np.finfo(float).tiny)
+        axes, sizes, _ = np.linalg.svd(basis, full_matrices=False)
+        axes = axes[:, sizes > len(time) * np.finfo(float).eps * sizes[0]]
+        off = columns[one] - axes @ (axes.T @ columns[one])
+        squares = off @ off
+        # Without a run, by its share of the products with the axes: as fast for many runs as for a few.
         for run, rows in runs.items():
-            own, rest = np.delete(columns[one], rows), np.delete(basis, rows, axis=1).T
-            left[run] = float(np.sqrt(np.mean((own - rest @ np.linalg.lstsq(rest, own)[0]) ** 2)))
+            pull, own = axes[rows].T @ off[rows], axes[rows].T @ axes[rows]
+            moved = pull @ np.linalg.pinv(np.eye(len(pull)) - own, hermitian=True) @ pull
+            rest = max(squares - off[rows] @ off[rows] - moved, 0.0)
+            left[run] = math.sqrt(rest / (len(time) - len(rows)))
         run, second, *_ = sorted(left, key=left.__getitem__)
         if left[second] > max(UNLIKE_RATIO * left[run], UNLIKE_DEGREES):
             said = f"does not follow {other!r} in run {run} as it does in the others: one of both was different there"

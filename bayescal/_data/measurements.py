@@ -74,9 +74,7 @@ class Measurements(Printed):
     def __post_init__(self) -> None:
         """Make the arrays read-only; raise InputError for an unknown unit, or columns of unequal shapes."""
         made = {name: _column(values, self.units[name]) for name, values in self.values.items()}
-        if {values.ndim for values in made.values()} != {1} or len(
-            set(map(len, made.values()))
-        ) > 1:
+        if {v.ndim for v in made.values()} != {1} or len({*map(len, made.values())}) > 1:
             shapes = ", ".join(f"{name} {values.shape}" for name, values in made.items()) or "none"
             raise InputError(
                 f"measurements have the one dimension {ROW!r}, these have columns of unequal shapes: {shapes}"
@@ -134,11 +132,8 @@ class Measurements(Printed):
                 "from_arrays takes the instrument first, and then the columns: from_arrays(instrument, {'output': …}); "
                 f"a {type(instrument).__name__} came first"
             )
-        own = {
-            name: None if c.unit == ANY else c.unit
-            for c in instrument.columns
-            for name in (c.name, *c.also)
-        }
+        each = ((name, c.unit) for c in instrument.columns for name in (c.name, *c.also))
+        own = {name: None if unit == ANY else unit for name, unit in each}
         own.setdefault(UNCERTAINTY, own.get(output_name(instrument)))
         table = Table.of_columns(ARRAYS, equally_long({**(arrays or {}), **columns}), own)
         options = ReadOptions.of(
