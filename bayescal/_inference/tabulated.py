@@ -137,7 +137,7 @@ class Tabulated:
         for t in part.terms:
             own = (self.slopes[t.slot] * t.factor)[:, None] * expansion.columns[:, t.index]
             codes = None if t.per is None else self.problem.record.codes[t.per]
-            spread = by_member(np, own.T, codes, t.size)  # (r, n, members)
+            spread = by_member(own.T, codes, t.size)  # (r, n, members)
             columns.append(spread.transpose(1, 2, 0).reshape(len(own), -1))
         return np.concatenate(columns, axis=1)
 

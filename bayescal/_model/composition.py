@@ -203,7 +203,7 @@ def _in_one_product(source: ColumnSource, mean: Any, each: list[tuple]) -> Any:
     slopes = list(columns)
     for t, column, slope in each:
         column, slope = (jnp.broadcast_to(a, mean.shape) for a in (column, slope))
-        columns.append(by_member(jnp, column, _codes(source, t), t.size))
+        columns.append(by_member(column, _codes(source, t), t.size))
         slopes.append(jnp.broadcast_to(slope[..., None], columns[-1].shape))
     return jnp.concatenate(columns, axis=-1) * jnp.concatenate(slopes, axis=-1)
 
@@ -212,7 +212,7 @@ def _codes(source: ColumnSource, t: Term) -> Any:
     return None if t.per is None else source.codes[t.per]
 
 
-def by_member(xp: Any, column: Any, codes: Any, size: int) -> Any:
+def by_member(column: Any, codes: Any, size: int) -> Any:
     """A coefficient's column (…, n), spread over the members of its group (…, n, size); codes None: it has none."""
     if codes is None:
         return column[..., None]

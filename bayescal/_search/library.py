@@ -157,7 +157,7 @@ class Library:
                 # basis).
                 slope = slopes[slot.name] * factor_of(instrument, effect, c)
                 codes = None if c.per is None else record.codes[c.per]
-                spread = by_member(np, slope * bases[..., i], codes, size)
+                spread = by_member(slope * bases[..., i], codes, size)
                 block[:, :, at : at + size] = np.moveaxis(spread, 0, 1)
                 at += size
         return made

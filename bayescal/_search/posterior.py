@@ -118,7 +118,7 @@ class Posterior:
 
     @property
     def findings(self) -> tuple[Found, ...]:
-        """Smallest sets of effects of which at least one is missing, with probability `FOUND`, the most probable first.
+        """Smallest sets of effects of which at least one is missing, of `found_probability`, the most probable first.
 
         Each begins with an effect of the most probable structure and goes on with what can take its place.
         """
@@ -153,7 +153,7 @@ class Posterior:
     def chosen(self) -> Structure:
         """The one structure to use: effect by effect what is more probable in than out, given those before.
 
-        Of effects that one of is found the most probable structure's is in too. What is used need not be found: `FOUND`
+        Of effects that one of is found the most probable structure's is in too. What is used need not be found: that
         is for the word "missing". The noise law is that of the most probable structure that has all of it.
         Source: M. Barbieri and J. Berger, Ann. Statist. 32 (2004) 870 (the median probability model predicts best).
         """
