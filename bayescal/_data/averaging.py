@@ -6,7 +6,6 @@ from collections.abc import Mapping
 from contextlib import suppress
 
 import numpy as np
-from jaxtyping import Float, Int
 
 from bayescal._core.errors import InputError
 from bayescal._data.column import MAY_BE_EMPTY, UNCERTAINTY
@@ -126,8 +125,8 @@ def _steps(values: np.ndarray, same: np.ndarray) -> np.ndarray:
     return stepped & (np.count_nonzero(stepped) <= SET_JUMPS_SHARE * values.size)
 
 
-def mean_rows(rows: Float[np.ndarray, "n *k"], begins: Int[np.ndarray, "m"]) -> np.ndarray:
-    """Return means of stretches, as distances from the first of each: a value that is held stays what it was."""
+def mean_rows(rows: np.ndarray, begins: np.ndarray) -> np.ndarray:
+    """Return means (m, …) of stretches of `rows` (n, …), by distances from the first: what is held stays what it was."""
     counts, first = np.diff(begins, append=len(rows)), rows[begins]
     away = np.add.reduceat(rows - np.repeat(first, counts, axis=0), begins, axis=0)
     return first + away / counts.reshape(-1, *(1,) * (rows.ndim - 1))
