@@ -126,7 +126,7 @@ def _steps(values: np.ndarray, same: np.ndarray) -> np.ndarray:
 
 
 def mean_rows(rows: np.ndarray, begins: np.ndarray) -> np.ndarray:
-    """Return means (m, …) of stretches of `rows` (n, …), by distances from the first: what is held stays what it was."""
+    """Return means (m, …) of stretches of `rows` (n, …), by distances from the first: held values stay as they are."""
     counts, first = np.diff(begins, append=len(rows)), rows[begins]
     away = np.add.reduceat(rows - np.repeat(first, counts, axis=0), begins, axis=0)
     return first + away / counts.reshape(-1, *(1,) * (rows.ndim - 1))
