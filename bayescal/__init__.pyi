@@ -12,7 +12,6 @@ from ._report.save_search import calibrate as calibrate
 from ._report.save_search import calibrate_channels as calibrate_channels
 
 # beside the loop: which test to run next, an effect's draft
-from ._search.undetermined import poses as poses
 from ._search.next_experiment import next_experiment as next_experiment
 from ._search.undetermined import undetermined as undetermined
 from ._search.draft_effect import draft_effect as draft_effect
@@ -33,6 +32,7 @@ from ._data.allan_deviation import AllanDeviation as AllanDeviation
 from ._use.compensator import compensator as compensator
 from ._use.compensator import load_compensator as load_compensator
 from ._annexes.imu.vector_series import vector_correction as vector_correction
+from ._annexes.imu.still_stretches import poses as poses
 from ._annexes.imu.moves import moves as moves
 from ._annexes.imu.body_frame import in_frame_of as in_frame_of
 from ._annexes.imu.vector_files import export_vector as export_vector

@@ -58,7 +58,7 @@ BEHIND = {
         _core.jit: compiled
         _core.parallel: on_one_thread
         _data.pose_rows: ACROSS AROUND AXES DIRECTION MAGNITUDE MOUNTING OF PULLED SQUARED TURNED magnitude tangents
-        _data.still_stretches: LoggedRun as_readings in_common logged_runs per_sample
+        _data.records: equal_runs
         _inference.problem: Problem
         _use.compensation_program: AGAIN STIMULUS inputs_at_fit
     """,

@@ -12,6 +12,7 @@ import bayescal as bc
 from bayescal._annexes.fleet.find_devices import Evidence as Evidence
 from bayescal._annexes.fleet.find_devices import shares as shares
 from bayescal._annexes.imu.imu_annex import triad_text as triad_text
+from bayescal._annexes.imu.still_stretches import still_stretches as still_stretches
 from bayescal._annexes.imu.vector_correction import CorrectedVector as CorrectedVector
 from bayescal._annexes.metrology.certificate import Certificate, dcc_text
 from bayescal._annexes.metrology.certificate import d_si as d_si
@@ -33,7 +34,6 @@ from bayescal._data.allan_deviation import degrees_of_freedom as degrees_of_free
 from bayescal._data.allan_deviation import overlapping as overlapping
 from bayescal._data.column import overloads
 from bayescal._data.set_aside import not_new, said_of
-from bayescal._data.still_stretches import still_stretches as still_stretches
 from bayescal._data.unit_conversion import coefficient_factor as coefficient_factor
 from bayescal._inference.noise_on_record import Whitening as Whitening
 from bayescal._inference.record import Record as Record

@@ -22,8 +22,8 @@ from scipy.linalg import block_diag
 from scipy.spatial.transform import Rotation
 
 from bayescal import InputError, Measurements
+from bayescal._annexes.imu.still_stretches import in_common, logged_runs, per_sample
 from bayescal._annexes.imu.vector_correction import UNKNOWN_DIRECTIONS, VectorCorrection
-from bayescal._data.still_stretches import in_common, logged_runs, per_sample
 
 SWEEPS = 20  # of Gauss–Newton
 SETTLED_RADIANS = 1e-10  # rad, by which the last may move

@@ -36,6 +36,13 @@ from scipy.spatial.transform import Rotation
 from scipy.special import fdtrc, logsumexp
 
 from bayescal import InputError, Instrument, Measurements, ModelError
+from bayescal._annexes.imu.still_stretches import (
+    LoggedRun,
+    as_readings,
+    in_common,
+    logged_runs,
+    per_sample,
+)
 from bayescal._annexes.imu.vector_correction import VectorCorrection
 from bayescal._core.parallel import on_one_thread
 from bayescal._data.pose_rows import (
@@ -49,13 +56,6 @@ from bayescal._data.pose_rows import (
     SQUARED,
     TURNED,
     tangents,
-)
-from bayescal._data.still_stretches import (
-    LoggedRun,
-    as_readings,
-    in_common,
-    logged_runs,
-    per_sample,
 )
 from bayescal.workshop import UNCERTAINTY, convert, number, same_dimension
 

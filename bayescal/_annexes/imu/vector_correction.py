@@ -19,8 +19,8 @@ from numpy.typing import ArrayLike
 from scipy.linalg import block_diag
 
 from bayescal import InputError, Measurements, __version__
+from bayescal._annexes.imu.still_stretches import LoggedRun
 from bayescal._core.inverse import stepped
-from bayescal._data.still_stretches import LoggedRun
 from bayescal.workshop import (
     CorrectionInUse,
     ResultTable,

@@ -9,16 +9,16 @@ its blocks but for the outermost two, pooled over all poses: often 3 to 4 times 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Float, Int
 
-from bayescal._core.errors import InputError
-from bayescal._data.column import UNCERTAINTY
-from bayescal._data.measurements import InstrumentLike, Measurements
-from bayescal._data.pose_rows import ACROSS
+from bayescal import InputError, Instrument, Measurements
+from bayescal._data.pose_rows import ACROSS, OF
 from bayescal._data.records import equal_runs
+from bayescal.workshop import UNCERTAINTY
 
 BLOCK_SECONDS = 0.25  # short against a move by hand, long against a filter of 20 Hz
 QUIET_QUANTILE = 0.1  # quantile of the blocks' scatter, that is taken as at rest
@@ -165,7 +165,7 @@ def logged_runs(
 
 
 def as_readings(
-    columns: dict[str, np.ndarray], instrument: InstrumentLike, log: Measurements
+    columns: dict[str, np.ndarray], instrument: Instrument, log: Measurements
 ) -> Measurements:
     """What was made of a log as readings of an instrument; columns that it does not know have the log's units."""
     known = {c.name for c in instrument.columns} | {UNCERTAINTY}
@@ -182,3 +182,46 @@ def in_common(one: Float[np.ndarray, "k 2"], other: Float[np.ndarray, "l 2"]) ->
     kept = end - begin >= least
     windows = np.stack([begin[kept], end[kept]], axis=1)
     return windows[np.argsort(windows[:, 0])]
+
+
+def poses(
+    log: Measurements, instrument: Instrument, *, shortest: float | None = None
+) -> Measurements:
+    """Average the still stretches of a log, a row each; other numeric columns are averaged beside them.
+
+    Of gyroscopes on a rate table they are stretches of a steady rate.
+
+    Args:
+        log: samples of the three outputs, read with the instrument, with a column `time`.
+        instrument: of three axes.
+        shortest: of a pose, s; None for two, or one where the log holds many that are shorter.
+
+    Raises:
+        InputError: an instrument of one output, no column `time`, or no still stretch.
+    """
+    if instrument.vector is None:
+        raise InputError(f"instrument {instrument.name!r} has one output: poses are of three axes")
+    log = per_sample(log)
+    codes = log.groups("run")[1]
+    found = [run.still for run in logged_runs(log, instrument.vector.outputs, shortest).values()]
+    columns = {UNCERTAINTY: np.concatenate([still.uncertainty for still in found])}
+    for name in log.columns:
+        if name in ("output", UNCERTAINTY, OF, *ACROSS):
+            continue
+        made = []
+        for code, still in enumerate(found):
+            values = log[name][codes == code]
+            pairs = zip(still.first, still.last, strict=True)
+            # Labels do not average: the one at the stretch's beginning holds for it.
+            label = log.unit(name) is None
+            made += [values[a] if label else np.mean(values[a:b]) for a, b in pairs]
+        columns[name] = np.array(made)
+    made = as_readings(columns, instrument, log)
+    ratio = np.mean([still.ratio for still in found])
+    said = (
+        f"{len(made['output'])} readings of {len(columns[UNCERTAINTY])} poses found in {log.file}; means of blocks "
+        f"scatter {ratio:.1f} times as much as those of independent samples would"
+    )
+    left_out = [seconds for still in found for seconds in still.left_out]
+    short = (f"{log.file}: {said_of(left_out)}",) if left_out else ()
+    return replace(made, sources=log.sources, flags=(*log.flags, *made.flags, said, *short))
