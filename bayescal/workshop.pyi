@@ -90,6 +90,7 @@ from ._data.unit_conversion import parse as parse
 from ._data.unit_conversion import pretty as pretty
 from ._data.unit_conversion import same_dimension as same_dimension
 from ._data.unit_conversion import unit_label as unit_label
+from ._report.plots import new_figure as new_figure
 from ._report.result_json import Chapter as Chapter
 from ._report.result_json import Foreword as Foreword
 from ._report.save_search import draw_search as draw_search
@@ -99,13 +100,14 @@ from ._report.whole_folder import MANIFEST as MANIFEST
 from ._report.whole_folder import drawing as drawing
 from ._report.whole_folder import files_of as files_of
 from ._report.whole_folder import folders_of as folders_of
-from ._report.whole_folder import list_files as list_files
 from ._report.whole_folder import whole_folder as whole_folder
-from ._tables.logs import LOG_FORMATS as LOG_FORMATS
 from ._tables.open_table import open_table as open_table
 from ._tables.raw_table import Objection as Objection
 from ._tables.raw_table import Objections as Objections
+from ._tables.raw_table import Table as Table
+from ._tables.raw_table import as_format as as_format
 from ._tables.raw_table import option as option
+from ._tables.raw_table import unusable as unusable
 
 # corrections, and the files that they are written to
 from ._use.correction import NOT_RELIABLE as NOT_RELIABLE

@@ -280,7 +280,6 @@ class FitCommand(ModelOptions, ReadRequest, AsJson, Command):
             reference = request.reference_of(self.reference, readings)
             how = {"seed": self.seed, "strict": False, "reference": reference}
             calibration = bc.fit(model, readings, request.method_named(self.method), **how)
-            from bayescal._calibration.storage import identity
             from bayescal._cli.output import fit_data
 
             if calibration.verdict.ok:
@@ -288,7 +287,7 @@ class FitCommand(ModelOptions, ReadRequest, AsJson, Command):
             shown = fit_data(calibration) if self.json_ else calibration
             verdict, written = calibration.verdict, ""
             if folder is not None:
-                with whole_folder(folder, identity(calibration)) as hidden:
+                with whole_folder(folder) as hidden:
                     calibration.save(hidden / CALIBRATION)
                 written = f"{folder / CALIBRATION}"
             return Answer(shown, ok=verdict.reliable, why=verdict.why_not, written=written)

@@ -11,6 +11,9 @@ An installed package offers one by an entry point of the group `bayescal.annexes
     noise_file          channels, topic, quantile → their noise as a file for another program
     result              calibration, average → what result.json holds behind the coefficients
     coefficient_tables  result.json → captions and tables behind a report's table of coefficients
+    log                 path, name, channels → the table of a log
+    scalar_readings     instrument of three axes, values, units, file → the same as readings of one output, and flags
+    pictures            calibration → captions and pictures for the first page of a report
 
 The core imports none. It asks all that are there, and without one all but what that offers stays as it is.
 """

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from bayescal._core.annex import first_offered
 from bayescal._core.errors import InputError
 from bayescal._core.formatting import number
 from bayescal._core.netcdf import Variable
@@ -28,7 +29,6 @@ from bayescal._data.column import (
     file_names,
 )
 from bayescal._data.column_conversion import convert_columns, joined
-from bayescal._data.pose_rows import MAGNITUDE, MAGNITUDE_READ, scalar_readings
 from bayescal._data.read_options import InstrumentLike, ReadOptions, output_name, unused_options
 from bayescal._data.records import distinct
 from bayescal._data.unit_conversion import ANY, parse
@@ -422,14 +422,9 @@ def assemble(
     if "time" in values and len(repeated):
         values = {n: np.delete(v, repeated) for n, v in values.items()}
     if outputs := getattr(instrument, "outputs", ()):
-        sized = [c.meaning for c in instrument.columns if c.name == MAGNITUDE]
-        values, units = scalar_readings(outputs, values, units, names, bool(sized))
-        if MAGNITUDE_READ in values.keys() - converted.values.keys():
-            read = f"{values[MAGNITUDE_READ][0]:.4g} {units[MAGNITUDE_READ]}"
-            flags.append(
-                f"{names}: the magnitude {sized[0]} is not given (--local-field, or a column {MAGNITUDE!r}): it is "
-                f"taken as the outputs read it, {read}, and ratios of scale factors are measured"
-            )
+        as_scalar = first_offered("scalar_readings", f"reading {', '.join(outputs)}")
+        values, units, more = as_scalar(instrument, values, units, names)
+        flags += more
     beside = frozenset(converted.beside & values.keys())
     return Measurements(values, units, sources, tuple(flags), output, scale, beside, since)
 

@@ -1,8 +1,6 @@
-"""Every picture but those of draws, which ArviZ draws: where a model fails, what is missing, the error, noise, poses.
+"""Every picture but those of draws, which ArviZ draws: where a model fails, what is missing, the error, noise.
 
-Pictures of the search are drawn from results, or from what `result.json` says of them. Poses stand on two hemispheres,
-z up and z down, as seen from outside, each an equal-area map (Lambert's azimuthal), so that poses that are spread
-evenly look so.
+Pictures of the search are drawn from results, or from what `result.json` says of them.
 """
 
 from __future__ import annotations
@@ -14,7 +12,6 @@ from threading import RLock
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float
 from matplotlib import style
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
@@ -26,10 +23,8 @@ from bayescal._calibration.check import Check, Entry, check, covariates_of
 from bayescal._calibration.leave_group_out import scheme
 from bayescal._calibration.sensor_noise import SensorNoise
 from bayescal._core.atomic_file import replacing_for_user
-from bayescal._core.errors import ModelError
 from bayescal._core.formatting import number
 from bayescal._data.allan_deviation import AllanDeviation
-from bayescal._data.pose_rows import ACROSS
 from bayescal._data.unit_conversion import unit_label
 from bayescal._report.plot_colours import BLUE, CYCLE, GREEN, GREY, ORANGE, PALE, RED
 from bayescal._search.discover import Discovery, is_quiet
@@ -322,61 +317,3 @@ def _labelled(ax: Any, unit: str, told: Sequence[str]) -> Figure:
     ax.set_title(", ".join(told), fontsize=9, loc="left")
     ax.legend(frameon=False, fontsize=8)
     return ax.figure
-
-
-COLOUR_END_SD = 3.0  # standard deviations, at which the colour ends
-
-
-def sphere(calibration: Calibration) -> Figure:
-    """Residuals of the magnitudes of poses, in standard deviations, where on the sphere each pose is.
-
-    Raises:
-        ModelError: an instrument of one output, or one of which the magnitude is not what is read.
-    """
-    direction, residual = residuals_on_sphere(calibration)
-    figure = new_figure(8.4, 4.2)
-    panels = figure.subplots(1, 2, sharex=True, sharey=True)
-    points: Any = None
-    for ax, up in zip(panels, (1, -1), strict=True):
-        own = direction[:, 2] * up >= 0
-        x, y, z = direction[own].T
-        away = np.sqrt(1 / (1 + np.abs(z)))  # √(2(1 − |z|)) / √(2(1 − z²)), with 1 at the rim
-        points = ax.scatter(
-            *(np.stack([x, y]) * away),
-            c=residual[own],
-            cmap="RdBu_r",
-            vmin=-COLOUR_END_SD,
-            vmax=COLOUR_END_SD,
-            edgecolors=GREY,
-            linewidths=0.5,
-            s=36,
-        )
-        turn = np.linspace(0, 2 * np.pi, 200)
-        ax.plot(np.cos(turn), np.sin(turn), color=GREY, lw=0.8)
-        ax.set_title(f"z {'up' if up > 0 else 'down'}: {int(own.sum())} poses")
-        ax.set_xlabel("x")
-        ax.set_aspect("equal")
-        ax.set_xticks([])
-        ax.set_yticks([])
-    panels[0].set_ylabel("y")
-    figure.colorbar(points, ax=panels, label="residual [standard deviations]", shrink=0.8)
-    return figure
-
-
-def residuals_on_sphere(
-    calibration: Calibration,
-) -> tuple[Float[np.ndarray, "n 3"], Float[np.ndarray, "n"]]:
-    """Directions of poses, by their outputs, and the residuals of their magnitudes in standard deviations."""
-    vector, readings = calibration.model.instrument.vector, calibration.readings
-    if vector is None or vector.acting is not None:
-        raise ModelError(
-            f"instrument {calibration.model.instrument.name!r} reads no magnitudes of poses: "
-            "bayescal.plot.residuals draws its residuals"
-        )
-    outputs = np.stack([readings[name] for name in vector.outputs], axis=1)
-    own = np.ones(len(readings), dtype=bool)
-    if readings.has(ACROSS[0]):
-        own = ~np.any([readings[name] != 0 for name in ACROSS], axis=0)
-    linear = calibration.linear
-    residual = linear.settled / np.sqrt(linear.variance)
-    return outputs[own] / np.linalg.norm(outputs[own], axis=1)[:, None], residual[own]

@@ -293,13 +293,10 @@ def _budget(chapter: Chapter) -> tuple[Budget | None, str]:
 def _pictures(chapter: Chapter, pictures: Pictures) -> dict[str, Any]:
     c = chapter.calibration
     of_last = pictures.residuals(c, chapter.check)
-    sphere = None
-    vector = c.model.instrument.vector
-    if vector is not None and vector.acting is None:
-        caption = "Residuals of the magnitude along the sphere of poses, in standard deviations"
-        sphere = pictures.draw(lambda: plots.sphere(c), caption)
+    offers = ((caption, make) for offer in offered("pictures") for caption, make in offer(c))
+    front = next((pictures.draw(make, caption) for caption, make in offers), None)
     return {
-        "last": of_last if sphere else of_last[1:],
-        "front": sphere or next(iter(of_last), None),  # on the page that is signed
+        "last": of_last if front else of_last[1:],
+        "front": front or next(iter(of_last), None),  # on the page that is signed
         "error": pictures.error(chapter.data["steps"]),
     }

@@ -23,7 +23,6 @@ from bayescal._report.whole_folder import (
     channel_folders,
     drawing,
     folders_of,
-    list_files,
     whole_folder,
 )
 from bayescal._search.calibrate import calibrate as calibrate
@@ -79,7 +78,6 @@ def draw_search(searches: Mapping[str, SearchPath], folder: Path) -> None:
         for place, trail in searches.items():
             with own_style():
                 save(loop(trail), hidden / place / PICTURE)
-            list_files(hidden / place, None)
 
 
 def write_search(trail: SearchPath, folder: Path) -> None:
@@ -94,7 +92,6 @@ def write_search(trail: SearchPath, folder: Path) -> None:
     if trail.average is not None:
         trail.average.save(folder / AVERAGED)
     write_json(result(trail), folder / RESULT)
-    list_files(folder, identity(calibration))
 
 
 SearchPath.save = Channels.save = save_search

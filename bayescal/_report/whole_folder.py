@@ -6,14 +6,13 @@ never taken for results.
 
 from __future__ import annotations
 
-import hashlib
 import os
 import re
 import shutil
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path
-from typing import TypedDict
 
 from bayescal._core.as_json import write_json
 from bayescal._core.atomic_file import left_behind, sha256_of, to_disk, why
@@ -24,17 +23,18 @@ MANIFEST = "manifest.json"
 CHANNELS = "channels.json"  # of a unit, whose channels have each a folder of its own
 CALIBRATION = "calibration.nc"  # of the structure that is shown
 AVERAGED = "averaged.nc"  # the calibration averaged over structures, beside that of the one shown
-SCHEMA = "bayescal.manifest/1"
+SCHEMA = "bayescal.manifest/2"
 AGAIN = "Take a copy of the whole folder, or calibrate again"
 
 
-class Manifest(TypedDict):
-    """What manifest.json holds; `files` with their SHA-256."""
+@dataclass(frozen=True)
+class Manifest:
+    """What manifest.json holds."""
 
     schema: str
-    identity: str
-    calibration: str | None
-    files: dict[str, str]
+    files: dict[str, str]  # name → SHA-256
+    identity: str = ""  # this and the next of bayescal.manifest/1
+    calibration: str | None = None
 
 
 def folders_of(names: Iterable[str]) -> dict[str, str]:
@@ -67,17 +67,14 @@ def is_inside(name: str) -> bool:
 
 
 @contextmanager
-def whole_folder(
-    folder: Path, calibration: str | None = None, *, more: bool = False
-) -> Iterator[Path]:
+def whole_folder(folder: Path, *, more: bool = False) -> Iterator[Path]:
     """A hidden folder to write to, whose files are moved to `folder` once all are written.
 
     What else stands in `folder` stays, but for the unchanged results of a run before. The same holds in folders that
-    are made in the hidden one, each with a manifest of its own (`list_files`); one that ends empty is not there.
+    are made in the hidden one, each with a manifest of its own; one that ends empty is not there.
 
     Args:
         folder: an existing one.
-        calibration: identity of the calibration that the files are of; None: as a manifest written inside says.
         more: whether results that stand there stay, and what is written belongs to them.
 
     Raises:
@@ -91,7 +88,6 @@ def whole_folder(
         visible.mkdir(exist_ok=True)
         hidden.mkdir()
         yield hidden
-        list_files(hidden, calibration)
         _move(hidden, visible, more)
     except OSError as error:
         raise InputError(f"the folder {folder} cannot be written: {why(error)}") from error
@@ -115,12 +111,22 @@ def drawing(what: str) -> Iterator[None]:
 
 
 def files_of(folder: Path) -> dict[str, str]:
-    """What belongs to the results in a folder, name → SHA-256; nothing where there is no manifest.
+    """Return what belongs to the results in a folder, name → SHA-256; nothing where there is no manifest.
 
     Raises:
         InputError: the manifest cannot be read.
     """
-    return {} if not (folder / MANIFEST).is_file() else _manifest(folder)["files"]
+    manifest = folder / MANIFEST
+    if not manifest.is_file():
+        return {}
+    try:
+        files = read_json(manifest, Manifest).files
+        for name in files:
+            if not is_inside(name):
+                raise ValueError(f"it lists {name!r}, which is no file of this folder")
+        return files
+    except (OSError, ValueError) as error:
+        raise InputError(f"{manifest} cannot be used: {error}. {AGAIN}") from None
 
 
 def refuse_mixed(folder: Path, *names: str) -> None:
@@ -142,50 +148,8 @@ def refuse_mixed(folder: Path, *names: str) -> None:
             )
 
 
-def _manifest(folder: Path) -> Manifest:
-    try:
-        data = read_json(folder / MANIFEST, Manifest)
-        if data["schema"] != SCHEMA or data["identity"] != _identity(data["files"]):
-            raise ValueError("it is not as it was written")
-        for name in data["files"]:
-            if not is_inside(name):
-                raise ValueError(f"it lists {name!r}, which is no file of this folder")
-        return data
-    except (OSError, ValueError) as error:
-        raise InputError(f"{folder / MANIFEST} cannot be used: {error}. {AGAIN}") from None
-
-
-def list_files(folder: Path, calibration: str | None) -> None:
-    """Write the manifest of the files that stand in a folder, and have all of them put on the disk.
-
-    Args:
-        folder: whose files belong together.
-        calibration: identity of the calibration that they are of; None: as a manifest that stands there says.
-
-    Raises:
-        OSError: they cannot be written.
-        InputError: the manifest that stands there cannot be read.
-    """
-    if calibration is None and (folder / MANIFEST).is_file():
-        calibration = _manifest(folder)["calibration"]
-    paths = sorted(p for p in folder.iterdir() if p.is_file() and p.name != MANIFEST)
-    _write_manifest(folder, {p.name: sha256_of(p) for p in paths}, calibration)
-    for path in (*paths, folder / MANIFEST, folder):
-        to_disk(path)
-
-
-def _write_manifest(folder: Path, files: dict[str, str], calibration: str | None) -> None:
-    own = {"schema": SCHEMA, "identity": _identity(files), "calibration": calibration}
-    write_json({**own, "files": files}, folder / MANIFEST)
-
-
-def _identity(files: dict[str, str]) -> str:
-    told = "".join(f"{digest}  {name}\n" for name, digest in sorted(files.items()))
-    return hashlib.sha256(told.encode()).hexdigest()
-
-
 def _results(folder: Path) -> dict[str, str]:
-    """What a run before left and nobody changed, name → SHA-256."""
+    """Return what a run before left and nobody changed, name → SHA-256."""
     try:
         listed = files_of(folder)
     except InputError:
@@ -204,19 +168,29 @@ def _move(hidden: Path, visible: Path, more: bool) -> None:
             raise InputError(
                 f"{there} cannot be written: {stands} stands in its place. Move it, or choose another --out"
             )
-    for place in places:
+    manifests = {place: _list_files(hidden / place, visible / place, more) for place in places}
+    for place, (new, gone) in manifests.items():
         source, target = hidden / place, visible / place
-        new, old = files_of(source), _results(target)
-        if more and old:
-            _write_manifest(source, old | new, _manifest(target)["calibration"])
         target.mkdir(exist_ok=True)
         for name in new:
             os.replace(source / name, target / name)
-        for name in () if more else old.keys() - new.keys():
+        for name in gone:
             (target / name).unlink()
-        if (source / MANIFEST).is_file():
-            os.replace(source / MANIFEST, target / MANIFEST)
-        elif old and not more:
-            (target / MANIFEST).unlink()
         if not any(target.iterdir()):
             target.rmdir()
+
+
+def _list_files(source: Path, target: Path, more: bool) -> tuple[list[str], list[str]]:
+    """Write the manifest of the files in a folder, and have all of them put on the disk.
+
+    Returns:
+        Names of the files to be moved to the folder `target`, the manifest last, and of those that go there.
+    """
+    paths, old = sorted(p for p in source.iterdir() if p.is_file()), _results(target)
+    new = {p.name: sha256_of(p) for p in paths}
+    if not new:
+        return [], [] if more else [*old, *[MANIFEST] * bool(old)]
+    write_json({"schema": SCHEMA, "files": (old if more else {}) | new}, source / MANIFEST)
+    for path in (*paths, source / MANIFEST, source):
+        to_disk(path)
+    return [*new, MANIFEST], [] if more else [*(old.keys() - new.keys())]

@@ -1,1 +1,1 @@
-"""Files and logs as tables: headers and cells as they stand, and what is wrong with them; nothing understood yet."""
+"""Files as tables: headers and cells as they stand, and what is wrong with them; nothing understood yet."""

@@ -8,16 +8,17 @@ from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 
+from bayescal._core.annex import first_offered
 from bayescal._core.atomic_file import sha256_of
 from bayescal._core.errors import InputError
 from bayescal._core.quoting import one_line
 from bayescal._tables.csv_reader import open_csv
-from bayescal._tables.logs import LOG_FORMATS, open_log
 from bayescal._tables.raw_table import Table, bytes_text, unusable
 
 MAX_BYTES = 2_000_000_000  # of a file, and of its numbers in memory: a larger one is refused, and not killed for memory
 TEXT = (".csv", ".tsv", ".dsv", ".txt", ".lvm", ".dat")
-READ = (*TEXT, ".parquet", ".nc", ".xlsx", ".mat", *LOG_FORMATS)
+LOGS = (".ulg", ".bin", ".bag", ".mcap", ".db3")  # which an annex reads
+READ = (*TEXT, ".parquet", ".nc", ".xlsx", ".mat", *LOGS)
 _PICKLES = (".pkl", ".pickle", ".npy", ".npz", ".joblib")
 
 
@@ -86,8 +87,8 @@ def open_table(
             raise unusable(name, "is empty (0 bytes)", expected)
         if suffix in TEXT:
             return open_csv(path, name, decimal)
-        if suffix in LOG_FORMATS:
-            found = open_log(path, name, asked)
+        if suffix in LOGS:
+            found = first_offered("log", f"{name!r}, a log,")(path, name, asked)
         else:  # a second that text does without
             from bayescal._tables import formats
 

@@ -27,15 +27,14 @@ WRITES = """
 import sys
 from pathlib import Path
 from tests.support.spoilt_runs import killed_at
-from tests.support.inside import list_files, whole_folder
+from tests.support.inside import whole_folder
 
 folder, text, names = Path(sys.argv[1]), sys.argv[3], sys.argv[4:]
 killed_at(str(folder.parent), int(sys.argv[2]))
-with whole_folder(folder, text) as hidden:
+with whole_folder(folder) as hidden:
     for name in names:
         (hidden / name).parent.mkdir(exist_ok=True)
         (hidden / name).write_text(text)
-    list_files(hidden / "x", text)
     (hidden / "gone").mkdir(exist_ok=True)
 """
 ALIVE = 10_000  # things done to files, which nothing does

@@ -57,9 +57,10 @@ BEHIND = {
         _core.inverse: stepped
         _core.jit: compiled
         _core.parallel: on_one_thread
-        _data.pose_rows: ACROSS AROUND AXES DIRECTION MAGNITUDE MOUNTING OF PULLED SQUARED TURNED magnitude tangents
+        _data.pose_rows: ACROSS AXES DIRECTION MAGNITUDE MAGNITUDE_READ OF RATE TURNED ellipsoid magnitude
         _data.records: equal_runs
         _inference.problem: Problem
+        _report.plot_colours: GREY
         _use.compensation_program: AGAIN STIMULUS inputs_at_fit
     """,
     "metrology": """

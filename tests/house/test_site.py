@@ -73,7 +73,7 @@ def test_every_public_name_is_documented_once() -> None:
     names = [n for part in listed for n in part.split()]
     public = [n for n in names if not n.startswith(("effects.", "plot."))]
     assert sorted(public) == sorted(set(bc.__all__) - {"plot"})
-    for module, file in (("effects", "effects/__init__.py"), ("plot", "plot.py")):
+    for module, file in (("effects", "effects/__init__.py"), ("plot", "plot.pyi")):
         offered = re.findall(
             r"^from .* as (\w+)$", (ROOT / "bayescal" / file).read_text("utf-8"), re.MULTILINE
         )

@@ -57,7 +57,6 @@ from bayescal._use.compensate_file import compensate_file as compensate_file
 from bayescal.workshop import MANIFEST as MANIFEST
 from bayescal.workshop import ReadOptions, as_json, as_text, identity, write_json
 from bayescal.workshop import files_of as files_of
-from bayescal.workshop import list_files as list_files
 from bayescal.workshop import whole_folder as whole_folder
 from bayescal.workshop import with_error as with_error
 
@@ -75,13 +74,6 @@ def frame_of(readings: bc.Measurements, constants: Mapping[str, Any] | None = No
 def identity_of(calibration: bc.Calibration) -> str:
     """The SHA-256 by which every artefact names a calibration."""
     return identity(calibration)
-
-
-def manifest_identity(files: Mapping[str, str]) -> str:
-    """The identity that a manifest of these files and hashes states."""
-    from bayescal._report import whole_folder
-
-    return whole_folder._identity(files)
 
 
 def result_of(trail: bc.SearchPath) -> dict[str, Any]:

@@ -6,7 +6,7 @@ Light: heavy modules load inside.
 from __future__ import annotations
 
 import shlex
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -29,7 +29,6 @@ from bayescal.workshop import (
     drawn,
     files_of,
     instrument_named,
-    list_files,
     named_values,
     names_in,
     of_units,
@@ -42,7 +41,7 @@ from bayescal.workshop import (
 )
 
 if TYPE_CHECKING:
-    from bayescal.workshop import CorrectionKind, Objection
+    from bayescal.workshop import CorrectionKind, Objection, Table
 
 MOST_ADDED = 5  # effects that are added
 SENSORS = {
@@ -154,7 +153,8 @@ class ImuCommand(TriadOptions, Command):
 
     def logs(self) -> dict[str, tuple[Any, Any]]:
         """Read each sensor's columns of the log; refuse with all that is wrong, of all sensors."""
-        from bayescal.workshop import LOG_FORMATS, Objections
+        from bayescal._annexes.imu.logs import LOG_FORMATS
+        from bayescal.workshop import Objections
 
         how, needed = self.for_read(), bool(self.magnetometers or self.local_field)
         given = {name: _three(sensors, getattr(self, sensors)) for name, sensors in SENSORS.items()}
@@ -276,7 +276,6 @@ def _write(folder: Path, trail: Any, correction: Any, readings: Any, sensor: str
     if said := left_out(correction, "yaml"):
         print_notes([f"{correction.instrument}, YAML: {said}"])
     readings.write(folder / "poses.csv")
-    list_files(folder, None)
 
 
 def _draw(trails: Mapping[str, Any], folder: Path) -> bool:
@@ -290,7 +289,6 @@ def _draw(trails: Mapping[str, Any], folder: Path) -> bool:
             for place, trail in trails.items():
                 (hidden / place).mkdir(exist_ok=True)
                 made.append(drawn(bc.report, trail, hidden / place / REPORT))
-                list_files(hidden / place, None)
             if len(trails) > 1:
                 made.append(drawn(bc.report, [*trails.values()], hidden / REPORT))
 
@@ -372,6 +370,26 @@ def _coefficient_tables(data: Mapping[str, Any]) -> list[tuple[str, Any]]:
     return [] if table is None else [(CAPTION, table)]
 
 
+def _open_log(path: Path, name: str, chosen: Collection[str]) -> Table:
+    from bayescal._annexes.imu.logs import open_log
+
+    return open_log(path, name, chosen)
+
+
+def _scalar_readings(*given: Any) -> tuple[Any, Any, list[str]]:
+    from bayescal._annexes.imu.scalar_readings import scalar_readings
+
+    return scalar_readings(*given)
+
+
+def _pictures(calibration: bc.Calibration) -> list[tuple[str, Callable[[], Any]]]:
+    vector = calibration.model.instrument.vector
+    if vector is None or vector.acting is not None:
+        return []
+    caption = "Residuals of the magnitude along the sphere of poses, in standard deviations"
+    return [(caption, lambda: bc.plot.sphere(calibration))]
+
+
 ANNEX = {
     "commands": (TriadCommand, ImuCommand),
     "exports": _exports,
@@ -380,4 +398,7 @@ ANNEX = {
     "noise_file": lambda channels, topic, quantile: bc.kalibr_yaml(channels, topic, quantile),
     "result": _result,
     "coefficient_tables": _coefficient_tables,
+    "log": _open_log,
+    "scalar_readings": _scalar_readings,
+    "pictures": _pictures,
 }

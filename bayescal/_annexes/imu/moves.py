@@ -36,6 +36,7 @@ from scipy.spatial.transform import Rotation
 from scipy.special import fdtrc, logsumexp
 
 from bayescal import InputError, Instrument, Measurements, ModelError
+from bayescal._annexes.imu.scalar_readings import MOUNTING, tangents
 from bayescal._annexes.imu.still_stretches import (
     LoggedRun,
     as_readings,
@@ -47,18 +48,17 @@ from bayescal._annexes.imu.vector_correction import VectorCorrection
 from bayescal._core.parallel import on_one_thread
 from bayescal._data.pose_rows import (
     ACROSS,
-    AROUND,
     AXES,
     DIRECTION,
-    MOUNTING,
     OF,
-    PULLED,
-    SQUARED,
     TURNED,
-    tangents,
 )
 from bayescal.workshop import UNCERTAINTY, convert, number, same_dimension
 
+# Beside `TURNED`, the specific force on j, the square of what acts on a, and the Earth's rotation.
+PULLED = tuple(f"pulled_{a}{j}" for a in AXES for j in AXES)
+SQUARED = tuple(f"squared_{a}" for a in AXES)
+AROUND = tuple(f"around_{k}" for k in "123")
 SWEEPS = 60  # of integrating anew; four suffice for a matrix that is off by a tenth
 HALVINGS = 10  # of a step that leaves more over than was,
 LARGER_RATIO = 1.01  # times as much: slopes are exact to the first order in the angles left over

@@ -29,9 +29,8 @@ from typing import Any
 
 import numpy as np
 
-from bayescal._core.errors import InputError
-from bayescal._core.quoting import one_line
-from bayescal._tables.raw_table import Table, as_format, unusable
+from bayescal import InputError
+from bayescal.workshop import Table, as_format, one_line, unusable
 
 RATE, ACCELERATION = "rad/s", "m/s^2"  # units in which all these formats log
 AXES = ("x", "y", "z")
