@@ -153,7 +153,7 @@ def kinds() -> Iterator[CorrectionKind]:
     """The kinds of corrections: of one output, then those of annexes, which load when they are asked for."""
     yield ONE_OUTPUT
     for corrections in offered("corrections"):
-        yield from corrections()
+        yield from corrections
 
 
 def kind_of(correction: CorrectionInUse) -> CorrectionKind:

@@ -6,7 +6,7 @@ Light: heavy modules load inside.
 from __future__ import annotations
 
 import shlex
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -41,7 +41,7 @@ from bayescal.workshop import (
 )
 
 if TYPE_CHECKING:
-    from bayescal.workshop import CorrectionKind, Objection, Table
+    from bayescal.workshop import Objection
 
 MOST_ADDED = 5  # effects that are added
 SENSORS = {
@@ -341,12 +341,6 @@ def device_numbers(given: list[str] | None) -> dict[str, int]:
     return {name: int(value) for name, value in said.items()}
 
 
-def _corrections() -> tuple[CorrectionKind, ...]:
-    from bayescal._annexes.imu.vector_files import THREE_AXES
-
-    return (THREE_AXES,)
-
-
 def _exports() -> dict[str, Callable[[ExportCommand], Answer]]:
     from bayescal._annexes.imu.autopilot import AUTOPILOTS
 
@@ -361,44 +355,16 @@ def _result(calibration: bc.Calibration, average: bc.Calibration | None) -> dict
     return {"vector": vector_data(calibration, average)}
 
 
-def _coefficient_tables(data: Mapping[str, Any]) -> list[tuple[str, Any]]:
-    if not data.get("vector"):
-        return []
-    from bayescal._annexes.imu.vector_text import CAPTION, matrix_table
-
-    table = matrix_table(data)
-    return [] if table is None else [(CAPTION, table)]
-
-
-def _open_log(path: Path, name: str, chosen: Collection[str]) -> Table:
-    from bayescal._annexes.imu.logs import open_log
-
-    return open_log(path, name, chosen)
-
-
-def _scalar_readings(*given: Any) -> tuple[Any, Any, list[str]]:
-    from bayescal._annexes.imu.scalar_readings import scalar_readings
-
-    return scalar_readings(*given)
-
-
-def _pictures(calibration: bc.Calibration) -> list[tuple[str, Callable[[], Any]]]:
-    vector = calibration.model.instrument.vector
-    if vector is None or vector.acting is not None:
-        return []
-    caption = "Residuals of the magnitude along the sphere of poses, in standard deviations"
-    return [(caption, lambda: bc.plot.sphere(calibration))]
-
-
+HERE = "bayescal._annexes.imu"
 ANNEX = {
     "commands": (TriadCommand, ImuCommand),
     "exports": _exports,
-    "corrections": _corrections,
-    "corrected": lambda calibration: bc.vector_correction(calibration),
-    "noise_file": lambda channels, topic, quantile: bc.kalibr_yaml(channels, topic, quantile),
+    "corrections": f"{HERE}.vector_files:KINDS",
+    "corrected": "bayescal:vector_correction",
+    "noise_file": "bayescal:kalibr_yaml",
     "result": _result,
-    "coefficient_tables": _coefficient_tables,
-    "log": _open_log,
-    "scalar_readings": _scalar_readings,
-    "pictures": _pictures,
+    "coefficient_tables": f"{HERE}.vector_text:coefficient_tables",
+    "pictures": f"{HERE}.sphere:pictures",
+    "log": f"{HERE}.logs:open_log",
+    "scalar_readings": f"{HERE}.scalar_readings:scalar_readings",
 }

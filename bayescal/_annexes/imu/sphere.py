@@ -6,6 +6,8 @@ that poses that are spread evenly look so.
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -17,6 +19,7 @@ from bayescal._data.pose_rows import ACROSS
 from bayescal._report.plot_colours import GREY
 from bayescal.workshop import new_figure
 
+CAPTION = "Residuals of the magnitude along the sphere of poses, in standard deviations"
 COLOUR_END_SD = 3.0  # standard deviations, at which the colour ends
 
 
@@ -54,6 +57,13 @@ def sphere(calibration: Calibration) -> Figure:
     panels[0].set_ylabel("y")
     figure.colorbar(points, ax=panels, label="residual [standard deviations]", shrink=0.8)
     return figure
+
+
+def pictures(calibration: Calibration) -> list[tuple[str, Callable[[], Figure]]]:
+    """Return the sphere of poses of three axes with its caption; nothing of other instruments."""
+    vector = calibration.model.instrument.vector
+    of_poses = vector is not None and vector.acting is None
+    return [(CAPTION, partial(sphere, calibration))] if of_poses else []
 
 
 def residuals_on_sphere(

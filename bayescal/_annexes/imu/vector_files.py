@@ -39,6 +39,9 @@ THREE_AXES = CorrectionKind(
 )
 
 
+KINDS = (THREE_AXES,)
+
+
 def export_vector(
     correction: VectorCorrection,
     path: str | Path,

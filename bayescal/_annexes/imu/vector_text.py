@@ -129,13 +129,12 @@ def vector_data(
     return {**whole, "uncertainty": correction.uncertainty.tolist(), "averaged": averaged}
 
 
-def matrix_table(data: Mapping[str, Any]) -> ResultTable | None:
-    """Of three axes, terms of the correction at T0 and by temperature, each ± u; None of one output."""
-    found = data.get("vector")
-    if found and "terms" in (averaged := found.get("averaged") or {}):
-        found = averaged
-    if not found or "terms" not in found:
-        return None
-    return terms_table(
-        term_rows(found["terms"], found["uncertainty"], found["unit"], found["beside"])
-    )
+def coefficient_tables(data: Mapping[str, Any]) -> list[tuple[str, ResultTable]]:
+    """Return terms of the correction of three axes, at T0 and by temperature, each ± u; nothing of one output."""
+    last = data.get("vector") or {}
+    averaged = last.get("averaged") or {}
+    found = averaged if "terms" in averaged else last
+    if "terms" not in found:
+        return []
+    rows = term_rows(found["terms"], found["uncertainty"], found["unit"], found["beside"])
+    return [(CAPTION, terms_table(rows))]

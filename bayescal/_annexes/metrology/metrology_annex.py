@@ -6,7 +6,6 @@ Light: heavy modules load inside.
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import bayescal as bc
 from bayescal import InputError
@@ -23,9 +22,6 @@ from bayescal.workshop import (
     write_json,
     write_text,
 )
-
-if TYPE_CHECKING:
-    from bayescal._annexes.metrology.certificate import Certificate
 
 
 class DecideCommand(InUse, DecisionRule, AsJson, Command):
@@ -91,15 +87,9 @@ def certified(asked: ExportCommand) -> Answer:
     return Answer(text.removesuffix("\n"))
 
 
-def _certificate(path: str | Path) -> Certificate:
-    from bayescal._annexes.metrology.certificate import read_certificate
-
-    return read_certificate(path)
-
-
 ANNEX = {
     "commands": (DecideCommand,),
     "exports": lambda: {"dcc": certified},
-    "certificate": _certificate,
-    "decided": lambda calibration, limits, **rule: bc.decide(calibration, limits, **rule),
+    "certificate": "bayescal._annexes.metrology.certificate:read_certificate",
+    "decided": "bayescal:decide",
 }
