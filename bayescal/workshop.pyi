@@ -10,8 +10,6 @@ from ._calibration.summary import summary as summary
 # commands: their options, what they are asked for, what they answer
 from ._cli.console import Answer as Answer
 from ._cli.console import drawn as drawn
-from ._cli.console import print_notes as print_notes
-from ._cli.console import result_folder as result_folder
 from ._cli.deliverables import ExportCommand as ExportCommand
 from ._cli.options import AsJson as AsJson
 from ._cli.options import ColumnOptions as ColumnOptions
@@ -49,6 +47,7 @@ from ._core.as_json import write_json as write_json
 
 # files: written whole or not at all; folders of results
 from ._core.atomic_file import replacing_for_user as replacing_for_user
+from ._core.atomic_file import result_folder as result_folder
 from ._core.atomic_file import write_text as write_text
 
 # text for people and for programs: numbers, names, tables
@@ -60,7 +59,7 @@ from ._core.json_shape import as_type as as_type
 from ._core.json_shape import parsed_json as parsed_json
 from ._core.json_shape import read_json as read_json
 from ._core.json_shape import read_toml as read_toml
-from ._core.progress import note as note
+from ._core.progress import print_notes as print_notes
 from ._core.progress import stage as stage
 from ._core.progress import tell as tell
 from ._core.quoting import ascii_text as ascii_text
@@ -69,7 +68,6 @@ from ._core.quoting import html_text as html_text
 from ._core.quoting import identifier as identifier
 from ._core.quoting import one_line as one_line
 from ._core.quoting import python_words as python_words
-from ._core.quoting import xml_text as xml_text
 from ._core.result_table import Printed as Printed
 from ._core.result_table import ResultTable as ResultTable
 from ._core.result_table import TableColumn as TableColumn

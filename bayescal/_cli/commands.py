@@ -22,7 +22,7 @@ from typer import Argument
 
 import bayescal as bc
 from bayescal._cli import options, request, saved
-from bayescal._cli.console import Answer, drawn, print_notes, result_folder
+from bayescal._cli.console import Answer, drawn
 from bayescal._cli.options import (
     AsJson,
     ColumnOptions,
@@ -40,8 +40,9 @@ from bayescal._cli.request import instrument_named
 from bayescal._core import deadline
 from bayescal._core.annex import first_offered
 from bayescal._core.as_json import as_json
-from bayescal._core.atomic_file import write_text
+from bayescal._core.atomic_file import result_folder, write_text
 from bayescal._core.errors import InputError
+from bayescal._core.progress import print_notes
 from bayescal._core.settings import Settings, use_settings
 from bayescal._report.whole_folder import (
     AVERAGED,

@@ -6,22 +6,13 @@ Light: every command loads it before it starts.
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable, Iterable, Iterator
-from contextlib import ExitStack, contextmanager
+from collections.abc import Callable
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 from bayescal._core.as_json import as_json, json_text
-from bayescal._core.atomic_file import folder_made
-from bayescal._core.errors import InputError, NotDrawn
-from bayescal._core.quoting import one_line
-
-
-def print_notes(notes: Iterable[str]) -> None:
-    """What the user should know of and no reason to stop, on standard error."""
-    for note in notes:
-        print(f"bayescal: note: {one_line(note)}", file=sys.stderr)
+from bayescal._core.errors import NotDrawn
+from bayescal._core.progress import print_notes
 
 
 @dataclass(frozen=True)
@@ -63,23 +54,3 @@ def drawn(make: Callable[..., Any], *given: Any) -> bool:
         print_notes([str(error)])
         return False
     return True
-
-
-@contextmanager
-def result_folder(path: Path | None) -> Iterator[Path | None]:
-    """A folder to write to, made if need be, and taken away again if nothing comes of it.
-
-    Raises:
-        InputError: it cannot be made, or is a file.
-    """
-    if path is None:
-        yield None
-        return
-    with ExitStack() as stack:
-        try:
-            stack.enter_context(folder_made(path))
-        except FileExistsError:
-            raise InputError(f"{path} is a file, a folder was expected: name another") from None
-        except OSError as error:
-            raise InputError(f"cannot write to the folder {path}: {error.strerror}") from None
-        yield path

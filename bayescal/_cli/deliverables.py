@@ -14,7 +14,7 @@ from typer import Argument
 
 import bayescal as bc
 from bayescal._cli import saved
-from bayescal._cli.console import Answer, drawn, print_notes
+from bayescal._cli.console import Answer, drawn
 from bayescal._cli.options import (
     AsJson,
     ColumnOptions,
@@ -30,7 +30,7 @@ from bayescal._cli.options import (
 from bayescal._core.annex import first_offered, offered
 from bayescal._core.atomic_file import write_text
 from bayescal._core.errors import InputError
-from bayescal._core.flag import code_of
+from bayescal._core.progress import print_notes
 
 IN_USE: Any = Argument(help="Folder of results, its calibration (.nc), or a JSON export.")
 
@@ -60,7 +60,7 @@ class CompensateCommand(ColumnOptions, InUse, AsJson, Command):
             f"{name} is outside its calibrated range in {count} of {done.rows} readings: an extrapolation there"
             for name, count in done.outside.items()
         )
-        flags = (flag for flag in done.flags if code_of(flag) != "rows.dropped")
+        flags = (flag for flag in done.flags if getattr(flag, "code", "") != "rows.dropped")
         print_notes((*chosen.notes, *flags, *beyond))
         added = f"columns {' and '.join(done.columns)} [{chosen.unit}] added"
         text = f"{self.out}: {done.rows} readings, {added}"

@@ -10,10 +10,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import bayescal as bc
-from bayescal._cli.console import print_notes
 from bayescal._cli.options import METHODS, ReadRequest, SearchRequest, named_numbers, names_in
 from bayescal._core.errors import InputError
-from bayescal._core.progress import stage
+from bayescal._core.progress import print_notes, stage
 from bayescal._search.own_files import instrument_named, user_effects
 
 if TYPE_CHECKING:

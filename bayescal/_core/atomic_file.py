@@ -66,24 +66,38 @@ def replacing_for_user(path: Path) -> Iterator[Path]:
         InputError: a place that cannot be written to, or no room; the old file is as it was.
     """
     try:
-        with folder_made(path.parent), replacing(path) as partial:
+        with result_folder(path.parent), replacing(path) as partial:
             yield partial
     except OSError as error:
         raise InputError(f"{str(path)!r} cannot be written: {why(error)}") from error
 
 
 @contextmanager
-def folder_made(folder: Path) -> Iterator[None]:
-    """Make a folder with those that it is in; take away what was made if nothing comes of it."""
-    missing = [f for f in (folder, *folder.parents) if not f.exists()]
+def result_folder(folder: Path | None) -> Iterator[Path | None]:
+    """Make a folder with those that it is in, if one is named; take away what was made if nothing comes of it.
+
+    Raises:
+        InputError: it cannot be made, or is a file.
+    """
+    missing = [] if folder is None else [f for f in (folder, *folder.parents) if not f.exists()]
     try:
-        folder.mkdir(parents=True, exist_ok=True)
-        yield
+        if folder is not None:
+            _make(folder)
+        yield folder
     except BaseException:
         for made in missing:
             with suppress(OSError):  # not empty: something was written
                 made.rmdir()
         raise
+
+
+def _make(folder: Path) -> None:
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except FileExistsError:
+        raise InputError(f"{folder} is a file, a folder was expected: name another") from None
+    except OSError as error:
+        raise InputError(f"cannot write to the folder {folder}: {error.strerror}") from None
 
 
 def why(error: OSError) -> str:

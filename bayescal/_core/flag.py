@@ -15,8 +15,3 @@ class Flag(str):
         made = super().__new__(cls, words)
         made.code, made.of = code, of
         return made
-
-
-def code_of(flag: str) -> str:
-    """What a flag says, as a code; empty where it has none."""
-    return flag.code if isinstance(flag, Flag) else ""

@@ -98,17 +98,16 @@ def parsed_json(text: str | bytes) -> Any:
     Raises:
         ValueError: it is none, nested deeper than anything that is written here, or holds a larger whole number.
     """
-    try:
-        return _parsed(json.loads, text)
-    except json.JSONDecodeError as error:
-        raise ValueError(f"it is not JSON: {error}") from None
+    return _parsed(json.loads, text, "JSON")
 
 
-def _parsed(parse: Callable[[Any], Any], text: str | bytes) -> Any:
+def _parsed(parse: Callable[[Any], Any], text: str | bytes, language: str) -> Any:
     try:
         found = parse(text)
     except RecursionError:
         raise ValueError(f"it is nested deeper than {DEEPEST}") from None
+    except ValueError as error:
+        raise ValueError(f"it is not {language}: {error}") from None
     level = [found]
     for _ in range(DEEPEST):
         if any(type(one) is int and abs(one) >= MOST_WHOLE for one in level):
@@ -150,13 +149,9 @@ def read_toml(path: Path, kind: Any, called: str, cure: str) -> Any:
         text = path.read_text("utf-8-sig")
         if max(map(len, text.splitlines()), default=0) > LONGEST_LINE:
             raise ValueError(f"it has a line of more than {LONGEST_LINE:,} characters")
-        found = _parsed(tomllib.loads, text)
+        return as_type(_parsed(tomllib.loads, text, "TOML"), kind)
     except OSError as error:
         said = f"cannot be read: {error.strerror or error}. Check the name and the folder"
         raise InputError(f"{called} {said}") from None
-    except ValueError as error:
-        raise InputError(f"{called} is not TOML: {error}") from None
-    try:
-        return as_type(found, kind)
     except ValueError as error:
         raise InputError(f"{called}: {error}. {cure}") from None

@@ -8,8 +8,10 @@ from __future__ import annotations
 import sys
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
+
+from bayescal._core.quoting import one_line
 
 SOON, EVERY = 1.0, 9.0  # s, until a stage is first told of, and from a line to the next
 
@@ -29,9 +31,10 @@ def quiet() -> float:
     return time.monotonic() - _told
 
 
-def note(what: str) -> None:
+def print_notes(notes: Iterable[str]) -> None:
     """Say on stderr what the user should know of and no reason to stop."""
-    print(f"bayescal: note: {what}", file=sys.stderr, flush=True)
+    for note in notes:
+        print(f"bayescal: note: {one_line(note)}", file=sys.stderr, flush=True)
 
 
 @contextmanager

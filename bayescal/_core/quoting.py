@@ -110,17 +110,6 @@ def html_text(text: Any) -> str:
     return html.escape(str(text))
 
 
-_NOT_XML = "[^\t\n\r\u0020-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]"
-
-
-def xml_text(text: Any) -> str:
-    """Text without the characters that no XML may hold, even escaped (XML 1.0, 2.2); they become <U+0000>.
-
-    Its markup is escaped by what writes the tree (`xml.etree`).
-    """
-    return re.sub(_NOT_XML, lambda found: f"<U+{ord(found[0]):04X}>", str(text))
-
-
 _FORMULA = r"[=+\-@\t\r]"
 _A_NUMBER = r"[+-]?(\d+([.,]\d*)?|[.,]\d+)([eE][+-]?\d+)?|[+-]?(nan|inf)"
 

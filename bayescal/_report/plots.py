@@ -52,8 +52,10 @@ def new_figure(width: float, height: float) -> Figure:
 
 
 def axes_of(ax: Any, width: float, height: float) -> Any:
-    """The axes to draw in: those given, or of a figure of their own, inches."""
-    return open_sides(new_figure(width, height).subplots() if ax is None else ax)
+    """Return axes to draw in, open above and on the right: those given, or of a figure of their own, inches."""
+    ax = new_figure(width, height).subplots() if ax is None else ax
+    ax.spines[["top", "right"]].set_visible(False)
+    return ax
 
 
 def plain(text: str) -> str:
@@ -69,12 +71,6 @@ def no_formula(text: str) -> str:
 def axis_label(name: str, unit: str) -> str:
     """A name with its unit, "temperature [°C]"; a pure number is in units of one, "[1]"."""
     return f"{plain(name)} [{unit_label(unit) or '1'}]"
-
-
-def open_sides(ax: Any) -> Any:
-    """Axes without their upper and right spines."""
-    ax.spines[["top", "right"]].set_visible(False)
-    return ax
 
 
 def save(figure: Figure, path: Path) -> Path:

@@ -220,18 +220,19 @@ def _chapter(chapter: Chapter, pictures: Pictures) -> dict[str, Any]:
     found, no_budget = _budget(chapter)
     ends = sorted({0, len(data["steps"]) - 1})
     checks = [check_table([r for r in data["check"] if r["step"] == step]) for step in ends]
-    own = ("conclusion", "effects", "files", "ok", "steps", "convergence")
+    own, readings = ("conclusion", "effects", "files", "steps", "convergence"), c.readings
     return {
         **{name: getattr(report_text, name)(chapter) for name in own},
         "instrument": c.model.instrument,
-        "devices": report_text.devices(c.readings),
-        "channels": report_text.channels(c.readings),
+        "ok": data["verdict"]["ok"],
+        "devices": readings.groups("device")[0] if readings.has("device") else (),
+        "channels": [name for name in dict.fromkeys(s.output for s in readings.sources) if name],
         "data": data,
         "final": data["steps"][-1],
         "identity": identity(chapter.used),
         "of_the_model": None if chapter.average is None else identity(c),
         "averaged": averaged_over(chapter.used),
-        "sources": sources_of(c.readings),
+        "sources": sources_of(readings),
         "groups": _groups(data),
         "signed": signed,
         "further": len(rows.rows) - len(signed.rows) + len(c.model.fixed),
@@ -280,7 +281,7 @@ def _discovery(found: dict[str, Any], data: dict[str, Any], pictures: Pictures) 
 
 def _budget(chapter: Chapter) -> tuple[Budget | None, str]:
     """The budget at the middle of what was covered; or why there is none."""
-    if not report_text.ok(chapter):
+    if not chapter.data["verdict"]["ok"]:
         return None, "There is no budget of a result that is not reliable."
     if chapter.used.model.instrument.use is None:
         return None, NO_STIMULUS

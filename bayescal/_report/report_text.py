@@ -20,7 +20,6 @@ from bayescal._core.flag import Flag
 from bayescal._core.formatting import interval, number, probability, with_error
 from bayescal._core.result_table import ResultTable, TableColumn, plain_table
 from bayescal._core.settings import settings
-from bayescal._data.measurements import Measurements
 from bayescal._data.unit_conversion import unit_label
 from bayescal._model.composition import columns_read
 from bayescal._model.effect import Effect
@@ -40,15 +39,6 @@ FOLLOWS = "follows from the above"
 
 def measured(value: float, unit: str, digits: int = 4) -> str:
     return f"{number(value, digits)} {unit_label(unit)}".strip()
-
-
-def channels(readings: Measurements) -> list[str]:
-    """Columns of the files that were read as the output, where the user chose one."""
-    return [name for name in dict.fromkeys(s.output for s in readings.sources) if name]
-
-
-def devices(readings: Measurements) -> list[str]:
-    return list(readings.groups("device")[0]) if readings.has("device") else []
 
 
 def ranges(calibration: Calibration) -> list[dict[str, Any]]:
@@ -419,7 +409,3 @@ def _not_decided(chapter: Chapter) -> Iterator[str]:
 def listed(words: list[str]) -> str:
     """As words of a sentence: "a, b and c"."""
     return words[0] if len(words) == 1 else f"{', '.join(words[:-1])} and {words[-1]}"
-
-
-def ok(chapter: Chapter) -> bool:
-    return bool(chapter.data["verdict"]["ok"])

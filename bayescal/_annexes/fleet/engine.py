@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING, Any
 from bayescal import BayescalError, InputError
 from bayescal._core import deadline
 from bayescal._core.jax_setup import obey_no_folder
-from bayescal.workshop import note
+from bayescal.workshop import print_notes
 
 if TYPE_CHECKING:
     from distributed import Client, LocalCluster
@@ -69,10 +69,11 @@ def _local_cluster(workers: int | None) -> Iterator[LocalCluster]:
 
     sealed = importlib.util.find_spec("cryptography") is not None
     if not sealed:
-        note(
+        said = (
             "any user of this computer can have the workers run code as long as they run, because they have no keys: "
             "pip install cryptography"
         )
+        print_notes([said])
     settings = {f"distributed.{part}.http.routes": [] for part in ("scheduler", "worker")}
     settings["distributed.worker.preload"] = [__name__]  # has each worker call `dask_setup`
     with (

@@ -56,7 +56,7 @@ from bayescal._annexes.fleet.population import AskedPopulation, chosen
 from bayescal._core import deadline
 from bayescal._core.settings import settings, unusual
 from bayescal._model.frame import reference_name
-from bayescal.workshop import ReadOptions, note, refuse_missing, stage, tell
+from bayescal.workshop import ReadOptions, print_notes, refuse_missing, stage, tell
 
 if TYPE_CHECKING:
     from distributed import Client
@@ -294,8 +294,7 @@ def fit_batch(
     if paths:
         refuse_missing([path for path in paths if not path.is_dir()])
         files, unread = files_of([p.resolve() for p in paths])
-        for line in first_few(unread, len(unread), "not read: "):
-            note(line.strip())
+        print_notes(line.strip() for line in first_few(unread, len(unread), "not read: "))
         device = read_options.columns.get(DEVICE, DEVICE)
         usual = FIND_ROWS if search else ROWS
         parts += parts_of(files, usual if partition_rows is None else partition_rows, device)

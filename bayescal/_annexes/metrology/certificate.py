@@ -39,7 +39,6 @@ from bayescal.workshop import (
     summary,
     template,
     why_not,
-    xml_text,
 )
 
 # Section → key → what a person reads. A section in lists may stand several times.
@@ -174,6 +173,14 @@ class Real(NamedTuple):
     spread: dict[str, str]
 
 
+_NOT_XML = "[^\t\n\r\u0020-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]"  # XML 1.0, 2.2
+
+
+def _xml_text(value: Any) -> str:
+    """Return text without the characters that no XML may hold, even escaped; they become <U+0000>."""
+    return re.sub(_NOT_XML, lambda found: f"<U+{ord(found[0]):04X}>", str(value))
+
+
 def dcc_text(
     calibration: Calibration,
     certificate: Certificate | str | Path,
@@ -208,7 +215,7 @@ def dcc_text(
         "dcc.xml.jinja",
         {"statement_lines": statement_lines},
         autoescape=True,
-        finalize=lambda value: value if isinstance(value, Markup) else xml_text(value),
+        finalize=lambda value: value if isinstance(value, Markup) else _xml_text(value),
     )
     read = sources_of(calibration.readings)
     files = (("other", f"SHA-256 of {s.file}", s.sha256) for s in read)
