@@ -47,10 +47,9 @@ class NotConverged(BayescalError):
 class NotDrawn(BayescalError):
     """A picture, or a page with pictures, could not be made; the result that it was to show is written all the same."""
 
-    def __init__(self, what: str, why: BaseException | str) -> None:
-        if not isinstance(why, str):
-            first = next(iter(str(why).splitlines()), "")
-            why = f"{type(why).__name__}: {first}".removesuffix(": ")
+    def __init__(self, what: str, why: BaseException) -> None:
+        first = next(iter(str(why).splitlines()), "")
+        said = f"{type(why).__name__}: {first}".removesuffix(": ")
         super().__init__(
-            f"{what} could not be drawn ({why}); the result is kept, and stands as it is"
+            f"{what} could not be drawn ({said}); the result is kept, and stands as it is"
         )

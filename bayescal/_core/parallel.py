@@ -16,9 +16,7 @@ P = ParamSpec("P")
 R = TypeVar("R")
 
 
-@cache
-def _threads() -> ThreadpoolController:
-    return ThreadpoolController()
+_threads = cache(ThreadpoolController)
 
 
 def on_one_thread(function: Callable[P, R]) -> Callable[P, R]:
