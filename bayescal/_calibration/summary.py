@@ -10,6 +10,7 @@ import numpy as np
 from jaxtyping import Float
 
 from bayescal._calibration.claim import Claim
+from bayescal._calibration.confounding import stand_alone
 from bayescal._calibration.fitted import Fitted
 from bayescal._core import null_space
 from bayescal._core.formatting import WIDTH, interval, number, probability, with_error
@@ -17,7 +18,6 @@ from bayescal._core.result_table import ResultTable, plain_table
 from bayescal._data.unit_conversion import unit_label
 from bayescal._inference.linear_model import LinearModel
 from bayescal._model.frame import derived, held_name
-from bayescal._model.parameters import CoefficientBlock, Layout
 from bayescal._model.unknowns import Unknowns
 
 # Information against the prior's, below which a direction of coefficients counts as not measured: the posterior's
@@ -231,12 +231,10 @@ def untold(
         code = "direction.none" if len(order) == 1 else "direction.other"
         found.append(Claim(code, *(names[i] for i in order), **told))
     if others:  # all those among deviations of groups and unknown functions' coefficients
-        size = np.max(np.abs(others), axis=0)
-        several = {
-            b.effect.name: None
-            for b in layout.x_blocks
-            if not _single(b, layout) and size[b.at].max() > TRACE_SHARE * size.max()
-        }
+        size, main = np.max(np.abs(others), axis=0), stand_alone(layout)
+        traced = np.where(main, 0.0, size) > TRACE_SHARE * size.max()
+        seen = (b for b in layout.x_blocks if traced[b.at].any())
+        several = dict.fromkeys(b.effect.name for b in seen)
         told = {"count": len(others), "combination": ", ".join(several)}
         found.append(Claim("direction.members", *several, **told))
     return found
@@ -247,7 +245,7 @@ def null_vectors(
 ) -> tuple[list[Direction], list[Direction], list[Direction]]:
     """Directions that are not told, in prior standard deviations: exactly; nearly; of members of groups alone."""
     layout = linear.problem.layout
-    main = np.concatenate([np.full(b.size, _single(b, layout)) for b in layout.x_blocks])
+    main = stand_alone(layout)
     unknown = linear.sd[: layout.size] > 0  # the others are numbers by definition
     white = linear.white_nuisance[:, : layout.size][:, unknown]
     exact = null_space.exact(white) if exactly else np.zeros((0, white.shape[1]))
@@ -261,13 +259,6 @@ def null_vectors(
             concerns = float(np.sum(vector[main] ** 2)) > CONCERNED_SHARE * float(vector @ vector)
             found[kind if concerns else 2].append(vector)
     return found[0], found[1], found[2]
-
-
-def _single(block: CoefficientBlock, layout: Layout) -> bool:
-    """Whether a coefficient stands for itself: no deviation of learned spread or of a rig, no part of a function."""
-    vector = layout.model.instrument.vector
-    rigs = vector is not None and block.slot in vector.rig
-    return block.coefficient.group_sd is None and not block.effect.is_placeholder and not rigs
 
 
 def _sum(terms: list[tuple[float, str]]) -> str:

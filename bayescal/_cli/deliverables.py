@@ -66,7 +66,7 @@ class CompensateCommand(ColumnOptions, InUse, AsJson, Command):
         text = f"{self.out}: {done.rows} readings, {added}"
         text += f"; {done.missing} rows are empty, where a reading is missing" * bool(done.missing)
         data = {"file": str(self.out), "rows": done.rows, "columns": list(done.columns)}
-        data |= {"unit": chosen.unit, "epoch": chosen.epoch, "outside": done.outside}
+        data |= {"unit": chosen.unit, "epoch": chosen.about.epoch, "outside": done.outside}
         data |= {"unsolved": done.unsolved, "missing": done.missing}
         judged = saved.reliable({"": chosen})
         if done.unsolved:

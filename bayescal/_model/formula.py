@@ -66,16 +66,8 @@ _PAST = {"rate": 1, "body": 2, "lag_difference": 2}
 _OF_TWO = ("min", "max")
 _COUNTS = {**dict.fromkeys(_FUNCTIONS, 1), **dict.fromkeys(_OF_TWO, 2), **_PAST}
 _LAG = "lag was T̃ − T, and read as T̃: write lag_difference(T, tau) for T̃ − T, or body(T, tau) for T̃"
-_PARTS = (
-    ast.Name,
-    ast.Constant,
-    ast.BinOp,
-    ast.UnaryOp,
-    ast.Call,
-    ast.operator,
-    ast.unaryop,
-    ast.Load,
-)
+_VALUES = ast.Name | ast.Constant | ast.BinOp | ast.UnaryOp | ast.Call
+_PARTS = _VALUES | ast.operator | ast.unaryop | ast.Load
 
 
 class Dimension(NamedTuple):
@@ -584,7 +576,9 @@ class _TypedLine:
                 raise InputError(
                     f"effect {self.text!r}: how large {name!r} plausibly is, is not said: {name} = 0.1 mV/V"
                 )
-            text = "/".join([slot_unit, *(_power_of(n, p) for n, p in own.powers)])
+            divided = (("degC" if n == "K" else n, p) for n, p in own.powers)
+            powers = (n if p == 1 else f"({n}^{p:g})" for n, p in divided)
+            text = "/".join([slot_unit, *powers])
             rounded = _number(f"{size / coefficient_factor(text, slot_unit):.2g}")
             return Coefficient(text, Normal(0.0, rounded), part)
         if not (found := _SIZE.fullmatch(said)):
@@ -659,11 +653,6 @@ def _number(text: str, refusal: Callable[[str], InputError] = InputError) -> flo
 def line_of_today(line: str) -> str:
     """A line that was saved when `lag` was a word of formulas, of which it meant `lag_difference`."""
     return re.sub(r"\blag(?=\s*\()", "lag_difference", line)
-
-
-def _power_of(name: str, power: float) -> str:
-    name = "degC" if name == "K" else name
-    return name if power == 1 else f"({name}^{power:g})"
 
 
 def _scatter(made: Formula, readings: Measurements, shapes: Mapping[str, Shape]) -> list[float]:

@@ -65,9 +65,10 @@ class Bounds(NamedTuple):
 
 @static
 class NoiseTerm(abc.ABC):
-    """One term of a sum. Its unknowns have names of their own, in the output unit or as `unit` says."""
+    """One term of a sum. Its unknowns have names of their own, in the output unit or as `units` says of it, "{}"."""
 
     words: ClassVar[str]  # as a person reads it
+    units: ClassVar[Mapping[str, str]] = {}
     bounded: ClassVar[bool] = False  # whether its states hang on the bounds of the record
 
     @abc.abstractmethod
@@ -75,7 +76,7 @@ class NoiseTerm(abc.ABC):
         """Names and priors; the first is its amplitude."""
 
     def unit(self, name: str, output: str) -> str:
-        return output
+        return self.units.get(name, "{}").format(output)
 
     @abc.abstractmethod
     def block(self, values: Values, bounds: Bounds, h: Float[Array, "n"]) -> Block:
@@ -184,13 +185,11 @@ class WalkTerm(ExponentialTerm):
     """A random walk (IEEE 952: rate random walk, K) that has gone on for long before the record."""
 
     words: ClassVar[str] = "random walk"
+    units: ClassVar[Mapping[str, str]] = {"noise.walk": "{}/s^0.5"}
     bounded: ClassVar[bool] = True
 
     def parameters(self, bounds: Bounds) -> dict[str, Any]:
         return {"noise.walk": bounds.diffusion}
-
-    def unit(self, name: str, output: str) -> str:
-        return f"{output}/s^0.5"
 
     # An Ornstein–Uhlenbeck process that returns after thirty spans: stationary as the other terms, and within a
     # record of one span a walk of the diffusion K, since K² = 2·σ²/τ.
@@ -235,15 +234,13 @@ class SmoothTerm(NoiseTerm):
     """
 
     words: ClassVar[str] = "Matérn-3/2"
+    units: ClassVar[Mapping[str, str]] = {"noise.smooth.time": "s"}
 
     def parameters(self, bounds: Bounds) -> dict[str, Any]:
         return {
             "noise.smooth": bounds.correlated,
             "noise.smooth.time": LogUniform(bounds.shortest, bounds.longest),
         }
-
-    def unit(self, name: str, output: str) -> str:
-        return "s" if name == "noise.smooth.time" else output
 
     def variance(self, values, bounds):
         return values["noise.smooth"] ** 2
@@ -290,6 +287,10 @@ class ToneTerm(NoiseTerm):
     """
 
     words: ClassVar[str] = "tone"
+    units: ClassVar[Mapping[str, str]] = {
+        **dict.fromkeys(("noise.tone.frequency", *MOVING), "Hz"),
+        "noise.tone.time": "s",
+    }
 
     def parameters(self, bounds: Bounds) -> dict[str, Any]:
         slowest, fastest = 1 / bounds.longest, 0.5 / bounds.shortest
@@ -300,9 +301,6 @@ class ToneTerm(NoiseTerm):
             "noise.tone.time": LogUniform(bounds.shortest, bounds.longest),
             **moving,
         }
-
-    def unit(self, name: str, output: str) -> str:
-        return {"noise.tone": output, "noise.tone.time": "s"}.get(name, "Hz")
 
     def variance(self, values, bounds):
         return values["noise.tone"] ** 2
@@ -422,14 +420,12 @@ class RoundedAngleTerm(ErrorsTerm):
     """Quantisation noise of IEEE 952, Q: readings are differences of an angle that each has an error of its own."""
 
     words: ClassVar[str] = "quantisation"
+    units: ClassVar[Mapping[str, str]] = {"noise.quantisation": "{}*s"}
     bounded: ClassVar[bool] = True
     passed: ClassVar[float] = -1.0
 
     def parameters(self, bounds: Bounds) -> dict[str, Any]:
         return {"noise.quantisation": multiplied(bounds.correlated, bounds.shortest)}
-
-    def unit(self, name: str, output: str) -> str:
-        return f"{output}*s"
 
     def size(self, values, bounds):
         return values["noise.quantisation"] / bounds.shortest

@@ -154,22 +154,10 @@ class Layout:
                     place = "phi"
                 size = 1 if coefficient.per in (None, READING) else counts[coefficient.per]
                 factor = factor_of(self.model.instrument, effect, coefficient)
-                known: float = coefficient.mean
                 origin = above.pop(name, 0.0) / factor
-                blocks.append(
-                    CoefficientBlock(
-                        effect=effect,
-                        index=index,
-                        name=name,
-                        slot=slot.name,
-                        size=size,
-                        factor=factor,
-                        place=place,
-                        start=start,
-                        value=fixed.get(name, known) - origin,
-                        origin=origin,
-                    )
-                )
+                value = fixed.get(name, coefficient.mean) - origin
+                stands = (size, factor, place, start, value, origin)
+                blocks.append(CoefficientBlock(effect, index, name, slot.name, *stands))
                 start += size if place == "x" else 0
         if above:
             raise ModelError(

@@ -223,7 +223,7 @@ def budget(
         ModelError: the instrument does not say what it measures.
     """
     chosen = compensator(calibration) if isinstance(calibration, Calibration) else calibration
-    if chosen.calibration is None or chosen.equation is None:
+    if chosen.loaded:
         raise InputError("a loaded compensator has no posterior: give the calibration itself")
     if not (np.isfinite(k) and k > 0):
         raise InputError(f"k = {k}: a coverage factor is a positive number, such as 2")
@@ -231,14 +231,14 @@ def budget(
     expected, slope, gradient = _slopes(chosen, point)
     covariance = chosen._moments.covariance
     variance = float(gradient @ covariance @ gradient)
-    every = posterior_moments(chosen._equation, chosen._calibration, ALL_DRAWS)
+    every = posterior_moments(chosen.equation, chosen.calibration, ALL_DRAWS)
     places = {name: np.array([value]) for name, value in point.items()}
-    untold = not_measured(chosen._calibration, (every.draws @ gradient)[:, None])
+    untold = not_measured(chosen.calibration, (every.draws @ gradient)[:, None])
     said = () if untold is None else (f"Most of it is prior: {untold}. {untold.cure}.",)
     sd = np.sqrt(np.diag(covariance))
     share = gradient * (covariance @ gradient) / (variance or np.inf)
     numbers = (chosen._moments.mean, sd, gradient, np.abs(gradient) * sd, share)
-    unknowns = chosen._equation.unknowns
+    unknowns = chosen.equation.unknowns
     return Budget(
         stimulus=chosen.stimulus,
         unit=chosen.unit,
@@ -274,7 +274,7 @@ def _operating_point(chosen: Compensator, at: dict[str, float]) -> dict[str, flo
 def _slopes(chosen: Compensator, point: Mapping[str, float]) -> tuple[float, float, np.ndarray]:
     """Expected output and its slope at a point, and ∂value/∂θ there; inputs that are not in it are zero, as unused."""
     places = {name: np.full(1, value) for name, value in point.items()}
-    expected, slope, gradient = chosen._equation.linearised(
+    expected, slope, gradient = chosen.equation.linearised(
         chosen._moments.mean, places[chosen.stimulus], places
     )
     if slope[0] == 0:
@@ -289,15 +289,15 @@ def _by_source(
     chosen: Compensator, point: Mapping[str, float], gradient: np.ndarray, variance: float
 ) -> tuple[SourceShare, ...]:
     """The split by what the calibration knew: noise, each prior, each deviation that is new in use."""
-    unlikely = {e.name for e in chosen._calibration.model.effects} - chosen._calibration.likeliest
+    unlikely = {e.name for e in chosen.calibration.model.effects} - chosen.calibration.likeliest
     parts, total = dict[tuple[str, str], float](), variance
     if unlikely:
-        members = dict(chosen._equation.members)
-        chosen = compensator(chosen._calibration.without(unlikely), members=members)
+        members = dict(chosen.equation.members)
+        chosen = compensator(chosen.calibration.without(unlikely), members=members)
         *_, gradient = _slopes(chosen, point)
         total = float(gradient @ chosen._moments.covariance @ gradient)
-    calibration, unknowns = chosen._calibration, chosen._equation.unknowns
-    slopes, learned = dict[str, float](), _learned_group_sds(chosen._equation)
+    calibration, unknowns = chosen.calibration, chosen.equation.unknowns
+    slopes, learned = dict[str, float](), _learned_group_sds(chosen.equation)
     for i, unknown in enumerate(unknowns):
         if unknown.kind == "new":
             kind = "A" if unknown.key in learned else "B"
@@ -358,16 +358,16 @@ def _beyond(chosen: Compensator, point: Mapping[str, float]) -> list[str]:
 def notes_on(chosen: Compensator, of_correction: bool = True) -> tuple[str, ...]:
     """Which coverage of a budget is short, and what is not counted in it, of a correction or of a slot alone."""
     notes = list[str]()
-    learned = _learned_group_sds(chosen._equation)
-    for block in (b for b in chosen._equation.blocks if b.name in learned):
+    learned = _learned_group_sds(chosen.equation)
+    for block in (b for b in chosen.equation.blocks if b.name in learned):
         per = str(block.coefficient.per)
-        count = len(chosen._calibration.levels.get(per, ()))
+        count = len(chosen.calibration.levels.get(per, ()))
         if count < FEWEST_GROUPS_FOR_NORMAL:
             notes.append(
                 f"{block.name} of a new {per} is known from {count} of them: an expanded uncertainty covers less than "
                 "that of a normal distribution."
             )
-    if of_correction and not chosen._equation.slope_calibrated:
+    if of_correction and not chosen.equation.slope_calibrated:
         notes.append(bias_only(chosen.stimulus))
-    clock = clock_note(chosen._calibration, chosen._equation.inputs)
+    clock = clock_note(chosen.calibration, chosen.equation.inputs)
     return (*clock, *dict.fromkeys(notes), SHARED)

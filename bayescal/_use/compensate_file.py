@@ -114,9 +114,9 @@ def compensate_file(
     # Nothing is left out of the file, and nothing calibrated.
     unused = ("ignore", "local_field")
     given = {n: value for n, value in how.items() if value is not None and n not in unused}
-    if compensator.calibration is not None:
+    if not compensator.loaded:
         given["remembered"] = compensator.calibration.readings.sources
-    given["epoch"] = compensator.epoch
+    given["epoch"] = compensator.about.epoch
     options = ReadOptions.of(
         expected, local_gravity=local_gravity, missing=missing, only=True, **given
     )
@@ -161,7 +161,7 @@ def compensate_file(
 def _refuse_another_clock(used: Compensator, readings: Measurements, begins: bool) -> None:
     """Refuse times without dates that fall among those of the calibration: no device is read twice at one time."""
     sums = {sha for _, sha in used.about.sources}
-    undated = readings.since is None and used.epoch is None and not begins
+    undated = readings.since is None and used.about.epoch is None and not begins
     if not (used.dated and undated) or {s.sha256 for s in readings.sources} & sums:
         return
     (clock,) = (i for i in used.inputs if i.name == "time")

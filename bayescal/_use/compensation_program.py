@@ -40,6 +40,7 @@ from bayescal._use.operating_equation import (
     PosteriorMoments,
     input_name,
     left_out,
+    noise_in_use,
 )
 
 PAST = ("rate", "lag", "lag slope")  # kinds of input that follow from a temperature's past
@@ -387,7 +388,6 @@ class CompensationProgram(CorrectionInUse):
 
     @property
     def stimulus_limits(self) -> tuple[float, float] | None:
-        """Beyond which a compensated value is flagged."""
         return None if self.stimulus_range is None else limits(self.stimulus_range)
 
     @cached_property
@@ -525,29 +525,37 @@ def _refuse_torn(program: CompensationProgram) -> None:
 
 def program_of(
     equation: OperatingEquation,
+    calibration: Calibration,
     moments: PosteriorMoments,
-    inputs: Sequence[Input],
-    stimulus_range: tuple[float, float] | None,
-    noise: tuple[Mapping[str, float], float],
-    about: Provenance,
+    values: Mapping[str, np.ndarray],
 ) -> CompensationProgram:
-    """Take an equation in use, its derivatives and the noise of one reading at the mean of its unknowns."""
-    unknowns = equation.unknowns
+    """Take an equation in use, its derivatives and the noise of one reading at the mean of its unknowns.
+
+    `values` are those of the inputs at the readings of the fit, (n,) each.
+    """
+    unknowns, readings, use = equation.unknowns, calibration.readings, equation.use
+    law, level = noise_in_use(equation, calibration, values)
     means = {input_name(u.key): float(m) for u, m in zip(unknowns, moments.mean, strict=True)}
-    law = {input_name(name): value for name, value in noise[0].items()}
+    law = {input_name(name): value for name, value in law.items()}
     places = [equation.expected, equation.noise, *equation.gradient.values()]
     graph, (expected, variance, slope, *gradient) = equation.graph.part(places, law | means)
-    variance = graph.apply("mul", graph.constant(noise[1]), variance)
+    variance = graph.apply("mul", graph.constant(level), variance)
     acting = [i for i, place in enumerate(gradient) if graph.value(place) != 0]
     each = ((unknowns[i], float(moments.mean[i])) for i in acting)
     outputs = [expected, slope, variance, *(gradient[i] for i in acting)]
     small, (expected, slope, variance, *gradient) = graph.part(outputs, {})
-    return CompensationProgram(
-        about=about,
+    span = None
+    if use.equation is None and readings.has(use.stimulus) and np.ptp(readings[use.stimulus]) > 0:
+        span = float(readings[use.stimulus].min()), float(readings[use.stimulus].max())
+    inputs = inputs_in_use(calibration, equation, values)
+    made = CompensationProgram(
+        about=provenance_of(calibration, equation),
         inputs=tuple(inputs),
-        stimulus_range=stimulus_range,
+        stimulus_range=span,
         unknowns=tuple(ProgramUnknown(u.name, u.unit, mean) for u, mean in each),
         covariance=moments.covariance[np.ix_(acting, acting)].tolist(),
         affine=STIMULUS not in small.inputs([slope]),
         equation=TracedEquation(small.data(), expected, slope, tuple(gradient), variance),
     )
+    settled = (replace(i, settled=i.kind == "elapsed" and made.settles(i)) for i in inputs)
+    return replace(made, inputs=tuple(settled))

@@ -32,7 +32,6 @@ from bayescal._use.compensation_program import (
     inputs_in_use,
     notes_on_use,
     program_of,
-    provenance_of,
 )
 from bayescal._use.correction import NOT_RELIABLE
 from bayescal._use.correction_files import as_text, format_of, kind_of, load_correction
@@ -40,7 +39,6 @@ from bayescal._use.operating_equation import (
     OperatingEquation,
     PosteriorMoments,
     equation_in_use,
-    noise_in_use,
     posterior_moments,
     solved_over_draws,
 )
@@ -79,8 +77,8 @@ class Compensator:
         loaded: the program of a loaded one.
     """
 
-    calibration: Calibration | None
-    equation: OperatingEquation | None = None
+    calibration: Calibration
+    equation: OperatingEquation
     draws: int = 400
     loaded: CompensationProgram | None = None
 
@@ -113,14 +111,15 @@ class Compensator:
             InputError: a column that is needed is missing, the method needs draws and there are none, or the readings
                 have dates and the calibration has none (or the other way round) and the correction changes with them.
         """
-        method = method or ("draws" if self.calibration is not None else "first order")
+        method = method or ("first order" if self.loaded else "draws")
+        epoch = self.about.epoch
         if readings is not None:
-            readings = on_clock(readings, self.epoch, lambda: self.dated)
-        given, record = gathered(self.inputs, readings, columns, self.epoch)
+            readings = on_clock(readings, epoch, lambda: self.dated)
+        given, record = gathered(self.inputs, readings, columns, epoch)
         if method == "first order":
             value, own, inclination = self.in_use.run(given["output"], given)
             variance, inclination = own**2, inclination**2
-        elif self.equation is None:
+        elif self.loaded:
             raise InputError(
                 "a loaded compensator has no draws: use method='first order', or the calibration itself"
             )
@@ -153,13 +152,7 @@ class Compensator:
         """Mean, covariance and equation, as they stand: of a fit, without what a check says of it."""
         if self.loaded:
             return self.loaded
-        equation, calibration = self._equation, self._calibration
-        inputs = inputs_in_use(calibration, equation, self._inputs_at_fit)
-        noise = noise_in_use(equation, calibration, self._inputs_at_fit)
-        about = provenance_of(calibration, equation)
-        made = program_of(equation, self._moments, inputs, self._calibrated_stimulus, noise, about)
-        settled = (replace(i, settled=i.kind == "elapsed" and made.settles(i)) for i in inputs)
-        return replace(made, inputs=tuple(settled))
+        return program_of(self.equation, self.calibration, self._moments, self._inputs_at_fit)
 
     @cached_property
     def program(self) -> CompensationProgram:
@@ -170,9 +163,9 @@ class Compensator:
         """
         if self.loaded:
             return self.loaded
-        said = self.why_not
-        notes = (*self.notes, *(f"{NOT_RELIABLE}{one}" for one in (said,) if one))
-        named = {"calibration": identity(self._calibration), "why_not": said, "notes": notes}
+        reason = self.why_not
+        notes = (*self.notes, *[f"{NOT_RELIABLE}{reason}"] * bool(reason))
+        named = {"calibration": identity(self.calibration), "why_not": reason, "notes": notes}
         return replace(self.in_use, about=replace(self.about, **named)).exportable()
 
     @property
@@ -201,24 +194,19 @@ class Compensator:
         if self.loaded:  # the last says what stands against using it
             return self.about.notes[: -1 if self.why_not else None]
         has_range = self.in_use.stimulus_range is not None
-        return notes_on_use(self._calibration, self._equation, has_range)
+        return notes_on_use(self.calibration, self.equation, has_range)
 
     @property
     def why_not(self) -> str:
         """Why the result is not to be used, in words; empty where it may be. A fit that nobody checked is checked."""
-        return self.loaded.why_not if self.loaded else why_not(self._calibration)
-
-    @property
-    def epoch(self) -> float | None:
-        """Seconds since 1970 at time zero; None where the times of the calibration have no dates."""
-        return self.about.epoch
+        return self.loaded.why_not if self.loaded else why_not(self.calibration)
 
     @property
     def dated(self) -> str:
         """Names of what changes with the date, for messages; empty for nothing."""
         if all(i.name != "time" for i in self.inputs):
             return ""
-        return "the correction" if self.loaded else ", ".join(self._calibration.dated) or "it"
+        return "the correction" if self.loaded else ", ".join(self.calibration.dated) or "it"
 
     def noise_variance(self, places: Mapping[str, np.ndarray]) -> np.ndarray:
         """Return the variance of one reading's noise by the noise law, output unit squared, (n,).
@@ -255,7 +243,7 @@ class Compensator:
             needed["time"] = None
         units = {"time": "s", **{i.column: "degC" for i in self.inputs if i.kind in PAST}}
         units |= {i.column: i.unit for i in self.inputs if i.kind == "column"}
-        own = () if self.loaded else self._calibration.model.instrument.columns
+        own = () if self.loaded else self.calibration.model.instrument.columns
         said = {c.name: replace(c, required=True) for c in own}
         return (
             Column("output", self.about.output_unit, "reading"),
@@ -286,37 +274,21 @@ class Compensator:
         chosen = format_of(path, format)
         return write_text(as_text(self.program, chosen, name=name, uncertainty=uncertainty), path)
 
-    @property
-    def _calibration(self) -> Calibration:
-        return self.calibration  # pyright: ignore[reportReturnType]
-
-    @property
-    def _equation(self) -> OperatingEquation:
-        return self.equation  # pyright: ignore[reportReturnType]
-
     @cached_property
     def _moments(self) -> PosteriorMoments:
-        return posterior_moments(self._equation, self._calibration, self.draws)
+        return posterior_moments(self.equation, self.calibration, self.draws)
 
     @cached_property
     def _inputs_at_fit(self) -> dict[str, np.ndarray]:
-        return inputs_at_fit(self._calibration, self._equation)
-
-    @property
-    def _calibrated_stimulus(self) -> tuple[float, float] | None:
-        readings, name = self._calibration.readings, self._equation.use.stimulus
-        if self._equation.use.equation is not None or not readings.has(name):
-            return None
-        low, high = float(readings[name].min()), float(readings[name].max())
-        return (low, high) if high > low else None
+        return inputs_at_fit(self.calibration, self.equation)
 
     @cached_property
     def _ranges(self) -> dict[str, tuple[float, float]]:
         """Beyond which a reading is flagged, by input; the stimulus with them where it was varied."""
         ranges = {i.name: (i.low, i.end) for i in self.inputs}
-        if self.calibration is not None:
+        if not self.loaded:
             # What the equation does not use was held in a range too.
-            for name in self._equation.known:
+            for name in self.equation.known:
                 values = self._inputs_at_fit[name]
                 if name not in ("time", "elapsed") and np.ptp(values) > 0:
                     ranges.setdefault(name, (float(values.min()), float(values.max())))
@@ -351,10 +323,10 @@ def compensator(
         return whole
     held = tuple(
         (i.name, float(i.middle), i.unit)
-        for i in inputs_in_use(calibration, whole._equation, whole._inputs_at_fit)
+        for i in inputs_in_use(calibration, whole.equation, whole._inputs_at_fit)
         if not needed.issuperset({i.column} if i.kind == "column" else {i.column, "time"})
     )
-    return replace(whole, equation=replace(whole._equation, held_inputs=held))
+    return replace(whole, equation=replace(whole.equation, held_inputs=held))
 
 
 def load_compensator(path: str | Path) -> Compensator:
@@ -367,4 +339,4 @@ def load_compensator(path: str | Path) -> Compensator:
     if not isinstance(found, CompensationProgram):
         kind = kind_of(found)
         raise InputError(f"{Path(path).name} is of {kind.axes}: bayescal.{kind.loader} loads it")
-    return Compensator(None, loaded=found)
+    return Compensator(None, None, loaded=found)  # pyright: ignore[reportArgumentType]

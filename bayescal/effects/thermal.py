@@ -48,10 +48,7 @@ def _first_order() -> Modes:
 
 
 def _two_stages(ratio: Any) -> Modes:
-    return (
-        (1 / (1 + ratio), 1 / (1 - ratio)),
-        (ratio / (1 + ratio), -ratio / (1 - ratio)),
-    )
+    return (1 / (1 + ratio), 1 / (1 - ratio)), (ratio / (1 + ratio), -ratio / (1 - ratio))
 
 
 def _two_paths(ratio: Any, share: Any) -> Modes:
@@ -142,10 +139,7 @@ def hysteresis(
         f"{slot}.hysteresis",
         slot,
         basis=partial(_directions, column),
-        coefficients=(
-            Coefficient(unit, Normal(0.0, size)),
-            _start(unit, size),
-        ),
+        coefficients=(Coefficient(unit, Normal(0.0, size)), _start(unit, size)),
         shapes=(Shape("width", widths[2], *widths[:2]),),
         columns=("time", column),
         varies=(column,),
@@ -187,40 +181,15 @@ def thermal_lag(
         bodies: forms in which all that depends on T lags, by name; all if not given, empty where it does not.
         short: the form that it takes where τ is too short to be seen: a rate.
     """
-    return replace(
-        _of_a_body(
-            slot,
-            name,
-            _lagging,
-            (
-                Coefficient(unit, Normal(0.0, size)),
-                _start(start_unit, start),
-            ),
-            "c·(T̃ − T) + d[run]·exp(−(t − t_start)/τ),  τ·dT̃/dt = T − T̃",
-            (low, high),
-            column,
-            source,
-        ),
-        kind="lag",
-        forms=tuple(
-            replace(
-                body(
-                    slot,
-                    start,
-                    start_unit,
-                    behind=behind,
-                    low=low,
-                    high=high,
-                    source=source,
-                    column=column,
-                    name=f"{name}.{form}",
-                ),
-                general=behind.general and f"{slot}.{name}.{behind.general}",
-            )
-            for form, behind in (BODIES if bodies is None else bodies).items()
-        )
-        + (() if short is None else (short,)),
-    )
+    how: dict[str, Any] = {"low": low, "high": high, "source": source, "column": column}
+    forms = list[Effect]()
+    for form, behind in (BODIES if bodies is None else bodies).items():
+        own = body(slot, start, start_unit, behind=behind, name=f"{name}.{form}", **how)
+        forms.append(replace(own, general=behind.general and f"{slot}.{name}.{behind.general}"))
+    coefficients = Coefficient(unit, Normal(0.0, size)), _start(start_unit, start)
+    equation = "c·(T̃ − T) + d[run]·exp(−(t − t_start)/τ),  τ·dT̃/dt = T − T̃"
+    lag = _of_a_body(slot, name, _lagging, coefficients, equation, **how)
+    return replace(lag, kind="lag", forms=(*forms, *(() if short is None else (short,))))
 
 
 def body(
@@ -248,23 +217,12 @@ def body(
         behind: how it follows, of `BODIES`.
         name: of the effect, after the slot.
     """
-    return replace(
-        _of_a_body(
-            slot,
-            name,
-            partial(_followed, behind.modes),
-            (
-                _start(start_unit, start, slot),
-                Coefficient("1", Known(1.0)),
-            ),
-            f"{behind.equation},  τ·dT̃/dt = T − T̃;  + d[run]·exp(−(t − t_start)/τ)",
-            (low, high),
-            column,
-            source,
-            behind.shapes,
-        ),
-        slot=column,
-    )
+    coefficients = _start(start_unit, start, slot), Coefficient("1", Known(1.0))
+    equation = f"{behind.equation},  τ·dT̃/dt = T − T̃;  + d[run]·exp(−(t − t_start)/τ)"
+    how: dict[str, Any] = {"low": low, "high": high, "source": source, "column": column}
+    basis = partial(_followed, behind.modes)
+    made = _of_a_body(slot, name, basis, coefficients, equation, behind.shapes, **how)
+    return replace(made, slot=column)
 
 
 def temperature_x_lag(
@@ -283,16 +241,10 @@ def temperature_x_lag(
         size: prior standard deviation of c, in `unit`, such as "deg/s/degC^2".
         low, high: plausible range of τ, s.
     """
-    return _of_a_body(
-        slot,
-        "temperature_x_lag",
-        _lag_by_temperature,
-        (Coefficient(unit, Normal(0.0, size)),),
-        "c·(T − T0)·(T̃ − T),  τ·dT̃/dt = T − T̃",
-        (low, high),
-        column,
-        source,
-    )
+    own = (Coefficient(unit, Normal(0.0, size)),)
+    equation = "c·(T − T0)·(T̃ − T),  τ·dT̃/dt = T − T̃"
+    how: dict[str, Any] = {"low": low, "high": high, "source": source, "column": column}
+    return _of_a_body(slot, "temperature_x_lag", _lag_by_temperature, own, equation, **how)
 
 
 def _of_a_body(
@@ -301,21 +253,23 @@ def _of_a_body(
     basis: Callable[[str, Frame, Any], Any],
     coefficients: tuple[Coefficient, ...],
     equation: str,
-    times: tuple[float, float],
-    column: str,
-    source: str,
     shapes: tuple[Shape, ...] = (),
+    *,
+    low: float,
+    high: float,
+    source: str,
+    column: str,
 ) -> Effect:
-    """An effect of a body that lags behind a column by τ, between `times`, s; one τ for all channels of a unit."""
+    """An effect of a body that lags behind a column by τ, `low` to `high`, s; one τ for all channels of a unit."""
     return Effect(
         f"{slot}.{name}",
         slot,
         basis=partial(basis, column),
         coefficients=coefficients,
-        shapes=(Shape("tau", "s", *times, shared=True), *shapes),
+        shapes=(Shape("tau", "s", low, high, shared=True), *shapes),
         columns=("time", column),
         varies=(column,),
-        untestable=partial(_too_short, times[0]),
+        untestable=partial(_too_short, low),
         equation=equation,
         source=source,
     )

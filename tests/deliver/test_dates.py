@@ -171,7 +171,7 @@ def test_dates_are_columns_of_a_compensator(dated: bc.Calibration) -> None:
     made["time"] = start + np.round(made["time"]).astype("timedelta64[s]")
     found = correct(**made, warn=False)
     assert error(found.value, found.uncertainty) < 4
-    assert correct.epoch == BEGAN.timestamp()
+    assert correct.about.epoch == BEGAN.timestamp()
 
 
 def test_readings_without_dates_pass_where_nothing_changes_with_them(

@@ -422,7 +422,7 @@ class LimitedQuantity:
         """Inputs, and the stimulus, that it depends on."""
         if (chosen := self.chosen) is None:
             return set()
-        equation = chosen._equation
+        equation = chosen.equation
         if self.is_error:
             return set(equation.inputs)
         found = equation.graph.inputs([equation.slot_place(self.limit.quantity)])
@@ -443,7 +443,7 @@ class LimitedQuantity:
         if (chosen := self.chosen) is None:
             return DrawnQuantity(np.asarray(self.draws)[:, None], np.zeros(1))
         places = dict(self.places)
-        equation, moments = chosen._equation, chosen._moments
+        equation, moments = chosen.equation, chosen._moments
         if "time" in places:
             places["time"] = places["time"] + later
         stimulus, slot = places[chosen.stimulus], None if self.is_error else self.limit.quantity
@@ -462,9 +462,9 @@ def _noise_scores(
     chosen: Compensator, places: Mapping[str, np.ndarray], deviations: Float[np.ndarray, "n m"]
 ) -> Float[np.ndarray, "n m"]:
     """Return standard normal scores of the predictive probability that one reading's noise is below a deviation."""
-    calibration, noise = chosen._calibration, chosen._calibration.model.noise
+    calibration, noise = chosen.calibration, chosen.calibration.model.noise
     each = {n: np.repeat(x, deviations.shape[1]) for n, x in places.items()}
-    frame = chosen._equation.frame_of(each[chosen.stimulus], each)
+    frame = chosen.equation.frame_of(each[chosen.stimulus], each)
     laws = (calibration.problem.hyper(v) for v in calibration.draws(SCORE_DRAWS).v)
     scores = [np.asarray(noise.normal_scores(deviations.ravel(), law, frame)) for law in laws]
     tails = ndtr(-np.abs(scores)).mean(axis=0).reshape(deviations.shape)  # the smaller keep digits
@@ -582,7 +582,7 @@ def _resolved(
     chosen: Compensator, span: LimitedRange, limit: StatedLimit, local_gravity: float
 ) -> tuple[str, float, float]:
     """The column of a range, and its ends in that column's unit."""
-    readings = chosen._calibration.readings
+    readings = chosen.calibration.readings
     inputs = {i.name: i.unit for i in chosen.inputs if i.kind != "lag slope"}
     acting = {chosen.stimulus: chosen.unit, **inputs}
     known = acting | {n: u for n in readings.columns if (u := readings.unit(n)) and n not in acting}
@@ -613,7 +613,7 @@ def _resolved(
 
 def _beyond(chosen: Compensator, name: str, low: float, high: float) -> list[str]:
     """What of a range was not calibrated, in words."""
-    readings = chosen._calibration.readings
+    readings = chosen.calibration.readings
     if name in chosen.calibrated:
         span = chosen.calibrated[name]
     elif name == chosen.stimulus:
