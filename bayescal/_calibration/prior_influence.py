@@ -10,7 +10,6 @@ from __future__ import annotations
 from collections import defaultdict
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
@@ -25,25 +24,16 @@ from bayescal._model.parameters import Unknown
 from bayescal._model.prior import coordinate_variance, slope
 
 
-class VarianceByOrigin(NamedTuple):
-    """Two kinds of variance that add up to that of the linearised posterior."""
-
-    readings: float  # from the noise of the readings
-    priors: dict[
-        str, float
-    ]  # from the prior of each unknown, by its name; those of nothing left out
-
-
 def variance_by_origin(
     calibration: Calibration, slopes: Mapping[str, float]
-) -> VarianceByOrigin | None:
-    """Where the variance of Σ slope·unknown comes from.
+) -> tuple[float, dict[str, float]]:
+    """Return the variance of Σ slope·unknown that the readings' noise makes, and that each prior does, by its name.
 
     With J the Jacobian of the readings, Σ their noise and D the prior covariance at the fit, the linearised
     posterior covariance P = (JᵀΣ⁻¹J + D⁻¹)⁻¹ splits exactly into P·JᵀΣ⁻¹J·P and P·D⁻¹·P, a sum over priors.
 
     Slopes are by the names of unknowns, per reported unit; what is no unknown of the fit is passed over. Of directions
-    that readings and priors leave open nothing is said; None if no unknown of the fit counts.
+    that readings and priors leave open nothing is said.
     """
     layout, linear = calibration.layout, calibration.linear
     moving = layout.moving
@@ -54,8 +44,6 @@ def variance_by_origin(
         elif u.v in moving:
             unit = float(slope(layout.hypers[u.v].prior, calibration.mode.v[u.v]))
             weights[layout.size + moving.index(u.v)] = slopes[u.name] * unit
-    if not weights.any():
-        return None
     pulled = linear.root @ (linear.root.T @ (weights * linear.sd))  # in units of the priors
     names = [b.name for b in layout.x_blocks for _ in range(b.size)]
     names += [layout.hypers[i].name for i in moving]
@@ -63,7 +51,7 @@ def variance_by_origin(
     for name, value in zip(names, linear.weight * pulled**2, strict=True):
         priors[name] += float(value)
     readings = float(np.sum((linear.white_nuisance @ pulled) ** 2))
-    return VarianceByOrigin(readings, {n: value for n, value in priors.items() if value > 0})
+    return readings, {n: value for n, value in priors.items() if value > 0}
 
 
 @dataclass(frozen=True)

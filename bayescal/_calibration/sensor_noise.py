@@ -21,7 +21,7 @@ import math
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any, ClassVar, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Float
@@ -47,8 +47,8 @@ from bayescal._inference.sampling import importance_draws
 from bayescal._model.noise_law import WHITE
 from bayescal._model.noise_spectrum import eigenvalues
 from bayescal._model.noise_terms import FLAT, TERMS
-from bayescal._model.prior import HalfCauchy, Positive
-from bayescal._model.summed_noise import SummedNoise, SumOfTerms
+from bayescal._model.prior import HalfCauchy
+from bayescal._model.summed_noise import SummedNoise
 
 # Share of the probability of the likeliest noise law of a sensor at rest, from which another one has its share of the
 # draws; a tenth of them would be too few for figures of its own.
@@ -169,7 +169,7 @@ class SensorNoise(Printed):
     @property
     def law(self) -> str:
         """The most probable sum of noise terms, in words."""
-        return RestingSum(1.0, 2.0, self.terms).in_words
+        return next(iter(self.probabilities))
 
     def _parts(self) -> list[str | ResultTable]:
         rows = [figure.row() for figure in self.figures]
@@ -282,7 +282,9 @@ def noise(readings: Measurements, *, seed: int = 0, time_limit: float | None = N
         unit=unit,
         step=step,
         terms=found.drawn[0].terms,
-        probabilities={RestingSum(1.0, 2.0, t).in_words: p for t, p in found.probabilities.items()},
+        probabilities={
+            SummedNoise(1.0, 2.0, t).in_words: p for t, p in found.probabilities.items()
+        },
         figures=_figures(found, unit, draws),
         measured=measured,
         expected=middle,
@@ -296,25 +298,12 @@ def noise(readings: Measurements, *, seed: int = 0, time_limit: float | None = N
     )
 
 
-class RestingSum(SumOfTerms):
-    """A sum of terms on evenly spaced readings; unlike `SummedNoise` it may be white noise alone."""
-
-    shortest: float  # the step between readings,
-    longest: float  # and about that of the longest run, s
-    terms: Terms
-    scale: Positive = HalfCauchy(1.0)  # priors of standard deviations, output unit
-    correlated: Positive = HalfCauchy(1.0)
-    gaussian: ClassVar[bool] = True
-    law: ClassVar[str] = "sum_at_rest"
-    independent: ClassVar[bool] = False
-
-
 class RestNoise(NamedTuple):
     """A sum of noise terms fitted to a channel at rest."""
 
     terms: Terms  # beside white noise
     draws: dict[str, np.ndarray]  # parameters, in output units and seconds (d,); equally probable
-    law: SumOfTerms  # with these parameters
+    law: SummedNoise  # with these parameters
 
     def density(self, step: float) -> Float[np.ndarray, "d"]:
         """Return N at each draw, output unit times √s, of readings `step` s apart.
@@ -347,9 +336,9 @@ class _AtRest(NamedTuple):
     allan: np.ndarray  # and variances, output unit squared
     line: Mapping[str, float]  # a tone to begin with; none if empty
 
-    def law(self, terms: Terms) -> RestingSum:
+    def law(self, terms: Terms) -> SummedNoise:
         scale = HalfCauchy(self.size)
-        return RestingSum(self.spectrum.step, self.longest, terms, scale, scale)
+        return SummedNoise(self.spectrum.step, self.longest, terms, scale, scale)
 
     def log_density(self, terms: Terms) -> Callable[[Float[np.ndarray, "s d"]], np.ndarray]:
         """Return the log posterior density of coordinates of a sum's parameters, levels and curve integrated out."""
@@ -403,7 +392,7 @@ def _weigh(readings: Measurements, seed: int) -> WeighedNoise:
     per_reading = dict(zip(TONE, (1.0, 1 / runs.step, runs.step), strict=True))
     line = {name: per_reading[name] * value for name, value in line.items()}
     made = size, longest, runs.factors * runs.step, variance, line
-    law, values = RestingSum(runs.step, longest, ("walk",)), {WHITE: size}
+    law, values = SummedNoise(runs.step, longest, ("walk",)), {WHITE: size}
     values["noise.walk"] = math.sqrt(3 * variance[-1] / (runs.factors[-1] * runs.step))
     random, mean = np.random.default_rng(seed), Counter[Terms]()
     parts = list[tuple[list[RestNoise], np.ndarray, dict[Terms, float]]]()
@@ -650,7 +639,7 @@ def _columns(
 
 def _filled(
     columns: Float[np.ndarray, "n r"],
-    law: SumOfTerms,
+    law: SummedNoise,
     values: Mapping[str, float],
     step: float,
     random: np.random.Generator,

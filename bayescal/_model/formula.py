@@ -220,13 +220,7 @@ def _apart(name: str, formula: str, given: Mapping[str, str]) -> tuple[str, str,
 
 
 class _TypedLine:
-    """A formula with what is said of its names, and the readings or instrument that it is for.
-
-    Attributes:
-        columns: name in the formula → column, and its fixed unit; empty where that is not known yet.
-        shapes: the unknowns that the formula is not linear in.
-        coefficients: for each other unknown what it is multiplied by.
-    """
+    """A formula with what is said of its names, and the readings or instrument that it is for."""
 
     def __init__(
         self,
@@ -242,6 +236,7 @@ class _TypedLine:
         self.first = dict[str, int]()  # where each name stands first
         for at, word in sorted(self.named(tree)):
             self.first.setdefault(word, at)
+        # Name in the formula → column, and its fixed unit; empty where that is not known yet.
         self.columns = self._columns()
         if unused := sorted(set(self.given) - set(self.first)):
             raise InputError(
@@ -249,10 +244,10 @@ class _TypedLine:
             )
         unknowns = set(self.first) - set(self.columns)
         bent = {name for part in _bent(tree) for _, name in self.named(part)} & unknowns
-        self.shapes = {n: self._shape(n, tree) for n in sorted(bent)}
+        self.shapes = {n: self._shape(n, tree) for n in sorted(bent)}  # not linear in these
         self.units = {n: Dimension.of(u) if u else None for n, (_, u) in self.columns.items()}
         self.units |= {n: Dimension.of(s.unit) for n, s in self.shapes.items()}
-        self.coefficients = self.linear(tree)
+        self.coefficients = self.linear(tree)  # for each other unknown what it is multiplied by
         if "" in self.coefficients:
             near = "" if unknowns else ": write one in front, as s * (…)"
             why = f"this is multiplied by no coefficient, whose size would be found{near}"

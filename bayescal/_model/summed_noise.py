@@ -234,7 +234,7 @@ class SummedNoise(SumOfTerms):
 
     Attributes:
         shortest, longest: the usual step and the longest run, s: what correlation times a record can tell.
-        terms: which, beside white noise.
+        terms: which, beside white noise; none for white noise alone.
         scale: prior of the white part's standard deviation, output unit.
         correlated: prior of a correlated part's.
         column: that the frequency of a tone follows, as "temperature"; none if empty.
@@ -262,8 +262,6 @@ class SummedNoise(SumOfTerms):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        if not self.terms:
-            raise ValueError(f"a sum needs terms besides white noise, of {', '.join(TERMS)}")
         if unknown := [t for t in self.terms if t not in TERMS]:
             raise ValueError(
                 f"no noise term is called {unknown[0]!r}: there are {', '.join(TERMS)}"

@@ -148,35 +148,27 @@ def process_sizes(terms: int, length: Any, amplitude: Any) -> Any:
     return amplitude * process_weights(length, terms)
 
 
-def _form(
-    kind: Kind,
-    words: str,
-    basis: Callable[..., Any],
-    shape: Callable[[str], Shape] | None,
-    says: str,
-) -> Callable[..., Effect]:
+def _form(kind: Kind, words: str, basis: Callable[..., Any], says: str) -> Callable[..., Effect]:
     """Return the maker of a form along a column; the last of its shapes is the amplitude of its coefficients."""
 
     @functools.cache
     def made(
         slot: str, low: float, high: float, unit: str, *, covariate: str = "time", name: str = ""
     ) -> Effect:
-        in_time, shapes = covariate == "time", () if shape is None else (shape(covariate),)
-        below, above = (
-            ("before one moment", "after") if in_time else (f"below one {covariate}", "above")
-        )
+        in_time = covariate == "time"
+        sides = ("before one moment", "after") if in_time else (f"below one {covariate}", "above")
         return Effect(
             name or f"unknown({covariate}, {kind})",
             slot,
             given(basis, covariate),
             coefficients=standard_normals(unit, 2 if kind == "cycle" else 1),
-            shapes=(*shapes, Shape("amplitude", unit, low, high)),
+            shapes=(*_shapes(kind, in_time), Shape("amplitude", unit, low, high)),
             weights=_even,
             measure="amplitude",
             columns=(covariate,),
             varies=(covariate,),
             untestable=functools.partial(_too_few, covariate),
-            equation=words.format(covariate=covariate, below=below, above=above),
+            equation=words.format(*sides, covariate=covariate),
             source=SOURCE,
             along="" if in_time else covariate,
             family="" if in_time else f"unknown({covariate})",
@@ -196,13 +188,13 @@ def _form(
     return made
 
 
-def _place(covariate: str) -> Shape:
-    """Return the place of a step or a kink, in parts of the range; a moment is the same in all channels of a unit."""
-    return Shape("place", "1", *PLACES, scale="linear", ragged=True, shared=covariate == "time")
-
-
-def _cycles(covariate: str) -> Shape:
-    return Shape("cycles", "1", *CYCLES, ragged=True)
+def _shapes(kind: Kind, in_time: bool) -> tuple[Shape, ...]:
+    """Return the place of a step or a kink, in parts of the range; or how many cycles there are."""
+    if kind == "cycle":
+        return (Shape("cycles", "1", *CYCLES, ragged=True),)
+    # A moment is the same in all channels of a unit.
+    place = Shape("place", "1", *PLACES, scale="linear", ragged=True, shared=in_time)
+    return (place,) if kind in ("jump", "kink") else ()
 
 
 def _step(covariate, r, place):
@@ -240,30 +232,15 @@ def _too_few(covariate: str, readings: Measurements) -> str | None:
 
 
 _X = "x the position in the range of {covariate}"
-line = _form(
-    "line", f"a·(x − ½),  {_X}", _straight, None, "A slot's value is proportional to a column."
+_STEPS = (
+    "A slot's value steps by a at one moment of the record, or at one value of a column, and stays."
 )
-jump = _form(
-    "jump",
-    "−a/2 {below}, a/2 {above} it",
-    _step,
-    _place,
-    "A slot's value steps by a at one moment of the record, or at one value of a column, and stays.",
-)
-kink = _form(
-    "kink",
-    f"a·max(0, x − p),  {_X}",
-    _hinge,
-    _place,
-    "A slot's slope along a column changes at one value of it, by a over the column's range.",
-)
-cycle = _form(
-    "cycle",
-    "a·sin(2π·cycles·t + φ)",
-    _waves,
-    _cycles,
-    "A slot's value goes up and down evenly in time.",
-)
+_BENDS = "A slot's slope along a column changes at one value of it, by a over the column's range."
+_TURNS = "A slot's value goes up and down evenly in time."
+line = _form("line", f"a·(x − ½),  {_X}", _straight, "A slot's value is proportional to a column.")
+jump = _form("jump", "−a/2 {}, a/2 {} it", _step, _STEPS)
+kink = _form("kink", f"a·max(0, x − p),  {_X}", _hinge, _BENDS)
+cycle = _form("cycle", "a·sin(2π·cycles·t + φ)", _waves, _TURNS)
 
 JUMP = "time, jump"
 IN_TIME = (JUMP, "time, cycle")

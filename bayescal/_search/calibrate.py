@@ -119,9 +119,8 @@ def calibrate(
             other none.
     """
     with deadline.until(time_limit):
-        used, kept = prepared(model, readings, holdout, keep_spikes, ignore, covariates)
-        accepted = frozenset(accept_conflicts)
-        loop = Loop(used, kept, method, seed, reference, max_effects, accepted)
+        used = prepared(model, readings, holdout, keep_spikes, ignore, covariates)
+        loop = Loop(*used, method, seed, reference, max_effects, frozenset(accept_conflicts))
         loop.begin(model, effects, widen_noise)
         follow(loop.trail())
         with deadline.sooner(SEARCH):
@@ -131,16 +130,7 @@ def calibrate(
 
 @dataclass(eq=False)
 class Loop:
-    """One search: what is asked (see `calibrate`), and how it stands.
-
-    Attributes:
-        begun: when the first step stood, by `time.monotonic`, s.
-        given: effects of the model given, to be weighed anew.
-        steps: models fitted so far.
-        library: candidates and the structures evaluated; None where nothing can be looked for.
-        shut: candidates that these readings cannot test.
-        stopped: why the walk ended early; empty where it did not.
-    """
+    """One search: what is asked (see `calibrate`), and how it stands."""
 
     readings: Measurements
     holdout: Measurements | None
@@ -149,12 +139,12 @@ class Loop:
     reference: Reference | None
     max_effects: int
     accepted: frozenset[str]
-    begun: float = 0.0
-    given: tuple[Effect, ...] = ()
-    steps: list[Step] = field(default_factory=list)
-    library: Library | None = None
-    shut: Sequence[Candidate] = ()
-    stopped: str = ""
+    begun: float = 0.0  # when the first step stood, by `time.monotonic`, s
+    given: tuple[Effect, ...] = ()  # of the model given, to be weighed anew
+    steps: list[Step] = field(default_factory=list)  # models fitted so far
+    library: Library | None = None  # structures evaluated; None where nothing can be looked for
+    shut: Sequence[Candidate] = ()  # candidates that these readings cannot test
+    stopped: str = ""  # why the walk ended early; empty where it did not
 
     def begin(self, model: Model, effects: Sequence[Effect], widen_noise: bool) -> None:
         """Fit the first step, of the model without what is weighed anew, and open what is to be searched beyond it.

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
+
+from scipy.special import expit
 
 from bayescal._core import deadline
 from bayescal._core.errors import InputError
@@ -128,11 +129,9 @@ def _size(trail: SearchPath, name: str) -> tuple[float | None, float]:
 
 def _shared_text(s: SharedShape) -> str:
     """One line on what the unit has."""
-    middle, low, high = s.posterior
-    showing = (
-        ", ".join(n for n in s.says if s.evidence(n) > settings().strong_evidence) or "none alone"
-    )
-    unit = unit_label(s.shape.unit)
+    (middle, low, high), unit = s.posterior, unit_label(s.shape.unit)
+    strong = [n for n in s.says if s.evidence(n) > settings().strong_evidence]
+    showing = ", ".join(strong) or "none alone"
     return (
         f"{s.effect}: the unit has it with probability {probability(s.probability)}, {s.shape.name} "
         f"{number(middle)} {unit} (95 %: {number(low)} to {number(high)}), shown by {showing}"
@@ -187,11 +186,9 @@ def calibrate_channels(
     trails, shared = dict[str, SearchPath](), list[SharedShape]()
     with deadline.until(time_limit):
         for name, model in models.items():
-            later = None if holdout is None else holdout[name]
-            causes = ignore, covariates
-            used, kept = prepared(model, readings[name], later, keep_spikes, *causes)
-            accepted = frozenset(accept_conflicts)
-            loop = Loop(used, kept, method, seed, reference, max_effects, accepted)
+            own = readings[name], None if holdout is None else holdout[name]
+            used = prepared(model, *own, keep_spikes, ignore, covariates)
+            loop = Loop(*used, method, seed, reference, max_effects, frozenset(accept_conflicts))
             with stage(name):
                 loop.begin(model, effects, widen_noise)
             channels.append(_Channel(name, loop))
@@ -237,33 +234,30 @@ class _Channel:
         """
         if self.loop.library is None:
             return False
-        before, shapes = self.loop.library.structures, self.shared
-        then = {n: self.says[n].concluded(self.heard[n], shapes[n]) for n in others}
-        now = {n: self.says[n].concluded(others[n], shapes[n]) for n in others}
-        searched = any(now[n].likelier(then[n]) for n in others)
-        news = {n for n in others if now[n].likelier(then[n]) or now[n].informs(then[n])}
+        before, searched, news = self.loop.library.structures, False, set[str]()
+        for n, shape in self.shared.items():
+            now, then = (self.says[n].conclude(o, shape) for o in (others[n], self.heard[n]))
+            likelier, changed = now.changed(then)
+            searched, news = searched or likelier, news | {n} if changed else news
         if not news:
             return False
         candidates, heard = dict(before.candidates), {**self.heard, **{n: others[n] for n in news}}
         for name in news:
             # A posterior range becomes the prior of the next round: from the others alone, so that no channel hears
             # itself.
-            range_ = {shapes[name].name: (heard[name].low, heard[name].high)}
+            range_ = {self.shared[name].name: (heard[name].low, heard[name].high)}
             candidates[name] = candidates[name].ranging(range_)
-        after = replace(
-            before,
-            candidates=candidates,
-            odds={n: now.log_odds for n, now in heard.items()},
-            earlier={**before.earlier, **before.visited},
-            visited={},
-            expected={},
-        )
+        odds = {n: now.log_odds for n, now in heard.items()}
+        earlier = {**before.earlier, **before.visited}
+        anew = {"odds": odds, "earlier": earlier, "visited": {}, "expected": {}}
+        after = replace(before, candidates=candidates, **anew)
         known = before.expected | {s: w.total for s, w in before.visited.items()}
         # Only a shape moved: totals of the former round, corrected by what the prior odds changed, are what to
         # expect.
         for structure, total in () if searched else known.items():
-            changed = total + after.log_prior(structure) - before.log_prior(structure)
-            after.expect(structure, changed)
+            after.expect(
+                structure, total + after.log_prior(structure) - before.log_prior(structure)
+            )
         for structure, weighed in before.visited.items():
             if structure.effects.isdisjoint(news):
                 changed = after.log_prior(structure) - before.log_prior(structure)
@@ -292,7 +286,7 @@ def _shared(channels: Sequence[_Channel], follow: Follow) -> Iterator[list[Share
     alone: dict[str, float] = {}  # prior probability of each effect in one channel
     for c in channels:
         for n, now in c.heard.items():
-            alone[n] = max(alone.get(n, 0.0), 1 / (1 + math.exp(-now.log_odds)))
+            alone[n] = max(alone.get(n, 0.0), float(expit(now.log_odds)))
         if c.loop.library is not None:
             c.says = c.said(c.loop.library.structures)
     yield list(_said(channels, shapes, alone).values())

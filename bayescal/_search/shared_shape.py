@@ -47,8 +47,8 @@ class ShapeEvidence(NamedTuple):
     v: Float[np.ndarray, "k"]
     log_ratio: Float[np.ndarray, "k"]
 
-    def concluded(self, others: FromOthers, shape: Shape) -> Conclusion:
-        """What the channel concludes of the effect where the others say this."""
+    def conclude(self, others: FromOthers, shape: Shape) -> Conclusion:
+        """Return what the channel concludes of the effect where the others say this."""
         low, high = (shape.prior.coordinate(end) for end in (others.low, others.high))
         middle, sd = (low + high) / 2, (high - low) / (2 * CENTRAL_95)
         v = _apart(np.concatenate([self.v, middle + sd * CLOSE_SD]))
@@ -69,17 +69,14 @@ class Conclusion(NamedTuple):
     v: float
     sd: float
 
-    def likelier(self, then: Conclusion) -> bool:
-        """Whether the effect is more or less probable than it was, by what counts."""
-        return abs(self.probability - then.probability) > LIKELIER_BY
-
-    def informs(self, then: Conclusion) -> bool:
-        """Whether more is known of the shape of an effect that may be there (Kullback–Leibler, both as normal)."""
+    def changed(self, then: Conclusion) -> tuple[bool, bool]:
+        """Return whether the probability of the effect moved by what counts, and whether that or its shape did."""
+        likelier = abs(self.probability - then.probability) > LIKELIER_BY
         may_be = max(self.probability, then.probability) > LIKELIER_BY
         # Kullback–Leibler divergence of N(v, sd²) from what it was: ½·(r² + d² − 1) − log r, r the ratio of the
         # standard deviations and d the distance in the former one. Half a standard deviation of shift alone is ⅛.
-        narrower, moved = self.sd / then.sd, (self.v - then.v) / then.sd
-        return may_be and (narrower**2 + moved**2 - 1) / 2 - math.log(narrower) > NEWS_NATS
+        r, d = self.sd / then.sd, (self.v - then.v) / then.sd
+        return likelier, likelier or (may_be and (r**2 + d**2 - 1) / 2 - math.log(r) > NEWS_NATS)
 
 
 @dataclass(frozen=True, eq=False)

@@ -304,10 +304,10 @@ def _by_source(
             parts[unknown.name, kind] = gradient[i] ** 2 * chosen._moments.covariance[i, i]
         else:
             slopes[unknown.name] = float(gradient[i])
-    split = variance_by_origin(calibration, slopes)
-    if split is not None:
-        parts[READINGS, "A"] = split.readings
-        parts |= {(f"prior of {name}", "B"): value for name, value in split.priors.items()}
+    readings, priors = variance_by_origin(calibration, slopes)
+    if readings or priors:
+        parts[READINGS, "A"] = readings
+        parts |= {(f"prior of {name}", "B"): value for name, value in priors.items()}
     known = calibration.unknowns
     for one in calibration.confounders:
         moved = 0.0  # by a standard deviation of the column's effect

@@ -355,20 +355,13 @@ class ProgramUnknown:
 
 @dataclass(frozen=True)
 class TracedEquation:
-    """The equation as operations, and which of them are its results; as in JSON.
+    """The equation as operations, and which of them are its results; as in JSON."""
 
-    Attributes:
-        operations: of `Graph`.
-        expected, slope: the output and its slope by the stimulus.
-        gradient: of the output by each unknown.
-        noise: variance of one reading, output unit squared; None in exports before version 3.
-    """
-
-    operations: list[list[str | bool | int | float]]
-    expected: int
-    slope: int
-    gradient: tuple[int, ...]
-    noise: int | None = None
+    operations: list[list[str | bool | int | float]]  # of `Graph`
+    expected: int  # the output,
+    slope: int  # its slope by the stimulus,
+    gradient: tuple[int, ...]  # and by each unknown
+    noise: int | None = None  # variance of one reading, output unit squared; None before version 3
 
 
 @dataclass(frozen=True, eq=False)
@@ -407,24 +400,22 @@ class CompensationProgram(CorrectionInUse):
         return scale[:, None] * (signs[:, None] * r).T + 0.0
 
     def run(
-        self, output: np.ndarray, inputs: Mapping[str, np.ndarray], kind: Any = np.float64
+        self, output: np.ndarray, inputs: Mapping[str, np.ndarray]
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Stimulus, its standard uncertainty without noise, and |d stimulus/d output|, (n,) each."""
-        target = np.asarray(output, kind)
-        given = {i.name: np.asarray(inputs[i.name], kind) for i in self.inputs if i.name in inputs}
-        places = self.equation.expected, self.equation.slope
+        nodes, evaluate = (self.equation.expected, self.equation.slope), self.graph.evaluate
         s, slope = solved(
-            lambda s: self.graph.evaluate(places, {**given, STIMULUS: s}, kind), target, self.affine
+            lambda s: evaluate(nodes, {**inputs, STIMULUS: s}), np.asarray(output), self.affine
         )
-        *_, uncertainty = self._at({**given, STIMULUS: s}, kind)
+        *_, uncertainty = self._at({**inputs, STIMULUS: s})
         return s, uncertainty / np.abs(slope), np.broadcast_to(1 / np.abs(slope), s.shape)
 
-    def _at(self, places: Mapping[str, np.ndarray], kind: Any) -> tuple[np.ndarray, ...]:
+    def _at(self, places: Mapping[str, np.ndarray]) -> tuple[np.ndarray, ...]:
         """Expected output, its slope, and its standard uncertainty without noise, (n,) each."""
         outputs = self.equation.expected, self.equation.slope, *self.equation.gradient
-        found = self.graph.evaluate(outputs, places, kind)
+        found = self.graph.evaluate(outputs, places)
         expected, slope, *gradient = (np.broadcast_to(f, places[STIMULUS].shape) for f in found)
-        parts = self.factor.T.astype(kind) @ np.reshape(gradient, (-1, expected.size))
+        parts = self.factor.T @ np.reshape(gradient, (-1, expected.size))
         return expected, slope, np.sqrt(np.sum(parts**2, axis=0))
 
     def noise_variance(self, stimulus: np.ndarray, inputs: Mapping[str, Any]) -> np.ndarray:
@@ -442,7 +433,7 @@ class CompensationProgram(CorrectionInUse):
         for share in (0.0, 0.5, 1.0):
             given = {i.name: i.low + share * (i.high - i.low) + 0.0 * late for i in self.inputs}
             given |= {time.name: late, STIMULUS: low + share * (high - low) + 0.0 * late}
-            expected, _, uncertainty = self._at(given, float)
+            expected, _, uncertainty = self._at(given)
             moves = np.abs(np.array([expected - expected[0], uncertainty - uncertainty[0]]))
             scatter = np.sqrt(self.noise_variance(given[STIMULUS], given))
             if np.any(moves > SETTLED * uncertainty[0]) or np.ptp(scatter) > SETTLED * scatter[0]:

@@ -207,14 +207,8 @@ class Graph:
         nodes = (self.nodes[place] for place in self.needed(outputs))
         return {name for op, name, *_ in nodes if op == "input"}
 
-    def evaluate(
-        self, outputs: Sequence[int], inputs: Mapping[str, Any], kind: Any = np.float64
-    ) -> list[Any]:
-        """The outputs for arrays of inputs, in double or (kind=np.float32) single precision.
-
-        Raises:
-            InputError: an input is missing.
-        """
+    def evaluate(self, outputs: Sequence[int], inputs: Mapping[str, Any]) -> list[Any]:
+        """Return the outputs for arrays of inputs; raise InputError where one is missing."""
         values, needed = dict[int, Any](), self.needed(outputs)
         last = {a: place for place in needed for a in self.nodes[place][1:] if type(a) is int}
         last |= dict.fromkeys(outputs, len(self.nodes))
@@ -222,16 +216,14 @@ class Graph:
             for place in needed:
                 op, *args = self.nodes[place]
                 if op == "const":
-                    values[place] = args[0] if isinstance(args[0], bool) else kind(args[0])
+                    values[place] = args[0]
                 elif op == "input":
                     if args[0] not in inputs:
                         raise InputError(f"the input {args[0]!r} is missing")
                     values[place] = inputs[args[0]]
                 else:
                     operation = args.pop(0) if op == "call" else OPERATIONS[op]
-                    found = operation.compute(*(values[a] for a in args))
-                    kept = operation.boolean or found.dtype in (kind, bool)
-                    values[place] = found if kept else found.astype(kind)
+                    values[place] = operation.compute(*(values[a] for a in args))
                     for a in (a for a in args if last[a] == place):  # no longer needed
                         values.pop(a, None)
         return [values[o] for o in outputs]

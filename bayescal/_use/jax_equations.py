@@ -148,13 +148,7 @@ def _moved(equation: Any, arguments: list[Any]) -> list[Symbols]:
 
 
 class Call:
-    """A scalar function that JAX computes, as an operation of a graph.
-
-    Attributes:
-        function: of scalars.
-        count: of its arguments.
-        why_not: why it cannot be exported.
-    """
+    """A function of `count` scalars that JAX computes, as an operation of a graph; why it cannot be exported."""
 
     boolean = False
 

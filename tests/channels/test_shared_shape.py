@@ -65,7 +65,7 @@ def test_the_unit_has_it_as_enumeration_says() -> None:
 def test_what_a_channel_concludes_alone_is_the_posterior_of_its_own_prior() -> None:
     shared = three_channels()
     log_ratio, shape = shared.says["in doubt"], shared.shape
-    found = ShapeEvidence(shared.v, log_ratio).concluded(
+    found = ShapeEvidence(shared.v, log_ratio).conclude(
         FromOthers(0.0, shape.low, shape.high), shape
     )
     weight = np.exp(log_ratio - 0.5 * shared.v**2)
