@@ -21,7 +21,6 @@ from bayescal._calibration.calibration import Calibration
 from bayescal._calibration.fit import fit
 from bayescal._calibration.fitted import Fitted
 from bayescal._calibration.leave_group_out import leave_one_group_out
-from bayescal._core.errors import InputError
 from bayescal._core.formatting import number
 from bayescal._core.parallel import on_one_thread
 from bayescal._core.result_table import Printed, ResultTable, TableColumn
@@ -416,8 +415,6 @@ def log_bayes_factors(
     found, variance = [], np.square(AMPLITUDES)[:, None]
     for covariate in covariates:
         u, information = calibration.linear.score(covariate.columns * noise)
-        if not (np.isfinite(u).all() and np.isfinite(information).all()):
-            raise InputError("a score of columns is not finite: every prior must be proper")
         terms = list[np.ndarray]()
         for weight in covariate.weights:
             inner = weight[:, None] * information * weight

@@ -27,7 +27,7 @@ from bayescal._inference.trust import CHAIN_DRAWS
 from bayescal._model.effect import Coefficient, Effect
 from bayescal._model.frame import GROUPS, Frame, Reference, build_frame, reference_name
 from bayescal._model.model import Model
-from bayescal._model.parameters import Layout
+from bayescal._model.parameters import CoefficientBlock, Layout
 from bayescal._model.prior import Known
 from bayescal._model.terms import Term
 from bayescal._model.unknowns import Unknowns
@@ -237,17 +237,9 @@ class Fitted:
 
     @cached_property
     def having(self) -> dict[str, Bool[np.ndarray, "draws"]]:
-        """Which draws are of a structure that has each effect: of an average over structures, not all are.
-
-        Of a draw whose structure has not an effect all coefficients of this effect are exactly zero.
-        """
-        x, found = self.draws().x, dict[str, np.ndarray]()
-        for e in self.model.effects:
-            own = [b for b in self.layout.x_blocks if b.effect.name == e.name]
-            any_of = [np.any(x[:, b.at] != 0, axis=1) for b in own]
-            # One that is held, or sampled with φ, is not averaged over.
-            found[e.name] = np.any(any_of, axis=0) if own else np.ones(len(x), dtype=bool)
-        return found
+        """Which draws are of a structure that has each effect: of an average over structures, not all are."""
+        x, blocks = self.draws().x, self.layout.x_blocks
+        return {e.name: has_effect(x, blocks, e.name) for e in self.model.effects}
 
     @property
     def inclusion(self) -> dict[str, float]:
@@ -343,6 +335,17 @@ def named(unknowns: Unknowns, values: Float[np.ndarray, "chains draws unknowns"]
         of = {"effect": first.effect} if first.block else {"kind": first.kind}
         found[key] = dims, unknowns.select(values, key), {"units": first.unit, **of}
     return xr.Dataset(found, coords=coordinates)
+
+
+def has_effect(
+    x: Float[np.ndarray, "b p"], blocks: Sequence[CoefficientBlock], name: str
+) -> Bool[np.ndarray, "b"]:
+    """Return which draws have an effect: of a structure without it all of its coefficients are exactly zero."""
+    own = [
+        np.any(x[:, b.at] != 0, axis=1) for b in blocks if b.place == "x" and b.effect.name == name
+    ]
+    # One that is held, or sampled with φ, is not averaged over.
+    return np.any(own, axis=0) if own else np.ones(len(x), dtype=bool)
 
 
 def flat(values: np.ndarray) -> np.ndarray:
@@ -486,12 +489,8 @@ def _mean_and_spreads(
     for t, slope in zip(terms, slopes, strict=True):
         sd = t.prior_sd
         if t.place != "input":
-            # Of an effect that a draw's structure has not, all coefficients are exactly zero.
-            own = [o.at for o in problem.terms if o.place == "x" and o.effect.name == t.effect.name]
-            there = (
-                np.any([np.any(draws.x[:, at] != 0, axis=1) for at in own], axis=0) if own else 1.0
-            )
-            member_sd = problem.member_sd(t, hyper, len(draws.x)) * there
+            present = has_effect(draws.x, problem.terms, t.effect.name)
+            member_sd = problem.member_sd(t, hyper, len(draws.x)) * present
             sd = np.where(_unseen(problem, t), member_sd[:, None], 0.0)
         spreads.append(slope * sd)
     return mean, spreads

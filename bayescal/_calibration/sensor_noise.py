@@ -169,7 +169,7 @@ class SensorNoise(Printed):
     @property
     def law(self) -> str:
         """The most probable sum of noise terms, in words."""
-        return next(iter(self.probabilities))
+        return SummedNoise(1.0, 2.0, self.terms).in_words
 
     def _parts(self) -> list[str | ResultTable]:
         rows = [figure.row() for figure in self.figures]

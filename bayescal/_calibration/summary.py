@@ -128,13 +128,6 @@ def curve_extent(calibration: Fitted, name: str) -> tuple[float, float, str, flo
     return float(values.std()), float(values[worst]), effect.covariate, at
 
 
-def range_of(calibration: Fitted, covariate: str) -> tuple[float, float]:
-    """The range of a covariate in the readings of the fit, by which its position counts."""
-    low, high = (calibration.reference[f"{covariate}_{end}"] for end in ("low", "high"))
-    assert isinstance(low, float) and isinstance(high, float)
-    return low, high
-
-
 def place_of(calibration: Fitted, covariate: str, at: float | None) -> str:
     """A place along a covariate, for people: "humidity 0.55"."""
     if at is None:

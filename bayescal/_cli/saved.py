@@ -89,7 +89,7 @@ def correction_from(path: Path, own: InUse) -> bc.Compensator | CorrectionInUse:
             )
         found = load_correction(path)
         one = isinstance(found, CompensationProgram)
-        return bc.Compensator(None, None, loaded=found) if one else found
+        return bc.Compensator(loaded=found) if one else found
     calibration = load_saved(path, own)
     if calibration.model.instrument.vector is None:
         return bc.compensator(calibration, members=own.members)

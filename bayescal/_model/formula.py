@@ -324,8 +324,6 @@ class _TypedLine:
                 value = float(_COMPUTED[function](*map(np.float64, trees)))
         except FloatingPointError as error:
             raise self.refusal(at, f"this number has no value: {error}") from None
-        if not math.isfinite(value):
-            raise self.refusal(at, f"this number has no value: it is {value}")
         return FormulaPart(value, None, at)
 
     def linear(self, node: ast.expr) -> Linear:

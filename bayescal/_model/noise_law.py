@@ -65,6 +65,8 @@ class Noise(abc.ABC):
     words: ClassVar[str] = ""
     looks_like: ClassVar[str] = ""
     refines: ClassVar[str] = ""
+    several_states: ClassVar[bool] = False  # whether it is computed by a filter of several states
+    stationary: ClassVar[bool] = False  # a function of frequency on readings of even steps
 
     known: ClassVar[
         dict[str, type[Noise]]
@@ -180,16 +182,6 @@ class Noise(abc.ABC):
     def variance_along(self, values: Parameters, place: Float[np.ndarray, "j"]) -> Any:
         """Return the variance at some places, output unit squared; values are (s, 1)."""
         raise NotImplementedError(f"the variance of {self.name} noise follows no place")
-
-    @property
-    def several_states(self) -> bool:
-        """Whether it is computed by a filter of several states."""
-        return False
-
-    @property
-    def stationary(self) -> bool:
-        """Whether it is a function of frequency on readings of even steps (`spectrum`)."""
-        return False
 
     def whiten(
         self,

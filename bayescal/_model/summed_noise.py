@@ -109,7 +109,7 @@ class SumOfTerms(Noise, interface=True):
         )
 
     @property
-    def stationary(self) -> bool:
+    def stationary(self) -> bool:  # pyright: ignore[reportIncompatibleVariableOverride]
         return not (self.column or self.scatter)
 
     def spectrum(
@@ -160,7 +160,7 @@ class SumOfTerms(Noise, interface=True):
         return self._own_variance(parameters, frame) + self.slow_variance(parameters)
 
     @property
-    def several_states(self):
+    def several_states(self):  # pyright: ignore[reportIncompatibleVariableOverride]
         return len(self.parts) > 1
 
     def states(self, parameters: Parameters, step: Float[Array, "n"], z: Any = None) -> States:

@@ -11,10 +11,9 @@ import math
 import numpy as np
 
 from bayescal._calibration.calibration import Calibration
-from bayescal._calibration.summary import range_of
 from bayescal._core.errors import ModelError
 from bayescal._core.quoting import identifier, python_string, python_words
-from bayescal._model.frame import derived, measured_column
+from bayescal._model.frame import measured_column
 
 SIMPLE_SHARE = 0.97  # share of a free curve's variance, from which a simple formula will do for it
 
@@ -39,8 +38,9 @@ def draft_effect(calibration: Calibration, name: str) -> str:
         raise ModelError(
             f"{name!r} is a named effect, not an unknown dependence: it has a form of its own"
         )
-    covariate, (low, high) = effect.covariate, range_of(calibration, effect.covariate)
-    x = (derived(calibration.readings, every=True)[covariate] - 0.5 * (low + high)) / (high - low)
+    covariate, frame = effect.covariate, calibration.frame
+    low, high = (float(frame.reference[f"{covariate}_{end}"]) for end in ("low", "high"))
+    x = np.asarray(frame.position(covariate)) - 0.5
     curve = calibration.linear.contribution(name)
     some = np.argsort(x, kind="stable")[:: -(-x.size // MAX_POINTS)]
     words, basis = _closest(x[some], curve[some])

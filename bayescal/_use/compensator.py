@@ -77,8 +77,8 @@ class Compensator:
         loaded: the program of a loaded one.
     """
 
-    calibration: Calibration
-    equation: OperatingEquation
+    calibration: Calibration = None  # pyright: ignore[reportAssignmentType]
+    equation: OperatingEquation = None  # pyright: ignore[reportAssignmentType]
     draws: int = 400
     loaded: CompensationProgram | None = None
 
@@ -339,4 +339,4 @@ def load_compensator(path: str | Path) -> Compensator:
     if not isinstance(found, CompensationProgram):
         kind = kind_of(found)
         raise InputError(f"{Path(path).name} is of {kind.axes}: bayescal.{kind.loader} loads it")
-    return Compensator(None, None, loaded=found)  # pyright: ignore[reportArgumentType]
+    return Compensator(loaded=found)

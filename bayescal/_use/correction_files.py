@@ -157,11 +157,8 @@ def kinds() -> Iterator[CorrectionKind]:
 
 
 def kind_of(correction: CorrectionInUse) -> CorrectionKind:
-    """That of a correction."""
-    for kind in kinds():
-        if isinstance(correction, kind.of):
-            return kind
-    raise InputError(f"no annex that is here writes a {type(correction).__name__}")
+    """Return that of a correction."""
+    return next(kind for kind in kinds() if isinstance(correction, kind.of))
 
 
 def sensor_name(given: str | None, instrument: str) -> str:
