@@ -248,10 +248,8 @@ def check(calibration: Calibration) -> Check:
     duos = _duos(covariates)
     factors = log_bayes_factors(judged, covariates, noise)
     of_duos = log_bayes_factors(judged, [_together(a, b) for a, b in duos], noise)
-    entries = [
-        Entry(c.name, factor, _worst_region(judged, c), bool(c.levels))
-        for c, factor in zip(covariates, factors, strict=True)
-    ]
+    each = zip(covariates, factors, strict=True)
+    entries = [Entry(c.name, f, _worst_region(judged, c), bool(c.levels)) for c, f in each]
     pairs = [Pair((a.name, b.name), f) for (a, b), f in zip(duos, of_duos, strict=True)]
     # Each reading predicted from the others, in standard deviations of that prediction: V⁻¹r over the root of V⁻¹'s
     # diagonal, both from the leverages. Under correlated noise: from those before it in its run.

@@ -280,9 +280,6 @@ class Claim(Flag):
     def __getnewargs_ex__(self) -> tuple[tuple[str, ...], dict[str, Any]]:
         return (self.code, *self.of), self.numbers
 
-    def __repr__(self) -> str:
-        return f"<Claim: {self.code} {', '.join(self.of)}>"
-
     @property
     def severity(self) -> str:
         """What it means for the result: "stop" and "doubt" shut the gate, a "note" does not."""

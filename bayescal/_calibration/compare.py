@@ -214,9 +214,8 @@ def _warnings(rows: list[ComparisonRow], by: str, fold: LeaveOneGroupOut | None)
         if gap < 2 * error:
             said.append(f"{differ} {gap:.1f} ± {error:.1f} in leave-one-group-out score: {untold}")
     no = "so its pointwise leave-one-out is not reliable."
-    return said + [
-        f"{r.name!r}: Pareto k up to {r.pareto_k:.2f}, {no}" for r in rows if r.pareto_k > K_HAT
-    ]
+    far = (r for r in rows if r.pareto_k > K_HAT)
+    return said + [f"{r.name!r}: Pareto k up to {r.pareto_k:.2f}, {no}" for r in far]
 
 
 def _named(calibrations: Sequence[Calibration]) -> dict[str, Calibration]:

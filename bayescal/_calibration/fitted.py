@@ -24,7 +24,7 @@ from bayescal._inference.noise_on_record import Each, log_densities, samples, va
 from bayescal._inference.problem import Problem
 from bayescal._inference.record import Record, record_of
 from bayescal._inference.trust import CHAIN_DRAWS
-from bayescal._model.effect import Coefficient, Effect
+from bayescal._model.effect import Effect
 from bayescal._model.frame import GROUPS, Frame, Reference, build_frame, reference_name
 from bayescal._model.model import Model
 from bayescal._model.parameters import CoefficientBlock, Layout
@@ -461,11 +461,7 @@ def _by_structure(
     patterns, which = np.unique(there, axis=0, return_inverse=True)
     for k, has in enumerate(patterns):
         gone = {b.effect.name for b, one in zip(held, has, strict=True) if not one}
-        effects = tuple(
-            replace(e, coefficients=tuple(map(_by_definition, e.coefficients)))
-            for e in layout.model.effects
-            if e.name not in gone
-        )
+        effects = tuple(_by_definition(e) for e in layout.model.effects if e.name not in gone)
         own = replace(layout, model=replace(layout.model, effects=effects))
         in_x, in_v = layout.entries_in(own)
         places = np.flatnonzero(which.reshape(-1) == k)
@@ -473,8 +469,12 @@ def _by_structure(
         yield places, Problem(own, problem.record), those
 
 
-def _by_definition(c: Coefficient) -> Coefficient:
-    return replace(c, prior=Known(c.mean)) if isinstance(c.prior, Known) else c
+def _by_definition(effect: Effect) -> Effect:
+    own = (
+        replace(c, prior=Known(c.mean)) if isinstance(c.prior, Known) else c
+        for c in effect.coefficients
+    )
+    return replace(effect, coefficients=tuple(own))
 
 
 def _mean_and_spreads(

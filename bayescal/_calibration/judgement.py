@@ -146,11 +146,8 @@ def contradicted_alone(subject: Subject) -> list[Claim]:
     fit shows nothing. So biases and scale factors of the instrument's own effects get a thousand times their widths.
     """
     fit, instrument = subject.fit, subject.fit.model.instrument
-    own = {
-        e.name
-        for e in instrument.effects
-        if len(e.coefficients) == 1 and instrument.slot(e.slot).unit in (instrument.unit, "1")
-    }
+    single = (e for e in instrument.effects if len(e.coefficients) == 1)
+    own = {e.name for e in single if instrument.slot(e.slot).unit in (instrument.unit, "1")}
     problem = Problem(fit.layout, fit.problem.record, dict.fromkeys(own, FREE_SIZES))
     starts = [fit.mode.v, np.zeros_like(fit.mode.v)]
     mode = find_mode(problem, starts, fit.mode.x, still=0.01)
@@ -277,11 +274,8 @@ def following_members(subject: Subject) -> Iterator[Claim]:
     """
     fit, record = subject.fit, subject.fit.problem.record
     means = {row["name"]: row["mean"] for row in summary(fit)[0]}
-    single = [
-        e
-        for e in fit.model.effects
-        if len(e.coefficients) == 1 and not (e.shapes or e.coefficients[0].per) and e.varies
-    ]
+    linear = (e for e in fit.model.effects if len(e.coefficients) == 1 and not e.shapes)
+    single = [e for e in linear if e.varies and not e.coefficients[0].per]
     for b in (b for b in fit.layout.blocks if b.coefficient.per in record.codes):
         names = b.member_names(fit.levels)
         plain = b.coefficient.group_sd is not None and b.effect.weights is None

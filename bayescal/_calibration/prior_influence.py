@@ -171,11 +171,8 @@ def _known(u: Unknown, draws: Float[np.ndarray, "d"], before: str = "") -> str:
 
 def coefficients_not_measured(calibration: Calibration) -> set[str]:
     """Names of the coefficients of which priors say more than the readings do."""
-    return {
-        u.name
-        for u, _, _ in _with_stated_priors(calibration)
-        if not_measured(calibration, calibration.samples(u.name)[:, None], of=u.name)
-    }
+    names, samples = (u.name for u, *_ in _with_stated_priors(calibration)), calibration.samples
+    return {n for n in names if not_measured(calibration, samples(n)[:, None], of=n)}
 
 
 def _with_stated_priors(calibration: Calibration) -> Iterator[tuple[Unknown, Coefficient, bool]]:

@@ -190,9 +190,8 @@ class SensorNoise(Printed):
         return [terms, *lines, "", plain_table(head, curve, left=0)]
 
     def _brief(self) -> str:
-        return f"{self.law}; " + ", ".join(
-            f"{f.symbol} = {number(f.value)} {f.unit}" for f in self.figures
-        )
+        figures = (f"{f.symbol} = {number(f.value)} {f.unit}" for f in self.figures)
+        return f"{self.law}; {', '.join(figures)}"
 
     def _columns(self) -> dict[str, list[Any]]:
         names = ("name", "symbol", "value", "low", "high", "unit")
@@ -516,9 +515,8 @@ def _level_count(
         law = SummedNoise(1.0, 2.0 * len(output), ("tone",))
         variance -= law.allan_variance({WHITE: 0.0, **line}, line[TONE[0]] ** 2, runs.factors, 1.0)
     limit = 4.0 ** (2 * LEVEL_SLOPE) * variance[:-2]
-    limit[:1] *= 1 + NEIGHBOURS_SD * np.sqrt(
-        2 / allan.degrees_of_freedom(runs, np.zeros(len(variance)))[2:3]
-    )
+    freedom = allan.degrees_of_freedom(runs, np.zeros(len(variance)))
+    limit[:1] *= 1 + NEIGHBOURS_SD * np.sqrt(2 / freedom[2:3])
     level = variance[2:] <= limit
     level[1:] &= sum(runs.lengths) >= FEWEST_MEANS * runs.factors[1:-2]
     level[:1] &= clear > LINE_SD or _negative(output, runs) > -NEIGHBOURS_SD
@@ -783,9 +781,8 @@ def _for_filter(found: WeighedNoise) -> tuple[np.ndarray, np.ndarray]:
         # reach the law at one averaging time, that with whose walk the sum exceeds it least (d, densities, times).
         white = np.maximum(np.column_stack([0 * own, reached * factors]), own[:, None] ** 2)
         lacking = (reached[:, None] - white[..., None] / factors) / of_walk
-        walk = np.maximum(
-            lacking.max(axis=2), np.square(one.draws.get("noise.walk", 0.0))[..., None]
-        )
+        own_walk = np.square(one.draws.get("noise.walk", 0.0))[..., None]
+        walk = np.maximum(lacking.max(axis=2), own_walk)
         both = white[..., None] / factors + walk[..., None] * of_walk
         least = np.argmin(np.log(both / whole[:, None]).sum(axis=2), axis=1)[:, None]
         densities.append(np.sqrt(np.take_along_axis(white, least, 1)[:, 0] * step))
@@ -827,11 +824,8 @@ def _figures(
         rows.append(("", f"{name}, size", of_bias, own, size))
         rows.append(("", f"{name}, correlation time", "s", "s", time))
     bounded = {"K": k is None, "N": not found.count}
-    return tuple(
-        _figure(symbol, name, shown, inner, draws, bounded.get(symbol, False))
-        for symbol, name, shown, inner, draws in rows
-        if draws is not None
-    )
+    seen = ((*row, bounded.get(row[0], False)) for row in rows if row[-1] is not None)
+    return tuple(itertools.starmap(_figure, seen))
 
 
 def _figure(

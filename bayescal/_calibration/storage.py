@@ -36,13 +36,13 @@ from bayescal._data.measurements import Measurements
 from bayescal._inference.laplace import Mode
 from bayescal._inference.method import Draws, Verdict
 from bayescal._model.effect import READING, Effect
-from bayescal._model.formula import Formula, effect, line_of_today
+from bayescal._model.formula import Formula, effect
 from bayescal._model.installed import installed_instrument, installed_names
 from bayescal._model.instrument import Instrument
 from bayescal._model.model import Model
 from bayescal._model.noise_law import Noise
 from bayescal._model.parameters import bind
-from bayescal._model.prior import Flat, HalfCauchy, HalfNormal, LogNormal, LogUniform, Normal
+from bayescal._model.prior import KINDS
 from bayescal._tables.raw_table import ROW
 from bayescal._tables.unpacked import refuse_hdf5
 
@@ -59,7 +59,7 @@ MISMATCHES = (
 UNKNOWNS = "unknowns"  # of a noise law of the user's own
 LAW_FILE = "Give the file that defines the one it was fitted with: --effects my_law.py (in Python: run it before load)"
 EFFECT_FILE = "--effects my_effects.py (in Python: load(path, effects=[…]))"
-_PRIORS = {c.__name__: c for c in (Flat, HalfCauchy, HalfNormal, LogNormal, LogUniform, Normal)}
+_PRIORS = {c.__name__: c for c in KINDS}
 _PRIOR = re.compile(rf"\b({'|'.join(_PRIORS)})\(([^()]*)\)")
 
 
@@ -267,8 +267,8 @@ def name_of_today(name: str) -> str:
 
 
 def of_today(described: dict[str, Any]) -> dict[str, Any]:
-    """A description of 0.2 with the names of unknowns, and the words of formulas, that they have now."""
-    said, typed = described["unknowns"].items(), described.get("typed", {}).items()
+    """Return a description of 0.2 with the names of unknowns that they have now."""
+    words = {n: s.replace("spread=", "group_sd=") for n, s in described["unknowns"].items()}
 
     def prior(match: re.Match[str]) -> str:
         """Return a prior as it says itself now, its defaults left out."""
@@ -277,9 +277,8 @@ def of_today(described: dict[str, Any]) -> dict[str, Any]:
 
     return {
         **described,
-        "unknowns": {n: _PRIOR.sub(prior, s.replace("spread=", "group_sd=")) for n, s in said},
+        "unknowns": {name: _PRIOR.sub(prior, told) for name, told in words.items()},
         "fixed": {name_of_today(name): value for name, value in described["fixed"].items()},
-        "typed": {name: line_of_today(line) for name, line in typed},
         "reference": {n: v for n, v in described["reference"].items() if n != "run_starts"},
     }
 
@@ -359,10 +358,8 @@ def model_from(path: Path, described, readings: Measurements, effects, instrumen
         for e in effects
         if e.name not in known or stated(e.ranging(ranges.get(e.name, {}))) == then.get(e.name)
     }
-    typed = {
-        n: effect(text, readings=readings, instrument=instrument)
-        for n, text in described.get("typed", {}).items()
-    }
+    lines = described.get("typed", {}).items()
+    typed = {n: effect(line, readings=readings, instrument=instrument) for n, line in lines}
     catalogue = {**known, **given, **typed}
     for n in names:
         with suppress(ModelError):

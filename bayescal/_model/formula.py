@@ -65,7 +65,6 @@ _SIGNS = {ast.Add: "+", ast.Sub: "-", ast.Mult: "*", ast.Div: "/", ast.Pow: "^"}
 _PAST = {"rate": 1, "body": 2, "lag_difference": 2}
 _OF_TWO = ("min", "max")
 _COUNTS = {**dict.fromkeys(_FUNCTIONS, 1), **dict.fromkeys(_OF_TWO, 2), **_PAST}
-_LAG = "lag was T̃ − T, and read as T̃: write lag_difference(T, tau) for T̃ − T, or body(T, tau) for T̃"
 _VALUES = ast.Name | ast.Constant | ast.BinOp | ast.UnaryOp | ast.Call
 _PARTS = _VALUES | ast.operator | ast.unaryop | ast.Load
 
@@ -273,7 +272,7 @@ class _TypedLine:
                 raise self.refusal(at, f"{word!r} has no meaning in a formula")
             if kind == "function" and word not in _COUNTS:
                 known = f"there is no function {word!r}; there are {', '.join(_COUNTS)}"
-                raise self.refusal(at, _LAG if word == "lag" else known)
+                raise self.refusal(at, known)
             if kind == "number":
                 word = repr(_number(word, partial(self.refusal, at)))
             elif kind in ("name", "quoted"):
@@ -496,11 +495,8 @@ class _TypedLine:
             raise InputError(f"{name} = {said!r} is no plausible range: write it as 100 to 2000 s")
         unit = (unit or "1").strip()
         # What is added to a column or compared with it is a place along it: 50 degF is 10 °C, and may be negative.
-        place = any(
-            getattr(part, "id", "") in self.names and self.names[part.id] == name
-            for node in ast.walk(tree)
-            for part in _compared(node)
-        )
+        compared = (getattr(p, "id", "") for node in ast.walk(tree) for p in _compared(node))
+        place = any(self.names.get(key) == name for key in compared)
         if not (low < high and (low > 0 or place)):
             raise InputError(
                 f"{name} = {said!r}: a range goes from a positive number to a larger one"
@@ -519,10 +515,8 @@ class _TypedLine:
         sizes = [None] * len(basis.parts)
         if self.readings is not None:
             sizes = _scatter(basis, self.readings, self.shapes)
-        coefficients = tuple(
-            self._coefficient(n, part.unit, slot_unit, size)
-            for (n, part), size in zip(self.coefficients.items(), sizes, strict=True)
-        )
+        each = zip(self.coefficients.items(), sizes, strict=True)
+        coefficients = tuple(self._coefficient(n, p.unit, slot_unit, s) for (n, p), s in each)
         needs = ["time" if c == "elapsed" else c for c, _ in self.columns.values()]
         return Effect(
             name,
@@ -641,11 +635,6 @@ def _number(text: str, refusal: Callable[[str], InputError] = InputError) -> flo
     ):
         return value
     raise refusal(f"{text} is a number too {'large' if abs(value) > 1 else 'small'}")
-
-
-def line_of_today(line: str) -> str:
-    """A line that was saved when `lag` was a word of formulas, of which it meant `lag_difference`."""
-    return re.sub(r"\blag(?=\s*\()", "lag_difference", line)
 
 
 def _scatter(made: Formula, readings: Measurements, shapes: Mapping[str, Shape]) -> list[float]:

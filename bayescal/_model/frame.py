@@ -241,11 +241,8 @@ def derived(readings: Measurements, every: bool = False) -> dict[str, np.ndarray
     if readings.has("time"):
         time, (names, codes) = readings["time"], run_codes(readings)
         order, step = sequence(time, codes)
-        found |= {
-            f"{n} rate": causal_slope(time, readings[n], order, step)
-            for n in readings.columns
-            if readings.unit(n) == "degC" and n not in own
-        }
+        warm = (n for n in readings.columns if readings.unit(n) == "degC" and n not in own)
+        found |= {f"{n} rate": causal_slope(time, readings[n], order, step) for n in warm}
         if len(names) > 1:
             found["elapsed"] = time - run_starts(readings)[codes]
     return found
@@ -313,11 +310,8 @@ def build_frame(
     unit = {name: readings.unit(name) for name in readings.columns if name != "temperature_point"}
     columns = {name: np.asarray(readings[name]) for name in unit if unit[name] is not None}
     columns, scalars = _from_origin(columns, reference)
-    labels = {
-        f"{name}={label}": np.asarray(readings[name] == label, dtype=float)
-        for name in label_groups(readings)
-        for label in readings.groups(name)[0]
-    }
+    named = ((n, label) for n in label_groups(readings) for label in readings.groups(n)[0])
+    labels = {f"{n}={label}": np.asarray(readings[n] == label, float) for n, label in named}
     rates: dict[str, np.ndarray] = {}
     order, step = np.arange(len(readings)), -np.ones(len(readings))
     if readings.has("time"):
@@ -326,14 +320,12 @@ def build_frame(
         order, step = sequence(time, codes)
         warm = [name for name in unit if unit[name] == "degC"]
         rates = {name: causal_slope(time, readings[name], order, step) for name in warm}
+    groups = dict.fromkeys((*GROUPS, *label_groups(readings), *(levels or ())))
     return Frame(
         columns=columns,
         labels=labels,
         rates=rates,
-        codes={
-            group: _member_codes(readings, group, levels)
-            for group in dict.fromkeys((*GROUPS, *label_groups(readings), *(levels or ())))
-        },
+        codes={group: _member_codes(readings, group, levels) for group in groups},
         reference={k: np.asarray(v) for k, v in scalars.items()},
         order=np.asarray(order, dtype=np.int32),
         step=np.asarray(step),

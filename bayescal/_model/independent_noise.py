@@ -143,9 +143,8 @@ class Heteroscedastic(Noise):
     def variance(self, parameters, frame):
         if not self.proportional:
             return scattered_variance(parameters, frame, self.column)
-        return (
-            own_variance(parameters, frame) + (parameters[PROPORTIONAL] * self._place(frame)) ** 2
-        )
+        own = own_variance(parameters, frame)
+        return own + (parameters[PROPORTIONAL] * self._place(frame)) ** 2
 
 
 def followed_columns(column: str) -> tuple[str, ...]:

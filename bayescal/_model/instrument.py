@@ -304,14 +304,10 @@ def factor_of(instrument: Instrument, effect: Effect, coefficient: Coefficient) 
     known = {*GROUPS, "temperature_point", "time", "elapsed", *(c.name for c in instrument.columns)}
     named = {name: declared[name] for name in effect.columns if name in declared}
     others = {unit for name, unit in declared.items() if name not in (*named, "output")}
+    own, undeclared = tuple(sorted({*named.values()})), not known.issuperset(effect.columns)
+    further = (*(s.unit for s in effect.shapes), *sorted(others))
     try:
-        return basis_factor(
-            coefficient.unit,
-            slot.unit,
-            tuple(sorted({*named.values()})),
-            not known.issuperset(effect.columns),
-            (*(s.unit for s in effect.shapes), *sorted(others)),
-        )
+        return basis_factor(coefficient.unit, slot.unit, own, undeclared, further)
     except InputError as error:
         columns = ", ".join(f"{name} [{unit}]" for name, unit in named.items()) or "none"
         raise ModelError(

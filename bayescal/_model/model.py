@@ -120,12 +120,9 @@ class Model(Printed):
             ModelError: it is not in the model.
         """
         gone = self.effect(other if isinstance(other, str) else other.name)
-        lost = gone.unknown_names
-        return replace(
-            self,
-            effects=tuple(e for e in self.effects if e.name != gone.name),
-            fixed=tuple((n, v) for n, v in self.fixed if n not in lost),
-        )
+        effects = tuple(e for e in self.effects if e.name != gone.name)
+        fixed = tuple((n, v) for n, v in self.fixed if n not in gone.unknown_names)
+        return replace(self, effects=effects, fixed=fixed)
 
     def with_nuisances(self, readings: Measurements) -> Model:
         """Return the model with those nuisances of its instrument that these readings show."""

@@ -242,9 +242,8 @@ class Layout:
     @property
     def improper(self) -> bool:
         """Whether some prior is flat, so that the evidence is not defined."""
-        return any(b.coefficient.flat for b in self.blocks if b.place in ("x", "phi")) or any(
-            isinstance(h.prior, (Flat, FlatLine)) for h in self.hypers
-        )
+        flat = any(b.coefficient.flat for b in self.blocks if b.place in ("x", "phi"))
+        return flat or any(isinstance(h.prior, (Flat, FlatLine)) for h in self.hypers)
 
 
 def _promoted_prior(block: CoefficientBlock) -> Normal | FlatLine:

@@ -104,9 +104,8 @@ class SumOfTerms(Noise, interface=True):
     def in_words(self) -> str:
         counts = Counter(p.words for p in self.parts)
         white = f"white (scatter follows {self.scatter})" if self.scatter else "white"
-        return self.words or " + ".join(
-            (white, *(f"{c} {w}" if c > 1 else w for w, c in counts.items()))
-        )
+        counted = (f"{c} {w}" if c > 1 else w for w, c in counts.items())
+        return self.words or " + ".join((white, *counted))
 
     @property
     def stationary(self) -> bool:  # pyright: ignore[reportIncompatibleVariableOverride]

@@ -72,10 +72,8 @@ class Unknowns:
             if (b := u.block) is not None:
                 value = b.origin + value
                 if u.v is not None and (name := b.group_sd_name) is not None:
-                    value = (
-                        b.coefficient.mean
-                        + (fixed[name] if name in fixed else phi[at[name]]) * value
-                    )
+                    spread = fixed[name] if name in fixed else phi[at[name]]
+                    value = b.coefficient.mean + spread * value
             found[..., k] = value
         return found
 

@@ -300,9 +300,8 @@ class Loop:
             known = {c.effect: c.probability for c in found.candidates}
             given = [e.name for e in self.given if e.name not in last.calibration.model.names]
             left = ", ".join(f"{n} (probability {probability(known.get(n))})" for n in given)
-            last = last.noted(
-                [f"Weighed anew and left out of the model given: {left}."] * bool(left)
-            )
+            note = f"Weighed anew and left out of the model given: {left}."
+            last = last.noted([note] * bool(left))
         used, shares = last.calibration, ()
         if self.max_effects > 0 and used.verdict.ok:
             try:  # what is used is an average over the structures

@@ -254,14 +254,12 @@ class _Channel:
         known = before.expected | {s: w.total for s, w in before.visited.items()}
         # Only a shape moved: totals of the former round, corrected by what the prior odds changed, are what to
         # expect.
-        for structure, total in () if searched else known.items():
-            after.expect(
-                structure, total + after.log_prior(structure) - before.log_prior(structure)
-            )
-        for structure, weighed in before.visited.items():
-            if structure.effects.isdisjoint(news):
-                changed = after.log_prior(structure) - before.log_prior(structure)
-                after.visited[structure] = replace(weighed, log_prior=weighed.log_prior + changed)
+        for s, total in () if searched else known.items():
+            after.expect(s, total + after.log_prior(s) - before.log_prior(s))
+        for s, weighed in before.visited.items():
+            if s.effects.isdisjoint(news):
+                changed = weighed.log_prior + (after.log_prior(s) - before.log_prior(s))
+                after.visited[s] = replace(weighed, log_prior=changed)
         leaders = sorted(before.visited.values(), key=lambda w: -w.total)[:BEAM_STRUCTURES]
         for structure in (Structure(), *(w.structure for w in leaders)):
             deadline.current().ask()

@@ -69,9 +69,8 @@ def with_spans(structures: Structures, floor: float) -> Structures:
 
 def _left_by_all(structures: Structures) -> float:
     """Standard deviation of what the base and named candidates without shapes leave of the output, by least squares."""
-    line = about_priors(
-        Problem(replace(structures.layout, model=structures.base), structures.record)
-    )
+    layout = replace(structures.layout, model=structures.base)
+    line = about_priors(Problem(layout, structures.record))
     library = Library(structures)
     named = {n: p for n, p in library.points.items() if not structures.candidates[n].is_placeholder}
     points = [point for point, *others in named.values() if not others]
@@ -138,24 +137,13 @@ def _coefficients(line: LinearModel, columns: Float[np.ndarray, "n k"]) -> tuple
 def equivalents(spans: Spans) -> list[Equivalent]:
     """Sets of two or three candidates, and of one and the model's effects, none within another."""
     found = [Equivalent((name,), own) for name, own in spans.latent.items()]
-    every = sorted(
-        (
-            (name, *others)
-            for count in range(MAX_SPANNING, 0, -1)
-            for name in spans.left
-            if spans.within(name, {*spans.left} - {name})
-            for others in itertools.combinations([n for n in spans.left if n != name], count)
-            if spans.within(name, others)
-            and not any(
-                spans.within(name, some) for some in itertools.combinations(others, count - 1)
-            )
-        ),
-        key=len,
-        reverse=True,
-    )
-    for one in every:
-        if not any({*one} <= {*known.effects} for known in found):
-            found.append(Equivalent(one))
+    spanned = [n for n in spans.left if spans.within(n, {*spans.left} - {n})]
+    for count, name in itertools.product(range(MAX_SPANNING, 0, -1), spanned):
+        for others in itertools.combinations([n for n in spans.left if n != name], count):
+            fewer, one = itertools.combinations(others, count - 1), (name, *others)
+            least = spans.within(name, others) and not any(spans.within(name, f) for f in fewer)
+            if least and not any({*one} <= {*known.effects} for known in found):
+                found.append(Equivalent(one))
     return found
 
 
@@ -187,11 +175,10 @@ def separating_experiments(structures: Structures) -> dict[Equivalent, dict[str,
     found: dict[Equivalent, dict[str, Any]] = {one: {"cure": "none"} for one in sets}
     for name, columns in instrument.experiments:
         readings = Measurements.from_arrays(instrument, **columns())
-        readings = readings.select(
-            np.arange(0, len(readings), -(-len(readings) // MAX_EXPERIMENT_READINGS))
-        )
-        every = {n: structures.candidates[n] for one in sets for n in one.effects}
-        own = {n: effect for n, effect in every.items() if testable(effect, readings) is None}
+        every = -(-len(readings) // MAX_EXPERIMENT_READINGS)
+        readings = readings.select(np.arange(0, len(readings), every))
+        named = {n: structures.candidates[n] for one in sets for n in one.effects}
+        own = {n: effect for n, effect in named.items() if testable(effect, readings) is None}
         reference = reference_of(readings)
         layout = bind(structures.base, readings, own.values(), reference)[0]
         record = record_of(instrument, readings, reference)

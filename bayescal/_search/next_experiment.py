@@ -117,14 +117,13 @@ def next_experiment(
     with stage("fitting each possibility"):
         method = LeastSquares(draws=DRAWS)
         how: dict[str, Any] = {"reference": calibration.reference, "strict": False}
-        fits = {
-            e.name: fit(calibration.model + e, calibration.readings, method, **how) for e in chosen
-        }
+        model, own = calibration.model, calibration.readings
+        fits = {e.name: fit(model + e, own, method, **how) for e in chosen}
     with stage("expecting the outcome of each experiment"):
         found = list[Experiment]()
         for name, readings in plans.items():
-            own = {n: outlook(c, readings) for n, c in fits.items()}
-            factors = {pair: divergence(*(own[n] for n in pair)) for pair in permutations(fits, 2)}
+            seen = {n: outlook(c, readings) for n, c in fits.items()}
+            factors = {pair: divergence(*(seen[n] for n in pair)) for pair in permutations(fits, 2)}
             found.append(Experiment(name, factors, readings))
     return NextExperiment(tuple(fits), tuple(sorted(found, key=lambda e: -e.worst)))
 
@@ -170,10 +169,8 @@ def outlook(calibration: Calibration, readings: Measurements) -> Outlook:
     hyper = problem.hyper(np.median(v, axis=0))
     white = whitening(problem.noise, hyper, record)(np.eye(record.size))
     middle = x.mean(axis=0)[None]
-    beside = problem.expected_and_extra(middle, hyper)[1]
-    covariance = np.linalg.inv(white.T @ white) + np.diag(
-        np.broadcast_to(beside, (1, record.size))[0]
-    )
+    beside = np.broadcast_to(problem.expected_and_extra(middle, hyper)[1], (1, record.size))[0]
+    covariance = np.linalg.inv(white.T @ white) + np.diag(beside)
     own = [t for t in problem.terms if t.per is not None and t.place != "fixed"]
     _, slopes = problem.expected_with_slopes(middle, hyper, own)
     for t, slope in zip(own, slopes, strict=True):

@@ -113,9 +113,8 @@ class SharedShape:
         joint = self._joint(n for n in self.says if n != channel)
         here, not_here = joint + np.log(SHARES), joint + np.log1p(-SHARES)
         # The channel has the effect with probability s in units that have it, never in units that have not.
-        log_odds = np.logaddexp.reduce(here, axis=None) - np.logaddexp(
-            np.logaddexp.reduce(not_here, axis=None), math.log1p(-self.prior)
-        )
+        without = np.logaddexp(np.logaddexp.reduce(not_here, axis=None), math.log1p(-self.prior))
+        log_odds = np.logaddexp.reduce(here, axis=None) - without
         _, low, high = self._range(here)
         return FromOthers(float(log_odds), low, high)
 
@@ -144,9 +143,8 @@ class SharedShape:
         mean = float(weight @ self.v)
         # One point of the grid may hold it all: what the grid tells is no finer than its closest points.
         sd = max(math.sqrt(float(weight @ (self.v - mean) ** 2)), FINEST_SD)
-        middle, low, high = (
-            float(self.shape.prior.value(mean + s * CENTRAL_95 * sd)) for s in (0, -1, 1)
-        )
+        value = self.shape.prior.value
+        low, middle, high = (float(value(mean + s * CENTRAL_95 * sd)) for s in (-1, 0, 1))
         return middle, low, high
 
 

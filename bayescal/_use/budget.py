@@ -321,26 +321,15 @@ def _by_source(
     rows = sorted(parts.items(), key=lambda p: -p[1])
     rows += [((REST, ""), total - sum(parts.values()))]
     rows += [((STRUCTURES, ""), variance - total)] * bool(unlikely)
-    return tuple(
-        SourceShare(
-            *named,
-            contribution=float(np.sign(value) * abs(value) ** 0.5),
-            share=value / variance if variance > 0 else 0.0,
-        )
-        for named, value in rows
-    )
+    sizes = ((named, value, float(np.sign(value) * abs(value) ** 0.5)) for named, value in rows)
+    return tuple(SourceShare(*named, size, v / (variance or np.inf)) for named, v, size in sizes)
 
 
 def _learned_group_sds(equation: OperatingEquation) -> set[str]:
     """Coefficients of which a new member is drawn in use, from a spread that the readings told."""
-    given, fixed = dict(equation.members), dict(equation.layout.model.fixed)
-    return {
-        b.name
-        for b in equation.blocks
-        if b.coefficient.group_sd is not None
-        and b.coefficient.per not in given
-        and b.group_sd_name not in fixed
-    }
+    given, known = dict(equation.members), {None, *dict(equation.layout.model.fixed)}
+    learned = (b for b in equation.blocks if b.group_sd_name not in known)
+    return {b.name for b in learned if b.coefficient.per not in given}
 
 
 def _beyond(chosen: Compensator, point: Mapping[str, float]) -> list[str]:

@@ -244,11 +244,8 @@ def provenance_of(calibration: Calibration, equation: OperatingEquation) -> Prov
     instrument, use = calibration.model.instrument, equation.use
     acting = dict.fromkeys(b.effect for b in equation.blocks)
     scale = calibration.readings.scale or instrument.nominal_scale
-    reference = {
-        k: float(v)
-        for k, v in calibration.reference.items()
-        if not isinstance(v, dict) and not k.endswith(("_low", "_high", "_held"))
-    } | calibration.hold_at
+    numbers = {k: v for k, v in calibration.reference.items() if not isinstance(v, dict)}
+    stated = {k: float(v) for k, v in numbers.items() if not k.endswith(("_low", "_high", "_held"))}
     return Provenance(
         instrument=instrument.name,
         title=instrument.title,
@@ -256,7 +253,7 @@ def provenance_of(calibration: Calibration, equation: OperatingEquation) -> Prov
         unit=use.unit,
         output_unit=calibration.unit,
         effects=tuple((e.name, e.equation) for e in acting),
-        reference=reference,
+        reference=stated | calibration.hold_at,
         sources=tuple((s.file, s.sha256) for s in sources_of(calibration.readings)),
         raw=(scale.unit, scale.gain, scale.offset) if scale else None,
         notes=(),
@@ -338,8 +335,7 @@ def notes_on_use(
 
 
 SCHEMA, VERSION = "bayescal.compensator", 3
-# 1 knew no lag slopes, and left the uncertainty of a time constant out of its lag; 1 and 2 had one noise everywhere.
-READ = (1, 2, 3)
+READ = (2, 3)  # 2, of bayescal 0.2, had one noise everywhere
 AGAIN = "Export it again"
 KINDS = ("column", "elapsed", *PAST)
 

@@ -316,10 +316,9 @@ def compensator(
     if draws < 2:
         raise InputError(f"draws={draws}: an uncertainty needs at least 2")
     whole = Compensator(calibration, equation_in_use(calibration, members), draws)
-    needed = calibration.usual_columns.union(
-        calibration.model.noise.needs, columns_read(calibration.model.instrument, calibration.frame)
-    )
-    if all(needed.issuperset(e.columns) for e in calibration.model.effects):
+    model, read = calibration.model, columns_read(calibration.model.instrument, calibration.frame)
+    needed = calibration.usual_columns.union(model.noise.needs, read)
+    if all(needed.issuperset(e.columns) for e in model.effects):
         return whole
     held = tuple(
         (i.name, float(i.middle), i.unit)

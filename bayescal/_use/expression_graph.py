@@ -65,10 +65,7 @@ OPERATIONS: dict[str, Operation] = {
     "atan2": Operation(np.arctan2, "BAYESCAL_CALL2(atan2, {0}, {1})", "math.atan2({0}, {1})"),
     "rem": Operation(np.fmod, "BAYESCAL_CALL2(fmod, {0}, {1})", "math.fmod({0}, {1})"),
     **{name: _function(getattr(np, name), name) for name in _SAME.split()},
-    **{
-        f"a{name}": _function(getattr(np, f"arc{name}"), f"a{name}")
-        for name in ("sin", "cos", "tan")
-    },
+    **{f"a{n}": _function(getattr(np, f"arc{n}"), f"a{n}") for n in ("sin", "cos", "tan")},
     "gt": _infix(np.greater, ">", True),
     "ge": _infix(np.greater_equal, ">=", True),
     "lt": _infix(np.less, "<", True),

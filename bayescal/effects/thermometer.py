@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import partial
 from typing import Any
 
 from bayescal._model.effect import Coefficient, Effect
 from bayescal._model.frame import Frame
-from bayescal._model.prior import HalfNormal, Normal
-from bayescal.effects.constant import one
+from bayescal._model.prior import Normal
+from bayescal.effects.constant import deviation, one
 
 
 def _rate(column: str, r: Frame) -> Any:
@@ -70,15 +71,8 @@ def thermometer_offset(
         per: group whose members have an error each.
         unit: of the error, that of a difference of the column.
     """
-    return Effect(
-        f"{column}.{per}",
-        column,
-        basis=one,
-        coefficients=(Coefficient(unit, Normal(0.0, size), per=per, group_sd=HalfNormal(size)),),
-        columns=(column,),
-        equation=f"T_true = T + e[{per}]",
-        source=source,
-    )
+    apart = deviation(column, per, size, unit, source=source)
+    return replace(apart, columns=(column,), equation=f"T_true = T + e[{per}]")
 
 
 def thermometer_delay(sd: float, *, source: str, column: str = "temperature") -> Effect:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial
 from typing import Any
@@ -40,26 +39,24 @@ def drift(slot: str, size: float, unit: str, *, source: str) -> Effect:
     The logarithm is how resonators and stressed packages age: fast at first, and ever more slowly.
     Source of the second form: MIL-PRF-55310E (2006), 6.4.2, f(t) = A·ln(B·t + 1).
     """
-
-    def form(name: str, basis: Callable[..., Any], shapes: tuple[Shape, ...], equation: str):
-        return Effect(
-            f"{slot}.{name}",
-            slot,
-            basis=basis,
-            coefficients=(Coefficient(unit, Normal(0.0, size)),),
-            shapes=shapes,
-            columns=("time",),
-            equation=equation,
-            source=source,
-            kind="drift",
-        )
-
-    bend = Shape("bend", "1", *BENDS)
-    ageing = "c·(ln(1 + s/b)/ln(1 + 1/b) − ½),  s = (t − tmin)/(tmax − tmin)"
-    return replace(
-        form("drift", _progress, (), "c·(t − t̄)/(tmax − tmin)"),
-        forms=(form("drift.logarithmic", _ageing, (bend,), ageing),),
+    steady = Effect(
+        f"{slot}.drift",
+        slot,
+        basis=_progress,
+        coefficients=(Coefficient(unit, Normal(0.0, size)),),
+        columns=("time",),
+        equation="c·(t − t̄)/(tmax − tmin)",
+        source=source,
+        kind="drift",
     )
+    slowing = replace(
+        steady,
+        name=f"{slot}.drift.logarithmic",
+        basis=_ageing,
+        shapes=(Shape("bend", "1", *BENDS),),
+        equation="c·(ln(1 + s/b)/ln(1 + 1/b) − ½),  s = (t − tmin)/(tmax − tmin)",
+    )
+    return replace(steady, forms=(slowing,))
 
 
 def warm_up(slot: str, size: float, unit: str, *, low: float, high: float, source: str) -> Effect:
@@ -69,34 +66,27 @@ def warm_up(slot: str, size: float, unit: str, *, low: float, high: float, sourc
         size: prior standard deviation of c, in `unit`.
         low, high: plausible range of τ, s.
     """
-
-    def form(
-        name: str,
-        basis: Callable[..., Any],
-        equation: str,
-        parts: Sequence[str] = ("",),
-        shapes: Sequence[Shape] = (),
-    ) -> Effect:
-        return Effect(
-            f"{slot}.{name}",
-            slot,
-            basis=basis,
-            coefficients=tuple(Coefficient(unit, Normal(0.0, size), part) for part in parts),
-            shapes=(Shape("tau", "s", low, high), *shapes),
-            columns=("time",),
-            equation=equation,
-            source=source,
-            along="elapsed",
-            kind="warm-up",
-        )
-
-    terms = " + ".join(f"{w:.3g}·exp(−t/({m:.3g}·τ))" for m, w in slab())
-    two = "c·exp(−t/τ) + d·exp(−t/(r·τ)),  t from the run's start"
-    ratio = Shape("ratio", "1", *RATIOS, scale="bounded")
-    return replace(
-        form("warm_up", partial(_decays, ((1.0, 1.0),)), "c·exp(−(t − t_start)/τ)"),
-        forms=(
-            form("warm_up.two_times", _two_decays, two, ("", "fast"), (ratio,)),
-            form("warm_up.diffusion", partial(_decays, slab()), f"c·({terms})"),
-        ),
+    first = Effect(
+        f"{slot}.warm_up",
+        slot,
+        basis=partial(_decays, ((1.0, 1.0),)),
+        coefficients=(Coefficient(unit, Normal(0.0, size)),),
+        shapes=(Shape("tau", "s", low, high),),
+        columns=("time",),
+        equation="c·exp(−(t − t_start)/τ)",
+        source=source,
+        along="elapsed",
+        kind="warm-up",
     )
+    two = replace(
+        first,
+        name=f"{slot}.warm_up.two_times",
+        basis=_two_decays,
+        coefficients=(*first.coefficients, Coefficient(unit, Normal(0.0, size), "fast")),
+        shapes=(*first.shapes, Shape("ratio", "1", *RATIOS, scale="bounded")),
+        equation="c·exp(−t/τ) + d·exp(−t/(r·τ)),  t from the run's start",
+    )
+    terms = " + ".join(f"{w:.3g}·exp(−t/({m:.3g}·τ))" for m, w in slab())
+    own = {"basis": partial(_decays, slab()), "equation": f"c·({terms})"}
+    heat = replace(first, name=f"{slot}.warm_up.diffusion", **own)
+    return replace(first, forms=(two, heat))

@@ -148,7 +148,6 @@ REFUSED = (
     "supply: T - 25",
     "supply: s * T ^ humidity",
     "supply: s * body(T)",
-    "supply: s * lag(T, tau)",
     "supply: s * body(T, 300)",
     "supply: s * rate(T * 2)",
     "supply: s * exp(-elapsed / tau); s = 1 deg/s",
