@@ -135,9 +135,8 @@ def _add(xp: Any, sums: dict[str, Any], each: list[tuple[Term, Any, Any]]) -> No
         part = list(own)
         if len(part) > 2 and all(v.shape[-1] == 1 and c.ndim == 1 for _, c, v in part):
             # Of an effect of many columns that all draws share: one product.
-            share = xp.concatenate([v for *_, v in part], axis=-1) @ xp.stack(
-                [c for _, c, _ in part]
-            )
+            columns = xp.stack([c for _, c, _ in part])
+            share = xp.concatenate([v for *_, v in part], axis=-1) @ columns
             sums[slot] = sums[slot] + share if slot in sums else share
             continue
         for _, column, v in part:

@@ -629,10 +629,8 @@ def _number(text: str, refusal: Callable[[str], InputError] = InputError) -> flo
     Raises:
         InputError: by `refusal`: it is too large, or too small, for a computer's numbers.
     """
-    value = float(text)
-    if math.isfinite(value) and (
-        abs(value) >= TINY or not re.search("[1-9]", text.lower().split("e")[0])
-    ):
+    value, is_zero = float(text), not re.search("[1-9]", text.lower().split("e")[0])
+    if math.isfinite(value) and (abs(value) >= TINY or is_zero):
         return value
     raise refusal(f"{text} is a number too {'large' if abs(value) > 1 else 'small'}")
 

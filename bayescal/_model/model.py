@@ -253,9 +253,8 @@ class Model(Printed):
                     f"{self.noise.name} noise follows {name!r}, which is none of what varies in {readings.file}: "
                     f"{', '.join(followed)}. Name one of these (elapsed needs several runs)"
                 )
-        if self.noise_as_stated and not (
-            readings.has(UNCERTAINTY) and np.all(readings[UNCERTAINTY] > 0)
-        ):
+        stated = readings.has(UNCERTAINTY) and np.all(readings[UNCERTAINTY] > 0)
+        if self.noise_as_stated and not stated:
             raise ModelError(
                 f"With {WHITE} fixed to 0 each reading needs a known uncertainty, a positive number in the column "
                 f"{UNCERTAINTY!r}, which {readings.file} lacks: record it, or let {WHITE} be estimated"

@@ -68,9 +68,8 @@ class Noise(abc.ABC):
     several_states: ClassVar[bool] = False  # whether it is computed by a filter of several states
     stationary: ClassVar[bool] = False  # a function of frequency on readings of even steps
 
-    known: ClassVar[
-        dict[str, type[Noise]]
-    ] = {}  # by its class's name, which a saved calibration keeps
+    # By its class's name, which a saved calibration keeps.
+    known: ClassVar[dict[str, type[Noise]]] = {}
 
     def __init_subclass__(cls, interface: bool = False, **options: Any) -> None:
         super().__init_subclass__(**options)

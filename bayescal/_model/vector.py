@@ -105,17 +105,13 @@ class Vector:
             return None
         outputs = np.stack([frame[name] for name in self.outputs], axis=1)
         ratio = np.linalg.norm(outputs, axis=1) / magnitude(frame.columns)
-        if (
-            np.all((ratio < NEAR_RATIO) & (ratio > 1 / NEAR_RATIO))
-            or (found := ellipsoid(outputs)) is None
-        ):
+        near = np.all((ratio < NEAR_RATIO) & (ratio > 1 / NEAR_RATIO))
+        if near or (found := ellipsoid(outputs)) is None:
             return None
         # The triad's matrix is upper triangular, as the convention of three misalignments has it.
         off, form = outputs - found[0], found[1]
-        each = (
-            off @ np.linalg.cholesky(form),
-            off @ form,
-        )  # of what acts, and the ellipsoid's normal
+        # Of what acts, and the ellipsoid's normal.
+        each = off @ np.linalg.cholesky(form), off @ form
         direction, normal = (v / np.linalg.norm(v, axis=1)[:, None] for v in each)
         names, columns = (*DIRECTION, *ACROSS), dict(frame.columns)
         given = [name in columns for name in names]

@@ -229,14 +229,11 @@ class Loop:
     def look(self, follow: Callable[[], None] = lambda: None) -> None:
         """Walk over the structures, to the end or the deadline."""
         if self.library is not None:
-            names = frozenset(e.name for e in self.given)
-            given, known = Structure(names), self.structures
-            may_be = (
-                names and names <= {*known.candidates} and names.isdisjoint(known.barred(given))
-            )
-            self.stopped = explore(
-                self.library, self.max_effects, given if may_be else None, follow
-            )
+            given, known = Structure(frozenset(e.name for e in self.given)), self.structures
+            candidates = given.effects and given.effects <= {*known.candidates}
+            may_be = candidates and given.effects.isdisjoint(known.barred(given))
+            start = given if may_be else None
+            self.stopped = explore(self.library, self.max_effects, start, follow)
 
     @property
     def structures(self) -> Structures:

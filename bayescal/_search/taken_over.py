@@ -124,9 +124,8 @@ def _followed(
     column = last.white_nuisance[:, own].sum(axis=1)
     # Tolerance beside the first model's others over that beside these and what was added: what the addition alone
     # took. Ridge regression by the priors' weights: c less what the others take of it, times c.
-    without, beside = (
-        float(column @ last.beyond(column, rest)) for rest in (others, others | theirs)
-    )
+    both = others, others | theirs
+    without, beside = (float(column @ last.beyond(column, taken)) for taken in both)
     # Where its one coefficient stands, in the unit of its prior.
     i, j = first.owners.index(term.name), last.owners.index(term.name)
     m0, m1 = float(first.z[i] * first.sd[i]), float(last.z[j] * last.sd[j])

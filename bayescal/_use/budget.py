@@ -274,13 +274,12 @@ def _operating_point(chosen: Compensator, at: dict[str, float]) -> dict[str, flo
 def _slopes(chosen: Compensator, point: Mapping[str, float]) -> tuple[float, float, np.ndarray]:
     """Expected output and its slope at a point, and ∂value/∂θ there; inputs that are not in it are zero, as unused."""
     places = {name: np.full(1, value) for name, value in point.items()}
-    expected, slope, gradient = chosen.equation.linearised(
-        chosen._moments.mean, places[chosen.stimulus], places
-    )
+    at = chosen._moments.mean, places[chosen.stimulus], places
+    expected, slope, gradient = chosen.equation.linearised(*at)
     if slope[0] == 0:
-        at = ", ".join(f"{name} = {value:.6g}" for name, value in point.items())
+        where = ", ".join(f"{name} = {value:.6g}" for name, value in point.items())
         raise InputError(
-            f"at {at} the output does not follow {chosen.stimulus}: choose another point"
+            f"at {where} the output does not follow {chosen.stimulus}: choose another point"
         )
     return float(expected[0]), float(slope[0]), 0.0 - np.asarray(gradient[0] / slope[0])
 

@@ -307,9 +307,8 @@ class Graph:
         for place, row in enumerate(data):
             op, rest = (row or [None])[0], tuple(row[1:])
             value = rest[0] if len(rest) == 1 else None
-            if op == "const" and (
-                isinstance(value, int | float) or value in ("nan", "inf", "-inf")
-            ):
+            is_number = isinstance(value, int | float) or value in ("nan", "inf", "-inf")
+            if op == "const" and is_number:
                 rest = (value if isinstance(value, bool) else float(value),)
             elif op in OPERATIONS:
                 arity = len(set(re.findall(r"{\d}", OPERATIONS[op].c)))
@@ -373,9 +372,8 @@ class Symbols(np.ndarray):
         axes = range(found.ndim) if axes is None else np.atleast_1d(axes) % found.ndim
         for axis in sorted(axes, reverse=True):
             found = np.asarray(combine.reduce(found, axis=axis), dtype=object)
-        return graph.symbols(
-            np.expand_dims(found, tuple(axes)) if how.get("keepdims") is True else found
-        )
+        kept = np.expand_dims(found, tuple(axes)) if how.get("keepdims") is True else found
+        return graph.symbols(kept)
 
     def __array_function__(self, func: Any, types: Any, args: Any, kwargs: Any) -> Any:
         if func is np.where and len(args) == 3:
