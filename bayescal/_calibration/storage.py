@@ -20,13 +20,7 @@ import numpy as np
 
 from bayescal._calibration.confounding import Confounder
 from bayescal._calibration.fitted import Fitted
-from bayescal._core.atomic_file import (
-    named_back,
-    replacing_for_user,
-    storable,
-    verified,
-    write_sealed,
-)
+from bayescal._core import atomic_file
 from bayescal._core.errors import InputError, ModelError
 from bayescal._core.flag import Flag
 from bayescal._core.json_shape import parsed_json
@@ -72,7 +66,7 @@ def save(calibration: Fitted, path: Path) -> Path:
     path = Path(path)
     if path.suffix != ".nc":
         raise InputError(f"A calibration is saved as NetCDF: name the file …nc, not {path.name!r}")
-    readings = {storable(n): v for n, v in calibration.readings.variables().items()}
+    readings = {atomic_file.storable(n): v for n, v in calibration.readings.variables().items()}
     mode = {n: np.asarray(value, float) for n, value in calibration.mode._asdict().items()}
     groups = {
         "observed_data": {"output": readings.pop("output")},
@@ -82,8 +76,8 @@ def save(calibration: Fitted, path: Path) -> Path:
     }
     described = json.dumps({"schema": SCHEMA, **description(calibration)})
     content = netcdf_bytes(groups, bayescal=described, bayescal_identity=identity(calibration))
-    with replacing_for_user(path) as partial:
-        write_sealed(content, partial)
+    with atomic_file.replacing_for_user(path) as partial:
+        atomic_file.write_sealed(content, partial)
     return path
 
 
@@ -102,7 +96,7 @@ def load_calibration(
         raise InputError(f"{path} is a folder: give the calibration in it, {there}")
     if not path.is_file():
         raise InputError(f"There is no file {path}: give a calibration saved by bayescal (…nc)")
-    content = io.BytesIO(verified(path, "a saved calibration", AGAIN))
+    content = io.BytesIO(atomic_file.verified(path, "a saved calibration", AGAIN))
     try:
         return _read(path, content, effects, instruments)
     except MISMATCHES as error:
@@ -160,7 +154,7 @@ def _with_codes(said: Sequence[str], described: Mapping[str, Any]) -> tuple[str,
 
 def _readings_from(groups: Mapping[str, Group], described: Mapping[str, Any]) -> Measurements:
     both = {**groups["constant_data"], **groups["observed_data"]}
-    held = {named_back(n): v for n, v in both.items() if v.dims == (ROW,) and n != ROW}
+    held = {atomic_file.named_back(n): v for n, v in both.items() if v.dims == (ROW,) and n != ROW}
     sources = tuple(Source(**s) for s in described["sources"])
     given, flags = described.get("nominal_scale"), _with_codes(described["flags"], described)
     scale = given and NominalScale(**given)

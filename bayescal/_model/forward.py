@@ -8,16 +8,7 @@ from __future__ import annotations
 from jaxtyping import Float
 
 from bayescal._core.lazy_jax import Array, jax, jnp
-from bayescal._model.composition import (
-    Composed,
-    Linearised,
-    Traced,
-    compose,
-    expected,
-    linearised,
-    value,
-    variance_of_inputs,
-)
+from bayescal._model import composition
 from bayescal._model.frame import Frame
 from bayescal._model.noise_law import in_time, log_density_beside
 from bayescal._model.parameters import Layout
@@ -56,23 +47,25 @@ def prior_weight(layout: Layout) -> Float[Array, "p"]:
 
 def composed(
     layout: Layout, frame: Frame, x: Array, hyper: Values, sloped: bool = False
-) -> tuple[Traced, tuple[Term, ...], Composed]:
+) -> tuple[composition.Traced, tuple[Term, ...], composition.Composed]:
     """The model put together at a point: its source, its terms, and what they come to; `sloped`: with slopes."""
-    source = Traced(layout.model.instrument, frame)
+    source = composition.Traced(layout.model.instrument, frame)
     terms, _ = terms_of(layout.blocks, source)
-    values = [value(source, t, x, hyper) for t in terms]
-    return source, terms, compose(source, terms, values, hyper, sloped)
+    values = [composition.value(source, t, x, hyper) for t in terms]
+    return source, terms, composition.compose(source, terms, values, hyper, sloped)
 
 
 def mean(layout: Layout, frame: Frame, x: Float[Array, "p"], hyper: Values) -> Float[Array, "n"]:
     """Expected output, output unit."""
     source, _, made = composed(layout, frame, x, hyper)
-    return expected(source, made)
+    return composition.expected(source, made)
 
 
-def linearise(layout: Layout, frame: Frame, x: Float[Array, "p"], hyper: Values) -> Linearised:
+def linearise(
+    layout: Layout, frame: Frame, x: Float[Array, "p"], hyper: Values
+) -> composition.Linearised:
     """Expected output and Jacobian at a point, output unit per reported unit."""
-    return linearised(*composed(layout, frame, x, hyper, sloped=True))
+    return composition.linearised(*composed(layout, frame, x, hyper, sloped=True))
 
 
 def with_inputs(
@@ -82,8 +75,8 @@ def with_inputs(
     if not any(b.place == "input" for b in layout.blocks):
         return mean(layout, frame, x, hyper), None
     source, terms, made = composed(layout, frame, x, hyper, sloped=True)
-    line = linearised(source, terms, made)
-    return line.mean, variance_of_inputs(terms, line)
+    line = composition.linearised(source, terms, made)
+    return line.mean, composition.variance_of_inputs(terms, line)
 
 
 def log_likelihood(

@@ -13,16 +13,10 @@ from typing import Any
 
 import numpy as np
 
+from bayescal._calibration import judgement
 from bayescal._calibration.calibration import Calibration
 from bayescal._calibration.check import check, noise_floor
 from bayescal._calibration.fit import fit
-from bayescal._calibration.judgement import (
-    PRIOR,
-    Subject,
-    group_conflicts,
-    noiseless,
-    wrong_question,
-)
 from bayescal._calibration.leave_group_out import leave_one_group_out, scheme
 from bayescal._calibration.predict import HoldoutTest, predict
 from bayescal._core import deadline
@@ -40,15 +34,8 @@ from bayescal._model.effect import Effect
 from bayescal._model.frame import Reference
 from bayescal._model.model import Model, testable
 from bayescal._model.unknown_effect import freed
+from bayescal._search import discover
 from bayescal._search.candidate import Candidate
-from bayescal._search.discover import (
-    SEARCH,
-    Discovery,
-    missing,
-    placeholders,
-    structures_over,
-    with_causes,
-)
 from bayescal._search.gate import judged, left_out_better
 from bayescal._search.library import Library
 from bayescal._search.posterior import OtherPath, Posterior, Search
@@ -123,7 +110,7 @@ def calibrate(
         loop = Loop(*used, method, seed, reference, max_effects, frozenset(accept_conflicts))
         loop.begin(model, effects, widen_noise)
         follow(loop.trail())
-        with deadline.sooner(SEARCH):
+        with deadline.sooner(discover.SEARCH):
             loop.look(lambda: follow(loop.trail()))
         return loop.to_best(follow)
 
@@ -176,7 +163,7 @@ class Loop:
         """Return whether an effect of a model is weighed anew."""
         instrument, readings = model.instrument, self.readings
         if effect.is_placeholder:
-            return effect.name in {e.name for e in placeholders(model, readings)}
+            return effect.name in {e.name for e in discover.placeholders(model, readings)}
         on_the_way = {e.name for e in instrument.effects} <= {*model.names}
         kept = (*instrument.effects, *instrument.nuisances)
         catalogued = {*instrument.known} - {e.name for e in kept}
@@ -194,7 +181,7 @@ class Loop:
         # Of the same name as one of the catalogue, the given one counts: its size may be the user's own.
         named = [e for e in self.given if not e.is_placeholder]
         how = {"widen_noise": widen_noise, "latent": self.max_effects > 0}
-        structures, self.shut = structures_over(
+        structures, self.shut = discover.structures_over(
             c.model, self.readings, c.reference, effects=(*effects, *named), **how
         )
         self.library = Library(structures)
@@ -205,7 +192,7 @@ class Loop:
         None where something else stands against the model. A contradiction is a finding: the value is wrong, or an
         effect is missing that it stands in for, and the search weighs both.
         """
-        if any(one.code != PRIOR for one in first.against):
+        if any(one.code != judgement.PRIOR for one in first.against):
             return ()
         model, away = first.calibration.model, dict[str, float]()
         for one in first.against:
@@ -247,14 +234,14 @@ class Loop:
         posterior = Posterior.of(self.structures)
         return posterior.best if self.stopped else posterior.chosen
 
-    def missing(self, at: Structure) -> Discovery:
+    def missing(self, at: Structure) -> discover.Discovery:
         """Return what is missing from a structure."""
         assert self.library is not None
-        return missing(self.library, at, self.shut, self.stopped)
+        return discover.missing(self.library, at, self.shut, self.stopped)
 
     def way(
         self, goal: Structure, start: Structure = BASE
-    ) -> Iterator[tuple[Structure | None, Structure, Discovery | None]]:
+    ) -> Iterator[tuple[Structure | None, Structure, discover.Discovery | None]]:
         """Yield the structures from one to a goal, each after the one before, with what is missing from it; fewer where
         time is short."""
         assert self.library is not None
@@ -275,7 +262,7 @@ class Loop:
             return SearchPath(*judged(self.steps), self.holdout, None, search)
         # What was the best when the walk ended is what is returned: nothing is evaluated after that.
         search = self.search(stopped=self.stopped) if self.stopped else None
-        goal, found = self.goal, list[Discovery | None]()
+        goal, found = self.goal, list[discover.Discovery | None]()
         for before, at, is_missing in self.way(goal):
             found.append(is_missing)
             if before is not None:
@@ -394,7 +381,7 @@ def step_of(
     calibration: Calibration, holdout: Measurements | None = None, accepted: Collection[str] = ()
 ) -> Step:
     """Check a fit, and give it with its errors as a step; refuse readings without noise."""
-    if said := noiseless(calibration):
+    if said := judgement.noiseless(calibration):
         raise InputError(said)
     checked, floor, kept, test = check(calibration), noise_floor(calibration), None, None
     if holdout is not None:
@@ -411,8 +398,8 @@ def step_of(
         noise_floor=floor,
         check=checked,
         discovery=None,
-        against=wrong_question(calibration, floor, accepted),
-        different=tuple(group_conflicts(Subject(calibration, accepted))),
+        against=judgement.wrong_question(calibration, floor, accepted),
+        different=tuple(judgement.group_conflicts(judgement.Subject(calibration, accepted))),
     )
 
 
@@ -424,7 +411,9 @@ def prepared(
     *causes: Any,
 ) -> tuple[Measurements, Measurements | None]:
     """Return readings, flagged with what hold-out data have in common with them, and those data on their clock."""
-    used = set_aside(with_causes(readings, model.instrument, *causes), keep_spikes, model.columns)
+    used = set_aside(
+        discover.with_causes(readings, model.instrument, *causes), keep_spikes, model.columns
+    )
     if holdout is None:
         return used, None
     model.require(holdout)

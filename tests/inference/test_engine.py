@@ -24,7 +24,7 @@ from bayescal._inference.noise_on_record import total_log_density, whitening
 from bayescal._inference.problem import Problem
 from bayescal._inference.record import Record, record_of
 from bayescal._inference.sampling import ManyPhi, weighted_draws
-from bayescal._model import forward
+from bayescal._model import composition, forward
 from bayescal._model.parameters import bind
 from bayescal._model.summed_noise import over_record
 from bayescal._model.terms import ColumnsOf
@@ -169,7 +169,7 @@ def somewhere(a: Problem, seed: int = 0) -> tuple[np.ndarray, np.ndarray]:
 compiled = eqx.filter_jit(forward.linearise)  # a program, not one for each step of it
 
 
-def composed(a: Problem, x: np.ndarray, hyper: forward.Values) -> forward.Linearised:
+def composed(a: Problem, x: np.ndarray, hyper: forward.Values) -> composition.Linearised:
     """What the composition itself says at an x."""
     return compiled(a.layout, a.record.frame, jnp.asarray(x), hyper)
 
