@@ -207,13 +207,12 @@ def place_in_words(row: Mapping[str, Any]) -> str:
 
 
 def _fixed_text(f: FixedComparison, residuals: np.ndarray, unit: str) -> str:
-    lines = [
+    return (
         f"with the fixed coefficients: {np.sum(residuals > 0)} of {residuals.size} residuals are positive, mean "
-        f"{residuals.mean():.2f} ({residuals.min():.2f} to {residuals.max():.2f}) {unit}, rms {f.rms:.2f}",
+        f"{residuals.mean():.2f} ({residuals.min():.2f} to {residuals.max():.2f}) {unit}, rms {f.rms:.2f}\n"
         f"the same model with free coefficients leaves {f.free_fit:.3g} {unit}: "
-        f"the rms is {f.rms / f.noise:.1f} times that",
-    ]
-    return "\n".join(lines)
+        f"the rms is {f.rms / f.noise:.1f} times that"
+    )
 
 
 SAME_COVARIATE_CORRELATION = 0.95  # rank correlation from which two covariates are taken for one
@@ -303,7 +302,8 @@ def _against(calibration: Calibration) -> Sequence[judgement.Claim]:
 
 def _judged(calibration: Calibration) -> tuple[Calibration, float | None]:
     """The calibration with the noise to judge by; and the free fit's noise, if coefficients are fixed."""
-    held = calibration.layout.stated
+    # Coefficients fixed at values that were stated; those that are known by definition are none of them.
+    held = {b.name for b in calibration.layout.blocks} & {*dict(calibration.model.fixed)}
     if not held:
         return calibration, None
     method, reference = LeastSquares(draws=400), calibration.reference

@@ -459,21 +459,19 @@ class _TypedLine:
             column, bracket, unit = renamed.get(name, name).partition("[")
             column = column.strip()
             column = column if column in there or name in renamed else _ALIASES.get(column, column)
-            stated = base_unit(unit.rstrip("] ")) if bracket else ""
+            stated, unsaid = base_unit(unit.rstrip("] ")) if bracket else "", name not in given
             if column in there:
                 if stated and Dimension.of(stated).powers != Dimension.of(there[column]).powers:
                     raise self.refusal(
                         at, f"{column} is in [{there[column]}], and not in [{stated}]"
                     )
                 found[name] = column, there[column]
-            elif readings is None and (name in renamed or (given and name not in given)):
+            elif readings is None and (name in renamed or (given and unsaid)):
                 found[name] = column if name in renamed else name, stated  # looked at with readings
-            elif readings is not None and (
-                name in renamed or (name not in given and column in declared)
-            ):
+            elif readings is not None and (name in renamed or (unsaid and column in declared)):
                 raise self.refusal(at, self._no_column(column))
             elif (
-                name not in given
+                unsaid
                 and len(name) > 3
                 and (near := difflib.get_close_matches(name, there, 1, 0.8))
             ):

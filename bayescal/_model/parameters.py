@@ -167,11 +167,6 @@ class Layout:
         return tuple(blocks)
 
     @property
-    def stated(self) -> frozenset[str]:
-        """Coefficients fixed at values that were stated; those that are known by definition are none of them."""
-        return frozenset(dict(self.model.fixed)) & {b.name for b in self.blocks}
-
-    @property
     def x_blocks(self) -> tuple[CoefficientBlock, ...]:
         return tuple(b for b in self.blocks if b.place == "x")
 
