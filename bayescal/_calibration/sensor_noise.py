@@ -807,12 +807,17 @@ def _figures(
     inside = 0 < np.argmin(np.median(curve, axis=0)) < curve.shape[1] - 1
     floor = np.sqrt(np.min(curve, axis=1) / FLAT) if inside else None
     k = over_all("noise.walk")
+    # Where most sums have no walk, the bound is that of all sums together, each with a walk or with one beside it.
+    bound = [
+        one.draws.get("noise.walk", np.resize(found.walk, len(one.draws[WHITE])))
+        for one in found.drawn
+    ]
     rows = [
         ("Q", "quantisation noise", names.rounded, f"{own}*s", over_all("noise.quantisation")),
         ("N", density, of_density, f"{own}/Hz^0.5", white),
         ("B", f"{bias} (flicker)", of_bias, own, over_all("noise.flicker")),
         ("", f"{bias} (lowest Allan deviation over 0.664)", of_bias, own, floor),
-        ("K", walk, of_walk, f"{own}/s^0.5", found.walk if k is None else k),
+        ("K", walk, of_walk, f"{own}/s^0.5", np.concatenate(bound) if k is None else k),
         ("", "tone, size", of_bias, own, over_all("noise.tone")),
         ("", "tone, frequency", "Hz", "Hz", over_all("noise.tone.frequency")),
         ("", "tone, correlation time", "s", "s", over_all("noise.tone.time")),

@@ -84,6 +84,13 @@ def test_a_line_is_a_tone_and_no_density() -> None:
 
 
 @pytest.mark.slow
+def test_a_bound_of_a_walk_is_that_of_all_sums_by_their_probability() -> None:
+    """By chance an Ornstein–Uhlenbeck process is the most probable: beside it a walk would be less than this one."""
+    found = bc.noise(still(5210, n=10_000))
+    assert found.law == "white + Ornstein–Uhlenbeck" and symbol(found, "K").bound
+    assert K < symbol(found, "K").high / (3600 * 60) < 1.2 * K
+
+
 def test_a_walk_that_is_not_there_has_a_bound() -> None:
     found = bc.noise(still(6, walk=0.0))
     assert found.law == "white"
