@@ -218,18 +218,23 @@ class Problem:
         terms = () if self.affine else self.terms
         return slopes(self.host, terms, self.composed(terms, x, hyper, sloped=True))[1]
 
-    def linearise(self, x: Float[np.ndarray, "p"], hyper: Values) -> Linearised:
-        """Expected output and Jacobian at an x, output unit per reported unit."""
+    def linearise(self, x: Float[np.ndarray, "*b p"], hyper: Mapping[str, Any]) -> Linearised:
+        """Expected output and Jacobian at an x, or at those of several draws, output unit per reported unit."""
         found = self.acted(x, hyper)
         if not self.affine:
             return found
         still, acting = self._still
-        jacobian = still.copy(order="F")
-        jacobian[:, acting] = found.jacobian
-        return Linearised(found.mean + still @ x, jacobian, found.inputs)
+        if found.mean.ndim > 1:
+            still = np.tile(still, (len(found.mean), 1, 1))
+        jacobian = still.copy(order="A")
+        jacobian[..., acting] = found.jacobian
+        return Linearised(found.mean + (still @ x[..., None])[..., 0], jacobian, found.inputs)
 
     def acted(
-        self, x: Float[np.ndarray, "p"], hyper: Values, terms: Sequence[Term] | None = None
+        self,
+        x: Float[np.ndarray, "*b p"],
+        hyper: Mapping[str, Any],
+        terms: Sequence[Term] | None = None,
     ) -> Linearised:
         """The same of the terms that hang on φ alone, where the output is affine: a constant of it rounds nothing."""
         terms = self._acting if terms is None else terms

@@ -45,6 +45,8 @@ FAR_SD = 1e3  # prior standard deviations, beyond which a fit without priors say
 CLOSE_NATS = 0.02  # log density, within which columns as polynomials are good where a posterior is
 # In products of several φ that are computed together, which bounds memory.
 NUMBERS_AT_ONCE = 2_000_000
+# Pairs of columns that a table has a reading, from which the columns at each φ themselves cost less.
+DIRECT = 40
 KEPT_TABLES = 3  # of a structure's rows in boxes, the latest
 
 
@@ -294,6 +296,8 @@ class Tabulated:
     def grams(self, vs: Float[np.ndarray, "b d"]) -> Gram:
         """Return weighted products of J and r, counted from `at`, at several φ."""
         p = self.problem.size
+        if self.direct:
+            return self._from_readings(vs)
         covers = [part.expansions.cover(vs[:, part.free]) for part in self.parts]
         found, log_det = np.empty((len(vs), p + 1, p + 1)), np.empty(len(vs))
         boxes = np.array([which for _, which in covers]).reshape(len(covers), len(vs)).T
@@ -306,12 +310,31 @@ class Tabulated:
                 self.table.drop((part.key, listed.number))
         return Gram.of(found, log_det)
 
+    @cached_property
+    def direct(self) -> bool:
+        """Whether the columns at each φ are its own, of several shapes, and readings of one variance."""
+        moved = any(len(part.free) > 1 for part in self.parts)
+        return moved and self.nodes.count == 1 and self.problem.affine
+
+    def _from_readings(self, vs: Float[np.ndarray, "b d"]) -> Gram:
+        problem, found = self.problem, []
+        size = problem.record.size * (problem.size + 1)
+        for some in np.array_split(vs, min(len(vs), -(-len(vs) * size // NUMBERS_AT_ONCE))):
+            line = problem.linearise(np.tile(self.at, (len(some), 1)), problem.hyper(some.T))
+            left = problem.record.y - line.mean
+            table = np.concatenate([line.jacobian, left[..., None]], axis=2)
+            weights = self.weights(some[:, self.noise])
+            squares = table.transpose(0, 2, 1) @ table
+            found.append((weights.inverse[:, :, None] * squares, weights.log_det))
+        return Gram.of(*map(np.concatenate, zip(*found, strict=True)))
+
     def grams_of(
         self, rows: _StructureRows, vs: Float[np.ndarray, "b d"]
     ) -> tuple[Float[np.ndarray, "b p1 p1"], Float[np.ndarray, "b"]]:
         """Return products of [J r] and log|Σ| at several φ of some rows' boxes."""
         made = []
-        for some in np.array_split(vs, -(-len(vs) * rows.width**2 // NUMBERS_AT_ONCE)):
+        parts = min(len(vs), -(-len(vs) * rows.width**2 // NUMBERS_AT_ONCE))
+        for some in np.array_split(vs, parts):
             weights = self.weights(some[:, self.noise])
             gram = rows.products.gram(weights)
             if not rows.plain:
@@ -336,6 +359,8 @@ class Tabulated:
                 return None
             expansions.append(own or part.at(v, False))
         found = About(self, tuple(expansions))
+        if self.direct and found.rows.width**2 > DIRECT * self.problem.record.size:
+            return None
         if not any(part.free for part in self.parts):
             return found
         some = draws[:TRIED_DRAWS]
