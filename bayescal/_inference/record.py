@@ -24,7 +24,7 @@ from bayescal._inference.noise_nodes import AlongColumn, OneNode, in_frequency
 from bayescal._model.channel_at_rest import CHANNEL
 from bayescal._model.composition import columns_read
 from bayescal._model.effect import Basis, Effect
-from bayescal._model.frame import Frame, Reference, build_frame
+from bayescal._model.frame import PATH, Frame, Reference, build_frame
 from bayescal._model.instrument import Instrument
 from bayescal._model.noise_law import Noise
 from bayescal._model.terms import ColumnsOf
@@ -233,7 +233,7 @@ class Record:
 
     def _difference(self, column: str) -> float:
         """A step for slopes by a column."""
-        return DIFFERENCE * (float(np.ptp(self.frame[column])) or 1.0)
+        return DIFFERENCE * (float(np.ptp(self.frame[column.removesuffix(PATH)])) or 1.0)
 
     def _response(self, slots, moves):
         """The last one is kept: a mode's value, its products and its residuals ask for the same point."""
@@ -328,7 +328,7 @@ class Record:
                 self.columns_of_draws(c.of, own, {}) if of_draws else self.columns(c.of, tuple(own))
             )
             shift = c.factor * made[..., c.index]
-            found[c.column] = found.get(c.column, 0.0) + shift
+            found[c.column + PATH] = found.get(c.column + PATH, 0.0) + shift
         return found
 
     def moved_columns_of_draws(self, effect: ColumnsOf, values: Sequence[Any], moves) -> Any:

@@ -20,7 +20,7 @@ import numpy as np
 
 from bayescal._core.lazy_jax import jax, jnp
 from bayescal._model.effect import Basis, matrix
-from bayescal._model.frame import Frame
+from bayescal._model.frame import PATH, Frame
 from bayescal._model.instrument import Instrument
 from bayescal._model.terms import Term
 
@@ -245,7 +245,7 @@ class Traced:
             theirs = dict(zip(c.of.shapes, shapes[at:], strict=False))
             at += len(c.of.shapes)
             shift = c.factor * self.matrix(c.of.basis, self.frame, theirs)[:, c.index]
-            known[c.column] = known.get(c.column, 0.0) + shift
+            known[c.column + PATH] = known.get(c.column + PATH, 0.0) + shift
 
         def made(moves: dict) -> Any:
             every = {n: known.get(n, 0.0) + moves.get(n, 0.0) for n in {**known, **moves}}

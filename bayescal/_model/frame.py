@@ -7,7 +7,7 @@ the mean time, the span): stored at the fit and never recomputed on new readings
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
 from typing import Any
 
@@ -33,7 +33,8 @@ from bayescal._data.time_in_runs import (
 # that all readings have; an instrument's label columns are groups too
 GROUPS = ("run", "cell", "axis", "device")
 UNHELD = ("output", UNCERTAINTY, "time", "temperature_point")
-BY_READING = ("columns", "labels", "rates", "codes", "record")  # of a frame: dictionaries of (n,)
+BY_READING = ("columns", "labels", "rates", "codes", "record", "path")  # dictionaries of (n,)
+PATH = " path"  # behind the name of a column that is corrected with all its past, as the temperature of a body is
 Reference = dict[str, float | dict[str, float]]
 
 
@@ -54,6 +55,7 @@ class Frame:
         step: time since the previous reading of the same run, in sorted order, −1 at a run's first, s.
         record: the columns as they were measured, whatever has been corrected since.
         silence: time without a reading, beyond which it is not known how a temperature went from one to the next, s.
+        path: columns that a body has in place of those measured, (*s, n) each.
     """
 
     columns: dict[str, Float[Any, "n"]]
@@ -65,6 +67,7 @@ class Frame:
     step: Float[Any, "n"]
     record: dict[str, Float[Any, "n"]]
     silence: Float[Any, ""]
+    path: dict[str, Float[Any, "*s n"]] = field(default_factory=dict)
 
     @property
     def size(self) -> int:
@@ -168,11 +171,11 @@ class Frame:
         """Which way a column goes, −1 … 1, turned round within `width` of it; and what is left of a run's first state.
 
         Dahl's hysteresis, dD/dT = (sign(dT) − D)/width from 0 at a run's first reading, exact between readings: the
-        pace does not matter, and a pause is remembered. It follows the record, as a lag does.
+        pace does not matter, and a pause is remembered. It follows the record, or a body that lags.
         Source: P. Dahl, A solid friction model (The Aerospace Corporation, TOR-0158(3107-18)-1, 1968).
         """
-        values, first = self.record[name][self.order], self.step < 0
-        change = xp.where(first, 0.0, xp.diff(values, prepend=values[:1]))
+        values, first = self.path.get(name, self.record[name])[..., self.order], self.step < 0
+        change = xp.where(first, 0.0, xp.diff(values, prepend=values[..., :1]))
         share = xp.where(first, 0.0, xp.exp(-xp.abs(change) / width))
         turned = followed(share, xp.where(first, 0.0, (1.0 - share) * xp.sign(change)))
         left = followed(share, xp.where(first, 1.0, 0.0))
@@ -210,8 +213,13 @@ class Frame:
 
     def moved(self, moves: Mapping[str, Float[Array, "n"]]) -> Frame:
         """The same readings with measured columns corrected by what is added (rates stay those of the record)."""
-        corrected = {name: self.columns[name] + shift for name, shift in moves.items()}
-        return replace(self, columns={**self.columns, **corrected}) if moves else self
+        columns, path = dict(self.columns), dict(self.path)
+        for name, shift in moves.items():
+            column = name.removesuffix(PATH)
+            columns[column] = columns[column] + shift
+            if column != name:
+                path[column] = self.record[column] + shift
+        return replace(self, columns=columns, path=path) if moves else self
 
 
 when_imported(lambda: jax.tree_util.register_dataclass(Frame, [f.name for f in fields(Frame)], []))

@@ -11,7 +11,9 @@ from jaxtyping import Float, Int
 
 from bayescal._core.xp import xp
 from bayescal._model.effect import Basis, Effect
+from bayescal._model.frame import PATH
 from bayescal._model.parameters import CoefficientBlock
+from bayescal._model.prior import Known
 
 
 class ColumnsOf(NamedTuple):
@@ -50,7 +52,7 @@ class ColumnsOf(NamedTuple):
 
 
 class Correction(NamedTuple):
-    """What a column of the readings is corrected by: a column of an effect's own, times a number."""
+    """What a column of the readings is corrected by, with all its past: a column of an effect's own, times a number."""
 
     column: str
     of: ColumnsOf
@@ -83,7 +85,8 @@ def terms_of(
 
     What corrects a column without an unknown but its shapes, as the temperature of a body does, is no term where the
     response does not take that column itself: it is part of the other effects' columns, and these stay linear in their
-    coefficients. Without a source nothing corrects a column. Plausible sizes are multiplied by factors, by effect.
+    coefficients. Else its slot is the path of that column. Without a source nothing corrects a column. Plausible sizes
+    are multiplied by factors, by effect.
     """
     correcting = [b for b in blocks if source is not None and b.slot not in source.slots]
     corrected = tuple(dict.fromkeys(b.slot for b in correcting))
@@ -104,7 +107,9 @@ def terms_of(
     def term(b: CoefficientBlock) -> Term:
         of, names = columns[b.effect.name]
         sd = b.coefficient.size * factors.get(b.effect.name, 1.0)
-        return Term(**vars(b), columns=of, shape_names=names, prior_sd=sd)
+        path = b.slot in corrected and isinstance(b.coefficient.prior, Known)
+        slot = b.slot + PATH if path else b.slot
+        return Term(**{**vars(b), "slot": slot}, columns=of, shape_names=names, prior_sd=sd)
 
     return tuple(map(term, blocks)), corrected
 

@@ -127,7 +127,8 @@ def hysteresis(
 ) -> Effect:
     """c·D in a continuous record: +c while it warms, −c while it cools, turned round within w of the temperature.
 
-    D is Dahl's hysteresis. Of the state in which a run began exp(−travel/w) is left: one coefficient a run.
+    D is Dahl's hysteresis, of the body where one lags behind the thermometer. Of the state in which a run began
+    exp(−travel/w) is left: one coefficient a run.
 
     Args:
         size: prior standard deviation of c, in `unit`.

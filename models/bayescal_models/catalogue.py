@@ -182,6 +182,7 @@ def recorded(
     short = thermal_lag(*SHORT, q, unit, rate=rate, column=column)
     power = partial(_general, column=column, name=column)
     slow, grows = thermal_lag(*LONG, q, unit, column=column), temperature_x_lag(*SHORT, column)
+    turning = _general(effects.hysteresis, column=column, widths=(0.01 * span, 0.5 * span, "degC"))
     supplied = effect(_supply, "c·(V − V0),  V0 amid those of the fit", SUPPLY.name)
     product = effect(partial(_by_supply, column), "c·(T − T0)·(V − V0)", column, SUPPLY.name)
     powers: tuple[tuple[str, Maker, float, str, float, str], ...] = (
@@ -195,7 +196,7 @@ def recorded(
         ("thermal_lag", short, q / (pace * LAG), of, 0.25, lags),
         ("thermal_lag_slow", slow, q / (pace * SLOW), of, 0.25, lags_slowly),
         ("temperature_x_lag", grows, q / (pace * LAG * span), f"{of}^2", 0.25, lags),
-        ("hysteresis", _general(effects.hysteresis, column=column), q, unit, 0.25, ""),
+        ("hysteresis", turning, q, unit, 0.25, ""),
         ("warm_up", warm_up(2 * MINUTE, 40 * MINUTE), half, unit, 0.5, ""),
         ("drift", drift, half, unit, 0.5, ""),
         ("run", deviation, q, unit, 0.25, ""),

@@ -147,7 +147,7 @@ def test_a_file_is_the_same_whatever_instrument_reads_it(hidden: dict[str, float
         readings = bc.Measurements.from_arrays(instrument, units={"output": "deg/s"}, **columns)
         line = bc.fit(instrument.for_readings(readings).baseline(), readings, bc.LeastSquares())
         found = bc.discover(line)
-        assert {e.name for e in found.best} == {*hidden}, instrument.name
+        assert {e.reported for e in found.best} == {*hidden}, instrument.name
         assert {s.effects for s in found.sets} == {(name,) for name in hidden}, instrument.name
 
 

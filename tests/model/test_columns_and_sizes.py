@@ -184,6 +184,30 @@ def test_hysteresis_has_widths_in_the_unit_of_its_column() -> None:
     assert found.samples("response.hysteresis.width").mean() == pytest.approx(10.0, rel=0.1)
 
 
+@pytest.mark.parametrize("method", [bc.LeastSquares(), bc.Marginal(draws=400)], ids=str)
+def test_hysteresis_is_that_of_the_body_behind_the_thermometer(method) -> None:
+    """On the host, as `Marginal` has it, and in programs of JAX, as `LeastSquares` has it."""
+    sensor, random = mems_gyro.INSTRUMENT, np.random.default_rng(8)
+    time, run = np.tile(60.0 * np.arange(120), 2), np.repeat(["1", "2"], 120)
+    warmth = 55 + 20 * np.sin(time / 700.0 + (run == "2"))
+    body, turned = warmth.copy(), np.zeros(240)
+    for i in np.flatnonzero(time > 0):
+        h = 60.0 / 400.0
+        ramp = -np.expm1(-h) / h
+        body[i] = np.exp(-h) * body[i - 1] + [ramp - np.exp(-h), 1 - ramp] @ warmth[i - 1 : i + 1]
+        share = np.exp(-abs(body[i] - body[i - 1]) / 3.0)
+        turned[i] = share * turned[i - 1] + (1 - share) * np.sign(body[i] - body[i - 1])
+    output = 20 + 0.05 * (body - 55) + 0.3 * turned + 0.02 * random.standard_normal(240)
+    columns = {"run": run, "time": time, "temperature": warmth, "output": output}
+    readings = bc.Measurements.from_arrays(sensor, **columns)
+    lags = sensor.effect("bias.thermal_lag.body"), sensor.effect("bias.hysteresis")
+    found = bc.fit(sensor.baseline() + lags[0] + lags[1], readings, method)
+    for name, truth in (("thermal_lag.body.tau", 400.0), ("hysteresis", 0.3)):
+        draws = found.samples(f"bias.{name}")
+        assert draws.mean() == pytest.approx(truth, abs=4 * draws.std(), rel=0.02), name
+    assert found.samples("noise.white").mean() == pytest.approx(0.02, rel=0.15)
+
+
 OTHERS = {
     "lag": effects.thermal_lag(
         *("response", 0.3, "mV/kPa"),
