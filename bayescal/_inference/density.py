@@ -14,7 +14,7 @@ import numpy as np
 from jaxtyping import Float
 
 from bayescal._inference.gaussian import Conditional, Gram, condition, draw, factors, solve
-from bayescal._inference.newton import NOWHERE, ByValues
+from bayescal._inference.newton import NOWHERE, ByValues, Nearby
 from bayescal._inference.noise_on_record import (
     Independent,
     Whitening,
@@ -37,7 +37,7 @@ class Density(ByValues):
     """log p(y, φ) as a function of φ's coordinates, x integrated out of the structure linearised at a point.
 
     A nonlinear structure is linearised in its shapes at the coordinates `there`. What noise on inputs adds to each
-    variance is `held`, if given. A density about a point nearby bends alike.
+    variance is `held`, if given. One of another point, or of a structure nearby, bends alike.
     """
 
     problem: Problem
@@ -45,7 +45,7 @@ class Density(ByValues):
     flat: Float[np.ndarray, "p"]
     there: Float[np.ndarray, "d"] | None = None
     held: Float[np.ndarray, "n"] | None = None
-    like: Density | None = None
+    like: Nearby | None = None
 
     scale = 1.0  # of φ's coordinates, in which priors are about standard normal
 
@@ -53,9 +53,7 @@ class Density(ByValues):
         self._lines: dict[tuple[float, ...], Linearised] = {}
         self._mode = self.x  # of x, where it was sought
         self._evaluated: tuple[np.ndarray, Evaluation | None] | None = None
-        near = None if self.like is None or self.like.tabulated is not None else self.like
-        self._begin(near)
-        self.like = None  # not a chain of all that were
+        self._begin(self.like)
 
     @cached_property
     def tabulated(self) -> Tabulated | None:

@@ -18,7 +18,7 @@ from jaxtyping import Float
 from bayescal._core.parallel import on_one_thread
 from bayescal._inference.density import Density
 from bayescal._inference.gaussian import Conditional, column_scale, condition
-from bayescal._inference.newton import NOWHERE, climb, gaussian_fit
+from bayescal._inference.newton import CONVERGED_NATS, NOWHERE, Nearby, climb, gaussian_fit
 from bayescal._inference.problem import Problem
 from bayescal._inference.record import Record
 
@@ -27,8 +27,8 @@ ROUNDS = 12  # alternations of x̂ and φ̂ at most
 STARTS = 64  # prior draws of φ among which the start is chosen,
 AHEAD = np.arange(-3.5, 3.5, 0.02)  # where along a shape of many maxima a higher one may be
 HALVINGS = 8  # of a step that makes things worse
-NOTHING_KNOWN: Mapping[str, float] = MappingProxyType({})
 NOTHING_LEFT = 1e-8  # log density that a round gains, below which φ̂ is found
+NOTHING_KNOWN: Mapping[str, float] = MappingProxyType({})
 
 
 class Mode(NamedTuple):
@@ -52,6 +52,7 @@ def find_mode(
     still: float = STILL_SD,
     start: Mapping[str, float] = NOTHING_KNOWN,
     wanted_from: float = -math.inf,
+    near: Nearby | None = None,
 ) -> Mode:
     """The mode, from the best of some coordinates of φ. Deterministic.
 
@@ -62,6 +63,7 @@ def find_mode(
             off by about half their square.
         start: φ by name where the mode may be, beside the prior draws; others are at their priors' middle.
         wanted_from: log density, below which a mode found to a hundredth of a nat will do.
+        near: the curvature of a density that is much alike.
     """
     x, dim = _start(problem) if x is None else x, len(problem.hypers)
     flat = flat_scales(problem, x, np.zeros(dim))
@@ -75,7 +77,7 @@ def find_mode(
         wanted = [known, *wanted]
 
     def climbed(starts: Sequence[np.ndarray], x: np.ndarray) -> _Summit:
-        return _climbed(problem, starts, x, flat, still, wanted_from)
+        return _climbed(problem, starts, x, flat, still, wanted_from, near)
 
     highest = partial(max, key=attrgetter("value"))
     top = climbed(wanted if dim else wanted[:1], x)
@@ -127,6 +129,7 @@ def _climbed(
     flat: np.ndarray,
     still: float,
     wanted_from: float,
+    near: Nearby | None,
 ) -> _Summit:
     """The mode of φ from the best of some starts.
 
@@ -135,18 +138,20 @@ def _climbed(
     """
     # A step of `still` standard deviations gains about still²/2 nats.
     nothing = max(NOTHING_LEFT, 0.5 * still**2)
-    density = Density(problem, x, flat, starts[0])
+    # The curvature at a point hangs more on where that is than the density does.
+    ftol = max(CONVERGED_NATS, 0.01 * nothing)
+    density = Density(problem, x, flat, starts[0], like=near)
     # Where the output is affine the linearisation is exact wherever it is made: one climb, no alternation.
     if problem.affine:
-        v = climb(density, best(density, starts), wanted_from)
+        v = climb(density, best(density, starts), wanted_from, ftol)
         value, found = density.at(v)
         return _Summit(value, 0.0, v, x if found is None else found.mean, density)
     v, change = best(density, starts), math.inf
-    density, value = _about_x(problem, x, v, flat, still)
+    density, value = _about_x(problem, x, v, flat, still, near)
     for _ in range(ROUNDS):
-        goal = climb(density, v, wanted_from)
+        goal = climb(density, v, wanted_from, ftol)
         for _ in range(HALVINGS):
-            there, higher = _about_x(problem, density.x, goal, flat, still, density)
+            there, higher = _about_x(problem, density.x, goal, flat, still, density.nearby)
             if higher > value - nothing:
                 break
             goal = v + 0.3 * (goal - v)
@@ -171,7 +176,7 @@ def _about_x(
     v: np.ndarray,
     flat: np.ndarray,
     still: float,
-    like: Density | None = None,
+    like: Nearby | None,
 ) -> tuple[Density, float]:
     """The density of φ about x̂ given φ, and its value there."""
     density = Density(problem, mode_of_x(problem, x, v, flat, still), flat, v, like=like)

@@ -7,10 +7,9 @@ to a tenth or to a billionth.
 
 from __future__ import annotations
 
-import itertools
 import math
 from collections.abc import Callable
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -20,10 +19,12 @@ from bayescal._inference.gaussian import LOG_2PI
 FIRST_DIFFERENCE = 0.02  # of a coordinate over its scale,
 DIFFERENCE = 0.05  # and of one in which the density is about standard normal
 LEAST_CURVATURE = 0.05  # that counts as one
+# Correlation and standard deviations, up to which two coordinates hardly bend together, and one has not moved.
+LOOSE, UNMOVED = 0.03, 0.1
 LONGEST_STEP = 1.5  # in prior standard deviations
 STEPS = 100  # uphill at most
 SHORTENINGS, SHORTER = 8, 0.3  # of a step that leads down, by how much each
-CONVERGED_NATS = 1e-7  # that a step would gain, below which the mode is found,
+CONVERGED_NATS = 1e-7  # that a step would gain, below which the mode is found, if not said,
 ROUGHLY = 0.01  # and where nothing hangs on it
 # Of a direction's squared length beside spreads, up to which it is one of spreads.
 SPREAD_SHARE = 0.1
@@ -41,6 +42,14 @@ class Slopes(NamedTuple):
     curvature: Float[np.ndarray, "d d"]
 
 
+class Nearby(NamedTuple):
+    """The curvature of a density that is much alike at a point, and which coordinates it knows as well as this one."""
+
+    v: Float[np.ndarray, "d"]
+    curvature: Float[np.ndarray, "d d"]
+    known: Bool[np.ndarray, "d"] | bool = False
+
+
 class GaussianFit(NamedTuple):
     """A density at its mode: inverse curvature, evidence by Laplace, and whether the curvature had to be mended."""
 
@@ -52,9 +61,12 @@ class GaussianFit(NamedTuple):
 
 
 def climb(
-    density: ByValues, v: Float[np.ndarray, "d"], wanted_from: float = -math.inf
+    density: ByValues,
+    v: Float[np.ndarray, "d"],
+    wanted_from: float = -math.inf,
+    ftol: float = CONVERGED_NATS,
 ) -> Float[np.ndarray, "d"]:
-    """Return the mode uphill from v; below `wanted_from` one that is found to a hundredth of a nat will do.
+    """Return the mode uphill from v, to `ftol` nats; below `wanted_from` to a hundredth of a nat.
 
     Directions that the density bends up along are gone the other way, those that it hardly bends along as if it did
     (J. Nocedal and S. Wright, Numerical Optimization, 2006, §3.4).
@@ -67,7 +79,7 @@ def climb(
         slope = scale * here.gradient
         step = vectors @ (vectors.T @ slope / np.maximum(np.abs(bend), LEAST_CURVATURE))
         gain = float(step @ slope)
-        if 0.5 * gain < (CONVERGED_NATS if here.log_density > wanted_from else ROUGHLY):
+        if 0.5 * gain < (ftol if here.log_density > wanted_from else ROUGHLY):
             break
         share = min(1.0, LONGEST_STEP / float(np.max(np.abs(step))))
         for _ in range(SHORTENINGS):
@@ -115,22 +127,40 @@ def gaussian_fit(
     return GaussianFit(v, covariance, value, value + volume, indefinite)
 
 
+class _AlongAxes(NamedTuple):
+    """Log densities at a point, and a step up and down each coordinate."""
+
+    v: Float[np.ndarray, "d"]
+    steps: Float[np.ndarray, "d"]
+    value: float
+    up: Float[np.ndarray, "d"]
+    down: Float[np.ndarray, "d"]
+
+
 class ByValues:
     """Slopes and curvature of a log density by differences; in `scale` priors are about standard normal or wider.
 
-    Of a point that is asked for by a climb the curvature is carried on from the one before it, by what the gradient
-    changed on the way (BFGS: J. Nocedal and S. Wright, Numerical Optimization, 2006, eq. 6.19).
+    Of a point that is asked for by a climb the curvature is carried on from the one before it, or from a density nearby:
+    along the axes by what the differences say, and by what the gradient changed on the way (BFGS: J. Nocedal and S.
+    Wright, Numerical Optimization, 2006, eq. 6.19). Where it is to be exact, two coordinates that are known nearby have
+    the correlation that they have there, if they hardly bend together or neither has moved.
     """
 
     def __init__(self, values: Values, scale: Float[np.ndarray, "d"] | float = 1.0) -> None:
         self.values, self.scale = values, scale
         self._begin()
 
-    def _begin(self, like: ByValues | None = None) -> None:
+    def _begin(self, like: Nearby | None = None) -> None:
         """Know nothing yet, or the curvature of a density that is much alike."""
-        self._last: tuple[np.ndarray, Slopes] | None = None if like is None else like._last
-        self._own = False  # whether this is of the density itself
-        self._exact = False  # whether its curvature is by differences
+        self._like, self._last = like, None
+        self._exact = False  # whether the latest curvature is by differences
+        self._axes: _AlongAxes | None = None
+
+    @property
+    def nearby(self) -> Nearby | None:
+        """The latest curvature, for a density that is much alike."""
+        last: tuple[np.ndarray, Slopes] | None = self._last
+        return self._like if last is None else Nearby(last[0], last[1].curvature)
 
     def value(self, v: Float[np.ndarray, "d"]) -> float:
         # Most steps of a climb are taken, and their ends evaluated: all at once.
@@ -139,63 +169,100 @@ class ByValues:
 
     def evaluate(self, v: Float[np.ndarray, "d"], exact: bool = False) -> Slopes | None:
         """Return value, gradient and curvature; the latest are kept. None where the density is nowhere."""
-        last = self._last
-        known = self._own and (self._exact or not exact)
-        if last is not None and known and np.array_equal(last[0], v):
+        last, near = self._last, self.nearby
+        if last is not None and (self._exact or not exact) and np.array_equal(last[0], v):
             return last[1]
         scale = np.broadcast_to(self.scale, v.shape)
         steps = FIRST_DIFFERENCE * scale
-        if last is not None:
-            bends = np.maximum(np.diag(last[1].curvature) * scale**2, LEAST_CURVATURE)
+        if near is not None:
+            bends = np.maximum(np.diag(near.curvature) * scale**2, LEAST_CURVATURE)
             steps = DIFFERENCE * scale / np.sqrt(bends)
         found = self._differences(v, steps, exact)
-        if last is not None and found is not None and not exact:
-            found = found._replace(curvature=_carried(*last, v, found.gradient, self._own))
+        if near is not None and found is not None and not exact:
+            curvature = _rescaled(near.curvature, found.curvature, LEAST_CURVATURE / scale**2)
+            if last is not None:
+                curvature = _carried(v - last[0], last[1].gradient - found.gradient, curvature)
+            found = found._replace(curvature=curvature)
         if found is not None:
-            self._last, self._own, self._exact = (v.copy(), found), True, exact
+            self._last, self._exact = (v.copy(), found), exact
         return found
 
     def _differences(
         self, v: Float[np.ndarray, "d"], steps: Float[np.ndarray, "d"], curved: bool
     ) -> Slopes | None:
-        # Along the axes: what a coordinate of the noise moves is computed at columns that stay.
-        dim, pairs = len(v), [*itertools.combinations(range(len(v)), 2)]
+        for _ in range(SHORTENINGS):
+            axes = self._axes
+            if axes is None or not (curved and np.array_equal(axes.v, v)):
+                axes = self._axes = self._along_axes(v, steps)
+            if axes is None:
+                return None
+            value, moves, bends = axes.value, np.diag(axes.steps), 2 * axes.value - axes.up - axes.down
+            gradient, hessian = 0.5 * (axes.up - axes.down) / axes.steps, np.diag(bends)
+            if curved:
+                alike = self._alike(v, bends)
+                hessian = alike * np.sqrt(np.abs(np.outer(bends, bends)))
+                np.fill_diagonal(hessian, bends)
+                i, j = np.nonzero(np.triu(np.isnan(alike)))
+                if len(i):
+                    both = moves[i] + moves[j]
+                    ends = self.values(np.concatenate([v + both, v - both]))
+                    if not np.min(ends) > NOWHERE:
+                        steps, self._axes = SHORTER * axes.steps, None
+                        continue
+                    bent = 2 * value - ends.reshape(2, -1).sum(axis=0)
+                    hessian[i, j] = hessian[j, i] = 0.5 * (bent - bends[i] - bends[j])
+            return Slopes(value, gradient, hessian / np.outer(axes.steps, axes.steps))
+        return None
+
+    def _along_axes(
+        self, v: Float[np.ndarray, "d"], steps: Float[np.ndarray, "d"]
+    ) -> _AlongAxes | None:
+        # What a coordinate of the noise moves is computed at columns that stay.
         for _ in range(SHORTENINGS):
             moves = np.diag(steps)
             value, *ends = self.values(np.concatenate([v[None], v + moves, v - moves]))
             if not value > NOWHERE:
                 return None
-            up, down = np.reshape(ends, (2, dim))
+            up, down = np.reshape(ends, (2, len(v)))
             bends = 2 * value - up - down
             # In place of a step that was long against what the density allows, one that is right.
-            if np.any(long := bends > 4 * DIFFERENCE**2):
-                right = np.maximum(DIFFERENCE / np.sqrt(np.where(long, bends, 1.0)), LEAST_SHARE)
-                steps = steps * np.where(long, right, 1.0)
-                continue
-            hessian = np.diag(bends)
-            if curved and pairs:
-                i, j = np.transpose(pairs)
-                both = moves[i] + moves[j]
-                ends = self.values(np.concatenate([v + both, v - both]))
-                if not np.min(ends) > NOWHERE:
-                    steps = SHORTER * steps
-                    continue
-                bent = 2 * value - ends.reshape(2, -1).sum(axis=0)
-                hessian[i, j] = hessian[j, i] = 0.5 * (bent - bends[i] - bends[j])
-            return Slopes(value, 0.5 * (up - down) / steps, hessian / np.outer(steps, steps))
+            if not np.any(long := bends > 4 * DIFFERENCE**2):
+                return _AlongAxes(v.copy(), steps, value, up, down)
+            right = np.maximum(DIFFERENCE / np.sqrt(np.where(long, bends, 1.0)), LEAST_SHARE)
+            steps = steps * np.where(long, right, 1.0)
         return None
+
+    def _alike(self, v: Float[np.ndarray, "d"], bends: Float[np.ndarray, "d"]) -> np.ndarray:
+        """Return the correlations of a curvature that are as they are nearby; NaN for those to be found."""
+        found, near = np.full((len(v), len(v)), np.nan), self._like
+        if near is not None:
+            size = np.sqrt(np.maximum(np.diag(near.curvature), 0.0))
+            known = near.known & (size > 0) & (bends > 0)
+            still = np.abs(v - near.v) * size < UNMOVED
+            there = near.curvature / np.outer(*2 * [np.where(size > 0, size, 1.0)])
+            kept = (np.abs(there) < LOOSE) | np.logical_and.outer(still, still)
+            found[kept] = there[kept]
+            found[~np.logical_and.outer(known, known)] = np.nan
+        np.fill_diagonal(found, 1.0)
+        return found
+
+
+def _rescaled(
+    curvature: Float[np.ndarray, "d d"], found: Float[np.ndarray, "d d"], least: Any
+) -> Float[np.ndarray, "d d"]:
+    """Return a curvature with the diagonal that was found, where that is one."""
+    own, new = np.diag(curvature), np.diag(found)
+    fit = (new > least) & (own > 0)
+    ratio = np.sqrt(np.where(fit, new, 1.0) / np.where(fit, own, 1.0))
+    return ratio[:, None] * curvature * ratio
 
 
 def _carried(
-    before: Float[np.ndarray, "d"],
-    there: Slopes,
-    v: Float[np.ndarray, "d"],
-    gradient: Float[np.ndarray, "d"],
-    same: bool,
+    step: Float[np.ndarray, "d"], lost: Float[np.ndarray, "d"], curvature: Float[np.ndarray, "d d"]
 ) -> Float[np.ndarray, "d d"]:
-    """Return the curvature at v, by BFGS from that at a point before; as it is where that is of another density."""
-    step, bent, lost = v - before, there.curvature @ (v - before), there.gradient - gradient
+    """Return the curvature after a step on which the gradient lost so much, by BFGS from that before."""
+    bent = curvature @ step
     along, by = float(step @ lost), float(step @ bent)
-    if not same or not along > 1e-12 or not by > 1e-12:
-        return there.curvature
-    return there.curvature + np.outer(lost, lost) / along - np.outer(bent, bent) / by
+    if not along > 1e-12 or not by > 1e-12:
+        return curvature
+    return curvature + np.outer(lost, lost) / along - np.outer(bent, bent) / by

@@ -16,7 +16,7 @@ from bayescal._core.parallel import on_one_thread
 from bayescal._core.settings import settings
 from bayescal._inference.density import Density
 from bayescal._inference.laplace import at_mode, best
-from bayescal._inference.newton import climb
+from bayescal._inference.newton import Nearby, climb
 from bayescal._inference.problem import Problem
 from bayescal._inference.record import Record
 from bayescal._model.channel_at_rest import CHANNEL
@@ -85,7 +85,11 @@ def on_residuals(law: Noise, record: Record, near: OnResiduals = NO_FIT) -> OnRe
     priors = law.parameters()
     at = [np.array([start[n] for n in priors]) for start in starts]
     alone = Problem(Layout(Model(CHANNEL, (), law), ()), record)
-    density = Density(alone, alone.start, np.ones(0))
+    like = None
+    if near.covariance is not None:
+        there = np.array([near.hint[n] for n in priors])
+        like = Nearby(there, np.linalg.inv(near.covariance), True)
+    density = Density(alone, alone.start, np.ones(0), like=like)
     # What is only a hint is found to a hundredth of a nat.
     mode = at_mode(density, climb(density, best(density, at), math.inf), 0.0)
     hint = dict(zip(priors, mode.v.tolist(), strict=True))

@@ -27,6 +27,7 @@ from bayescal._core.settings import settings
 from bayescal._inference.density import Density
 from bayescal._inference.laplace import Mode, find_mode
 from bayescal._inference.linear_model import LinearModel, linear_model
+from bayescal._inference.newton import Nearby
 from bayescal._inference.problem import Problem
 from bayescal._inference.record import Record
 from bayescal._model.effect import Effect, with_forms
@@ -332,8 +333,12 @@ class Structures:
         else:
             known = carried(problem, near.problem, near.mode)
             begin = starts(problem, near.problem, known, hints)
-            x = problem.x_of(near.problem, near.mode.x)
-            found = find_mode(problem, begin, x, STILL_SD, wanted_from=wanted)
+            x, alike = problem.x_of(near.problem, near.mode.x), None
+            if self.record.nodes(problem.noise) is None:
+                # As near to the best as that its own curvature was found.
+                exact = near.mode.log_density > self.best.total - near.log_prior - ROUGHLY_NATS
+                alike = nearby(problem, near.problem, near.mode, exact)
+            found = find_mode(problem, begin, x, STILL_SD, wanted_from=wanted, near=alike)
         sized = [e for n, e in self.candidates.items() if n in structure.effects and has_size(e)]
         problem, mode, log_evidence = averaged(problem, found, sized, wanted)
         weighed = Weighed(structure, log_evidence, log_prior, problem, mode)
@@ -422,6 +427,20 @@ def carried(problem: Problem, near: Problem, mode: Mode) -> dict[str, float]:
     return found
 
 
+def nearby(problem: Problem, near: Problem, mode: Mode, exact: bool) -> Nearby | None:
+    """The curvature of another structure at its mode, by name, in coordinates that both have; `exact` there."""
+    if not np.all(np.isfinite(mode.covariance)):
+        return None
+    names, priors = problem.layout.index_in_phi, {h.name: h.prior for h in problem.hypers}
+    shared = [(i, h.name) for i, h in enumerate(near.hypers) if priors.get(h.name) == h.prior]
+    there, here = np.array([(i, names[n]) for i, n in shared], dtype=int).reshape(-1, 2).T
+    v, curvature, known = np.zeros(len(names)), np.eye(len(names)), np.zeros(len(names), dtype=bool)
+    v[here] = mode.v[there]
+    curvature[np.ix_(here, here)] = np.linalg.inv(mode.covariance)[np.ix_(there, there)]
+    known[here] = exact and not mode.indefinite and problem.noise == near.noise
+    return Nearby(v, curvature, known)
+
+
 def starts(
     problem: Problem,
     near: Problem,
@@ -483,7 +502,8 @@ def averaged(
     else:
         if chosen != begun:
             problem = Problem(problem.layout, problem.record, dict(chosen))
-            mode = find_mode(problem, [mode.v], mode.x, STILL_SD)
+            alike = nearby(problem, problem, mode, True)
+            mode = find_mode(problem, [mode.v], mode.x, STILL_SD, near=alike)
             gains = SizeGains.of(problem, mode, chosen)
             if gains is None:
                 return problem, mode, -math.inf
