@@ -24,7 +24,8 @@ LOOSE, UNMOVED = 0.03, 0.1
 LONGEST_STEP = 1.5  # in prior standard deviations
 STEPS = 100  # uphill at most
 SHORTENINGS, SHORTER = 8, 0.3  # of a step that leads down, by how much each
-CONVERGED_NATS = 1e-7  # that a step would gain, below which the mode is found, if not said,
+# That a step would gain, below which the mode is found, if not said: differences hold no more,
+CONVERGED_NATS = 1e-6
 ROUGHLY = 0.01  # and where nothing hangs on it
 # Of a direction's squared length beside spreads, up to which it is one of spreads.
 SPREAD_SHARE = 0.1
@@ -71,7 +72,7 @@ def climb(
     Directions that the density bends up along are gone the other way, those that it hardly bends along as if it did
     (J. Nocedal and S. Wright, Numerical Optimization, 2006, §3.4).
     """
-    scale, doubtful = np.broadcast_to(density.scale, v.shape), False
+    scale, doubtful, reach = np.broadcast_to(density.scale, v.shape), False, LONGEST_STEP
     for _ in range(STEPS if len(v) else 0):
         if (here := density.evaluate(v, exact=doubtful)) is None:
             break
@@ -81,7 +82,8 @@ def climb(
         gain = float(step @ slope)
         if 0.5 * gain < (ftol if here.log_density > wanted_from else ROUGHLY):
             break
-        share = min(1.0, LONGEST_STEP / float(np.max(np.abs(step))))
+        length = float(np.max(np.abs(step)))
+        share = whole = min(1.0, reach / length)
         for _ in range(SHORTENINGS):
             further = v + share * scale * step
             gained = density.value(further) - here.log_density
@@ -96,6 +98,8 @@ def climb(
             continue
         # On no hill a curvature that is carried on would not become right.
         doubtful, v = bool(bend[0] < 0), further
+        # Where a step was too long the next may not be twice as long as what was left of it (a trust region).
+        reach = min(LONGEST_STEP, 2 * length * share) if share < whole else min(LONGEST_STEP, 2 * reach)
     return v
 
 
