@@ -54,7 +54,8 @@ FAR_NUMBERS = 40_000
 NEGLIGIBLE = 40.0  # below the largest log weight, from which a draw counts nothing
 COSTLY_READINGS = 1000  # readings, from which on a pass over them costs
 PROPOSALS, FEWER_PROPOSALS, FEWEST_PROPOSALS = 8192, 4096, 2048  # by what each costs,
-OF_A_PART = 128  # and at least where a structure is part of an average
+# And at least where a structure is part of an average, if each costs little; if each costs a pass.
+OF_A_PART, COSTLY_OF_A_PART = 128, 32
 # Share of an average from which on uneven weights of a structure are worth another climb.
 LARGE_SHARE = 0.1
 
@@ -337,7 +338,8 @@ def weighted_draws(
     heavy = heavy or not problem.noise.gaussian
     known = None if earlier is None else earlier.rounds
     while True:
-        count = proposals or max(OF_A_PART, round(part * proposals_of(density)))
+        least = OF_A_PART if density.table is not None else COSTLY_OF_A_PART
+        count = proposals or max(least, round(part * proposals_of(density)))
         higher = float(density.mode.log_density) + above
         pool = Rounds(share) if known is None else known
         _fill(pool, density, random, count, rounds, heavy, higher)
