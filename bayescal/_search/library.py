@@ -79,7 +79,7 @@ class Library:
     width: int = 0
     blurred: frozenset[str] = frozenset()
     _means: Means | None = None
-    _bases: dict[tuple[str, bool], tuple[Any, Any, np.ndarray]] = field(default_factory=dict)
+    _columns: dict[str, dict[bool, tuple[Any, ...]]] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         counts = dict(self.structures.layout.counts)
@@ -136,55 +136,53 @@ class Library:
         What depends on a column that is corrected is of the corrected one: beside a body a quadratic is of its
         temperature.
         """
-        record, instrument = line.problem.record, self.structures.base.instrument
-        slopes = line.slopes
-        counts = dict(self.structures.layout.counts)
         points, end = list(points), 0
-        width = sum(p.at.stop - p.at.start for p in points)
-        made = np.empty((record.size, width), order="F")
+        made = np.empty(
+            (line.problem.record.size, sum(p.at.stop - p.at.start for p in points)), order="F"
+        )
         for name, own in itertools.groupby(points, lambda p: p.effect):
             deadline.current().ask()
-            effect = self.structures.candidates[name]
-            bases = self._along(record, name, list(own), acting)
-            widths = [_members(c, counts) for c in effect.coefficients]
-            begin, end = end, end + len(bases) * sum(widths)
-            # A view: (n, points, columns of each).
-            block = made[:, begin:end].T.reshape(len(bases), sum(widths), -1).transpose(2, 0, 1)
-            at = 0
-            for i, (c, size) in enumerate(zip(effect.coefficients, widths, strict=True)):
-                slot = instrument.slot(c.slot or effect.slot)
-                # Chain rule: the output by the slot, and the slot by the coefficient (a factor of units, and the
-                # basis).
-                slope = slopes[slot.name] * factor_of(instrument, effect, c)
-                codes = None if c.per is None else record.codes[c.per]
-                spread = by_member(slope * bases[..., i], codes, size)
-                block[:, :, at : at + size] = np.moveaxis(spread, 0, 1)
-                at += size
+            columns = self._along(line, name, list(own), acting)
+            begin, end = end, end + columns.shape[0] * columns.shape[1]
+            made[:, begin:end] = columns.reshape(-1, len(made)).T
         return made
 
     def _along(
         self,
-        record: Record,
+        line: LinearModel,
         name: str,
         points: list[GridPoint],
         acting: Mapping[Correction, tuple[float, ...]],
-    ) -> Float[np.ndarray, "points n k"]:
-        """A candidate's basis at some of its points; of a short record that at all of them is kept.
+    ) -> Float[np.ndarray, "points k n"]:
+        """A candidate's columns at some of its points; of a short record those at all of them are kept.
 
         As measured, and beside the latest correction.
         """
-        needed = self._needed(name, acting)
-        held = self._bases.get((name, bool(needed)))
-        if held is not None and held[0] is record and held[1] == needed:
-            return held[2][[p.index for p in points]]
-        candidates, kept = self.structures.candidates, self.width * record.size <= HELD_NUMBERS
+        record, instrument = line.problem.record, self.structures.base.instrument
+        effect, counts = self.structures.candidates[name], dict(self.structures.layout.counts)
+        # Chain rule: the output by the slot, and the slot by the coefficient (a factor of units, and the basis).
+        by_slot = np.array([line.slopes[c.slot or effect.slot] for c in effect.coefficients])
+        needed, held = self._needed(name, acting), self._columns.get(name, {})
+        if known := held.get(bool(needed)):
+            same = known[0] is record and known[1] == needed
+            if same and np.array_equal(known[2], by_slot):
+                return known[3][[p.index for p in points]]
+        kept = self.width * record.size <= HELD_NUMBERS
         at = _shapes(self.points[name] if kept else points)
-        effect = ColumnsOf.of(candidates[name]).on([*needed])
-        made = record.columns_of_draws(effect, [*at, *itertools.chain(*needed.values())], {})
-        made = made[None] if made.ndim == 2 else made
+        bases = record.columns_of_draws(
+            ColumnsOf.of(effect).on([*needed]), [*at, *itertools.chain(*needed.values())], {}
+        )
+        bases = bases[None] if bases.ndim == 2 else bases
+        parts = []
+        for i, c in enumerate(effect.coefficients):
+            slope = by_slot[i] * factor_of(instrument, effect, c)
+            codes = None if c.per is None else record.codes[c.per]
+            spread = by_member(slope * bases[..., i], codes, _members(c, counts))
+            parts.append(np.moveaxis(spread, -1, 1))
+        made = np.concatenate(parts, axis=1)
         if not kept:
             return made
-        self._bases[name, bool(needed)] = record, needed, made
+        self._columns.setdefault(name, {})[bool(needed)] = record, needed, by_slot, made
         return made[[p.index for p in points]]
 
     def _needed(

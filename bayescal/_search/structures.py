@@ -47,8 +47,8 @@ NAMELESS_RMS = 0.2
 NEAR_NATS = 6.0
 # Nats behind the best, from which a structure under another noise law is not refitted.
 OTHER_LAW_NATS = 100.0
-# The same, from which the mode of any is found roughly: what it adds to a probability is below 1e-8.
-ROUGHLY_NATS = 20.0
+# The same, from which the mode of any is found roughly: what it adds to a probability is below 1e-6.
+ROUGHLY_NATS = 10.0
 # Factors on a candidate's plausible size, which is known to an order of magnitude, and their prior probabilities: real
 # coefficients on the chamber ramp stood 3 to 8 such sizes out.
 SIZE_FACTORS = {1.0: 0.6, 3.0: 0.3, 10.0: 0.1}
