@@ -260,13 +260,14 @@ Place = tuple[dict[str, float], dict[str, float]]
 
 def _at(effect: Effect, grid: np.ndarray) -> list[Place]:
     """An effect's shapes, and coordinates of φ, at some coordinates of the shapes (points, shapes)."""
-    found, shapes = list[Place](), effect.column_shapes
-    for v in grid.tolist():
-        values = {
-            s.name: float(s.prior.value(np.float64(x))) for s, x in zip(shapes, v, strict=True)
-        }
-        found.append((values, dict(zip(map(effect.shape_name, shapes), v, strict=True))))
-    return found
+    shapes, count = effect.column_shapes, len(grid)
+    names, full = [s.name for s in shapes], [effect.shape_name(s) for s in shapes]
+    each = zip(shapes, grid.T, strict=True)
+    values = np.transpose([s.prior.value(v) for s, v in each]).reshape(count, -1)
+    return [
+        (dict(zip(names, own, strict=True)), dict(zip(full, v, strict=True)))
+        for own, v in zip(values.tolist(), grid.tolist(), strict=True)
+    ]
 
 
 @lru_cache(KEPT_EFFECTS)

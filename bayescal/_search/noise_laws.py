@@ -103,6 +103,8 @@ def _starts(law: Noise, record: Record, near: Mapping[str, float]) -> list[dict[
     beside that, and it with one parameter at another level.
     """
     priors = law.parameters()
+    if near and law.independent and law.gaussian and np.any(record.y):  # one hill
+        return [dict(near)]
     known = [{n: priors[n].coordinate(v) for n, v in s.items()} for s in _stated(law, record)]
     if known and near:
         others = [{n: level} for n in priors for level in LEVELS]

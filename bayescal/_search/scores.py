@@ -26,7 +26,7 @@ HINTS = 2  # grid points at which a refit begins
 IN_PAIRS = 2  # grid points of each candidate that are tried in pairs
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(eq=False)
 class ScoredPoint:
     """One candidate at one point of its shapes, at the likeliest size there.
 
