@@ -104,10 +104,10 @@ class ColumnTable:
                 found[:, at[b], at[a]] = made[j].products[i]
         looks = {k: np.concatenate([made[i].ends[k] for i in numbers], axis=2) for k in own.ends}
         if self._bytes > KEPT_BYTES:
-            self._forget()
+            self.forget()
         return Products(found, looks)
 
-    def _forget(self) -> None:
+    def forget(self) -> None:
         """Forget all but what the residual was taken by."""
         kept = {RESIDUAL, *self.taken}
         self._blocks = {i: block for i, block in self._blocks.items() if i in kept}

@@ -231,6 +231,9 @@ def linear_model(problem: Problem, mode: Mode) -> LinearModel:
     # To first order a shape is one more unknown: the slope of the output by its coordinate is its column, of prior
     # width one.
     slopes = differences(mean, mode.v[problem.moving], STEP)
+    nuisance = np.empty((len(residual), problem.size + len(slopes)))
+    np.multiply(line.jacobian, prior.sd, out=nuisance[:, : problem.size])
+    nuisance.T[problem.size :] = slopes if len(slopes) else 0.0
     # Where x stands in units of its prior: a prior of no width has its coefficient at the mean.
     z = np.where(prior.sd > 0, (x - prior.mean) / np.where(prior.sd > 0, prior.sd, 1.0), 0.0)
     own = [t.effect.name for t in problem.in_x for _ in range(t.at.start, t.at.stop)]
@@ -240,7 +243,7 @@ def linear_model(problem: Problem, mode: Mode) -> LinearModel:
         mode=mode,
         line=line,
         residual=residual,
-        nuisance=np.column_stack([line.jacobian * prior.sd, *slopes]),
+        nuisance=nuisance,
         weight=np.append(prior.weight, np.ones(len(slopes))),
         sd=np.append(prior.sd, np.ones(len(slopes))),
         owners=(*own, *(problem.hypers[i].effect for i in problem.moving)),

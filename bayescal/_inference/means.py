@@ -82,7 +82,7 @@ class Means:
             each = self(precision)
             whiten = Independent(1 / np.sqrt(self.counts * each))
             residual = self(precision * line.residual) / each
-            nuisance = self(precision[:, None] * line.nuisance) / each[:, None]
+            nuisance = np.transpose([self(precision * own) / each for own in line.nuisance.T])
         else:
             residual, nuisance = self(line.residual), self(line.nuisance)
             values = problem.hyper(line.mode.v)

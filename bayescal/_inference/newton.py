@@ -99,7 +99,9 @@ def climb(
         # On no hill a curvature that is carried on would not become right.
         doubtful, v = bool(bend[0] < 0), further
         # Where a step was too long the next may not be twice as long as what was left of it (a trust region).
-        reach = min(LONGEST_STEP, 2 * length * share) if share < whole else min(LONGEST_STEP, 2 * reach)
+        reach = (
+            min(LONGEST_STEP, 2 * length * share) if share < whole else min(LONGEST_STEP, 2 * reach)
+        )
     return v
 
 
@@ -131,23 +133,13 @@ def gaussian_fit(
     return GaussianFit(v, covariance, value, value + volume, indefinite)
 
 
-class _AlongAxes(NamedTuple):
-    """Log densities at a point, and a step up and down each coordinate."""
-
-    v: Float[np.ndarray, "d"]
-    steps: Float[np.ndarray, "d"]
-    value: float
-    up: Float[np.ndarray, "d"]
-    down: Float[np.ndarray, "d"]
-
-
 class ByValues:
     """Slopes and curvature of a log density by differences; in `scale` priors are about standard normal or wider.
 
-    Of a point that is asked for by a climb the curvature is carried on from the one before it, or from a density nearby:
-    along the axes by what the differences say, and by what the gradient changed on the way (BFGS: J. Nocedal and S.
-    Wright, Numerical Optimization, 2006, eq. 6.19). Where it is to be exact, two coordinates that are known nearby have
-    the correlation that they have there, if they hardly bend together or neither has moved.
+    Of a point that a climb asks for the curvature is carried on from the one before it, or from a density nearby, by
+    its bends along the axes and what the gradient changed on the way (BFGS: J. Nocedal and S. Wright, Numerical
+    Optimization, 2006, eq. 6.19). Where it is to be exact, two coordinates that are known nearby have the correlation
+    that they have there, if they hardly bend together or neither has moved.
     """
 
     def __init__(self, values: Values, scale: Float[np.ndarray, "d"] | float = 1.0) -> None:
@@ -158,7 +150,7 @@ class ByValues:
         """Know nothing yet, or the curvature of a density that is much alike."""
         self._like, self._last = like, None
         self._exact = False  # whether the latest curvature is by differences
-        self._axes: _AlongAxes | None = None
+        self._axes: Any = None  # the latest point, steps along the axes, and values there
 
     @property
     def nearby(self) -> Nearby | None:
@@ -183,9 +175,7 @@ class ByValues:
             steps = DIFFERENCE * scale / np.sqrt(bends)
         found = self._differences(v, steps, exact)
         if near is not None and found is not None and not exact:
-            curvature = _rescaled(near.curvature, found.curvature, LEAST_CURVATURE / scale**2)
-            if last is not None:
-                curvature = _carried(v - last[0], last[1].gradient - found.gradient, curvature)
+            curvature = _carried(near.curvature, last, v, found, LEAST_CURVATURE / scale**2)
             found = found._replace(curvature=curvature)
         if found is not None:
             self._last, self._exact = (v.copy(), found), exact
@@ -194,77 +184,63 @@ class ByValues:
     def _differences(
         self, v: Float[np.ndarray, "d"], steps: Float[np.ndarray, "d"], curved: bool
     ) -> Slopes | None:
+        axes = self._axes if curved and self._axes and np.array_equal(self._axes[0], v) else None
         for _ in range(SHORTENINGS):
-            axes = self._axes
-            if axes is None or not (curved and np.array_equal(axes.v, v)):
-                axes = self._axes = self._along_axes(v, steps)
+            # Along the axes: what a coordinate of the noise moves is computed at columns that stay.
+            moves = np.diag(steps if axes is None else axes[1])
             if axes is None:
-                return None
-            value, moves, bends = axes.value, np.diag(axes.steps), 2 * axes.value - axes.up - axes.down
-            gradient, hessian = 0.5 * (axes.up - axes.down) / axes.steps, np.diag(bends)
-            if curved:
-                alike = self._alike(v, bends)
-                hessian = alike * np.sqrt(np.abs(np.outer(bends, bends)))
-                np.fill_diagonal(hessian, bends)
-                i, j = np.nonzero(np.triu(np.isnan(alike)))
-                if len(i):
-                    both = moves[i] + moves[j]
-                    ends = self.values(np.concatenate([v + both, v - both]))
-                    if not np.min(ends) > NOWHERE:
-                        steps, self._axes = SHORTER * axes.steps, None
-                        continue
-                    bent = 2 * value - ends.reshape(2, -1).sum(axis=0)
-                    hessian[i, j] = hessian[j, i] = 0.5 * (bent - bends[i] - bends[j])
-            return Slopes(value, gradient, hessian / np.outer(axes.steps, axes.steps))
-        return None
-
-    def _along_axes(
-        self, v: Float[np.ndarray, "d"], steps: Float[np.ndarray, "d"]
-    ) -> _AlongAxes | None:
-        # What a coordinate of the noise moves is computed at columns that stay.
-        for _ in range(SHORTENINGS):
-            moves = np.diag(steps)
-            value, *ends = self.values(np.concatenate([v[None], v + moves, v - moves]))
+                axes = v.copy(), steps, self.values(np.concatenate([v[None], v + moves, v - moves]))
+            (_, steps, (value, *ends)), self._axes, axes = axes, axes, None
             if not value > NOWHERE:
                 return None
             up, down = np.reshape(ends, (2, len(v)))
             bends = 2 * value - up - down
             # In place of a step that was long against what the density allows, one that is right.
-            if not np.any(long := bends > 4 * DIFFERENCE**2):
-                return _AlongAxes(v.copy(), steps, value, up, down)
-            right = np.maximum(DIFFERENCE / np.sqrt(np.where(long, bends, 1.0)), LEAST_SHARE)
-            steps = steps * np.where(long, right, 1.0)
+            if np.any(long := bends > 4 * DIFFERENCE**2):
+                right = np.maximum(DIFFERENCE / np.sqrt(np.where(long, bends, 1.0)), LEAST_SHARE)
+                steps = steps * np.where(long, right, 1.0)
+                continue
+            hessian = self._bent(v, bends) if curved else np.diag(bends)
+            i, j = np.nonzero(np.triu(np.isnan(hessian)))
+            if len(i):
+                both = moves[i] + moves[j]
+                ends = self.values(np.concatenate([v + both, v - both]))
+                if not np.min(ends) > NOWHERE:
+                    steps = SHORTER * steps
+                    continue
+                bent = 2 * value - ends.reshape(2, -1).sum(axis=0)
+                hessian[i, j] = hessian[j, i] = 0.5 * (bent - bends[i] - bends[j])
+            return Slopes(value, 0.5 * (up - down) / steps, hessian / np.outer(steps, steps))
         return None
 
-    def _alike(self, v: Float[np.ndarray, "d"], bends: Float[np.ndarray, "d"]) -> np.ndarray:
-        """Return the correlations of a curvature that are as they are nearby; NaN for those to be found."""
+    def _bent(self, v: Float[np.ndarray, "d"], bends: Float[np.ndarray, "d"]) -> np.ndarray:
+        """Return second differences: along the axes, between them by correlations nearby; NaN where none are known."""
         found, near = np.full((len(v), len(v)), np.nan), self._like
         if near is not None:
-            size = np.sqrt(np.maximum(np.diag(near.curvature), 0.0))
-            known = near.known & (size > 0) & (bends > 0)
-            still = np.abs(v - near.v) * size < UNMOVED
-            there = near.curvature / np.outer(*2 * [np.where(size > 0, size, 1.0)])
-            kept = (np.abs(there) < LOOSE) | np.logical_and.outer(still, still)
-            found[kept] = there[kept]
-            found[~np.logical_and.outer(known, known)] = np.nan
-        np.fill_diagonal(found, 1.0)
+            size = np.sqrt(np.maximum(np.diag(near.curvature), np.finfo(float).tiny))
+            there, known = near.curvature / np.outer(size, size), near.known & (bends > 0)
+            unmoved = np.abs(v - near.v) * size < UNMOVED
+            kept = np.outer(known, known) & ((np.abs(there) < LOOSE) | np.outer(unmoved, unmoved))
+            found[kept] = (there * np.sqrt(np.abs(np.outer(bends, bends))))[kept]
+        np.fill_diagonal(found, bends)
         return found
 
 
-def _rescaled(
-    curvature: Float[np.ndarray, "d d"], found: Float[np.ndarray, "d d"], least: Any
+def _carried(
+    curvature: Float[np.ndarray, "d d"],
+    last: tuple[np.ndarray, Slopes] | None,
+    v: Float[np.ndarray, "d"],
+    found: Slopes,
+    least: Float[np.ndarray, "d"],
 ) -> Float[np.ndarray, "d d"]:
-    """Return a curvature with the diagonal that was found, where that is one."""
-    own, new = np.diag(curvature), np.diag(found)
+    """Return a curvature as it is at v: with the bends along the axes there and, by BFGS, what the gradient changed."""
+    own, new = np.diag(curvature), np.diag(found.curvature)
     fit = (new > least) & (own > 0)
     ratio = np.sqrt(np.where(fit, new, 1.0) / np.where(fit, own, 1.0))
-    return ratio[:, None] * curvature * ratio
-
-
-def _carried(
-    step: Float[np.ndarray, "d"], lost: Float[np.ndarray, "d"], curvature: Float[np.ndarray, "d d"]
-) -> Float[np.ndarray, "d d"]:
-    """Return the curvature after a step on which the gradient lost so much, by BFGS from that before."""
+    curvature = ratio[:, None] * curvature * ratio
+    if last is None:
+        return curvature
+    step, lost = v - last[0], last[1].gradient - found.gradient
     bent = curvature @ step
     along, by = float(step @ lost), float(step @ bent)
     if not along > 1e-12 or not by > 1e-12:

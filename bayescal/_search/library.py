@@ -17,7 +17,6 @@ from scipy.special import ndtri
 from bayescal._core import deadline
 from bayescal._inference.linear_model import LinearModel
 from bayescal._inference.means import Means
-from bayescal._inference.record import Record
 from bayescal._model.composition import by_member
 from bayescal._model.effect import Coefficient, Effect, Shape
 from bayescal._model.instrument import factor_of
@@ -136,16 +135,11 @@ class Library:
         What depends on a column that is corrected is of the corrected one: beside a body a quadratic is of its
         temperature.
         """
-        points, end = list(points), 0
-        made = np.empty(
-            (line.problem.record.size, sum(p.at.stop - p.at.start for p in points)), order="F"
-        )
+        made, size = [], line.problem.record.size
         for name, own in itertools.groupby(points, lambda p: p.effect):
             deadline.current().ask()
-            columns = self._along(line, name, list(own), acting)
-            begin, end = end, end + columns.shape[0] * columns.shape[1]
-            made[:, begin:end] = columns.reshape(-1, len(made)).T
-        return made
+            made.append(self._along(line, name, list(own), acting).reshape(-1, size))
+        return made[0].T if len(made) == 1 else np.concatenate([*made, np.empty((0, size))]).T
 
     def _along(
         self,
@@ -173,13 +167,13 @@ class Library:
             ColumnsOf.of(effect).on([*needed]), [*at, *itertools.chain(*needed.values())], {}
         )
         bases = bases[None] if bases.ndim == 2 else bases
-        parts = []
+        ends = np.cumsum([0, *(_members(c, counts) for c in effect.coefficients)])
+        made = np.empty((len(bases), ends[-1], record.size))
         for i, c in enumerate(effect.coefficients):
             slope = by_slot[i] * factor_of(instrument, effect, c)
-            codes = None if c.per is None else record.codes[c.per]
-            spread = by_member(slope * bases[..., i], codes, _members(c, counts))
-            parts.append(np.moveaxis(spread, -1, 1))
-        made = np.concatenate(parts, axis=1)
+            codes, own = None if c.per is None else record.codes[c.per], slice(*ends[i : i + 2])
+            spread = by_member(slope * bases[..., i], codes, own.stop - own.start)
+            made[:, own] = np.moveaxis(spread, -1, 1)
         if not kept:
             return made
         self._columns.setdefault(name, {})[bool(needed)] = record, needed, by_slot, made

@@ -68,6 +68,7 @@ def explore(
         if end.interrupted:
             tell("interrupted: fitting the best so far; Ctrl-C again ends without a result")
     follow()
+    structures.record.table.forget()
     return ended
 
 
