@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from bayescal._inference.gaussian import Conditional, Gram, condition, draw, factors, solve
+from bayescal._inference.gaussian import Conditional, Gram, condition, factors, solve
 from bayescal._inference.newton import NOWHERE, ByValues, Nearby
 from bayescal._inference.noise_on_record import (
     Independent,
@@ -248,15 +248,9 @@ class Density(ByValues):
         problem, vs = self.problem, np.asarray(vs)
         if not len(vs):
             return np.zeros(0)
-        if self.tabulated is not None:
-            found = self.tabulated.log_densities(vs, self.flat)
-        elif not problem.terms:  # of a noise law alone: one column
+        if self.tabulated is not None or problem.terms:
+            found = problem.drawn(self.grams(vs), vs, self.flat, self.origin).log_marginal
+        else:  # of a noise law alone: one column
             law, record = problem.noise, problem.record
             found = total_log_density(law, record, record.y[None], problem.hyper(vs.T))
-            found = found + problem.log_priors(vs)
-        else:
-            prior = problem.prior(problem.hyper(vs.T), self.flat, (len(vs),))
-            nothing = np.zeros((len(vs), problem.size))
-            found = draw(self.grams(vs), problem.record.size, prior, self.x, nothing).log_marginal
-            found = found + problem.log_priors(vs)
-        return np.nan_to_num(found, nan=NOWHERE, neginf=NOWHERE)
+        return np.nan_to_num(found + problem.log_priors(vs), nan=NOWHERE, neginf=NOWHERE)

@@ -139,11 +139,7 @@ class InFrequency(OneNode):
         step: float,
         segments: Callable[[int], Iterator[Segment]] | None = None,
     ) -> None:
-        """Args:
-        runs: rows of each run, in the order of time.
-        step: between readings, s.
-        segments: of a run's frequencies, by its length; the usual ones if not given.
-        """
+        """`segments`: of a run's frequencies, by its length; the usual ones if not given."""
         super().__init__(sum(map(len, runs)))
         self.runs, self.step = list(runs), step
         lengths = [len(run) for run in runs]
@@ -248,10 +244,7 @@ def in_frequency(order: Int[np.ndarray, "n"], step: Float[np.ndarray, "n"]) -> I
     """Return the nodes of stationary noise; None where steps are uneven or a run has fewer than 3 readings.
 
     Even are those of a clock that jitters little, and those of times that are written to a few digits: neither adds up.
-
-    Args:
-        order: of the readings in time, run after run.
-        step: since the reading before, s; −1 at a run's first.
+    `step`: since the reading before in the order of time, s; −1 at a run's first.
     """
     first, inside = np.flatnonzero(step < 0), step[step >= 0]
     runs = np.split(order, first[1:])
@@ -395,13 +388,7 @@ class EvenSpectrum:
     def __init__(
         self, runs: Sequence[Float[np.ndarray, "n r"]], step: float, lines: Sequence[float] = ()
     ) -> None:
-        """Transform the runs.
-
-        Args:
-            runs: columns of each; the last column is the output.
-            step: between readings, s.
-            lines: frequencies of narrow lines, Hz.
-        """
+        """Transform the runs' columns, the last of them the output; `lines`: frequencies of narrow lines, Hz."""
 
         def segments(n: int) -> Iterator[Segment]:
             return _fine_segments(n, [2 * f * step * n for f in lines])
@@ -412,12 +399,7 @@ class EvenSpectrum:
         self._products = Products.of(self._nodes, np.concatenate(runs))
 
     def log_likelihood(self, law: Noise, values: Values) -> Float[np.ndarray, "s"]:
-        """Return the restricted log likelihood of a law at s settings, but for a constant.
-
-        Args:
-            law: stationary.
-            values: its parameters by name (s,).
-        """
+        """Return the restricted log likelihood of a stationary law at settings (s,), but for a constant."""
         own = {name: np.reshape(np.asarray(v, float), -1) for name, v in values.items()}
         each = max(1, CHUNK_NUMBERS // (12 * self._nodes.count))
         chunks = [slice(at, at + each) for at in range(0, len(own[WHITE]), each)]

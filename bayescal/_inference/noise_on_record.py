@@ -90,10 +90,8 @@ def whitening(
     """What makes readings independent and of unit variance under a law at its parameters.
 
     Args:
-        law: which.
-        values: φ by name.
-        record: the readings.
-        extra: variance of each reading beside the law's.
+        law, values: which, and φ by name.
+        record, extra: the readings, and the variance of each beside the law's.
         left: what the expected output leaves of the readings: under a law that is not Gaussian each has the precision
             that it then shows (Gaussian scale mixture). None whitens by the variance.
     """
@@ -202,15 +200,8 @@ class Terms(NamedTuple):
 def density_terms(
     law: Noise, values: Values, record: Record, left: Float[np.ndarray, "*b n"], extra: Any = 0.0
 ) -> Terms:
-    """Of what the expected output leaves of the readings, independent of each other given it; at one φ or at several.
-
-    Args:
-        law: which.
-        values: its parameters by name, (b,) each at several φ.
-        record: the readings.
-        left: output unit.
-        extra: variance of each reading beside the law's, or a single zero.
-    """
+    """Of what the expected output leaves of the readings, independent of each other given it; at one φ or at several
+    (values (b,) each). `extra`: variance of each reading beside the law's, or a single zero."""
     beside = None if not np.ndim(extra) else np.asarray(extra)
     frame, own = widened(record.frame, beside), {n: _row(values[n]) for n in law.parameters()}
     if (known := law.by_residual(left, own, frame)) is not None:
@@ -259,15 +250,8 @@ def variances(law: Noise, hyper: Each, record: Record) -> Float[np.ndarray, "b n
 def log_densities(
     law: Noise, record: Record, left: Float[np.ndarray, "b n"], hyper: Each, extra: Any = 0.0
 ) -> Float[np.ndarray, "b n"]:
-    """Log density of each reading, given those before it, at what the expected output leaves of it in each draw.
-
-    Args:
-        law: the noise law.
-        record: the readings.
-        left: output unit.
-        hyper: φ by name, one value a draw.
-        extra: variance of each reading beside the law's (b, n), or a single zero.
-    """
+    """Log density of each reading, given those before it, at what the expected output leaves of it in each draw;
+    `extra`: variance of each reading beside the law's (b, n), or a single zero."""
     if law.independent:
         return _on_host(law, record, left, hyper, extra)
     y = record.longer(_forth(law, record, record.y, 0))
@@ -328,13 +312,8 @@ def _by_draws(
     found = np.empty((record.size, count))
     # One, eight or many at once: three lengths, so that no program is compiled for each number of draws.
     most = max(1, CELLS // record.padded_size)
-    together = (
-        1
-        if count == 1
-        else FEWEST_DRAWS_TOGETHER
-        if count <= 8 * FEWEST_DRAWS_TOGETHER
-        else min(256, most)
-    )
+    few = count <= 8 * FEWEST_DRAWS_TOGETHER
+    together = 1 if count == 1 else FEWEST_DRAWS_TOGETHER if few else min(256, most)
     for start in range(0, count, together):
         pick = np.minimum(start + np.arange(together), count - 1)
         some: list[Any] = [

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float, Int
 
-from bayescal._inference.gaussian import Prior
+from bayescal._inference.gaussian import Drawn, Gram, Prior, draw
 from bayescal._inference.record import Record
 from bayescal._model.composition import (
     Composed,
@@ -105,6 +105,19 @@ class Problem:
         """Log prior density of φ in its coordinates."""
         each = zip(self._coordinates, v, strict=True)
         return float(sum(density(one) for (*_, density), one in each))
+
+    def drawn(
+        self,
+        gram: Gram,
+        vs: Float[np.ndarray, "b d"],
+        flat: Float[np.ndarray, "p"],
+        origin: Float[np.ndarray, "p"],
+        normal: Float[np.ndarray, "b p"] | float = 0.0,
+    ) -> Drawn:
+        """Return x given each of several φ, by standard normal numbers or its mean, with log marginals."""
+        prior = self.prior(self.hyper(vs.T), flat, (len(vs),))
+        normal = np.broadcast_to(normal, (len(vs), self.size))
+        return draw(gram, self.record.size, prior, origin, normal)
 
     def log_priors(self, v: Float[np.ndarray, "b d"]) -> Float[np.ndarray, "b"]:
         """Log prior densities of several φ."""

@@ -23,7 +23,7 @@ from bayescal._core.importance_weights import Corrections, effective_size, smoot
 from bayescal._core.parallel import on_one_thread
 from bayescal._core.settings import settings
 from bayescal._inference.density import Density
-from bayescal._inference.gaussian import Drawn, Gram, draw
+from bayescal._inference.gaussian import Drawn
 from bayescal._inference.joint import FREEDOM, correction, normal_numbers
 from bayescal._inference.laplace import Mode, find_mode
 from bayescal._inference.newton import NOWHERE, GaussianFit, Values
@@ -151,7 +151,8 @@ class ManyPhi:
     def at(self, v: Float[np.ndarray, "b d"], normal: np.ndarray) -> tuple[np.ndarray, Drawn]:
         """Log density of each φ, and the x that standard normal numbers stand for given it."""
         prior = self.problem.log_priors(v)
-        found = self._drawn((self.table or self.density).grams(v), v, normal)
+        given = self.mode.flat, self.density.origin
+        found = self.problem.drawn((self.table or self.density).grams(v), v, *given, normal)
         computed = np.zeros(len(v), dtype=bool)
         if self.table is not None:
             # A random share of these stands for all: a hill far from the mode is seen, at a bounded cost.
@@ -159,7 +160,8 @@ class ManyPhi:
             computed = beyond & (self.random.random(len(v)) < self.far_share)
             found.log_marginal[beyond] = NOWHERE
             if computed.any():
-                exact = self._drawn(self.density.grams(v[computed]), v[computed], normal[computed])
+                grams, some = self.density.grams(v[computed]), normal[computed]
+                exact = self.problem.drawn(grams, v[computed], *given, some)
                 for all_of_it, new in zip(found, exact, strict=True):
                     all_of_it[computed] = new
         total = _sum(found.log_marginal, prior)
@@ -168,16 +170,9 @@ class ManyPhi:
         total[computed] -= math.log(self.far_share)
         return total, found
 
-    def _drawn(self, grams: Gram, v: Float[np.ndarray, "b d"], normal: np.ndarray) -> Drawn:
-        prior = self.problem.prior(self.problem.hyper(v.T), self.mode.flat, (len(v),))
-        return draw(grams, self.size, prior, self.density.origin, normal)
-
-    def stretches(self, v: Float[np.ndarray, "s d"]) -> list[np.ndarray]:
-        return np.array_split(v, -(-len(v) // self.together))
-
     def values(self, v: Float[np.ndarray, "s d"]) -> Float[np.ndarray, "s"]:
         size, made = self.problem.size, []
-        for part in self.stretches(v):
+        for part in np.array_split(v, -(-len(v) // self.together)):
             deadline.current().ask()
             made.append(self.at(part, np.zeros((len(part), size)))[0])
         return np.concatenate(made)
@@ -211,10 +206,8 @@ def adapted(
     Source: J.-M. Cornuet et al., Scand. J. Statist. 39 (2012) 798 (adaptive multiple importance sampling).
 
     Args:
-        mode: of the density.
-        values: log density of several points, not normalised.
+        mode, values: of the density, and the log density of several points, not normalised.
         prior: None where it is improper or cannot be drawn from.
-        random: of every random number.
         proposals: in each round.
         rounds: at most; none follows one whose weights are even, nor a later one whose weights are sound.
         higher: log density above which nothing more is adapted: the mode was another.
@@ -317,9 +310,7 @@ def weighted_draws(
     """Adapt, then sample. The same numbers for the same seed.
 
     Args:
-        problem: the structure on its record.
-        mode: its mode.
-        seed: of every random number.
+        problem, mode: the structure on its record, and its mode.
         proposals: at least, half as many in each round of adaptation; by their cost if not given. Where each costs a
             pass over the readings, rounds of adaptation count among them.
         rounds: of adaptation at most.
@@ -559,12 +550,6 @@ def importance_draws(
     """Return draws (s, d), their smoothed weights, summing to one, and the log evidence.
 
     Proposals are adapted in the coordinates of the Gaussian fit.
-
-    Args:
-        values: log density.
-        fit: at its mode.
-        seed: of every random number.
-        count: of draws.
     """
     dim, random = len(fit.v), np.random.default_rng(seed)
     origin, identity = np.zeros(dim), np.eye(dim)

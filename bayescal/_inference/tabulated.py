@@ -34,7 +34,7 @@ from bayescal._inference.expansion import (
     ListedColumns,
     PolynomialColumns,
 )
-from bayescal._inference.gaussian import Conditional, Gram, Prior, condition, draw
+from bayescal._inference.gaussian import Conditional, Gram, Prior, condition
 from bayescal._inference.noise_nodes import OneNode, Products, Weights
 from bayescal._inference.problem import Problem, Values
 from bayescal._model.composition import by_member
@@ -364,26 +364,14 @@ class Tabulated:
         if not any(part.free for part in self.parts):
             return found
         some = draws[:TRIED_DRAWS]
-        there = self.log_densities(some, flat)
-        error = self._log_densities(found.grams(some), some, flat) - there
+        there, here = (
+            self.problem.drawn(table.grams(some), some, flat, self.at).log_marginal
+            for table in (self, found)
+        )
+        error = here - there
         return (
             found if np.max(np.abs(error[np.isfinite(there)]), initial=0.0) < CLOSE_NATS else None
         )
-
-    def log_densities(
-        self, vs: Float[np.ndarray, "b d"], flat: Float[np.ndarray, "p"]
-    ) -> Float[np.ndarray, "b"]:
-        """Return the log density at several φ; −∞ where there is none."""
-        return self._log_densities(self.grams(vs), vs, flat)
-
-    def _log_densities(
-        self, grams: Gram, vs: Float[np.ndarray, "b d"], flat: Float[np.ndarray, "p"]
-    ) -> Float[np.ndarray, "b"]:
-        problem = self.problem
-        prior = problem.prior(problem.hyper(vs.T), flat, (len(vs),))
-        nothing = np.zeros((len(vs), problem.size))
-        made = draw(grams, problem.record.size, prior, self.at, nothing)
-        return made.log_marginal + problem.log_priors(vs)
 
     def _log_prior(self, v: Float[np.ndarray, "d"]) -> tuple[float, np.ndarray, np.ndarray]:
         """Return the log prior of φ, its slopes and its second slopes."""

@@ -289,13 +289,7 @@ class Structures:
         near: Weighed | None = None,
         hints: Sequence[Mapping[str, float]] = (),
     ) -> Weighed:
-        """The evidence of a structure: a full refit.
-
-        Args:
-            structure: which.
-            near: another one, whose φ̂ is a start.
-            hints: coordinates by name that are starts too, beside those of `near`.
-        """
+        """The evidence of a structure by a full refit, from the φ̂ of one near and coordinates by name as `hints`."""
         found = self.visited.get(structure)
         if found is None:
             # A structure of an earlier round, weighed with another range of a shape, is nearer than any neighbour.
@@ -412,13 +406,7 @@ class Structures:
 
 
 def carried(problem: Problem, near: Problem, mode: Mode) -> dict[str, float]:
-    """Another structure's φ̂ by name, in coordinates of this one's priors.
-
-    Args:
-        problem: the structure to fit.
-        near: the other one.
-        mode: where that one has its mode.
-    """
+    """Another structure's φ̂ by name, in coordinates of this one's priors."""
     found, places = {}, near.layout.index_in_phi
     for hyper in problem.hypers:
         if (j := places.get(hyper.name)) is not None:
@@ -447,14 +435,7 @@ def starts(
     known: Mapping[str, float],
     hints: Sequence[Mapping[str, float]],
 ) -> list[Float[np.ndarray, "d"]]:
-    """Coordinates to begin at: the other structure's, the hints, and others along each shape.
-
-    Args:
-        problem: the structure to fit.
-        near: the other one.
-        known: its φ̂ by name, as `carried`.
-        hints: coordinates by name.
-    """
+    """Coordinates to begin at: the other structure's (`carried`), the hints, and others along each shape."""
     names, priors = problem.layout.index_in_phi, {h.name: h.prior for h in near.hypers}
     here = {n: known.get(n, 0.0) for n in names}
     found = [here, *({**here, **{n: v for n, v in hint.items() if n in names}} for hint in hints)]
@@ -486,8 +467,7 @@ def averaged(
     One effect's size at a time, the others' at their likeliest.
 
     Args:
-        problem: the structure, its sizes those of a start.
-        mode: where it has its mode.
+        problem, mode: the structure, its sizes those of a start, and where it has its mode.
         sized: effects with a plausible size.
         wanted_from: log density, below which the fit that the climb left will do.
     """

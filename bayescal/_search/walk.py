@@ -305,8 +305,6 @@ def _weigh_forms(
     Where the structure is so improbable that no form could make it anything else they are left alone.
 
     Args:
-        structures: that were weighed.
-        at: which.
         but: forms to leave alone.
         finer: whether forms of several shapes are asked for, which take ten times as long, or those of one.
 
