@@ -68,7 +68,8 @@ def explore(
         if end.interrupted:
             tell("interrupted: fitting the best so far; Ctrl-C again ends without a result")
     follow()
-    structures.record.table.forget()
+    if structures.record.affine is not None:
+        structures.record.table.forget()
     return ended
 
 

@@ -260,7 +260,7 @@ CEILINGS = {
     "bayescal/_inference": 6_093,
     "bayescal/_calibration": 4_843,
     "bayescal/_use": 3_014,
-    "bayescal/_search": 5_682,
+    "bayescal/_search": 5_683,
     "bayescal/_report": 1_733,
     "bayescal/_cli": 1_784,
     "bayescal/_annexes/fleet": 2_530,
