@@ -25,6 +25,7 @@ from bayescal._data.dataset_checks import rounding_step
 from bayescal._data.unit_conversion import unit_label
 from bayescal._inference.density import Density
 from bayescal._inference.laplace import across, find_mode, prior_draws
+from bayescal._inference.newton import Nearby
 from bayescal._inference.problem import Problem
 from bayescal._model.effect import Effect
 from bayescal._model.model import Model, testable
@@ -354,8 +355,10 @@ def doubts_of_the_mode(fit: Fitted) -> list[Claim]:
     density = Density(problem, mode.x, mode.flat, mode.v)
     tried = np.concatenate([prior_draws(problem), *across(problem, mode.v)])
     starts = [v for v in tried if far(v).any()] if shapes else []
+    near = Nearby(mode.v, np.linalg.pinv(mode.covariance))
     for start in np.array(starts)[np.argsort(-density.values(np.array(starts)))[:STARTS_TRIED]]:
-        other = find_mode(problem, [start], mode.x, still=0.01)
+        least = mode.log_density - 20.0
+        other = find_mode(problem, [start], mode.x, still=0.01, wanted_from=least, near=near)
         behind = mode.log_evidence - other.log_evidence
         if far(other.v).any() and behind < NEARLY_NATS:
             apart = (problem.hypers[i] for i in np.array(shapes)[far(other.v)])

@@ -22,7 +22,7 @@ from bayescal._data.measurements import Measurements
 from bayescal._inference.density import Density
 from bayescal._inference.gaussian import Gram, Prior, condition
 from bayescal._inference.laplace import Mode
-from bayescal._inference.newton import climb
+from bayescal._inference.newton import Nearby, climb
 from bayescal._inference.problem import Problem
 from bayescal._inference.record import Record
 from bayescal._model.terms import ColumnsOf
@@ -171,7 +171,8 @@ def _fold(
     is expected, sum of squares of the whitened errors, and the eigenvalues of their covariance; None of nothing."""
     parts = (Part(whole.record, rows) for rows in (kept, out))
     problems = (Problem(whole.layout, part, whole.size_factors) for part in parts)
-    fitted, predicted = (Density(one, mode.x, mode.flat, mode.v) for one in problems)
+    near = Nearby(mode.v, np.linalg.pinv(mode.covariance))
+    fitted, predicted = (Density(p, mode.x, mode.flat, mode.v, like=near) for p in problems)
     v = climb(fitted, mode.v)
     kinds = np.array(whole.kinds)
     # A law that follows a column is that of all readings: where it lies for these, the kept may have none.
