@@ -258,7 +258,7 @@ CEILINGS = {
     "bayescal/_model": 5_566,
     "bayescal/effects": 660,
     "bayescal/_inference": 6_093,
-    "bayescal/_calibration": 4_843,
+    "bayescal/_calibration": 4_847,
     "bayescal/_use": 3_014,
     "bayescal/_search": 5_683,
     "bayescal/_report": 1_733,
