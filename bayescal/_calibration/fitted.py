@@ -67,6 +67,7 @@ class Fitted:
     start: dict[str, float] = field(default_factory=dict)
     confounded: tuple[Confounder, ...] | None = None  # None: to be asked of the readings
     form_factor: float = 1.0
+    unfound_spreads: dict[str, float] = field(default_factory=dict)
 
     def with_verdict(self, **changes: Any) -> Self:
         """The same with another verdict; what was computed of it is kept."""

@@ -38,7 +38,7 @@ class Prediction:
     Attributes:
         mean: posterior mean of the expected output, output unit, (n,).
         model_sd: standard uncertainty of the expected output, from coefficients, from the model's form (`form_factor`
-            of the calibration) and, for groups that the fit has not seen, from their spread.
+            of the calibration) and, for groups that the fit has not seen, from their spread, found or not.
         sd: standard uncertainty of a reading: with noise.
         residual: output − mean.
     """
@@ -105,8 +105,10 @@ def predict(
                 return np.concatenate([np.zeros_like(expected[:, :count]), found], axis=1)
 
             noise_of = carried
-        found = moments(calibration.problem_on(frame), calibration.draws(draws), noise_of)
+        problem = calibration.problem_on(frame)
+        found = moments(problem, calibration.draws(draws), noise_of)
         model = calibration.form_factor**2 * found.variance + found.beside
+        model += _of_unfound_spreads(calibration, problem)
         residual = np.asarray(frame["output"]) - found.mean
         return np.stack([residual, np.sqrt(model), np.sqrt(model + found.noise + spread)])
 
@@ -117,6 +119,23 @@ def predict(
         frame = _of_new_groups(frame) if new_groups else frame
         residual, model_sd, sd = moments_of(readings, frame, NONE)
     return Prediction(readings["output"] - residual, model_sd, sd, residual)
+
+
+def _of_unfound_spreads(calibration: Calibration, problem: Problem) -> np.ndarray:
+    """Return the variance of readings of members that the fit has not seen, by deviations that no draw has."""
+    known, found = calibration.model.instrument.known, np.zeros(problem.record.size)
+    for name, size in calibration.unfound_spreads.items():
+        new = problem.record.codes[str(known[name].coefficients[0].per)] < 0
+        found += new * (size * _deviating(calibration, problem, known[name])) ** 2
+    return found
+
+
+def _deviating(calibration: Calibration, problem: Problem, effect: Effect) -> np.ndarray:
+    """Return what a deviation moves each reading by, output unit over that of its coefficient (n,)."""
+    slopes = problem.slopes(calibration.mode.x, problem.hyper(calibration.mode.v))
+    c, column = effect.coefficients[0], problem.record.columns(ColumnsOf.of(effect), ())[:, 0]
+    factor = factor_of(calibration.model.instrument, effect, c)
+    return slopes[c.slot or effect.slot] * factor * column
 
 
 def replicates(
@@ -286,14 +305,10 @@ class HoldoutTest:
         made = replicates(self.calibration, self.readings, count, self.calibration.seed)
         (used, problem), random = self._problem, np.random.default_rng(0)
         # What deviations of groups that the fit holds none of would add.
-        slopes = problem.slopes(used.mode.x, problem.hyper(used.mode.v)) if self.unseen else {}
         for effect, size in self.unseen:
-            c = effect.coefficients[0]
-            column = problem.record.columns(ColumnsOf.of(effect), ())[:, 0]
-            column = column * factor_of(used.model.instrument, effect, c)
-            codes = self.readings.groups(str(c.per))[1]
+            codes = self.readings.groups(str(effect.coefficients[0].per))[1]
             drawn = size * random.standard_normal((len(made), int(codes.max()) + 2))[:, codes]
-            made += slopes[c.slot or effect.slot] * column * drawn
+            made += _deviating(used, problem, effect) * drawn
         made -= made.mean(axis=0)
         return self.prediction.residual / self._noise, made / self._noise
 

@@ -141,6 +141,7 @@ def _read(
         "verdict": replace(verdict, against=_with_codes(verdict.against, described)),
         "confounded": tuple(Confounder(**one) for one in described.get("confounded", ())),
         "form_factor": described.get("form_factor", 1.0),
+        "unfound_spreads": described.get("unfound_spreads", {}),
     }
     if schema == SCHEMA and attributes.get(IDENTITY) != identity(Fitted(**found)):
         raise ValueError("its identity is not that of what it holds")
@@ -202,6 +203,7 @@ def description(c: Fitted) -> dict[str, Any]:
         "start": dict(c.start),
         "confounded": [one._asdict() for one in c.confounders],
         "form_factor": c.form_factor if c.form_factor != 1.0 else None,
+        "unfound_spreads": c.unfound_spreads,
         # Of flags that code asks for, code and names, by their words.
         "flag_codes": {str(flag): [flag.code, *flag.of] for flag in flags},
         "nominal_scale": asdict(scale) if (scale := readings.scale) else None,

@@ -301,7 +301,7 @@ class Loop:
             found = last.discovery
             complete = found.nothing_missing if found and gate.ok else None
             *before, last = steps
-            own, used = (with_form(c, complete) for c in (last.calibration, used))
+            own, used = (with_form(c, complete, structures, goal) for c in (last.calibration, used))
             steps = [*before, replace(last, calibration=own)]
         search = search or self.search(complete=not self.stopped, stopped=self.stopped)
         how = {"other_path": _other_path(structures), "search": search, "shares": shares}

@@ -221,7 +221,7 @@ def discover(
             mixed, _ = averaged(last, structures, goal.noise, seed)
             _, used = with_latent(last, mixed, structures, goal)
             complete = missing(library, goal, shut, stopped).nothing_missing
-            return with_form(used, complete)
+            return with_form(used, complete, structures, goal)
 
         best = (*(held.effect(n) for n in found.latent), *found.best)
         return replace(found, best=best, _average=average)

@@ -16,6 +16,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.special import ndtri
 
 from bayescal._calibration.calibration import Calibration
 from bayescal._core import deadline
@@ -27,7 +28,7 @@ from bayescal._inference.laplace import Mode
 from bayescal._inference.method import CHAINS, Draws
 from bayescal._inference.problem import ABSENT
 from bayescal._inference.sampling import weighted_draws
-from bayescal._model.effect import Effect
+from bayescal._model.effect import CENTRAL_95, Effect
 from bayescal._model.model import Model
 from bayescal._model.parameters import Layout
 from bayescal._model.unknowns import Unknowns
@@ -39,6 +40,7 @@ ROUNDS = 6  # of adaptation at most
 # How much more uncertain the expected output is where something is missing from the model that has no formula here: on
 # campaigns whose formulas are none of the catalogue's, 95 % intervals then hold about 95 % (docs/wrong_model.md).
 INCOMPLETE_FACTOR = 2.5
+NORMAL = ndtri((np.arange(200) + 0.5) / 200)  # quantiles of a standard normal variable
 
 
 @dataclass(frozen=True)
@@ -49,15 +51,19 @@ class StructureShare:
     probability: float
 
 
-def with_form(calibration: Calibration, complete: float | None) -> Calibration:
+def with_form(
+    calibration: Calibration, complete: float | None, structures: Structures, at: Structure
+) -> Calibration:
     """Return a calibration that counts what the formulas of its structures do not hold.
 
     With the probability that it is complete its expected output has the variance that draws say, else
     `INCOMPLETE_FACTOR`² times that (model inadequacy: M. Kennedy and A. O'Hagan, J. R. Stat. Soc. B 63 (2001) 425).
+    New runs have the deviations that so few as were fitted leave open, found or not.
 
     Args:
         calibration: of one structure, or averaged over several.
         complete: that probability; None where it is not known, or something speaks against it.
+        structures: that it is of, `at` the most probable.
     """
     known = complete or 0.0
     factor = math.sqrt(known + (1 - known) * INCOMPLETE_FACTOR**2)
@@ -67,7 +73,28 @@ def with_form(calibration: Calibration, complete: float | None) -> Calibration:
         f"counts {factor:.2f} times."
     )
     found = calibration.with_verdict(notes=(*calibration.verdict.notes, said))
-    return replace(found, form_factor=factor)
+    spreads = _of_new_runs(calibration, structures, at)
+    return replace(found, form_factor=factor, unfound_spreads=spreads)
+
+
+def _of_new_runs(
+    calibration: Calibration, structures: Structures, at: Structure
+) -> dict[str, float]:
+    """Return by how much runs may differ where draws lack it, standard deviations that hold 95 %; of each as an effect
+    that is added to `at`."""
+    found, open_to = dict[str, float](), {*at.effects, *structures.open_to(at)}
+    for name, effect in structures.candidates.items():
+        lacking = 1 - calibration.inclusion.get(name, 0.0)
+        if lacking and name in open_to and effect.columns == ("run",):
+            weighed = structures.weigh(at.plus(name))
+            place = weighed.problem.layout.index_in_phi[effect.group_sd_name(0)]
+            sd = np.sqrt(weighed.mode.covariance[place, place])
+            coordinates = weighed.mode.v[place] + sd * NORMAL
+            spread = weighed.problem.hypers[place].prior.value(coordinates)
+            # Of so few runs a large one is improbable, and would be most of a mean square.
+            within = np.quantile(np.abs(np.outer(spread, NORMAL)), 0.95)
+            found[name] = float(np.sqrt(lacking) * within / CENTRAL_95)
+    return {name: size for name, size in found.items() if np.isfinite(size)}
 
 
 _Values = dict[str, np.ndarray]  # draws of each unknown by name, (s,) or (s, members)

@@ -33,7 +33,12 @@ from bayescal._data.unit_conversion import (
 )
 from bayescal._use.compensation_program import PAST, bias_only, clock_note
 from bayescal._use.compensator import Compensator, compensator
-from bayescal._use.operating_equation import ALL_DRAWS, OperatingEquation, posterior_moments
+from bayescal._use.operating_equation import (
+    ALL_DRAWS,
+    OperatingEquation,
+    posterior_moments,
+    unfound_spreads,
+)
 
 REST = "between-group sd, shapes, curvature"
 STRUCTURES = "which effects there are (average over structures)"
@@ -314,9 +319,13 @@ def _by_source(
             if u.kind == "coefficient" and (own := one.shares.get(u.key)):
                 moved += float(slope) * own[known.index[u.name] - known.by_key[u.key].start]
         parts[f"{one.of_column}, not told from the model's own", "B"] = moved**2
+    beside = 0.0
+    for name, (i, size) in unfound_spreads(chosen.equation, calibration).items():
+        parts[f"{name} (new run), not found", "B"] = own = float(gradient[i] * size) ** 2
+        beside += own
     if (lost := 1 - calibration.form_factor**-2) > 0:
         own = gradient * [u.kind != "new" for u in unknowns]
-        parts[FORM, "B"] = lost * float(own @ chosen._moments.covariance @ own)
+        parts[FORM, "B"] = lost * (float(own @ chosen._moments.covariance @ own) - beside)
     rows = sorted(parts.items(), key=lambda p: -p[1])
     rows += [((REST, ""), total - sum(parts.values()))]
     rows += [((STRUCTURES, ""), variance - total)] * bool(unlikely)

@@ -29,7 +29,7 @@ from bayescal._core.inverse import solved
 from bayescal._model.composition import Traced, compose
 from bayescal._model.effect import Basis
 from bayescal._model.frame import Frame
-from bayescal._model.instrument import Instrument, Use
+from bayescal._model.instrument import Instrument, Use, factor_of
 from bayescal._model.parameters import CoefficientBlock, Layout, member_name
 from bayescal._model.terms import terms_of
 from bayescal._use.expression_graph import Graph, NotExportable, Symbol, Symbols
@@ -383,12 +383,32 @@ def posterior_moments(
         spread = spread * calibration.having[term.effect.name]
         mean[i], covariance[i, i] = term.coefficient.mean, float(np.mean(spread**2))
         thin[:, i] = mean[i] + _independent(thin - mean, spread[::step], covariance[i, i], random)
+    for i, size in unfound_spreads(equation, calibration).values():
+        covariance[i, i] += size**2
+        thin[:, i] += _independent(thin - mean, np.full(len(thin), size), size**2, random)
     # A shape moved so may leave its range.
     linear = [i for i, u in enumerate(unknowns) if u.kind != "shape"]
     if step > 1 or calibration.form_factor != 1.0:
         own = mean[linear], covariance[np.ix_(linear, linear)]
         thin[:, linear] = _with_moments(thin[:, linear], *own)
     return PosteriorMoments(thin, mean, covariance)
+
+
+def unfound_spreads(
+    equation: OperatingEquation, calibration: Calibration
+) -> dict[str, tuple[int, float]]:
+    """Return, by effect, deviations of a new run that no draw has, as of a constant: its place in θ, and its unit."""
+    instrument, members = calibration.model.instrument, dict(equation.members)
+    places, found = {u.key: i for i, u in enumerate(equation.unknowns)}, {}
+    for name, size in calibration.unfound_spreads.items():
+        effect = instrument.known[name]
+        c = effect.coefficients[0]
+        for b in equation.blocks:
+            if b.effect.kind == "constant" and b.slot == effect.slot and c.per not in members:
+                size *= factor_of(instrument, effect, c) / b.factor
+                found[name] = places[b.name], size
+                break
+    return found
 
 
 def left_out(

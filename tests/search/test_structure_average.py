@@ -70,6 +70,25 @@ def test_a_prediction_counts_that_the_model_may_lack_what_has_no_formula(
     assert bc.load(average.save(tmp_path / "c.nc")).form_factor == average.form_factor
 
 
+def test_new_runs_have_the_deviations_that_so_few_runs_leave_open(average, tmp_path) -> None:
+    plain = dataclasses.replace(average, unfound_spreads={})
+    size, readings = average.unfound_spreads["bias.run"], average.readings
+    assert 0.001 < size < 0.05
+    both = [bc.predict(c, readings).model_sd for c in (average, plain)]
+    np.testing.assert_allclose(both[0] ** 2 - both[1] ** 2, size**2, rtol=1e-9)
+    known = [bc.predict(c, readings, new_groups=False).model_sd for c in (average, plain)]
+    np.testing.assert_array_equal(*known)
+    assert bc.load(average.save(tmp_path / "c.nc")).unfound_spreads == average.unfound_spreads
+    in_use = [bc.compensator(c) for c in (average, plain)]
+    given = {i.name: i.low for i in in_use[0].inputs}
+    found, plain = (c(output=[20.5, 21.5], **given, warn=False) for c in in_use)
+    wide, narrow = found.uncertainty[0], plain.uncertainty[0]
+    slope = np.diff(found.value)[0]
+    assert wide**2 - narrow**2 == pytest.approx((slope * size) ** 2, rel=0.02)
+    (row,) = (s for s in bc.budget(in_use[0]).sources if s.name == "bias.run (new run), not found")
+    assert row.contribution == pytest.approx(slope * size, rel=0.02)
+
+
 def test_what_a_discovery_fits_is_what_calibrate_uses() -> None:
     readings = mems_gyro.simulate({"bias.thermal_lag": 0.05}, seed=1)
     discovery = bc.discover(bc.fit(mems_gyro.INSTRUMENT.baseline(), readings))
