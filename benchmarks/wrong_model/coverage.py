@@ -136,10 +136,20 @@ def _draws(calibration: bc.Calibration, slot: str, name: str) -> np.ndarray:
 
 
 BANKS = tuple(Bank(f"wrong_model_{name}", partial(cases, name), campaign) for name in WORLDS)
-# Two names of one function to first order.
-ONE: dict[str, str] = {"bias.rate": "bias.thermal_lag", "bias.rate_head": "bias.thermal_lag"} | {
-    "scale.rate_head": "scale.thermal_lag"
+# Two names of one function to first order, and laws without a formula by the family that they are of: play and slow
+# hysteresis turn round, creep and a stretched exponential warm up, a memory is of lags, a saturation of temperature.
+ONE = {
+    **{"rate": "thermal_lag", "rate_head": "thermal_lag", "thermal_lag_slow": "thermal_lag"},
+    **{"play": "hysteresis", "slow_hysteresis": "hysteresis", "memory": "thermal_lag"},
+    **{"creep": "warm_up", "stretched": "warm_up", "saturation": "temperature", "root": "drift"},
 }
+BANDS = ((0.05, 0.25), (0.25, 0.5), (0.5, 0.75), (0.75, 0.95), (0.95, 1.0))
+
+
+def _family(name: str) -> str:
+    """Return the family of an effect, of whatever form."""
+    slot, *cause = name.split(".")
+    return ".".join((slot, *(ONE.get(c, c) for c in cause[:1])))
 
 
 def _output(rows: Rows, which: str, readings: str) -> str:
@@ -156,12 +166,11 @@ def _effects(rows: Rows, low: float, high: float) -> str:
     """Return how often named effects of a stated probability were there."""
     pairs = []
     for row in rows:
-        stated, hidden = dict[str, float](), {ONE.get(e, e) for e in row["hidden"]}
+        stated, hidden = dict[str, float](), set(map(_family, row["hidden"]))
         for name, p in row["inclusion"].items():
-            one = str(ONE.get(name, name))
-            stated[one] = min(1.0, stated.get(one, 0.0) + p)
+            stated[_family(name)] = min(1.0, stated.get(_family(name), 0.0) + p)
         for name, p in row["missing"].items():
-            stated.setdefault(str(ONE.get(name, name)), p)
+            stated.setdefault(_family(name), p)
         pairs += [(p, e in hidden) for e, p in stated.items() if "(" not in e]
     return stated_and_true(pairs, low, high)
 
@@ -171,8 +180,8 @@ def _complete(rows: Rows, low: float, high: float) -> str:
     pairs = [
         (
             row["complete"],
-            {ONE.get(e, e) for e in row["hidden"] if e not in row["unseen"]}
-            <= {ONE.get(e, e) for e in row["final"]},
+            {_family(e) for e in row["hidden"] if e not in row["unseen"]}
+            <= {_family(e) for e in row["final"]},
         )
         for row in rows
         if row["complete"] is not None
@@ -198,7 +207,7 @@ CLAIMS: tuple[Claim, ...] = (
     *(
         (f"{what}, stated {low:g} to {high:g}, true", partial(say, low=low, high=high))
         for what, say in (("an effect is there", _effects), ("complete", _complete))
-        for low, high in ((0.05, 0.5), (0.5, 0.95), (0.95, 1.0))
+        for low, high in BANDS
     ),
 )
 ABOUT = """
