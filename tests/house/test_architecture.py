@@ -258,9 +258,9 @@ CEILINGS = {
     "bayescal/_model": 5_566,
     "bayescal/effects": 660,
     "bayescal/_inference": 6_093,
-    "bayescal/_calibration": 4_847,
-    "bayescal/_use": 3_014,
-    "bayescal/_search": 5_683,
+    "bayescal/_calibration": 4_867,
+    "bayescal/_use": 3_043,
+    "bayescal/_search": 5_710,
     "bayescal/_report": 1_733,
     "bayescal/_cli": 1_784,
     "bayescal/_annexes/fleet": 2_530,
@@ -268,10 +268,10 @@ CEILINGS = {
     "bayescal/_annexes/metrology": 1_717,
     "bayescal/_annexes/workbench": 3_596,
     "models": 8_982,
-    "tests": 25_279,
-    "benchmarks": 10_962,
+    "tests": 25_298,
+    "benchmarks": 10_971,
 }
-WORDS = 53_499  # of docs/, README.md and CHANGELOG.md together
+WORDS = 53_521  # of docs/, README.md and CHANGELOG.md together
 
 
 @pytest.mark.parametrize("part", CEILINGS)

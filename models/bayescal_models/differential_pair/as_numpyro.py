@@ -5,7 +5,7 @@ Each device has a scale factor, a sensitivity to the shared environment, and a d
 What `bc.fit(equal(), readings)` fits. Nothing here is used by the rest: it is to be read, run and changed.
 
     nuts = NUTS(bc.non_centred(model, CENTRED), dense_mass=True, target_accept_prob=0.95)
-    MCMC(nuts, num_warmup=1000, num_samples=2000).run(key, **data(readings))
+    MCMC(nuts, num_warmup=1000, num_samples=4000).run(key, **data(readings))
 
 Output of device k at time t, a the acceleration outward, s = +1 outer and −1 inner (source 3; sizes ours):
 

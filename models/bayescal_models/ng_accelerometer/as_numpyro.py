@@ -5,7 +5,7 @@ Bias and scale factor follow the temperature; the angles of fixture, base and ti
 What `bc.fit(equal(), readings)` fits. Nothing here is used by the rest: it is to be read, run and changed.
 
     nuts = NUTS(bc.non_centred(model), dense_mass=True, target_accept_prob=0.95)
-    MCMC(nuts, num_warmup=1000, num_samples=2000).run(key, **data(readings))
+    MCMC(nuts, num_warmup=1000, num_samples=4000).run(key, **data(readings))
 
 The face of the table is tilted by γ and turned to θ; gravity acts along the input axis as a = g·u·s (source 0), with
 
