@@ -85,17 +85,14 @@ class Part(Record):
     def affine(self) -> tuple[np.ndarray, dict[str, np.ndarray]] | None:
         return self.whole.affine and self._kept(self.whole.affine)
 
-    def several(
-        self, slots: Mapping[str, np.ndarray], moves: Mapping[str, np.ndarray]
-    ) -> Float[np.ndarray, "b n"]:
-        return self.whole.several(self._spread(slots), self._spread(moves))[:, self.rows]
-
-    def _response(self, slots, moves):
-        return self._kept(self.whole._response(self._spread(slots), self._spread(moves)))
+    def respond(
+        self, slots: Mapping[str, np.ndarray], moves: Mapping[str, np.ndarray], sloped: bool = True
+    ) -> tuple[Float[np.ndarray, "*b n"], dict[str, Any]]:
+        return self._kept(self.whole.respond(self._spread(slots), self._spread(moves), sloped))
 
     def _kept(self, of_all: tuple[np.ndarray, Mapping[str, np.ndarray]]):
         values, slopes = of_all
-        return values[self.rows], {name: slope[self.rows] for name, slope in slopes.items()}
+        return values[..., self.rows], {name: s[..., self.rows] for name, s in slopes.items()}
 
     def _spread(self, values: Mapping[str, Any]) -> dict[str, np.ndarray]:
         """The same on the whole record, zero where a reading is not kept."""

@@ -78,7 +78,7 @@ def _moves_it_alone(record: Record, slot: str, output: int) -> bool:
     for _ in range(2):
         at = {name: random.standard_normal(record.size) for name in record.slots}
         if vector is None:
-            slopes = record.response(at, {})[1][slot][:, None]
+            slopes = record.respond(at, {})[1][slot][:, None]
         else:
             acting = random.standard_normal((record.size, 3))
 

@@ -54,19 +54,10 @@ class Host:
         return found[0], {n: slope[0] for n, slope in slopes.items()}
 
     def response(self, slots: dict, moves: dict) -> np.ndarray:
-        every = self._every(slots, moves)
-        return self.record.several(every, moves) if every else self.record.response(slots, moves)[0]
+        return self.record.respond(slots, moves, sloped=False)[0]
 
     def slopes(self, slots: dict, moves: dict) -> tuple[np.ndarray, Mapping[str, np.ndarray]]:
-        every = self._every(slots, moves)
-        return self.record.responses(every, moves) if every else self.record.response(slots, moves)
-
-    def _every(self, slots: dict, moves: dict) -> dict[str, np.ndarray]:
-        """Slots of several draws, those that nothing adds to among them; none where there is one draw."""
-        counts = [len(a) for a in (*slots.values(), *moves.values()) if np.ndim(a) > 1]
-        shape = (max(counts, default=0), self.size)
-        each = self.slots if counts else ()
-        return {name: np.broadcast_to(slots.get(name, 0.0), shape) for name in each}
+        return self.record.respond(slots, moves)
 
 
 @dataclass(eq=False)

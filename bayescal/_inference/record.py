@@ -204,15 +204,20 @@ class Record:
         self._shaped[key] = found
         return found
 
-    def response(
-        self, slots: Mapping[str, np.ndarray], moves: Mapping[str, np.ndarray]
-    ) -> tuple[Float[np.ndarray, "n"], dict[str, Float[np.ndarray, "n"]]]:
-        """Expected output and its slopes by each slot and each moved column."""
+    def respond(
+        self, slots: Mapping[str, np.ndarray], moves: Mapping[str, np.ndarray], sloped: bool = True
+    ) -> tuple[Float[np.ndarray, "*b n"], dict[str, Any]]:
+        """Expected output, and its slopes by each slot and moved column, (n,) or of several draws (b, n) each."""
         if not moves and self.affine is not None:
             base, slopes = self.affine
             return sum((slopes[name] * value for name, value in slots.items()), base), slopes
-        respond = self._response if self._host_affine is None else self._moved
-        return respond(slots, moves)
+        if self._host_affine is not None:
+            return self._moved(slots, moves) if sloped else (self._respond(slots, moves), {})
+        if not any(np.ndim(v) > 1 for v in (*slots.values(), *moves.values())):
+            return self._response(slots, moves)
+        if sloped:
+            return self._together(programs.slopes_of_draws, self._what, slots, moves)
+        return self._together(programs.responses, self.instrument.response, slots, moves), {}
 
     def _respond(self, slots: Mapping[str, Any], moves: Mapping[str, np.ndarray]) -> Any:
         """The response by NumPy, columns of the readings moved."""
@@ -341,8 +346,15 @@ class Record:
             slopes[name] = (up - down) / (2 * h)
         return self.columns_of_draws(effect, values, moves), slopes
 
-    def _together(self, program, what: Any, count: int, *both: Mapping[str, np.ndarray]) -> Any:
-        """What a program gives for `count` draws, some at once; readings are padded, and the last draw repeated."""
+    def _together(
+        self, program, what: Any, slots: Mapping[str, np.ndarray], moves: Mapping[str, np.ndarray]
+    ) -> Any:
+        """What a program gives for several draws, some at once; readings are padded, and the last draw repeated."""
+        count = max(len(v) for v in (*slots.values(), *moves.values()) if np.ndim(v) > 1)
+        every = {name: slots.get(name, 0.0) for name in self.slots}, moves
+        both = [
+            {n: np.broadcast_to(v, (count, self.size)) for n, v in own.items()} for own in every
+        ]
         # Full stretches and half ones: two lengths to compile, whatever the number of draws; and a sixth, where
         # computing is what costs.
         most = max(DRAWS_A_CALL, CALL_NUMBERS // self.padded_size)
@@ -359,29 +371,6 @@ class Record:
             for into, own in zip(*map(jax.tree.leaves, (whole, made)), strict=True):
                 into[start:stop] = np.asarray(own)[: stop - start, : self.size]
         return whole
-
-    def several(
-        self, slots: Mapping[str, np.ndarray], moves: Mapping[str, np.ndarray]
-    ) -> Float[np.ndarray, "b n"]:
-        """Expected outputs of several sets of slots and corrections of columns, (b, n) each."""
-        if not moves and self.affine is not None:
-            base, slopes = self.affine
-            return base + sum(slopes[name] * value for name, value in slots.items())
-        if self._host_affine is not None:
-            return self._respond(slots, moves)
-        count = len(next(iter(slots.values())))
-        return self._together(programs.responses, self.instrument.response, count, slots, moves)
-
-    def responses(
-        self, slots: Mapping[str, np.ndarray], moves: Mapping[str, np.ndarray]
-    ) -> tuple[Float[np.ndarray, "b n"], dict[str, Any]]:
-        """Expected outputs of several draws, and their slopes by each slot and moved column, (b, n) or (n,)."""
-        if self.affine is not None and not moves:
-            return self.several(slots, {}), self.affine[1]
-        if self._host_affine is not None:
-            return self._moved(slots, moves)
-        count = len(next(iter(slots.values())))
-        return self._together(programs.slopes_of_draws, self._what, count, slots, moves)
 
     def longer(self, values: Float[np.ndarray, "... n"]) -> Float[np.ndarray, "... m"]:
         """One number a reading, the last repeated up to the padded length."""
