@@ -41,8 +41,8 @@ class Calibration(Printed, Fitted):
         start: φ by name where its mode was looked for beside the prior draws; empty for most.
         form_factor: on the standard uncertainty of the expected output, for formulas that a search does not have; 1 for
             a fit of a formula that is known.
-        unfound_spreads: standard deviations of what a new run may differ by and no draw has, by the effect that was
-            not found; in the unit of its coefficient.
+        unfound_spreads: standard deviations of new runs that no draw has, by the effect that was not found; in the unit
+            of its coefficient.
     """
 
     def _parts(self) -> list[str | ResultTable]:

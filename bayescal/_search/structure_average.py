@@ -16,7 +16,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.special import ndtri
 
 from bayescal._calibration.calibration import Calibration
 from bayescal._core import deadline
@@ -28,7 +27,7 @@ from bayescal._inference.laplace import Mode
 from bayescal._inference.method import CHAINS, Draws
 from bayescal._inference.problem import ABSENT
 from bayescal._inference.sampling import weighted_draws
-from bayescal._model.effect import CENTRAL_95, Effect
+from bayescal._model.effect import Effect
 from bayescal._model.model import Model
 from bayescal._model.parameters import Layout
 from bayescal._model.unknowns import Unknowns
@@ -40,7 +39,6 @@ ROUNDS = 6  # of adaptation at most
 # How much more uncertain the expected output is where something is missing from the model that has no formula here: on
 # campaigns whose formulas are none of the catalogue's, 95 % intervals then hold about 95 % (docs/wrong_model.md).
 INCOMPLETE_FACTOR = 2.5
-NORMAL = ndtri((np.arange(200) + 0.5) / 200)  # quantiles of a standard normal variable
 
 
 @dataclass(frozen=True)
@@ -80,20 +78,15 @@ def with_form(
 def _of_new_runs(
     calibration: Calibration, structures: Structures, at: Structure
 ) -> dict[str, float]:
-    """Return by how much runs may differ where draws lack it, standard deviations that hold 95 %; of each as an effect
-    that is added to `at`."""
+    """Return by how much runs may as well as not differ where draws lack that, of each such effect added to `at`."""
     found, open_to = dict[str, float](), {*at.effects, *structures.open_to(at)}
     for name, effect in structures.candidates.items():
         lacking = 1 - calibration.inclusion.get(name, 0.0)
         if lacking and name in open_to and effect.columns == ("run",):
             weighed = structures.weigh(at.plus(name))
             place = weighed.problem.layout.index_in_phi[effect.group_sd_name(0)]
-            sd = np.sqrt(weighed.mode.covariance[place, place])
-            coordinates = weighed.mode.v[place] + sd * NORMAL
-            spread = weighed.problem.hypers[place].prior.value(coordinates)
-            # Of so few runs a large one is improbable, and would be most of a mean square.
-            within = np.quantile(np.abs(np.outer(spread, NORMAL)), 0.95)
-            found[name] = float(np.sqrt(lacking) * within / CENTRAL_95)
+            spread = weighed.problem.hypers[place].prior.value(weighed.mode.v[place])
+            found[name] = float(np.sqrt(lacking) * spread)
     return {name: size for name, size in found.items() if np.isfinite(size)}
 
 
