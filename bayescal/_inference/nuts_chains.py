@@ -46,7 +46,7 @@ class Plan(NamedTuple):
         """NumPyro's NUTS of a program or of a `potential_fn`."""
         import numpyro.infer as infer  # half a second that only chains need
 
-        return infer.NUTS(*model, dense_mass=self.dense, target_accept_prob=0.9, **how)
+        return infer.NUTS(*model, dense_mass=self.dense, target_accept_prob=0.95, **how)
 
 
 def run(
