@@ -22,7 +22,7 @@ from bayescal._core.formatting import number
 from bayescal._core.parallel import on_one_thread
 from bayescal._core.settings import settings
 from bayescal._data.dataset_checks import rounding_step
-from bayescal._data.unit_conversion import unit_label
+from bayescal._data.unit_conversion import same_dimension, unit_label
 from bayescal._inference.density import Density
 from bayescal._inference.laplace import across, find_mode, prior_draws
 from bayescal._inference.newton import Nearby
@@ -177,7 +177,7 @@ def _against_priors(subject: Subject, stands: Mapping[str, tuple[float, float]])
         away = abs(where - c.mean) / c.size
         sizes = 1 if effect.name in baseline else CANDIDATE_SIZES
         if away - give / c.size > CONTRADICTED_SD * sizes:
-            cure = "scale" if effect.quantity == "scale" else "zero and scale"
+            cure = "zero and scale" if same_dimension(c.unit, subject.fit.unit) else "scale"
             told = {"where": where, "mean": c.mean, "size": c.size, "unit": c.unit, "away": away}
             told |= {"fall": 0.5 * away**2, "cure": cure if effect.kind == "constant" else "units"}
             yield Claim(PRIOR, u.name, effect.name, **told)

@@ -10,6 +10,7 @@ import math
 import re
 import tomllib
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import MISSING, fields, is_dataclass
 from datetime import date
 from pathlib import Path
@@ -45,13 +46,11 @@ def as_type(value: Any, kind: Any, where: str = "") -> Any:
     if kind is Any:
         return value
     if origin in (Union, UnionType):
-        refused = list[ValueError]()
         for one in args:
-            try:
+            with suppress(ValueError):
                 return as_type(value, one, where)
-            except ValueError as error:
-                refused.append(error)  # that at the deepest place is of the type that was meant
-        raise max(refused, key=lambda error: len(str(error).partition(" is ")[0]))
+        *_, last = (one for one in args if one is not NoneType)
+        return as_type(value, last, where)  # which refuses it
     if origin in (list, tuple):
         each = args if origin is tuple and args[-1] is not ... else None
         if not isinstance(value, list) or (each and len(value) != len(each)):

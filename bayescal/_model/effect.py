@@ -273,11 +273,6 @@ class Effect:
         return "freed" if self.frees else "unnamed" if self.is_placeholder else "named"
 
     @property
-    def quantity(self) -> str:
-        """First word of its slot, such as "scale" of "scale_x"."""
-        return self.slot.partition("_")[0]
-
-    @property
     def open(self) -> bool:
         """Whether its plausible amplitude is to be taken from the readings."""
         return any(s.open for s in self.shapes)

@@ -252,10 +252,10 @@ def test_what_is_offered_beside_an_instrument_is_there(group: str) -> None:
 # Lines of Python that each part may have: lowered by whoever takes lines out, never raised. What needs more room takes
 # it from the same part first.
 CEILINGS = {
-    "bayescal/_core": 2_112,
+    "bayescal/_core": 2_111,
     "bayescal/_tables": 1_619,
     "bayescal/_data": 4_384,
-    "bayescal/_model": 5_566,
+    "bayescal/_model": 5_561,
     "bayescal/effects": 660,
     "bayescal/_inference": 6_093,
     "bayescal/_calibration": 4_867,
