@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import textwrap
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -14,7 +13,7 @@ from bayescal._calibration.judgement import Subject, conflicts, group_conflicts,
 from bayescal._calibration.storage import save
 from bayescal._calibration.summary import null_directions, summary, unknowns_parts
 from bayescal._core.flag import Flag
-from bayescal._core.formatting import WIDTH
+from bayescal._core.formatting import folded
 from bayescal._core.result_table import Printed, ResultTable
 from bayescal._model.model import in_short
 
@@ -61,7 +60,7 @@ class Calibration(Printed, Fitted):
             *(f"conflict: {words}" for words in self.conflicts),
             *(f"not reliable: {words}" for words in further),
         ]
-        return "\n".join(textwrap.fill(line, WIDTH) for line in lines)
+        return "\n".join(folded(line, "") for line in lines)
 
     def _brief(self) -> str:
         verdict = "converged" if self.verdict.ok else "NOT converged"

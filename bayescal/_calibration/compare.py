@@ -6,7 +6,6 @@ Sources: Vehtari, Gelman & Gabry, Stat. Comput. 27 (2017) 1413 (PSIS-LOO); Yao e
 
 from __future__ import annotations
 
-import textwrap
 import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields
@@ -18,7 +17,7 @@ from bayescal._calibration.calibration import Calibration
 from bayescal._calibration.leave_group_out import LeaveOneGroupOut, leave_one_group_out, scheme
 from bayescal._calibration.predict import predict
 from bayescal._core.errors import InputError
-from bayescal._core.formatting import WIDTH, number
+from bayescal._core.formatting import folded, number
 from bayescal._core.importance_weights import stacking
 from bayescal._core.result_table import Printed, ResultTable, TableColumn
 from bayescal._core.settings import settings
@@ -90,7 +89,7 @@ class Comparison(Printed):
         count = f" ({self.groups} of them)" if self.chosen_by == BY_GROUPS else ""
         shown = ResultTable(columns, [vars(r) for r in self.rows])
         said = [f"the best first, by {self.chosen_by}{count}"]
-        return [shown, *said, *(textwrap.fill(w, WIDTH) for w in self.warnings)]
+        return [shown, *said, *(folded(w, "") for w in self.warnings)]
 
     def _brief(self) -> str:
         return f"{', '.join(repr(r.name) for r in self.rows)}, the best first by {self.chosen_by}"

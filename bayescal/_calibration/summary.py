@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import textwrap
 from collections.abc import Collection, Mapping, Sequence
 from typing import Any
 
@@ -13,7 +12,7 @@ from bayescal._calibration.claim import Claim
 from bayescal._calibration.confounding import stand_alone
 from bayescal._calibration.fitted import Fitted
 from bayescal._core import null_space
-from bayescal._core.formatting import WIDTH, interval, number, probability, with_error
+from bayescal._core.formatting import folded, interval, number, probability, with_error
 from bayescal._core.result_table import ResultTable, plain_table
 from bayescal._data.unit_conversion import unit_label
 from bayescal._inference.linear_model import LinearModel
@@ -65,7 +64,7 @@ def unknowns_parts(
     given = {s["name"]: if_there(s) for s in summary(calibration)[0] if s["name"] in rows}
     if said := ", ".join(f"{name} {value}" for name, value in given.items() if value):
         lines.append(f"if it is there: {said}")
-    return [shown, *(textwrap.fill(line, WIDTH) for line in lines)]
+    return [shown, *(folded(line, "") for line in lines)]
 
 
 def if_there(row: dict[str, Any], times: float = 1.0) -> str:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import textwrap
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -13,7 +12,7 @@ from bayescal._calibration.claim import Claim
 from bayescal._calibration.predict import Prediction
 from bayescal._calibration.summary import directions_data, summary, unknowns_parts
 from bayescal._core import progress
-from bayescal._core.formatting import WIDTH, number, probability
+from bayescal._core.formatting import folded, number, probability
 from bayescal._core.result_table import plain_table
 from bayescal._core.settings import settings
 from bayescal._data.measurements import Measurements
@@ -58,7 +57,7 @@ def instrument_shown(one: Instrument) -> tuple[str, dict[str, Any]]:
         f"looked for beside them: {', '.join(candidates)}",
         f"what each of them is: bayescal effects --instrument {one.name}",
     ]
-    title, *rest = map(filled, said)
+    title, *rest = map(folded, said)
     table = plain_table(["column", "unit", "", "meaning"], rows, left=4, fold=60)
     data = {**_about(one), "columns": columns, "baseline": baseline, "candidates": candidates}
     return "\n\n".join([title, str(table), "\n".join(rest)]), data
@@ -81,7 +80,7 @@ def effects_listed(kinds: Mapping[str, Sequence[Effect]]) -> tuple[str, list[dic
         if rows:
             head = [kind, "plausible size", "needs", "equation"]
             parts.append(str(plain_table(head, rows, left=3, fold=42)))
-    sources = (filled(f"{source}: {', '.join(names)}") for source, names in by_source.items())
+    sources = (folded(f"{source}: {', '.join(names)}") for source, names in by_source.items())
     return "\n\n".join([*parts, "\n".join(["sources", *sources])]), data
 
 
@@ -138,7 +137,7 @@ def search_shown(found: SearchPath | Channels, as_data: bool, **how: Any) -> Any
     """Return what `calibrate` prints of what it found: JSON data, or text."""
     if isinstance(found, SearchPath):
         return result(found) if as_data else loop_text(found, **how)
-    said = (filled(f"{name}: {trail.in_short}") for name, trail in found.trails.items())
+    said = (folded(f"{name}: {trail.in_short}") for name, trail in found.trails.items())
     return channels_data(found) if as_data else "\n".join([f"{found}\n\nIN SHORT\n", *said])
 
 
@@ -154,7 +153,7 @@ def loop_text(trail: SearchPath, begun: bool = False, verbose: bool = False) -> 
     parts = [""] if begun else [first_text(trail, verbose)]
     if final.discovery and (sets := final.discovery.equivalent):
         lines = [f"{one.of[0]} and {' + '.join(one.numbers['beside'])}" for one in sets]
-        parts.append(_headed("WHAT THESE READINGS CANNOT TELL APART", *map(filled, lines)))
+        parts.append(_headed("WHAT THESE READINGS CANNOT TELL APART", *map(folded, lines)))
     for i, step in enumerate(trail.steps if verbose else ()):
         head = f"WHAT IS MISSING FROM STEP {i} ({step.title})"
         parts.append(_headed(head, step.discovery or _not_asked(step)))
@@ -163,17 +162,12 @@ def loop_text(trail: SearchPath, begun: bool = False, verbose: bool = False) -> 
         head = f"A FIRST DRAFT OF AN EFFECT IN PLACE OF {name} (edit it, give it with --effects)"
         parts.append(_headed(head, draft_effect(final.calibration, name)))
     said = [] if verbose else _missing_lines(trail)
-    said += [filled(f"end: {trail.ending}")] if trail.ending else []
+    said += [folded(f"end: {trail.ending}")] if trail.ending else []
     parts.append(_headed("THE ERROR, STEP BY STEP", trail, *said))
-    said = [averaged_text(trail, verbose), filled(f"gate: {trail.gate.reason}")]
+    said = [averaged_text(trail, verbose), folded(f"gate: {trail.gate.reason}")]
     parts.append(_headed("COEFFICIENTS", coefficients_text(trail, verbose), *filter(None, said)))
-    parts.append(_headed("IN SHORT", textwrap.fill(trail.in_short, WIDTH)))
+    parts.append(_headed("IN SHORT", folded(trail.in_short, "")))
     return "\n\n".join(parts).removeprefix("\n")
-
-
-def filled(line: str) -> str:
-    """A line folded to the page."""
-    return textwrap.fill(line, WIDTH, subsequent_indent="  ")
 
 
 def coefficients_text(trail: SearchPath, verbose: bool = False) -> str:
@@ -194,7 +188,7 @@ def averaged_text(trail: SearchPath, verbose: bool = False) -> str:
     if (more := len(each) - SHOWN_STRUCTURES) > 1:
         each[SHOWN_STRUCTURES:] = [(f"{more} others", sum(p for _, p in each[SHOWN_STRUCTURES:]))]
     named = ", ".join(f"{name} {probability(p)}" for name, p in each)
-    return filled(f"averaged over {named}; --structure best uses the first alone")
+    return folded(f"averaged over {named}; --structure best uses the first alone")
 
 
 def _not_asked(step: Step) -> str:
@@ -220,7 +214,7 @@ def _missing_lines(trail: SearchPath) -> list[str]:
             if tuple(s.effects) not in found_alone
         ]
         lines += [f"missing from step {i}: {'; '.join(said)}"] if said else []
-    return [filled(line) for line in (*lines, *(f"unit? {words}" for words in asked))]
+    return [folded(line) for line in (*lines, *(f"unit? {words}" for words in asked))]
 
 
 def write_prediction(prediction: Prediction, readings: Measurements, path: Path) -> None:

@@ -2,9 +2,15 @@
 
 from __future__ import annotations
 
+import textwrap
 from math import floor, log10
 
 WIDTH = 110  # columns that a table or a sentence should fit in
+
+
+def folded(line: str, indent: str = "  ") -> str:
+    """Fold a line to the page."""
+    return textwrap.fill(line, WIDTH, subsequent_indent=indent)
 
 
 def number(value: float | None, digits: int = 3) -> str:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import textwrap
 from collections.abc import Callable, Collection, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
@@ -17,7 +16,7 @@ from bayescal._calibration.fit import fit
 from bayescal._calibration.sensor_noise import SHOWN_PROBABILITY
 from bayescal._core import deadline
 from bayescal._core.errors import InputError, ModelError
-from bayescal._core.formatting import WIDTH, number, probability, with_error
+from bayescal._core.formatting import folded, number, probability, with_error
 from bayescal._core.result_table import Printed, ResultTable, TableColumn
 from bayescal._data.measurements import Measurements
 from bayescal._data.unit_conversion import unit_label
@@ -151,20 +150,20 @@ class Discovery(Printed):
 
     def _parts(self) -> list[str | ResultTable]:
         """What is missing, and every candidate, the most probable first."""
-        lines: list[str | ResultTable] = [_folded(one) for one in self.equivalent]
+        lines: list[str | ResultTable] = [folded(one) for one in self.equivalent]
         lines += _findings(self)
         if self.noise:
             shown = [n for n in self.noise if n.probability >= SHOWN_PROBABILITY]
-            lines.append(_folded(f"noise law (probability): {', '.join(map(str, shown))}"))
-        lines += [self.stopped, *(textwrap.fill(f"unit? {w}", WIDTH) for w in self.off_scale)]
+            lines.append(folded(f"noise law (probability): {', '.join(map(str, shown))}"))
+        lines += [self.stopped, *(folded(f"unit? {w}", "") for w in self.off_scale)]
         everyone = [vars(c) for c in self.candidates]
         shown = candidates_table(everyone)
         lines += [shown] if shown.rows else []
         if any(c["source"] == "refit" for c in shown.rows):
             lines.append("* log Bayes factor by refit; the others by score")
-        lines += [_folded(f"confounded: {', '.join(group)}") for group in confounded(everyone)]
+        lines += [folded(f"confounded: {', '.join(group)}") for group in confounded(everyone)]
         by_reason = not_tested(everyone).items()
-        lines += [_folded(f"not testable, {why}: {', '.join(names)}") for why, names in by_reason]
+        lines += [folded(f"not testable, {why}: {', '.join(names)}") for why, names in by_reason]
         return [line for line in lines if line]
 
     def _brief(self) -> str:
@@ -449,10 +448,6 @@ def candidates_table(candidates: Sequence[Mapping[str, Any]]) -> ResultTable:
 def is_quiet(c: Mapping[str, Any]) -> bool:
     """Whether a candidate is an unknown dependence without evidence, which gets no line and no bar."""
     return c["role"] == "unnamed" and c["kind"] in (None, "not visible")
-
-
-def _folded(line: str) -> str:
-    return textwrap.fill(line, WIDTH, subsequent_indent="  ")
 
 
 def confounded(candidates: Sequence[Mapping[str, Any]]) -> list[tuple[str, ...]]:
