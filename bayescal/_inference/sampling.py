@@ -16,7 +16,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Float
-from scipy.special import gammaln, logsumexp, softmax
+from scipy.special import gammaln, logsumexp, ndtr, ndtri, softmax
 
 from bayescal._core import deadline
 from bayescal._core.importance_weights import Corrections, effective_size, smoothed
@@ -40,9 +40,13 @@ ROUNDS_OF_FEW = 4  # at most, of a density that costs little
 KERNELS = 256  # draws of the round before, around each of which the next one proposes;
 FEWEST_KERNELS = 128  # in a few dimensions
 KERNEL = 0.7  # width of each, in standard deviations of φ: so wide that the mixture is heavier than what it follows
-LONGEST_AXIS_RATIO = 4.0  # times that an axis of the Laplace fit is lengthened at most
+# Times the Laplace fit's, that the density is wide along an axis to either side, at least and at most.
+AXIS_RATIOS = 0.25, 4.0
 WIDE_RATIO = 1.7  # last component: wider than the Laplace fit, against tails that are heavier
 PRIOR = 0.2  # share of proposals from the prior, so that no weight exceeds likelihood over 0.2 times evidence
+# Where each costs a pass over the readings: the same, and the share of the wide component. Of φ with ten entries no
+# draw of either counts.
+COSTLY_PRIOR, COSTLY_WIDE = 0.05, 0.05
 # Share of the proposals that their weights are worth where no further round would raise it.
 ADAPTED = 0.5
 NUMBERS = 1_000_000  # in what is computed at once, to bound memory,
@@ -55,7 +59,8 @@ NEGLIGIBLE = 40.0  # below the largest log weight, from which a draw counts noth
 COSTLY_READINGS = 1000  # readings, from which on a pass over them costs
 PROPOSALS, FEWER_PROPOSALS, FEWEST_PROPOSALS = 8192, 4096, 2048  # by what each costs,
 # And at least where a structure is part of an average, if each costs little; if each costs a pass.
-OF_A_PART, COSTLY_OF_A_PART = 128, 32
+OF_A_PART, COSTLY_OF_A_PART = 128, 64
+COSTLY_STEPS = 4  # in which costly proposals are drawn; half of them at least
 # Share of an average from which on uneven weights of a structure are worth another climb.
 LARGE_SHARE = 0.1
 
@@ -74,56 +79,68 @@ class WeightedDraws(NamedTuple):
 
 
 class Mixture(NamedTuple):
-    """Student-t components: equally likely ones of one shape, and a wide one with the rest of the probability."""
+    """Student-t components: equally likely ones of one shape, and one beside them with the rest of the probability.
+
+    That one has, along each of its axes, a width for either side (split normal: G. Fechner 1897; in as many dimensions
+    M. Villani and R. Larsson, Commun. Stat. 35 (2006) 1123).
+    """
 
     centre: Float[np.ndarray, "m d"]
     chol: Float[np.ndarray, "d d"]
     middle: Float[np.ndarray, "d"]
-    wide: Float[np.ndarray, "d d"]
-    share: float  # of the wide one
+    axes: Float[np.ndarray, "d d"]  # of the one beside, in columns
+    share: float  # of the one beside
+    sides: tuple[Any, Any] = (1.0, 1.0)  # widths down and up each axis, of the axes
+    freedom: float = FREEDOM
 
     def draw(self, random: np.random.Generator, count: int) -> Float[np.ndarray, "s d"]:
         dim = self.centre.shape[1]
         # Multivariate Student-t: a normal vector times √(ν/χ²_ν), one factor for all its coordinates.
-        heavy = np.sqrt(FREEDOM / random.chisquare(FREEDOM, count))
-        normal = random.standard_normal((count, dim)) * heavy[:, None]
+        heavy = np.sqrt(self.freedom / random.chisquare(self.freedom, count))[:, None]
+        normal = random.standard_normal((count, dim))
         which = random.integers(len(self.centre), size=count)
         apart = random.random(count) < self.share
-        narrow = self.centre[which] + normal @ self.chol.T
-        return np.where(apart[:, None], self.middle + normal @ self.wide.T, narrow)
+        narrow = self.centre[which] + heavy * normal @ self.chol.T
+        # A side is as likely as it is wide: by the quantiles of a normal number.
+        down, up = self.sides
+        below = down * ndtri(np.minimum(ndtr(normal) * (down + up) / (2 * down), 0.5))
+        above = -up * ndtri(np.minimum(ndtr(-normal) * (down + up) / (2 * up), 0.5))
+        return np.where(apart[:, None], self.middle + heavy * (below + above) @ self.axes.T, narrow)
 
     def log_density(self, v: Float[np.ndarray, "s d"]) -> Float[np.ndarray, "s"]:
         dim = self.centre.shape[1]
-        half = 0.5 * (FREEDOM + dim)
+        freedom, half = self.freedom, 0.5 * (self.freedom + dim)
         # Its density: Γ((ν+d)/2)/(Γ(ν/2)·(νπ)^(d/2)·|L|)·(1 + |L⁻¹(v − c)|²/ν)^(−(ν+d)/2), summed over the centres c.
-        norm = gammaln(half) - gammaln(0.5 * FREEDOM) - 0.5 * dim * math.log(FREEDOM * math.pi)
+        norm = gammaln(half) - gammaln(0.5 * freedom) - 0.5 * dim * math.log(freedom * math.pi)
         centres, counts = np.unique(self.centre, axis=0, return_counts=True)
         # |z − c|² = |z|² − 2·zᵀc + |c|²: distances to all centres are one product of matrices. Counted from the
         # middle these are numbers of order one, and no digits cancel. Resampled centres repeat.
         z, c = _whitened(self.chol, v - self.middle), _whitened(self.chol, centres - self.middle)
-        c, beside = c.T * (-2 / FREEDOM), 1 + np.sum(c**2, axis=1) / FREEDOM
+        c, beside = c.T * (-2 / freedom), 1 + np.sum(c**2, axis=1) / freedom
         near = np.empty(len(v))
         for start in range(0, len(v), DISTANCES_TOGETHER):  # so many that they stay in the cache
             one = z[start : start + DISTANCES_TOGETHER]
             heavy = one @ c
             heavy += beside
-            heavy += np.sum(one**2, axis=1)[:, None] / FREEDOM
+            heavy += np.sum(one**2, axis=1)[:, None] / freedom
             np.log(np.maximum(heavy, 1.0, out=heavy), out=heavy)
             heavy *= -half
             near[start : start + DISTANCES_TOGETHER] = np.exp(heavy, out=heavy) @ counts
-        # Far away the sum may be zero: there the wide component counts.
+        # Far away the sum may be zero: there the component beside counts.
         narrow = np.log(near / len(self.centre) + 1e-300) - _log_volume(self.chol)
-        apart = np.sum(_whitened(self.wide, v - self.middle) ** 2, axis=1)
-        wide = -half * np.log1p(apart / FREEDOM) - _log_volume(self.wide)
-        return norm + np.logaddexp(narrow + math.log1p(-self.share), wide + math.log(self.share))
+        down, up = self.sides
+        z = _whitened(self.axes, v - self.middle)
+        apart = -half * np.log1p(np.sum((z / np.where(z < 0, down, up)) ** 2, axis=1) / freedom)
+        apart -= _log_volume(self.axes) + np.sum(np.log(0.5 * (down + up) * np.ones(dim)))
+        return norm + np.logaddexp(narrow + math.log1p(-self.share), apart + math.log(self.share))
 
 
 def _whitened(chol: np.ndarray, v: np.ndarray) -> np.ndarray:
     return np.linalg.solve(chol, v.T).T if chol.size else v
 
 
-def _log_volume(chol: np.ndarray) -> float:
-    return float(np.sum(np.log(np.diag(chol))))
+def _log_volume(axes: np.ndarray) -> float:
+    return float(np.linalg.slogdet(axes)[1])
 
 
 class ManyPhi:
@@ -184,10 +201,11 @@ def _sum(log_marginal: np.ndarray, prior: np.ndarray) -> np.ndarray:
 
 
 class PriorShare(NamedTuple):
-    """Proper prior of the coordinates, that a share of the proposals is drawn from."""
+    """Proper prior of the coordinates, and the share of the proposals that is drawn from it."""
 
     draw: Callable[[np.random.Generator, int], Float[np.ndarray, "s d"]]
     log_density: Callable[[Float[np.ndarray, "s d"]], Float[np.ndarray, "s"]]
+    share: float = PRIOR
 
 
 def adapted(
@@ -222,7 +240,7 @@ def adapted(
         if np.max(there) > higher or effective_size(softmax(log_weight)) > ADAPTED * len(v):
             break
         tried.add(mixture, v, log_proposal, _Placed(v, there, np.zeros((len(v), 0)), there))
-        mixture = _match(mode, tried.all.v, tried.log_weight)
+        mixture = _match(mixture, mode, tried.all.v, tried.log_weight)
         if k + 1 >= USUAL_ROUNDS and smoothed(log_weight)[1] <= K_HAT:
             break
     return mixture
@@ -324,8 +342,10 @@ def weighted_draws(
     """
     # Further draws have random numbers of their own: the same ones again would tell nothing.
     random = np.random.default_rng(seed if earlier is None else [seed, len(earlier.v)])
-    density = ManyPhi(problem, mode)
-    share, above = prior_share([h.prior for h in problem.hypers], problem.log_priors), HIGHER_NATS
+    density, above = ManyPhi(problem, mode), HIGHER_NATS
+    share = prior_share([h.prior for h in problem.hypers], problem.log_priors)
+    if share is not None and density.table is None:
+        share = share._replace(share=COSTLY_PRIOR)
     heavy = heavy or not problem.noise.gaussian
     known = None if earlier is None else earlier.rounds
     while True:
@@ -333,7 +353,8 @@ def weighted_draws(
         count = proposals or max(least, round(part * proposals_of(density)))
         higher = float(density.mode.log_density) + above
         pool = Rounds(share) if known is None else known
-        _fill(pool, density, random, count, rounds, heavy, higher)
+        enough = proposals or count // 2, part * settings().effective_draws
+        _fill(pool, density, random, count, rounds, heavy, enough, higher)
         found, start = None, density.top
         if density.highest <= higher:
             found = pool.drawn(density.mode)
@@ -352,20 +373,22 @@ def weighted_draws(
             above, known = math.inf, None
 
 
-def _as_wide_as_it_is(density: ManyPhi) -> Float[np.ndarray, "d d"]:
-    """The covariance of the Gaussian fit at the mode, each principal axis as wide as the density falls along it.
+def _as_wide_as_it_is(density: ManyPhi) -> Mixture:
+    """Return the Gaussian fit at the mode, each half of each principal axis as wide as the density falls along it.
 
     A curvature tells of the top alone. Two standard deviations away a Gaussian has lost two nats; where the density has
-    lost less, on either side, the axis is made as long as that says.
+    lost less or more, that side is as much longer or shorter. In many dimensions draws of few degrees of freedom would
+    mostly lie off the shell that the density has: there are as many more as dimensions.
     Source: H. Rue, S. Martino and N. Chopin, J. R. Stat. Soc. B 71 (2009) 319, §6.5 (axes explored for INLA).
     """
     mode, dim = density.mode, len(density.mode.v)
     weights, vectors = np.linalg.eigh(mode.covariance)
     axes = vectors * np.sqrt(weights)
-    ends = mode.v + np.concatenate([2 * axes.T, -2 * axes.T])
-    lost = float(mode.log_density) - density.values(ends).reshape(2, dim).max(axis=0)
-    axes *= np.clip(np.sqrt(2 / np.maximum(lost, 1e-9)), 1.0, LONGEST_AXIS_RATIO)
-    return axes @ axes.T
+    ends = mode.v + np.concatenate([-2 * axes.T, 2 * axes.T])
+    lost = np.maximum(float(mode.log_density) - density.values(ends).reshape(2, dim), 1e-9)
+    down, up = np.clip(np.sqrt(2 / lost), *AXIS_RATIOS)
+    wide = WIDE_RATIO * np.linalg.cholesky(mode.covariance)
+    return Mixture(mode.v[None], wide, mode.v, axes, 1 - COSTLY_WIDE, (down, up), FREEDOM + dim)
 
 
 def _fill(
@@ -375,41 +398,39 @@ def _fill(
     count: int,
     rounds: int,
     heavy: bool,
+    enough: tuple[int, float],
     higher: float,
 ) -> None:
     """Add so many draws to a pool; more, as long as they are unsound, where none is thrown away.
 
-    Ends early where a draw lies higher than the mode may.
+    Where each costs a pass over the readings, `enough` in the pool will do: so many, and so many effective. Ends early
+    where a draw lies higher than the mode may.
     """
     mode, prior, first = density.mode, pool.prior, not pool.mixtures
-    direct = density.table is None
-    if direct and len(mode.v):
-        mode = mode._replace(covariance=_as_wide_as_it_is(density))
+    direct = density.table is None and len(mode.v) > 0
     if not first:
-        mixture = _match(mode, pool.all.v, pool.log_weight)
+        mixture = _match(pool.mixtures[0], mode, pool.all.v, pool.log_weight)
     elif direct:
-        mixture = around_mode(mode.v, mode.covariance)
+        mixture = _as_wide_as_it_is(density)
     else:
         args = density.values, prior, random, count // 2, rounds, higher
         mixture = adapted(mode, *args)
-    # Where each φ costs a pass over the readings, what is drawn while adapting counts too.
-    halves = 2 if direct else 1
-    most = max(halves, rounds if direct and first and len(mode.v) else 0)
+    steps = COSTLY_STEPS if direct else 1
+    # What is drawn while adapting counts too.
+    most = max(steps, 2 * rounds if direct and first else 0)
     for k in range(1, most + 1):
         if density.highest > higher:
             break
-        v, log_proposal = propose(mixture, prior, random, count // halves)
+        v, log_proposal = propose(mixture, prior, random, -(-count // steps))
         new = _placed(density, pool.judged, v, log_proposal, heavy, random)
         pool.add(mixture, v, log_proposal, new)
-        if k == most or not len(mode.v):
+        if k == most or len(pool.all.v) < enough[0]:
             continue
-        log_weight = pool.log_weight
-        if k >= halves:
-            weights, k_hat = smoothed(log_weight)
-            enough = min(settings().effective_draws, count // 4)
-            if k_hat <= K_HAT and effective_size(weights) >= enough:
-                break
-        mixture = _match(mode, pool.all.v, log_weight)
+        weights, k_hat = smoothed(log_weight := pool.log_weight)
+        if k_hat <= K_HAT and effective_size(weights) >= enough[1]:
+            break
+        if k >= steps:
+            mixture = _match(pool.mixtures[0], mode, pool.all.v, log_weight)
 
 
 def proposals_of(density: ManyPhi) -> int:
@@ -484,7 +505,7 @@ def propose(
     # A defensive share of the prior: no weight exceeds the likelihood over that share, however narrow the rest has
     # become (T. Hesterberg, Technometrics 37 (1995) 185).
     if prior is not None:
-        v = np.where(random.random((count, 1)) < PRIOR, prior.draw(random, count), v)
+        v = np.where(random.random((count, 1)) < prior.share, prior.draw(random, count), v)
     return v, _log_proposal(mixture, prior, v)
 
 
@@ -494,8 +515,8 @@ def _log_proposal(
     """Log density of what `propose` draws."""
     if prior is None:
         return mixture.log_density(v)
-    parts = math.log1p(-PRIOR) + mixture.log_density(v), math.log(PRIOR) + prior.log_density(v)
-    return np.logaddexp(*parts)
+    near, share = mixture.log_density(v), prior.share
+    return np.logaddexp(math.log1p(-share) + near, math.log(share) + prior.log_density(v))
 
 
 def prior_share(priors: Sequence[Any], log_density: Values) -> PriorShare | None:
@@ -523,8 +544,11 @@ def around_mode(v: Float[np.ndarray, "d"], covariance: Float[np.ndarray, "d d"])
     return Mixture(v[None], chol, v, WIDE_RATIO * chol, 0.4)
 
 
-def _match(mode: Mode, v: np.ndarray, log_weight: np.ndarray) -> Mixture:
-    """The next mixture: around the weighted draws, as wide as the Laplace fit where few of them count."""
+def _match(before: Mixture, mode: Mode, v: np.ndarray, log_weight: np.ndarray) -> Mixture:
+    """The next mixture: around the weighted draws, as wide as the Laplace fit where few of them count.
+
+    Of costly draws the first mixture stays beside them, with a share that is as large as few of them count.
+    """
     weight = softmax(log_weight)
     weight = np.minimum(weight, 1 / math.sqrt(weight.size))  # truncation, Ionides 2008
     weight = weight / np.sum(weight)
@@ -535,13 +559,15 @@ def _match(mode: Mode, v: np.ndarray, log_weight: np.ndarray) -> Mixture:
     mean = weight @ v
     spread = (weight[:, None] * (v - mean)).T @ (v - mean)
     covariance = trust * spread + (1 - trust) * mode.covariance
-    chol = np.linalg.cholesky(covariance + 1e-10 * np.eye(v.shape[1]))
+    chol = KERNEL * np.linalg.cholesky(covariance + 1e-10 * np.eye(v.shape[1]))
     kernels = FEWEST_KERNELS if v.shape[1] <= 3 else KERNELS
     # Systematic resampling without its random number: the centres stand at equal steps of the cumulated weights.
     ladder = (np.arange(kernels) + 0.5) / kernels
     pick = np.minimum(np.searchsorted(np.cumsum(weight), ladder), weight.size - 1)
+    if before.freedom > FREEDOM:
+        return before._replace(centre=v[pick], chol=chol, share=max(0.1, 1 - trust))
     wide = WIDE_RATIO * np.linalg.cholesky(mode.covariance)
-    return Mixture(v[pick], KERNEL * chol, mode.v, wide, 0.1)
+    return Mixture(v[pick], chol, mode.v, wide, 0.1)
 
 
 def importance_draws(
