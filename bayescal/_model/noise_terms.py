@@ -349,14 +349,18 @@ class ToneTerm(NoiseTerm):
         excess = _excess(left[rows], window, moves=z is not None)
         place = np.zeros(len(rows)) if z is None else z[rows].mean(axis=1)
         slopes = np.linspace(-1, 1, 4 * GRID + 1) if z is not None else np.zeros(1)
-        count, each, best = FINE * WINDOW, np.arange(len(rows)), (-math.inf, 0.0, 0.0, 0.0)
-        middles = np.arange(1, count // 2) / count
-        # Along a window the frequency hardly moves: its bin is that at the window's mean z, folded at Nyquist's.
+        count, best = FINE * WINDOW, (-math.inf, 0.0, 0.0, 0.0)
+        middles = np.arange(1, count // 2)
+        # Around the circle of frequencies, whose second half is the first one's mirror image.
+        circle = np.minimum(excess, LOUDEST)
+        circle = np.concatenate([circle, circle[:, -2:0:-1]], axis=1)
+        circle = np.concatenate([circle, circle], axis=1)
+        at = middles[:, None] + circle.shape[1] * np.arange(len(rows))
+        # Along a window the frequency hardly moves: its bin is that at the window's mean z.
         for a, b in itertools.product(slopes, slopes[::2] / 2):
-            turns = (middles[:, None] + a * place + b * place**2) % 1.0
-            bins = np.rint(np.minimum(turns, 1 - turns) * count).astype(int)
-            totals = np.mean(np.minimum(excess[each, bins], LOUDEST), axis=1)
-            best = max(best, (float(totals.max()), float(middles[np.argmax(totals)]), a, b))
+            turns = np.rint(count * (a * place + b * place**2)).astype(int) % count
+            totals = np.mean(circle.ravel()[at + turns], axis=1)
+            best = max(best, (float(totals.max()), float(middles[np.argmax(totals)] / count), a, b))
         level, middle, a, b = best
         # Differences of neighbours have √2 of the standard deviation, and 0.6745 of it as median absolute value.
         noise = float(np.median(np.abs(np.diff(left)[even[1:]]))) / (0.6745 * math.sqrt(2))
