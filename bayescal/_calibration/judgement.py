@@ -353,7 +353,9 @@ def doubts_of_the_mode(fit: Fitted) -> list[Claim]:
         return np.abs(v - mode.v)[shapes] > APART_SD * sd[shapes]
 
     density = Density(problem, mode.x, mode.flat, mode.v)
-    tried = np.concatenate([prior_draws(problem), *across(problem, mode.v)])
+    # What is no shape begins where it is: a hill has other shapes, and no climb from an unlikely noise is needed.
+    drawn = np.where(np.isin(np.arange(len(sd)), shapes), prior_draws(problem), mode.v)
+    tried = np.concatenate([drawn, *across(problem, mode.v)])
     starts = [v for v in tried if far(v).any()] if shapes else []
     near = Nearby(mode.v, np.linalg.pinv(mode.covariance))
     for start in np.array(starts)[np.argsort(-density.values(np.array(starts)))[:STARTS_TRIED]]:

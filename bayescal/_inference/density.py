@@ -123,9 +123,12 @@ class Density(ByValues):
             parts = range(0, len(vs), self._together)
             made = [self._about_modes(vs[i : i + self._together]) for i in parts]
             return Gram(*map(np.concatenate, zip(*made, strict=True)))
-        pairs = (self._table(v, problem.hyper(v)) for v in vs)
+        # Spreads of groups are the prior's alone: φ that differ by these have the same products.
+        acts = [k != "group_sd" or i in problem.moving for i, k in enumerate(problem.kinds)]
+        _, first, which = np.unique(vs[:, acts], axis=0, return_index=True, return_inverse=True)
+        pairs = (self._table(v, problem.hyper(v)) for v in vs[first])
         made = [Gram.of(white.T @ white, logdet) for white, logdet in both_of_several(pairs)]
-        return Gram(*(np.stack([np.asarray(g[i]) for g in made]) for i in range(4)))
+        return Gram(*(np.stack([np.asarray(g[i]) for g in made])[which.ravel()] for i in range(4)))
 
     def _about_modes(self, vs: Float[np.ndarray, "b d"]) -> Gram:
         """The products that stand for a law that is not Gaussian: of the quadratic about the mode of x given each φ.
