@@ -69,12 +69,12 @@ def confounders(
 ) -> tuple[Confounder, ...]:
     """Of columns of no known cause, and of rounded ones (step, slope of the output by it), those that add a fifth or
     more to the standard uncertainty of a coefficient of a model."""
-    layout, line = linear.problem.layout, linear.line
-    main = stand_alone(layout)
-    if not main.any():
+    layout, sd = linear.problem.layout, linear.sd
+    main = np.flatnonzero(stand_alone(layout))
+    if not len(main):
         return ()
-    x = linear.mode.x - linear.problem.mean_of_x
-    size = SIZE * float(np.std(line.jacobian[:, main] @ x[main]))
+    x = (linear.mode.x - linear.problem.mean_of_x)[main] / np.where(sd > 0, sd, 1.0)[main]
+    size = SIZE * float(np.std(linear.nuisance[:, main] @ x))
     # Something unknown would add to the first slot in the output's unit, of three axes to each axis' own.
     instrument = layout.model.instrument
     slots = [s.name for s in instrument.slots if s.unit == instrument.unit]

@@ -118,7 +118,7 @@ def _refuse_nothing(calibration: Calibration) -> None:
     own = (e for e in calibration.model.effects if e.name not in known and not e.is_placeholder)
     for effect in own:
         line = calibration.linear
-        at = [i for i in range(line.line.jacobian.shape[1]) if line.owners[i] == effect.name]
+        at = [i for i in range(line.problem.size) if line.owners[i] == effect.name]
         if at and not np.any(line.nuisance[:, at]):
             raise ModelError(
                 f"Effect {effect.name!r} is zero in all {len(readings)} readings of {readings.file}: its coefficients "

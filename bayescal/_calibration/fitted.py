@@ -122,7 +122,7 @@ class Fitted:
                 frame = self.frame_of(readings.with_column(name, values + step))
                 hyper = self.problem.hyper(self.mode.v)
                 line = self.problem_on(frame).linearise(self.mode.x, hyper)
-                found[name] = step, (line.mean - self.linear.line.mean) / step
+                found[name] = step, (line.mean - self.linear.mean) / step
         return found
 
     @property

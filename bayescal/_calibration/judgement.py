@@ -353,9 +353,9 @@ def doubts_of_the_mode(fit: Fitted) -> list[Claim]:
         return np.abs(v - mode.v)[shapes] > APART_SD * sd[shapes]
 
     density = Density(problem, mode.x, mode.flat, mode.v)
-    # What is no shape begins where it is: a hill has other shapes, and no climb from an unlikely noise is needed.
-    drawn = np.where(np.isin(np.arange(len(sd)), shapes), prior_draws(problem), mode.v)
-    tried = np.concatenate([drawn, *across(problem, mode.v)])
+    tried = np.concatenate([prior_draws(problem), *across(problem, mode.v)])
+    # Another hill has other shapes: all else begins where it is.
+    tried = np.where(np.isin(np.arange(len(sd)), shapes), tried, mode.v)
     starts = [v for v in tried if far(v).any()] if shapes else []
     near = Nearby(mode.v, np.linalg.pinv(mode.covariance))
     for start in np.array(starts)[np.argsort(-density.values(np.array(starts)))[:STARTS_TRIED]]:
@@ -363,13 +363,11 @@ def doubts_of_the_mode(fit: Fitted) -> list[Claim]:
         other = find_mode(problem, [start], mode.x, still=0.01, wanted_from=least, near=near)
         behind = mode.log_evidence - other.log_evidence
         if far(other.v).any() and behind < NEARLY_NATS:
-            apart = (problem.hypers[i] for i in np.array(shapes)[far(other.v)])
+            names = [problem.hypers[i].name for i in np.array(shapes)[far(other.v)]]
             here, there = problem.hyper(mode.v), problem.hyper(other.v)
-            values = {
-                h.name: f"{h.name} {number(here[h.name])} or {number(there[h.name])} {h.unit}"
-                for h in apart
-            }
-            return [Claim("mode.two", *values, behind=behind, values=tuple(values.values()))]
+            units = {h.name: h.unit for h in problem.hypers}
+            values = tuple(f"{n} {number(here[n])} or {number(there[n])} {units[n]}" for n in names)
+            return [Claim("mode.two", *names, behind=behind, values=values)]
     return []
 
 

@@ -29,7 +29,6 @@ from bayescal._model.terms import ColumnsOf
 
 # Readings, below which a group's error is a matter of chance: it is three times too large once in 10⁷ groups of 5.
 FEW_IN_GROUP = 5
-FOLD_NATS = 1e-3  # to which the mode of a fold is found: each standard deviation of φ to 0.05
 BLOCKS = 5  # of neighbouring readings, where there is no group to leave out
 
 
@@ -171,7 +170,7 @@ def _fold(
     problems = (Problem(whole.layout, part, whole.size_factors) for part in parts)
     near = Nearby(mode.v, np.linalg.pinv(mode.covariance))
     fitted, predicted = (Density(p, mode.x, mode.flat, mode.v, like=near) for p in problems)
-    v = climb(fitted, mode.v, ftol=FOLD_NATS)
+    v = climb(fitted, mode.v, ftol=1e-3)  # φ to 0.05 standard deviations
     kinds = np.array(whole.kinds)
     # A law that follows a column is that of all readings: where it lies for these, the kept may have none.
     v = np.where((kinds == "noise") & bool(whole.noise.covariates), mode.v, v)

@@ -123,7 +123,7 @@ class Density(ByValues):
             parts = range(0, len(vs), self._together)
             made = [self._about_modes(vs[i : i + self._together]) for i in parts]
             return Gram(*map(np.concatenate, zip(*made, strict=True)))
-        # Spreads of groups are the prior's alone: φ that differ by these have the same products.
+        # Spreads are the prior's alone: φ that differ by these have the same products.
         acts = [k != "group_sd" or i in problem.moving for i, k in enumerate(problem.kinds)]
         _, first, which = np.unique(vs[:, acts], axis=0, return_index=True, return_inverse=True)
         pairs = (self._table(v, problem.hyper(v)) for v in vs[first])

@@ -24,7 +24,6 @@ from bayescal._inference.noise_on_record import (
 )
 from bayescal._inference.problem import Problem, differences, put
 from bayescal._inference.record import Record
-from bayescal._model.composition import Linearised
 from bayescal._model.effect import Effect
 from bayescal._model.model import Model
 from bayescal._model.noise_law import WHITE
@@ -49,7 +48,7 @@ class LinearModel:
 
     problem: Problem  # of the structure
     mode: Mode
-    line: Linearised  # at the mode
+    mean: Float[np.ndarray, "n"]  # the expected output at the mode
     residual: Float[np.ndarray, "n"]  # at the posterior mean of θ, output unit (n,)
     # slopes by x and by the moving entries of φ, times their prior's standard deviations (n, q)
     nuisance: Float[np.ndarray, "n q"]
@@ -90,7 +89,7 @@ class LinearModel:
     def contribution(self, name: str) -> Float[np.ndarray, "n"]:
         """What an effect's coefficients add to the expected output, against their priors' means, output unit."""
         own = np.array([owner == name for owner in self.owners])
-        x = np.flatnonzero(own[: self.line.jacobian.shape[1]])
+        x = np.flatnonzero(own[: self.problem.size])
         return self.nuisance[:, x] @ self.z[x]
 
     @cached_property
@@ -241,7 +240,7 @@ def linear_model(problem: Problem, mode: Mode) -> LinearModel:
     return LinearModel(
         problem=problem,
         mode=mode,
-        line=line,
+        mean=line.mean,
         residual=residual,
         nuisance=nuisance,
         weight=np.append(prior.weight, np.ones(len(slopes))),

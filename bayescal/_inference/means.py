@@ -23,18 +23,12 @@ from bayescal._model.noise_law import WHITE
 
 @dataclass(frozen=True, eq=False)
 class Means:
-    """Means of the readings of a record, in the order of time within runs.
-
-    Attributes:
-        of, record: the readings, and their means as readings.
-        begins: where each mean begins in the order of time (m,).
-        count: readings of most means.
-    """
+    """Means of the readings of a record, in the order of time within runs."""
 
     of: Record
-    record: Record
-    begins: Int[np.ndarray, "m"]
-    count: int
+    record: Record  # the means, as readings
+    begins: Int[np.ndarray, "m"]  # where each begins in the order of time
+    count: int  # readings of most
 
     @classmethod
     def over(cls, record: Record, count: int) -> Means:

@@ -48,19 +48,13 @@ Values = Mapping[str, Any]  # parameters of a law by name: a number, or (s,) of 
 
 
 class Weights(NamedTuple):
-    """A law at s settings.
+    """A law at s settings; two of its parts by (length of a run, sign)."""
 
-    Attributes:
-        inverse: 1/D at the nodes (s, j).
-        log_det: log|Σ| (s,).
-        ends: 1/D times the end functions at the nodes of each length of run, by (length, sign) (s, q, j').
-        inner: (I − M·Z)⁻¹·M, by (length, sign) (s, q, q).
-    """
-
-    inverse: Float[np.ndarray, "s j"]
-    log_det: Float[np.ndarray, "s"]
+    inverse: Float[np.ndarray, "s j"]  # 1/D at the nodes
+    log_det: Float[np.ndarray, "s"]  # log|Σ|
+    # 1/D times the end functions at the nodes of each length of run
     ends: dict[tuple[int, int], Float[np.ndarray, "s q i"]]
-    inner: dict[tuple[int, int], Float[np.ndarray, "s q q"]]
+    inner: dict[tuple[int, int], Float[np.ndarray, "s q q"]]  # (I − M·Z)⁻¹·M
 
 
 class OneNode:
@@ -111,17 +105,11 @@ class AlongColumn(OneNode):
 
 
 class Segment(NamedTuple):
-    """A stretch of a run's frequencies.
-
-    Attributes:
-        rows: which.
-        places: of its nodes, in frequencies (c,).
-        share: Lagrange's polynomials of the nodes at the frequencies (rows, c).
-    """
+    """A stretch of a run's frequencies."""
 
     rows: slice
-    places: Float[np.ndarray, "c"]
-    share: Float[np.ndarray, "k c"]
+    places: Float[np.ndarray, "c"]  # of its nodes, in frequencies
+    share: Float[np.ndarray, "k c"]  # Lagrange's polynomials of the nodes at the frequencies
 
 
 class InFrequency(OneNode):
@@ -261,11 +249,7 @@ def in_frequency(order: Int[np.ndarray, "n"], step: Float[np.ndarray, "n"]) -> I
 
 
 class Products:
-    """Products of some columns at the nodes, and with the ends of runs: TᵀΣ⁻¹T at any setting.
-
-    Attributes:
-        width: columns r.
-    """
+    """Products of `width` columns at the nodes, and with the ends of runs: TᵀΣ⁻¹T at any setting."""
 
     def __init__(
         self,

@@ -31,17 +31,12 @@ KEYS_TOGETHER = 4096  # of draws, made by one program
 
 
 class Whitening(NamedTuple):
-    """L⁻¹ of LLᵀ = Σ, at one φ.
-
-    Attributes:
-        law, values, record: the noise law, its parameters, and the readings.
-        extra: variance of each reading beside the law's (n,), or one number.
-    """
+    """L⁻¹ of LLᵀ = Σ, at one φ."""
 
     law: Noise
-    values: Values
+    values: Values  # its parameters
     record: Record
-    extra: Float[np.ndarray, "n"] | float = 0.0
+    extra: Float[np.ndarray, "n"] | float = 0.0  # variance of each reading beside the law's
 
     def __call__(self, table: Float[np.ndarray, "n m"]) -> Float[np.ndarray, "n m"]:
         """L⁻¹ times a table; row i belongs to reading i."""
@@ -63,15 +58,10 @@ class Whitening(NamedTuple):
 
 
 class Independent(NamedTuple):
-    """The same where readings are independent of each other and their standard deviations known.
-
-    Attributes:
-        sd: of each reading (n,).
-        beyond: what a law that is not Gaussian counts beside the squares of whitened residuals.
-    """
+    """The same where readings are independent of each other and their standard deviations known."""
 
     sd: Float[np.ndarray, "n"]
-    beyond: float = 0.0
+    beyond: float = 0.0  # what a law that is not Gaussian counts beside the squares
 
     def __call__(self, table: Float[np.ndarray, "n m"]) -> Float[np.ndarray, "n m"]:
         return table / self.sd[:, None]
@@ -87,13 +77,10 @@ def whitening(
     extra: Float[np.ndarray, "n"] | float = 0.0,
     left: Float[np.ndarray, "n"] | None = None,
 ) -> Whitening | Independent:
-    """What makes readings independent and of unit variance under a law at its parameters.
+    """What makes readings independent and of unit variance under a law at its parameters, φ by name.
 
-    Args:
-        law, values: which, and φ by name.
-        record, extra: the readings, and the variance of each beside the law's.
-        left: what the expected output leaves of the readings: under a law that is not Gaussian each has the precision
-            that it then shows (Gaussian scale mixture). None whitens by the variance.
+    Under a law that is not Gaussian each has the precision that it shows by what the expected output has `left` of it
+    (Gaussian scale mixture); None whitens by the variance.
     """
     if not law.independent:
         return Whitening(law, values, record, extra)

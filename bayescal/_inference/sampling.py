@@ -146,9 +146,8 @@ def _log_volume(axes: np.ndarray) -> float:
 class ManyPhi:
     """The log density of many φ at once, x integrated out, and x given each.
 
-    Attributes:
-        table: of products about the mode; None where each φ costs columns, or a pass over the readings.
-        exact: whether the closed form is that of φ itself.
+    Its `table` of products about the mode is None where each φ costs columns, or a pass over the readings; `exact`:
+    whether the closed form is that of φ itself.
     """
 
     def __init__(self, problem: Problem, mode: Mode) -> None:
@@ -181,7 +180,9 @@ class ManyPhi:
                 exact = self.problem.drawn(grams, v[computed], *given, some)
                 for all_of_it, new in zip(found, exact, strict=True):
                     all_of_it[computed] = new
-        total = _sum(found.log_marginal, prior)
+        total = found.log_marginal + prior
+        there = np.isfinite(total) & (found.log_marginal > NOWHERE)
+        total = np.where(there, total, NOWHERE)
         if len(v) and total[best := int(np.argmax(total))] > self.highest:
             self.highest, self.top = float(total[best]), v[best]
         total[computed] -= math.log(self.far_share)
@@ -193,11 +194,6 @@ class ManyPhi:
             deadline.current().ask()
             made.append(self.at(part, np.zeros((len(part), size)))[0])
         return np.concatenate(made)
-
-
-def _sum(log_marginal: np.ndarray, prior: np.ndarray) -> np.ndarray:
-    total = log_marginal + prior
-    return np.where(np.isfinite(total) & (log_marginal > NOWHERE), total, NOWHERE)
 
 
 class PriorShare(NamedTuple):
@@ -224,7 +220,7 @@ def adapted(
     Source: J.-M. Cornuet et al., Scand. J. Statist. 39 (2012) 798 (adaptive multiple importance sampling).
 
     Args:
-        mode, values: of the density, and the log density of several points, not normalised.
+        mode, values: of the density, and its logarithm at several points, not normalised.
         prior: None where it is improper or cannot be drawn from.
         proposals: in each round.
         rounds: at most; none follows one whose weights are even, nor a later one whose weights are sound.
@@ -299,19 +295,12 @@ class Rounds:
 
 
 class _Placed(NamedTuple):
-    """Draws of φ with coefficients drawn for each that counts.
-
-    Attributes:
-        v: φ.
-        log_density: of φ, x integrated out.
-        x: coefficients.
-        corrections: of the log weight of the joint draw; `NOWHERE` where none counts.
-    """
+    """Draws of φ with coefficients drawn for each that counts."""
 
     v: Float[np.ndarray, "s d"]
-    log_density: Float[np.ndarray, "s"]
+    log_density: Float[np.ndarray, "s"]  # of φ, x integrated out
     x: Float[np.ndarray, "s p"]
-    corrections: Float[np.ndarray, "s"]
+    corrections: Float[np.ndarray, "s"]  # of the joint log weight; `NOWHERE` where none counts
 
 
 @on_one_thread
@@ -328,7 +317,6 @@ def weighted_draws(
     """Adapt, then sample. The same numbers for the same seed.
 
     Args:
-        problem, mode: the structure on its record, and its mode.
         proposals: at least, half as many in each round of adaptation; by their cost if not given. Where each costs a
             pass over the readings, rounds of adaptation count among them.
         rounds: of adaptation at most.
@@ -474,7 +462,13 @@ def _placed(
         if not counting.any():
             continue
         pick, found, normal = stretch[counting], found.of(counting), normal[counting]
-        corrected = _corrected(density, v[pick], found, normal, of_phi[counting], judged, heavy)
+        if density.exact and judged.alike:  # known, and the same for all
+            corrected = np.full(len(pick), judged.mean)
+        else:
+            hyper = density.problem.hyper(v[pick].T)
+            corrected = correction(density.problem, found, normal, hyper, density.exact, heavy)
+            if density.exact:
+                judged.add(of_phi[counting], corrected)
         some = np.isfinite(corrected)
         x[pick[some]] = found.x[some]
         corrections[pick[some]] = corrected[some]
@@ -482,19 +476,6 @@ def _placed(
     if judged.alike and density.exact:
         corrections = np.where(corrections > NOWHERE, judged.mean, NOWHERE)
     return _Placed(v, log_density, x, corrections)
-
-
-def _corrected(
-    density: ManyPhi, v, found: Drawn, normal, of_phi, judged: Corrections, heavy: bool
-) -> Float[np.ndarray, "b"]:
-    """`correction` of draws; the same for all where it is known."""
-    if density.exact and judged.alike:
-        return np.full(len(v), judged.mean)
-    hyper = density.problem.hyper(v.T)
-    made = correction(density.problem, found, normal, hyper, density.exact, heavy)
-    if density.exact:
-        judged.add(of_phi, made)
-    return made
 
 
 def propose(
@@ -547,7 +528,7 @@ def around_mode(v: Float[np.ndarray, "d"], covariance: Float[np.ndarray, "d d"])
 def _match(before: Mixture, mode: Mode, v: np.ndarray, log_weight: np.ndarray) -> Mixture:
     """The next mixture: around the weighted draws, as wide as the Laplace fit where few of them count.
 
-    Of costly draws the first mixture stays beside them, with a share that is as large as few of them count.
+    Beside costly ones the first mixture stays, with a share that is as large as few of them count.
     """
     weight = softmax(log_weight)
     weight = np.minimum(weight, 1 / math.sqrt(weight.size))  # truncation, Ionides 2008
@@ -564,10 +545,8 @@ def _match(before: Mixture, mode: Mode, v: np.ndarray, log_weight: np.ndarray) -
     # Systematic resampling without its random number: the centres stand at equal steps of the cumulated weights.
     ladder = (np.arange(kernels) + 0.5) / kernels
     pick = np.minimum(np.searchsorted(np.cumsum(weight), ladder), weight.size - 1)
-    if before.freedom > FREEDOM:
-        return before._replace(centre=v[pick], chol=chol, share=max(0.1, 1 - trust))
-    wide = WIDE_RATIO * np.linalg.cholesky(mode.covariance)
-    return Mixture(v[pick], chol, mode.v, wide, 0.1)
+    share = max(0.1, 1 - trust) if before.freedom > FREEDOM else 0.1
+    return before._replace(centre=v[pick], chol=chol, share=share)
 
 
 def importance_draws(

@@ -333,11 +333,7 @@ class ToneTerm(NoiseTerm):
         return values["noise.tone"] ** 2 * np.mean(found, axis=0)
 
     def starts(self, step, left, z):
-        """Values at the strongest line of a spectrogram, its frequency a quadratic of the column; none of few.
-
-        Each window's spectrum counts in parts of the median of all windows at its frequency: what is there in all of
-        them is no line that moves, and of one that stays the neighbours are the measure.
-        """
+        """Values at the strongest line of a spectrogram, its frequency a quadratic of the column; none of few."""
         usual = float(np.median(step[step > 0]))
         even = np.abs(step / usual - 1) < EVEN_STEPS
         within = np.convolve(even, np.ones(WINDOW - 1), "valid")[1:] == WINDOW - 1
@@ -351,10 +347,8 @@ class ToneTerm(NoiseTerm):
         slopes = np.linspace(-1, 1, 4 * GRID + 1) if z is not None else np.zeros(1)
         count, best = FINE * WINDOW, (-math.inf, 0.0, 0.0, 0.0)
         middles = np.arange(1, count // 2)
-        # Around the circle of frequencies, whose second half is the first one's mirror image.
-        circle = np.minimum(excess, LOUDEST)
-        circle = np.concatenate([circle, circle[:, -2:0:-1]], axis=1)
-        circle = np.concatenate([circle, circle], axis=1)
+        # Twice around the circle of frequencies, whose second half is the first one's mirror image.
+        circle = np.minimum(np.hstack([excess, excess[:, -2:0:-1]] * 2), LOUDEST)
         at = middles[:, None] + circle.shape[1] * np.arange(len(rows))
         # Along a window the frequency hardly moves: its bin is that at the window's mean z.
         for a, b in itertools.product(slopes, slopes[::2] / 2):

@@ -127,7 +127,7 @@ class View:
         # z: of what is dropped. Without its coefficients its shapes move nothing. With these at their prior's mean, all
         # else where it is, r becomes r₀ = r + A·z; at the mode Aᵀr = W·z, so that |r₀|² = |r|² + 2·zᵀWz + zᵀAᵀA·z, and
         # what is kept is pulled by AᵀA·z alone.
-        of_x = np.arange(kept.size) < line.line.jacobian.shape[1]
+        of_x = np.arange(kept.size) < line.problem.size
         z = np.where(kept | ~of_x, 0.0, line.z)
         own, of_start = float(line.weight @ z**2), self.inner @ z
         shapes = float(line.weight[~kept & ~of_x] @ line.z[~kept & ~of_x] ** 2)
