@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from scipy.signal import lfilter
 
 import bayescal as bc
 from bayescal_models.still_sensor.model import instrument
@@ -25,11 +26,8 @@ def uneven_log(seed: int, correlated: float = 0.0) -> bc.Measurements:
     if correlated:
         share = np.exp(-STEP / 30.0)  # of correlation time 30 s
         push = rng.normal(0.0, correlated * np.sqrt(1 - share**2), ROWS)
-        slow = np.empty(ROWS)
-        slow[0] = rng.normal(0.0, correlated)
-        for i in range(1, ROWS):
-            slow[i] = share * slow[i - 1] + push[i]
-        output += slow
+        push[0] = rng.normal(0.0, correlated)
+        output += lfilter([1.0], [1.0, -share], push)
     return bc.Measurements.from_arrays(
         SENSOR, time=time[kept], temperature=temperature[kept], output=output[kept]
     )

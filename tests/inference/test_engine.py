@@ -23,7 +23,7 @@ from bayescal._inference.linear_model import sized
 from bayescal._inference.noise_on_record import total_log_density, whitening
 from bayescal._inference.problem import Problem
 from bayescal._inference.record import Record, record_of
-from bayescal._inference.sampling import ManyPhi, weighted_draws
+from bayescal._inference.sampling import ManyPhi, Mixture, weighted_draws
 from bayescal._model import composition, forward
 from bayescal._model.parameters import bind
 from bayescal._model.summed_noise import over_record
@@ -341,13 +341,9 @@ def stepped(place: float) -> Problem:
     random, t = np.random.default_rng(7), 10.0 * np.arange(600)
     wander = np.cumsum(0.02 * random.standard_normal(600))
     output = wander + 0.5 * (t > place * t[-1]) + 0.05 * random.standard_normal(600)
-    readings = bc.Measurements.from_arrays(
-        still_sensor.INSTRUMENT,
-        units={"output": "dps"},
-        time=t,
-        temperature=25 + np.sin(t / 900),
-        output=output,
-    )
+    columns = {"time": t, "temperature": 25 + np.sin(t / 900), "output": output}
+    sensor, units = still_sensor.INSTRUMENT, {"output": "dps"}
+    readings = bc.Measurements.from_arrays(sensor, units=units, **columns)
     model = (still(readings) + "unknown(time, jump)").with_noise(WANDER)
     record = record_of(model.instrument, readings, constants_of(readings))
     return Problem(bind(sized(model, readings, record), readings)[0], record)
@@ -373,6 +369,15 @@ def test_a_lower_maximum_is_left_where_draws_show_a_higher_one() -> None:
     np.testing.assert_allclose(drawn.mode.v, top.v, atol=0.02)
     error = float(np.hypot(drawn.log_evidence_error, right.log_evidence_error))
     assert drawn.log_evidence == pytest.approx(right.log_evidence, abs=4 * error)
+
+
+def test_two_sided_proposals_are_drawn_by_their_density() -> None:
+    axes, down, up = 2 * np.eye(6), 0.3, np.linspace(0.5, 3, 6)
+    mixture = Mixture(np.zeros((1, 6)), axes, np.zeros(6), axes, 0.95, (down, up), 15.0)
+    v = mixture.draw(np.random.default_rng(0), 20_000)
+    true = multivariate_normal.logpdf(0.5 * v / np.where(v < 0, down, up), np.zeros(6))
+    weight = np.exp(true - np.sum(np.log(down + up)) - mixture.log_density(v))
+    assert abs(weight.mean() - 1) < 4 * weight.std() / np.sqrt(len(v))
 
 
 @pytest.mark.parametrize("tau", [61.0, 300.0, 1150.0])

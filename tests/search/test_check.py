@@ -115,14 +115,10 @@ def test_two_periods_that_even_readings_confuse_are_two_modes() -> None:
     doubts = []
     for time in (even, even + random.uniform(-14.0, 14.0, 60)):
         output = 0.3 * np.cos(2 * np.pi * time / 130.0) + noise
-        readings = bc.Measurements.from_arrays(
-            mems_gyro.INSTRUMENT,
-            run=np.full(60, "a"),
-            time=time,
-            temperature=np.linspace(30, 80, 60),
-            output=output,
-        )
-        model = mems_gyro.INSTRUMENT.baseline() + wave
+        columns = {"time": time, "temperature": np.linspace(30, 80, 60), "output": output}
+        run, gyro = np.full(60, "a"), mems_gyro.INSTRUMENT
+        readings = bc.Measurements.from_arrays(gyro, run=run, **columns)
+        model = gyro.baseline() + wave
         path = bc.calibrate(model, readings, method=FAST, max_effects=0, widen_noise=False)
         doubts.append(path.final.doubts)
     (reason,), none = doubts
