@@ -36,6 +36,7 @@ from bayescal._inference.expansion import (
 )
 from bayescal._inference.gaussian import Conditional, Gram, Prior, condition
 from bayescal._inference.noise_nodes import OneNode, Products, Weights
+from bayescal._inference.noise_on_record import variances
 from bayescal._inference.problem import Problem, Values
 from bayescal._model.composition import by_member
 from bayescal._model.terms import Term
@@ -43,10 +44,8 @@ from bayescal._model.terms import Term
 DIFFERENCE = 1e-3  # of a coordinate, for slopes of priors, of weights of curves and of the noise
 FAR_SD = 1e3  # prior standard deviations, beyond which a fit without priors says nothing of a coefficient
 CLOSE_NATS = 0.02  # log density, within which columns as polynomials are good where a posterior is
-# In products of several φ that are computed together, which bounds memory.
-NUMBERS_AT_ONCE = 2_000_000
-# Pairs of columns that a table has a reading, from which the columns at each φ themselves cost less.
-DIRECT = 40
+NUMBERS_AT_ONCE = 2_000_000  # in products of several φ, which bounds memory
+DIRECT = 40  # pairs of columns a reading in a table, from which columns at each φ cost less
 KEPT_TABLES = 3  # of a structure's rows in boxes, the latest
 
 
@@ -312,20 +311,21 @@ class Tabulated:
 
     @cached_property
     def direct(self) -> bool:
-        """Whether the columns at each φ are its own, of several shapes, and readings of one variance."""
+        """Whether the columns at each φ are its own, of several shapes, and readings independent."""
         moved = any(len(part.free) > 1 for part in self.parts)
-        return moved and self.nodes.count == 1 and self.problem.affine
+        return moved and self.problem.noise.independent and self.problem.affine
 
     def _from_readings(self, vs: Float[np.ndarray, "b d"]) -> Gram:
         problem, found = self.problem, []
         size = problem.record.size * (problem.size + 1)
         for some in np.array_split(vs, min(len(vs), -(-len(vs) * size // NUMBERS_AT_ONCE))):
-            line = problem.linearise(np.tile(self.at, (len(some), 1)), problem.hyper(some.T))
-            left = problem.record.y - line.mean
-            table = np.concatenate([line.jacobian, left[..., None]], axis=2)
-            weights = self.weights(some[:, self.noise])
-            squares = table.transpose(0, 2, 1) @ table
-            found.append((weights.inverse[:, :, None] * squares, weights.log_det))
+            hyper = problem.hyper(some.T)
+            line = problem.linearise(np.tile(self.at, (len(some), 1)), hyper)
+            left = (problem.record.y - line.mean)[..., None]
+            spread = variances(problem.noise, hyper, problem.record)
+            spread = np.broadcast_to(spread, line.mean.shape)
+            table = np.concatenate([line.jacobian, left], axis=2) / np.sqrt(spread)[..., None]
+            found.append((table.transpose(0, 2, 1) @ table, np.sum(np.log(spread), axis=1)))
         return Gram.of(*map(np.concatenate, zip(*found, strict=True)))
 
     def grams_of(

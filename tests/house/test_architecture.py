@@ -268,7 +268,7 @@ CEILINGS = {
     "bayescal/_annexes/metrology": 1_717,
     "bayescal/_annexes/workbench": 3_596,
     "models": 8_982,
-    "tests": 25_297,
+    "tests": 25_310,
     "benchmarks": 10_971,
 }
 WORDS = 53_695  # of docs/, README.md and CHANGELOG.md together

@@ -237,3 +237,16 @@ def test_evidence_of_random_structures_is_that_of_readings(monkeypatch, of: Any)
             mode, problem = found.mode, found.problem
             again = find_mode(problem, [mode.v], mode.x)
         assert mode.log_evidence == pytest.approx(again.log_evidence, abs=5e-3)
+
+
+@pytest.mark.parametrize("law", [bc.White(), bc.Heteroscedastic("temperature", bc.HalfCauchy(0.1))])
+def test_columns_at_each_draw_are_those_of_the_table(monkeypatch, law: bc.Noise) -> None:
+    sensor = mems_gyro.INSTRUMENT
+    model = (sensor.baseline() + "bias.thermal_lag.body" + "bias.hysteresis").with_noise(law)
+    fit = bc.fit(model, mems_gyro.simulate({"bias.thermal_lag": 0.05}, seed=1), bc.LeastSquares())
+    density = Density(fit.problem, fit.mode.x, fit.mode.flat, fit.mode.v)
+    vs = fit.mode.v + 0.1 * np.random.default_rng(0).standard_normal((6, len(fit.mode.v)))
+    assert density.tabulated.direct
+    at_each = density.values(vs)
+    monkeypatch.setattr(density.tabulated, "direct", False)
+    np.testing.assert_allclose(at_each, density.values(vs), atol=1e-6)
