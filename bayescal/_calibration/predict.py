@@ -126,7 +126,8 @@ def _of_unfound_spreads(calibration: Calibration, problem: Problem) -> np.ndarra
     known, found = calibration.model.instrument.known, np.zeros(problem.record.size)
     for name, size in calibration.unfound_spreads.items():
         new = problem.record.codes[str(known[name].coefficients[0].per)] < 0
-        found += new * (size * _deviating(calibration, problem, known[name])) ** 2
+        if new.any():
+            found += new * (size * _deviating(calibration, problem, known[name])) ** 2
     return found
 
 

@@ -27,8 +27,8 @@ ROUNDS = 12  # alternations of x̂ and φ̂ at most
 STARTS = 64  # prior draws of φ among which the start is chosen,
 AHEAD = np.arange(-3.5, 3.5, 0.02)  # where along a shape of many maxima a higher one may be
 HALVINGS = 8  # of a step that makes things worse
-NOTHING_LEFT = 1e-8  # log density that a round gains, below which φ̂ is found
 NOTHING_KNOWN: Mapping[str, float] = MappingProxyType({})
+NOTHING_LEFT = 1e-8  # log density that a round gains, below which φ̂ is found
 
 
 class Mode(NamedTuple):

@@ -80,9 +80,11 @@ def _of_new_runs(
 ) -> dict[str, float]:
     """Return by how much runs may as well as not differ where draws lack that, of each such effect added to `at`."""
     found, open_to = dict[str, float](), {*at.effects, *structures.open_to(at)}
+    open_to &= calibration.model.instrument.known.keys()  # in which a name is looked up
     for name, effect in structures.candidates.items():
         lacking = 1 - calibration.inclusion.get(name, 0.0)
-        if lacking and name in open_to and effect.columns == ("run",):
+        learned = effect.coefficients[0].group_sd is not None
+        if lacking and learned and name in open_to and effect.columns == ("run",):
             weighed = structures.weigh(at.plus(name))
             place = weighed.problem.layout.index_in_phi[effect.group_sd_name(0)]
             spread = weighed.problem.hypers[place].prior.value(weighed.mode.v[place])

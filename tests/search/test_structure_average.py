@@ -89,6 +89,14 @@ def test_new_runs_have_the_deviations_that_so_few_runs_leave_open(average, tmp_p
     assert row.contribution == pytest.approx(slope * size, rel=0.02)
 
 
+def test_deviations_of_ones_own_that_learn_no_spread_count_nothing() -> None:
+    stated = bc.Coefficient("deg/s", bc.Normal(0.0, 0.05), per="run")
+    own = bc.Effect("bias.shift", "bias", lambda r: 1.0, (stated,), columns=("run",))
+    readings, baseline = mems_gyro.simulate({}, seed=3), mems_gyro.INSTRUMENT.baseline()
+    found = bc.calibrate(baseline, readings, effects=[own], max_effects=1).calibration
+    assert set(found.unfound_spreads) == {"bias.run"}
+
+
 def test_what_a_discovery_fits_is_what_calibrate_uses() -> None:
     readings = mems_gyro.simulate({"bias.thermal_lag": 0.05}, seed=1)
     discovery = bc.discover(bc.fit(mems_gyro.INSTRUMENT.baseline(), readings))
