@@ -1,20 +1,21 @@
 """Acceptance checks of a fit: what it may not be, and what its own readings say against it.
 
-Each is a function of a fit and what was computed to judge it, its thresholds stand before all. What is missing from a
-model only a search tells; what it gets wrong shows in its residuals.
+Each is a function of a fit and what was computed to judge it; which are asked stands in the lists at the end, their
+thresholds and words in `claims.toml`. What is missing from a model only a search tells; what it gets wrong shows in its
+residuals.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 from scipy.special import stdtr
 
-from bayescal._calibration.claim import Claim
+from bayescal._calibration.claim import Claim, limit
 from bayescal._calibration.fitted import Fitted
 from bayescal._calibration.leave_group_out import LeaveOneGroupOut, scheme
 from bayescal._calibration.summary import summary
@@ -28,43 +29,13 @@ from bayescal._inference.laplace import across, find_mode, prior_draws
 from bayescal._inference.newton import Nearby
 from bayescal._inference.problem import Problem
 from bayescal._model.effect import Effect
-from bayescal._model.model import Model, testable
+from bayescal._model.model import Model
 from bayescal._model.noise_law import WHITE, Noise
-from bayescal._model.parameters import bind
 from bayescal._model.terms import ColumnsOf
 
 PRIOR = "prior.contradicted"
-# Standard deviations from the prior's mean, beyond which readings and prior contradict each other: of the instrument's
-# own effects, and times that of candidates, whose plausible size is known to an order of magnitude.
-CONTRADICTED_SD, CANDIDATE_SIZES = 4.0, 10.0
 FREE_SIZES = 1e3  # times a plausible size, which is none any more
-# Coefficients of an effect whose sizes are judged; more of them stand for a function, whose values are not sizes of a
-# law.
-LAW_COEFFICIENTS = 2
-WIDENED_CONTRACTION = -1.0  # below which the posterior is wider than the prior can be
-KNOWN_SIZES = 4.0  # times what all known effects could make, beyond which a curve is none
-# Noise of 0.3 steps leaves a staircase of 0.05 (B. Widrow and I. Kollár, Quantization Noise, 2008), with the rounding's
-# own 1/√12.
-ROUNDING_STEPS = 0.42
-MEMBER_SIZES = 40.0  # plausible sizes, known to an order of magnitude, between a group's members
-# p-value of a test that asks once for each covariate and in every step: hundreds in one session.
-RARE_P = 1e-5
-FREEDOM = 3  # readings more than unknowns, by which noise is told
-# Times the noise: what contributes less or more at a plausible size is in a wrong unit.
-SCALE_RANGE = (1e-6, 1e6)
-# Modes apart by so many standard deviations, and nearer than so many nats: one does not stand for both.
-APART_SD, NEARLY_NATS = 3.0, 3.0
 STARTS_TRIED = 3  # starts of the search for another mode
-SURPRISE_RATIO = 3.0  # times what the other groups expect of one
-# Allan deviation of correlated noise over a tenth to a half of a run, in standard deviations of a reading's own noise,
-# from which it describes how the output goes, as a curve does: bias instability of sensors at rest stays below.
-DESCRIBING_SD = 2.5
-DEPENDING_NATS = 10.0  # twice what is very strong, since the largest of many covariates counts
-# Share of the squares of a step between runs, that lie within runs where it is one between them.
-WITHIN_RUNS_SHARE = 0.05
-# Standard deviations of the lag-1 autocorrelation, above which noise is not what its law says (one record in 30,000 by
-# chance); and the coefficient: a smaller one changes no standard uncertainty by more than a tenth.
-CORRELATED_SD, CORRELATED = 4.0, 0.1
 
 
 @dataclass(frozen=True)
@@ -87,13 +58,12 @@ class Subject:
 
 def conflicts(subject: Subject) -> list[Claim]:
     """Return what may not be, whatever the residuals: readings that contradict the model."""
-    found = [*contradicted(subject), *widened(subject)]
-    return [*found, *too_large(subject), *beyond_the_known(subject)]
+    return _asked(CONFLICTS, subject)
 
 
 def group_conflicts(subject: Subject) -> list[Claim]:
     """Return what members of groups may not be."""
-    return [*too_different(subject), *following_members(subject)]
+    return _asked(GROUP_CONFLICTS, subject)
 
 
 def wrong_question(
@@ -108,16 +78,7 @@ def wrong_question(
 
 def residual_claims(subject: Subject) -> list[Claim]:
     """Return what a fit's own residuals say against it; of one that did not converge, or is fixed to it, that alone."""
-    if found := [*not_converged(subject)]:
-        return found
-    evidence, (coefficient, z) = subject.fit.log_evidence, subject.check.autocorrelation
-    if evidence is not None and not math.isfinite(evidence[0]):
-        found.append(Claim("evidence.not_finite"))
-    found += [*subject.doubts, *describing(subject), *scattered(subject)]
-    found += [*depending(subject), *steps_between_runs(subject)]
-    if abs(z) > CORRELATED_SD and abs(coefficient) > CORRELATED:
-        found.append(Claim("noise.correlated", coefficient=coefficient, z=z))
-    return found
+    return [*not_converged(subject)] or _asked(RESIDUAL_CHECKS, subject)
 
 
 def against(subject: Subject) -> list[Claim]:
@@ -155,7 +116,7 @@ def contradicted_alone(subject: Subject) -> list[Claim]:
     _, found = Density(problem, mode.x, mode.flat, mode.v).at(mode.v)
     if found is None:
         return []
-    mean, error = found.mean, CONTRADICTED_SD * np.sqrt(np.diag(found.covariance))
+    mean, error = found.mean, limit(PRIOR, "sd") * np.sqrt(np.diag(found.covariance))
     stands = {
         u.name: (u.block.origin + float(mean[u.x]), float(error[u.x]))
         for u in fit.unknowns
@@ -167,16 +128,17 @@ def contradicted_alone(subject: Subject) -> list[Claim]:
 def _against_priors(subject: Subject, stands: Mapping[str, tuple[float, float]]) -> Iterator[Claim]:
     """Coefficients that stand far from their priors' means, each (where, by how much it may be off)."""
     baseline = {e.name for e in subject.fit.model.instrument.effects}
+    most, far = limit(PRIOR, "coefficients"), limit(PRIOR, "sd")
     for u in subject.fit.unknowns:
         if u.block is None or u.prior_sd is None or u.held:
             continue
         effect, c = u.block.effect, u.block.coefficient
-        if len(effect.coefficients) > LAW_COEFFICIENTS or subject.accepts(effect.name, u.name):
+        if len(effect.coefficients) > most or subject.accepts(effect.name, u.name):
             continue
         where, give = stands.get(u.name, (c.mean, 0.0))
         away = abs(where - c.mean) / c.size
-        sizes = 1 if effect.name in baseline else CANDIDATE_SIZES
-        if away - give / c.size > CONTRADICTED_SD * sizes:
+        sizes = 1 if effect.name in baseline else limit(PRIOR, "candidate_sizes")
+        if away - give / c.size > far * sizes:
             cure = "zero and scale" if same_dimension(c.unit, subject.fit.unit) else "scale"
             told = {"where": where, "mean": c.mean, "size": c.size, "unit": c.unit, "away": away}
             told |= {"fall": 0.5 * away**2, "cure": cure if effect.kind == "constant" else "units"}
@@ -191,7 +153,8 @@ def widened(subject: Subject) -> Iterator[Claim]:
     for row in summary(subject.fit)[0]:
         name, found = row["name"], row["contraction"]
         accepted = name in wider or subject.accepts(name, row["effect"])
-        if not accepted and found is not None and found < WIDENED_CONTRACTION:
+        least = limit("prior.widened", "contraction")
+        if not accepted and found is not None and found < least:
             yield Claim("prior.widened", name, contraction=found)
 
 
@@ -213,33 +176,9 @@ def too_large(subject: Subject) -> Iterator[Claim]:
             yield Claim("size.beyond_output", row["name"], **told)
 
 
-def beyond_the_known(subject: Subject) -> Iterator[Claim]:
-    """Dependences without a name that are larger than all that is known of the instrument could make together.
-
-    A wrong sign or unit of an input is no missing effect, though a free curve along that input follows it.
-    """
-    fit, instrument, readings = subject.fit, subject.fit.model.instrument, subject.fit.readings
-    unnamed = [e for e in fit.model.effects if e.is_placeholder and not subject.accepts(e.name)]
-    if not unnamed:
-        return
-    # How much the instrument's own effects plausibly change the output over these readings, rms, output unit.
-    own = (*instrument.effects, *instrument.candidates)
-    effects = tuple(e for e in own if testable(e, readings) is None)
-    layout = bind(Model(instrument, effects, fit.model.noise), readings)[0]
-    problem = Problem(layout, fit.problem.record)
-    hyper = problem.hyper(np.zeros(len(problem.hypers)))
-    prior = problem.prior(hyper, np.ones(problem.size))
-    slopes = problem.linearise(problem.start, hyper).jacobian * (prior.sd * prior.weight)
-    known = float(np.sqrt(np.sum(np.var(slopes, axis=0))))
-    for effect in unnamed:
-        here = float(np.std(fit.linear.contribution(effect.name)))
-        if known and here > KNOWN_SIZES * known:
-            yield Claim("curve.beyond_known", effect.name, here=here, known=known, unit=fit.unit)
-
-
 def rounded(subject: Subject) -> Iterator[Claim]:
     grid = rounding_step(subject.fit.readings["output"])
-    if subject.noise_floor < ROUNDING_STEPS * grid:
+    if subject.noise_floor < limit("output.rounded", "steps") * grid:
         yield Claim("output.rounded", grid=grid, unit=subject.fit.unit)
 
 
@@ -259,7 +198,7 @@ def too_different(subject: Subject) -> Iterator[Claim]:
             continue
         name = max(own, key=lambda n: abs(stands[n] - c.mean))
         away = abs(stands[name] - c.mean) / c.size
-        if away > MEMBER_SIZES:
+        if away > limit("group.too_different", "sizes"):
             told = {"where": stands[name], "mean": c.mean, "size": c.size, "unit": c.unit}
             whose = {"member": name, "group": c.per, "away": away}
             yield Claim("group.too_different", b.effect.name, **whose, **told)
@@ -293,7 +232,7 @@ def following_members(subject: Subject) -> Iterator[Claim]:
             if len(mean) < 3 or not (np.ptp(mean) and np.ptp(deviations)):
                 continue
             r, chance = correlation(mean, deviations)
-            if chance < RARE_P:
+            if chance < limit("group.follows_column", "p"):
                 told = {"term": term.name, "along": term.varies, "group": b.coefficient.per}
                 told |= {"r": r, "p": chance}
                 names_of = b.effect.name, term.name
@@ -314,7 +253,9 @@ def too_few(subject: Subject) -> Iterator[Claim]:
     nuisances = {e.name for e in fit.model.instrument.nuisances}
     names = [b.effect.name for b in fit.layout.blocks if b.place in ("x", "phi")]
     free = round(sum(there[name] for name in names if name not in nuisances))
-    if len(fit.readings) < free + FREEDOM and fit.layout.positions("noise"):
+    if len(fit.readings) < free + limit("readings.too_few", "freedom") and fit.layout.positions(
+        "noise"
+    ):
         yield Claim("readings.too_few", count=len(fit.readings), free=free)
 
 
@@ -327,7 +268,7 @@ def off_scale(effect: Effect, contribution: float, noise: float, unit: str) -> l
     first = effect.coefficients[0]
     if not effect.columns or effect.is_placeholder or first.group_sd is not None or first.flat:
         return []
-    low, high = SCALE_RANGE
+    low, high = (limit("effect.off_scale", end) for end in ("smallest", "largest"))
     if contribution == 0 or noise == 0 or low <= contribution / noise <= high:
         return []
     sizes = {"contribution": float(contribution), "noise": float(noise)}
@@ -350,7 +291,7 @@ def doubts_of_the_mode(fit: Fitted) -> list[Claim]:
     sd = np.sqrt(np.diag(mode.covariance))
 
     def far(v: np.ndarray) -> np.ndarray:
-        return np.abs(v - mode.v)[shapes] > APART_SD * sd[shapes]
+        return np.abs(v - mode.v)[shapes] > limit("mode.two", "apart_sd") * sd[shapes]
 
     density = Density(problem, mode.x, mode.flat, mode.v)
     tried = np.concatenate([prior_draws(problem), *across(problem, mode.v)])
@@ -362,7 +303,7 @@ def doubts_of_the_mode(fit: Fitted) -> list[Claim]:
         least = mode.log_density - 20.0
         other = find_mode(problem, [start], mode.x, still=0.01, wanted_from=least, near=near)
         behind = mode.log_evidence - other.log_evidence
-        if far(other.v).any() and behind < NEARLY_NATS:
+        if far(other.v).any() and behind < limit("mode.two", "nats"):
             names = [problem.hypers[i].name for i in np.array(shapes)[far(other.v)]]
             here, there = problem.hyper(mode.v), problem.hyper(other.v)
             units = {h.name: h.unit for h in problem.hypers}
@@ -405,7 +346,7 @@ def surprising(subject: Subject) -> Iterator[Claim]:
     worst = int(np.nanargmin(out.by_chance))
     # The largest of as many tests as there are groups: its p-value counts that often (C. Bonferroni).
     beyond = out.by_chance[worst] * out.count < settings().holdout_p
-    if beyond and (times := float(out.surprise[worst])) > SURPRISE_RATIO:
+    if beyond and (times := float(out.surprise[worst])) > limit("group.surprising", "ratio"):
         which = {"group": out.group.capitalize(), "member": out.members[worst]}
         yield Claim("group.surprising", out.group, **which, times=times, scheme=scheme(out.group))
 
@@ -420,7 +361,8 @@ def odd_thermometers(subject: Subject) -> Iterator[Claim]:
 
 def describes(noise: Noise, values: Mapping[str, Any]) -> bool:
     """Return whether correlated noise is so slow and large that it stands for something without a name."""
-    return noise.lasting_deviation(values) > DESCRIBING_SD * values.get(WHITE, math.inf)
+    white = values.get(WHITE, math.inf)
+    return noise.lasting_deviation(values) > limit("noise.describes", "sd") * white
 
 
 def describing(subject: Subject) -> Iterator[Claim]:
@@ -434,12 +376,10 @@ def describing(subject: Subject) -> Iterator[Claim]:
 
 def scattered(subject: Subject) -> Iterator[Claim]:
     """What the leave-one-out tests say against the noise law."""
-    check = subject.check
-    if along := [name for name, chance in check.scatter_with.items() if chance < RARE_P]:
+    check, rare = subject.check, limit("noise.scatter", "p")
+    if along := [name for name, chance in check.scatter_with.items() if chance < rare]:
         yield Claim("noise.scatter", *along)
-    elif check.one_sided < RARE_P:
-        yield Claim("noise.one_sided", p=check.one_sided)
-    elif check.pit_p < RARE_P:
+    elif check.pit_p < limit("noise.tails", "p"):
         outside = f", {len(check.outliers)} of them outliers" if check.outliers else ""
         yield Claim("noise.tails", p=check.pit_p, outside=outside)
 
@@ -451,7 +391,7 @@ def depending(subject: Subject) -> list[Claim]:
     rows += [(p.log_bayes_factor, p.against) for p in check.pairs]
     factor, depended = max(rows, default=(0.0, ()))
     found = [*too_few(subject)]
-    if not found and factor > DEPENDING_NATS:
+    if not found and factor > limit("residuals.depend", "nats"):
         found = [Claim("residuals.depend", *depended, factor=factor, **subject.missing)]
     return found
 
@@ -478,4 +418,34 @@ def of_runs(fit: Fitted, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 def only_between_runs(values: np.ndarray, within: np.ndarray) -> bool:
     """Return whether values do nothing but tell runs apart: next to none of their squares are those within runs."""
-    return bool(np.sum(within**2) < WITHIN_RUNS_SHARE * np.sum(values**2))
+    return bool(np.sum(within**2) < limit("runs.apart", "within_share") * np.sum(values**2))
+
+
+def not_finite(subject: Subject) -> Iterator[Claim]:
+    """Evidence that is no number."""
+    evidence = subject.fit.log_evidence
+    if evidence is not None and not math.isfinite(evidence[0]):
+        yield Claim("evidence.not_finite")
+
+
+def correlated(subject: Subject) -> Iterator[Claim]:
+    """Neighbouring residuals that are no independent noise."""
+    coefficient, z = subject.check.autocorrelation
+    code = "noise.correlated"
+    if abs(z) > limit(code, "z") and abs(coefficient) > limit(code, "coefficient"):
+        yield Claim(code, coefficient=coefficient, z=z)
+
+
+# The checks, in the order in which they are asked -------------------------------------------------------------------
+
+AcceptanceCheck = Callable[[Subject], Iterable[Claim]]
+CONFLICTS: tuple[AcceptanceCheck, ...] = (contradicted, widened, too_large)
+GROUP_CONFLICTS: tuple[AcceptanceCheck, ...] = (too_different, following_members)
+RESIDUAL_CHECKS: tuple[AcceptanceCheck, ...] = (
+    *(not_finite, lambda subject: subject.doubts, describing, scattered),
+    *(depending, steps_between_runs, correlated),
+)
+
+
+def _asked(checks: Iterable[AcceptanceCheck], subject: Subject) -> list[Claim]:
+    return [claim for check in checks for claim in check(subject)]

@@ -10,9 +10,8 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from bayescal._calibration.claim import Claim, as_claim
+from bayescal._calibration.claim import Claim, as_claim, limit
 from bayescal._calibration.judgement import (
-    CORRELATED_SD,
     Subject,
     odd_thermometers,
     of_runs,
@@ -26,12 +25,6 @@ from bayescal._search.search_path import WORSE_RATIO, Gate, Step
 from bayescal._search.taken_over import TakenOver, said_of_profiles, taken_over
 
 WORSE = "step.predicts_worse"
-# Probability that the model is complete, below which it is not to be used as it is.
-UNDECIDED_PROBABILITY = 0.05
-# Times the scatter expected of hold-out data, beyond which they are of something else.
-SCATTER_RATIO = 2.0
-# Share of the steps of an input to a value that come from one value: of ten such steps one may be another.
-ONE_ORDER_SHARE = 0.9
 
 
 def gate(steps: Sequence[Step]) -> Gate:
@@ -39,7 +32,7 @@ def gate(steps: Sequence[Step]) -> Gate:
     if reasons := against(steps):
         return Gate(False, " ".join(reasons), reasons)
     # Of fewer readings no correlation reaches that many standard deviations.
-    if len(steps[-1].calibration.readings) < int(CORRELATED_SD**2) + 1:
+    if len(steps[-1].calibration.readings) < int(limit("noise.correlated", "z") ** 2) + 1:
         return Gate(True, "converged; too few readings to see whether neighbours are correlated")
     return Gate(True, "converged; neighbouring residuals are not correlated")
 
@@ -146,6 +139,7 @@ def in_one_order(steps: Sequence[Step]) -> Iterator[Claim]:
     """
     calibration = steps[-1].calibration
     readings, (order, since) = calibration.readings, calibration.problem.record.in_time
+    share = limit("input.one_order", "share")
     for effect in (e for e in calibration.model.effects if e.is_placeholder):
         column = effect.along or ""
         if not readings.has(column) or readings.unit(column) == "degC" or column == "time":
@@ -157,7 +151,7 @@ def in_one_order(steps: Sequence[Step]) -> Iterator[Claim]:
         np.add.at(pairs, (here[moved], before[moved]), 1)
         visits = pairs.sum(axis=1)
         again = visits >= FEW_IN_GROUP
-        if again.any() and pairs[again].max(axis=1).sum() > ONE_ORDER_SHARE * visits[again].sum():
+        if again.any() and pairs[again].max(axis=1).sum() > share * visits[again].sum():
             yield Claim("input.one_order", effect.name, column=column)
 
 
@@ -175,7 +169,7 @@ def undecided(steps: Sequence[Step]) -> Iterator[Claim]:
     found = steps[-1].discovery
     if found is None or found.nothing_missing is None or found.sets or found.unnamed:
         return
-    if found.nothing_missing < UNDECIDED_PROBABILITY:
+    if found.nothing_missing < limit("complete.undecided", "probability"):
         leads = [c for c in found.candidates if c.probability is not None][:3]
         told = {"named": tuple(f"{c.effect} ({c.probability:.2f})" for c in leads)}
         names = (c.effect for c in leads)
@@ -266,5 +260,5 @@ def contradicted(steps: Sequence[Step]) -> Iterator[Claim]:
         told = {"error": float(error), "other": float(error / found.share), "p": found.p}
         unit = steps[-1].calibration.unit
         yield Claim("holdout.contradicts", **told, before=before, unit=unit)
-    elif found.scatter > SCATTER_RATIO:
+    elif found.scatter > limit("holdout.scatters", "ratio"):
         yield Claim("holdout.scatters", scatter=found.scatter)

@@ -1,4 +1,4 @@
-"""Claims: each code has words, which one page holds; of a saved one the words are kept; equal ones count once."""
+"""Claims: each code can be said; a threshold has its reason; of saved ones words are kept; equal ones count once."""
 
 from __future__ import annotations
 
@@ -8,44 +8,31 @@ from pathlib import Path
 
 import pytest
 
-from tests.support.inside import WORDS, Claim, Words, as_claim
+import bayescal as bc
+from tests.support.inside import CRITERIA, Claim, as_claim
 
-PAGE = Path(__file__).with_name("claims.txt")
-NAMES = ("by", "column", "columns", "along", "values", "named", "taus")  # that may be several
-TEXTS = ("said", "reasons", "how", "what", "before", "outside", "another", "words", "scheme")
-TEXTS = (*TEXTS, "combination")
-TEXTS = (*TEXTS, "group", "member", "step", "term", "lead")
-
-
-def filled(code: str, cure: str = "") -> Claim:
-    """A claim with something for everything that its words hold."""
-    words = WORDS[code]
-    text = f"{words.says} {words.cures.get(cure, '')}"
-    held = {n for _, n, _, _ in string.Formatter().parse(text) if n and not n.startswith("of")}
-    numbers: dict[str, object] = dict.fromkeys(held, 12.34567)
-    numbers |= dict.fromkeys(held & {"unit", "own"}, "deg/s")
-    numbers |= dict.fromkeys(held & {"count", "free", "members"}, 7)
-    numbers |= {n: (f"<{n} 1>", f"<{n} 2>") for n in held & {*NAMES}}
-    numbers |= {n: f"<{n}>" for n in held & {*TEXTS}}
-    return Claim(code, "bias.a", "bias.b", cure=cure, **numbers)
+FILE = Path(bc.__file__).with_name("_calibration") / "claims.toml"
+WHOLE = ("count", "free", "members")  # numbers that are whole
+SEVERAL = ("values", "named", "columns", "taus")  # names, or numbers in words
 
 
-def every() -> list[Claim]:
-    return [filled(code, cure) for code, words in WORDS.items() for cure in words.cures or [""]]
+@pytest.mark.parametrize("code", CRITERIA)
+def test_a_claim_is_said_with_each_of_its_cures(code: str) -> None:
+    criterion = CRITERIA[code]
+    assert criterion.severity in ("stop", "doubt", "note")
+    for cure in criterion.cures or [""]:
+        text = f"{criterion.says} {criterion.cures.get(cure, '')}"
+        held = {n for _, n, _, _ in string.Formatter().parse(text) if n and not n.startswith("of")}
+        numbers = {n: 7 if n in WHOLE else 12.34567 for n in held} | {"unit": "deg/s"}
+        numbers |= {n: ("a", "b") for n in held.intersection(SEVERAL)}
+        said = Claim(code, "bias.a", "bias.b", cure=cure, **numbers)
+        assert said.code == code
+        assert "{" not in said
 
 
-def test_the_words_of_every_claim() -> None:
-    """The golden text; `python -m tests.search.test_claims` writes it anew, to be read before it is kept."""
-    assert page() == PAGE.read_text("utf-8")
-
-
-def page() -> str:
-    return "".join(f"{one.code} ({one.severity})\n    {one}\n" for one in every())
-
-
-@pytest.mark.parametrize("words", WORDS.values(), ids=WORDS)
-def test_a_severity_is_one_of_three(words: Words) -> None:
-    assert words.severity in ("stop", "doubt", "note")
+def test_every_threshold_has_its_reason_beside_it() -> None:
+    lines = FILE.read_text("utf-8").splitlines()
+    assert not [line for line in lines if line.startswith("limits.") and "#" not in line]
 
 
 def test_equal_claims_count_once_and_those_of_a_saved_calibration_too() -> None:
@@ -55,7 +42,3 @@ def test_equal_claims_count_once_and_those_of_a_saved_calibration_too() -> None:
     assert pickle.loads(pickle.dumps(one)).numbers == one.numbers
     told = {"code": "prior.widened", "of": ["x"], "severity": "stop"}
     assert one.data() == {**told, "in_words": str(one)}
-
-
-if __name__ == "__main__":
-    PAGE.write_text(page(), "utf-8")
