@@ -19,6 +19,7 @@ from typing import Any
 import numpy as np
 
 from bayescal._calibration.calibration import Calibration
+from bayescal._calibration.claim import Claim
 from bayescal._calibration.prior_influence import not_measured, variance_by_origin
 from bayescal._core.as_json import as_json
 from bayescal._core.errors import InputError
@@ -31,7 +32,7 @@ from bayescal._data.unit_conversion import (
     same_dimension,
     unit_label,
 )
-from bayescal._use.compensation_program import PAST, bias_only, clock_note
+from bayescal._use.compensation_program import PAST, clock_note
 from bayescal._use.compensator import Compensator, compensator
 from bayescal._use.operating_equation import (
     ALL_DRAWS,
@@ -45,10 +46,6 @@ STRUCTURES = "which effects there are (average over structures)"
 FORM = "form of the model: formulas that the search does not have"
 LEAST_VARIANCE_SHARE = 5e-4  # share of the variance below which a coefficient is not printed
 READINGS = "noise of the calibration's readings"
-SHARED = (
-    "Not in it: errors that all readings share and no prior states, such as that of a reference or of the thermometer. "
-    "Add their variances."
-)
 # Groups below which a spread between them is not known well enough for a normal distribution.
 FEWEST_GROUPS_FOR_NORMAL = 10
 
@@ -239,7 +236,7 @@ def budget(
     every = posterior_moments(chosen.equation, chosen.calibration, ALL_DRAWS)
     places = {name: np.array([value]) for name, value in point.items()}
     untold = not_measured(chosen.calibration, (every.draws @ gradient)[:, None])
-    said = () if untold is None else (f"Most of it is prior: {untold}. {untold.cure}.",)
+    said = [untold and Claim("budget.prior", *untold.names, untold=untold, told=untold.cure)]
     sd = np.sqrt(np.diag(covariance))
     share = gradient * (covariance @ gradient) / (variance or np.inf)
     numbers = (chosen._moments.mean, sd, gradient, np.abs(gradient) * sd, share)
@@ -260,7 +257,7 @@ def budget(
         ),
         sources=_by_source(chosen, point, gradient, variance),
         covariance=covariance,
-        notes=(*said, *_beyond(chosen, point), *notes_on(chosen)),
+        notes=(*filter(None, said), *_beyond(chosen, point), *notes_on(chosen)),
     )
 
 
@@ -340,31 +337,26 @@ def _learned_group_sds(equation: OperatingEquation) -> set[str]:
     return {b.name for b in learned if b.coefficient.per not in given}
 
 
-def _beyond(chosen: Compensator, point: Mapping[str, float]) -> list[str]:
+def _beyond(chosen: Compensator, point: Mapping[str, float]) -> list[Claim]:
     """Where an operating point, fixed units, is outside the calibrated range."""
     past = {i.name for i in chosen.inputs if i.kind in PAST}
     settled = {i.name for i in chosen.inputs if i.settled}
     return [
-        f"{name} = {point[name]:.6g} is outside its calibrated range, {low:.6g} to {high:.6g} {unit}: an "
-        "extrapolation, whose uncertainty does not say by how much the equation itself may fail."
+        Claim("budget.beyond_range", name, value=point[name], low=low, high=high, unit=unit)
         for name, (low, high, unit) in chosen.calibrated.items()
         if name not in past and (point[name] < low or (point[name] > high and name not in settled))
     ]
 
 
-def notes_on(chosen: Compensator, of_correction: bool = True) -> tuple[str, ...]:
+def notes_on(chosen: Compensator, of_correction: bool = True) -> tuple[Claim, ...]:
     """Which coverage of a budget is short, and what is not counted in it, of a correction or of a slot alone."""
-    notes = list[str]()
+    notes = [*clock_note(chosen.calibration, chosen.equation.inputs)]
     learned = _learned_group_sds(chosen.equation)
     for block in (b for b in chosen.equation.blocks if b.name in learned):
         per = str(block.coefficient.per)
         count = len(chosen.calibration.levels.get(per, ()))
         if count < FEWEST_GROUPS_FOR_NORMAL:
-            notes.append(
-                f"{block.name} of a new {per} is known from {count} of them: an expanded uncertainty covers less than "
-                "that of a normal distribution."
-            )
+            notes.append(Claim("budget.few_groups", block.name, group=per, count=count))
     if of_correction and not chosen.equation.slope_calibrated:
-        notes.append(bias_only(chosen.stimulus))
-    clock = clock_note(chosen.calibration, chosen.equation.inputs)
-    return (*clock, *dict.fromkeys(notes), SHARED)
+        notes.append(Claim("use.bias_only", chosen.stimulus))
+    return (*dict.fromkeys(notes), Claim("budget.shared_errors"))

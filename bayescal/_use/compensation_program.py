@@ -20,6 +20,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from bayescal._calibration.calibration import Calibration
+from bayescal._calibration.claim import Claim
 from bayescal._calibration.storage import sources_of
 from bayescal._core.as_json import as_json
 from bayescal._core.errors import InputError, ModelError
@@ -269,68 +270,46 @@ def clock_words(calibration: Calibration) -> str:
     return f"from {date_text(since)} UTC, as which dates without a zone count"
 
 
-def clock_note(calibration: Calibration, inputs: Collection[str]) -> list[str]:
+def clock_note(calibration: Calibration, inputs: Collection[str]) -> list[Claim]:
     """Say what changes with the date and what time counts from; nothing where no input is the time."""
     if "time" not in inputs:
         return []
     last, since = float(calibration.readings["time"].max()), calibration.readings.since
     end = f"{number(last, 6)} s" if since is None else date_text(since + last)
-    return [
-        f"With the date changes {', '.join(calibration.dated) or 'the noise'}. Time counts {clock_words(calibration)}; "
-        f"the last reading was taken at {end}, and what is stated later is an extrapolation."
-    ]
+    changing = calibration.dated or ("the noise",)
+    return [Claim("use.dated", *changing, clock=clock_words(calibration), end=end)]
 
 
-def averaged_over(calibration: Calibration) -> list[str]:
-    """That the values are an average over structures, and how probable each effect is; nothing where they are none."""
+def averaged_over(calibration: Calibration) -> list[Claim]:
+    """Say that values are an average over structures, and how probable each effect is; nothing where they are none."""
     shares = {name: share for name, share in calibration.inclusion.items() if share < 1}
-    if not shares:
-        return []
-    said = ", ".join(f"{name} {share:.2f}" for name, share in shares.items())
-    return [
-        f"Averaged over structures with their probabilities ({said}): means and uncertainties hold what is not known "
-        "of the structure."
-    ]
-
-
-def bias_only(stimulus: str) -> str:
-    """What is said where no unknown acts on how the output follows the stimulus."""
-    return (
-        f"Only the bias was calibrated: the scale factor for {stimulus} is taken as known, and its error is in no "
-        "uncertainty."
-    )
+    named = tuple(f"{name} {share:.2f}" for name, share in shares.items())
+    return [Claim("use.averaged", *shares, named=named)] if shares else []
 
 
 def notes_on_use(
     calibration: Calibration, equation: OperatingEquation, has_range: bool
-) -> tuple[str, ...]:
-    """What to know before a reading is compensated, each a sentence."""
+) -> tuple[Claim, ...]:
+    """What to know before a reading is compensated."""
     notes = [*averaged_over(calibration), *clock_note(calibration, equation.inputs)]
-    new = [u.name for u in equation.unknowns if u.kind == "new"]
-    if new:
-        notes.append(
-            f"Taken as new in use, with the between-group standard deviation of the calibration: {', '.join(new)}."
-        )
+    if new := [u.name for u in equation.unknowns if u.kind == "new"]:
+        notes.append(Claim("use.new_members", *new))
     if held := equation.held_inputs:
-        places = [f"{n} = {v:.6g} {unit_label(unit)}".rstrip() for n, v, unit in held]
+        places = tuple(f"{n} = {v:.6g} {unit_label(unit)}".rstrip() for n, v, unit in held)
         rms = left_out(equation, calibration, inputs_at_fit(calibration, equation))
-        notes.append(
-            f"Held at {', '.join(places)}, which only improbable effects need. What these make of the output elsewhere "
-            f"is left out: {number(rms)} {unit_label(calibration.unit)} rms over the calibration."
-        )
+        told = {"places": places, "rms": rms, "unit": calibration.unit}
+        notes.append(Claim("use.held_inputs", *(name for name, *_ in held), **told))
     for lag in equation.lags:
         if lag.shape and lag.name in equation.inputs:
             multiple = lag.tau / equation.shapes[lag.shape]
             share = "" if multiple == 1.0 else f"{multiple:.3g} · "
-            notes.append(
-                f"{lag.name} is the lag for {share}{lag.shape} = {lag.tau:.6g} s; the uncertainty of this time is "
-                f"counted through {lag.slope}."
-            )
+            told = {"time": f"{share}{lag.shape}", "tau": lag.tau, "slope": lag.slope}
+            notes.append(Claim("use.lag", lag.name, **told))
     stimulus = equation.use.stimulus
     if not equation.slope_calibrated:
-        notes.append(bias_only(stimulus))
+        notes.append(Claim("use.bias_only", stimulus))
     elif not has_range:
-        notes.append(f"The range of {stimulus} in the calibration is not stated.")
+        notes.append(Claim("use.no_range", stimulus))
     return tuple(notes)
 
 
