@@ -6,11 +6,10 @@ from ._calibration.check import why_not as why_not
 from ._calibration.storage import identity as identity
 from ._calibration.storage import sources_of as sources_of
 from ._calibration.summary import summary as summary
+from ._cli.commands import ExportCommand as ExportCommand
 
 # commands: their options, what they are asked for, what they answer
-from ._cli.console import Answer as Answer
-from ._cli.console import drawn as drawn
-from ._cli.deliverables import ExportCommand as ExportCommand
+from ._cli.options import Answer as Answer
 from ._cli.options import AsJson as AsJson
 from ._cli.options import ColumnOptions as ColumnOptions
 from ._cli.options import Command as Command
@@ -22,23 +21,24 @@ from ._cli.options import ReadRequest as ReadRequest
 from ._cli.options import SearchRequest as SearchRequest
 from ._cli.options import Shared as Shared
 from ._cli.options import channel_names as channel_names
+from ._cli.options import drawn as drawn
 from ._cli.options import named_numbers as named_numbers
 from ._cli.options import named_values as named_values
 from ._cli.options import names_in as names_in
 from ._cli.options import opt as opt
 from ._cli.options import refuse_missing as refuse_missing
+from ._cli.request import CALIBRATION as CALIBRATION
+from ._cli.request import compensator_from as compensator_from
 from ._cli.request import compose as compose
 from ._cli.request import instrument_named as instrument_named
+from ._cli.request import load_saved as load_saved
 from ._cli.request import method_named as method_named
+from ._cli.request import of_units as of_units
 from ._cli.request import open_request as open_request
 from ._cli.request import own_effects as own_effects
 from ._cli.request import reference_of as reference_of
+from ._cli.request import reliable as reliable
 from ._cli.request import searched as searched
-from ._cli.saved import CALIBRATION as CALIBRATION
-from ._cli.saved import compensator_from as compensator_from
-from ._cli.saved import load_saved as load_saved
-from ._cli.saved import of_units as of_units
-from ._cli.saved import reliable as reliable
 
 # JSON, and the type that it must have
 from ._core.as_json import as_json as as_json

@@ -21,7 +21,7 @@ from typing import NoReturn
 
 import typer
 
-from bayescal._cli import commands, deliverables
+from bayescal._cli import commands
 from bayescal._cli.options import Command
 from bayescal._core.annex import offered
 from bayescal._core.errors import BayescalError, NotConverged, NotDrawn
@@ -48,7 +48,7 @@ def application(asked: str | None = None) -> typer.Typer:
         rich_markup_mode=None,
         pretty_exceptions_enable=False,
     )
-    for group in (commands.COMMANDS, deliverables.COMMANDS, *offered("commands")):
+    for group in (commands.COMMANDS, *offered("commands")):
         for command in group:
             name, words = command.called(), inspect.getdoc(command)
             shown = command if asked in (None, name) else lambda: None

@@ -1,4 +1,4 @@
-"""What a command is, a data class of its options, and groups of options that several commands share: its bases.
+"""What a command is, a data class of its options, and its answer; groups of options that commands share: its bases.
 
 Typer shows and runs a data class as it does a function. Annotations are no text here: typer would look for their names
 in the module of the command. Light: `bayescal --help` reads it.
@@ -6,7 +6,8 @@ in the module of the command. Light: `bayescal --help` reads it.
 
 import math
 import os
-from collections.abc import Iterator
+import sys
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, dataclass_transform
@@ -14,10 +15,10 @@ from typing import Any, dataclass_transform
 from typer import Argument, Option
 from typer.models import ParameterInfo
 
-from bayescal._cli.console import Answer
 from bayescal._core import deadline
-from bayescal._core.errors import InputError
-from bayescal._core.progress import EVERY, stage
+from bayescal._core.as_json import as_json, json_text
+from bayescal._core.errors import InputError, NotDrawn
+from bayescal._core.progress import EVERY, print_notes, stage
 from bayescal._report.whole_folder import AVERAGED, CALIBRATION, CHANNELS, MANIFEST
 from bayescal._tables.mapping_file import load_mapping, save_mapping
 
@@ -117,6 +118,47 @@ class Options:
         for name, value in vars(self).items():
             if isinstance(value, ParameterInfo):
                 setattr(self, name, value.default)
+
+
+@dataclass(frozen=True)
+class Answer:
+    """What a command found: it is printed, in words or as data, and settles the exit status."""
+
+    shown: Any  # prints itself; plain data is printed as JSON; None where all is said
+    data: Any = None  # for --json; what `shown.data()` gives if not given
+    ok: bool = True  # whether the result may be used; where not, the status is 1
+    why: str = ""  # what stands against it
+    doubt: str = ""  # what is noted beside a result that may be used, and makes the status 1 too
+    made: bool = True  # whether all that is drawn of it could be: where not, the status is 1
+    written: str = ""  # which files there are
+
+    def tell(self, json_: bool) -> bool:
+        """Print it; whether it may be used and all was drawn: if not, the status is 1."""
+        shown = self.shown
+        if json_:
+            own = shown.data() if self.data is None and hasattr(shown, "data") else self.data
+            shown = shown if own is None else own
+        if isinstance(shown, dict | list):
+            shown = json_text(as_json(shown)).rstrip("\n")
+        if shown is not None:
+            print(shown)
+        if self.written and not json_:
+            print(f"\nwritten: {self.written}")
+        if not self.ok:
+            print(f"bayescal: result not reliable: {self.why}", file=sys.stderr)
+        elif self.doubt:
+            print_notes([self.doubt])
+        return self.ok and self.made and not self.doubt
+
+
+def drawn(make: Callable[..., Any], *given: Any) -> bool:
+    """Make pictures or a page of a result that is written; whether they could be made: where not, that is said."""
+    try:
+        make(*given)
+    except NotDrawn as error:
+        print_notes([str(error)])
+        return False
+    return True
 
 
 class Command(Options):
