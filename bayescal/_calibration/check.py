@@ -27,6 +27,7 @@ from bayescal._core.result_table import Printed, ResultTable, TableColumn
 from bayescal._core.settings import settings
 from bayescal._data.unit_conversion import unit_label
 from bayescal._inference.least_squares import LeastSquares
+from bayescal._inference.linear_model import taken_up
 from bayescal._model.unknown_effect import process_columns, process_weights, resolution
 
 SIGNIFICANT_P = 1e-3  # p-value of the tests without a Bayes factor
@@ -223,8 +224,6 @@ BINS = 12  # of a covariate
 SCALES = (3, 4)  # lengths of the process over their plausible range; in time, where that is wider
 AMPLITUDES = tuple(np.geomspace(0.15, 15.0, 7))  # in noise standard deviations
 WAVES = 2  # along each of two covariates together
-INVISIBLE = 1e-12  # I·W of a direction below this: its prior spread is lost in its uncertainty
-ROUNDING = 64 * float(np.finfo(float).eps)  # of the largest of its group: below it is only rounding
 
 
 @on_one_thread
@@ -397,23 +396,14 @@ def log_bayes_factors(
 ) -> list[float]:
     """For each covariate the log Bayes factor of a dependence on it against none, over lengths and amplitudes.
 
-    At prior standard deviations common to all of its columns, in units of the noise (output unit), it is
-    ½ u'(W⁻¹ + I)⁻¹u − ½ log|1 + IW|, W the prior variance. A direction without information counts nothing, so that zero
-    and linearly dependent columns are allowed.
+    Amplitudes are prior standard deviations common to all of its columns, in units of the noise (output unit).
     """
-    found, variance = [], np.square(AMPLITUDES)[:, None]
+    found = list[float]()
     for covariate in covariates:
         u, information = calibration.linear.score(covariate.columns * noise)
-        terms = list[np.ndarray]()
-        for weight in covariate.weights:
-            inner = weight[:, None] * information * weight
-            values, vectors = np.linalg.eigh((inner + inner.T) / 2)
-            spread = variance * values
-            seen = spread > np.maximum(INVISIBLE, ROUNDING * spread[:, -1:])
-            spread = np.where(seen, spread, 0.0)
-            pulls = variance * (vectors.T @ (weight * u)) ** 2
-            energy = np.where(seen, pulls, 0.0) / (1 + spread)
-            terms.append(0.5 * np.sum(energy - np.log1p(spread), axis=1))
+        sizes = np.concatenate([np.outer(AMPLITUDES, weight) for weight in covariate.weights])
+        volume, squares = taken_up(sizes * u, sizes[:, :, None] * information * sizes[:, None, :])
+        terms = 0.5 * squares - volume
         found.append(float(logsumexp(terms) - np.log(np.size(terms))))
     return found
 
