@@ -36,7 +36,6 @@ from ._cli.request import method_named as method_named
 from ._cli.request import of_units as of_units
 from ._cli.request import open_request as open_request
 from ._cli.request import own_effects as own_effects
-from ._cli.request import reference_of as reference_of
 from ._cli.request import reliable as reliable
 from ._cli.request import searched as searched
 
@@ -108,9 +107,9 @@ from ._tables.raw_table import option as option
 from ._tables.raw_table import unusable as unusable
 
 # corrections, and the files that they are written to
-from ._use.correction import NOT_RELIABLE as NOT_RELIABLE
-from ._use.correction import CorrectionInUse as CorrectionInUse
-from ._use.correction import CorrectionKind as CorrectionKind
+from ._use.compensation_program import NOT_RELIABLE as NOT_RELIABLE
+from ._use.compensation_program import CorrectionInUse as CorrectionInUse
+from ._use.correction_files import CorrectionKind as CorrectionKind
 from ._use.correction_files import as_data as as_data
 from ._use.correction_files import as_text as as_text
 from ._use.correction_files import format_of as format_of

@@ -40,6 +40,7 @@ from bayescal._cli.options import (
     drawn,
     named_numbers,
     opt,
+    optional_names,
 )
 from bayescal._cli.request import instrument_named
 from bayescal._core import deadline
@@ -233,9 +234,9 @@ class CalibrateCommand(SearchRequest, AsJson, Command):
             how = {
                 "effects": request.own_effects(self, models[name].instrument, first),
                 "method": request.method_named(self.method),
-                "reference": request.reference_of(self.reference, first),
+                "reference": dict(named_numbers(self.reference, "--reference")),
                 **self.settings(),
-                "covariates": request.covariates(self.covariates),
+                "covariates": optional_names(self.covariates),
             }
             from bayescal._cli.output import ConsoleReporter, search_shown
 
@@ -284,7 +285,7 @@ class FitCommand(ModelOptions, ReadRequest, AsJson, Command):
             if self.noise is not None:
                 model = model.with_noise(request.law_named(self.noise, model, readings))
             print_notes(readings.flags)
-            reference = request.reference_of(self.reference, readings)
+            reference = dict(named_numbers(self.reference, "--reference"))
             how = {"seed": self.seed, "strict": False, "reference": reference}
             calibration = bc.fit(model, readings, request.method_named(self.method), **how)
             from bayescal._cli.output import fit_data
@@ -326,7 +327,7 @@ class DiscoverCommand(OwnParts, AsJson, Command):
     def answer(self) -> Answer:
         loaded = request.load_saved(self.calibration, self)
         effects = request.own_effects(self, loaded.model.instrument, loaded.readings)
-        allowed = {"ignore": self.ignore or (), "covariates": request.covariates(self.covariates)}
+        allowed = {"ignore": self.ignore or (), "covariates": optional_names(self.covariates)}
         found = bc.discover(loaded, effects=effects, max_effects=self.max_effects, **allowed)
         from bayescal._report.result_json import experiment_data, missing_data
 
@@ -378,7 +379,7 @@ class CompareCommand(ReadRequest, AsJson, Command):
             models[name].require(readings)
         print_notes(readings.flags)
         how = {"seed": self.seed, "strict": False}
-        how["reference"] = request.reference_of(self.reference, readings)
+        how["reference"] = named_numbers(self.reference, "--reference")
         method, fits = request.method_named(self.method), {}
         for i, (name, model) in enumerate(models.items()):
             with deadline.sooner(1 / (len(models) - i)):

@@ -67,6 +67,11 @@ def names_in(given: str | None) -> list[str]:
     return [name for part in (given or "").split(",") if (name := part.strip())]
 
 
+def optional_names(given: str | None) -> list[str] | None:
+    """Return the names between commas; None where nothing is given."""
+    return None if given is None else names_in(given)
+
+
 def channel_names(given: str | None) -> list[str]:
     """Return the names of --channels, none where it is not given; refuse fewer than two, or one twice."""
     names = names_in(given)

@@ -18,7 +18,6 @@ from bayescal._cli.options import (
     SearchRequest,
     UsedParts,
     named_numbers,
-    names_in,
 )
 from bayescal._core.annex import first_offered
 from bayescal._core.errors import InputError
@@ -37,12 +36,11 @@ if TYPE_CHECKING:
     from bayescal._data.measurements import Measurements
     from bayescal._inference.method import Method
     from bayescal._model.effect import Effect
-    from bayescal._model.frame import Reference
     from bayescal._model.instrument import Instrument
     from bayescal._model.model import Model
     from bayescal._model.noise_law import Noise
     from bayescal._report.result_json import Chapter
-    from bayescal._use.correction import CorrectionInUse
+    from bayescal._use.compensation_program import CorrectionInUse
 
 LONG_LOG = 20_000  # readings, beyond which means over short times say as much and are sooner done
 
@@ -152,24 +150,6 @@ def law_named(name: str, model: Model, readings: Measurements) -> Noise:
 def method_named(name: str) -> Method:
     """Return a method with its standard settings, by its name on the command line."""
     return getattr(bc, METHODS[name])()
-
-
-def covariates(given: str | None) -> list[str] | None:
-    """Return --covariates as `calibrate` and `discover` take it."""
-    return None if given is None else names_in(given)
-
-
-def reference_of(given: list[str] | None, readings: Measurements) -> Reference:
-    """Return the constants of the bases that the user sets with --reference; refuse those that the readings lack."""
-    from bayescal._model.frame import constants_of
-
-    reference, known = named_numbers(given, "--reference"), constants_of(readings)
-    if unknown := [name for name in reference if name not in known]:
-        raise InputError(
-            f"--reference {unknown[0]}: the bases of these readings have no constant {unknown[0]!r}; "
-            f"they have: {', '.join(sorted(known))}"
-        )
-    return dict(reference)
 
 
 def searched(

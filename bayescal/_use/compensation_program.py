@@ -11,6 +11,7 @@ The stimulus solves expected(s) = reading: one Newton step from 0 where the equa
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -33,7 +34,6 @@ from bayescal._data.time_in_runs import RATE_WINDOW, rate_window
 from bayescal._data.unit_conversion import unit_label
 from bayescal._model.frame import Frame, build_frame, held_name
 from bayescal._tables.cells import date_text
-from bayescal._use.correction import NOT_RELIABLE, CorrectionInUse
 from bayescal._use.expression_graph import Graph
 from bayescal._use.operating_equation import (
     STIMULUS,
@@ -44,6 +44,25 @@ from bayescal._use.operating_equation import (
     noise_in_use,
 )
 
+
+class CorrectionInUse(ABC):
+    """What turns readings into what acts, with its uncertainty, and leaves as a file (`correction_files.py`)."""
+
+    @abstractmethod
+    def about_it(self) -> tuple[str, tuple[str, ...], str]:
+        """The instrument's name; what to know, each a sentence; why it is not to be used, empty where it may be."""
+
+    @abstractmethod
+    def data(self) -> dict[str, Any]:
+        """What its JSON file holds."""
+
+    @property
+    def why_not(self) -> str:
+        """Why the result is not to be used, in words; empty where it may be."""
+        return self.about_it()[2]
+
+
+NOT_RELIABLE = "RESULT NOT RELIABLE: "
 PAST = ("rate", "lag", "lag slope")  # kinds of input that follow from a temperature's past
 IMAGINARY_STEP = 1e-30j  # relative: the imaginary part of what is analytic is its slope
 # Of the standard uncertainty, that something may still move: half a percent of it, in the root of the sum of squares.

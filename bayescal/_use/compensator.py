@@ -22,6 +22,7 @@ from bayescal._data.measurements import Measurements
 from bayescal._data.time_in_runs import on_clock
 from bayescal._model.composition import columns_read
 from bayescal._use.compensation_program import (
+    NOT_RELIABLE,
     PAST,
     CompensationProgram,
     Input,
@@ -33,7 +34,6 @@ from bayescal._use.compensation_program import (
     notes_on_use,
     program_of,
 )
-from bayescal._use.correction import NOT_RELIABLE
 from bayescal._use.correction_files import as_text, format_of, kind_of, load_correction
 from bayescal._use.operating_equation import (
     OperatingEquation,

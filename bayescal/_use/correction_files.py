@@ -13,7 +13,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from bayescal._core.annex import offered
 from bayescal._core.as_json import json_text
@@ -28,12 +28,32 @@ from bayescal._use.compensation_program import (
     PAST,
     SCHEMA,
     CompensationProgram,
+    CorrectionInUse,
     Input,
     from_data,
 )
-from bayescal._use.correction import CorrectionInUse, CorrectionKind, Writer
 from bayescal._use.expression_graph import LANGUAGES, Language, statements
 from bayescal._use.operating_equation import STIMULUS
+
+Writer = Callable[[Mapping[str, Any], bool], str]
+"""Writes corrections by the names of their sensors, with or without uncertainty."""
+
+
+class CorrectionKind(NamedTuple):
+    """A kind of corrections: how they are told, written, read back and made."""
+
+    of: type[CorrectionInUse]  # their class
+    axes: str  # what they are of, in words, such as "three axes"
+    writers: Mapping[str, Writer]  # by format
+    suffixes: Mapping[str, str]  # formats by the suffix of a file
+    is_data: Callable[[Mapping[str, Any]], bool]  # whether JSON is one of them
+    # one from JSON and the name of its file, for messages; `InputError` if it is damaged
+    read: Callable[[Any, str], CorrectionInUse]
+    loader: str  # the public function that does
+    together: tuple[str, ...] = ()  # formats that hold several
+    # what a format has no place for, in a sentence; empty for nothing
+    left_out: Callable[[Any, str], str] = lambda correction, format: ""
+
 
 # Names that the templates give themselves.
 _WORDS = "reading stimulus inputs expected slope gradient noise square total values outside math j dt self state now"
