@@ -37,8 +37,6 @@ from bayescal._use.compensator import Compensator, compensator
 from bayescal._use.operating_equation import (
     ALL_DRAWS,
     OperatingEquation,
-    posterior_moments,
-    unfound_spreads,
 )
 
 REST = "between-group sd, shapes, curvature"
@@ -233,7 +231,7 @@ def budget(
     expected, slope, gradient = _slopes(chosen, point)
     covariance = chosen._moments.covariance
     variance = float(gradient @ covariance @ gradient)
-    every = posterior_moments(chosen.equation, chosen.calibration, ALL_DRAWS)
+    every = chosen.equation.moments(ALL_DRAWS)
     places = {name: np.array([value]) for name, value in point.items()}
     untold = not_measured(chosen.calibration, (every.draws @ gradient)[:, None])
     said = [untold and Claim("budget.prior", *untold.names, untold=untold, told=untold.cure)]
@@ -317,7 +315,7 @@ def _by_source(
                 moved += float(slope) * own[known.index[u.name] - known.by_key[u.key].start]
         parts[f"{one.of_column}, not told from the model's own", "B"] = moved**2
     beside = 0.0
-    for name, (i, size) in unfound_spreads(chosen.equation, calibration).items():
+    for name, (i, size) in chosen.equation.unfound_spreads.items():
         parts[f"{name} (new run), not found", "B"] = own = float(gradient[i] * size) ** 2
         beside += own
     if (lost := 1 - calibration.form_factor**-2) > 0:

@@ -40,8 +40,7 @@ from bayescal._use.operating_equation import (
     OperatingEquation,
     PosteriorMoments,
     input_name,
-    left_out,
-    noise_in_use,
+    lag_and_slope,
 )
 
 
@@ -64,7 +63,6 @@ class CorrectionInUse(ABC):
 
 NOT_RELIABLE = "RESULT NOT RELIABLE: "
 PAST = ("rate", "lag", "lag slope")  # kinds of input that follow from a temperature's past
-IMAGINARY_STEP = 1e-30j  # relative: the imaginary part of what is analytic is its slope
 # Of the standard uncertainty, that something may still move: half a percent of it, in the root of the sum of squares.
 SETTLED = 0.1
 MARGIN = 0.01  # of the range of the stimulus: a reading at its end scatters about it
@@ -108,11 +106,10 @@ class Input:
         return 0.5 * (self.low + self.high) if self.kind in ("column", "elapsed") else 0.0
 
 
-def inputs_in_use(
-    calibration: Calibration, equation: OperatingEquation, values: Mapping[str, np.ndarray]
-) -> list[Input]:
-    """Inputs of the equation, as people and firmware are told of them; `values` are those of the fit, by name."""
-    found, frame = list[Input](), calibration.frame
+def inputs_in_use(equation: OperatingEquation) -> list[Input]:
+    """Inputs of the equation, as people and firmware are told of them."""
+    found, calibration, values = list[Input](), equation.calibration, equation.at_fit
+    frame = calibration.frame
 
     def add(name: str, unit: str, meaning: str, kind: str, column: str, **past: Any) -> None:
         if name in equation.inputs and name in values:
@@ -145,20 +142,7 @@ def inputs_in_use(
 
 def inputs_at_fit(calibration: Calibration, equation: OperatingEquation) -> dict[str, np.ndarray]:
     """All inputs at the readings of the fit, (n,) each; lags at the mean of their time constants."""
-    frame = calibration.frame
-    found = {n: np.asarray(frame.columns[n]) for n in equation.known}
-    found |= {name: np.asarray(frame.rates[column]) for name, column in equation.rated}
-    for lag in equation.lags:
-        found[lag.name], slope = _lag_and_slope(frame, lag.tau, lag.column)
-        if lag.slope:
-            found[lag.slope] = slope
-    return found
-
-
-def _lag_and_slope(frame: Frame, tau: float, column: str) -> tuple[np.ndarray, np.ndarray]:
-    """T̃ − T of a record, °C, and its derivative by the time constant, °C/s, (n,) each."""
-    found = frame.lag(np.asarray(tau * (1 + IMAGINARY_STEP)), column)
-    return found.real, found.imag / (tau * IMAGINARY_STEP.imag)
+    return equation.at_fit
 
 
 def gathered(
@@ -202,7 +186,7 @@ def gathered(
             if i.kind in ("rate", "elapsed"):
                 given[i.name] = record.rates[i.column] if i.kind == "rate" else record.elapsed
             else:
-                both = _lag_and_slope(record, float(i.tau or 0.0), i.column)
+                both = lag_and_slope(record, float(i.tau or 0.0), i.column)
                 given[i.name] = both[i.kind == "lag slope"]
     for i in inputs:
         if i.name not in given:
@@ -259,8 +243,9 @@ class Provenance:
     epoch: float | None = None
 
 
-def provenance_of(calibration: Calibration, equation: OperatingEquation) -> Provenance:
+def provenance_of(equation: OperatingEquation) -> Provenance:
     """What an export says of itself, but for its notes and what stands against using it."""
+    calibration = equation.calibration
     instrument, use = calibration.model.instrument, equation.use
     acting = dict.fromkeys(b.effect for b in equation.blocks)
     scale = calibration.readings.scale or instrument.nominal_scale
@@ -306,17 +291,15 @@ def averaged_over(calibration: Calibration) -> list[Claim]:
     return [Claim("use.averaged", *shares, named=named)] if shares else []
 
 
-def notes_on_use(
-    calibration: Calibration, equation: OperatingEquation, has_range: bool
-) -> tuple[Claim, ...]:
+def notes_on_use(equation: OperatingEquation, has_range: bool) -> tuple[Claim, ...]:
     """What to know before a reading is compensated."""
+    calibration = equation.calibration
     notes = [*averaged_over(calibration), *clock_note(calibration, equation.inputs)]
     if new := [u.name for u in equation.unknowns if u.kind == "new"]:
         notes.append(Claim("use.new_members", *new))
     if held := equation.held_inputs:
         places = tuple(f"{n} = {v:.6g} {unit_label(unit)}".rstrip() for n, v, unit in held)
-        rms = left_out(equation, calibration, inputs_at_fit(calibration, equation))
-        told = {"places": places, "rms": rms, "unit": calibration.unit}
+        told = {"places": places, "rms": equation.left_out(), "unit": calibration.unit}
         notes.append(Claim("use.held_inputs", *(name for name, *_ in held), **told))
     for lag in equation.lags:
         if lag.shape and lag.name in equation.inputs:
@@ -508,18 +491,10 @@ def _refuse_torn(program: CompensationProgram) -> None:
         raise ValueError("about.raw has a gain of zero")
 
 
-def program_of(
-    equation: OperatingEquation,
-    calibration: Calibration,
-    moments: PosteriorMoments,
-    values: Mapping[str, np.ndarray],
-) -> CompensationProgram:
-    """Take an equation in use, its derivatives and the noise of one reading at the mean of its unknowns.
-
-    `values` are those of the inputs at the readings of the fit, (n,) each.
-    """
-    unknowns, readings, use = equation.unknowns, calibration.readings, equation.use
-    law, level = noise_in_use(equation, calibration, values)
+def program_of(equation: OperatingEquation, moments: PosteriorMoments) -> CompensationProgram:
+    """Take an equation in use, its derivatives and the noise of one reading at the mean of its unknowns."""
+    unknowns, readings, use = equation.unknowns, equation.calibration.readings, equation.use
+    law, level = equation.noise_in_use()
     means = {input_name(u.key): float(m) for u, m in zip(unknowns, moments.mean, strict=True)}
     law = {input_name(name): value for name, value in law.items()}
     places = [equation.expected, equation.noise, *equation.gradient.values()]
@@ -532,9 +507,9 @@ def program_of(
     span = None
     if use.equation is None and readings.has(use.stimulus) and np.ptp(readings[use.stimulus]) > 0:
         span = float(readings[use.stimulus].min()), float(readings[use.stimulus].max())
-    inputs = inputs_in_use(calibration, equation, values)
+    inputs = inputs_in_use(equation)
     made = CompensationProgram(
-        about=provenance_of(calibration, equation),
+        about=provenance_of(equation),
         inputs=tuple(inputs),
         stimulus_range=span,
         unknowns=tuple(ProgramUnknown(u.name, u.unit, mean) for u, mean in each),

@@ -29,7 +29,6 @@ from bayescal._use.compensation_program import (
     OutsideCalibration,
     Provenance,
     gathered,
-    inputs_at_fit,
     inputs_in_use,
     notes_on_use,
     program_of,
@@ -39,7 +38,6 @@ from bayescal._use.operating_equation import (
     OperatingEquation,
     PosteriorMoments,
     equation_in_use,
-    posterior_moments,
     solved_over_draws,
 )
 
@@ -152,7 +150,7 @@ class Compensator:
         """Mean, covariance and equation, as they stand: of a fit, without what a check says of it."""
         if self.loaded:
             return self.loaded
-        return program_of(self.equation, self.calibration, self._moments, self._inputs_at_fit)
+        return program_of(self.equation, self._moments)
 
     @cached_property
     def program(self) -> CompensationProgram:
@@ -194,7 +192,7 @@ class Compensator:
         if self.loaded:  # the last says what stands against using it
             return self.about.notes[: -1 if self.why_not else None]
         has_range = self.in_use.stimulus_range is not None
-        return notes_on_use(self.calibration, self.equation, has_range)
+        return notes_on_use(self.equation, has_range)
 
     @property
     def why_not(self) -> str:
@@ -276,11 +274,7 @@ class Compensator:
 
     @cached_property
     def _moments(self) -> PosteriorMoments:
-        return posterior_moments(self.equation, self.calibration, self.draws)
-
-    @cached_property
-    def _inputs_at_fit(self) -> dict[str, np.ndarray]:
-        return inputs_at_fit(self.calibration, self.equation)
+        return self.equation.moments(self.draws)
 
     @cached_property
     def _ranges(self) -> dict[str, tuple[float, float]]:
@@ -289,7 +283,7 @@ class Compensator:
         if not self.loaded:
             # What the equation does not use was held in a range too.
             for name in self.equation.known:
-                values = self._inputs_at_fit[name]
+                values = self.equation.at_fit[name]
                 if name not in ("time", "elapsed") and np.ptp(values) > 0:
                     ranges.setdefault(name, (float(values.min()), float(values.max())))
         if span := self.in_use.stimulus_limits:
@@ -322,7 +316,7 @@ def compensator(
         return whole
     held = tuple(
         (i.name, float(i.middle), i.unit)
-        for i in inputs_in_use(calibration, whole.equation, whole._inputs_at_fit)
+        for i in inputs_in_use(whole.equation)
         if not needed.issuperset({i.column} if i.kind == "column" else {i.column, "time"})
     )
     return replace(whole, equation=replace(whole.equation, held_inputs=held))

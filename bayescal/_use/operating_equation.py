@@ -40,6 +40,7 @@ STIMULUS = "(stimulus)"  # its name as an input of the graph
 NUMBERS_AT_ONCE = 60_000  # draws times readings whose operations stay within a cache
 NOISE_READINGS, NOISE_DRAWS = 200, 2000  # over which the level of the noise is averaged
 SIZE_DRAWS = 200  # and readings, over which the size of what is left out is known well enough
+IMAGINARY_STEP = 1e-30j  # relative: the imaginary part of what is analytic is its slope
 LAGS_AT_ONCE = 4_000_000  # draws times readings of a record whose past is computed together
 Values = Mapping[str, Any]
 
@@ -110,23 +111,55 @@ class ActingTerms(Traced):
         return traced_by_jax(self.graph, function, frame, values)
 
 
+class PosteriorMoments(NamedTuple):
+    """What the posterior says of θ: draws (d, p), mean (p,), covariance (p, p), reported units."""
+
+    draws: np.ndarray
+    mean: np.ndarray
+    covariance: np.ndarray
+
+
 @dataclass(frozen=True, eq=False)
 class OperatingEquation:
-    """The measurement equation of a bound model for one reading in use, and its inverse."""
+    """The measurement equation of a calibrated model for one reading in use, and its inverse.
 
-    reference: Values  # constants of the bases
-    shapes: Mapping[str, float]  # posterior means of its shapes, by name
-    layout: Layout  # the model, with one member of every group: that which is in use
-    # (group, member) chosen by name, such as ("device", "A17"); others are new
-    members: tuple[tuple[str, str], ...]
-    known: tuple[str, ...]  # numeric columns of the readings of the fit
-    rated: tuple[tuple[str, str], ...]  # (rate's input, temperature)
-    # (name, value, unit) of inputs that only improbable effects need: they are held at one place
+    Attributes:
+        calibration: a fit, or an average over structures.
+        members: (group, member) chosen by name, such as ("device", "A17"); others are new.
+        held_inputs: (name, value, unit) of inputs that only improbable effects need: they are held at one place.
+    """
+
+    calibration: Calibration
+    members: tuple[tuple[str, str], ...] = ()
     held_inputs: tuple[tuple[str, float, str], ...] = ()
+
+    @cached_property
+    def layout(self) -> Layout:
+        """The model, with one member of every group: that which is in use."""
+        whole = self.calibration.layout
+        one_each = tuple((group, 1) for group, _ in whole.counts)
+        return replace(whole, counts=one_each, origin=())
+
+    @cached_property
+    def known(self) -> tuple[str, ...]:
+        """Numeric columns of the readings of the fit."""
+        not_inputs = (*NOT_INPUTS, self.use.stimulus)
+        return tuple(sorted(n for n in self.calibration.frame.columns if n not in not_inputs))
+
+    @cached_property
+    def rated(self) -> tuple[tuple[str, str], ...]:
+        """(rate's input, temperature)."""
+        return tuple((f"{n}_rate", n) for n in self.calibration.frame.rates)
+
+    @cached_property
+    def shapes(self) -> dict[str, float]:
+        """Posterior means of its shapes, by name."""
+        own = (u.key for u in self.unknowns if u.kind == "shape")
+        return {name: float(self.calibration.samples(name).mean()) for name in own}
 
     @property
     def use(self) -> Use:
-        use = self.layout.model.instrument.use
+        use = self.calibration.model.instrument.use
         assert use is not None
         return use
 
@@ -305,12 +338,112 @@ class OperatingEquation:
             labels={f"{group}={member}": np.ones(size) for group, member in self.members},
             rates={c: inputs[n] for n, c in self.rated if n in inputs and n not in columns},
             codes={group: np.zeros(size, int) for group, _ in self.layout.counts},
-            reference=dict(self.reference),
+            reference=dict(self.calibration.frame.reference),
             order=np.arange(size),
             step=-np.ones(size),
             record=dict(columns),
             silence=np.inf,  # pyright: ignore[reportArgumentType]
         )
+
+    # what the fit says of it ------------------------------------------------------------------------------------------
+
+    @cached_property
+    def at_fit(self) -> dict[str, np.ndarray]:
+        """All inputs at the readings of the fit, (n,) each; lags at the mean of their time constants."""
+        frame = self.calibration.frame
+        found = {n: np.asarray(frame.columns[n]) for n in self.known}
+        found |= {name: np.asarray(frame.rates[column]) for name, column in self.rated}
+        for lag in self.lags:
+            found[lag.name], slope = lag_and_slope(frame, lag.tau, lag.column)
+            if lag.slope:
+                found[lag.slope] = slope
+        return found
+
+    @property
+    def stimulus_at_fit(self) -> Float[np.ndarray, "n"]:
+        """The stimulus of each reading of the fit; zero where it is no column."""
+        readings, name = self.calibration.readings, self.use.stimulus
+        return readings[name] if readings.has(name) else np.zeros(len(readings))
+
+    def moments(self, draws: int) -> PosteriorMoments:
+        """Draws of θ, at most `draws` of them evenly thinned; mean and covariance from all that coefficients have.
+
+        What was measured is as uncertain as the model's form makes what it expects; a deviation that is new in use is
+        independent of it, and so are its draws: what is computed from draws and from moments agrees.
+        """
+        calibration, unknowns = self.calibration, self.unknowns
+        (_, v), problem = calibration.draws(), calibration.problem
+        total, random = len(v), np.random.default_rng(calibration.seed)
+        step = max(1, -(-total // draws))
+        values, mean = np.zeros((total, len(unknowns))), np.zeros(len(unknowns))
+        new = [i for i, u in enumerate(unknowns) if u.kind == "new"]
+        for i, u in ((i, u) for i, u in enumerate(unknowns) if i not in new):
+            values[:, i] = calibration.samples(u.name)
+            mean[i] = values[:, i].mean()
+        thin = values[::step].copy()
+        moved = calibration.form_factor * (values - mean)
+        covariance = np.atleast_2d(np.cov(moved.T)) if len(unknowns) else np.zeros((0, 0))
+        for i in new:
+            term = next(t for t in problem.terms if t.name == unknowns[i].key)
+            spread = problem.member_sd(term, problem.hyper(v.T), total)
+            spread = spread * calibration.having[term.effect.name]
+            mean[i], covariance[i, i] = term.coefficient.mean, float(np.mean(spread**2))
+            drawn = _independent(thin - mean, spread[::step], covariance[i, i], random)
+            thin[:, i] = mean[i] + drawn
+        for i, size in self.unfound_spreads.values():
+            covariance[i, i] += size**2
+            thin[:, i] += _independent(thin - mean, np.full(len(thin), size), size**2, random)
+        # A shape moved so may leave its range.
+        linear = [i for i, u in enumerate(unknowns) if u.kind != "shape"]
+        if step > 1 or calibration.form_factor != 1.0:
+            own = mean[linear], covariance[np.ix_(linear, linear)]
+            thin[:, linear] = _with_moments(thin[:, linear], *own)
+        return PosteriorMoments(thin, mean, covariance)
+
+    @property
+    def unfound_spreads(self) -> dict[str, tuple[int, float]]:
+        """By effect, deviations of a new run that no draw has, as of a constant: its place in θ, and its unit."""
+        instrument, members = self.calibration.model.instrument, dict(self.members)
+        places, found = {u.key: i for i, u in enumerate(self.unknowns)}, {}
+        for name, size in self.calibration.unfound_spreads.items():
+            effect = instrument.known[name]
+            c = effect.coefficients[0]
+            for b in self.blocks:
+                if b.effect.kind == "constant" and b.slot == effect.slot and c.per not in members:
+                    size *= factor_of(instrument, effect, c) / b.factor
+                    found[name] = places[b.name], size
+                    break
+        return found
+
+    def left_out(self) -> float:
+        """Return what the output lacks where inputs are held at one place, rms over draws and readings of the fit."""
+        rows = slice(None, None, -(-len(self.calibration.readings) // SIZE_DRAWS))
+        places, theta = {n: v[rows] for n, v in self.at_fit.items()}, self.moments(SIZE_DRAWS).draws
+        at = theta, self.stimulus_at_fit[rows], places
+        lost = replace(self, held_inputs=()).points(*at) - self.points(*at)
+        return float(np.sqrt(np.mean(lost**2)))
+
+    def noise_in_use(self) -> tuple[dict[str, float], float]:
+        """Return the noise law in use: its parameters by name, at the mean of their coordinates, and its level.
+
+        That is the posterior mean of the variance over the readings of the fit, over the variance by these parameters
+        there.
+        """
+        problem, (_, v) = self.calibration.problem, self.calibration.draws(NOISE_DRAWS)
+        rows = slice(None, None, -(-len(self.calibration.readings) // NOISE_READINGS))
+        places = {n: x[rows] for n, x in self.at_fit.items() if n in self.inputs}
+        places[STIMULUS] = self.stimulus_at_fit[rows]
+
+        def mean_variance(law: Mapping[str, Any]) -> float:
+            own = {input_name(name): value for name, value in law.items()}
+            (found,) = self.graph.evaluate([self.noise], {**places, **own})
+            return float(np.mean(found + np.zeros_like(places[STIMULUS])))
+
+        law = {n: float(x) for n, x in problem.hyper(v.mean(axis=0)).items()}
+        at_mean = mean_variance(law)
+        draws = {n: np.reshape(x, (-1, 1)) for n, x in problem.hyper(v.T).items()}
+        # 0: noise as stated
+        return law, mean_variance(draws) / at_mean if at_mean > 0 else 1.0
 
 
 def equation_in_use(
@@ -336,97 +469,13 @@ def equation_in_use(
             raise InputError(
                 f"{group} {member!r} was not in the calibration; it has: {', '.join(known) or 'none'}"
             )
-    frame, not_inputs = calibration.frame, (*NOT_INPUTS, instrument.use.stimulus)
-    one_each = tuple((group, 1) for group, _ in calibration.layout.counts)
-    found = OperatingEquation(
-        reference=frame.reference,
-        shapes={},
-        layout=replace(calibration.layout, counts=one_each, origin=()),
-        members=tuple(sorted(members.items())),
-        known=tuple(sorted(n for n in frame.columns if n not in not_inputs)),
-        rated=tuple((f"{n}_rate", n) for n in frame.rates),
-    )
-    shapes = (u.key for u in found.unknowns if u.kind == "shape")
-    return replace(found, shapes={name: float(calibration.samples(name).mean()) for name in shapes})
+    return OperatingEquation(calibration, tuple(sorted(members.items())))
 
 
-class PosteriorMoments(NamedTuple):
-    """What the posterior says of θ: draws (d, p), mean (p,), covariance (p, p), reported units."""
-
-    draws: np.ndarray
-    mean: np.ndarray
-    covariance: np.ndarray
-
-
-def posterior_moments(
-    equation: OperatingEquation, calibration: Calibration, draws: int
-) -> PosteriorMoments:
-    """Draws of θ, at most `draws` of them evenly thinned; mean and covariance from all, which coefficients' draws have.
-
-    What was measured is as uncertain as the model's form makes what it expects; a deviation that is new in use is
-    independent of it, and so are its draws: what is computed from draws and from moments agrees.
-    """
-    unknowns, (_, v), problem = equation.unknowns, calibration.draws(), calibration.problem
-    total, random = len(v), np.random.default_rng(calibration.seed)
-    step = max(1, -(-total // draws))
-    values, mean = np.zeros((total, len(unknowns))), np.zeros(len(unknowns))
-    new = [i for i, u in enumerate(unknowns) if u.kind == "new"]
-    for i, u in ((i, u) for i, u in enumerate(unknowns) if i not in new):
-        values[:, i] = calibration.samples(u.name)
-        mean[i] = values[:, i].mean()
-    thin = values[::step].copy()
-    moved = calibration.form_factor * (values - mean)
-    covariance = np.atleast_2d(np.cov(moved.T)) if len(unknowns) else np.zeros((0, 0))
-    for i in new:
-        term = next(t for t in problem.terms if t.name == unknowns[i].key)
-        spread = problem.member_sd(term, problem.hyper(v.T), total)
-        spread = spread * calibration.having[term.effect.name]
-        mean[i], covariance[i, i] = term.coefficient.mean, float(np.mean(spread**2))
-        thin[:, i] = mean[i] + _independent(thin - mean, spread[::step], covariance[i, i], random)
-    for i, size in unfound_spreads(equation, calibration).values():
-        covariance[i, i] += size**2
-        thin[:, i] += _independent(thin - mean, np.full(len(thin), size), size**2, random)
-    # A shape moved so may leave its range.
-    linear = [i for i, u in enumerate(unknowns) if u.kind != "shape"]
-    if step > 1 or calibration.form_factor != 1.0:
-        own = mean[linear], covariance[np.ix_(linear, linear)]
-        thin[:, linear] = _with_moments(thin[:, linear], *own)
-    return PosteriorMoments(thin, mean, covariance)
-
-
-def unfound_spreads(
-    equation: OperatingEquation, calibration: Calibration
-) -> dict[str, tuple[int, float]]:
-    """Return, by effect, deviations of a new run that no draw has, as of a constant: its place in θ, and its unit."""
-    instrument, members = calibration.model.instrument, dict(equation.members)
-    places, found = {u.key: i for i, u in enumerate(equation.unknowns)}, {}
-    for name, size in calibration.unfound_spreads.items():
-        effect = instrument.known[name]
-        c = effect.coefficients[0]
-        for b in equation.blocks:
-            if b.effect.kind == "constant" and b.slot == effect.slot and c.per not in members:
-                size *= factor_of(instrument, effect, c) / b.factor
-                found[name] = places[b.name], size
-                break
-    return found
-
-
-def left_out(
-    equation: OperatingEquation, calibration: Calibration, inputs: Mapping[str, np.ndarray]
-) -> float:
-    """Return what the output lacks where inputs are held at one place, rms over draws and `inputs` of the fit."""
-    rows = slice(None, None, -(-len(calibration.readings) // SIZE_DRAWS))
-    places = {n: v[rows] for n, v in inputs.items()}
-    theta = posterior_moments(equation, calibration, SIZE_DRAWS).draws
-    stimulus, free = _stimulus(equation, calibration)[rows], replace(equation, held_inputs=())
-    lost = free.points(theta, stimulus, places) - equation.points(theta, stimulus, places)
-    return float(np.sqrt(np.mean(lost**2)))
-
-
-def _stimulus(equation: OperatingEquation, calibration: Calibration) -> Float[np.ndarray, "n"]:
-    """Return the stimulus of each reading of the fit; zero where it is no column."""
-    readings, name = calibration.readings, equation.use.stimulus
-    return readings[name] if readings.has(name) else np.zeros(len(readings))
+def lag_and_slope(frame: Frame, tau: float, column: str) -> tuple[np.ndarray, np.ndarray]:
+    """Return T̃ − T of a record, °C, and its derivative by the time constant, °C/s, (n,) each."""
+    found = frame.lag(np.asarray(tau * (1 + IMAGINARY_STEP)), column)
+    return found.real, found.imag / (tau * IMAGINARY_STEP.imag)
 
 
 def _independent(
@@ -503,27 +552,3 @@ def solved_over_draws(
             sums[:, rows] += [part.sum(axis=0) for part in (away, away**2, slope**-2.0)]
     mean = sums[0] / count
     return origin + mean, (sums[1] - sums[0] * mean) / max(count - 1, 1), sums[2] / count
-
-
-def noise_in_use(
-    equation: OperatingEquation, calibration: Calibration, inputs: Mapping[str, np.ndarray]
-) -> tuple[dict[str, float], float]:
-    """Return the noise law in use: its parameters by name, at the mean of their coordinates, and its level.
-
-    That is the posterior mean of the variance over the readings of the fit, over the variance by these parameters
-    there. The `inputs` are those of these readings, (n,) each.
-    """
-    problem, (_, v) = calibration.problem, calibration.draws(NOISE_DRAWS)
-    rows = slice(None, None, -(-len(calibration.readings) // NOISE_READINGS))
-    places = {n: x[rows] for n, x in inputs.items() if n in equation.inputs}
-    places[STIMULUS] = _stimulus(equation, calibration)[rows]
-
-    def mean_variance(law: Mapping[str, Any]) -> float:
-        own = {input_name(name): value for name, value in law.items()}
-        (found,) = equation.graph.evaluate([equation.noise], {**places, **own})
-        return float(np.mean(found + np.zeros_like(places[STIMULUS])))
-
-    law = {n: float(x) for n, x in problem.hyper(v.mean(axis=0)).items()}
-    at_mean = mean_variance(law)
-    over_draws = mean_variance({n: np.reshape(x, (-1, 1)) for n, x in problem.hyper(v.T).items()})
-    return law, over_draws / at_mean if at_mean > 0 else 1.0  # 0: noise as stated
