@@ -7,13 +7,15 @@ Sources: Vehtari, Gelman & Gabry, Stat. Comput. 27 (2017) 1413 (PSIS-LOO); Yao e
 from __future__ import annotations
 
 import warnings
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields
+from functools import partial
 from typing import Any
 
 import numpy as np
 
 from bayescal._calibration.calibration import Calibration
+from bayescal._calibration.claim import Claim, limit
 from bayescal._calibration.leave_group_out import LeaveOneGroupOut, leave_one_group_out, scheme
 from bayescal._calibration.predict import predict
 from bayescal._core.errors import InputError
@@ -24,7 +26,7 @@ from bayescal._core.settings import settings
 from bayescal._data.unit_conversion import unit_label
 from bayescal._inference.trust import K_HAT
 
-FEWEST_GROUPS = 10  # for a standard error over groups: over three it is uncertain by half
+FEWEST_GROUPS = limit("compare.few_groups", "groups")
 BY_GROUPS, BY_EVIDENCE = "leave-one-group-out", "log evidence"
 BY_READINGS = "pointwise leave-one-out"
 
@@ -57,7 +59,7 @@ class Comparison(Printed):
         group: what was left out, and of how many.
         groups: number of groups.
         chosen_by: what ranks them: "leave-one-group-out", "log evidence" or "pointwise leave-one-out".
-        warnings: what the reader must know, each a sentence.
+        warnings: what the reader must know.
     """
 
     rows: tuple[ComparisonRow, ...]
@@ -65,7 +67,7 @@ class Comparison(Printed):
     groups: int
     unit: str
     chosen_by: str
-    warnings: tuple[str, ...]
+    warnings: tuple[Claim, ...]
 
     def _parts(self) -> list[str | ResultTable]:
         """Models side by side, the best first."""
@@ -192,29 +194,25 @@ def _error(differences: np.ndarray) -> float:
     return float(np.sqrt(differences.size * differences.var(ddof=1)))
 
 
-def _warnings(rows: list[ComparisonRow], by: str, fold: LeaveOneGroupOut | None) -> list[str]:
+def _warnings(rows: list[ComparisonRow], by: str, fold: LeaveOneGroupOut | None) -> Iterator[Claim]:
     """Whether what ranks the models tells the first two apart, and where another measure is not reliable or differs."""
-    said, (best, second) = list[str](), rows[:2]
-    differ, untold = f"{best.name!r} and {second.name!r} differ by", "it does not tell them apart."
+    best, second = rows[:2]
     if fold and fold.count < FEWEST_GROUPS:
-        said.append(
-            f"Only {fold.count} groups ({fold.group}) to leave out: a standard error over so few says nothing, "
-            "and none is given."
-        )
+        yield Claim("compare.few_groups", fold.group, count=fold.count, group=fold.group)
+    undecided = partial(Claim, "compare.undecided", best.name, second.name)
     if by == BY_EVIDENCE:
         gap = (best.log_evidence or 0.0) - (second.log_evidence or 0.0)
         if gap < settings().strong_evidence:
-            said.append(f"{differ} {gap:.1f} in log evidence: {untold}")
+            yield undecided(gap=f"{gap:.1f}", measure=by)
         other = max(rows, key=lambda r: r.group_score or -np.inf)
         if other is not best:
-            said.append(f"By leave-one-group-out {other.name!r} would come first.")
+            yield Claim("compare.other_first", other.name)
     elif by == BY_GROUPS and second.group_error:
         gap, error = -(second.group_difference or 0.0), second.group_error
         if gap < 2 * error:
-            said.append(f"{differ} {gap:.1f} ± {error:.1f} in leave-one-group-out score: {untold}")
-    no = "so its pointwise leave-one-out is not reliable."
-    far = (r for r in rows if r.pareto_k > K_HAT)
-    return said + [f"{r.name!r}: Pareto k up to {r.pareto_k:.2f}, {no}" for r in far]
+            yield undecided(gap=f"{gap:.1f} ± {error:.1f}", measure=f"{by} score")
+    for row in (r for r in rows if r.pareto_k > K_HAT):
+        yield Claim("compare.pointwise_unreliable", row.name, pareto_k=row.pareto_k)
 
 
 def _named(calibrations: Sequence[Calibration]) -> dict[str, Calibration]:

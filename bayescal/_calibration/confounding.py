@@ -23,7 +23,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 from scipy.special import expit, ndtri
 
-from bayescal._calibration.claim import Claim
+from bayescal._calibration.claim import Claim, limit
 from bayescal._data.measurements import Measurements
 from bayescal._data.unit_conversion import same_dimension
 from bayescal._inference.linear_model import LinearModel
@@ -31,7 +31,6 @@ from bayescal._model.frame import derived, measured_column
 from bayescal._model.model import Model
 from bayescal._model.parameters import Layout
 
-A_FIFTH = 0.2  # of a standard uncertainty: a smaller change is lost in the digits printed
 IN_TIME = ("time", "elapsed")
 SIZE = 0.5  # of a column's effect, in parts of what the model's own terms change the output by
 
@@ -127,7 +126,8 @@ def widened_by(linear: LinearModel, added: Float[np.ndarray, "p"]) -> Bool[np.nd
     """Which coefficients of a law are a fifth or more less certain by so many standard deviations."""
     p = linear.problem.layout.size
     known = np.linalg.norm(linear.root[:p] * linear.sd[:p, None], axis=1)
-    return stand_alone(linear.problem.layout) & (np.hypot(added, known) > (1 + A_FIFTH) * known)
+    wider = np.hypot(added, known) > (1 + limit("direction.confounded", "widening")) * known
+    return stand_alone(linear.problem.layout) & wider
 
 
 def unexplained(model: Model, readings: Measurements) -> dict[str, Float[np.ndarray, "n"]]:

@@ -29,7 +29,7 @@ from numpy.polynomial.legendre import legvander
 from scipy.fft import dct, idct
 from scipy.special import ndtri, softmax
 
-from bayescal._calibration.claim import Claim
+from bayescal._calibration.claim import Claim, limit
 from bayescal._core import deadline
 from bayescal._core.errors import InputError
 from bayescal._core.formatting import number, probability
@@ -65,12 +65,7 @@ SURE_SD = 6.0
 # is so steep from means over 3.4·T on, of which only neighbours are correlated by more than a hundredth.
 LEVEL_SLOPE = -0.35
 FEWEST_MEANS = 64  # whose slope is known to 0.1
-HELD_SHARE = 0.05  # of neighbours that are equal, from which an output with digits enough is held
-MAX_HELD_RATIO = 4.0  # of the time for which a value stands, to the mean
 SHORT_STEPS = 3.0  # correlation time, below which a process is part of N: its density is level over these octaves
-# °C, range of a temperature at rest, below which it is taken as constant: two steps of a thermometer that is read to
-# 0.1 °C.
-STIRRED_DEGREES = 0.2
 
 
 Terms = tuple[str, ...]  # names of those of a sum, beside white noise
@@ -98,8 +93,6 @@ FILTER_QUANTILE = 0.95
 # Share of the law's Allan deviation, that a filter's two terms must reach at every averaging time.
 FILTER_REACHES_SHARE = 0.95
 SHOWN_SUMS = 4  # sums that are printed with their probabilities
-# Averaging times at which a record may lie outside the law's 95 % interval: one in 20 does, and neighbours together.
-MAX_OUTSIDE = 2
 CURVE = ("tau", "deviation", "low", "high", "law", "law_low", "law_high")  # in JSON
 
 
@@ -273,7 +266,7 @@ def noise(readings: Measurements, *, seed: int = 0, time_limit: float | None = N
     if held > 1:
         claims.insert(0, Claim("noise.held", "N", times=held))
     outside = (measured.deviation < estimate_low) | (measured.deviation > estimate_high)
-    if outside.sum() > MAX_OUTSIDE:
+    if outside.sum() > limit("noise.outside", "times"):
         at = tuple(number(t) for t in measured.tau[outside])
         claims.append(Claim("noise.outside", count=len(at), times=len(outside), taus=at))
     return SensorNoise(
@@ -494,8 +487,8 @@ def _without_repeats(output: Float[np.ndarray, "n"], runs: EvenRuns) -> EvenRuns
     there = [r[r >= 0] for r in runs.rows]
     first = [np.append(True, np.diff(output[own]) != 0) for own in there]
     longest = max(int(np.diff(np.flatnonzero(f), append=len(f)).max()) for f in first)
-    held = len(changed) < (1 - max(HELD_SHARE, rounded)) * len(changes)
-    if not held or longest * len(changed) > MAX_HELD_RATIO * len(changes):
+    held = len(changed) < (1 - max(limit("noise.held", "share"), rounded)) * len(changes)
+    if not held or longest * len(changed) > limit("noise.held", "ratio") * len(changes):
         return runs
     span = sum(len(r) - 1 for r in runs.rows) * runs.step
     rows = tuple(own[f] for own, f in zip(there, first, strict=True))
@@ -624,7 +617,8 @@ def _columns(
             "more coarsely than its noise: record it with more digits"
         )
     columns = (output - np.median(output))[:, None]
-    if readings.has("temperature") and float(np.ptp(readings["temperature"])) > STIRRED_DEGREES:
+    still = limit("noise.temperature", "degrees")
+    if readings.has("temperature") and float(np.ptp(readings["temperature"])) > still:
         temperature = np.asarray(readings["temperature"], float)
         place = 2 * (temperature - temperature.min()) / np.ptp(temperature) - 1
         columns = np.column_stack([legvander(place, DEGREE)[:, 1:], columns])

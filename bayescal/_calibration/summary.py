@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from bayescal._calibration.claim import Claim
+from bayescal._calibration.claim import Claim, limit
 from bayescal._calibration.confounding import stand_alone
 from bayescal._calibration.fitted import Fitted
 from bayescal._core import null_space
@@ -19,13 +19,8 @@ from bayescal._inference.linear_model import LinearModel
 from bayescal._model.frame import derived, held_name
 from bayescal._model.unknowns import Unknowns
 
-# Information against the prior's, below which a direction of coefficients counts as not measured: the posterior's
-# standard deviation is then 0.95 of the prior's.
-WEAK_INFORMATION = 0.1
-# Length of a coefficient's unit vector within such directions, above which it is not measured at all.
-UNMEASURED_SHARE = 0.99
-# Share of a direction's squared length, from which a coefficient is named in it.
-CONCERNED_SHARE = 0.1
+WEAK_INFORMATION = limit("direction.none", "information")
+CONCERNED_SHARE = limit("direction.other", "share")
 
 Direction = Float[np.ndarray, "p"]
 
@@ -241,7 +236,7 @@ def null_vectors(
     unknown = linear.sd[: layout.size] > 0  # the others are numbers by definition
     white = linear.white_nuisance[:, : layout.size][:, unknown]
     exact = null_space.exact(white) if exactly else np.zeros((0, white.shape[1]))
-    weak = null_space.weak(white, exact, WEAK_INFORMATION, UNMEASURED_SHARE)
+    weak = null_space.weak(white, exact, WEAK_INFORMATION, limit("direction.none", "share"))
     found: tuple[list[Direction], ...] = [], [], []
     for kind, directions in enumerate((exact, weak)):
         for direction in directions:

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 from bayescal._calibration.calibration import Calibration
 from bayescal._calibration.check import Check
-from bayescal._calibration.claim import Claim
+from bayescal._calibration.claim import Claim, limit
 from bayescal._calibration.judgement import doubts_of_the_mode
 from bayescal._calibration.leave_group_out import LeaveOneGroupOut, scheme
 from bayescal._calibration.predict import HoldoutTest
@@ -24,10 +24,7 @@ from bayescal._search.discover import Discovery
 from bayescal._search.posterior import OtherPath, Search
 from bayescal._search.structure_average import StructureShare
 
-# Error against that of an earlier step, or of other coefficients, above which it matters: below a twentieth no use of
-# a result changes.
-WORSE_RATIO = 1.05
-
+WORSE_RATIO = limit("step.predicts_worse", "ratio")
 RISES = " ↑"  # beside a hold-out error that is so
 
 

@@ -21,23 +21,16 @@ from typing import NamedTuple
 import numpy as np
 
 from bayescal._calibration.calibration import Calibration
-from bayescal._calibration.claim import Claim
+from bayescal._calibration.claim import Claim, limit
 from bayescal._core.formatting import number
 from bayescal._data.measurements import Measurements
 from bayescal._data.time_in_runs import run_codes
 from bayescal._model.effect import Effect
 from bayescal._model.frame import measured_column
 
-# Share of a term's squares that what was added leaves to it, below which its variance grows tenfold (a variance
-# inflation factor of 10: D. Belsley, E. Kuh and R. Welsch, Regression Diagnostics, 1980).
-LEFT_SHARE = 0.1
-# Share of a coefficient's former value: a correction leaves more than this while the term stays what it was.
-CORRECTED_SHARE = 0.5
-# Former standard uncertainties of a coefficient, beyond which chance does not move it.
-MOVED_SD = 4.0
-
-# Correlation of two runs' temperatures at the same time within them, from which they are one profile.
-ALIKE_CORRELATION = 0.99
+LEFT_SHARE = limit("term.replaced", "left_share")
+CORRECTED_SHARE = limit("term.replaced", "corrected_share")
+MOVED_SD = limit("term.replaced", "moved_sd")
 
 
 class TakenOver(NamedTuple):
@@ -149,7 +142,9 @@ def repeated(readings: Measurements, column: str) -> bool:
         if inside.sum() < 3 or np.ptp(values[inside]) == 0:
             return False
         other = np.interp(time[inside], first, known)
-        if np.ptp(other) == 0 or np.corrcoef(other, values[inside])[0, 1] < ALIKE_CORRELATION:
+        if np.ptp(other) == 0 or np.corrcoef(other, values[inside])[0, 1] < limit(
+            "profile.one", "correlation"
+        ):
             return False
     return True
 

@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 
 from bayescal._calibration.calibration import Calibration
-from bayescal._calibration.claim import Claim
+from bayescal._calibration.claim import Claim, limit
 from bayescal._calibration.prior_influence import not_measured, variance_by_origin
 from bayescal._core.as_json import as_json
 from bayescal._core.errors import InputError
@@ -44,8 +44,6 @@ STRUCTURES = "which effects there are (average over structures)"
 FORM = "form of the model: formulas that the search does not have"
 LEAST_VARIANCE_SHARE = 5e-4  # share of the variance below which a coefficient is not printed
 READINGS = "noise of the calibration's readings"
-# Groups below which a spread between them is not known well enough for a normal distribution.
-FEWEST_GROUPS_FOR_NORMAL = 10
 
 
 @dataclass(frozen=True)
@@ -353,7 +351,7 @@ def notes_on(chosen: Compensator, of_correction: bool = True) -> tuple[Claim, ..
     for block in (b for b in chosen.equation.blocks if b.name in learned):
         per = str(block.coefficient.per)
         count = len(chosen.calibration.levels.get(per, ()))
-        if count < FEWEST_GROUPS_FOR_NORMAL:
+        if count < limit("budget.few_groups", "groups"):
             notes.append(Claim("budget.few_groups", block.name, group=per, count=count))
     if of_correction and not chosen.equation.slope_calibrated:
         notes.append(Claim("use.bias_only", chosen.stimulus))

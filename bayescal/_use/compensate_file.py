@@ -7,9 +7,8 @@ CSV. Rows with a missing reading are gaps, and come out empty. The new file is w
 from __future__ import annotations
 
 import csv
-import sys
+import io
 from collections.abc import Iterator
-from contextlib import nullcontext
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -243,15 +242,13 @@ def _as_csv(added: AddedColumns, path: Path, partial: Path, table: Table, raw: s
 
 
 def _netcdf(added: AddedColumns, path: Path, partial: Path, table: Table, raw: str) -> None:
-    import xarray as xr
+    import h5netcdf
 
-    with xr.open_dataset(path, engine="h5netcdf", decode_times=False) as opened:
-        dataset = opened.load()
-    (dimension,), unit = dataset[raw].dims, {"units": added.unit}
-    values = zip(added.names, added.values, strict=True)
-    dataset = dataset.assign({name: (dimension, v, unit) for name, v in values})
-    # In memory, because HDF5 ends the process where it writes to a full disk itself; and in this process alone: where a
-    # Dask cluster is open, xarray would ask it for a lock.
-    dask: Any = sys.modules.get("dask")
-    with dask.config.set(scheduler="synchronous") if dask else nullcontext():
-        partial.write_bytes(dataset.to_netcdf(engine="h5netcdf"))
+    # In memory: HDF5 ends the process where it writes to a full disk itself.
+    content = io.BytesIO(path.read_bytes())
+    with h5netcdf.File(content, "a") as opened:
+        dimensions = opened.variables[raw].dimensions
+        for name, values in zip(added.names, added.values, strict=True):
+            variable = opened.create_variable(name, dimensions, data=values)
+            variable.attrs["units"] = added.unit
+    partial.write_bytes(content.getvalue())

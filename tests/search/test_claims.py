@@ -24,7 +24,7 @@ def test_a_claim_is_said_with_each_of_its_cures(code: str) -> None:
         text = f"{criterion.says} {criterion.cures.get(cure, '')}"
         held = {n for _, n, _, _ in string.Formatter().parse(text) if n and not n.startswith("of")}
         numbers = {n: 7 if n in WHOLE else 12.34567 for n in held} | {"unit": "deg/s"}
-        numbers |= {n: ("a", "b") for n in held.intersection(SEVERAL)}
+        numbers |= dict.fromkeys(held.intersection(SEVERAL), ("a", "b"))
         said = Claim(code, "bias.a", "bias.b", cure=cure, **numbers)
         assert said.code == code
         assert "{" not in said
