@@ -12,7 +12,6 @@ from typing import Any
 import numpy as np
 
 from bayescal._calibration.calibration import Calibration
-from bayescal._calibration.check import Entry
 from bayescal._calibration.prior_influence import coefficients_not_measured
 from bayescal._calibration.storage import sources_of
 from bayescal._calibration.summary import curve_extent, if_there, place_of, summary, unknown_rows
@@ -130,8 +129,11 @@ def coefficients(chapter: Chapter) -> ResultTable:
 
 
 def signed(every: ResultTable, model: Model) -> ResultTable:
-    """Of the coefficients those on the page that is signed, with what is to be known of each; and what is fixed."""
-    own = [r for r in every.rows if "(" not in r["name"]][:SUMMARY]
+    """Unknowns on the page that is signed, time constants and other shapes among them; and what is fixed."""
+    own = [r for r in every.rows if "(" not in r["name"]]
+    shapes = {e.shape_name(shape) for e in model.effects for shape in e.shapes}
+    last = [r for r in own if r["name"] in shapes][:SUMMARY]
+    own = [r for r in own if r["name"] not in shapes][: SUMMARY - len(last)] + last
     rows = [[r["name"], r["value"] + r["note"], unit_label(r["unit"])] for r in own]
     rows += [[name, f"{number(value, 6)} (fixed)", ""] for name, value in model.fixed]
     return plain_table(["unknown", f"value ± U (k = {K:g})", "unit"], rows)
@@ -355,8 +357,10 @@ def _error(chapter: Chapter) -> str:
 def _left(chapter: Chapter) -> str:
     """What the residuals look like."""
     c, gate = chapter.calibration, chapter.data["gate"]
-    if depends := _depends(chapter):
-        return f"The residuals still depend on {listed([e.against for e in depends][:3])}."
+    strong = settings().strong_evidence
+    depends = [e.against for e in chapter.check.entries if e.log_bayes_factor > strong]
+    if depends:
+        return f"The residuals still depend on {listed(depends[:3])}."
     law = c.model.noise.looks_like or f"noise ({c.model.noise.in_words})"
     noise = measured(chapter.data["steps"][-1]["rmse_fitted"], c.unit, 2)
     first = next(iter(gate.get("claims", ())), {"code": ""})["code"]
@@ -365,12 +369,6 @@ def _left(chapter: Chapter) -> str:
     if not gate["ok"]:
         return f"What is left is {noise} rms."
     return f"What is left, {noise} rms, looks like {law}."
-
-
-def _depends(chapter: Chapter) -> list[Entry]:
-    """Return the covariates that the residuals of the last model depend on."""
-    strong = settings().strong_evidence
-    return [e for e in chapter.check.entries if e.log_bayes_factor > strong]
 
 
 def _last_candidates(chapter: Chapter) -> list[dict[str, Any]]:

@@ -131,3 +131,11 @@ def test_a_browser_shows_it_whole_and_asks_for_nothing(pages, folder: Path, widt
     assert picture.stat().st_size > 20_000
     assert console == []
     assert Page(opened.dom(width)).all("svg") == pages("a trail").all("svg")
+
+
+def test_time_constants_stand_on_the_page_that_is_signed(pages) -> None:
+    model = trail().final.calibration.model
+    names = [e.shape_name(shape) for e in model.effects for shape in e.shapes]
+    signed = pages("a trail").source.split("<caption>Result</caption>")[1].split("</table>")[0]
+    assert names
+    assert all(f">{name}</th>" in signed for name in names)
