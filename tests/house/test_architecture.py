@@ -261,17 +261,17 @@ CEILINGS = {
     "bayescal/_calibration": 4_598,
     "bayescal/_use": 2_994,
     "bayescal/_search": 5_686,
-    "bayescal/_report": 1_733,
+    "bayescal/_report": 1_731,
     "bayescal/_cli": 1_714,
     "bayescal/_annexes/fleet": 2_530,
     "bayescal/_annexes/imu": 3_950,
     "bayescal/_annexes/metrology": 1_717,
     "bayescal/_annexes/workbench": 3_596,
     "models": 8_982,
-    "tests": 25_278,
+    "tests": 25_286,
     "benchmarks": 10_971,
 }
-WORDS = 53_701  # of docs/, README.md and CHANGELOG.md together
+WORDS = 53_706  # of docs/, README.md and CHANGELOG.md together
 
 
 @pytest.mark.parametrize("part", CEILINGS)
