@@ -297,6 +297,13 @@ class RestNoise(NamedTuple):
     draws: dict[str, np.ndarray]  # parameters, in output units and seconds (d,); equally probable
     law: SummedNoise  # with these parameters
 
+    @property
+    def processes(self) -> list[tuple[np.ndarray, np.ndarray]]:
+        """Size, output unit, and correlation time, s, of each Ornstein–Uhlenbeck process (d,)."""
+        own = {**self.draws, **self.law.derived(self.draws)}
+        names = (f"noise.correlated{k + 1}" for k in range(self.terms.count("correlated")))
+        return [(own[f"{name}.size"], own[f"{name}.time"]) for name in names]
+
     def density(self, step: float) -> Float[np.ndarray, "d"]:
         """Return N at each draw, output unit times √s, of readings `step` s apart.
 
@@ -304,9 +311,7 @@ class RestNoise(NamedTuple):
         correlation ρ of neighbours it has the spectral density s²·(1 + ρ)/(1 − ρ) per reading at low frequencies.
         """
         variance = self.draws[WHITE] ** 2 + self.draws.get(f"noise.{AVERAGED}", 0.0) ** 2
-        derived = {**self.draws, **self.law.derived(self.draws)}
-        for place in range(1, 1 + self.terms.count("correlated")):
-            size, time = (derived[f"noise.correlated{place}.{what}"] for what in ("size", "time"))
+        for size, time in self.processes:
             short = time <= SHORT_STEPS * step
             variance = variance + np.where(short, size**2 / np.tanh(0.5 * step / time), 0.0)
         return np.sqrt(variance * step)
@@ -816,9 +821,7 @@ def _figures(
         ("", "tone, frequency", "Hz", "Hz", over_all("noise.tone.frequency")),
         ("", "tone, correlation time", "s", "s", over_all("noise.tone.time")),
     ]
-    derived = {**best.draws, **best.law.derived(best.draws)}
-    for place in range(1, 1 + best.terms.count("correlated")):
-        size, time = (derived[f"noise.correlated{place}.{what}"] for what in ("size", "time"))
+    for place, (size, time) in enumerate(best.processes, 1):
         name = f"Ornstein–Uhlenbeck {place}"
         rows.append(("", f"{name}, size", of_bias, own, size))
         rows.append(("", f"{name}, correlation time", "s", "s", time))
