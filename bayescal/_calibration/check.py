@@ -14,7 +14,7 @@ from itertools import combinations
 from typing import Any
 
 import numpy as np
-from scipy.special import kolmogorov, logsumexp, ndtr
+from scipy.special import bdtr, kolmogorov, logsumexp, ndtr
 
 from bayescal._calibration import judgement
 from bayescal._calibration.calibration import Calibration
@@ -97,6 +97,7 @@ class Check(Printed):
         scatter_with: covariates with which the scatter changes, and the p-value of each.
         outliers: (row, leave-one-out standard deviations).
         pit_p: p-value of uniform leave-one-out probability integral transforms.
+        one_sided: p-value of as many readings far above the model as far below it.
         fixed: only for models with fixed coefficients.
         residuals: (n,), output unit.
     """
@@ -112,6 +113,7 @@ class Check(Printed):
     pit_p: float
     fixed: FixedComparison | None
     residuals: np.ndarray = field(repr=False)
+    one_sided: float = 1.0
 
     def _parts(self) -> list[str | ResultTable]:
         return check_parts(self)
@@ -187,6 +189,8 @@ def check_parts(check: Check, most: int | None = None) -> list[str | ResultTable
         lines.append(f"outliers: {shown}{' …' if len(check.outliers) > 5 else ''}")
     if most is None:
         lines.append(f"leave-one-out probabilities uniform: p = {check.pit_p:.2g}")
+    if check.one_sided < SIGNIFICANT_P:
+        lines.append(f"readings far from the model stand on one side (p = {check.one_sided:.1g})")
     return lines
 
 
@@ -216,6 +220,7 @@ SAME_COVARIATE_CORRELATION = 0.95  # rank correlation from which two covariates 
 # Expected lag-1 autocorrelation, from which neighbours are what the fit leaves, such as two about a free level, and
 # say nothing of the noise.
 TIED_CORRELATION = 0.99
+FARTHEST_SHARE = 0.1  # share of the readings, those farthest from the model, whose signs are tested
 DUOS = 15  # pairs of covariates, at most
 MEMBERS = 64  # of a group that is looked at member by member, at most
 ROUNDING_SHARE = 1e-9  # of a sum, below which it is the rounding of its terms
@@ -249,10 +254,13 @@ def check(calibration: Calibration) -> Check:
     loo = white
     if judged.model.noise.independent:
         loo = white / np.sqrt(np.maximum(1 - np.sum(linear.directions**2, axis=1), 1e-12))
-    # Where the mean is off, so is the size of the residuals: it is judged only where it is not.
-    scatter = dict[str, float]()
+    # Where the mean is off, so are size and side of the residuals: these are judged only where it is not.
+    scatter, one_sided = dict[str, float](), 1.0
     if max(factors, default=0.0) < settings().strong_evidence:
         scatter = _scatter_with(covariates, white, calibration.readings["output"] - residual)
+        if count := int(FARTHEST_SHARE * len(loo)):  # sign test
+            above = int(np.sum(loo[np.argsort(-np.abs(loo))[:count]] > 0))
+            one_sided = min(1.0, 2 * float(bdtr(min(above, count - above), count, 0.5)))
     if free is not None:
         fixed = FixedComparison(noise, rms, free)
     far = settings().outlier_sd
@@ -266,6 +274,7 @@ def check(calibration: Calibration) -> Check:
         scatter_with=scatter,
         outliers=tuple((i, z) for i, z in enumerate(loo.tolist()) if abs(z) > far),
         pit_p=_normal(loo),
+        one_sided=one_sided,
         fixed=fixed,
         residuals=residual,
     )

@@ -29,8 +29,9 @@ from bayescal._inference.laplace import across, find_mode, prior_draws
 from bayescal._inference.newton import Nearby
 from bayescal._inference.problem import Problem
 from bayescal._model.effect import Effect
-from bayescal._model.model import Model
+from bayescal._model.model import Model, testable
 from bayescal._model.noise_law import WHITE, Noise
+from bayescal._model.parameters import bind
 from bayescal._model.terms import ColumnsOf
 
 PRIOR = "prior.contradicted"
@@ -174,6 +175,30 @@ def too_large(subject: Subject) -> Iterator[Claim]:
         if of_output and not subject.accepts(row["name"], row["effect"]):
             told = {"mean": row["mean"], "reach": reach, "unit": fit.unit}
             yield Claim("size.beyond_output", row["name"], **told)
+
+
+def beyond_the_known(subject: Subject) -> Iterator[Claim]:
+    """Dependences without a name that are larger than all that is known of the instrument could make together.
+
+    A wrong sign or unit of an input is no missing effect, though a free curve along that input follows it.
+    """
+    fit, instrument, readings = subject.fit, subject.fit.model.instrument, subject.fit.readings
+    unnamed = [e for e in fit.model.effects if e.is_placeholder and not subject.accepts(e.name)]
+    if not unnamed:
+        return
+    # How much the instrument's own effects plausibly change the output over these readings, rms, output unit.
+    own = (*instrument.effects, *instrument.candidates)
+    effects = tuple(e for e in own if testable(e, readings) is None)
+    layout = bind(Model(instrument, effects, fit.model.noise), readings)[0]
+    problem = Problem(layout, fit.problem.record)
+    hyper = problem.hyper(np.zeros(len(problem.hypers)))
+    prior = problem.prior(hyper, np.ones(problem.size))
+    slopes = problem.linearise(problem.start, hyper).jacobian * (prior.sd * prior.weight)
+    known = float(np.sqrt(np.sum(np.var(slopes, axis=0))))
+    for effect in unnamed:
+        here = float(np.std(fit.linear.contribution(effect.name)))
+        if known and here > limit("curve.beyond_known", "sizes") * known:
+            yield Claim("curve.beyond_known", effect.name, here=here, known=known, unit=fit.unit)
 
 
 def rounded(subject: Subject) -> Iterator[Claim]:
@@ -379,6 +404,8 @@ def scattered(subject: Subject) -> Iterator[Claim]:
     check, rare = subject.check, limit("noise.scatter", "p")
     if along := [name for name, chance in check.scatter_with.items() if chance < rare]:
         yield Claim("noise.scatter", *along)
+    elif check.one_sided < limit("noise.one_sided", "p"):
+        yield Claim("noise.one_sided", p=check.one_sided)
     elif check.pit_p < limit("noise.tails", "p"):
         outside = f", {len(check.outliers)} of them outliers" if check.outliers else ""
         yield Claim("noise.tails", p=check.pit_p, outside=outside)
@@ -439,7 +466,7 @@ def correlated(subject: Subject) -> Iterator[Claim]:
 # The checks, in the order in which they are asked -------------------------------------------------------------------
 
 AcceptanceCheck = Callable[[Subject], Iterable[Claim]]
-CONFLICTS: tuple[AcceptanceCheck, ...] = (contradicted, widened, too_large)
+CONFLICTS: tuple[AcceptanceCheck, ...] = (contradicted, widened, too_large, beyond_the_known)
 GROUP_CONFLICTS: tuple[AcceptanceCheck, ...] = (too_different, following_members)
 RESIDUAL_CHECKS: tuple[AcceptanceCheck, ...] = (
     *(not_finite, lambda subject: subject.doubts, describing, scattered),

@@ -364,7 +364,7 @@ def _left(chapter: Chapter) -> str:
     law = c.model.noise.looks_like or f"noise ({c.model.noise.in_words})"
     noise = measured(chapter.data["steps"][-1]["rmse_fitted"], c.unit, 2)
     first = next(iter(gate.get("claims", ())), {"code": ""})["code"]
-    if first in ("noise.correlated", "noise.scatter", "noise.tails"):
+    if first in ("noise.correlated", "noise.scatter", "noise.one_sided", "noise.tails"):
         return f"What is left, {noise} rms, is not the noise that the model takes it for."
     if not gate["ok"]:
         return f"What is left is {noise} rms."

@@ -258,7 +258,7 @@ CEILINGS = {
     "bayescal/_model": 5_559,
     "bayescal/effects": 660,
     "bayescal/_inference": 6_045,
-    "bayescal/_calibration": 4_598,
+    "bayescal/_calibration": 4_634,
     "bayescal/_use": 2_994,
     "bayescal/_search": 5_686,
     "bayescal/_report": 1_731,
@@ -268,10 +268,10 @@ CEILINGS = {
     "bayescal/_annexes/metrology": 1_717,
     "bayescal/_annexes/workbench": 3_596,
     "models": 8_982,
-    "tests": 25_286,
+    "tests": 25_313,
     "benchmarks": 10_971,
 }
-WORDS = 53_705  # of docs/, README.md and CHANGELOG.md together
+WORDS = 53_695  # of docs/, README.md and CHANGELOG.md together
 
 
 @pytest.mark.parametrize("part", CEILINGS)

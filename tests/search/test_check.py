@@ -52,6 +52,19 @@ def test_the_run_that_stands_apart_is_named(readings) -> None:
     assert entry.log_bayes_factor > 5
 
 
+@pytest.mark.parametrize("seed", [1, 2])
+def test_outliers_on_one_side_are_told_from_outliers_on_both(seed: int) -> None:
+    readings = mems_gyro.simulate({}, seed=seed)
+    random = np.random.default_rng(seed)
+    high = random.uniform(0.3, 1.5, len(readings)) * (random.random(len(readings)) < 0.2)
+    heavy = MODEL.with_noise(bc.StudentT(bc.HalfCauchy(0.1)))
+    found = []
+    for more in (high, high * random.choice([-1.0, 1.0], len(readings))):
+        spoilt = readings.with_column("output", readings["output"] + more)
+        found.append(bc.check(bc.fit(heavy, spoilt, FAST, strict=False)))
+    assert found[0].one_sided < 1e-5 < 1e-3 < found[1].one_sided
+
+
 def test_scatter_that_grows_on_both_sides_of_the_output_is_told() -> None:
     """Noise in proportion to a signal of both signs: along no column does it grow from end to end."""
     readings = mems_gyro.simulate({}, seed=5)

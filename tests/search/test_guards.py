@@ -184,6 +184,7 @@ def steps(line: bc.Calibration, first: dict[str, Any], last: dict[str, Any]) -> 
         autocorrelation=(0.0, 0.0),
         scatter_with={},
         pit_p=0.5,
+        one_sided=1.0,
         outliers=(),
         unit="deg/s",
         entries=(),
@@ -254,6 +255,7 @@ def test_hold_out_data_are_judged_by_a_test(line, p: float, ok: bool) -> None:
     [
         ({"scatter_with": {"temperature": 1e-6}}, "noise.scatter"),
         ({"pit_p": 1e-6}, "noise.tails"),
+        ({"one_sided": 1e-6}, "noise.one_sided"),
         ({"entries": [SimpleNamespace(log_bayes_factor=11.0, against="run")]}, "residuals.depend"),
         ({"autocorrelation": (0.3, 5.0)}, "noise.correlated"),
     ],
@@ -308,3 +310,15 @@ def test_readings_of_two_devices_shut_the_gate_where_no_spread_has_a_name(named:
         apart = re.search(r"all along: (\S+) °/s between runs", found.reason)
         assert apart and float(apart[1]) == pytest.approx(4.0, abs=0.5)
         assert "runs.unlike" not in {one.code for one in judged(0.0).claims}
+
+
+def test_an_input_of_the_wrong_sign_is_no_missing_effect() -> None:
+    """A free curve along the input follows it; what is known of the gyroscope could not be as large."""
+    campaign = mems_gyro.Campaign(rate_input=(0.0, 100.0, -100.0), nonlinearity=0.0)
+    readings = mems_gyro.simulate({}, seed=1, campaign=campaign)
+    model = mems_gyro.INSTRUMENT.baseline() + "unknown(rate_input)"
+    turned = readings.with_column("output", -readings["output"], "deg/s")
+    said = bc.fit(model, turned, bc.LeastSquares(), strict=False).conflicts
+    assert ("curve.beyond_known", ("unknown(rate_input)",)) in {(one.code, one.of) for one in said}
+    plain = bc.fit(model, readings, bc.LeastSquares(), strict=False).conflicts
+    assert not any("unknown(rate_input)" in one.of for one in plain)
