@@ -123,17 +123,20 @@ def predict(
 
 def _of_unfound_spreads(calibration: Calibration, problem: Problem) -> np.ndarray:
     """Return the variance of readings of members that the fit has not seen, by deviations that no draw has."""
-    instrument, found = calibration.model.instrument, np.zeros(problem.record.size)
+    known, found = calibration.model.instrument.known, np.zeros(problem.record.size)
     for name, size in calibration.unfound_spreads.items():
-        effect = instrument.known[name]
-        c = effect.coefficients[0]
-        new = problem.record.codes[str(c.per)] < 0
+        new = problem.record.codes[str(known[name].coefficients[0].per)] < 0
         if new.any():
-            slopes = problem.slopes(calibration.mode.x, problem.hyper(calibration.mode.v))
-            column = problem.record.columns(ColumnsOf.of(effect), ())[:, 0]
-            moved = slopes[c.slot or effect.slot] * factor_of(instrument, effect, c) * column
-            found += new * (size * moved) ** 2
+            found += new * (size * _deviating(calibration, problem, known[name])) ** 2
     return found
+
+
+def _deviating(calibration: Calibration, problem: Problem, effect: Effect) -> np.ndarray:
+    """Return what a deviation moves each reading by, output unit over that of its coefficient (n,)."""
+    slopes = problem.slopes(calibration.mode.x, problem.hyper(calibration.mode.v))
+    c, column = effect.coefficients[0], problem.record.columns(ColumnsOf.of(effect), ())[:, 0]
+    factor = factor_of(calibration.model.instrument, effect, c)
+    return slopes[c.slot or effect.slot] * factor * column
 
 
 def replicates(

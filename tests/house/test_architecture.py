@@ -258,7 +258,7 @@ CEILINGS = {
     "bayescal/_model": 5_559,
     "bayescal/effects": 660,
     "bayescal/_inference": 6_045,
-    "bayescal/_calibration": 4_634,
+    "bayescal/_calibration": 4_637,
     "bayescal/_use": 2_994,
     "bayescal/_search": 5_686,
     "bayescal/_report": 1_731,
