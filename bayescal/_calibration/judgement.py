@@ -360,7 +360,7 @@ def doubts_of_the_mode(fit: Fitted) -> list[Claim]:
     near = Nearby(mode.v, np.linalg.pinv(mode.covariance))
     for start in np.array(starts)[np.argsort(-density.values(np.array(starts)))[:STARTS_TRIED]]:
         least = mode.log_density - 20.0
-        other = find_mode(problem, [start], mode.x, still=0.01, wanted_from=least, near=near)
+        other = find_mode(problem, [start], mode.x, still=0.1, wanted_from=least, near=near)
         behind = mode.log_evidence - other.log_evidence
         if far(other.v).any() and behind < NEARLY_NATS:
             names = [problem.hypers[i].name for i in np.array(shapes)[far(other.v)]]

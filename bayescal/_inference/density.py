@@ -126,9 +126,35 @@ class Density(ByValues):
         # Spreads are the prior's alone: φ that differ by these have the same products.
         acts = [k != "group_sd" or i in problem.moving for i, k in enumerate(problem.kinds)]
         _, first, which = np.unique(vs[:, acts], axis=0, return_index=True, return_inverse=True)
-        pairs = (self._table(v, problem.hyper(v)) for v in vs[first])
-        made = [Gram.of(white.T @ white, logdet) for white, logdet in both_of_several(pairs)]
+        made = self._whitened_together(vs[first])
         return Gram(*(np.stack([np.asarray(g[i]) for g in made])[which.ravel()] for i in range(4)))
+
+    def _whitened_together(self, vs: Float[np.ndarray, "b d"]) -> list[Gram]:
+        """Weighted products at several φ; of those with one noise a filter passes over each column once."""
+        noise, alike = np.array([kind == "noise" for kind in self.problem.kinds]), {}
+        for i, v in enumerate(vs):
+            alike.setdefault(i if self.problem.noisy else tuple(v[noise]), []).append(i)
+        groups, places = sorted(alike.values(), key=len), list[list[list[int]]]()
+
+        def tables() -> Iterator[tuple[Whitening | Independent, np.ndarray]]:
+            for group in groups:
+                white, first = self._table(vs[group[0]], self.problem.hyper(vs[group[0]]))
+                columns, own = [*first.T], [[*range(first.shape[1])]]
+                for i in group[1:]:
+                    own.append([*own[0]])
+                    table = self._table(vs[i], self.problem.hyper(vs[i]))[1]
+                    for j in np.flatnonzero(np.any(table != first, axis=0)):
+                        own[-1][j] = len(columns)
+                        columns.append(table[:, j])
+                places.append(own)
+                yield white, np.column_stack(columns)
+
+        found: dict[int, Gram] = {}
+        for k, (white, logdet) in enumerate(both_of_several(tables())):
+            products = white.T @ white
+            for i, own in zip(groups[k], places[k], strict=True):
+                found[i] = Gram.of(products[np.ix_(own, own)], logdet)
+        return [found[i] for i in range(len(vs))]
 
     def _about_modes(self, vs: Float[np.ndarray, "b d"]) -> Gram:
         """The products that stand for a law that is not Gaussian: of the quadratic about the mode of x given each φ.

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping
 from functools import partial
-from itertools import islice
+from itertools import groupby, islice
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -115,12 +115,17 @@ def _back(law: Noise, record: Record, array: Float[np.ndarray, "n ..."]) -> np.n
 def _padded(law: Noise, record: Record, table: np.ndarray) -> np.ndarray:
     """A table as a law takes it, with rows and columns of zeros up to the padded numbers."""
     n, m = table.shape
-    width = WIDTH
-    while width < m:
-        width *= 2
-    found = np.zeros((record.padded_size, width))
+    found = np.zeros((record.padded_size, _width(table)))
     found[:n, :m] = _forth(law, record, table, 0)
     return found
+
+
+def _width(table: np.ndarray) -> int:
+    """The padded number of columns."""
+    width = WIDTH
+    while width < table.shape[1]:
+        width *= 2
+    return width
 
 
 @program
@@ -137,22 +142,24 @@ def both_of_several(
     pairs: Iterable[tuple[Whitening | Independent, Float[np.ndarray, "n m"]]],
 ) -> Iterator[tuple[Float[np.ndarray, "n m"], float]]:
     """Yield `both` of tables of one law; by a filter of several states some at once, as in `_densities`."""
-    pairs, at_once = iter(pairs), FEWEST_DRAWS_TOGETHER
-    for white, table in pairs:
-        part = [(white, table)]
-        if isinstance(white, Whitening) and white.law.several_states:
-            part += islice(pairs, at_once - 1 if at_once * table.size <= CELLS else 0)
-        if isinstance(white, Independent) or len(part) == 1:
-            yield white.both(table)
-            continue
-        some = [one._arguments(own) for one, own in part if isinstance(one, Whitening)]
-        some += [some[-1]] * (at_once - len(some))  # one length to compile
-        tables, extras = (np.stack([one[k] for one in some]) for k in (2, 3))
-        values = {name: np.stack([one[4][name] for one in some]) for name in some[0][4]}
-        made = map(np.asarray, _several_whitened(*some[0][:2], tables, extras, values))
-        n, m = table.shape
-        for _, own, log_sd in zip(part, *made, strict=False):
-            yield _back(white.law, white.record, own[:n, :m]), 2.0 * float(np.sum(log_sd[:n]))
+    at_once = FEWEST_DRAWS_TOGETHER
+    for _, alike in groupby(pairs, lambda pair: _width(pair[1])):
+        for white, table in alike:
+            part = [(white, table)]
+            if isinstance(white, Whitening) and white.law.several_states:
+                part += islice(alike, at_once - 1 if at_once * table.size <= CELLS else 0)
+            if isinstance(white, Independent) or len(part) == 1:
+                yield white.both(table)
+                continue
+            some = [one._arguments(own) for one, own in part if isinstance(one, Whitening)]
+            some += [some[-1]] * (at_once - len(some))  # one length to compile
+            tables, extras = (np.stack([one[k] for one in some]) for k in (2, 3))
+            values = {name: np.stack([one[4][name] for one in some]) for name in some[0][4]}
+            made = map(np.asarray, _several_whitened(*some[0][:2], tables, extras, values))
+            n = len(table)
+            for (_, one), own, log_sd in zip(part, *made, strict=False):
+                own = _back(white.law, white.record, own[:n, : one.shape[1]])
+                yield own, 2.0 * float(np.sum(log_sd[:n]))
 
 
 class Terms(NamedTuple):
