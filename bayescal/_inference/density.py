@@ -73,13 +73,29 @@ class Density(ByValues):
     # from the readings ------------------------------------------------------------------------------------------
 
     def _line(self, v: np.ndarray, hyper: Values) -> Linearised:
-        # Only shapes and promoted coefficients move J; what else is in φ (noise, sizes) leaves it as it is.
-        key = tuple(float(v[i]) for i in self.problem.moving)
+        key = self._key(v)
         if key not in self._lines:
             if len(self._lines) >= self._together:
                 self._lines.clear()
             self._lines[key] = self.problem.linearise(self.x, hyper)
         return self._lines[key]
+
+    def _key(self, v: np.ndarray) -> tuple[float, ...]:
+        """What moves J: shapes and promoted coefficients; what else is in φ (noise, sizes) leaves it as it is."""
+        return tuple(float(v[i]) for i in self.problem.moving)
+
+    def _linearised(self, vs: Float[np.ndarray, "b d"]) -> Iterator[Linearised]:
+        """Yield the structure linearised at each of several φ; of an affine output as many at once as are kept."""
+        problem = self.problem
+        together = problem.affine and not problem.noisy
+        for some in np.array_split(vs, -(-len(vs) // self._together)):
+            new = {key: v for v in some if (key := self._key(v)) not in self._lines}
+            if together and len(new) > 1:
+                at = np.tile(self.x, (len(new), 1))
+                made = problem.linearise(at, problem.hyper(np.array([*new.values()]).T))
+                for i, key in enumerate(new):
+                    self._lines[key] = Linearised(made.mean[i], made.jacobian[i], made.inputs)
+            yield from [self._line(v, problem.hyper(v)) for v in some]
 
     @property
     def _together(self) -> int:
@@ -105,14 +121,12 @@ class Density(ByValues):
         """Weighted products of the readings at φ."""
         if not self.problem.noise.gaussian:
             return Gram(*(one[0] for one in self._about_modes(v[None])))
-        white, table = self._table(v, hyper)
-        white, logdet = white.both(table)
+        line = self._line(v, hyper)
+        white, logdet = self._white(line, hyper).both(self._table(line))
         return Gram.of(white.T @ white, logdet)
 
-    def _table(self, v: np.ndarray, hyper: Values) -> tuple[Whitening | Independent, np.ndarray]:
-        line = self._line(v, hyper)
-        table = np.column_stack([line.jacobian, self.problem.record.y - line.mean])
-        return self._white(line, hyper), table
+    def _table(self, line: Linearised) -> Float[np.ndarray, "n q"]:
+        return np.column_stack([line.jacobian, self.problem.record.y - line.mean])
 
     def grams(self, vs: Float[np.ndarray, "b d"]) -> Gram:
         """Weighted products at several φ, x counted from `origin`."""
@@ -137,17 +151,18 @@ class Density(ByValues):
         groups, places = sorted(alike.values(), key=len), list[list[list[int]]]()
 
         def tables() -> Iterator[tuple[Whitening | Independent, np.ndarray]]:
+            lines = self._linearised(vs[[i for group in groups for i in group]])
             for group in groups:
-                white, first = self._table(vs[group[0]], self.problem.hyper(vs[group[0]]))
+                first = self._table(line := next(lines))
                 columns, own = [*first.T], [[*range(first.shape[1])]]
-                for i in group[1:]:
+                for _ in group[1:]:
                     own.append([*own[0]])
-                    table = self._table(vs[i], self.problem.hyper(vs[i]))[1]
+                    table = self._table(next(lines))
                     for j in np.flatnonzero(np.any(table != first, axis=0)):
                         own[-1][j] = len(columns)
                         columns.append(table[:, j])
                 places.append(own)
-                yield white, np.column_stack(columns)
+                yield self._white(line, self.problem.hyper(vs[group[0]])), np.column_stack(columns)
 
         found: dict[int, Gram] = {}
         for k, (white, logdet) in enumerate(both_of_several(tables())):
