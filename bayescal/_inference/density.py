@@ -18,7 +18,7 @@ from bayescal._inference.newton import NOWHERE, ByValues, Nearby
 from bayescal._inference.noise_on_record import (
     Independent,
     Whitening,
-    both_of_several,
+    products_of_several,
     density_terms,
     total_log_density,
     whitening,
@@ -152,8 +152,10 @@ class Density(ByValues):
 
         def tables() -> Iterator[tuple[Whitening | Independent, np.ndarray]]:
             lines = self._linearised(vs[[i for group in groups for i in group]])
+            line, first = None, np.empty(0)
             for group in groups:
-                first = self._table(line := next(lines))
+                before, line = line, next(lines)
+                first = first if line is before else self._table(line)
                 columns, own = [*first.T], [[*range(first.shape[1])]]
                 for _ in group[1:]:
                     own.append([*own[0]])
@@ -162,11 +164,11 @@ class Density(ByValues):
                         own[-1][j] = len(columns)
                         columns.append(table[:, j])
                 places.append(own)
-                yield self._white(line, self.problem.hyper(vs[group[0]])), np.column_stack(columns)
+                white = self._white(line, self.problem.hyper(vs[group[0]]))
+                yield white, first if len(group) == 1 else np.column_stack(columns)
 
         found: dict[int, Gram] = {}
-        for k, (white, logdet) in enumerate(both_of_several(tables())):
-            products = white.T @ white
+        for k, (products, logdet) in enumerate(products_of_several(tables())):
             for i, own in zip(groups[k], places[k], strict=True):
                 found[i] = Gram.of(products[np.ix_(own, own)], logdet)
         return [found[i] for i in range(len(vs))]

@@ -135,31 +135,48 @@ def _whitened(law: Noise, frame: Frame, table, extra, values):
 
 @program
 def _several_whitened(law: Noise, frame: Frame, tables, extras, values):
-    return jax.vmap(lambda *one: law.whiten(*one, frame))(tables, extras, values)
+    """Tables, or one table under several settings, and the log standard deviations of their innovations."""
+    each = 0 if tables.ndim == 3 else None
+    return jax.vmap(lambda *one: law.whiten(*one, frame), (each, 0, 0))(tables, extras, values)
 
 
-def both_of_several(
+def products_of_several(
     pairs: Iterable[tuple[Whitening | Independent, Float[np.ndarray, "n m"]]],
-) -> Iterator[tuple[Float[np.ndarray, "n m"], float]]:
-    """Yield `both` of tables of one law; by a filter of several states some at once, as in `_densities`."""
-    at_once = FEWEST_DRAWS_TOGETHER
+) -> Iterator[tuple[Float[np.ndarray, "m m"], float]]:
+    """Yield the products of each whitened table with itself, and log|Σ|; tables of one law.
+
+    By a filter of several states some at once, as in `_densities`.
+    """
     for _, alike in groupby(pairs, lambda pair: _width(pair[1])):
         for white, table in alike:
-            part = [(white, table)]
-            if isinstance(white, Whitening) and white.law.several_states:
-                part += islice(alike, at_once - 1 if at_once * table.size <= CELLS else 0)
-            if isinstance(white, Independent) or len(part) == 1:
-                yield white.both(table)
+            if isinstance(white, Independent):
+                made, logdet = white.both(table)
+                yield made.T @ made, logdet
                 continue
-            some = [one._arguments(own) for one, own in part if isinstance(one, Whitening)]
-            some += [some[-1]] * (at_once - len(some))  # one length to compile
-            tables, extras = (np.stack([one[k] for one in some]) for k in (2, 3))
-            values = {name: np.stack([one[4][name] for one in some]) for name in some[0][4]}
-            made = map(np.asarray, _several_whitened(*some[0][:2], tables, extras, values))
-            n = len(table)
-            for (_, one), own, log_sd in zip(part, *made, strict=False):
-                own = _back(white.law, white.record, own[:n, : one.shape[1]])
-                yield own, 2.0 * float(np.sum(log_sd[:n]))
+            at_once = FEWEST_DRAWS_TOGETHER if white.law.several_states else 1
+            part: list[Any] = [(white, table)]
+            if at_once * table.size <= CELLS:
+                part += islice(alike, at_once - 1)
+            yield from _filtered(part, at_once)
+
+
+def _filtered(
+    part: list[tuple[Whitening, np.ndarray]], at_once: int
+) -> Iterator[tuple[np.ndarray, float]]:
+    """The products of tables of one width, by a program for so many at once."""
+    (white, first), record = part[0], part[0][0].record
+    law, each = white.law, part + part[-1:] * (at_once - len(part))
+    one = all(table is first for _, table in part)
+    tables = [_padded(law, record, table) for _, table in (part[:1] if one else each)]
+    extras = [np.asarray(w.extra, float) for w, _ in each]
+    if np.ndim(white.extra):
+        extras = [record.longer(_forth(law, record, extra, 0)) for extra in extras]
+    values = {n: np.array([float(w.values[n]) for w, _ in each]) for n in law.parameters()}
+    found = tables[0] if one else np.stack(tables), np.stack(extras), values
+    whitened, log_sd = map(np.asarray, _several_whitened(*record.for_law(law), *found))
+    for (_, table), own, log_sd_of in zip(part, whitened, log_sd, strict=False):
+        own = own[: record.size, : table.shape[1]]  # and not padding
+        yield own.T @ own, 2.0 * float(np.sum(log_sd_of[: record.size]))
 
 
 class Terms(NamedTuple):
