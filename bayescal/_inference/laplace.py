@@ -139,7 +139,7 @@ def _climbed(
     # A step of `still` standard deviations gains about still²/2 nats.
     nothing = max(NOTHING_LEFT, 0.5 * still**2)
     # The curvature at a point hangs more on where that is than the density does.
-    ftol = max(CONVERGED_NATS, 0.05 * nothing)
+    ftol = max(CONVERGED_NATS, 0.01 * nothing)
     density = Density(problem, x, flat, starts[0], like=near)
     # Where the output is affine the linearisation is exact wherever it is made: one climb, no alternation.
     if problem.affine:

@@ -111,7 +111,11 @@ def walk(library: Library, max_effects: int, given: Structure | None = None) -> 
                 else:
                     yield from _look_around(library, fresh, max_effects, among, view)
             elif among is physics:
-                break
+                # Forms that no score tells of come last, as finer ones do.
+                before = len(structures.visited)
+                yield from _weigh_forms(structures, _best(structures, physics))
+                if len(structures.visited) == before:
+                    break
             else:
                 before = len(structures.visited)
                 yield from _weigh_forms(structures, structures.best, finer=True)
@@ -142,6 +146,12 @@ def path(library: Library, to: Structure, start: Structure | None = None) -> lis
         if here.noise != to.noise:
             totals[here.under(to.noise)] = structures.weigh(here.under(to.noise), at).total
         steps.append(max(totals, key=totals.__getitem__))
+
+
+def _best(structures: Structures, among: Scope) -> Weighed:
+    """The most probable structure within a scope."""
+    own = (w for w in structures.visited.values() if among.holds(w.structure))
+    return max(own, key=lambda w: w.total)
 
 
 def _next(structures: Structures, looked: set[Structure], among: Scope) -> Weighed | None:
@@ -214,7 +224,9 @@ def _look_around(
             yield structures.weigh(other, at)
     if not math.isfinite(at.total):
         return
-    gained = yield from _weigh_forms(structures, at)
+    gained = {}
+    if among.laws is None:
+        gained = yield from _weigh_forms(structures, at)
     changes = [m for m in _changes_of_noise(structures, at) if among.has(m.to.noise)]
     moves = [*_moves(view(at), max_effects, among)]
     # Without what moves a column nothing that depends on it is what it was: what may stand in its place is seen beside
@@ -242,7 +254,8 @@ def _look_around(
         near = near or i < REFITTED_NEIGHBOURS[0]
         if near and _is_open(structures, move.to, at):
             yield (found := structures.weigh(move.to, at, move.hints))
-            yield from _weigh_forms(structures, found, gained)
+            if among.laws is None:
+                yield from _weigh_forms(structures, found, gained)
     # What a dropped effect explained correlated noise may take up, as no score says that holds the noise.
     if at is structures.best and not structures.noise(here).independent:
         for name in sorted(here.effects):
