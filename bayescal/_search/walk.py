@@ -13,7 +13,7 @@ from functools import lru_cache, partial
 from types import MappingProxyType
 from typing import NamedTuple
 
-from bayescal._core import deadline
+from bayescal._core import deadline, memory
 from bayescal._core.parallel import on_one_thread
 from bayescal._core.progress import stage, tell
 from bayescal._search.library import Library
@@ -71,6 +71,7 @@ def explore(
     follow()
     if structures.record.affine is not None:
         structures.record.table.forget()
+    memory.trim()
     return ended
 
 
