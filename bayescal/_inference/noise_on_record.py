@@ -44,17 +44,8 @@ class Whitening(NamedTuple):
 
     def both(self, table: Float[np.ndarray, "n m"]) -> tuple[Float[np.ndarray, "n m"], float]:
         """L⁻¹ times a table, and log|Σ|."""
-        made, log_sd = _whitened(*self._arguments(table))
-        n, m = table.shape
-        white = _back(self.law, self.record, np.asarray(made)[:n, :m])
-        return white, 2.0 * float(np.sum(np.asarray(log_sd)[:n]))
-
-    def _arguments(self, table: np.ndarray) -> tuple[Any, ...]:
-        law, record = self.law, self.record
-        extra = np.broadcast_to(np.asarray(self.extra, float), (record.size,))
-        extra = record.longer(_forth(law, record, extra, 0))
-        own = {name: np.float64(self.values[name]) for name in law.parameters()}
-        return *record.for_law(law), _padded(law, record, table), extra, own
+        ((made, logdet),) = _filtered([(self, table)])
+        return _back(self.law, self.record, made), logdet
 
 
 class Independent(NamedTuple):
@@ -129,12 +120,7 @@ def _width(table: np.ndarray) -> int:
 
 
 @program
-def _whitened(law: Noise, frame: Frame, table, extra, values):
-    return law.whiten(table, extra, values, frame)
-
-
-@program
-def _several_whitened(law: Noise, frame: Frame, tables, extras, values):
+def _whitened(law: Noise, frame: Frame, tables, extras, values):
     """Tables, or one table under several settings, and the log standard deviations of their innovations."""
     each = 0 if tables.ndim == 3 else None
     return jax.vmap(lambda *one: law.whiten(*one, frame), (each, 0, 0))(tables, extras, values)
@@ -153,19 +139,18 @@ def products_of_several(
                 made, logdet = white.both(table)
                 yield made.T @ made, logdet
                 continue
-            at_once = FEWEST_DRAWS_TOGETHER if white.law.several_states else 1
             part: list[Any] = [(white, table)]
-            if at_once * table.size <= CELLS:
-                part += islice(alike, at_once - 1)
-            yield from _filtered(part, at_once)
+            if white.law.several_states and FEWEST_DRAWS_TOGETHER * table.size <= CELLS:
+                part += islice(alike, FEWEST_DRAWS_TOGETHER - 1)
+            yield from ((made.T @ made, logdet) for made, logdet in _filtered(part))
 
 
-def _filtered(
-    part: list[tuple[Whitening, np.ndarray]], at_once: int
-) -> Iterator[tuple[np.ndarray, float]]:
-    """The products of tables of one width, by a program for so many at once."""
+def _filtered(part: list[tuple[Whitening, np.ndarray]]) -> Iterator[tuple[np.ndarray, float]]:
+    """Each whitened table in the order in which the law takes readings, and log|Σ|, of tables of one width."""
     (white, first), record = part[0], part[0][0].record
-    law, each = white.law, part + part[-1:] * (at_once - len(part))
+    # Of one setting or of so many: two programs to compile.
+    more = FEWEST_DRAWS_TOGETHER - len(part) if len(part) > 1 else 0
+    law, each = white.law, part + part[-1:] * more
     one = all(table is first for _, table in part)
     tables = [_padded(law, record, table) for _, table in (part[:1] if one else each)]
     extras = [np.asarray(w.extra, float) for w, _ in each]
@@ -173,10 +158,9 @@ def _filtered(
         extras = [record.longer(_forth(law, record, extra, 0)) for extra in extras]
     values = {n: np.array([float(w.values[n]) for w, _ in each]) for n in law.parameters()}
     found = tables[0] if one else np.stack(tables), np.stack(extras), values
-    whitened, log_sd = map(np.asarray, _several_whitened(*record.for_law(law), *found))
-    for (_, table), own, log_sd_of in zip(part, whitened, log_sd, strict=False):
-        own = own[: record.size, : table.shape[1]]  # and not padding
-        yield own.T @ own, 2.0 * float(np.sum(log_sd_of[: record.size]))
+    made, log_sd = map(np.asarray, _whitened(*record.for_law(law), *found))
+    for (_, table), own, each_sd in zip(part, made, log_sd, strict=False):
+        yield own[: record.size, : table.shape[1]], 2.0 * float(np.sum(each_sd[: record.size]))
 
 
 class Terms(NamedTuple):
