@@ -148,7 +148,10 @@ class Density(ByValues):
         noise, alike = np.array([kind == "noise" for kind in self.problem.kinds]), {}
         for i, v in enumerate(vs):
             alike.setdefault(i if self.problem.noisy else tuple(v[noise]), []).append(i)
-        groups, places = sorted(alike.values(), key=len), list[list[list[int]]]()
+        most, groups = self._together, list[list[int]]()
+        for own in sorted(alike.values(), key=len):
+            groups += [own[k : k + most] for k in range(0, len(own), most)]
+        places = list[list[list[int]]]()
 
         def tables() -> Iterator[tuple[Whitening | Independent, np.ndarray]]:
             lines = self._linearised(vs[[i for group in groups for i in group]])
