@@ -113,7 +113,8 @@ def contradicted_alone(subject: Subject) -> list[Claim]:
     own = {e.name for e in single if instrument.slot(e.slot).unit in (instrument.unit, "1")}
     problem = Problem(fit.layout, fit.problem.record, dict.fromkeys(own, FREE_SIZES))
     starts = [fit.mode.v, np.zeros_like(fit.mode.v)]
-    mode = find_mode(problem, starts, fit.mode.x, still=0.01)
+    near = Nearby(fit.mode.v, np.linalg.pinv(fit.mode.covariance))
+    mode = find_mode(problem, starts, fit.mode.x, still=0.01, near=near)
     _, found = Density(problem, mode.x, mode.flat, mode.v).at(mode.v)
     if found is None:
         return []
@@ -323,10 +324,10 @@ def doubts_of_the_mode(fit: Fitted) -> list[Claim]:
     # Another hill has other shapes: all else begins where it is.
     tried = np.where(np.isin(np.arange(len(sd)), shapes), tried, mode.v)
     starts = [v for v in tried if far(v).any()] if shapes else []
-    near = Nearby(mode.v, np.linalg.pinv(mode.covariance))
+    near = Nearby(mode.v, np.linalg.pinv(mode.covariance), True)
     for start in np.array(starts)[np.argsort(-density.values(np.array(starts)))[:STARTS_TRIED]]:
         least = mode.log_density - 20.0
-        other = find_mode(problem, [start], mode.x, still=0.01, wanted_from=least, near=near)
+        other = find_mode(problem, [start], mode.x, still=0.1, wanted_from=least, near=near)
         behind = mode.log_evidence - other.log_evidence
         if far(other.v).any() and behind < limit("mode.two", "nats"):
             names = [problem.hypers[i].name for i in np.array(shapes)[far(other.v)]]

@@ -18,7 +18,7 @@ from bayescal._inference.newton import NOWHERE, ByValues, Nearby
 from bayescal._inference.noise_on_record import (
     Independent,
     Whitening,
-    both_of_several,
+    products_of_several,
     density_terms,
     total_log_density,
     whitening,
@@ -73,13 +73,29 @@ class Density(ByValues):
     # from the readings ------------------------------------------------------------------------------------------
 
     def _line(self, v: np.ndarray, hyper: Values) -> Linearised:
-        # Only shapes and promoted coefficients move J; what else is in φ (noise, sizes) leaves it as it is.
-        key = tuple(float(v[i]) for i in self.problem.moving)
+        key = self._key(v)
         if key not in self._lines:
             if len(self._lines) >= self._together:
                 self._lines.clear()
             self._lines[key] = self.problem.linearise(self.x, hyper)
         return self._lines[key]
+
+    def _key(self, v: np.ndarray) -> tuple[float, ...]:
+        """What moves J: shapes and promoted coefficients; what else is in φ (noise, sizes) leaves it as it is."""
+        return tuple(float(v[i]) for i in self.problem.moving)
+
+    def _linearised(self, vs: Float[np.ndarray, "b d"]) -> Iterator[Linearised]:
+        """Yield the structure linearised at each of several φ; of an affine output as many at once as are kept."""
+        problem = self.problem
+        together = problem.affine and not problem.noisy
+        for some in np.array_split(vs, -(-len(vs) // self._together)):
+            new = {key: v for v in some if (key := self._key(v)) not in self._lines}
+            if together and len(new) > 1:
+                at = np.tile(self.x, (len(new), 1))
+                made = problem.linearise(at, problem.hyper(np.array([*new.values()]).T))
+                for i, key in enumerate(new):
+                    self._lines[key] = Linearised(made.mean[i], made.jacobian[i], made.inputs)
+            yield from [self._line(v, problem.hyper(v)) for v in some]
 
     @property
     def _together(self) -> int:
@@ -105,14 +121,12 @@ class Density(ByValues):
         """Weighted products of the readings at φ."""
         if not self.problem.noise.gaussian:
             return Gram(*(one[0] for one in self._about_modes(v[None])))
-        white, table = self._table(v, hyper)
-        white, logdet = white.both(table)
+        line = self._line(v, hyper)
+        white, logdet = self._white(line, hyper).both(self._table(line))
         return Gram.of(white.T @ white, logdet)
 
-    def _table(self, v: np.ndarray, hyper: Values) -> tuple[Whitening | Independent, np.ndarray]:
-        line = self._line(v, hyper)
-        table = np.column_stack([line.jacobian, self.problem.record.y - line.mean])
-        return self._white(line, hyper), table
+    def _table(self, line: Linearised) -> Float[np.ndarray, "n q"]:
+        return np.column_stack([line.jacobian, self.problem.record.y - line.mean])
 
     def grams(self, vs: Float[np.ndarray, "b d"]) -> Gram:
         """Weighted products at several φ, x counted from `origin`."""
@@ -126,9 +140,41 @@ class Density(ByValues):
         # Spreads are the prior's alone: φ that differ by these have the same products.
         acts = [k != "group_sd" or i in problem.moving for i, k in enumerate(problem.kinds)]
         _, first, which = np.unique(vs[:, acts], axis=0, return_index=True, return_inverse=True)
-        pairs = (self._table(v, problem.hyper(v)) for v in vs[first])
-        made = [Gram.of(white.T @ white, logdet) for white, logdet in both_of_several(pairs)]
+        made = self._whitened_together(vs[first])
         return Gram(*(np.stack([np.asarray(g[i]) for g in made])[which.ravel()] for i in range(4)))
+
+    def _whitened_together(self, vs: Float[np.ndarray, "b d"]) -> list[Gram]:
+        """Weighted products at several φ; of those with one noise a filter passes over each column once."""
+        noise, alike = np.array([kind == "noise" for kind in self.problem.kinds]), {}
+        for i, v in enumerate(vs):
+            alike.setdefault(i if self.problem.noisy else tuple(v[noise]), []).append(i)
+        most, groups = self._together, list[list[int]]()
+        for own in sorted(alike.values(), key=len):
+            groups += [own[k : k + most] for k in range(0, len(own), most)]
+        places = list[list[list[int]]]()
+
+        def tables() -> Iterator[tuple[Whitening | Independent, np.ndarray]]:
+            lines = self._linearised(vs[[i for group in groups for i in group]])
+            line, first = None, np.empty(0)
+            for group in groups:
+                before, line = line, next(lines)
+                first = first if line is before else self._table(line)
+                columns, own = [*first.T], [[*range(first.shape[1])]]
+                for _ in group[1:]:
+                    own.append([*own[0]])
+                    table = self._table(next(lines))
+                    for j in np.flatnonzero(np.any(table != first, axis=0)):
+                        own[-1][j] = len(columns)
+                        columns.append(table[:, j])
+                places.append(own)
+                white = self._white(line, self.problem.hyper(vs[group[0]]))
+                yield white, first if len(group) == 1 else np.column_stack(columns)
+
+        found: dict[int, Gram] = {}
+        for k, (products, logdet) in enumerate(products_of_several(tables())):
+            for i, own in zip(groups[k], places[k], strict=True):
+                found[i] = Gram.of(products[np.ix_(own, own)], logdet)
+        return [found[i] for i in range(len(vs))]
 
     def _about_modes(self, vs: Float[np.ndarray, "b d"]) -> Gram:
         """The products that stand for a law that is not Gaussian: of the quadratic about the mode of x given each φ.

@@ -17,7 +17,8 @@ from jaxtyping import Bool, Float
 from bayescal._inference.gaussian import LOG_2PI
 
 FIRST_DIFFERENCE = 0.02  # of a coordinate over its scale,
-DIFFERENCE = 0.05  # and of one in which the density is about standard normal
+DIFFERENCE = 0.05  # and of one in which the density is about standard normal;
+ONE_SIDED = 0.2  # of these, where bends are nearly known
 LEAST_CURVATURE = 0.05  # that counts as one
 # Correlation and standard deviations, up to which two coordinates hardly bend together, and one has not moved.
 LOOSE, UNMOVED = 0.03, 0.1
@@ -138,8 +139,9 @@ class ByValues:
 
     Of a point that a climb asks for the curvature is carried on from the one before it, or from a density nearby, by
     its bends along the axes and what the gradient changed on the way (BFGS: J. Nocedal and S. Wright, Numerical
-    Optimization, 2006, eq. 6.19). Where it is to be exact, two coordinates that are known nearby have the correlation
-    that they have there, if they hardly bend together or neither has moved.
+    Optimization, 2006, eq. 6.19); where a density nearby knows coordinates as well, differences are one-sided after the
+    first point, with the bends of the one before. Where it is to be exact, two coordinates that are known nearby have
+    the correlation that they have there, if they hardly bend together or neither has moved.
     """
 
     def __init__(self, values: Values, scale: Float[np.ndarray, "d"] | float = 1.0) -> None:
@@ -173,13 +175,26 @@ class ByValues:
         if near is not None:
             bends = np.maximum(np.diag(near.curvature) * scale**2, LEAST_CURVATURE)
             steps = DIFFERENCE * scale / np.sqrt(bends)
-        found = self._differences(v, steps, exact)
+        found = None
+        if last is not None and not exact and self._like and np.any(self._like.known):
+            found = self._one_sided(v, ONE_SIDED * steps, last[1])
+        found = found or self._differences(v, steps, exact)
         if near is not None and found is not None and not exact:
             curvature = _carried(near.curvature, last, v, found, LEAST_CURVATURE / scale**2)
             found = found._replace(curvature=curvature)
         if found is not None:
             self._last, self._exact = (v.copy(), found), exact
         return found
+
+    def _one_sided(
+        self, v: Float[np.ndarray, "d"], steps: Float[np.ndarray, "d"], last: Slopes
+    ) -> Slopes | None:
+        """Return the slopes by steps up, with the bends of the point before."""
+        value, *ends = self.values(np.concatenate([v[None], v + np.diag(steps)]))
+        if not min(value, *ends) > NOWHERE:
+            return None
+        bends = np.diag(last.curvature)
+        return Slopes(value, (np.array(ends) - value) / steps + 0.5 * steps * bends, np.diag(bends))
 
     def _differences(
         self, v: Float[np.ndarray, "d"], steps: Float[np.ndarray, "d"], curved: bool

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping
 from functools import partial
-from itertools import islice
+from itertools import groupby, islice
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -44,17 +44,8 @@ class Whitening(NamedTuple):
 
     def both(self, table: Float[np.ndarray, "n m"]) -> tuple[Float[np.ndarray, "n m"], float]:
         """L⁻¹ times a table, and log|Σ|."""
-        made, log_sd = _whitened(*self._arguments(table))
-        n, m = table.shape
-        white = _back(self.law, self.record, np.asarray(made)[:n, :m])
-        return white, 2.0 * float(np.sum(np.asarray(log_sd)[:n]))
-
-    def _arguments(self, table: np.ndarray) -> tuple[Any, ...]:
-        law, record = self.law, self.record
-        extra = np.broadcast_to(np.asarray(self.extra, float), (record.size,))
-        extra = record.longer(_forth(law, record, extra, 0))
-        own = {name: np.float64(self.values[name]) for name in law.parameters()}
-        return *record.for_law(law), _padded(law, record, table), extra, own
+        ((made, logdet),) = _filtered([(self, table)])
+        return _back(self.law, self.record, made), logdet
 
 
 class Independent(NamedTuple):
@@ -115,44 +106,61 @@ def _back(law: Noise, record: Record, array: Float[np.ndarray, "n ..."]) -> np.n
 def _padded(law: Noise, record: Record, table: np.ndarray) -> np.ndarray:
     """A table as a law takes it, with rows and columns of zeros up to the padded numbers."""
     n, m = table.shape
-    width = WIDTH
-    while width < m:
-        width *= 2
-    found = np.zeros((record.padded_size, width))
+    found = np.zeros((record.padded_size, _width(table)))
     found[:n, :m] = _forth(law, record, table, 0)
     return found
 
 
-@program
-def _whitened(law: Noise, frame: Frame, table, extra, values):
-    return law.whiten(table, extra, values, frame)
+def _width(table: np.ndarray) -> int:
+    """The padded number of columns."""
+    width = WIDTH
+    while width < table.shape[1]:
+        width *= 2
+    return width
 
 
 @program
-def _several_whitened(law: Noise, frame: Frame, tables, extras, values):
-    return jax.vmap(lambda *one: law.whiten(*one, frame))(tables, extras, values)
+def _whitened(law: Noise, frame: Frame, tables, extras, values):
+    """Tables, or one table under several settings, and the log standard deviations of their innovations."""
+    each = 0 if tables.ndim == 3 else None
+    return jax.vmap(lambda *one: law.whiten(*one, frame), (each, 0, 0))(tables, extras, values)
 
 
-def both_of_several(
+def products_of_several(
     pairs: Iterable[tuple[Whitening | Independent, Float[np.ndarray, "n m"]]],
-) -> Iterator[tuple[Float[np.ndarray, "n m"], float]]:
-    """Yield `both` of tables of one law; by a filter of several states some at once, as in `_densities`."""
-    pairs, at_once = iter(pairs), FEWEST_DRAWS_TOGETHER
-    for white, table in pairs:
-        part = [(white, table)]
-        if isinstance(white, Whitening) and white.law.several_states:
-            part += islice(pairs, at_once - 1 if at_once * table.size <= CELLS else 0)
-        if isinstance(white, Independent) or len(part) == 1:
-            yield white.both(table)
-            continue
-        some = [one._arguments(own) for one, own in part if isinstance(one, Whitening)]
-        some += [some[-1]] * (at_once - len(some))  # one length to compile
-        tables, extras = (np.stack([one[k] for one in some]) for k in (2, 3))
-        values = {name: np.stack([one[4][name] for one in some]) for name in some[0][4]}
-        made = map(np.asarray, _several_whitened(*some[0][:2], tables, extras, values))
-        n, m = table.shape
-        for _, own, log_sd in zip(part, *made, strict=False):
-            yield _back(white.law, white.record, own[:n, :m]), 2.0 * float(np.sum(log_sd[:n]))
+) -> Iterator[tuple[Float[np.ndarray, "m m"], float]]:
+    """Yield the products of each whitened table with itself, and log|Σ|; tables of one law.
+
+    By a filter of several states some at once, as in `_densities`.
+    """
+    for _, alike in groupby(pairs, lambda pair: _width(pair[1])):
+        for white, table in alike:
+            if isinstance(white, Independent):
+                made, logdet = white.both(table)
+                yield made.T @ made, logdet
+                continue
+            part: list[Any] = [(white, table)]
+            if white.law.several_states and FEWEST_DRAWS_TOGETHER * table.size <= CELLS:
+                part += islice(alike, FEWEST_DRAWS_TOGETHER - 1)
+            yield from ((made.T @ made, logdet) for made, logdet in _filtered(part))
+
+
+def _filtered(part: list[tuple[Whitening, np.ndarray]]) -> Iterator[tuple[np.ndarray, float]]:
+    """Each whitened table in the order in which the law takes readings, and log|Σ|, of tables of one width."""
+    (white, first), record = part[0], part[0][0].record
+    # Of one setting or of so many: two programs to compile.
+    more = FEWEST_DRAWS_TOGETHER - len(part) if len(part) > 1 else 0
+    law, each = white.law, part + part[-1:] * more
+    one = all(table is first for _, table in part)
+    tables = [_padded(law, record, table) for _, table in (part[:1] if one else each)]
+    extras = [np.asarray(w.extra, float) for w, _ in each]
+    if np.ndim(white.extra):
+        extras = [record.longer(_forth(law, record, extra, 0)) for extra in extras]
+    values = {n: np.array([float(w.values[n]) for w, _ in each]) for n in law.parameters()}
+    found = tables[0] if one else np.stack(tables), np.stack(extras), values
+    made, log_sd = map(np.asarray, _whitened(*record.for_law(law), *found))
+    for (_, table), own, each_sd in zip(part, made, log_sd, strict=False):
+        yield own[: record.size, : table.shape[1]], 2.0 * float(np.sum(each_sd[: record.size]))
 
 
 class Terms(NamedTuple):

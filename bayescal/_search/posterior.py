@@ -153,11 +153,10 @@ class Posterior:
     def chosen(self) -> Structure:
         """The one structure to use: effect by effect what is more probable in than out, given those before.
 
-        Of effects that one of is found the most probable structure's is in too. What is used need not be found: that
+        Of effects that one of is found, and none is in so, the most probable structure's is. What is used need not be found: that
         is for the word "missing". The noise law is that of the most probable structure that has all of it.
         Source: M. Barbieri and J. Berger, Ann. Statist. 32 (2004) 870 (the median probability model predicts best).
         """
-        found = {n for f in self.findings for n in f.effects}
         effects = frozenset(self.given)
         inside = list(zip(self.structures, self.probability.tolist(), strict=True))
         while True:
@@ -173,12 +172,10 @@ class Posterior:
             likeliest = max(own, key=lambda n: (of_form[n], n))
             effects |= {likeliest}
             inside = [(s, p) for s, p in inside if likeliest in s.effects]
-        there = self.space.families(effects)
-        effects |= {
-            n
-            for n in self.best.effects
-            if self.space.family(n) in found and self.space.family(n) not in there
-        }
+        for finding in self.findings:
+            if not self.space.families(effects).intersection(finding.effects):
+                own = (n for n in self.best.effects if self.space.family(n) in finding.effects)
+                effects |= frozenset(own)
         law = next((s for s in self.structures if s.effects >= effects), self.best).noise
         return Structure(effects, law)
 

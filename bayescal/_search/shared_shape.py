@@ -20,7 +20,7 @@ from bayescal._inference.density import Density
 from bayescal._model.effect import CENTRAL_95, Shape
 from bayescal._search.library import Library
 from bayescal._search.scores import View
-from bayescal._search.structures import OTHER_LAW_NATS, Structures, Weighed
+from bayescal._search.structures import OTHER_LAW_NATS, ROUGHLY_NATS, Structures, Weighed
 
 SHARES = (np.arange(10) + 0.5)[:, None] / 10  # of the channels that show what their unit has
 REACH, STEP = 3.5, 0.25  # of the shape's grid, prior standard deviations
@@ -171,8 +171,10 @@ def evidence_of(structures: Structures, name: str, shape: Shape) -> ShapeEvidenc
     with_it = [np.full(len(v), structures.best.total - OTHER_LAW_NATS)]
     for weighed in holding:
         # A refit knows the integral over v, the score its form: the form is scaled so that its prior mean is the
-        # refit's evidence. Of structures without the effect, to which no refit adds it, the score stands for both.
-        gains = _gains(fine, weighed, name)
+        # refit's evidence. Of structures without the effect, to which no refit adds it, the score stands for both. Of
+        # what is far behind the form does not count.
+        near = weighed.total > structures.best.total - ROUGHLY_NATS
+        gains = _gains(fine, weighed, name) if near else np.zeros(len(v))
         total = weighed.total - structures.log_odds[name]
         with_it.append(total + gains - np.logaddexp.reduce(gains + log_mass(u)))
     for weighed in without:

@@ -8,11 +8,12 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Collection, Generator, Iterator, Sequence
+from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
 from functools import lru_cache, partial
+from types import MappingProxyType
 from typing import NamedTuple
 
-from bayescal._core import deadline
+from bayescal._core import deadline, memory
 from bayescal._core.parallel import on_one_thread
 from bayescal._core.progress import stage, tell
 from bayescal._search.library import Library
@@ -70,6 +71,7 @@ def explore(
     follow()
     if structures.record.affine is not None:
         structures.record.table.forget()
+    memory.trim()
     return ended
 
 
@@ -110,7 +112,11 @@ def walk(library: Library, max_effects: int, given: Structure | None = None) -> 
                 else:
                     yield from _look_around(library, fresh, max_effects, among, view)
             elif among is physics:
-                break
+                # Forms that no score tells of come last, as finer ones do.
+                before = len(structures.visited)
+                yield from _weigh_forms(structures, _best(structures, physics))
+                if len(structures.visited) == before:
+                    break
             else:
                 before = len(structures.visited)
                 yield from _weigh_forms(structures, structures.best, finer=True)
@@ -141,6 +147,12 @@ def path(library: Library, to: Structure, start: Structure | None = None) -> lis
         if here.noise != to.noise:
             totals[here.under(to.noise)] = structures.weigh(here.under(to.noise), at).total
         steps.append(max(totals, key=totals.__getitem__))
+
+
+def _best(structures: Structures, among: Scope) -> Weighed:
+    """The most probable structure within a scope."""
+    own = (w for w in structures.visited.values() if among.holds(w.structure))
+    return max(own, key=lambda w: w.total)
 
 
 def _next(structures: Structures, looked: set[Structure], among: Scope) -> Weighed | None:
@@ -213,7 +225,9 @@ def _look_around(
             yield structures.weigh(other, at)
     if not math.isfinite(at.total):
         return
-    lost = yield from _weigh_forms(structures, at)
+    gained = {}
+    if among.laws is None:
+        gained = yield from _weigh_forms(structures, at)
     changes = [m for m in _changes_of_noise(structures, at) if among.has(m.to.noise)]
     moves = [*_moves(view(at), max_effects, among)]
     # Without what moves a column nothing that depends on it is what it was: what may stand in its place is seen beside
@@ -241,7 +255,8 @@ def _look_around(
         near = near or i < REFITTED_NEIGHBOURS[0]
         if near and _is_open(structures, move.to, at):
             yield (found := structures.weigh(move.to, at, move.hints))
-            yield from _weigh_forms(structures, found, lost)
+            if among.laws is None:
+                yield from _weigh_forms(structures, found, gained)
     # What a dropped effect explained correlated noise may take up, as no score says that holds the noise.
     if at is structures.best and not structures.noise(here).independent:
         for name in sorted(here.effects):
@@ -299,39 +314,45 @@ def _follow(structures: Structures, at: Weighed, one: Structure) -> Evaluated:
 
 
 def _weigh_forms(
-    structures: Structures, at: Weighed, but: Collection[str] = (), finer: bool = False
-) -> Generator[Weighed, None, set[str]]:
+    structures: Structures,
+    at: Weighed,
+    gained: Mapping[str, float] = MappingProxyType({}),
+    finer: bool = False,
+) -> Generator[Weighed, None, dict[str, float]]:
     """Weigh a structure with the forms of its effects that no score tells of, each in place of the one that it has.
 
-    Where the structure is so improbable that no form could make it anything else they are left alone.
+    Where the structure is so improbable that no form could make it anything else they are left alone; and a form that
+    lost so much beside one effect more or less that as much would put it out of sight.
 
     Args:
-        but: forms to leave alone.
+        gained: nats by which forms changed a structure next to this one.
         finer: whether forms of several shapes are asked for, which take ten times as long, or those of one.
 
     Returns:
-        The forms that make it so improbable: not to be tried beside one effect more or less.
+        What each form gained.
     """
-    lost = set[str]()
+    found = dict[str, float]()
     behind = structures.near if structures.thrifty else OTHER_LAW_NATS
     if not at.total > structures.best.total - behind:
-        return lost
+        return found
     for name in sorted(at.structure.effects):
         for to in structures.other_forms(at.structure, name):
             (other,) = to.effects - at.structure.effects
             shapes = structures.candidates[other].column_shapes
             several = len(shapes) > 1
-            asked = structures.moves_a_column(other) and several == finer and other not in but
-            if asked:
+            if not structures.moves_a_column(other) or several != finer:
+                continue
+            expected = at.total + gained.get(other, math.inf)
+            if to not in structures.visited and expected < structures.best.total - NEAR_NATS:
+                structures.expect(to, expected)
+            elif _is_open(structures, to, at):
                 # Its shapes may be where those of the same name are in the form that the structure has.
                 places = at.problem.layout.index_in_phi
                 alike = {f"{other}.{s.name}": f"{name}.{s.name}" for s in shapes}
                 hint = {n: float(at.mode.v[places[o]]) for n, o in alike.items() if o in places}
-                if _is_open(structures, to, at):
-                    yield structures.weigh(to, at, [hint])
-                if not structures.total(to) > at.total - OTHER_LAW_NATS:
-                    lost.add(other)
-    return lost
+                yield structures.weigh(to, at, [hint])
+            found[other] = structures.total(to) - at.total
+    return found
 
 
 def correlated_laws(structures: Structures) -> list[str]:
