@@ -6,23 +6,20 @@ A part is a few files, or some of the devices of a large Parquet file.
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator, Mapping, Sequence
+import sys
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from functools import cache
 from pathlib import Path
 
 import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
-import pyarrow.dataset as pads
 import pyarrow.parquet as pq
 
 from bayescal import InputError, Model
 from bayescal._annexes.fleet.devices import Devices, open_readings, split_table
-from bayescal._tables.cells import Cells
-from bayescal._tables.formats import arrow_cells, arrow_headers
+from bayescal._tables.formats import arrow_headers
 from bayescal._tables.open_table import MAX_BYTES, READ
-from bayescal._tables.raw_table import Table, as_format, refuse_large
 from bayescal.workshop import ReadOptions, one_line
 
 BYTES_A_ROW = 30  # of a text file, a log
@@ -52,30 +49,14 @@ class Piece:
         return f"{self.path.name}, devices {self.devices[0]} to {self.devices[-1]}"
 
     def read(self, model: Model, options: ReadOptions) -> Devices:
-        """Read its devices; refuse what cannot be read, or is too large once unpacked."""
-        table = open_readings(self.path, options) if self.devices is None else self._open()
+        """Read its devices, and of a large file these alone, a column at a time; refuse what cannot be read."""
+        whole = self.devices is None
+        table = open_readings(self.path, options, MAX_BYTES if whole else sys.maxsize)
+        if not whole:
+            labels = pq.read_table(self.path, columns=[self.column]).column(0)
+            table = table.take(np.flatnonzero(pc.is_in(labels, self.devices).to_numpy()))
         needs = tuple(dict.fromkeys(c for e in model.effects for c in e.columns))
         return split_table(table, self.path.stem, model.instrument, options, needs)
-
-    def _open(self) -> Table:
-        file = self.path.name
-        with as_format(file, "Parquet"):
-            dataset = pads.dataset(self.path, format="parquet")
-            refuse_large(file, self.readings, len(dataset.schema), MAX_BYTES)
-            own = dataset.to_table(filter=pads.field(self.column).isin(self.devices))
-
-        def load(wanted: Mapping[int, bool]) -> dict[int, Cells]:
-            return {p: arrow_cells(own.column(p), number) for p, number in wanted.items()}
-
-        @cache
-        def rows() -> np.ndarray:
-            column = dataset.to_table([self.column]).column(0)
-            return np.flatnonzero(pc.is_in(column, self.devices).to_numpy())  # pyright: ignore
-
-        def place(index: int) -> str:
-            return f"row {rows()[index] + 1}"
-
-        return Table(file, arrow_headers(own.schema), own.num_rows, load, place=place)
 
 
 @dataclass(frozen=True)

@@ -9,7 +9,6 @@ from __future__ import annotations
 import itertools
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -28,7 +27,6 @@ from bayescal._data.read_options import (
     unit_of,
     unused_options,
 )
-from bayescal._tables.cells import Cells
 from bayescal._tables.open_table import MAX_BYTES
 from bayescal._tables.raw_table import Table, load_whole
 from bayescal.workshop import Objections, ReadOptions, base_unit, expected_columns, open_table
@@ -189,62 +187,31 @@ def split_table(
     problems, options = Objections(table.problems), options.of_file(table)
     unused_options([table], options, problems)
     problems.refuse()
-    further = _further(table, instrument, options, needs)
+    columns = (*instrument.columns, *_further(table, instrument, options, needs))
     output = output_name(instrument)
-    expects = ExpectedColumns(
-        instrument.name, (*instrument.columns, *further), instrument.nominal_scale, output
-    )
+    expects = ExpectedColumns(instrument.name, columns, instrument.nominal_scale, output)
     file = MatchedFile(table, expects, options, problems)
-    table, places = _read_once(file.table), file.positions
     problems.refuse()
-    labels = np.full(table.rows, stem, dtype=object)
-    if DEVICE in places:
-        labels = table.load({places[DEVICE]: False})[places[DEVICE]].values
-        # The labels are at hand: as a column they would be checked, level by level, once more.
-        table = _less(table, places[DEVICE])
-        columns = {ours: theirs for ours, theirs in options.columns.items() if ours != DEVICE}
-        options = replace(options, columns=columns)
+    table, labels = file.table, np.full(table.rows, stem, dtype=object)
+    if (position := file.positions.get(DEVICE)) is not None:
+        labels = load_whole(table, {position: False})[position].values
     codes, levels = pd.factorize(labels)
     if "" in levels:
         where = table.place(int(np.argmax(labels == "")))
         raise InputError(f"{where} of {table.file!r} names no device: fill it in, or remove it")
     names = tuple(map(str, levels))
     converted, rows, refused = _convert_usable(table, codes, names, expects, options)
-    values, units = converted.values, converted.units
-    if DEVICE in places:
-        values, units = {**values, DEVICE: labels[rows]}, {**units, DEVICE: None}
-    found, needed = dict[str, Measurements](), {c.name for c in instrument.columns if c.required}
+    found, needed = dict[str, Measurements](), {c.name for c in columns if c.required}
     begin = np.flatnonzero(np.diff(codes[rows], prepend=-1))
     for first, end in itertools.pairwise([*begin, len(rows)]):
         name = names[codes[rows[first]]]
-        own = {n: column[first:end] for n, column in values.items()}
+        own = {n: column[first:end] for n, column in converted.values.items()}
         if why := _useless(own, name, "temperature" in needed and "temperature" in own):
             refused[name] = why
         else:
             source = Source(f"{table.file}, device {name}", table.sha256, int(end - first))
-            found[name] = Measurements(own, units, (source,), output=output)
+            found[name] = Measurements(own, converted.units, (source,), output=output)
     return Devices(names, found, refused)
-
-
-def _read_once(table: Table) -> Table:
-    """The table, whose columns are kept once they were read: rows of it are taken again and again."""
-
-    @cache
-    def cells(position: int, number: bool) -> Cells:
-        return load_whole(table, {position: number})[position]
-
-    return replace(table, load=lambda wanted: {p: cells(p, n) for p, n in wanted.items()})
-
-
-def _less(table: Table, position: int) -> Table:
-    """A table without one of its columns."""
-    rest = [i for i in range(len(table.headers)) if i != position]
-
-    def load(wanted: Mapping[int, bool]) -> dict[int, Cells]:
-        cells = table.load({rest[p]: number for p, number in wanted.items()})
-        return {p: cells[rest[p]] for p in wanted}
-
-    return replace(table, headers=tuple(table.headers[i] for i in rest), load=load)
 
 
 def _further(

@@ -14,7 +14,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
-import pyarrow as pa
 
 from bayescal import (
     BayescalError,
@@ -28,10 +27,10 @@ from bayescal import (
 )
 from bayescal._annexes.fleet.batch_result import (
     BatchResult,
+    DeviceResult,
     first_few,
+    once_each,
     pooled,
-    rows_of,
-    without_repeated,
 )
 from bayescal._annexes.fleet.device_files import Piece, ReadPiece, files_of, parts_of
 from bayescal._annexes.fleet.devices import DEVICE, Devices, gathered
@@ -110,12 +109,12 @@ class Fits(NamedTuple):
     """What came of some parts.
 
     Attributes:
-        rows: of their devices, as `BatchResult` has them.
+        results: of their devices.
         structures: of the devices that were searched.
         missing: file → why its devices have no results.
     """
 
-    rows: pa.Table
+    results: Sequence[DeviceResult]
     structures: dict[str, DeviceStructure]
     missing: dict[str, str]
 
@@ -125,21 +124,24 @@ def fit_part(request: Request, part: Part) -> Fits:
     with HOLDS_PART, use_settings(request.settings):
         (pieces, unreadable), options = request.read(part), request.fit_options
         every = [(piece, name) for piece in pieces for name in piece.devices.names]
-        reasons = {i: piece.devices.refused.get(name, "") for i, (piece, name) in enumerate(every)}
-        good = {i: every[i][0].devices[every[i][1]] for i, why in reasons.items() if not why}
+        refused = [piece.devices.refused.get(name) for piece, name in every]
+        fitted = {i: DeviceResult(reason=why) for i, why in enumerate(refused) if why}
+        good = {i: p.devices[name] for i, (p, name) in enumerate(every) if i not in fitted}
         structures, models = dict[str, DeviceStructure](), dict.fromkeys(good, request.model)
         for i in [*good] if request.find else ():
             own = request.model, good[i], request.find, options.reference
             try:
                 structures[every[i][1]], models[i] = search_device(*own)
             except (BayescalError, deadline.TimeIsUp) as error:
-                reasons[i] = str(error)
+                fitted[i] = DeviceResult(reason=str(error))
                 del good[i]
         with deadline.finishing() if request.find else nullcontext():
-            fitted, against = fit_devices(models, good, options)
-        names, files = [name for _, name in every], [piece.name for piece, _ in every]
-        rows = rows_of(names, files, [*(reasons | against).values()], fitted)
-        return Fits(rows, structures, unreadable)
+            fitted |= fit_devices(models, good, options)
+        results = [
+            replace(fitted[i], device=name, file=piece.name)
+            for i, (piece, name) in enumerate(every)
+        ]
+        return Fits(results, structures, unreadable)
 
 
 def sum_temperatures(request: Request, part: Part) -> dict[str, np.ndarray]:
@@ -224,8 +226,8 @@ class _Run:
         for own in found:
             structures |= own.structures
             missing |= own.missing
-        rows = pa.concat_tables([rows_of((), (), (), ()), *(own.rows for own in found)])
-        return Fits(without_repeated(rows), structures, missing)
+        results = once_each(one for own in found for one in own.results)
+        return Fits(results, structures, missing)
 
 
 def fit_batch(
@@ -325,7 +327,6 @@ def _fit(run: _Run, population: AskedPopulation) -> BatchResult:
     named = chosen(model, population)
     with stage("fitting devices"):
         fitted = run.fitted()
-    rows = fitted.rows
     about = {
         "instrument": model.instrument.name,
         "effects": list(model.names),
@@ -334,25 +335,27 @@ def _fit(run: _Run, population: AskedPopulation) -> BatchResult:
         "seed": options.seed,
         "reference": {k: v for k, v in options.reference.items() if not isinstance(v, dict)},
     }
-    result = BatchResult(rows, about | ({"settings": own} if (own := unusual()) else {}))
-    if not rows["coefficient"].null_count < len(rows):
+    result = BatchResult(fitted.results, about | ({"settings": own} if (own := unusual()) else {}))
+    if not any(one.names for one in result):
         reasons = result.doubted | fitted.missing
         lines = "\n".join(first_few(reasons, len(reasons))).strip()
         raise InputError(f"none of the devices can be used; {lines or 'there is none'}")
     structures = [fitted.structures[name] for name in result.devices if name in fitted.structures]
     effects = effects_table(structures, options.seed)
     common = common_model(model, structures, effects, find.effects if find else ())
-    t0, compared = result.facts["T0"], rows
+    t0, compared = result.facts["T0"], result.results
     apart = "T0" not in options.reference and t0.dropna().nunique() > 1
     if apart:  # offsets are compared at one temperature
         reference = {**options.reference, "T0": float(t0.median().round())}
         options = replace(options, reference=reference, method=LeastSquares())
     if apart or common is not model:
-        compared = run.asking(model=common, fit_options=options, find=None).fitted().rows
-    rows, learned = pooled(rows, named, options.seed) if named else (rows, None)
+        compared = run.asking(model=common, fit_options=options, find=None).fitted().results
+    results, learned = result.results, None
+    if named:
+        results, learned = pooled(results, named, options.seed)
     return replace(
         result,
-        rows=rows,
+        results=results,
         population=learned,
         odd=odd_devices(compared, t0, common.noise.parameters()),
         checked=len(structures),

@@ -27,7 +27,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from bayescal import BayescalError, Calibration, LeastSquares, Measurements, Model, fit
-from bayescal._annexes.fleet.batch_result import Moments
+from bayescal._annexes.fleet.batch_result import DeviceResult
 from bayescal._annexes.fleet.engine import NOT_REACHED
 from bayescal._calibration.claim import Claim
 from bayescal._calibration.judgement import noiseless
@@ -104,46 +104,37 @@ def tailored(model: Model, readings: Measurements) -> Model:
 
 def fit_devices(
     models: Mapping[int, Model], devices: Mapping[int, Measurements], options: FitOptions
-) -> tuple[list[Moments], dict[int, str]]:
-    """Fit each device by its model, plain ones of a model together.
-
-    Returns:
-        Their moments, and why devices have none or none to rely on; those that the deadline leaves out are refused.
-    """
-    made, against, left = list[Moments](), dict[int, str](), dict(devices)
+) -> dict[int, DeviceResult]:
+    """Fit each device by its model, plain ones of a model together; refuse those that the deadline leaves out."""
+    made, left = dict[int, DeviceResult](), dict(devices)
     with suppress(deadline.TimeIsUp):
-        for moments in _fit_plain(models, devices, options):
-            made.append(moments)
-            for i in moments.at.tolist():
-                del left[i]
+        for some in _fit_plain(models, devices, options):
+            made |= some
+            left = {i: own for i, own in left.items() if i not in some}
             deadline.current().defer_interrupt()
             deadline.current().ask()
         for i in [*left]:
-            moments, why = fit_alone(models[i], i, left.pop(i), options)
-            made += [] if moments is None else [moments]
-            against |= {i: why} if why else {}
+            made[i] = fit_alone(models[i], left.pop(i), options)
             deadline.current().defer_interrupt()
             deadline.current().ask()
-    return made, against | dict.fromkeys(left, NOT_REACHED.format(deadline.current().why))
+    why = NOT_REACHED.format(deadline.current().why)
+    return made | {i: DeviceResult(reason=why) for i in left}
 
 
-def fit_alone(
-    model: Model, index: int, readings: Measurements, options: FitOptions
-) -> tuple[Moments | None, str]:
+def fit_alone(model: Model, readings: Measurements, options: FitOptions) -> DeviceResult:
     """Fit one device by `fit`: the moments of its posterior, and what stands against it."""
     how: dict[str, Any] = {"seed": options.seed, "reference": options.reference_for(readings)}
     try:
         found = fit(model, readings, options.method, strict=False, **how)
     except BayescalError as error:
-        return None, str(error)
-    table = found.values.reshape(-1, len(found.unknowns))
+        return DeviceResult(reason=str(error))
+    table, of = found.values.reshape(-1, len(found.unknowns)), found.unknowns
     covariance = np.atleast_2d(np.cov(table.T))
     held = np.ptp(table, axis=0) == 0
     covariance[held], covariance[:, held] = np.nan, np.nan
-    facts = np.array([len(readings)]), np.array([float(found.reference.get("T0", np.nan))])  # pyright: ignore
-    own = table.mean(axis=0)[None], covariance[None], *facts
-    moments = Moments(np.array([index]), found.unknowns.names, found.unknowns.units, *own)
-    return moments, " ".join(map(str, _against(found)))
+    reason, t0 = " ".join(map(str, _against(found))), float(found.reference.get("T0", np.nan))  # pyright: ignore
+    own = of.names, of.units, table.mean(axis=0), covariance, len(readings), t0
+    return DeviceResult("", reason, *own)
 
 
 def _against(found: Calibration) -> Sequence[Any]:
@@ -161,7 +152,7 @@ def _against(found: Calibration) -> Sequence[Any]:
 
 def _fit_plain(
     models: Mapping[int, Model], devices: Mapping[int, Measurements], options: FitOptions
-) -> Iterator[Moments]:
+) -> Iterator[dict[int, DeviceResult]]:
     """Fit devices of which nothing but the effects of one model may have acted on the outputs, and these linearly."""
     different = {id(model): model for model in models.values()}
     if not isinstance(options.method, LeastSquares) or len(different) != 1:
@@ -188,10 +179,12 @@ def _fit_plain(
             if NOISE not in dict(model.fixed):
                 x = np.column_stack([x, sd])
                 covariance = np.pad(covariance, ((0, 0), (0, 1), (0, 1)), constant_values=np.nan)
+            of = Unknowns.of(layout)
             t0 = [r.get("T0", np.nan) for r in references]
-            of, at = Unknowns.of(layout), np.array(some)[plain]
-            own = x[plain], covariance[plain], np.full(len(at), count), np.array(t0)[plain]
-            yield Moments(at, of.names, of.units, *own)
+            yield {
+                some[k]: DeviceResult("", "", of.names, of.units, x[k], covariance[k], count, t0[k])
+                for k in np.flatnonzero(plain)
+            }
 
 
 def _stacked(each: Sequence[Any]) -> Any:

@@ -237,17 +237,17 @@ def learn(
 
 
 def follow(
-    mean: Float[np.ndarray, "b q"],
-    covariance: Float[np.ndarray, "b q q"],
+    mean: Float[np.ndarray, "q"],
+    covariance: Float[np.ndarray, "q q"],
     of: np.ndarray,
-    new_mean: Float[np.ndarray, "b k"],
-    new: Float[np.ndarray, "b k k"],
-) -> tuple[Float[np.ndarray, "b q"], Float[np.ndarray, "b q q"]]:
-    """Return all unknowns of devices, where those `of` have a new mean and covariance: by regression on them."""
-    rest = np.flatnonzero(np.isfinite(np.diagonal(covariance, axis1=1, axis2=2)).all(axis=0))
-    inner = covariance[:, of[:, None], of]
-    gain = covariance[:, rest[:, None], of] @ np.linalg.inv(inner)
+    new_mean: Float[np.ndarray, "k"],
+    new: Float[np.ndarray, "k k"],
+) -> tuple[Float[np.ndarray, "q"], Float[np.ndarray, "q q"]]:
+    """Return all unknowns of a device, where those `of` have a new mean and covariance: by regression on them."""
+    rest = np.flatnonzero(np.isfinite(np.diag(covariance)))
+    inner = covariance[np.ix_(of, of)]
+    gain = covariance[np.ix_(rest, of)] @ np.linalg.inv(inner)
     mean, covariance = mean.copy(), covariance.copy()
-    mean[:, rest] += (gain @ (new_mean - mean[:, of])[:, :, None])[:, :, 0]
-    covariance[:, rest[:, None], rest] += gain @ (new - inner) @ gain.mT
+    mean[rest] += gain @ (new_mean - mean[of])
+    covariance[np.ix_(rest, rest)] += gain @ (new - inner) @ gain.T
     return mean, covariance
