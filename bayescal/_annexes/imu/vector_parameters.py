@@ -22,7 +22,7 @@ Each gets the nearest of its form, and says what that leaves out.
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from typing import Any
 
 import numpy as np
@@ -39,6 +39,7 @@ from bayescal.workshop import (
     identifier,
     json_text,
     same_dimension,
+    template,
 )
 
 NOTHING = "Nothing is left out."
@@ -51,11 +52,13 @@ def kalibr_yaml_of(correction: VectorCorrection, *others: VectorCorrection) -> s
     Others are in the same body axes, such as gyroscopes by moves between poses of these accelerometers: Kalibr's axes
     are then those of the first.
     """
-    notes = dict.fromkeys(note for c in (correction, *others) for note in c.notes)
-    frame = _split(_in_kalibr(correction).matrix)[1]
-    lines = [*_intrinsics(correction, np.eye(3))]
-    lines += [line for one in others for line in _intrinsics(one, frame)]
-    return _yaml("Intrinsics of three axes, made", notes, ["imu0:", *lines])
+    every = (correction, *others)
+    frames = np.eye(3), *[_split(_in_kalibr(correction).matrix)[1]] * len(others)
+    triads = [_intrinsics(c, frame) for c, frame in zip(every, frames, strict=True)]
+    filters = {"row": _list, "rows": _rows, "comment": c_comment}
+    layout = template("bayescal._annexes.imu", "intrinsics.yaml.jinja", filters)
+    notes = dict.fromkeys(note for c in every for note in c.notes)
+    return _head("Intrinsics of three axes, made", notes) + layout.render(triads=triads)
 
 
 def openvins_yaml_of(correction: VectorCorrection, *others: VectorCorrection) -> str:
@@ -74,18 +77,15 @@ def openvins_yaml_of(correction: VectorCorrection, *others: VectorCorrection) ->
         bias = _list(plain.offset * factor)
         notes += [f"{kind}: {plain.said or NOTHING}"]
         notes += [f"bias of the {kind}, which OpenVINS estimates: {bias} {unit}"]
-    fixed = ["  T_i_b:", *_rows(np.eye(4)), "  time_offset: 0.0", '  model: "kalibr"']
-    lines = ["imu0:", *fixed, *_matrices(held)]
-    return "%YAML:1.0\n" + _yaml("Intrinsics of an inertial unit, made", notes, lines)
+    lines = ["imu0:", "  T_i_b:", _rows(np.eye(4)), "  time_offset: 0.0", '  model: "kalibr"']
+    lines += [f"  {name}:\n{_rows(matrix)}" for name, matrix in held.items()]
+    head = _head("Intrinsics of an inertial unit, made", notes)
+    return "\n".join(["%YAML:1.0", head + lines[0], *lines[1:], ""])
 
 
-def _yaml(title: str, notes: Iterable[str], lines: Iterable[str]) -> str:
+def _head(title: str, notes: Iterable[str]) -> str:
     said = (f"# {c_comment(note)}" for note in notes)
-    return "\n".join([f"# {title} by bayescal {__version__}", *said, *lines, ""])
-
-
-def _matrices(named: Mapping[str, np.ndarray]) -> list[str]:
-    return [line for name, matrix in named.items() for line in (f"  {name}:", *_rows(matrix))]
+    return "\n".join([f"# {title} by bayescal {__version__}", *said, ""])
 
 
 def _openvins(correction: VectorCorrection) -> dict[str, np.ndarray]:
@@ -120,7 +120,7 @@ def ros_yaml_of(correction: VectorCorrection) -> str:
         raise InputError("ros: imu_calib corrects accelerometers, and these are gyroscopes")
     back, bias = _after(correction)
     notes = (correction.calibrated_at, *correction.notes, _plain(correction).said or NOTHING)
-    return _yaml("Made", notes, [f"SM: {_list(back.ravel())}", f"bias: {_list(bias)}"])
+    return _head("Made", notes) + f"SM: {_list(back.ravel())}\nbias: {_list(bias)}\n"
 
 
 def _plain(correction: VectorCorrection) -> PlainCorrection:
@@ -154,40 +154,23 @@ def _split(matrix: Float[np.ndarray, "3 3"]) -> tuple[np.ndarray, np.ndarray]:
     return lower, np.linalg.solve(lower, matrix)
 
 
-def _intrinsics(correction: VectorCorrection, frame: np.ndarray) -> list[str]:
-    """Lines of one triad; `frame` rotates the body axes of the calibration to Kalibr's."""
+def _intrinsics(correction: VectorCorrection, frame: np.ndarray) -> dict[str, Any]:
+    """What the template states of one triad; `frame` rotates the body axes of the calibration to Kalibr's."""
     factor, unit = si_of(correction.unit)
     plain, kind = _in_kalibr(correction), KINDS.get(unit)
     lower, turn = _split(plain.matrix)
-    lines = [
-        f"  {f'{kind}s' if kind else identifier(correction.instrument)}:",
-        f"    # {c_comment(correction.calibrated_at)}",
-        f"    # {c_comment(plain.said or NOTHING)}",
-        "    # Kalibr, scale-misalignment: measured = M*f + bias, M lower triangular, x axis of the body = sensor x",
-        "    M:",
-        *_rows(lower),
-        "    # from the body axes of this calibration to those: f_kalibr = R*f"
-        if np.array_equal(frame, np.eye(3))
-        else "    # from the axes of the first M to those of this one",
-        f"    {'C_gyro_i' if kind == 'gyroscope' else 'R'}:",
-        *_rows(turn @ frame.T),
-        f"    # bias, {c_comment(unit)}, and its standard uncertainty",
-        f"    bias: {_list(plain.offset * factor)}",
-        f"    bias_uncertainty: {_list(plain.uncertainty[:3] * factor)}",
-        "    # measured = matrix*f + bias, in the body axes of this calibration, and standard uncertainties",
-        "    matrix:",
-        *_rows(plain.matrix),
-        "    matrix_uncertainty:",
-        *_rows(plain.uncertainty[3:12].reshape(3, 3)),
-    ]
-    if kind is None:
-        return lines
     held = _openvins(correction)
-    if kind == "gyroscope" and correction.beside:
-        lines += ["    # sensitivity to specific force in the axes of M, rad/s per m/s^2", "    A:"]
-        lines += _rows(held["Tg"] @ turn.T)
-    said = "OpenVINS: measured = T*R*f + bias, of gyroscopes + Tg*a, in the body axes of this calibration"
-    return [*lines, f"  # {said}", *_matrices(held)]
+    by_force = held["Tg"] @ turn.T if kind == "gyroscope" and correction.beside else None
+    return {
+        "name": f"{kind}s" if kind else identifier(correction.instrument),
+        "calibrated_at": correction.calibrated_at,
+        "left_out": plain.said or NOTHING,
+        **{"kind": kind, "unit": unit, "lower": lower, "turn": turn @ frame.T},
+        **{"bias": plain.offset * factor, "bias_uncertainty": plain.uncertainty[:3] * factor},
+        "matrix": plain.matrix,
+        "matrix_uncertainty": plain.uncertainty[3:12].reshape(3, 3),
+        **{"by_force": by_force, "openvins": held},
+    }
 
 
 # Of the first sensor of a kind: offset, scale, and what stands beside the diagonal, each for an axis.
@@ -281,8 +264,8 @@ def _list(values: np.ndarray) -> str:
     return f"[{', '.join(pointed)}]"
 
 
-def _rows(matrix: np.ndarray) -> list[str]:
-    return [f"    - {_list(row)}" for row in matrix]
+def _rows(matrix: np.ndarray) -> str:
+    return "\n".join(f"    - {_list(row)}" for row in matrix)
 
 
 READ_BY_OTHERS: dict[str, Callable[..., str]] = {
