@@ -16,13 +16,14 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from bayescal import InputError
-from bayescal._annexes.fleet.odd_devices import FAMILY_WISE_ERROR
 from bayescal._annexes.fleet.population import Named, Population, follow, learn
 from bayescal.workshop import as_json, parsed_json, replacing_for_user, write_json
 
 FORMAT = "bayescal.batch/1"
 AGAIN = "Take a copy, or run the batch again"
 TABLE, SUMMARY = "devices.parquet", "fleet.json"  # of a result that is a folder
+# Probability that a fleet of like devices has one that is named; shared by all devices and quantities (C. Bonferroni).
+FAMILY_WISE_ERROR = 0.01
 SHOWN_DEVICES = 10  # devices, files that are named in print
 SHOWN_ALIKE = 3  # of those of which the same is said
 SCHEMA = pa.schema(

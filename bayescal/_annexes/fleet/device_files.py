@@ -18,9 +18,7 @@ import pyarrow.parquet as pq
 
 from bayescal import InputError, Model
 from bayescal._annexes.fleet.devices import Devices, open_readings, split_table
-from bayescal._tables.formats import arrow_headers
-from bayescal._tables.open_table import MAX_BYTES, READ
-from bayescal.workshop import ReadOptions, one_line
+from bayescal.workshop import MAX_BYTES, READ, ReadOptions, arrow_headers, one_line
 
 BYTES_A_ROW = 30  # of a text file, a log
 

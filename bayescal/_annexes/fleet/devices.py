@@ -15,21 +15,27 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from bayescal import Column, InputError, Measurements
-from bayescal._data.column import ConvertedColumns, Place, Source
-from bayescal._data.column_conversion import convert_columns
-from bayescal._data.dataset_checks import backward_time, same_temperature
-from bayescal._data.header_matching import MatchedFile
-from bayescal._data.read_options import (
+from bayescal import Column, InputError, Instrument, Measurements
+from bayescal.workshop import (
+    MAX_BYTES,
     ExpectedColumns,
-    InstrumentLike,
+    MatchedFile,
+    Objections,
+    Place,
+    ReadOptions,
+    Source,
+    Table,
+    backward_time,
+    base_unit,
+    convert_columns,
+    expected_columns,
+    load_whole,
+    open_table,
     output_name,
+    same_temperature,
     unit_of,
     unused_options,
 )
-from bayescal._tables.open_table import MAX_BYTES
-from bayescal._tables.raw_table import Table, load_whole
-from bayescal.workshop import Objections, ReadOptions, base_unit, expected_columns, open_table
 
 DEVICE = "device"
 
@@ -117,7 +123,7 @@ def _not_finite(name: str, one: Measurements) -> str:
 
 def split_devices(
     paths: str | Path | Sequence[str | Path],
-    instrument: InstrumentLike,
+    instrument: Instrument,
     *,
     needs: Sequence[str] = (),
     max_bytes: int = MAX_BYTES,
@@ -175,7 +181,7 @@ def open_readings(path: Path, options: ReadOptions, max_bytes: int = MAX_BYTES) 
 def split_table(
     table: Table,
     stem: str,
-    instrument: InstrumentLike,
+    instrument: Instrument,
     options: ReadOptions,
     needs: Sequence[str] = (),
 ) -> Devices:
@@ -200,22 +206,22 @@ def split_table(
         where = table.place(int(np.argmax(labels == "")))
         raise InputError(f"{where} of {table.file!r} names no device: fill it in, or remove it")
     names = tuple(map(str, levels))
-    converted, rows, refused = _convert_usable(table, codes, names, expects, options)
+    values, units, rows, refused = _convert_usable(table, codes, names, expects, options)
     found, needed = dict[str, Measurements](), {c.name for c in columns if c.required}
     begin = np.flatnonzero(np.diff(codes[rows], prepend=-1))
     for first, end in itertools.pairwise([*begin, len(rows)]):
         name = names[codes[rows[first]]]
-        own = {n: column[first:end] for n, column in converted.values.items()}
+        own = {n: column[first:end] for n, column in values.items()}
         if why := _useless(own, name, "temperature" in needed and "temperature" in own):
             refused[name] = why
         else:
             source = Source(f"{table.file}, device {name}", table.sha256, int(end - first))
-            found[name] = Measurements(own, converted.units, (source,), output=output)
+            found[name] = Measurements(own, units, (source,), output=output)
     return Devices(names, found, refused)
 
 
 def _further(
-    table: Table, instrument: InstrumentLike, options: ReadOptions, needs: Iterable[str]
+    table: Table, instrument: Instrument, options: ReadOptions, needs: Iterable[str]
 ) -> tuple[Column, ...]:
     """Columns that effects need and the instrument does not know, in their base units."""
     headers = {h.name: h for h in table.headers}
@@ -231,16 +237,17 @@ def _convert_usable(
     table: Table,
     codes: np.ndarray,
     names: Sequence[str],
-    instrument: InstrumentLike,
+    expects: ExpectedColumns,
     options: ReadOptions,
-) -> tuple[ConvertedColumns, np.ndarray, dict[str, str]]:
-    """The columns of all devices whose cells can be used, their rows of the table, and why the others cannot."""
+) -> tuple[Mapping[str, np.ndarray], Mapping[str, str | None], np.ndarray, dict[str, str]]:
+    """Columns, with their units, of all devices whose cells can be used; their rows; why the others cannot."""
     rows, refused = np.argsort(codes, kind="stable"), dict[str, str]()
     while rows.size:
         problems, some = Objections(), table.take(rows)
-        converted = convert_columns(some, instrument, options, problems)
+        converted = convert_columns(some, expects, options, problems)
         if not problems:
-            return converted, rows if converted.kept is None else rows[converted.kept], refused
+            rows = rows if converted.kept is None else rows[converted.kept]
+            return converted.values, converted.units, rows, refused
         Objections(p for p in problems if not p.rows).refuse()
         bad: dict[int, str] = {}
         for problem in problems:
@@ -249,7 +256,7 @@ def _convert_usable(
                 bad[int(codes[rows[index]])] = str(one)
         refused |= {names[code]: why for code, why in bad.items()}
         rows = rows[~np.isin(codes[rows], list(bad))]
-    return ConvertedColumns(), rows, refused
+    return {}, {}, rows, refused
 
 
 def _useless(columns: dict[str, np.ndarray], name: str, warm: bool) -> str:

@@ -18,9 +18,7 @@ from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
 
 from bayescal import BayescalError, InputError
-from bayescal._core import deadline
-from bayescal._core.jax_setup import obey_no_folder
-from bayescal.workshop import print_notes
+from bayescal.workshop import deadline, obey_no_folder, print_notes
 
 if TYPE_CHECKING:
     from distributed import Client, LocalCluster

@@ -24,13 +24,15 @@ from scipy.special import expit
 from bayescal import Effect, Measurements, Model
 from bayescal._annexes.fleet.batch_result import EFFECTS
 from bayescal._annexes.fleet.fit_devices import Reference
-from bayescal._core import deadline
-from bayescal._core.settings import settings
-from bayescal._model.frame import reference_of
-from bayescal._search.discover import structures_over
-from bayescal._search.library import Library
-from bayescal._search.posterior import Posterior
-from bayescal._search.walk import explore
+from bayescal.workshop import (
+    Library,
+    Posterior,
+    deadline,
+    explore,
+    reference_of,
+    settings,
+    structures_over,
+)
 
 # Probability from which an effect of a device is kept, and printed of the whole: as that of a noise law.
 KEPT_PROBABILITY = 0.01

@@ -52,10 +52,17 @@ from bayescal._annexes.fleet.fit_devices import (
 )
 from bayescal._annexes.fleet.odd_devices import odd_devices
 from bayescal._annexes.fleet.population import AskedPopulation, chosen
-from bayescal._core import deadline
-from bayescal._core.settings import settings, unusual
-from bayescal._model.frame import reference_name
-from bayescal.workshop import ReadOptions, print_notes, refuse_missing, stage, tell
+from bayescal.workshop import (
+    ReadOptions,
+    deadline,
+    print_notes,
+    reference_name,
+    refuse_missing,
+    settings,
+    stage,
+    tell,
+    unusual,
+)
 
 if TYPE_CHECKING:
     from distributed import Client

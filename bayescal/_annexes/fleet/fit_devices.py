@@ -26,19 +26,30 @@ from typing import Any
 import numpy as np
 from jaxtyping import Bool, Float
 
-from bayescal import BayescalError, Calibration, LeastSquares, Measurements, Model, fit
+from bayescal import (
+    BayescalError,
+    Calibration,
+    Frame,
+    LeastSquares,
+    Measurements,
+    Model,
+    fit,
+)
 from bayescal._annexes.fleet.batch_result import DeviceResult
 from bayescal._annexes.fleet.engine import NOT_REACHED
-from bayescal._calibration.claim import Claim
-from bayescal._calibration.judgement import noiseless
-from bayescal._core import deadline
-from bayescal._inference.method import Method
-from bayescal._inference.problem import Problem
-from bayescal._inference.record import Record
-from bayescal._model.frame import Frame, build_frame, reference_of
-from bayescal._model.parameters import Layout, bind
-from bayescal._model.unknowns import Unknowns
-from bayescal.workshop import UNCERTAINTY
+from bayescal.workshop import (
+    UNCERTAINTY,
+    Claim,
+    Method,
+    Problem,
+    Record,
+    Unknowns,
+    bind,
+    build_frame,
+    deadline,
+    noiseless,
+    reference_of,
+)
 
 Reference = dict[str, Any]  # constants of bases
 
@@ -170,16 +181,16 @@ def _fit_plain(
             some = every[begin : begin + most]
             references = [options.reference_for(devices[i]) for i in some]
             frames = [build_frame(devices[i], r) for i, r in zip(some, references, strict=True)]
-            layout = bind(model, devices[some[0]], reference=references[0])[0]
-            whole = model.with_nuisances(devices[some[0]]) is model and layout.size < count
-            if not whole or (problem := _together(layout, frames)) is None:
+            first = devices[some[0]]
+            problem = _together(model, first, frames)
+            if problem is None or model.with_nuisances(first) is not model:
                 continue
             with np.errstate(all="ignore"):  # of devices that are no plain ones
                 plain, x, covariance, sd = _solve(problem, *_linearised(problem))
             if NOISE not in dict(model.fixed):
                 x = np.column_stack([x, sd])
                 covariance = np.pad(covariance, ((0, 0), (0, 1), (0, 1)), constant_values=np.nan)
-            of = Unknowns.of(layout)
+            of = Unknowns.of(problem.layout)
             t0 = [r.get("T0", np.nan) for r in references]
             yield {
                 some[k]: DeviceResult("", "", of.names, of.units, x[k], covariance[k], count, t0[k])
@@ -194,13 +205,14 @@ def _stacked(each: Sequence[Any]) -> Any:
     return np.stack(each)
 
 
-def _together(layout: Layout, frames: Sequence[Frame]) -> Problem | None:
+def _together(model: Model, first: Measurements, frames: Sequence[Frame]) -> Problem | None:
     """Return a model on the readings of several devices at once; None where it has no closed form, or not together."""
-    model, blocks = layout.model, layout.blocks
+    layout = bind(model, first, reference=frames[0].reference)[0]
     plain = all(
-        b.place != "input" and b.coefficient.per is None and not b.coefficient.flat for b in blocks
+        b.place != "input" and b.coefficient.per is None and not b.coefficient.flat
+        for b in layout.blocks
     )
-    sized = layout.size > 0 and not any(e.open for e in model.effects)
+    sized = 0 < layout.size < len(first) and not any(e.open for e in model.effects)
     if not (
         plain and sized and model.noise.first and all(h.kind == "noise" for h in layout.hypers)
     ):

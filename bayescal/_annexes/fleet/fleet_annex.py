@@ -11,7 +11,6 @@ from typer import Argument
 
 import bayescal as bc
 from bayescal import InputError
-from bayescal._search.own_files import in_a_file
 from bayescal.workshop import (
     Answer,
     AsJson,
@@ -20,6 +19,7 @@ from bayescal.workshop import (
     ModelOptions,
     Shared,
     compose,
+    in_a_file,
     instrument_named,
     method_named,
     named_numbers,

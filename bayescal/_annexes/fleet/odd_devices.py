@@ -21,7 +21,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Collection, Iterable
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import pandas as pd
@@ -29,13 +29,9 @@ from jaxtyping import Float
 from scipy import stats
 from scipy.optimize import brentq
 
+from bayescal._annexes.fleet.batch_result import FAMILY_WISE_ERROR, DeviceResult
 from bayescal.workshop import number, unit_label
 
-if TYPE_CHECKING:
-    from bayescal._annexes.fleet.batch_result import DeviceResult
-
-# Probability that a fleet of like devices has one that is named; shared by all devices and quantities (C. Bonferroni).
-FAMILY_WISE_ERROR = 0.01
 FEWEST_DEVICES = 4  # devices, of fewer none is compared
 ROUNDS = 50  # until nothing changes, at most
 SAME_TEMPERATURE = 1.0  # °C, standard deviation of reference temperatures that are no different

@@ -39,10 +39,16 @@ import pandas as pd
 from jaxtyping import Float
 
 from bayescal import Coefficient, Flat, HalfCauchy, HalfNormal, Model, ModelError
-from bayescal._core.importance_weights import smoothed
-from bayescal._inference import trust
-from bayescal._inference.newton import ByValues, climb, gaussian_fit
-from bayescal._inference.sampling import around_mode, prior_share, propose
+from bayescal.workshop import (
+    ByValues,
+    around_mode,
+    climb,
+    gaussian_fit,
+    prior_share,
+    propose,
+    smoothed,
+    unevenness,
+)
 
 # Devices from which a standard deviation between them can be learned: of two, it is their distance.
 FEWEST_DEVICES = 3
@@ -230,7 +236,7 @@ def learn(
             "unit": [c.unit for c, _ in named.values()],
         }
     )
-    why = trust.unevenness(weights, k_hat, enough=POPULATION_DRAWS)
+    why = unevenness(weights, k_hat, enough=POPULATION_DRAWS)
     reason = why and f"weights of the between-group standard deviations were uneven ({why})"
     found = Population(table, not why, reason, count, k_hat)
     return found, (about + first + pooled.centre) * size, second * np.outer(size, size)

@@ -25,13 +25,14 @@ from bayescal._annexes.imu.autopilot import (
     Values,
     project,
 )
-from bayescal._use.compensation_program import STIMULUS, inputs_at_fit
 from bayescal.workshop import (
     NOT_RELIABLE,
     STANDARD_GRAVITY,
+    STIMULUS,
     ascii_text,
     convert,
     identity,
+    inputs_at_fit,
     number,
     one_line,
     plain_table,

@@ -12,7 +12,6 @@ from typing import TYPE_CHECKING, Any
 
 import bayescal as bc
 from bayescal import InputError
-from bayescal._core import deadline
 from bayescal.workshop import (
     CALIBRATION,
     MANIFEST,
@@ -25,6 +24,7 @@ from bayescal.workshop import (
     ReadRequest,
     Shared,
     compensator_from,
+    deadline,
     drawing,
     drawn,
     files_of,
@@ -260,7 +260,7 @@ def _calibrated(
 
 def triad_text(trail: bc.SearchPath, correction: bc.VectorCorrection) -> str:
     """What is found of three axes: the errors, the coefficients, and offset and matrix as exports have them."""
-    from bayescal._cli.output import coefficients_text
+    from bayescal.workshop import coefficients_text
 
     return f"{trail}\n\n{coefficients_text(trail)}\n\n{correction}"
 

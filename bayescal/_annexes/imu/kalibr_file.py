@@ -11,8 +11,7 @@ from collections.abc import Mapping
 
 from bayescal import InputError, SensorNoise
 from bayescal._annexes.imu.vector_parameters import si_of
-from bayescal._calibration.sensor_noise import FILTER_QUANTILE
-from bayescal.workshop import c_comment, option
+from bayescal.workshop import FILTER_QUANTILE, c_comment, option
 
 KINDS = {"accelerometer": "m/s^2", "gyroscope": "rad/s"}
 BRIEF = {

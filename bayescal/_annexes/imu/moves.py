@@ -45,15 +45,18 @@ from bayescal._annexes.imu.still_stretches import (
     per_sample,
 )
 from bayescal._annexes.imu.vector_correction import VectorCorrection
-from bayescal._core.parallel import on_one_thread
-from bayescal._data.pose_rows import (
+from bayescal.workshop import (
     ACROSS,
     AXES,
     DIRECTION,
     OF,
     TURNED,
+    UNCERTAINTY,
+    convert,
+    number,
+    on_one_thread,
+    same_dimension,
 )
-from bayescal.workshop import UNCERTAINTY, convert, number, same_dimension
 
 # Beside `TURNED`, the specific force on j, the square of what acts on a, and the Earth's rotation.
 PULLED = tuple(f"pulled_{a}{j}" for a in AXES for j in AXES)

@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Float
 
 from bayescal import InputError, Instrument
-from bayescal._data.pose_rows import (
+from bayescal.workshop import (
     ACROSS,
     AXES,
     DIRECTION,
@@ -20,10 +20,10 @@ from bayescal._data.pose_rows import (
     MAGNITUDE_READ,
     OF,
     RATE,
+    UNCERTAINTY,
     ellipsoid,
     magnitude,
 )
-from bayescal.workshop import UNCERTAINTY
 
 POSE_UNCERTAINTY = "pose_uncertainty"  # of a known direction, rad
 MOUNTING = "mounting"  # readings that share an error of the direction

@@ -15,9 +15,7 @@ from jaxtyping import Float
 from matplotlib.figure import Figure
 
 from bayescal import Calibration, ModelError
-from bayescal._data.pose_rows import ACROSS
-from bayescal._report.plot_colours import GREY
-from bayescal.workshop import new_figure
+from bayescal.workshop import ACROSS, new_figure, plot_colours
 
 CAPTION = "Residuals of the magnitude along the sphere of poses, in standard deviations"
 COLOUR_END_SD = 3.0  # standard deviations, at which the colour ends
@@ -43,12 +41,12 @@ def sphere(calibration: Calibration) -> Figure:
             cmap="RdBu_r",
             vmin=-COLOUR_END_SD,
             vmax=COLOUR_END_SD,
-            edgecolors=GREY,
+            edgecolors=plot_colours.GREY,
             linewidths=0.5,
             s=36,
         )
         turn = np.linspace(0, 2 * np.pi, 200)
-        ax.plot(np.cos(turn), np.sin(turn), color=GREY, lw=0.8)
+        ax.plot(np.cos(turn), np.sin(turn), color=plot_colours.GREY, lw=0.8)
         ax.set_title(f"z {'up' if up > 0 else 'down'}: {int(own.sum())} poses")
         ax.set_xlabel("x")
         ax.set_aspect("equal")

@@ -16,9 +16,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from bayescal import InputError, Instrument, Measurements
-from bayescal._data.pose_rows import ACROSS, OF
-from bayescal._data.records import equal_runs
-from bayescal.workshop import UNCERTAINTY
+from bayescal.workshop import ACROSS, OF, UNCERTAINTY, equal_runs
 
 BLOCK_SECONDS = 0.25  # short against a move by hand, long against a filter of 20 Hz
 QUIET_QUANTILE = 0.1  # quantile of the blocks' scatter, that is taken as at rest

@@ -20,12 +20,12 @@ from scipy.linalg import block_diag
 
 from bayescal import InputError, Measurements, __version__
 from bayescal._annexes.imu.still_stretches import LoggedRun
-from bayescal._core.inverse import stepped
 from bayescal.workshop import (
     CorrectionInUse,
     ResultTable,
     TableColumn,
     as_json,
+    stepped,
     unit_label,
     with_error,
 )

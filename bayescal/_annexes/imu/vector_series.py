@@ -27,10 +27,19 @@ from bayescal._annexes.imu.vector_correction import (
     UNKNOWN_DIRECTIONS,
     VectorCorrection,
 )
-from bayescal._core.jit import compiled
-from bayescal._data.pose_rows import ACROSS, MAGNITUDE, TURNED, magnitude
-from bayescal._inference.problem import Problem
-from bayescal.workshop import NOT_RELIABLE, identity, number, unit_label, why_not
+from bayescal.workshop import (
+    ACROSS,
+    MAGNITUDE,
+    NOT_RELIABLE,
+    TURNED,
+    Problem,
+    compiled,
+    identity,
+    magnitude,
+    number,
+    unit_label,
+    why_not,
+)
 
 # Share of the largest term up to which a polynomial of the temperature is the model's own.
 EXACT_SHARE = 1e-9

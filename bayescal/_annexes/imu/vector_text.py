@@ -17,7 +17,6 @@ from bayescal._annexes.imu.vector_correction import (
     term_rows,
     terms_table,
 )
-from bayescal._use.compensation_program import AGAIN
 from bayescal.workshop import (
     ResultTable,
     as_type,
@@ -68,7 +67,7 @@ def vector_from_data(found: Any, file: str) -> VectorCorrection:
             raise ValueError(f"terms of shape {shapes}")
         shared = None if shared is None else np.array(shared, float)
     except ValueError as error:
-        raise InputError(f"{file} is damaged: {error}. {AGAIN}") from None
+        raise InputError(f"{file} is damaged: {error}. Export it again") from None
     low, high = saved.temperatures_degC or (None, None)
     return VectorCorrection(**given, low=low, high=high, shared=shared)
 

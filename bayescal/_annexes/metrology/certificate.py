@@ -27,11 +27,11 @@ from markupsafe import Markup
 
 from bayescal import Calibration, InputError, __version__
 from bayescal._annexes.metrology.decide import Decisions, statement_lines
-from bayescal._calibration.prior_influence import coefficients_not_measured
 from bayescal.workshop import (
     STANDARD_GRAVITY,
     Chapter,
     Foreword,
+    coefficients_not_measured,
     identity,
     parse,
     read_toml,

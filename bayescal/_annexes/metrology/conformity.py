@@ -40,18 +40,20 @@ from jaxtyping import Float
 from scipy.special import ndtr, ndtri
 
 from bayescal import Calibration, Compensator, InputError
-from bayescal._use.budget import notes_on
-from bayescal._use.compensation_program import PAST
-from bayescal._use.compensation_program import limits as calibrated_limits
-from bayescal._use.operating_equation import ALL_DRAWS, STIMULUS, equation_in_use
 from bayescal.workshop import (
+    ALL_DRAWS,
+    PAST,
     STANDARD_GRAVITY,
+    STIMULUS,
     convert,
+    equation_in_use,
     normalised,
+    notes_on,
     parse,
     same_dimension,
     unit_label,
 )
+from bayescal.workshop import limits as calibrated_limits
 
 _NUMBER = r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?"
 _RANGE = rf"(?P<low>{_NUMBER})\s*(?:\.\.|…|to\b)\s*(?P<high>{_NUMBER})"

@@ -42,18 +42,19 @@ from bayescal._annexes.metrology.conformity import (
     stated_limit,
     with_population,
 )
-from bayescal._calibration.prior_influence import NotMeasured, not_measured
-from bayescal._use.compensation_program import averaged_over
 from bayescal.workshop import (
     STANDARD_GRAVITY,
     WIDTH,
     Chapter,
     Foreword,
+    NotMeasured,
     Printed,
     ResultTable,
     TableColumn,
     as_json,
+    averaged_over,
     identity,
+    not_measured,
     number,
     unit_label,
     why_not,

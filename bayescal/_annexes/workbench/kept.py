@@ -39,16 +39,15 @@ from bayescal import (
     __version__,
     load,
 )
-from bayescal._model.formula import Formula
-from bayescal._model.installed import GROUP, installed_names
-from bayescal._report.whole_folder import AGAIN
-from bayescal._search.calibrate import QUICK
-from bayescal._search.own_files import in_a_file
-from bayescal._search.search_path import Step
 from bayescal.workshop import (
+    QUICK,
+    Formula,
     ReadOptions,
+    Step,
     as_type,
     identity,
+    in_a_file,
+    installed_names,
     one_line,
     read_json,
     write_text,
@@ -146,7 +145,7 @@ class Origin:
         if in_a_file(self.instrument):
             file, _, name = self.instrument.rpartition(":")
             return [f"instrument = runpy.run_path({file!r})[{name!r}]"]
-        found = entry_points(group=GROUP)[self.instrument]
+        found = entry_points(group="bayescal.instruments")[self.instrument]
         return [f"from {found.module} import {found.attr} as instrument"]
 
     def _code_of_effects(self) -> list[str]:
@@ -326,7 +325,9 @@ def states_in(
         file = fit_of(folder, number)
         calibration = load(file, effects=effects, instruments=given)
         if identity(calibration) != state["identity"]:
-            raise InputError(f"{file} is not the one that {SESSION} tells of. {AGAIN}")
+            raise InputError(
+                f"{file} is not the one that {SESSION} tells of: begin in another folder"
+            )
         yield state, calibration
 
 

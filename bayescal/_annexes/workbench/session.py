@@ -23,6 +23,7 @@ import numpy as np
 from bayescal import (
     Budget,
     Calibration,
+    Decisions,
     Discovery,
     Effect,
     InputError,
@@ -36,27 +37,37 @@ from bayescal import (
     check,
     compare,
     compensator,
+    decide,
+    firmware_parameters,
     fit,
     report,
     set_aside,
 )
 from bayescal import effect as typed_effect
 from bayescal._annexes.imu.autopilot import AUTOPILOTS
-from bayescal._annexes.imu.firmware_parameters import axis_of, firmware_parameters
-from bayescal._annexes.metrology.decide import Decisions, decide
+from bayescal._annexes.imu.firmware_parameters import axis_of
 from bayescal._annexes.workbench import kept
 from bayescal._annexes.workbench.kept import Origin, SearchOptions, State, path_to, script
-from bayescal._calibration.summary import unknown_rows
-from bayescal._core import deadline
-from bayescal._model.effect import with_forms
-from bayescal._model.formula import Formula
-from bayescal._search.calibrate import Loop, step_of
-from bayescal._search.discover import SEARCH
-from bayescal._search.gate import judged
-from bayescal._search.noise_laws import laws_over
-from bayescal._search.search_path import Step
-from bayescal._search.structures import SIZE_FACTORS, Structure
-from bayescal.workshop import WIDTH, number, plain_table, save_search, unit_label, with_error
+from bayescal.workshop import (
+    SEARCH,
+    SIZE_FACTORS,
+    WIDTH,
+    Formula,
+    Loop,
+    Step,
+    Structure,
+    deadline,
+    judged,
+    laws_over,
+    number,
+    plain_table,
+    save_search,
+    step_of,
+    unit_label,
+    unknown_rows,
+    with_error,
+    with_forms,
+)
 
 
 class Preview:

@@ -14,10 +14,10 @@ from bayescal.workshop import (
     channel_names,
     folders_of,
     method_named,
+    named_numbers,
     opt,
     own_effects,
     print_notes,
-    reference_of,
     result_folder,
     searched,
     tell,
@@ -87,7 +87,7 @@ def _sessions(
     def of_channel(channel: str, folder: Path) -> Opened:
         own_files = [] if asked.effects_file is None else [asked.effects_file]
         own = own_effects(asked, models[channel].instrument, readings[channel])
-        reference = reference_of(asked.reference, readings[channel]) or None
+        reference = {**named_numbers(asked.reference, "--reference")} or None
         how = asked.for_read() | ({"outputs": names} if channel else {})
         averaged = {"average": asked.average, "keep_spikes": asked.keep_spikes}
         files = (asked.files, asked.holdout, how, own_files)

@@ -41,9 +41,7 @@ from bayescal._annexes.workbench.parts.pieces import (
     several,
     words,
 )
-from bayescal._calibration.check import covariates_of, place_in_words
-from bayescal._report.plot_colours import RED
-from bayescal.workshop import unit_label
+from bayescal.workshop import covariates_of, place_in_words, plot_colours, unit_label
 
 # A step is a gap if it is longer than so many usual ones (their median), and than this share of the time in all shorter
 # steps: a pause within a run stays, and so do evenly spaced runs of one reading.
@@ -297,7 +295,9 @@ class ColumnPanel:
         made = _figure(shown, name, f"residual [{shown.unit}]", self.x_range, y_range)
         plain: dict[str, Any] = {"level": "underlay", "fill_alpha": 0.16}
         self._noise = BoxAnnotation(fill_color=NOISE, line_alpha=0.0, **plain)
-        self._worst = BoxAnnotation(fill_color=RED, line_color=RED, line_alpha=0.5, **plain)
+        self._worst = BoxAnnotation(
+            fill_color=plot_colours.RED, line_color=plot_colours.RED, line_alpha=0.5, **plain
+        )
         zero = Span(location=0, dimension="width", line_color=NOISE, line_width=1)
         for ground in (self._noise, zero, self._worst):
             made.add_layout(ground)

@@ -7,8 +7,14 @@ from typing import Any
 import panel as pn
 
 from bayescal._annexes.workbench.parts.pieces import Pane, Rows, button, column, field, row, words
-from bayescal._calibration.summary import null_directions, unknown_rows
-from bayescal.workshop import probability, summary, unit_label, with_error
+from bayescal.workshop import (
+    null_directions,
+    probability,
+    summary,
+    unit_label,
+    unknown_rows,
+    with_error,
+)
 
 COEFFICIENTS_IN_A_ROW = 6  # coefficients of one effect that stand in its row
 LEAST_PROBABILITY = 0.005  # probability of a noise law that is shown

@@ -32,9 +32,7 @@ from bayescal._annexes.workbench.parts.pieces import (
     row,
     words,
 )
-from bayescal._report.report import Pictures
-from bayescal._search.search_path import steps_table
-from bayescal.workshop import pretty
+from bayescal.workshop import Pictures, pretty, steps_table
 
 WHOLE = (
     # A picture in its room and its colours, with no ground of its own.

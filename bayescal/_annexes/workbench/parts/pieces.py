@@ -17,8 +17,7 @@ from bokeh.models import NoOverlap, PlainText, Range1d
 from bokeh.plotting import figure
 from panel.custom import JSComponent
 
-from bayescal._report.plot_colours import BLUE, CYCLE, GREEN, ORANGE, PURPLE, RED, SKY
-from bayescal.workshop import html_text
+from bayescal.workshop import html_text, plot_colours
 
 YELLOW = "#F0E442"
 HERE = Path(__file__).parent
@@ -38,13 +37,15 @@ class Palette(NamedTuple):
     blue: str
 
 
-LIGHT = Palette(ink="#1c2126", quiet="#5a636b", line="#d9dde1", cycle=CYCLE, blue=BLUE)
+LIGHT = Palette(
+    ink="#1c2126", quiet="#5a636b", line="#d9dde1", cycle=plot_colours.CYCLE, blue=plot_colours.BLUE
+)
 DARK = Palette(
     ink="#e8eaed",
     quiet="#a3acb5",
     line="#3b424a",
-    cycle=(SKY, ORANGE, GREEN, RED, PURPLE, YELLOW),
-    blue=SKY,
+    cycle=(plot_colours.SKY, *plot_colours.CYCLE[1:-1], YELLOW),
+    blue=plot_colours.SKY,
 )
 MARKERS = ("circle", "square", "triangle", "diamond", "inverted_triangle", "hex")
 
