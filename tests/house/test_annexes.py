@@ -47,7 +47,9 @@ def _imported(module: str) -> Iterator[tuple[str, str, str]]:
             whole = (a.name.partition(".")[2] for a in node.names if a.name[:9] == "bayescal.")
             yield from ((*name.rpartition(".")[::2], where) for name in whole)
         elif isinstance(node, ast.Attribute) and isinstance(node.value, ast.Name):
-            yield from [("", node.attr, where)] * (node.value.id in ("bc", "bayescal"))
+            faces = {"bc": "", "bayescal": "", "ws": "workshop"}
+            if (face := faces.get(node.value.id)) is not None:
+                yield face, node.attr, where
 
 
 def test_the_core_imports_no_annex_and_one_annex_no_other() -> None:

@@ -15,9 +15,9 @@ import pandas as pd
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from bayescal import InputError
+import bayescal as bc
+from bayescal import workshop as ws
 from bayescal._annexes.fleet.population import Named, Population, follow, learn
-from bayescal.workshop import as_json, parsed_json, replacing_for_user, write_json
 
 FORMAT = "bayescal.batch/1"
 AGAIN = "Take a copy, or run the batch again"
@@ -117,7 +117,7 @@ class DeviceResult:
             InputError: nothing is called so.
         """
         if name not in self.names:
-            raise InputError(
+            raise bc.InputError(
                 f"device {self.device!r} has no unknown {name!r}; it has: {', '.join(self.names) or 'none'}"
                 f"{' (' + self.reason + ')' if self.reason else ''}"
             )
@@ -276,7 +276,7 @@ class BatchResult:
             return self.results[device]
         if device not in self._by_name:
             shown = ", ".join(self.devices[:5])
-            raise InputError(f"there is no device {device!r} among the {len(self)}: {shown} …")
+            raise bc.InputError(f"there is no device {device!r} among the {len(self)}: {shown} …")
         return self._by_name[str(device)]
 
     def table(self) -> pd.DataFrame:
@@ -313,7 +313,7 @@ class BatchResult:
     def data(self) -> dict[str, Any]:
         """The whole without its devices, as plain data."""
         told = ("checked", "odd", "missing", "left_out", "about")
-        return as_json(
+        return ws.as_json(
             {
                 "schema": FORMAT,
                 "devices": len(self),
@@ -338,14 +338,14 @@ class BatchResult:
         path = Path(path)
         if not path.suffix:
             self.save(path / TABLE)
-            write_json(self.data(), path / SUMMARY)
+            ws.write_json(self.data(), path / SUMMARY)
             return path
         if path.suffix != ".parquet":
-            raise InputError(
+            raise bc.InputError(
                 f"a batch is saved as Parquet: name the file ….parquet, not {path.name!r}"
             )
         head = {"bayescal": json.dumps(self.data(), allow_nan=False)}
-        with replacing_for_user(path) as place:
+        with ws.replacing_for_user(path) as place:
             table = _rows_of(self.results).replace_schema_metadata(head)
             pq.write_table(table, place, write_page_checksum=True)
         return path
@@ -373,10 +373,10 @@ def load_batch(path: str | Path) -> BatchResult:
     """
     path = Path(path) / TABLE if Path(path).is_dir() else Path(path)
     if not path.is_file():
-        raise InputError(f"There is no file {path}: give a batch saved by bayescal")
+        raise bc.InputError(f"There is no file {path}: give a batch saved by bayescal")
     try:
         table = pq.read_table(path, page_checksum_verification=True)
-        head = parsed_json((table.schema.metadata or {})[b"bayescal"])
+        head = ws.parsed_json((table.schema.metadata or {})[b"bayescal"])
         if head["schema"] != FORMAT:
             raise KeyError(head["schema"])
         for name in {*SCHEMA.names} - {*table.column_names}:  # facts, of earlier files
@@ -389,6 +389,6 @@ def load_batch(path: str | Path) -> BatchResult:
             **{name: head[name] for name in told if name in head},
         )
     except Exception as error:  # whatever a damaged file makes Arrow raise
-        raise InputError(
+        raise bc.InputError(
             f"{path.name} is no batch of this version, or a damaged one ({type(error).__name__}). {AGAIN}"
         ) from None

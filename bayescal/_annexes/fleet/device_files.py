@@ -16,9 +16,9 @@ import pyarrow as pa
 import pyarrow.compute as pc
 import pyarrow.parquet as pq
 
-from bayescal import InputError, Model
+import bayescal as bc
+from bayescal import workshop as ws
 from bayescal._annexes.fleet.devices import Devices, open_readings, split_table
-from bayescal.workshop import MAX_BYTES, READ, ReadOptions, arrow_headers, one_line
 
 BYTES_A_ROW = 30  # of a text file, a log
 
@@ -46,10 +46,10 @@ class Piece:
             return self.path.name
         return f"{self.path.name}, devices {self.devices[0]} to {self.devices[-1]}"
 
-    def read(self, model: Model, options: ReadOptions) -> Devices:
+    def read(self, model: bc.Model, options: ws.ReadOptions) -> Devices:
         """Read its devices, and of a large file these alone, a column at a time; refuse what cannot be read."""
         whole = self.devices is None
-        table = open_readings(self.path, options, MAX_BYTES if whole else sys.maxsize)
+        table = open_readings(self.path, options, ws.MAX_BYTES if whole else sys.maxsize)
         if not whole:
             labels = pq.read_table(self.path, columns=[self.column]).column(0)
             table = table.take(np.flatnonzero(pc.is_in(labels, self.devices).to_numpy()))
@@ -64,7 +64,7 @@ class ReadPiece:
     name: str
     devices: Devices
 
-    def read(self, model: Model, options: ReadOptions) -> Devices:
+    def read(self, model: bc.Model, options: ws.ReadOptions) -> Devices:
         return self.devices
 
 
@@ -80,7 +80,7 @@ def parts_of(files: Sequence[Path], rows: int, device: str) -> list[tuple[Piece,
         InputError: `rows` is none.
     """
     if rows < 1:
-        raise InputError(f"partition_rows is {rows}: give at least 1")
+        raise bc.InputError(f"partition_rows is {rows}: give at least 1")
     parts: list[list[Piece]] = [[]]
     for piece in (piece for path in files for piece in _pieces(path, rows, device)):
         if parts[-1] and sum(p.readings for p in parts[-1]) + piece.readings > rows:
@@ -109,15 +109,15 @@ def files_of(paths: Sequence[Path]) -> tuple[list[Path], dict[str, str]]:
             folders[:] = [name for name in folders if not whys[name]]
             own += [Path(place, name) for name in names if not whys[name]]
             here = Path(place).relative_to(path)
-            left_out |= {one_line(here / name): why for name, why in whys.items() if why}
+            left_out |= {ws.one_line(here / name): why for name, why in whys.items() if why}
         files += sorted(own)
     if not files:
         unread = "".join(f"; {name}: {why}" for name, why in list(left_out.items())[:3])
-        raise InputError(
-            f"no file of readings in {', '.join(map(str, paths))}: one of {', '.join(READ)} was expected{unread}"
+        raise bc.InputError(
+            f"no file of readings in {', '.join(map(str, paths))}: one of {', '.join(ws.READ)} was expected{unread}"
         )
     if len({p.resolve() for p in files}) < len(files):
-        raise InputError("a file of readings was given twice: give each file once")
+        raise bc.InputError("a file of readings was given twice: give each file once")
     return files, left_out
 
 
@@ -131,7 +131,9 @@ def _why_not(path: Path) -> str:
     if not path.is_file():
         return "a link to nothing, a pipe or a device"
     suffix = path.suffix.lower()
-    return "" if suffix in READ else f"{suffix or 'no suffix'} is none of the formats that are read"
+    return (
+        "" if suffix in ws.READ else f"{suffix or 'no suffix'} is none of the formats that are read"
+    )
 
 
 def _pieces(path: Path, rows: int, device: str) -> Iterator[Piece]:
@@ -143,7 +145,7 @@ def _pieces(path: Path, rows: int, device: str) -> Iterator[Piece]:
     try:
         with pq.ParquetFile(path) as file:
             count, names = file.metadata.num_rows, file.schema_arrow.names
-            headers = zip(names, arrow_headers(file.schema_arrow), strict=True)
+            headers = zip(names, ws.arrow_headers(file.schema_arrow), strict=True)
             column = next((name for name, header in headers if header.name == device), None)
             if column is None or count <= rows:
                 yield Piece(path, max(1, count))

@@ -15,27 +15,8 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from bayescal import Column, InputError, Instrument, Measurements
-from bayescal.workshop import (
-    MAX_BYTES,
-    ExpectedColumns,
-    MatchedFile,
-    Objections,
-    Place,
-    ReadOptions,
-    Source,
-    Table,
-    backward_time,
-    base_unit,
-    convert_columns,
-    expected_columns,
-    load_whole,
-    open_table,
-    output_name,
-    same_temperature,
-    unit_of,
-    unused_options,
-)
+import bayescal as bc
+from bayescal import workshop as ws
 
 DEVICE = "device"
 
@@ -53,26 +34,26 @@ class Devices:
     """
 
     names: tuple[str, ...]
-    measurements: dict[str, Measurements]
+    measurements: dict[str, bc.Measurements]
     refused: dict[str, str] = field(default_factory=dict)
 
     def __len__(self) -> int:
         return len(self.names)
 
-    def __getitem__(self, name: str) -> Measurements:
+    def __getitem__(self, name: str) -> bc.Measurements:
         """One device's readings.
 
         Raises:
             InputError: no device is called so, or it was refused.
         """
         if name in self.refused:
-            raise InputError(f"device {name!r} was refused: {self.refused[name]}")
+            raise bc.InputError(f"device {name!r} was refused: {self.refused[name]}")
         if name in self.measurements:
             return self.measurements[name]
         shown = ", ".join(self.names[:5])
-        raise InputError(f"no device is called {name!r}; there are {len(self)}: {shown} …")
+        raise bc.InputError(f"no device is called {name!r}; there are {len(self)}: {shown} …")
 
-    def __iter__(self) -> Iterator[Measurements]:
+    def __iter__(self) -> Iterator[bc.Measurements]:
         return iter(self.measurements.values())
 
     def __repr__(self) -> str:
@@ -84,14 +65,14 @@ class Devices:
         return sum(map(len, self))
 
     @classmethod
-    def of(cls, measurements: Mapping[str, Measurements], refused: Mapping[str, str]) -> Devices:
+    def of(cls, measurements: Mapping[str, bc.Measurements], refused: Mapping[str, str]) -> Devices:
         """Let in all devices but those that are refused."""
         names = tuple(dict.fromkeys([*measurements, *refused]))
         kept = {name: own for name, own in measurements.items() if name not in refused}
         return cls(names, kept, dict(refused))
 
 
-def gathered(readings: Sequence[Measurements] | Mapping[str, Measurements]) -> Devices:
+def gathered(readings: Sequence[bc.Measurements] | Mapping[str, bc.Measurements]) -> Devices:
     """Devices from measurements, named by their key, by their label of column `device`, or by their place."""
     if isinstance(readings, Mapping):
         given = {str(name): own for name, own in readings.items()}
@@ -103,12 +84,12 @@ def gathered(readings: Sequence[Measurements] | Mapping[str, Measurements]) -> D
     return Devices.of(given, bad)
 
 
-def _label(one: Measurements, index: int) -> str:
+def _label(one: bc.Measurements, index: int) -> str:
     levels = one.groups(DEVICE)[0] if one.has(DEVICE) else ()
     return levels[0] if len(levels) == 1 else str(index + 1)
 
 
-def _not_finite(name: str, one: Measurements) -> str:
+def _not_finite(name: str, one: bc.Measurements) -> str:
     """Return where a number is none; "" where all are (arrays made by hand were checked by no file reader)."""
     for column in one.columns:
         if one.unit(column) is None or column == "temperature_point":
@@ -123,10 +104,10 @@ def _not_finite(name: str, one: Measurements) -> str:
 
 def split_devices(
     paths: str | Path | Sequence[str | Path],
-    instrument: Instrument,
+    instrument: bc.Instrument,
     *,
     needs: Sequence[str] = (),
-    max_bytes: int = MAX_BYTES,
+    max_bytes: int = ws.MAX_BYTES,
     **how: Any,
 ) -> Devices:
     """Read files that hold many devices, split by the column `device`; a file without one is a device by itself.
@@ -149,14 +130,14 @@ def split_devices(
     """
     given = [Path(p) for p in ([paths] if isinstance(paths, str | Path) else paths)]
     if not given:
-        raise InputError("no file was given to split into devices: give at least one")
-    options = ReadOptions.of(instrument, **{k: v for k, v in how.items() if v is not None})
+        raise bc.InputError("no file was given to split into devices: give at least one")
+    options = ws.ReadOptions.of(instrument, **{k: v for k, v in how.items() if v is not None})
     whole = Devices((), {})
     for path in given:
         table = open_readings(path, options, max_bytes)
         own = split_table(table, path.stem, instrument, options, needs)
         if twice := {*whole.names}.intersection(own.names):
-            raise InputError(
+            raise bc.InputError(
                 f"{path.name!r} holds device {min(twice)!r}, which a file before it holds too: put the "
                 "readings of a device into one file"
             )
@@ -165,24 +146,24 @@ def split_devices(
     return whole
 
 
-def open_readings(path: Path, options: ReadOptions, max_bytes: int = MAX_BYTES) -> Table:
+def open_readings(path: Path, options: ws.ReadOptions, max_bytes: int = ws.MAX_BYTES) -> ws.Table:
     """A file of readings as a table; of a log, the channels that the options name.
 
     Raises:
         InputError: it cannot be read, or is larger than it may be.
     """
     if path.is_file() and path.stat().st_size > max_bytes:
-        raise InputError(
+        raise bc.InputError(
             f"{path.name!r} is larger than {max_bytes} bytes: split it, or raise max_bytes"
         )
-    return open_table(path, path.name, max_bytes, options.decimal, options.headers)
+    return ws.open_table(path, path.name, max_bytes, options.decimal, options.headers)
 
 
 def split_table(
-    table: Table,
+    table: ws.Table,
     stem: str,
-    instrument: Instrument,
-    options: ReadOptions,
+    instrument: bc.Instrument,
+    options: ws.ReadOptions,
     needs: Sequence[str] = (),
 ) -> Devices:
     """The devices of one table; without a column `device` it is a device called `stem`.
@@ -190,24 +171,24 @@ def split_table(
     Raises:
         InputError: as `split_devices`.
     """
-    problems, options = Objections(table.problems), options.of_file(table)
-    unused_options([table], options, problems)
+    problems, options = ws.Objections(table.problems), options.of_file(table)
+    ws.unused_options([table], options, problems)
     problems.refuse()
     columns = (*instrument.columns, *_further(table, instrument, options, needs))
-    output = output_name(instrument)
-    expects = ExpectedColumns(instrument.name, columns, instrument.nominal_scale, output)
-    file = MatchedFile(table, expects, options, problems)
+    output = ws.output_name(instrument)
+    expects = ws.ExpectedColumns(instrument.name, columns, instrument.nominal_scale, output)
+    file = ws.MatchedFile(table, expects, options, problems)
     problems.refuse()
     table, labels = file.table, np.full(table.rows, stem, dtype=object)
     if (position := file.positions.get(DEVICE)) is not None:
-        labels = load_whole(table, {position: False})[position].values
+        labels = ws.load_whole(table, {position: False})[position].values
     codes, levels = pd.factorize(labels)
     if "" in levels:
         where = table.place(int(np.argmax(labels == "")))
-        raise InputError(f"{where} of {table.file!r} names no device: fill it in, or remove it")
+        raise bc.InputError(f"{where} of {table.file!r} names no device: fill it in, or remove it")
     names = tuple(map(str, levels))
     values, units, rows, refused = _convert_usable(table, codes, names, expects, options)
-    found, needed = dict[str, Measurements](), {c.name for c in columns if c.required}
+    found, needed = dict[str, bc.Measurements](), {c.name for c in columns if c.required}
     begin = np.flatnonzero(np.diff(codes[rows], prepend=-1))
     for first, end in itertools.pairwise([*begin, len(rows)]):
         name = names[codes[rows[first]]]
@@ -215,40 +196,40 @@ def split_table(
         if why := _useless(own, name, "temperature" in needed and "temperature" in own):
             refused[name] = why
         else:
-            source = Source(f"{table.file}, device {name}", table.sha256, int(end - first))
-            found[name] = Measurements(own, units, (source,), output=output)
+            source = ws.Source(f"{table.file}, device {name}", table.sha256, int(end - first))
+            found[name] = bc.Measurements(own, units, (source,), output=output)
     return Devices(names, found, refused)
 
 
 def _further(
-    table: Table, instrument: Instrument, options: ReadOptions, needs: Iterable[str]
-) -> tuple[Column, ...]:
+    table: ws.Table, instrument: bc.Instrument, options: ws.ReadOptions, needs: Iterable[str]
+) -> tuple[bc.Column, ...]:
     """Columns that effects need and the instrument does not know, in their base units."""
     headers = {h.name: h for h in table.headers}
     further = []
-    for name in [n for n in needs if n not in expected_columns(instrument)]:
+    for name in [n for n in needs if n not in ws.expected_columns(instrument)]:
         header = headers.get(options.columns.get(name, name))
-        if header is not None and (unit := unit_of(header, name, options)) is not None:
-            further.append(Column(name, base_unit(unit), required=False))
+        if header is not None and (unit := ws.unit_of(header, name, options)) is not None:
+            further.append(bc.Column(name, ws.base_unit(unit), required=False))
     return tuple(further)
 
 
 def _convert_usable(
-    table: Table,
+    table: ws.Table,
     codes: np.ndarray,
     names: Sequence[str],
-    expects: ExpectedColumns,
-    options: ReadOptions,
+    expects: ws.ExpectedColumns,
+    options: ws.ReadOptions,
 ) -> tuple[Mapping[str, np.ndarray], Mapping[str, str | None], np.ndarray, dict[str, str]]:
     """Columns, with their units, of all devices whose cells can be used; their rows; why the others cannot."""
     rows, refused = np.argsort(codes, kind="stable"), dict[str, str]()
     while rows.size:
-        problems, some = Objections(), table.take(rows)
-        converted = convert_columns(some, expects, options, problems)
+        problems, some = ws.Objections(), table.take(rows)
+        converted = ws.convert_columns(some, expects, options, problems)
         if not problems:
             rows = rows if converted.kept is None else rows[converted.kept]
             return converted.values, converted.units, rows, refused
-        Objections(p for p in problems if not p.rows).refuse()
+        ws.Objections(p for p in problems if not p.rows).refuse()
         bad: dict[int, str] = {}
         for problem in problems:
             for index in problem.rows:
@@ -262,6 +243,6 @@ def _convert_usable(
 def _useless(columns: dict[str, np.ndarray], name: str, warm: bool) -> str:
     """Return that a device has one temperature only, where it needs more, or time running backwards; "" otherwise."""
     file = f"device {name}"
-    problems = [*same_temperature(columns, file)] if warm else []
-    problems += backward_time(columns, lambda row: Place(f"reading {row + 1}", file))
+    problems = [*ws.same_temperature(columns, file)] if warm else []
+    problems += ws.backward_time(columns, lambda row: ws.Place(f"reading {row + 1}", file))
     return str(problems[0]) if problems else ""

@@ -21,18 +21,10 @@ import pandas as pd
 from jaxtyping import Float
 from scipy.special import expit
 
-from bayescal import Effect, Measurements, Model
+import bayescal as bc
+from bayescal import workshop as ws
 from bayescal._annexes.fleet.batch_result import EFFECTS
 from bayescal._annexes.fleet.fit_devices import Reference
-from bayescal.workshop import (
-    Library,
-    Posterior,
-    deadline,
-    explore,
-    reference_of,
-    settings,
-    structures_over,
-)
 
 # Probability from which an effect of a device is kept, and printed of the whole: as that of a noise law.
 KEPT_PROBABILITY = 0.01
@@ -53,7 +45,7 @@ class Find:
         widen_noise: whether other noise laws are weighed.
     """
 
-    effects: tuple[Effect, ...] = ()
+    effects: tuple[bc.Effect, ...] = ()
     max_effects: int = 3
     widen_noise: bool = True
 
@@ -88,8 +80,8 @@ class DeviceStructure:
 
 
 def search_device(
-    model: Model, readings: Measurements, find: Find, reference: Reference
-) -> tuple[DeviceStructure, Model]:
+    model: bc.Model, readings: bc.Measurements, find: Find, reference: Reference
+) -> tuple[DeviceStructure, bc.Model]:
     """The posterior over structures of one device, and the model of the one to use.
 
     Raises:
@@ -97,14 +89,14 @@ def search_device(
         TimeIsUp: the walk was ended early.
     """
     model.require(readings)
-    constants = {**reference_of(readings), **reference}
-    structures, _ = structures_over(
+    constants = {**ws.reference_of(readings), **reference}
+    structures, _ = ws.structures_over(
         model, readings, constants, effects=find.effects, widen_noise=find.widen_noise
     )
     structures = replace(structures, thrifty=True)
-    if stopped := explore(Library(structures), find.max_effects):
-        raise deadline.TimeIsUp(stopped)
-    posterior = Posterior.of(structures)
+    if stopped := ws.explore(ws.Library(structures), find.max_effects):
+        raise ws.deadline.TimeIsUp(stopped)
+    posterior = ws.Posterior.of(structures)
     chosen = posterior.chosen
     odds = {
         n: float(np.logaddexp.reduce([structures.log_odds[f] for f in own]))
@@ -120,7 +112,9 @@ def search_device(
     return structure, structures.weigh(chosen).model
 
 
-def _weighed(posterior: Posterior, log_odds: Mapping[str, float]) -> dict[tuple[str, ...], float]:
+def _weighed(
+    posterior: ws.Posterior, log_odds: Mapping[str, float]
+) -> dict[tuple[str, ...], float]:
     """Log evidence of sets of effects, in whatever form, less that of the best."""
     total: dict[tuple[str, ...], float] = {}
     for structure, log_posterior in zip(posterior.structures, posterior.total, strict=True):
@@ -205,8 +199,11 @@ def shares(devices: Sequence[Evidence], seed: int = 0, rounds: int = ROUNDS) -> 
 
 
 def common_model(
-    model: Model, structures: Sequence[DeviceStructure], table: pd.DataFrame, own: Sequence[Effect]
-) -> Model:
+    model: bc.Model,
+    structures: Sequence[DeviceStructure],
+    table: pd.DataFrame,
+    own: Sequence[bc.Effect],
+) -> bc.Model:
     """Return the model that all devices of a fleet are compared by: with the named effects that any of them has.
 
     Args:
@@ -215,7 +212,7 @@ def common_model(
         table: of the effects, as of `effects_table`.
         own: candidates of the user's own.
     """
-    there = {*table.loc[table["in fleet"] >= settings().found_probability, "effect"]}
+    there = {*table.loc[table["in fleet"] >= ws.settings().found_probability, "effect"]}
     named = {e.name: e for one in own for e in (one, *one.forms)}
     count = Counter(name for one in structures for name in one.effects)
     for name, _ in count.most_common():  # of a family its most frequent form

@@ -15,16 +15,8 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from bayescal import (
-    BayescalError,
-    InputError,
-    LeastSquares,
-    Marginal,
-    Measurements,
-    Model,
-    Settings,
-    use_settings,
-)
+import bayescal as bc
+from bayescal import workshop as ws
 from bayescal._annexes.fleet.batch_result import (
     BatchResult,
     DeviceResult,
@@ -45,24 +37,12 @@ from bayescal._annexes.fleet.find_devices import (
 from bayescal._annexes.fleet.fit_devices import (
     CHUNK,
     FitOptions,
-    Method,
     Reference,
     fit_devices,
     tailored,
 )
 from bayescal._annexes.fleet.odd_devices import odd_devices
 from bayescal._annexes.fleet.population import AskedPopulation, chosen
-from bayescal.workshop import (
-    ReadOptions,
-    deadline,
-    print_notes,
-    reference_name,
-    refuse_missing,
-    settings,
-    stage,
-    tell,
-    unusual,
-)
 
 if TYPE_CHECKING:
     from distributed import Client
@@ -74,8 +54,8 @@ HOLDS_PART = threading.Lock()  # a worker of several threads holds one part at a
 
 Readings = (
     Devices
-    | Sequence[Measurements]
-    | Mapping[str, Measurements]
+    | Sequence[bc.Measurements]
+    | Mapping[str, bc.Measurements]
     | str
     | Path
     | Sequence[str | Path]
@@ -95,11 +75,11 @@ class Request:
         settings: that hold where this was asked, and are to hold on the workers.
     """
 
-    model: Model
+    model: bc.Model
     fit_options: FitOptions
-    read_options: ReadOptions
+    read_options: ws.ReadOptions
     find: Find | None
-    settings: Settings
+    settings: bc.Settings
 
     def read(self, part: Part) -> tuple[list[ReadPiece], dict[str, str]]:
         """Read a part; and why files of it cannot be used."""
@@ -107,7 +87,7 @@ class Request:
         for piece in part:
             try:
                 found.append(ReadPiece(piece.name, piece.read(self.model, self.read_options)))
-            except (InputError, OSError) as error:
+            except (bc.InputError, OSError) as error:
                 unreadable[piece.name] = str(error)
         return found, unreadable
 
@@ -121,14 +101,14 @@ class Fits(NamedTuple):
         missing: file → why its devices have no results.
     """
 
-    results: Sequence[DeviceResult]
+    results: tuple[DeviceResult, ...]
     structures: dict[str, DeviceStructure]
     missing: dict[str, str]
 
 
 def fit_part(request: Request, part: Part) -> Fits:
     """Read and fit the devices of a part."""
-    with HOLDS_PART, use_settings(request.settings):
+    with HOLDS_PART, bc.use_settings(request.settings):
         (pieces, unreadable), options = request.read(part), request.fit_options
         every = [(piece, name) for piece in pieces for name in piece.devices.names]
         refused = [piece.devices.refused.get(name) for piece, name in every]
@@ -136,30 +116,30 @@ def fit_part(request: Request, part: Part) -> Fits:
         good = {i: p.devices[name] for i, (p, name) in enumerate(every) if i not in fitted}
         structures, models = dict[str, DeviceStructure](), dict.fromkeys(good, request.model)
         for i in [*good] if request.find else ():
-            own = request.model, good[i], request.find, options.reference
+            how = request.find or Find(), options.reference
             try:
-                structures[every[i][1]], models[i] = search_device(*own)
-            except (BayescalError, deadline.TimeIsUp) as error:
+                structures[every[i][1]], models[i] = search_device(request.model, good[i], *how)
+            except (bc.BayescalError, ws.deadline.TimeIsUp) as error:
                 fitted[i] = DeviceResult(reason=str(error))
                 del good[i]
-        with deadline.finishing() if request.find else nullcontext():
+        with ws.deadline.finishing() if request.find else nullcontext():
             fitted |= fit_devices(models, good, options)
         results = [
             replace(fitted[i], device=name, file=piece.name)
             for i, (piece, name) in enumerate(every)
         ]
-        return Fits(results, structures, unreadable)
+        return Fits(tuple(results), structures, unreadable)
 
 
 def sum_temperatures(request: Request, part: Part) -> dict[str, np.ndarray]:
     """Return sum and number of a part's temperatures, by the name of each column's reference."""
     total: dict[str, np.ndarray] = {}
-    with use_settings(request.settings):
+    with bc.use_settings(request.settings):
         for one in (one for piece in request.read(part)[0] for one in piece.devices):
             for name in (n for n in one.columns if one.unit(n) == "degC"):
-                own = total.setdefault(reference_name(name), np.zeros(2))
+                own = total.setdefault(ws.reference_name(name), np.zeros(2))
                 own += np.sum(one[name]), len(one)
-    total.pop(reference_name("temperature_point"), None)
+    total.pop(ws.reference_name("temperature_point"), None)
     return total
 
 
@@ -181,7 +161,7 @@ class _Run:
             if time.monotonic() > last + PROGRESS_SECONDS:
                 last = time.monotonic()
                 rest = (last - begun) * (len(tasks) / count - 1)
-                tell(f"{count} of {len(tasks)} parts, about {rest:,.0f} s left")
+                ws.tell(f"{count} of {len(tasks)} parts, about {rest:,.0f} s left")
         return [own for _, own in sorted(values.items())], errors
 
     def asking(self, **changed: Any) -> _Run:
@@ -198,11 +178,11 @@ class _Run:
         if not isinstance(self.parts[0][0], ReadPiece):
             if "T0" in options.reference:
                 return self
-            tell("reading all temperatures, for a common T0 (a reference given spares that)")
-        with deadline.finishing():
+            ws.tell("reading all temperatures, for a common T0 (a reference given spares that)")
+        with ws.deadline.finishing():
             sums, errors = self.each(sum_temperatures)
         if errors:
-            raise InputError("; ".join(errors.values()))
+            raise bc.InputError("; ".join(errors.values()))
         names = dict.fromkeys(name for own in sums for name in own)
         total = {name: sum(own.get(name, np.zeros(2)) for own in sums) for name in names}
         common: Reference = {name: float(np.round(s / n)) for name, (s, n) in total.items()}
@@ -219,10 +199,10 @@ class _Run:
             for readings in (one for piece in self.request.read(part)[0] for one in piece.devices):
                 try:
                     return self.asking(model=tailored(model, readings))
-                except InputError as error:
+                except bc.InputError as error:
                     refusals.append(str(error))
         if refusals:
-            raise InputError(f"none of the devices can be used; {refusals[0]}")
+            raise bc.InputError(f"none of the devices can be used; {refusals[0]}")
         return self
 
     def fitted(self) -> Fits:
@@ -238,10 +218,10 @@ class _Run:
 
 
 def fit_batch(
-    model: Model,
+    model: bc.Model,
     readings: Readings,
     *,
-    method: Method | None = None,
+    method: ws.Method | None = None,
     population: AskedPopulation = False,
     seed: int = 0,
     chunk: int = CHUNK,
@@ -290,20 +270,20 @@ def fit_batch(
         ModelError: a population of something that is no coefficient.
     """
     if chunk < 1:
-        raise InputError(f"chunk is {chunk}: give at least 1")
-    method = method or LeastSquares()
-    if isinstance(method, Marginal):  # chains of single devices, minutes each, are left to `fit`
+        raise bc.InputError(f"chunk is {chunk}: give at least 1")
+    method = method or bc.LeastSquares()
+    if isinstance(method, bc.Marginal):  # chains of single devices, minutes each, are left to `fit`
         method = replace(method, chains=False)
     options = FitOptions(method, seed, chunk, dict(reference or {}))
     chosen(model, population)  # a wrong name is refused before anything is read
     search = Find() if find is True else find or None
-    read_options = ReadOptions.of(model.instrument, **(columns or {}))
-    request = Request(model, options, read_options, search, settings())
+    read_options = ws.ReadOptions.of(model.instrument, **(columns or {}))
+    request = Request(model, options, read_options, search, ws.settings())
     paths, unread, parts = _paths(readings), dict[str, str](), list[Part]()
     if paths:
-        refuse_missing([path for path in paths if not path.is_dir()])
+        ws.refuse_missing([path for path in paths if not path.is_dir()])
         files, unread = files_of([p.resolve() for p in paths])
-        print_notes(line.strip() for line in first_few(unread, len(unread), "not read: "))
+        ws.print_notes(line.strip() for line in first_few(unread, len(unread), "not read: "))
         device = read_options.columns.get(DEVICE, DEVICE)
         usual = FIND_ROWS if search else ROWS
         parts += parts_of(files, usual if partition_rows is None else partition_rows, device)
@@ -313,8 +293,8 @@ def fit_batch(
     else:
         parts = [[ReadPiece("", _given(readings))]]
     if client is not None and client.cluster is None and client.dashboard_link:
-        tell(f"the cluster's dashboard: {client.dashboard_link}")
-    with deadline.until(time_limit):
+        ws.tell(f"the cluster's dashboard: {client.dashboard_link}")
+    with ws.deadline.until(time_limit):
         run = _Run(request, parts, client)
         run = run.with_reference() if population else run
         result = _fit(run.tailored(), population)
@@ -332,7 +312,7 @@ def _fit(run: _Run, population: AskedPopulation) -> BatchResult:
     """
     model, options, find = run.request.model, run.request.fit_options, run.request.find
     named = chosen(model, population)
-    with stage("fitting devices"):
+    with ws.stage("fitting devices"):
         fitted = run.fitted()
     about = {
         "instrument": model.instrument.name,
@@ -342,11 +322,13 @@ def _fit(run: _Run, population: AskedPopulation) -> BatchResult:
         "seed": options.seed,
         "reference": {k: v for k, v in options.reference.items() if not isinstance(v, dict)},
     }
-    result = BatchResult(fitted.results, about | ({"settings": own} if (own := unusual()) else {}))
+    result = BatchResult(
+        fitted.results, about | ({"settings": own} if (own := ws.unusual()) else {})
+    )
     if not any(one.names for one in result):
         reasons = result.doubted | fitted.missing
         lines = "\n".join(first_few(reasons, len(reasons))).strip()
-        raise InputError(f"none of the devices can be used; {lines or 'there is none'}")
+        raise bc.InputError(f"none of the devices can be used; {lines or 'there is none'}")
     structures = [fitted.structures[name] for name in result.devices if name in fitted.structures]
     effects = effects_table(structures, options.seed)
     common = common_model(model, structures, effects, find.effects if find else ())
@@ -354,7 +336,7 @@ def _fit(run: _Run, population: AskedPopulation) -> BatchResult:
     apart = "T0" not in options.reference and t0.dropna().nunique() > 1
     if apart:  # offsets are compared at one temperature
         reference = {**options.reference, "T0": float(t0.median().round())}
-        options = replace(options, reference=reference, method=LeastSquares())
+        options = replace(options, reference=reference, method=bc.LeastSquares())
     if apart or common is not model:
         compared = run.asking(model=common, fit_options=options, find=None).fitted().results
     results, learned = result.results, None
@@ -386,10 +368,10 @@ def _given(readings: Any) -> Devices:
         return readings
     given = readings if isinstance(readings, Mapping) else list(readings)
     if not len(given):
-        raise InputError("there is no device to fit: give at least one")
+        raise bc.InputError("there is no device to fit: give at least one")
     for i, one in enumerate(given.values() if isinstance(given, Mapping) else given):
-        if not isinstance(one, Measurements):
-            raise InputError(
+        if not isinstance(one, bc.Measurements):
+            raise bc.InputError(
                 f"fit_batch: entry {i + 1} of the readings is of type {type(one).__name__}; measurements were "
                 "expected, or paths"
             )

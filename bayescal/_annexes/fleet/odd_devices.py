@@ -29,8 +29,8 @@ from jaxtyping import Float
 from scipy import stats
 from scipy.optimize import brentq
 
+from bayescal import workshop as ws
 from bayescal._annexes.fleet.batch_result import FAMILY_WISE_ERROR, DeviceResult
-from bayescal.workshop import number, unit_label
 
 FEWEST_DEVICES = 4  # devices, of fewer none is compared
 ROUNDS = 50  # until nothing changes, at most
@@ -55,7 +55,7 @@ def odd_devices(
     t0 = t0.loc[[*good]].dropna()
     p, middle = predicted(t0.to_numpy(), np.full(len(t0), SAME_TEMPERATURE**2), np.inf, least)
     for device, at in t0.loc[p < least].items():
-        said = f"measured about {number(at)} °C, the others about {number(middle)} °C"
+        said = f"measured about {ws.number(at)} °C, the others about {ws.number(middle)} °C"
         odd[str(device)] = [f"{said}: its values are not compared"]
     compared = [one for device, one in good.items() if device not in odd]
     freedom = np.array([max(one.readings - len(names) + 1, 1.0) for one in compared])
@@ -66,10 +66,10 @@ def odd_devices(
             power, mean = 2 / 3, np.abs(mean)
             variance, known_by = np.median(mean) ** (2 * power) * 2 / (9 * freedom), np.inf
         p, middle = predicted(mean**power if power < 1 else mean, variance, known_by, least)
-        usual = number(abs(middle) ** (1 / power) if power < 1 else middle)
+        usual = ws.number(abs(middle) ** (1 / power) if power < 1 else middle)
         for i in np.flatnonzero(p < least).tolist():
-            unit = unit_label(compared[i].units[compared[i].names.index(name)])
-            said = f"{name} {number(mean[i])}, of the others {usual} {unit}"
+            unit = ws.unit_label(compared[i].units[compared[i].names.index(name)])
+            said = f"{name} {ws.number(mean[i])}, of the others {usual} {unit}"
             odd.setdefault(compared[i].device, []).append(said.rstrip())
     return odd
 

@@ -28,7 +28,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from bayescal import InputError
+import bayescal as bc
 
 ORDER = 3  # of the temperature, the highest that an autopilot takes
 
@@ -97,7 +97,7 @@ def project(of: AtRest, reference: float, low: float, high: float) -> ThermalPol
     temperature, offset = of.temperature[inside], of.offset[inside]
     distinct = len(np.unique(temperature))
     if distinct < 2:
-        raise InputError(
+        raise bc.InputError(
             f"between {low:.4g} and {high:.4g} °C the calibration has {distinct} temperature"
             f"{'s' * (distinct != 1)}, and a polynomial needs several: calibrate over a range"
         )
@@ -166,7 +166,7 @@ def _px4_values(found: Polynomials, devices: Mapping[tuple[str, int], int]) -> V
         for n in sensors:
             own = {a.axis: p for a, p in found.items() if (a.kind, a.sensor) == (kind, n)}
             if (kind, n) not in devices:
-                raise InputError(
+                raise bc.InputError(
                     f"{next(iter(own))} of {kind} {n}: PX4 corrects a sensor whose device_id it is given, and the "
                     f"calibration does not say it: --device-id {kind}{f'_{n}' if n else ''}=NUMBER (param show "
                     f"CAL_{'GYRO' if kind == 'gyro' else 'ACC'}{n}_ID on the autopilot)"

@@ -14,7 +14,8 @@ from pathlib import Path
 
 import numpy as np
 
-from bayescal import Calibration, Compensator, InputError, __version__, compensator
+import bayescal as bc
+from bayescal import workshop as ws
 from bayescal._annexes.imu.autopilot import (
     AUTOPILOTS,
     AXES,
@@ -25,24 +26,10 @@ from bayescal._annexes.imu.autopilot import (
     Values,
     project,
 )
-from bayescal.workshop import (
-    NOT_RELIABLE,
-    STANDARD_GRAVITY,
-    STIMULUS,
-    ascii_text,
-    convert,
-    identity,
-    inputs_at_fit,
-    number,
-    one_line,
-    plain_table,
-    unit_label,
-    write_text,
-)
 
 
 def at_rest(
-    chosen: Compensator, unit: str, name: str, local_gravity: float = STANDARD_GRAVITY
+    chosen: bc.Compensator, unit: str, name: str, local_gravity: float = ws.STANDARD_GRAVITY
 ) -> AtRest:
     """What a calibrated instrument reads at rest, over the readings of its calibration.
 
@@ -57,33 +44,35 @@ def at_rest(
         ModelError: an effect cannot be evaluated outside Python.
     """
     if chosen.calibration is None or chosen.equation is None:
-        raise InputError(
+        raise bc.InputError(
             f"{name}: an export has no readings to project on a polynomial: give the saved calibration (.nc)"
         )
     calibration = chosen.calibration
-    inputs = inputs_at_fit(calibration, chosen.equation)
+    inputs = ws.inputs_at_fit(calibration, chosen.equation)
     if "temperature" not in inputs:
-        raise InputError(
+        raise bc.InputError(
             f"{name}: the calibration has no column 'temperature', over which firmware corrects: calibrate "
             "with one"
         )
     program, rest = chosen.program, np.zeros(len(calibration.readings))
-    (expected,) = program.graph.evaluate((program.equation.expected,), {**inputs, STIMULUS: rest})
+    (expected,) = program.graph.evaluate(
+        (program.equation.expected,), {**inputs, ws.STIMULUS: rest}
+    )
     expected = np.broadcast_to(expected, rest.shape)
     _, own, slope = program.run(expected, inputs)
     own = own / np.where(slope > 0, slope, 1.0)  # of the reading, not of the stimulus
     scale = np.zeros(1)
     if chosen.equation.slope_calibrated:
         like = {"local_gravity": local_gravity, "difference": True}
-        scale = 1 / slope / float(convert(1.0, chosen.unit, calibration.unit, **like)) - 1
+        scale = 1 / slope / float(ws.convert(1.0, chosen.unit, calibration.unit, **like)) - 1
 
     def converted(values: np.ndarray) -> np.ndarray:
         try:
-            return convert(values, calibration.unit, unit, local_gravity=local_gravity)
-        except InputError:
-            raise InputError(
-                f"{name}: the calibration's output is in {unit_label(calibration.unit)}, firmware's "
-                f"parameter for {name} is in {unit_label(unit)}: give the calibration of such a sensor"
+            return ws.convert(values, calibration.unit, unit, local_gravity=local_gravity)
+        except bc.InputError:
+            raise bc.InputError(
+                f"{name}: the calibration's output is in {ws.unit_label(calibration.unit)}, firmware's "
+                f"parameter for {name} is in {ws.unit_label(unit)}: give the calibration of such a sensor"
             ) from None
 
     def rms(variances: np.ndarray) -> float:
@@ -130,23 +119,26 @@ class FirmwareParameters:
         head += ["not in the cubic, rms", "largest", "error to expect, rms"]
         rows = [
             [
-                *(name, unit_label(p.unit), f"{p.low:.1f}", f"{p.high:.1f}"),
-                *map(number, (p.of.uncertainty, p.of.noise)),
-                *(number(v if v > 1e-3 * p.of.noise else 0.0) for v in (p.rms, p.largest)),
-                number(p.expected_error),
+                *(name, ws.unit_label(p.unit), f"{p.low:.1f}", f"{p.high:.1f}"),
+                *map(ws.number, (p.of.uncertainty, p.of.noise)),
+                *(ws.number(v if v > 1e-3 * p.of.noise else 0.0) for v in (p.rms, p.largest)),
+                ws.number(p.expected_error),
             ]
             for name, p in self.axes.items()
         ]
-        laid_out = plain_table([*map(spelled, head)], [[*map(spelled, row)] for row in rows])
+        laid_out = ws.plain_table([*map(spelled, head)], [[*map(spelled, row)] for row in rows])
         return [*str(laid_out).splitlines(), *map(spelled, self.notes)]
 
     def text(self) -> str:
         """The parameter file, ASCII."""
         autopilot = AUTOPILOTS[self.format]
         said = [
-            f"Thermal parameters of {autopilot.title}, made by bayescal {__version__}",
+            f"Thermal parameters of {autopilot.title}, made by bayescal {bc.__version__}",
             *(f"{name}: calibration {identity}" for name, identity in self.sources.items()),
-            *(line.replace("─", "-") for line in self._said(lambda t: ascii_text(one_line(t)))),
+            *(
+                line.replace("─", "-")
+                for line in self._said(lambda t: ws.ascii_text(ws.one_line(t)))
+            ),
         ]
         return autopilot.text(said, self.values)
 
@@ -156,15 +148,15 @@ class FirmwareParameters:
         Raises:
             InputError: a place that cannot be written to.
         """
-        return write_text(self.text(), path)
+        return ws.write_text(self.text(), path)
 
 
 def firmware_parameters(
-    calibrations: Mapping[str, Calibration | Compensator],
+    calibrations: Mapping[str, bc.Calibration | bc.Compensator],
     format: str,
     *,
     devices: Mapping[str, int] | None = None,
-    local_gravity: float = STANDARD_GRAVITY,
+    local_gravity: float = ws.STANDARD_GRAVITY,
 ) -> FirmwareParameters:
     """The thermal parameters of PX4 or ArduPilot that calibrations at rest come to.
 
@@ -185,12 +177,12 @@ def firmware_parameters(
         ModelError: an effect that cannot be evaluated outside Python.
     """
     if format not in AUTOPILOTS:
-        raise InputError(f"format {format!r} is not one of {', '.join(AUTOPILOTS)}")
+        raise bc.InputError(f"format {format!r} is not one of {', '.join(AUTOPILOTS)}")
     autopilot = AUTOPILOTS[format]
     if not calibrations:
-        raise InputError(f"{autopilot.title}: give at least one calibration")
+        raise bc.InputError(f"{autopilot.title}: give at least one calibration")
     chosen = {
-        _axis(name, autopilot): c if isinstance(c, Compensator) else compensator(c)
+        _axis(name, autopilot): c if isinstance(c, bc.Compensator) else bc.compensator(c)
         for name, c in calibrations.items()
     }
     rest = {a: at_rest(c, a.unit, str(a), local_gravity) for a, c in sorted(chosen.items())}
@@ -201,14 +193,16 @@ def firmware_parameters(
         reference = float(autopilot.reference(low, high))
         found |= {a: project(r, reference, low, high) for a, r in own.items()}
     values = autopilot.values(found, _devices(chosen, devices or {}))
-    sources = {str(a): identity(c.calibration) for a, c in sorted(chosen.items()) if c.calibration}
+    sources = {
+        str(a): ws.identity(c.calibration) for a, c in sorted(chosen.items()) if c.calibration
+    }
     axes = {str(a): p for a, p in found.items()}
     return FirmwareParameters(
         format, values, axes, sources, tuple(_notes(found, chosen, autopilot))
     )
 
 
-def axis_of(calibration: Calibration) -> str | None:
+def axis_of(calibration: bc.Calibration) -> str | None:
     """The axis that a calibration is of, by the label `axis` of its readings or the column read; None if by neither."""
     readings = calibration.readings
     labels = readings.groups("axis")[0] if readings.has("axis") else ()
@@ -220,7 +214,7 @@ def axis_of(calibration: Calibration) -> str | None:
 def _axis(name: str, autopilot: Autopilot) -> Axis:
     match = _NAME.fullmatch(name)
     if match is None or int(match[3] or 0) >= autopilot.sensors:
-        raise InputError(
+        raise bc.InputError(
             f"{name!r} is no axis of {autopilot.title}: gyro_x, gyro_y, gyro_z, acc_x, acc_y, acc_z, and "
             f"gyro_x_1 … gyro_x_{autopilot.sensors - 1} of further sensors"
         )
@@ -232,7 +226,7 @@ def _range(own: Mapping[Axis, AtRest]) -> tuple[float, float]:
     low, high = max(r.low for r in own.values()), min(r.high for r in own.values())
     if not low < high:
         ranges = ", ".join(f"{a} {r.low:.4g} to {r.high:.4g} °C" for a, r in own.items())
-        raise InputError(
+        raise bc.InputError(
             f"one range of temperatures holds for these axes, and they share none: {ranges}. Calibrate them "
             "over one range, or leave one out"
         )
@@ -240,7 +234,7 @@ def _range(own: Mapping[Axis, AtRest]) -> tuple[float, float]:
 
 
 def _devices(
-    chosen: Mapping[Axis, Compensator], said: Mapping[str, int]
+    chosen: Mapping[Axis, bc.Compensator], said: Mapping[str, int]
 ) -> dict[tuple[str, int], int]:
     """device_id of each sensor: what is said, else what its log named."""
     found: dict[tuple[str, int], int] = {}
@@ -248,13 +242,13 @@ def _devices(
         readings = c.calibration.readings if c.calibration else None
         named = readings.groups("device")[0] if readings and readings.has("device") else ()
         if len(named) > 1:
-            raise InputError(
+            raise bc.InputError(
                 f"{a}: the calibration is of several devices ({', '.join(named)}), firmware's parameters of one"
             )
         if named and named[0].isdecimal():
             device = int(named[0])
             if found.setdefault((a.kind, a.sensor), device) != device:
-                raise InputError(
+                raise bc.InputError(
                     f"{a} is of the device {device}, another axis of its sensor of "
                     f"{found[a.kind, a.sensor]}: give calibrations of one sensor"
                 )
@@ -263,14 +257,16 @@ def _devices(
         key = (match[1], int(match[2] or 0)) if match else ("", 0)
         if not any((a.kind, a.sensor) == key for a in chosen):
             sensors = dict.fromkeys(f"{a.kind}{f'_{a.sensor}' if a.sensor else ''}" for a in chosen)
-            raise InputError(f"device {name!r} is none of the sensors given: {', '.join(sensors)}")
+            raise bc.InputError(
+                f"device {name!r} is none of the sensors given: {', '.join(sensors)}"
+            )
         found[key] = device
     return found
 
 
 def _notes(
     found: Mapping[Axis, ThermalPolynomial],
-    chosen: Mapping[Axis, Compensator],
+    chosen: Mapping[Axis, bc.Compensator],
     autopilot: Autopilot,
 ) -> list[str]:
     sensors = dict.fromkeys((a.kind, a.sensor) for a in found)
@@ -285,12 +281,12 @@ def _notes(
                 f"{p.high:.1f} °C."
             )
         if any(p.of.scale):
-            by = " to ".join(dict.fromkeys(f"{number(100 * one)} %" for one in p.of.scale))
+            by = " to ".join(dict.fromkeys(f"{ws.number(100 * one)} %" for one in p.of.scale))
             notes.append(
                 f"{a}: the scale factor differs from nominal by {by}, has no place here, and is left out."
             )
         if why_not := chosen[a].why_not:
-            notes.append(f"{a}: {NOT_RELIABLE}{why_not}")
+            notes.append(f"{a}: {ws.NOT_RELIABLE}{why_not}")
     return [
         *notes,
         "Beyond these temperatures the correction stays as at their ends.",

@@ -15,8 +15,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Float, Int
 
-from bayescal import InputError, Instrument, Measurements
-from bayescal.workshop import ACROSS, OF, UNCERTAINTY, equal_runs
+import bayescal as bc
+from bayescal import workshop as ws
 
 BLOCK_SECONDS = 0.25  # short against a move by hand, long against a filter of 20 Hz
 QUIET_QUANTILE = 0.1  # quantile of the blocks' scatter, that is taken as at rest
@@ -68,7 +68,7 @@ def still_stretches(
     step = float(np.median(np.diff(time))) if len(time) > 1 else np.inf
     size = round(BLOCK_SECONDS / step) if step > 0 else 0
     if size < BLOCK_SAMPLES:
-        raise InputError(
+        raise bc.InputError(
             f"samples {step:.3g} s apart: still stretches are found in blocks of {BLOCK_SECONDS:g} s, which need "
             f"{BLOCK_SAMPLES} samples each. If each row is a pose already, calibrate them as they are"
         )
@@ -80,7 +80,7 @@ def still_stretches(
     still = np.all(scatter <= STILL_RATIO * rest, axis=1)
     moved = np.any(np.abs(np.diff(mean, axis=0)) > STILL_RATIO * rest, axis=1)
     label = np.cumsum(np.concatenate([[True], moved | (still[1:] != still[:-1])]))
-    begins, counts = equal_runs(label)
+    begins, counts = ws.equal_runs(label)
     inner = still[begins] & (counts > 2)
     first, last = begins[inner] + 1, (begins + counts)[inner] - 1  # a move may reach into the ends
     # A block counts as a quarter of a second, which a step of 1/20 s makes 0.2499999 of.
@@ -91,7 +91,7 @@ def still_stretches(
     kept = lengths >= shortest
     shorter = tuple(map(float, lengths[(lengths >= BRIEF_SECONDS) & ~kept]))
     if not kept.any():
-        raise InputError(
+        raise bc.InputError(
             f"no stretch of the log is still for {shortest:g} s: hold the unit still in each pose for longer, or say a "
             "shorter time" + (f": {said_of(shorter)}" if shorter else "")
         )
@@ -140,15 +140,15 @@ class LoggedRun(NamedTuple):
         return slice(int(first), int(last) + 1)
 
 
-def per_sample(log: Measurements) -> Measurements:
+def per_sample(log: bc.Measurements) -> bc.Measurements:
     """Return one row a sample, where each is three readings; raise InputError without a column `time`."""
     if not log.has("time"):
-        raise InputError(f"{log.file}: still stretches need the column 'time', in s")
-    return log.select(np.arange(0, len(log), 3)) if log.has(ACROSS[0]) else log
+        raise bc.InputError(f"{log.file}: still stretches need the column 'time', in s")
+    return log.select(np.arange(0, len(log), 3)) if log.has(ws.ACROSS[0]) else log
 
 
 def logged_runs(
-    log: Measurements, names: tuple[str, ...], shortest: float | None
+    log: bc.Measurements, names: tuple[str, ...], shortest: float | None
 ) -> dict[str, LoggedRun]:
     """Of each run its samples and still stretches."""
     labels, codes = log.groups("run")
@@ -163,13 +163,13 @@ def logged_runs(
 
 
 def as_readings(
-    columns: dict[str, np.ndarray], instrument: Instrument, log: Measurements
-) -> Measurements:
+    columns: dict[str, np.ndarray], instrument: bc.Instrument, log: bc.Measurements
+) -> bc.Measurements:
     """What was made of a log as readings of an instrument; columns that it does not know have the log's units."""
-    known = {c.name for c in instrument.columns} | {UNCERTAINTY}
+    known = {c.name for c in instrument.columns} | {ws.UNCERTAINTY}
     units = {n: str(log.unit(n)) for n in columns if n not in known and log.unit(n)}
     given: dict[str, Any] = {"units": units, "allow_one_temperature": True, **columns}
-    return Measurements.from_arrays(instrument, **given)
+    return bc.Measurements.from_arrays(instrument, **given)
 
 
 def in_common(one: Float[np.ndarray, "k 2"], other: Float[np.ndarray, "l 2"]) -> np.ndarray:
@@ -183,8 +183,8 @@ def in_common(one: Float[np.ndarray, "k 2"], other: Float[np.ndarray, "l 2"]) ->
 
 
 def poses(
-    log: Measurements, instrument: Instrument, *, shortest: float | None = None
-) -> Measurements:
+    log: bc.Measurements, instrument: bc.Instrument, *, shortest: float | None = None
+) -> bc.Measurements:
     """Average the still stretches of a log, a row each; other numeric columns are averaged beside them.
 
     Of gyroscopes on a rate table they are stretches of a steady rate.
@@ -198,13 +198,15 @@ def poses(
         InputError: an instrument of one output, no column `time`, or no still stretch.
     """
     if instrument.vector is None:
-        raise InputError(f"instrument {instrument.name!r} has one output: poses are of three axes")
+        raise bc.InputError(
+            f"instrument {instrument.name!r} has one output: poses are of three axes"
+        )
     log = per_sample(log)
     codes = log.groups("run")[1]
     found = [run.still for run in logged_runs(log, instrument.vector.outputs, shortest).values()]
-    columns = {UNCERTAINTY: np.concatenate([still.uncertainty for still in found])}
+    columns = {ws.UNCERTAINTY: np.concatenate([still.uncertainty for still in found])}
     for name in log.columns:
-        if name in ("output", UNCERTAINTY, OF, *ACROSS):
+        if name in ("output", ws.UNCERTAINTY, ws.OF, *ws.ACROSS):
             continue
         made = []
         for code, still in enumerate(found):
@@ -217,7 +219,7 @@ def poses(
     made = as_readings(columns, instrument, log)
     ratio = np.mean([still.ratio for still in found])
     said = (
-        f"{len(made['output'])} readings of {len(columns[UNCERTAINTY])} poses found in {log.file}; means of blocks "
+        f"{len(made['output'])} readings of {len(columns[ws.UNCERTAINTY])} poses found in {log.file}; means of blocks "
         f"scatter {ratio:.1f} times as much as those of independent samples would"
     )
     left_out = [seconds for still in found for seconds in still.left_out]

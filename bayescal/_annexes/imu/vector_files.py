@@ -5,30 +5,22 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
-from bayescal import InputError
+import bayescal as bc
+from bayescal import workshop as ws
 from bayescal._annexes.imu.autopilot import AUTOPILOTS
 from bayescal._annexes.imu.vector_correction import VectorCorrection
 from bayescal._annexes.imu.vector_parameters import READ_BY_OTHERS, left_out, parameter_file
 from bayescal._annexes.imu.vector_text import headers, module, vector_from_data
-from bayescal.workshop import (
-    CorrectionKind,
-    as_data,
-    as_text,
-    format_of,
-    in_form,
-    load_correction,
-    write_text,
-)
 
-THREE_AXES = CorrectionKind(
+THREE_AXES = ws.CorrectionKind(
     of=VectorCorrection,
     axes="three axes",
     writers={
-        "json": as_data,
+        "json": ws.as_data,
         "c": headers,
         "python": module,
-        **{name: in_form(write) for name, write in READ_BY_OTHERS.items()},
-        **{autopilot: in_form(parameter_file, autopilot) for autopilot in AUTOPILOTS},
+        **{name: ws.in_form(write) for name, write in READ_BY_OTHERS.items()},
+        **{autopilot: ws.in_form(parameter_file, autopilot) for autopilot in AUTOPILOTS},
     },
     suffixes={".json": "json", ".h": "c", ".py": "python", ".yaml": "yaml", ".yml": "yaml"},
     is_data=lambda data: "terms" in data,
@@ -69,7 +61,7 @@ def export_vector(
             one instrument, a name that is none in C, or a place that cannot be written to.
     """
     how = {"name": name, "others": others, "uncertainty": uncertainty}
-    return write_text(as_text(correction, format_of(path, format), **how), path)
+    return ws.write_text(ws.as_text(correction, ws.format_of(path, format), **how), path)
 
 
 def load_vector_correction(path: str | Path) -> VectorCorrection:
@@ -78,7 +70,9 @@ def load_vector_correction(path: str | Path) -> VectorCorrection:
     Raises:
         InputError: there is no such file, it is none, or damaged.
     """
-    found = load_correction(path)
+    found = ws.load_correction(path)
     if not isinstance(found, VectorCorrection):
-        raise InputError(f"{Path(path).name} is of one output: bayescal.load_compensator loads it")
+        raise bc.InputError(
+            f"{Path(path).name} is of one output: bayescal.load_compensator loads it"
+        )
     return found

@@ -28,19 +28,11 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from bayescal import InputError, __version__
+import bayescal as bc
+from bayescal import workshop as ws
 from bayescal._annexes.imu.autopilot import AUTOPILOTS
 from bayescal._annexes.imu.plain_correction import PlainCorrection, plain_correction
 from bayescal._annexes.imu.vector_correction import VectorCorrection
-from bayescal.workshop import (
-    STANDARD_GRAVITY,
-    c_comment,
-    convert,
-    identifier,
-    json_text,
-    same_dimension,
-    template,
-)
 
 NOTHING = "Nothing is left out."
 KINDS = {"rad/s": "gyroscope", "m/s^2": "accelerometer"}
@@ -55,8 +47,8 @@ def kalibr_yaml_of(correction: VectorCorrection, *others: VectorCorrection) -> s
     every = (correction, *others)
     frames = np.eye(3), *[_split(_in_kalibr(correction).matrix)[1]] * len(others)
     triads = [_intrinsics(c, frame) for c, frame in zip(every, frames, strict=True)]
-    filters = {"row": _list, "rows": _rows, "comment": c_comment}
-    layout = template("bayescal._annexes.imu", "intrinsics.yaml.jinja", filters)
+    filters = {"row": _list, "rows": _rows, "comment": ws.c_comment}
+    layout = ws.template("bayescal._annexes.imu", "intrinsics.yaml.jinja", filters)
     notes = dict.fromkeys(note for c in every for note in c.notes)
     return _head("Intrinsics of three axes, made", notes) + layout.render(triads=triads)
 
@@ -84,8 +76,8 @@ def openvins_yaml_of(correction: VectorCorrection, *others: VectorCorrection) ->
 
 
 def _head(title: str, notes: Iterable[str]) -> str:
-    said = (f"# {c_comment(note)}" for note in notes)
-    return "\n".join([f"# {title} by bayescal {__version__}", *said, ""])
+    said = (f"# {ws.c_comment(note)}" for note in notes)
+    return "\n".join([f"# {title} by bayescal {bc.__version__}", *said, ""])
 
 
 def _openvins(correction: VectorCorrection) -> dict[str, np.ndarray]:
@@ -97,7 +89,7 @@ def _openvins(correction: VectorCorrection) -> dict[str, np.ndarray]:
         return {"Ta": lower, "R_IMUtoACC": turn}
     by_gravity = np.zeros((3, 3))
     if correction.beside:
-        by_gravity = plain.terms[12:].reshape(3, 3) * factor / STANDARD_GRAVITY
+        by_gravity = plain.terms[12:].reshape(3, 3) * factor / ws.STANDARD_GRAVITY
     return {"Tw": lower, "R_IMUtoGYRO": turn, "Tg": by_gravity}
 
 
@@ -106,18 +98,18 @@ def realsense_json_of(correction: VectorCorrection, *others: VectorCorrection) -
     every = _inertial("realsense", (correction, *others))
     as_measured = {"scale_and_alignment": np.eye(3).ravel().tolist(), "bias": [0.0, 0.0, 0.0]}
     imu: dict[str, Any] = dict.fromkeys(("accelerometer", "gyroscope"), as_measured)
-    said = [f"Made by bayescal {__version__}"]
+    said = [f"Made by bayescal {bc.__version__}"]
     for kind, one in every.items():
         back, bias = _after(one)
         imu[kind] = {"scale_and_alignment": back.T.ravel().tolist(), "bias": bias.tolist()}
         said += [one.calibrated_at, *one.notes, f"{kind}: {_plain(one).said or NOTHING}"]
-    return json_text({"imus": [imu], "said": said}, indent=1)
+    return ws.json_text({"imus": [imu], "said": said}, indent=1)
 
 
 def ros_yaml_of(correction: VectorCorrection) -> str:
     """imu_calib.yaml of ROS' imu_calib, of accelerometers."""
     if "accelerometer" not in _inertial("ros", (correction,)):
-        raise InputError("ros: imu_calib corrects accelerometers, and these are gyroscopes")
+        raise bc.InputError("ros: imu_calib corrects accelerometers, and these are gyroscopes")
     back, bias = _after(correction)
     notes = (correction.calibrated_at, *correction.notes, _plain(correction).said or NOTHING)
     return _head("Made", notes) + f"SM: {_list(back.ravel())}\nbias: {_list(bias)}\n"
@@ -138,7 +130,7 @@ def _inertial(format: str, every: Sequence[VectorCorrection]) -> dict[str, Vecto
     """Triads by what they are of, "accelerometer" or "gyroscope"."""
     found = {KINDS.get(si_of(c.unit)[1], ""): c for c in every}
     if "" in found:
-        raise InputError(
+        raise bc.InputError(
             f"{format} holds accelerometers and gyroscopes, and these outputs are in [{found[''].unit}]"
         )
     return found
@@ -162,7 +154,7 @@ def _intrinsics(correction: VectorCorrection, frame: np.ndarray) -> dict[str, An
     held = _openvins(correction)
     by_force = held["Tg"] @ turn.T if kind == "gyroscope" and correction.beside else None
     return {
-        "name": f"{kind}s" if kind else identifier(correction.instrument),
+        "name": f"{kind}s" if kind else ws.identifier(correction.instrument),
         "calibrated_at": correction.calibrated_at,
         "left_out": plain.said or NOTHING,
         **{"kind": kind, "unit": unit, "lower": lower, "turn": turn @ frame.T},
@@ -193,9 +185,9 @@ def autopilot_parameters(
 ) -> tuple[dict[str, float], str]:
     """Return parameters of an autopilot by name, of its first sensor, and what they leave out, in a sentence."""
     if autopilot not in PARAMETERS:
-        raise InputError(f"format {autopilot!r} is not one of {', '.join(PARAMETERS)}")
+        raise bc.InputError(f"format {autopilot!r} is not one of {', '.join(PARAMETERS)}")
     factor, unit = si_of(correction.unit)
-    kind = "magnetometer" if same_dimension(unit, "uT") else KINDS.get(unit, "")
+    kind = "magnetometer" if ws.same_dimension(unit, "uT") else KINDS.get(unit, "")
     if kind == "accelerometer":
         plain = plain_correction(correction, "diagonal", beside=False)
         values, said = (plain.offset * factor, 1 / np.diag(plain.matrix)), plain.said
@@ -205,7 +197,7 @@ def autopilot_parameters(
     elif kind:
         values, said = _symmetric(correction, -1e3 if autopilot == "ardupilot-params" else 1.0)
     else:
-        raise InputError(
+        raise bc.InputError(
             f"{autopilot}: there are parameters for accelerometers, gyroscopes and magnetometers, and these outputs "
             f"are in [{correction.unit}]"
         )
@@ -228,7 +220,7 @@ def _symmetric(
     angle = np.degrees(Rotation.from_matrix(hand * turn).magnitude())
     kept = f"{'' if hand > 0 else 'a reflection and '}a rotation of {angle:.2g}°"
     said = f"{plain.said} The axes keep {kept} to those of this calibration.".lstrip()
-    offset = per_gauss * np.asarray(convert(plain.offset, correction.unit, "gauss"))
+    offset = per_gauss * np.asarray(ws.convert(plain.offset, correction.unit, "gauss"))
     return (offset, np.diag(symmetric), symmetric[[0, 0, 1], [1, 2, 2]]), said
 
 
@@ -244,16 +236,16 @@ def left_out(correction: VectorCorrection, format: str) -> str:
 def parameter_file(correction: VectorCorrection, format: str) -> str:
     """Parameters of an autopilot, as it loads them."""
     values, left = autopilot_parameters(correction, format)
-    said = f"Made by bayescal {__version__}, {correction.calibrated_at}", *correction.notes
-    every = map(c_comment, (*said, left or NOTHING))
+    said = f"Made by bayescal {bc.__version__}, {correction.calibrated_at}", *correction.notes
+    every = map(ws.c_comment, (*said, left or NOTHING))
     return AUTOPILOTS[format].text(every, {name: float(v) for name, v in values.items()})
 
 
 def si_of(unit: str) -> tuple[float, str]:
     """Return the factor from a unit to m/s² or rad/s, and that unit; 1 and the unit itself where it is of neither."""
     for target in ("m/s^2", "rad/s"):
-        if same_dimension(unit, target) or (target == "m/s^2" and same_dimension(unit, "g")):
-            return float(np.asarray(convert(np.ones(1), unit, target))[0]), target
+        if ws.same_dimension(unit, target) or (target == "m/s^2" and ws.same_dimension(unit, "g")):
+            return float(np.asarray(ws.convert(np.ones(1), unit, target))[0]), target
     return 1.0, unit
 
 

@@ -8,7 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from bayescal import Calibration, InputError, ModelError
+import bayescal as bc
+from bayescal import workshop as ws
 from bayescal._annexes.imu.vector_correction import (
     NEWTON_STEPS,
     SAVED_AS,
@@ -16,14 +17,6 @@ from bayescal._annexes.imu.vector_correction import (
     VectorCorrection,
     term_rows,
     terms_table,
-)
-from bayescal.workshop import (
-    ResultTable,
-    as_type,
-    c_comment,
-    include_guard,
-    python_words,
-    template,
 )
 
 PACKAGE = "bayescal._annexes.imu"  # whose templates these are
@@ -56,7 +49,7 @@ class SavedCorrection:
 def vector_from_data(found: Any, file: str) -> VectorCorrection:
     """A correction of three axes from JSON."""
     try:
-        saved = as_type(found, SavedCorrection)
+        saved = ws.as_type(found, SavedCorrection)
         given = {of: getattr(saved, key) for key, of in SAVED_AS.items()}
         given |= {of: np.array(given[of], float) for of in ("terms", "covariance")}
         terms, covariance = given["terms"], given["covariance"]
@@ -67,21 +60,21 @@ def vector_from_data(found: Any, file: str) -> VectorCorrection:
             raise ValueError(f"terms of shape {shapes}")
         shared = None if shared is None else np.array(shared, float)
     except ValueError as error:
-        raise InputError(f"{file} is damaged: {error}. Export it again") from None
+        raise bc.InputError(f"{file} is damaged: {error}. Export it again") from None
     low, high = saved.temperatures_degC or (None, None)
     return VectorCorrection(**given, low=low, high=high, shared=shared)
 
 
 def headers(named: Mapping[str, VectorCorrection], uncertainty: bool) -> str:
     """Corrections as C99, one after the other."""
-    layout = template(PACKAGE, "vector.h.jinja", {"comment": c_comment})
+    layout = ws.template(PACKAGE, "vector.h.jinja", {"comment": ws.c_comment})
 
     def header(name: str, c: VectorCorrection) -> str:
         held = (c.terms.tolist(), c.covariance.tolist(), c.reference, c.low, c.high, uncertainty)
         return layout.render(
             c=c,
             name=name,
-            guard=include_guard(name, *held),
+            guard=ws.include_guard(name, *held),
             uncertainty=uncertainty,
             recorded=c.low is not None,
             thermal=len(c.terms) > 1,
@@ -100,7 +93,7 @@ def module(named: Mapping[str, VectorCorrection], uncertainty: bool) -> str:
     for one in () if uncertainty else held.values():
         del one["covariance"]
         one.pop("covariance_with_axes_of", None)
-    return template(PACKAGE, "vector.py.jinja", {"comment": python_words}).render(
+    return ws.template(PACKAGE, "vector.py.jinja", {"comment": ws.python_words}).render(
         named=named,
         data={n: repr(one) for n, one in held.items()},
         uncertainty=uncertainty,
@@ -112,7 +105,7 @@ CAPTION = "Three axes: outputs = offset + matrix · what acts, each a polynomial
 
 
 def vector_data(
-    calibration: Calibration, average: Calibration | None = None
+    calibration: bc.Calibration, average: bc.Calibration | None = None
 ) -> dict[str, Any] | None:
     """Offset and 3 × 3 matrix over temperature, with standard uncertainties, of three axes; None of one output."""
     if calibration.model.instrument.vector is None:
@@ -122,13 +115,13 @@ def vector_data(
     averaged = None if average is None else vector_data(average)
     try:
         correction = vector_correction(calibration)
-    except ModelError as error:
+    except bc.ModelError as error:
         return {"unavailable": str(error), "averaged": averaged}
     whole = {k: v for k, v in correction.data().items() if k != "made_by"}
     return {**whole, "uncertainty": correction.uncertainty.tolist(), "averaged": averaged}
 
 
-def coefficient_tables(data: Mapping[str, Any]) -> list[tuple[str, ResultTable]]:
+def coefficient_tables(data: Mapping[str, Any]) -> list[tuple[str, ws.ResultTable]]:
     """Return terms of the correction of three axes, at T0 and by temperature, each ± u; nothing of one output."""
     last = data.get("vector") or {}
     averaged = last.get("averaged") or {}

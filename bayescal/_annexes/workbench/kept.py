@@ -22,36 +22,8 @@ from itertools import takewhile
 from pathlib import Path
 from typing import Any, TypedDict
 
-import bayescal
-from bayescal import (
-    NUTS,
-    Calibration,
-    Discovery,
-    Effect,
-    InputError,
-    Instrument,
-    LeastSquares,
-    Marginal,
-    Measurements,
-    Model,
-    ModelError,
-    Noise,
-    __version__,
-    load,
-)
-from bayescal.workshop import (
-    QUICK,
-    Formula,
-    ReadOptions,
-    Step,
-    as_type,
-    identity,
-    in_a_file,
-    installed_names,
-    one_line,
-    read_json,
-    write_text,
-)
+import bayescal as bc
+from bayescal import workshop as ws
 
 
 @dataclass(frozen=True)
@@ -88,11 +60,11 @@ class Origin:
         **more: Any,
     ) -> Origin:
         """With paths in full, and no argument that is the usual one."""
-        if in_a_file(instrument):
+        if ws.in_a_file(instrument):
             file, _, name = instrument.rpartition(":")
             instrument = f"{Path(file).resolve()}:{name}"
         full = [tuple(str(Path(p).resolve()) for p in some) for some in (files, holdout or ())]
-        usual = vars(ReadOptions())
+        usual = vars(ws.ReadOptions())
         given = {k: v for k, v in (read or {}).items() if v != usual.get(k)}
         own = tuple(str(Path(p).resolve()) for p in effect_files)
         return cls(instrument, *full, read=given, effect_files=own, **more)
@@ -100,9 +72,9 @@ class Origin:
     @classmethod
     def kept(
         cls,
-        instrument: Instrument,
-        readings: Measurements,
-        holdout: Measurements | None,
+        instrument: bc.Instrument,
+        readings: bc.Measurements,
+        holdout: bc.Measurements | None,
         folder: Path,
         keep_spikes: bool,
     ) -> Origin:
@@ -113,7 +85,7 @@ class Origin:
         """
         files = [readings.write(folder / "readings.nc")]
         apart = [] if holdout is None else [holdout.write(folder / "holdout.nc")]
-        name = instrument.name if instrument.name in installed_names() else ""
+        name = instrument.name if instrument.name in ws.installed_names() else ""
         return cls.of(name, files, apart, keep_spikes=keep_spikes)
 
     def code(self, tailored: bool) -> list[str]:
@@ -142,7 +114,7 @@ class Origin:
     def _code_of_instrument(self) -> list[str]:
         if not self.instrument:
             return ["instrument = ...  # yours, made in Python: give it here"]
-        if in_a_file(self.instrument):
+        if ws.in_a_file(self.instrument):
             file, _, name = self.instrument.rpartition(":")
             return [f"instrument = runpy.run_path({file!r})[{name!r}]"]
         found = entry_points(group="bayescal.instruments")[self.instrument]
@@ -165,7 +137,7 @@ class Origin:
 class SearchOptions:
     """What `calibrate` is asked with, apart from model and readings; see there."""
 
-    method: LeastSquares | Marginal | NUTS | None = None
+    method: bc.LeastSquares | bc.Marginal | bc.NUTS | None = None
     max_effects: int = 5
     widen_noise: bool = True
     keep_spikes: bool = False
@@ -189,9 +161,9 @@ class State:
 
     number: int
     parent: int | None
-    step: Step
+    step: ws.Step
     at: datetime
-    discovery: Discovery | None = None
+    discovery: bc.Discovery | None = None
 
     @property
     def title(self) -> str:
@@ -199,11 +171,11 @@ class State:
         return self.step.title
 
     @property
-    def calibration(self) -> Calibration:
+    def calibration(self) -> bc.Calibration:
         return self.step.calibration
 
     @property
-    def model(self) -> Model:
+    def model(self) -> bc.Model:
         return self.step.calibration.model
 
 
@@ -252,7 +224,7 @@ def own_folder(folder: str | Path | None) -> Path:
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        raise InputError(f"cannot write to the folder {folder}: {error.strerror}") from None
+        raise bc.InputError(f"cannot write to the folder {folder}: {error.strerror}") from None
     return folder
 
 
@@ -277,15 +249,15 @@ def keep_session(
                 "at": s.at.isoformat(),
                 "added": s.step.added,
                 "changed": s.step.changed,
-                "identity": identity(s.calibration),
+                "identity": ws.identity(s.calibration),
             }
             for _, s in sorted(states.items())
         ],
         "current": current,
         "typed": [*typed],
     }
-    write_text(json.dumps(told, indent=2, ensure_ascii=False) + "\n", folder / SESSION)
-    write_text(script, folder / SCRIPT)
+    ws.write_text(json.dumps(told, indent=2, ensure_ascii=False) + "\n", folder / SESSION)
+    ws.write_text(script, folder / SCRIPT)
 
 
 def session_in(folder: Path) -> SavedSession:
@@ -295,10 +267,10 @@ def session_in(folder: Path) -> SavedSession:
         InputError: there is none, or none that can be read.
     """
     try:
-        told = read_json(folder / SESSION)
+        told = ws.read_json(folder / SESSION)
         if isinstance(told, dict) and told.get("schema") != SCHEMA:
             raise ValueError(f"its schema is {told.get('schema')!r}, expected {SCHEMA!r}")
-        found = as_type(told, SavedSession)
+        found = ws.as_type(told, SavedSession)
         for number, state in enumerate(found["states"]):
             datetime.fromisoformat(state["at"])
             if state["parent"] not in (range(number) if number else (None,)):
@@ -306,26 +278,26 @@ def session_in(folder: Path) -> SavedSession:
         if found["current"] not in range(len(found["states"])):
             raise ValueError(f"there is no step {found['current']}")
         return found
-    except (OSError, ValueError, TypeError, KeyError, InputError) as error:
-        raise InputError(
+    except (OSError, ValueError, TypeError, KeyError, bc.InputError) as error:
+        raise bc.InputError(
             f"{folder} holds no session that can be gone on with ({error}): begin one in another folder"
         ) from None
 
 
 def states_in(
-    folder: Path, told: SavedSession, effects: Sequence[Effect], instrument: Instrument
-) -> Iterator[tuple[SavedState, Calibration]]:
+    folder: Path, told: SavedSession, effects: Sequence[bc.Effect], instrument: bc.Instrument
+) -> Iterator[tuple[SavedState, bc.Calibration]]:
     """The states that session.json tells of, with their calibrations.
 
     Raises:
         InputError: a calibration is not there, or is another one.
     """
-    given = () if instrument.name in installed_names() else (instrument,)
+    given = () if instrument.name in ws.installed_names() else (instrument,)
     for number, state in enumerate(told["states"]):
         file = fit_of(folder, number)
-        calibration = load(file, effects=effects, instruments=given)
-        if identity(calibration) != state["identity"]:
-            raise InputError(
+        calibration = bc.load(file, effects=effects, instruments=given)
+        if ws.identity(calibration) != state["identity"]:
+            raise bc.InputError(
                 f"{file} is not the one that {SESSION} tells of: begin in another folder"
             )
         yield state, calibration
@@ -382,17 +354,17 @@ def script(path: Sequence[State], origin: Origin, settings: SearchOptions, folde
     imports = "\n".join([*(["import runpy", ""] if runs else []), "import bayescal as bc"])
     instrument = path[0].model.instrument
     lines = [
-        HEAD.format(number=path[-1].number, version=__version__, imports=imports).rstrip("\n"),
+        HEAD.format(number=path[-1].number, version=bc.__version__, imports=imports).rstrip("\n"),
         *origin.code(tailored=instrument.tailor is not None),
         FITTED.format(reference=reference),
     ]
     line, before = _beginning(path[0].model)
     lines.append(line)
     for state in path:
-        lines += ["", f"# {state.number}: {one_line(state.title)}"] if state.number else []
+        lines += ["", f"# {state.number}: {ws.one_line(state.title)}"] if state.number else []
         changed = code_of(before, state.model)
         lines += [_loaded(state, origin, folder)] if changed is None else changed
-        quick = method_code(QUICK if state.model.noise.gaussian else settings.method)
+        quick = method_code(ws.QUICK if state.model.noise.gaussian else settings.method)
         title = f"{state.number} {state.title}"
         start = state.calibration.start
         how = f", seed={state.calibration.seed}" + (f", start={start!r}" if start else "")
@@ -402,7 +374,7 @@ def script(path: Sequence[State], origin: Origin, settings: SearchOptions, folde
     return "\n".join([*lines, LAST.format(**last, reference=reference)])
 
 
-def _beginning(model: Model) -> tuple[str, Model]:
+def _beginning(model: bc.Model) -> tuple[str, bc.Model]:
     """The baseline, or the instrument's structure that a model is, or was made of."""
     instrument = model.instrument
     ways = [("model = instrument.baseline()", instrument.baseline())]
@@ -421,7 +393,7 @@ def _loaded(state: State, origin: Origin, folder: Path) -> str:
     return f"model = bc.load({str(fit_of(folder, state.number))!r}{own}).model"
 
 
-def code_of(before: Model, after: Model) -> list[str] | None:
+def code_of(before: bc.Model, after: bc.Model) -> list[str] | None:
     """Lines of Python that make one model of another; None where no public function does.
 
     Each line is tried on the model itself: what comes of them all must be the other model.
@@ -430,7 +402,7 @@ def code_of(before: Model, after: Model) -> list[str] | None:
     return [line for line, _ in edits[1:]] if edits[-1][1] == after else None
 
 
-def _edits(model: Model, after: Model) -> Iterator[tuple[str, Model]]:
+def _edits(model: bc.Model, after: bc.Model) -> Iterator[tuple[str, bc.Model]]:
     """Each change with what it makes."""
     for name in reversed(model.names[_shared(model, after) :]):
         model = model - name
@@ -461,27 +433,27 @@ def _edits(model: Model, after: Model) -> Iterator[tuple[str, Model]]:
             yield f"model = model.fix({dict(after.fixed)!r})", model
 
 
-def _shared(before: Model, after: Model) -> int:
+def _shared(before: bc.Model, after: bc.Model) -> int:
     """How many effects at the beginning the two have in common; of other plausible sizes, they still are."""
 
-    def alike(both: tuple[Effect, Effect]) -> bool:
+    def alike(both: tuple[bc.Effect, bc.Effect]) -> bool:
         one, other = both
         return one == other or (one.name == other.name and not one.is_placeholder)
 
     return len(list(takewhile(alike, zip(before.effects, after.effects, strict=False))))
 
 
-def _effect_code(effect: Effect, model: Model) -> tuple[str, Effect | None]:
+def _effect_code(effect: bc.Effect, model: bc.Model) -> tuple[str, bc.Effect | None]:
     """An effect as it is added, at its own plausible size."""
     name, instrument = effect.name, model.instrument
     known = instrument.known
-    if isinstance(effect.basis, Formula):
+    if isinstance(effect.basis, ws.Formula):
         return f"bc.effect({effect.basis.text!r}, readings=readings, instrument=instrument)", effect
     if name in known:
         return repr(name), known[name]
     made = None
     if effect.is_placeholder:
-        with suppress(ModelError):  # one under a name of its own is the user's
+        with suppress(bc.ModelError):  # one under a name of its own is the user's
             made = instrument.effect(name)
     if made is None:
         return f"own[{name!r}]", effect
@@ -495,10 +467,10 @@ def _effect_code(effect: Effect, model: Model) -> tuple[str, Effect | None]:
     return f"instrument.effect({name!r}).ranging({ranges!r})", made.ranging(ranges)
 
 
-def noise_code(noise: Noise, model: Model) -> str | None:
+def noise_code(noise: bc.Noise, model: bc.Model) -> str | None:
     """A noise law as Python; None where the public names do not make it."""
     if noise == model.instrument.noise:
         return "instrument.noise"
     said = re.sub(r"\b(?=[A-Z]\w*\()", "bc.", repr(noise))
     names = set(re.findall(r"bc\.(\w+)", said))
-    return said if names <= set(bayescal.__all__) else None
+    return said if names <= set(bc.__all__) else None

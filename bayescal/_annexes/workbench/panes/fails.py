@@ -26,7 +26,8 @@ from bokeh.models import (
     Span,
 )
 
-from bayescal import Check
+import bayescal as bc
+from bayescal import workshop as ws
 from bayescal._annexes.workbench.parts.pieces import (
     MARKERS,
     Palette,
@@ -41,7 +42,6 @@ from bayescal._annexes.workbench.parts.pieces import (
     several,
     words,
 )
-from bayescal.workshop import covariates_of, place_in_words, plot_colours, unit_label
 
 # A step is a gap if it is longer than so many usual ones (their median), and than this share of the time in all shorter
 # steps: a pause within a run stays, and so do evenly spaced runs of one reading.
@@ -156,7 +156,7 @@ class ResidualsOfState:
     before: np.ndarray | None
 
     @property
-    def check(self) -> Check:
+    def check(self) -> bc.Check:
         return self.step.check
 
     @cached_property
@@ -165,7 +165,7 @@ class ResidualsOfState:
 
     @cached_property
     def unit(self) -> str:
-        return unit_label(self.check.unit)
+        return ws.unit_label(self.check.unit)
 
     @cached_property
     def measured(self) -> np.ndarray:
@@ -174,7 +174,7 @@ class ResidualsOfState:
 
     @cached_property
     def _columns(self) -> list[Any]:
-        return covariates_of(self.step.calibration)
+        return ws.covariates_of(self.step.calibration)
 
     @cached_property
     def covariates(self) -> Mapping[str, np.ndarray]:
@@ -195,7 +195,7 @@ class ResidualsOfState:
 
     @cached_property
     def units(self) -> Mapping[str, str]:
-        return {**{c.name: unit_label(c.unit or "") for c in self._columns}, AGAINST: self.unit}
+        return {**{c.name: ws.unit_label(c.unit or "") for c in self._columns}, AGAINST: self.unit}
 
     @cached_property
     def levels(self) -> Mapping[str, tuple[str, ...]]:
@@ -245,7 +245,7 @@ class ResidualsOfState:
         side = "positive" if worst.worst.size > 0 else "negative"
         return (
             f"{rms}Against {worst.against} they are systematically {side}: {worst.worst.size:+.3g} {self.unit} on "
-            f"average, {place_in_words(worst.data(self.check.unit))} (z = {worst.worst.z:+.1f}; log Bayes factor "
+            f"average, {ws.place_in_words(worst.data(self.check.unit))} (z = {worst.worst.z:+.1f}; log Bayes factor "
             f"{worst.log_bayes_factor:.1f})."
         ).replace("-", "−")
 
@@ -296,7 +296,7 @@ class ColumnPanel:
         plain: dict[str, Any] = {"level": "underlay", "fill_alpha": 0.16}
         self._noise = BoxAnnotation(fill_color=NOISE, line_alpha=0.0, **plain)
         self._worst = BoxAnnotation(
-            fill_color=plot_colours.RED, line_color=plot_colours.RED, line_alpha=0.5, **plain
+            fill_color=ws.plot_colours.RED, line_color=ws.plot_colours.RED, line_alpha=0.5, **plain
         )
         zero = Span(location=0, dimension="width", line_color=NOISE, line_width=1)
         for ground in (self._noise, zero, self._worst):

@@ -14,7 +14,7 @@ from typing import Any
 
 import panel as pn
 
-from bayescal import BayescalError
+import bayescal as bc
 
 Then = Callable[[Any], None]
 
@@ -25,7 +25,7 @@ def nothing() -> None:
 
 def in_words(error: Exception) -> str:
     """An error of a thread, which would be lost: for the page, and in the log if it is none of a user's making."""
-    if isinstance(error, BayescalError):
+    if isinstance(error, bc.BayescalError):
         return str(error)
     logging.getLogger("bayescal").error("in the workbench", exc_info=error)
     return f"{type(error).__name__}: {error}"
