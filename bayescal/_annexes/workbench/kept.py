@@ -17,7 +17,7 @@ from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 from datetime import datetime
-from importlib.metadata import entry_points
+from importlib import metadata
 from itertools import takewhile
 from pathlib import Path
 from typing import Any, TypedDict
@@ -87,50 +87,6 @@ class Origin:
         apart = [] if holdout is None else [holdout.write(folder / "holdout.nc")]
         name = instrument.name if instrument.name in ws.installed_names() else ""
         return cls.of(name, files, apart, keep_spikes=keep_spikes)
-
-    def code(self, tailored: bool) -> list[str]:
-        """Lines of Python that open the same: `instrument`, `readings`, `holdout`, `own`.
-
-        Args:
-            tailored: whether the instrument is made for the readings.
-        """
-        spikes = ", keep_spikes=True" if self.keep_spikes else ""
-        options = "".join(f", {name}={value!r}" for name, value in self.read.items())
-        lines = [*self._code_of_instrument(), *self._code_of_effects(), ""]
-        channel = f"[{self.channel!r}]" if self.channel else ""
-        parts = {"readings": self.files, "holdout": self.holdout}
-        for name, files in parts.items():
-            if not files:
-                lines.append(f"{name} = None")
-                continue
-            lines.append(f"{name} = bc.read({list(files)!r}, instrument{options}){channel}")
-            if self.average is not None:
-                lines.append(f"{name} = bc.set_aside({name}{spikes}).average({self.average!r})")
-        if tailored:
-            lines.append("instrument = instrument.for_readings(readings)")
-        done = [name for name, files in parts.items() if files]
-        return [*lines, *(f"{name} = bc.set_aside({name}{spikes})" for name in done)]
-
-    def _code_of_instrument(self) -> list[str]:
-        if not self.instrument:
-            return ["instrument = ...  # yours, made in Python: give it here"]
-        if ws.in_a_file(self.instrument):
-            file, _, name = self.instrument.rpartition(":")
-            return [f"instrument = runpy.run_path({file!r})[{name!r}]"]
-        found = entry_points(group="bayescal.instruments")[self.instrument]
-        return [f"from {found.module} import {found.attr} as instrument"]
-
-    def _code_of_effects(self) -> list[str]:
-        if not self.effect_files:
-            return []
-        return [
-            "own = {}  # effects of your own, by name",
-            f"for path in {list(self.effect_files)!r}:",
-            "    defined = runpy.run_path(path)",
-            '    effects = defined.get("EFFECTS", tuple(defined.values()))',
-            "    effects = effects if isinstance(effects, tuple | list) else (effects,)",
-            "    own |= {e.name: e for e in effects if isinstance(e, bc.Effect)}",
-        ]
 
 
 @dataclass(frozen=True)
@@ -310,36 +266,6 @@ def last_session(folder: Path) -> Path | None:
     return None if last is None else last.parent
 
 
-HEAD = '''"""What was done in the bayescal workbench, up to step {number}. It needs bayescal {version} or later."""
-
-{imports}
-'''
-FITTED = '''
-calibrations = []
-
-
-def fitted(title, model, method, **how):
-    """Fit a model, and print its errors: as fitted, and of the hold-out data."""
-    calibration = bc.fit(model, readings, method, strict=False{reference}, **how)
-    calibrations.append(calibration)
-    errors = {{"as fitted": bc.check(calibration).rms}}
-    if holdout is not None:
-        errors["held out"] = bc.predict(calibration, holdout).rmse
-    print(title, errors, calibration.unit)
-    return calibration
-
-'''
-LAST = """
-print(calibration)
-print(bc.check(calibration))
-
-# By the method that was asked for. Where nothing more is to be added, the report and exports are of the average over
-# the structures weighed, as bc.calibrate(model, readings).calibration is.
-final = bc.fit(model, readings, {method}, seed={seed}, strict=False{reference})
-print(final)
-"""
-
-
 def script(path: Sequence[State], origin: Origin, settings: SearchOptions, folder: Path) -> str:
     """The script that leads from the first state of a path to its last.
 
@@ -349,29 +275,45 @@ def script(path: Sequence[State], origin: Origin, settings: SearchOptions, folde
         settings: of the fits.
         folder: that keeps the states' calibrations, for a model that no public function composes.
     """
-    reference = f", reference={dict(settings.reference)!r}" if settings.reference else ""
-    runs = "runpy" if origin.effect_files or ".py:" in origin.instrument else ""
-    imports = "\n".join([*(["import runpy", ""] if runs else []), "import bayescal as bc"])
-    instrument = path[0].model.instrument
-    lines = [
-        HEAD.format(number=path[-1].number, version=bc.__version__, imports=imports).rstrip("\n"),
-        *origin.code(tailored=instrument.tailor is not None),
-        FITTED.format(reference=reference),
-    ]
-    line, before = _beginning(path[0].model)
-    lines.append(line)
+    beginning, before = _beginning(path[0].model)
+    steps = []
     for state in path:
-        lines += ["", f"# {state.number}: {ws.one_line(state.title)}"] if state.number else []
-        changed = code_of(before, state.model)
-        lines += [_loaded(state, origin, folder)] if changed is None else changed
-        quick = method_code(ws.QUICK if state.model.noise.gaussian else settings.method)
-        title = f"{state.number} {state.title}"
-        start = state.calibration.start
-        how = f", seed={state.calibration.seed}" + (f", start={start!r}" if start else "")
-        lines.append(f"calibration = fitted({title!r}, model, {quick}{how})")
+        edits = code_of(before, state.model)
+        c, quick = state.calibration, state.model.noise.gaussian
+        step = {
+            **{"number": state.number, "title": ws.one_line(state.title)},
+            "name": f"{state.number} {state.title}",
+            "lines": [_loaded(state, origin, folder)] if edits is None else edits,
+            "method": method_code(ws.QUICK if quick else settings.method),
+            "how": {"seed": c.seed} | ({"start": c.start} if c.start else {}),
+        }
+        steps.append(step)
         before = state.model
-    last = {"method": method_code(settings.method), "seed": settings.seed}
-    return "\n".join([*lines, LAST.format(**last, reference=reference)])
+    file, _, name = origin.instrument.rpartition(":")
+    installed = metadata.entry_points(group="bayescal.instruments")
+    arguments = {"repr": repr, "arguments": _arguments}
+    return ws.template("bayescal._annexes.workbench", "script.py.jinja", arguments).render(
+        version=bc.__version__,
+        file=file,
+        name=name,
+        entry=None if file or not origin.instrument else installed[name],
+        own_files=list(origin.effect_files),
+        parts={"readings": list(origin.files), "holdout": list(origin.holdout)},
+        read=origin.read,
+        channel=f"[{origin.channel!r}]" if origin.channel else "",
+        average=origin.average,
+        spikes={"keep_spikes": True} if origin.keep_spikes else {},
+        tailored=path[0].model.instrument.tailor is not None,
+        reference={"reference": dict(settings.reference)} if settings.reference else {},
+        beginning=beginning,
+        steps=steps,
+        method=method_code(settings.method),
+        seed=settings.seed,
+    )
+
+
+def _arguments(given: Mapping[str, Any]) -> str:
+    return "".join(f", {name}={value!r}" for name, value in given.items())
 
 
 def _beginning(model: bc.Model) -> tuple[str, bc.Model]:
