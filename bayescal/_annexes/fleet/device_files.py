@@ -25,19 +25,12 @@ BYTES_A_ROW = 30  # of a text file, a log
 
 @dataclass(frozen=True)
 class Piece:
-    """A file, or some of the devices of a Parquet file.
+    """A file, or some of the devices of a Parquet file."""
 
-    Attributes:
-        path: of the file.
-        readings: in it, estimated for what is no Parquet.
-        column: name of the column of devices, of some of which this is; "" of a whole file.
-        devices: their labels.
-    """
-
-    path: Path
-    readings: int
-    column: str = ""
-    devices: pa.Array | None = None
+    path: Path  # of the file
+    readings: int  # in it, estimated for what is no Parquet
+    column: str = ""  # name of the column of devices, of some of which this is; "" of a whole file
+    devices: pa.Array | None = None  # their labels
 
     @property
     def name(self) -> str:

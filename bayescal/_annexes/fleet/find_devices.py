@@ -52,31 +52,24 @@ class Find:
 
 @dataclass(frozen=True)
 class Evidence:
-    """What one device's readings say of its structures.
+    """What one device's readings say of its structures."""
 
-    Attributes:
-        prior: effect → probability, before the readings, that a device lacks it; what it cannot show is not named.
-        log_evidence: sets of effects, all noise laws together → natural logarithm, up to a constant.
-    """
-
+    # effect → probability, before the readings, that a device lacks it; what it cannot show is not named
     prior: Mapping[str, float]
+    # sets of effects, all noise laws together → natural logarithm, up to a constant
     log_evidence: Mapping[tuple[str, ...], float]
 
 
 @dataclass(frozen=True)
 class DeviceStructure:
-    """What is missing from one device's model.
+    """What is missing from one device's model."""
 
-    Attributes:
-        effects, families: of the structure to use: forms, and what they are of.
-        possible: effects of which one is missing, with probability 0.95.
-        evidence: of its structures.
-    """
-
-    effects: tuple[str, ...]
+    effects: tuple[
+        str, ...
+    ]  # effects, families: of the structure to use: forms, and what they are of
     families: frozenset[str]
-    possible: frozenset[str]
-    evidence: Evidence
+    possible: frozenset[str]  # effects of which one is missing, with probability 0.95
+    evidence: Evidence  # of its structures
 
 
 def search_device(
@@ -132,20 +125,13 @@ NONE, ALL = 1e-12, 1 - 1e-12  # shares, as far as their log odds are taken
 
 
 class Share(NamedTuple):
-    """Of one effect.
+    """Of one effect."""
 
-    Attributes:
-        in_fleet: probability that any device has it.
-        share: of the devices that have it, its mean.
-        low, high: of its 95 % interval, if any device has it.
-        expected: number of devices that have it, its mean.
-    """
-
-    in_fleet: float
-    share: float
-    low: float
+    in_fleet: float  # probability that any device has it
+    share: float  # of the devices that have it, its mean
+    low: float  # low, high: of its 95 % interval, if any device has it
     high: float
-    expected: float
+    expected: float  # number of devices that have it, its mean
 
 
 def shares(devices: Sequence[Evidence], seed: int = 0, rounds: int = ROUNDS) -> dict[str, Share]:

@@ -65,21 +65,13 @@ Part = Sequence[Piece | ReadPiece]
 
 @dataclass(frozen=True)
 class Request:
-    """What is fitted to every device, and how its file is read.
+    """What is fitted to every device, and how its file is read."""
 
-    Attributes:
-        model: what is fitted.
-        fit_options: of every fit.
-        read_options: how columns are understood.
-        find: what is looked for in each device, if anything is.
-        settings: that hold where this was asked, and are to hold on the workers.
-    """
-
-    model: bc.Model
-    fit_options: FitOptions
-    read_options: ws.ReadOptions
-    find: Find | None
-    settings: bc.Settings
+    model: bc.Model  # what is fitted
+    fit_options: FitOptions  # of every fit
+    read_options: ws.ReadOptions  # how columns are understood
+    find: Find | None  # what is looked for in each device, if anything is
+    settings: bc.Settings  # that hold where this was asked, and are to hold on the workers
 
     def read(self, part: Part) -> tuple[list[ReadPiece], dict[str, str]]:
         """Read a part; and why files of it cannot be used."""
@@ -93,17 +85,11 @@ class Request:
 
 
 class Fits(NamedTuple):
-    """What came of some parts.
+    """What came of some parts."""
 
-    Attributes:
-        results: of their devices.
-        structures: of the devices that were searched.
-        missing: file → why its devices have no results.
-    """
-
-    results: tuple[DeviceResult, ...]
-    structures: dict[str, DeviceStructure]
-    missing: dict[str, str]
+    results: tuple[DeviceResult, ...]  # of their devices
+    structures: dict[str, DeviceStructure]  # of the devices that were searched
+    missing: dict[str, str]  # file → why its devices have no results
 
 
 def fit_part(request: Request, part: Part) -> Fits:

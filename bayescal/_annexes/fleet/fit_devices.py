@@ -47,19 +47,12 @@ NOISE = "noise.white"
 
 @dataclass(frozen=True)
 class FitOptions:
-    """How every device is fitted.
+    """How every device is fitted."""
 
-    Attributes:
-        method: of every fit.
-        seed: of every random number.
-        chunk: devices fitted at once at most.
-        reference: constants of the bases, in place of each device's own.
-    """
-
-    method: ws.Method
-    seed: int
-    chunk: int
-    reference: Reference
+    method: ws.Method  # of every fit
+    seed: int  # of every random number
+    chunk: int  # devices fitted at once at most
+    reference: Reference  # constants of the bases, in place of each device's own
 
     def reference_for(self, readings: bc.Measurements) -> Reference:
         """Return the constants of a device."""

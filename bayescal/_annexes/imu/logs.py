@@ -38,21 +38,15 @@ AXES = ("x", "y", "z")
 
 @dataclass(frozen=True)
 class Sensor:
-    """Channels of one sensor that are sampled together.
+    """Channels of one sensor that are sampled together."""
 
-    Attributes:
-        time: of the samples, s, (n,).
-        channels: name, such as "gyro_x", and "gyro_x_1" of a second one → values, (n,), and their unit.
-        temperature: °C, (m,); None where the log has none for this sensor.
-        temperature_time: when the temperature was sampled, s, (m,); None where with the channels.
-        device: identifier of the device, as the log states it.
-    """
-
-    time: np.ndarray
+    time: np.ndarray  # of the samples, s, (n,)
+    # name, such as "gyro_x", and "gyro_x_1" of a second one → values, (n,), and their unit
     channels: dict[str, tuple[np.ndarray, str]]
-    temperature: np.ndarray | None = None
+    temperature: np.ndarray | None = None  # °C, (m,); None where the log has none for this sensor
+    # when the temperature was sampled, s, (m,); None where with the channels
     temperature_time: np.ndarray | None = None
-    device: str | None = None
+    device: str | None = None  # identifier of the device, as the log states it
 
 
 def triad(

@@ -31,25 +31,17 @@ BLOCK_SAMPLES = 4  # fewest in a block, from which on their scatter says somethi
 
 
 class StillStretches(NamedTuple):
-    """Still stretches of a log.
+    """Still stretches of a log."""
 
-    Attributes:
-        first, last: their first sample and the one after the last (k,).
-        mean, uncertainty: of each output (k, m), and its standard uncertainty, one for all outputs (k,).
-        of_second: standard uncertainty of a mean over one second, of white noise.
-        ratio: of it to that of independent samples.
-        shortest: of these stretches, s, as asked or chosen.
-        left_out: duration of each shorter one of a second or more, s.
-    """
-
-    first: Int[np.ndarray, "k"]
+    first: Int[np.ndarray, "k"]  # first, last: their first sample and the one after the last (k,)
     last: Int[np.ndarray, "k"]
+    # mean, uncertainty: of each output (k, m), and its standard uncertainty, one for all outputs (k,)
     mean: Float[np.ndarray, "k m"]
     uncertainty: Float[np.ndarray, "k"]
-    of_second: float
-    ratio: float
-    shortest: float
-    left_out: tuple[float, ...]
+    of_second: float  # standard uncertainty of a mean over one second, of white noise
+    ratio: float  # of it to that of independent samples
+    shortest: float  # of these stretches, s, as asked or chosen
+    left_out: tuple[float, ...]  # duration of each shorter one of a second or more, s
 
 
 def still_stretches(

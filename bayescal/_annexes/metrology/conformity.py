@@ -68,22 +68,14 @@ class LimitedRange(NamedTuple):
 
 @dataclass(frozen=True)
 class StatedLimit:
-    """A limit on a quantity, as it was written.
+    """A limit on a quantity, as it was written."""
 
-    Attributes:
-        quantity: "corrected reading", "corrected mean", a slot of the instrument such as "bias", or an unknown.
-        low, high: the tolerance limits, in `unit`; infinite where there is none.
-        unit: as written; "" for a number without one.
-        over: where it holds.
-        text: as written.
-    """
-
-    quantity: str
-    low: float
+    quantity: str  # "corrected reading", "corrected mean", a slot of the instrument such as "bias", or an unknown
+    low: float  # low, high: the tolerance limits, in `unit`; infinite where there is none
     high: float
-    unit: str
-    over: tuple[LimitedRange, ...] = ()
-    text: str = ""
+    unit: str  # as written; "" for a number without one
+    over: tuple[LimitedRange, ...] = ()  # where it holds
+    text: str = ""  # as written
 
 
 def stated_limit(text: str) -> StatedLimit:
@@ -149,20 +141,13 @@ def _unit(said: str, text: str) -> str:
 
 @dataclass(frozen=True)
 class SpreadOfDevices:
-    """Devices of one kind, for one quantity: mean and standard deviation, in `unit`.
+    """Devices of one kind, for one quantity: mean and standard deviation, in `unit`."""
 
-    Attributes:
-        quantity: whose it is; "" for every limit whose unit it has.
-        mean: None for the middle of the limits, which is where a maker aims.
-        sd, unit: of the devices.
-        text: as written.
-    """
-
-    quantity: str
-    mean: float | None
-    sd: float
+    quantity: str  # whose it is; "" for every limit whose unit it has
+    mean: float | None  # None for the middle of the limits, which is where a maker aims
+    sd: float  # sd, unit: of the devices
     unit: str
-    text: str = ""
+    text: str = ""  # as written
 
 
 _DEVICES = re.compile(
@@ -221,17 +206,13 @@ class Limits(NamedTuple):
 
 @dataclass(frozen=True)
 class DrawnQuantity:
-    """What the posterior says of a quantity that is limited.
+    """What the posterior says of a quantity that is limited."""
 
-    Attributes:
-        values: in each draw at each place of the range that the limit names.
-        scatter: standard deviation of single readings about it at each place; zeros where it does not scatter.
-        scores: standard normal scores of readings that lie `DEVIATIONS` standard deviations above it, at each place;
-            None where readings are normally distributed.
-    """
-
-    values: Float[np.ndarray, "d g"]
+    values: Float[np.ndarray, "d g"]  # in each draw at each place of the range that the limit names
+    # standard deviation of single readings about it at each place; zeros where it does not scatter
     scatter: Float[np.ndarray, "g"]
+    # standard normal scores of readings that lie `DEVIATIONS` standard deviations above it, at each place; None
+    # where readings are normally distributed
     scores: Float[np.ndarray, "g m"] | None = None
 
     @property

@@ -28,26 +28,20 @@ from bayescal import workshop as ws
 
 @dataclass(frozen=True)
 class Origin:
-    """What was opened, for scripts, in which names of files are quoted.
+    """What was opened, for scripts, in which names of files are quoted."""
 
-    Attributes:
-        instrument: name of an installed one, or my.py:INSTRUMENT; empty where it was made in Python.
-        files, holdout: of readings, in full.
-        read: arguments of `bayescal.read` that are not its usual ones.
-        average: time over which means are taken; None for single readings.
-        keep_spikes: whether single readings far from both neighbours stay.
-        effect_files: Python files with effects of the user's own, in full.
-        channel: which of the outputs that `read` names; empty where there is one.
-    """
-
-    instrument: str
-    files: tuple[str, ...]
+    instrument: (
+        str  # name of an installed one, or my.py:INSTRUMENT; empty where it was made in Python
+    )
+    files: tuple[str, ...]  # files, holdout: of readings, in full
     holdout: tuple[str, ...] = ()
-    read: Mapping[str, Any] = field(default_factory=dict)
-    average: str | None = None
-    keep_spikes: bool = False
-    effect_files: tuple[str, ...] = ()
-    channel: str = ""
+    read: Mapping[str, Any] = field(
+        default_factory=dict
+    )  # arguments of `bayescal.read` that are not its usual ones
+    average: str | None = None  # time over which means are taken; None for single readings
+    keep_spikes: bool = False  # whether single readings far from both neighbours stay
+    effect_files: tuple[str, ...] = ()  # Python files with effects of the user's own, in full
+    channel: str = ""  # which of the outputs that `read` names; empty where there is one
 
     @classmethod
     def of(
@@ -105,21 +99,13 @@ class SearchOptions:
 
 @dataclass(frozen=True, eq=False)
 class State:
-    """One model of the tree. Nothing in it changes; a look gives the same state with its discovery.
+    """One model of the tree. Nothing in it changes; a look gives the same state with its discovery."""
 
-    Attributes:
-        number: of the state, from 0.
-        parent: number of the state that it was made from; None for the first.
-        step: its fit by least squares, where it fails, its errors.
-        at: when it was made.
-        discovery: what is missing from it; None until it was looked for.
-    """
-
-    number: int
-    parent: int | None
-    step: ws.Step
-    at: datetime
-    discovery: bc.Discovery | None = None
+    number: int  # of the state, from 0
+    parent: int | None  # number of the state that it was made from; None for the first
+    step: ws.Step  # its fit by least squares, where it fails, its errors
+    at: datetime  # when it was made
+    discovery: bc.Discovery | None = None  # what is missing from it; None until it was looked for
 
     @property
     def title(self) -> str:

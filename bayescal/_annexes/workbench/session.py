@@ -60,17 +60,11 @@ class Preview:
 
 @dataclass(frozen=True)
 class Change:
-    """A model, and how it differs from the one before.
+    """A model, and how it differs from the one before."""
 
-    Attributes:
-        model: what comes of it.
-        added: effect that was added; None where something else was done.
-        in_words: that, in words; empty where an effect was added.
-    """
-
-    model: bc.Model
-    added: str | None = None
-    in_words: str = ""
+    model: bc.Model  # what comes of it
+    added: str | None = None  # effect that was added; None where something else was done
+    in_words: str = ""  # that, in words; empty where an effect was added
 
 
 def changed(

@@ -57,16 +57,11 @@ return tick > ends[k] ? "" : String(Number((tick + taken[k]).toPrecision(10)));
 
 @dataclass(frozen=True)
 class CutAxis:
-    """Stretches of a column, one after the other.
+    """Stretches of a column, one after the other."""
 
-    Attributes:
-        starts, ends: values at which each begins and ends, (k,), rising.
-        taken: what is left out of the axis before each, (k,), a round number each.
-    """
-
-    starts: np.ndarray
+    starts: np.ndarray  # starts, ends: values at which each begins and ends, (k,), rising
     ends: np.ndarray
-    taken: np.ndarray
+    taken: np.ndarray  # what is left out of the axis before each, (k,), a round number each
 
     @classmethod
     def of(cls, values: np.ndarray) -> CutAxis:
@@ -145,14 +140,10 @@ TIME = "time"  # the column whose long gaps are left out
 
 @dataclass(frozen=True)
 class ResidualsOfState:
-    """A state's residuals with everything that they can be laid against.
+    """A state's residuals with everything that they can be laid against."""
 
-    Attributes:
-        step: the state's fit with its check.
-        before: residuals of the step that it is compared with, output unit, (n,); None where there is none.
-    """
-
-    step: Any
+    step: Any  # the state's fit with its check
+    # residuals of the step that it is compared with, output unit, (n,); None where there is none
     before: np.ndarray | None
 
     @property
