@@ -10,6 +10,7 @@ import time
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from contextvars import copy_context
+from functools import partial
 from typing import Any
 
 import panel as pn
@@ -50,9 +51,8 @@ class Work:
         kinds = ("job", "question", "look", "preview")
         self._pools = {k: ThreadPoolExecutor(1, thread_name_prefix=f"workbench {k}") for k in kinds}
         self._previewed, self._ticking = object(), None
-        self._under_way: list[
-            tuple[str, float, bool]
-        ] = []  # words, when it began, whether it only reads
+        # Words, when it began, whether it only reads.
+        self._under_way: list[tuple[str, float, bool]] = []
 
     @property
     def busy(self) -> bool:
@@ -94,7 +94,7 @@ class Work:
 
         self._under_way.append(under_way)
         self._follow()
-        self._submit("question" if reads else "job", job, then, failed=failed, ended=ended)
+        self._submit("question" if reads else "job", job, then, failed, ended)
 
     def look(self, job: Callable[[], Any], then: Then) -> None:
         """Look for something beside everything else; what is pressed meanwhile is not refused."""
@@ -119,34 +119,27 @@ class Work:
         kind: str,
         job: Callable[[], Any],
         then: Then,
-        *,
         failed: Callable[[], None] = nothing,
         ended: Callable[[], None] = nothing,
         wanted: Callable[[], bool] = lambda: True,
     ) -> None:
-        """Do a job in a thread; what follows on the page does so only if it is still wanted."""
+        """Do a job in a thread, and on the page what follows, while it is wanted."""
 
         def run() -> None:
             if not wanted():
                 return
-            result, wrong = None, ""
             try:
-                result = job()
+                follow = partial(then, job())
             except Exception as error:
-                wrong = in_words(error)
-
-            def done() -> None:
-                ended()
-                if not wrong:
-                    then(result)
-                else:
-                    self._tell(wrong, True)
-                    failed()
-
+                follow = partial(self._refused, in_words(error), failed)
             if wanted():
-                self.on_page(done)
+                self.on_page(lambda: (ended(), follow()))
 
         self._pools[kind].submit(self._context.copy().run, run)
+
+    def _refused(self, why: str, failed: Callable[[], None]) -> None:
+        self._tell(why, True)
+        failed()
 
     def _follow(self) -> None:
         """Work began or ended: shut or open what changes the model, and tell of the time while there is some."""
