@@ -56,6 +56,12 @@ from bayescal_models.triad.families import (
 from bayescal_models.triad.scatter import with_scatter
 
 VECTOR = bc.Vector(outputs=OUTPUTS, equation=equation, common_scale=0.03)
+
+
+def _response(slots, r):
+    return VECTOR.response(slots, r)
+
+
 SHEETS = "data sheets of ADXL355, BMI088 and ICM-20948, zero-g offset, sensitivity and cross axis; size ours"
 TEMPCO = "the same data sheets, change with temperature; size ours"
 SECOND = "IEEE Std 1293-2018, model equation; size ours, a nonlinearity of 0.1 % at 1 g"
@@ -98,7 +104,7 @@ INSTRUMENT = bc.Instrument(
     title="three accelerometers in poses at rest: bias, scale, misalignment",
     columns=COLUMNS,
     slots=(*slots("g", "force"), *higher_order("g")),
-    response=VECTOR.response,
+    response=_response,
     effects=EFFECTS.baseline,
     candidates=EFFECTS.candidates,
     nuisances=(local_gravity.uncertain("magnitude", 1e-3 * local_gravity.PPM, "mg"),),

@@ -36,6 +36,12 @@ from bayescal_models.triad.scatter import with_scatter
 
 # Sensitivities by data sheets of RM3100, LIS3MDL and BMM150; what iron adds differs from axis to axis.
 VECTOR = bc.Vector(outputs=OUTPUTS, equation=equation, common_scale=0.05)
+
+
+def _response(slots, r):
+    return VECTOR.response(slots, r)
+
+
 IRON = "ours: hard and soft iron of a small vehicle"
 TEMPCO = "data sheets of RM3100, LIS3MDL and BMM150, change with temperature; size ours"
 FIELD = "ours: a battery's or a motor's field that changes"
@@ -70,7 +76,7 @@ INSTRUMENT = bc.Instrument(
     title="three magnetometers in a constant field: hard iron, soft iron",
     columns=COLUMNS,
     slots=slots("uT", "field"),
-    response=VECTOR.response,
+    response=_response,
     effects=EFFECTS.baseline,
     candidates=EFFECTS.candidates,
     noise=bc.White(bc.HalfCauchy(0.3)),
