@@ -67,50 +67,6 @@ class Change:
     in_words: str = ""  # that, in words; empty where an effect was added
 
 
-def changed(
-    model: bc.Model,
-    kind: str,
-    arguments: Sequence[Any],
-    own: Mapping[str, bc.Effect],
-    laws: Mapping[str, bc.Noise],
-) -> Change:
-    """Return a model with a change.
-
-    Args:
-        model: before it.
-        kind: of the change, with its arguments: see below.
-        arguments: of the change.
-        own: effects that are not as the instrument states them, by the name under which they are asked for.
-        laws: noise laws, by name.
-
-    Raises:
-        ModelError: the model cannot be changed so.
-        InputError: there is no such change, or it takes other arguments.
-    """
-    match (kind, *arguments):
-        case ("add", str(name)):
-            effect = own.get(name) or model.instrument.effect(name)
-            return Change(model + effect, added=effect.name)
-        case ("take_out", str(name)):
-            return Change(model - name, in_words=f"− {name}")
-        case ("free", str(name)):
-            return Change(model.free(name), in_words=f"{name} estimated again")
-        case ("noise", str(name)):
-            if (law := laws.get(name)) is None:
-                raise bc.ModelError(
-                    f"no noise law is called {name!r} here; there are: {', '.join(laws)}"
-                )
-            return Change(model.with_noise(law), in_words=f"noise: {law.in_words}")
-        case ("fix", str(name), value):
-            said = f"{name} = {ws.number(float(value), 6)} fixed"
-            return Change(model.fix({name: float(value)}), in_words=said)
-        case ("resize", str(name), value):
-            unit = ws.unit_label(model.effect(name).coefficients[0].unit)
-            said = f"{name} of plausible size {ws.number(float(value))} {unit}".rstrip()
-            return Change(model.resize(name, float(value)), in_words=said)
-    raise bc.InputError(f"{kind!r} with {len(arguments)} argument(s) is no change of a model")
-
-
 SEARCHES = 4  # the latest ones, that are kept
 
 
@@ -298,8 +254,33 @@ class Session:
 
     def consequences(self, kind: str, *arguments: Any) -> Preview:
         """Return what `act` would do, before it is done."""
-        laws, model = self.laws, self.current.model
-        return self._previewed(changed(model, kind, arguments, self._named(), laws))
+        return self._previewed(self._changed(kind, *arguments))
+
+    def _changed(self, kind: str, *arguments: Any) -> Change:
+        """Return the current model with a change."""
+        model = self.current.model
+        match (kind, *arguments):
+            case ("add", str(name)):
+                effect = self._named().get(name) or model.instrument.effect(name)
+                return Change(model + effect, added=effect.name)
+            case ("take_out", str(name)):
+                return Change(model - name, in_words=f"− {name}")
+            case ("free", str(name)):
+                return Change(model.free(name), in_words=f"{name} estimated again")
+            case ("noise", str(name)):
+                if (law := self.laws.get(name)) is None:
+                    raise bc.ModelError(
+                        f"no noise law is called {name!r} here; there are: {', '.join(self.laws)}"
+                    )
+                return Change(model.with_noise(law), in_words=f"noise: {law.in_words}")
+            case ("fix", str(name), value):
+                said = f"{name} = {ws.number(float(value), 6)} fixed"
+                return Change(model.fix({name: float(value)}), in_words=said)
+            case ("resize", str(name), value):
+                unit = ws.unit_label(model.effect(name).coefficients[0].unit)
+                said = f"{name} of plausible size {ws.number(float(value))} {unit}".rstrip()
+                return Change(model.resize(name, float(value)), in_words=said)
+        raise bc.InputError(f"{kind!r} with {len(arguments)} argument(s) is no change of a model")
 
     def _previewed(self, wanted: Change) -> Preview:
         """Fit a model that is not made a state."""
@@ -319,9 +300,7 @@ class Session:
         Raises:
             ModelError, InputError: the model cannot be changed so.
         """
-        state = self.current
-        wanted = changed(state.model, kind, arguments, self._named(), self.laws)
-        return self._become(wanted, state.number)
+        return self._become(self._changed(kind, *arguments), self.current.number)
 
     def _named(self) -> dict[str, bc.Effect]:
         """Return effects that are not as the instrument states them, by the name by which they are asked for.

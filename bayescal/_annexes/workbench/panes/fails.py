@@ -8,9 +8,8 @@ with the fit, and residuals with the noise, the worst region, the curve of a pre
 from __future__ import annotations
 
 import itertools
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -138,60 +137,30 @@ AGAINST = "predicted output"  # over which the output is measured against predic
 TIME = "time"  # the column whose long gaps are left out
 
 
-@dataclass(frozen=True)
 class ResidualsOfState:
     """A state's residuals with everything that they can be laid against."""
 
-    step: Any  # the state's fit with its check
-    # residuals of the step that it is compared with, output unit, (n,); None where there is none
-    before: np.ndarray | None
-
-    @property
-    def check(self) -> bc.Check:
-        return self.step.check
-
-    @cached_property
-    def residual(self) -> np.ndarray:
-        return np.asarray(self.check.residuals, float)
-
-    @cached_property
-    def unit(self) -> str:
-        return ws.unit_label(self.check.unit)
-
-    @cached_property
-    def measured(self) -> np.ndarray:
-        readings = self.step.calibration.readings
-        return np.asarray(readings[readings.output], float)
-
-    @cached_property
-    def _columns(self) -> list[Any]:
-        return ws.covariates_of(self.step.calibration)
-
-    @cached_property
-    def covariates(self) -> Mapping[str, np.ndarray]:
-        """(n,) each, by name; a group's members as numbers 0, 1, …; at last what the model predicts."""
-        columns = {c.name: np.asarray(c.values, float) for c in self._columns}
-        return {**columns, AGAINST: self.measured - self.residual}
-
-    @cached_property
-    def cut(self) -> CutAxis | None:
-        """The axis of time; None without one."""
-        return CutAxis.of(self.covariates[TIME]) if TIME in self.covariates else None
-
-    @cached_property
-    def places(self) -> Mapping[str, np.ndarray]:
-        """(n,) each: where readings stand on the axis of a covariate."""
-        cut = {} if self.cut is None else {TIME: self.cut.place(self.covariates[TIME])}
-        return {**self.covariates, **cut}
-
-    @cached_property
-    def units(self) -> Mapping[str, str]:
-        return {**{c.name: ws.unit_label(c.unit or "") for c in self._columns}, AGAINST: self.unit}
-
-    @cached_property
-    def levels(self) -> Mapping[str, tuple[str, ...]]:
-        """Members of the groups among them."""
-        return {c.name: c.levels for c in self._columns if c.levels}
+    def __init__(self, step: Any, before: np.ndarray | None) -> None:
+        """Args:
+        step: the state's fit with its check.
+        before: residuals of the step that it is compared with, output unit, (n,); None where there is none.
+        """
+        readings, columns = step.calibration.readings, ws.covariates_of(step.calibration)
+        self.check: bc.Check = step.check
+        self.before, self.runs = before, readings.groups("run")
+        self.residual = np.asarray(self.check.residuals, float)
+        self.measured = np.asarray(readings[readings.output], float)
+        # (n,) each, by name; a group's members as numbers 0, 1, …; at last what the model predicts.
+        self.covariates = {c.name: np.asarray(c.values, float) for c in columns}
+        self.covariates[AGAINST] = self.measured - self.residual
+        self.unit = ws.unit_label(self.check.unit)
+        self.units = {c.name: ws.unit_label(c.unit or "") for c in columns} | {AGAINST: self.unit}
+        self.levels = {c.name: c.levels for c in columns if c.levels}  # members of the groups
+        # The axis of time, and where readings stand on the axis of a covariate.
+        self.cut = CutAxis.of(self.covariates[TIME]) if TIME in self.covariates else None
+        self.places = dict(self.covariates)
+        if self.cut is not None:
+            self.places[TIME] = self.cut.place(self.covariates[TIME])
 
     def worst(self, name: str) -> tuple[float, float] | None:
         """Where the worst region over a covariate begins and ends on its axis; None without evidence of one."""
@@ -205,10 +174,6 @@ class ResidualsOfState:
             low, high = map(float, self.cut.place(np.array([low, high])))
         wide = 0.02 * float(np.ptp(self.places[name])) if low == high else 0.0
         return low - wide, high + wide
-
-    @cached_property
-    def runs(self) -> tuple[tuple[str, ...], np.ndarray]:
-        return self.step.calibration.readings.groups("run")
 
     def colours(self, palette: Palette) -> np.ndarray:
         """A colour a reading, by run."""

@@ -59,7 +59,7 @@ class Work:
         """Whether a job is under way that may change something."""
         return not all(reads for _, _, reads in self._under_way)
 
-    def on_page(self, call: Callable[[], None]) -> None:
+    def on_page(self, call: Callable[[], Any]) -> None:
         """Call something in the page's own thread, soon; from any thread."""
         if self._served:
             self._document.add_next_tick_callback(call)
