@@ -1,85 +1,72 @@
-"""Files of many devices: those in folders, in parts of about so many readings, each read by itself.
-
-A part is a few files, or some of the devices of a large Parquet file.
-"""
+"""Files of many devices: those in folders, and parts of about so many readings, of files or of devices."""
 
 from __future__ import annotations
 
 import os
-import sys
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable, Sequence
+from contextlib import suppress
 from pathlib import Path
+from typing import NamedTuple, TypeVar
 
-import numpy as np
 import pyarrow as pa
-import pyarrow.compute as pc
 import pyarrow.parquet as pq
 
 import bayescal as bc
 from bayescal import workshop as ws
 from bayescal._annexes.fleet.devices import Devices, open_readings, split_table
 
+T = TypeVar("T")
 BYTES_A_ROW = 30  # of a text file, a log
 
 
-@dataclass(frozen=True)
-class Piece:
-    """A file, or some of the devices of a Parquet file."""
-
-    path: Path  # of the file
-    readings: int  # in it, estimated for what is no Parquet
-    column: str = ""  # name of the column of devices, of some of which this is; "" of a whole file
-    devices: pa.Array | None = None  # their labels
-
-    @property
-    def name(self) -> str:
-        """What messages call it."""
-        if self.devices is None:
-            return self.path.name
-        return f"{self.path.name}, devices {self.devices[0]} to {self.devices[-1]}"
-
-    def read(self, model: bc.Model, options: ws.ReadOptions) -> Devices:
-        """Read its devices, and of a large file these alone, a column at a time; refuse what cannot be read."""
-        whole = self.devices is None
-        table = open_readings(self.path, options, ws.MAX_BYTES if whole else sys.maxsize)
-        if not whole:
-            labels = pq.read_table(self.path, columns=[self.column]).column(0)
-            table = table.take(np.flatnonzero(pc.is_in(labels, self.devices).to_numpy()))
-        needs = tuple(dict.fromkeys(c for e in model.effects for c in e.columns))
-        return split_table(table, self.path.stem, model.instrument, options, needs)
-
-
-@dataclass(frozen=True)
-class ReadPiece:
-    """Devices that were read already, or given."""
+class ReadFile(NamedTuple):
+    """The devices of a file, or those that were given."""
 
     name: str
     devices: Devices
 
-    def read(self, model: bc.Model, options: ws.ReadOptions) -> Devices:
-        return self.devices
+    @classmethod
+    def of(cls, path: Path, model: bc.Model, options: ws.ReadOptions) -> ReadFile:
+        """Read a file; refuse what cannot be read, or is too large once unpacked."""
+        needs = tuple(dict.fromkeys(c for e in model.effects for c in e.columns))
+        table = open_readings(path, options)
+        return cls(path.name, split_table(table, path.stem, model.instrument, options, needs))
 
 
-def parts_of(files: Sequence[Path], rows: int, device: str) -> list[tuple[Piece, ...]]:
-    """Cut files into parts of about so many readings.
-
-    Args:
-        files: of readings.
-        rows: readings in a part.
-        device: the files' name of the column of devices.
-
-    Raises:
-        InputError: `rows` is none.
-    """
-    if rows < 1:
-        raise bc.InputError(f"partition_rows is {rows}: give at least 1")
-    parts: list[list[Piece]] = [[]]
-    for piece in (piece for path in files for piece in _pieces(path, rows, device)):
-        if parts[-1] and sum(p.readings for p in parts[-1]) + piece.readings > rows:
+def packed(sized: Iterable[tuple[T, int]], most: int) -> list[list[T]]:
+    """Put things, with their sizes, in their order into parts of at most so much, or of one thing."""
+    parts, count = list[list[T]]([[]]), 0
+    for one, size in sized:
+        if parts[-1] and count + size > most:
             parts.append([])
-        parts[-1].append(piece)
-    return [*map(tuple, parts)]
+            count = 0
+        parts[-1].append(one)
+        count += size
+    return parts
+
+
+def parts_of(files: Iterable[Path], rows: int) -> list[list[Path]]:
+    """Put files into parts of about so many readings."""
+    return packed(((path, _readings_in(path)) for path in files), rows)
+
+
+def cut(files: Iterable[ReadFile], rows: int) -> list[list[ReadFile]]:
+    """Put devices that were read into parts of about so many readings."""
+    pieces = list[tuple[ReadFile, int]]()
+    for name, devices in files:
+        known = devices.measurements
+        sized = ((n, len(known[n]) if n in known else 0) for n in devices.names)
+        some = map(devices.some, packed(sized, rows))
+        pieces += [(ReadFile(name, own), own.readings) for own in some]
+    return packed(pieces, rows)
+
+
+def _readings_in(path: Path) -> int:
+    """Return how many readings a file holds, about."""
+    if path.suffix.lower() == ".parquet":
+        with suppress(OSError, pa.ArrowException):  # damaged: whoever reads it says how
+            return pq.read_metadata(path).num_rows
+    return path.stat().st_size // BYTES_A_ROW
 
 
 def files_of(paths: Sequence[Path]) -> tuple[list[Path], dict[str, str]]:
@@ -127,27 +114,3 @@ def _why_not(path: Path) -> str:
     return (
         "" if suffix in ws.READ else f"{suffix or 'no suffix'} is none of the formats that are read"
     )
-
-
-def _pieces(path: Path, rows: int, device: str) -> Iterator[Piece]:
-    """A file; of a Parquet file that holds more rows, so many at a time, by device."""
-    whole = Piece(path, max(1, path.stat().st_size // BYTES_A_ROW))
-    if path.suffix.lower() != ".parquet":
-        yield whole
-        return
-    try:
-        with pq.ParquetFile(path) as file:
-            count, names = file.metadata.num_rows, file.schema_arrow.names
-            headers = zip(names, ws.arrow_headers(file.schema_arrow), strict=True)
-            column = next((name for name, header in headers if header.name == device), None)
-            if column is None or count <= rows:
-                yield Piece(path, max(1, count))
-                return
-            labels, counts = file.read(columns=[column]).column(column).value_counts().flatten()
-    except (OSError, pa.ArrowException):  # damaged: whoever reads it says how
-        yield whole
-        return
-    ends = np.cumsum(counts.to_numpy())
-    for part in np.split(np.arange(len(ends)), np.flatnonzero(np.diff((ends - 1) // rows)) + 1):
-        readings = int(ends[part[-1]] - ends[part[0]]) + counts[int(part[0])].as_py()
-        yield Piece(path, readings, column, labels.slice(part[0], len(part)))

@@ -56,6 +56,11 @@ class Devices:
     def __iter__(self) -> Iterator[bc.Measurements]:
         return iter(self.measurements.values())
 
+    def some(self, names: Sequence[str]) -> Devices:
+        """Some of the devices."""
+        kept = {n: self.measurements[n] for n in names if n in self.measurements}
+        return Devices(tuple(names), kept, {n: self.refused[n] for n in names if n in self.refused})
+
     def __repr__(self) -> str:
         return f"<{self.readings} readings of {len(self)} devices, {len(self.refused)} of them refused>"
 

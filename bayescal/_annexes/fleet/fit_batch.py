@@ -24,8 +24,8 @@ from bayescal._annexes.fleet.batch_result import (
     once_each,
     pooled,
 )
-from bayescal._annexes.fleet.device_files import Piece, ReadPiece, files_of, parts_of
-from bayescal._annexes.fleet.devices import DEVICE, Devices, gathered
+from bayescal._annexes.fleet.device_files import ReadFile, cut, files_of, parts_of
+from bayescal._annexes.fleet.devices import Devices, gathered
 from bayescal._annexes.fleet.engine import run_tasks
 from bayescal._annexes.fleet.find_devices import (
     DeviceStructure,
@@ -60,7 +60,7 @@ Readings = (
     | Path
     | Sequence[str | Path]
 )
-Part = Sequence[Piece | ReadPiece]
+Part = Sequence[Path | ReadFile]
 
 
 @dataclass(frozen=True)
@@ -73,14 +73,15 @@ class Request:
     find: Find | None  # what is looked for in each device, if anything is
     settings: bc.Settings  # that hold where this was asked, and are to hold on the workers
 
-    def read(self, part: Part) -> tuple[list[ReadPiece], dict[str, str]]:
+    def read(self, part: Part) -> tuple[list[ReadFile], dict[str, str]]:
         """Read a part; and why files of it cannot be used."""
-        found, unreadable = list[ReadPiece](), dict[str, str]()
-        for piece in part:
+        found, unreadable = list[ReadFile](), dict[str, str]()
+        for one in part:
             try:
-                found.append(ReadPiece(piece.name, piece.read(self.model, self.read_options)))
+                is_read = isinstance(one, ReadFile)
+                found.append(one if is_read else ReadFile.of(one, self.model, self.read_options))
             except (bc.InputError, OSError) as error:
-                unreadable[piece.name] = str(error)
+                unreadable[one.name] = str(error)
         return found, unreadable
 
 
@@ -161,7 +162,7 @@ class _Run:
             InputError: a part cannot be read.
         """
         options = self.request.fit_options
-        if not isinstance(self.parts[0][0], ReadPiece):
+        if not isinstance(self.parts[-1][0], ReadFile):
             if "T0" in options.reference:
                 return self
             ws.tell("reading all temperatures, for a common T0 (a reference given spares that)")
@@ -266,18 +267,20 @@ def fit_batch(
     read_options = ws.ReadOptions.of(model.instrument, **(columns or {}))
     request = Request(model, options, read_options, search, ws.settings())
     paths, unread, parts = _paths(readings), dict[str, str](), list[Part]()
+    rows = (FIND_ROWS if search else ROWS) if partition_rows is None else partition_rows
+    if rows < 1:
+        raise bc.InputError(f"partition_rows is {rows}: give at least 1")
     if paths:
         ws.refuse_missing([path for path in paths if not path.is_dir()])
         files, unread = files_of([p.resolve() for p in paths])
         ws.print_notes(line.strip() for line in first_few(unread, len(unread), "not read: "))
-        device = read_options.columns.get(DEVICE, DEVICE)
-        usual = FIND_ROWS if search else ROWS
-        parts += parts_of(files, usual if partition_rows is None else partition_rows, device)
-        if len(parts) == 1 and client is None:  # several of the steps below see its readings
-            known = {piece.name: piece for piece in request.read(parts[0])[0]}
-            parts = [[known.get(piece.name, piece) for piece in parts[0]]]
+        parts += parts_of(files, rows)
+        if len(parts) == 1:  # several of the steps below see its readings
+            read, unreadable = request.read(parts[0])
+            lost = [path for path in files if path.name in unreadable]
+            parts = [part for part in (lost, *cut(read, rows)) if part]
     else:
-        parts = [[ReadPiece("", _given(readings))]]
+        parts += cut([ReadFile("", _given(readings))], rows)
     if client is not None and client.cluster is None and client.dashboard_link:
         ws.tell(f"the cluster's dashboard: {client.dashboard_link}")
     with ws.deadline.until(time_limit):
