@@ -309,7 +309,7 @@ def device_numbers(given: list[str] | None) -> dict[str, int]:
 
 
 def _exports() -> dict[str, Callable[[ws.ExportCommand], ws.Answer]]:
-    from bayescal._annexes.imu.autopilot import AUTOPILOTS
+    from bayescal._annexes.imu.firmware_parameters import AUTOPILOTS
 
     return dict.fromkeys(AUTOPILOTS, parameters)
 
@@ -317,7 +317,7 @@ def _exports() -> dict[str, Callable[[ws.ExportCommand], ws.Answer]]:
 def _result(calibration: bc.Calibration, average: bc.Calibration | None) -> dict[str, Any]:
     if calibration.model.instrument.vector is None:
         return {"vector": None}
-    from bayescal._annexes.imu.vector_text import vector_data
+    from bayescal._annexes.imu.vector_files import vector_data
 
     return {"vector": vector_data(calibration, average)}
 
@@ -330,7 +330,7 @@ ANNEX = {
     "corrected": "bayescal:vector_correction",
     "noise_file": "bayescal:kalibr_yaml",
     "result": _result,
-    "coefficient_tables": f"{HERE}.vector_text:coefficient_tables",
+    "coefficient_tables": f"{HERE}.vector_files:coefficient_tables",
     "pictures": f"{HERE}.sphere:pictures",
     "log": f"{HERE}.logs:open_log",
     "scalar_readings": f"{HERE}.scalar_readings:scalar_readings",

@@ -30,7 +30,7 @@ from jaxtyping import Float
 
 import bayescal as bc
 from bayescal import workshop as ws
-from bayescal._annexes.imu.autopilot import AUTOPILOTS
+from bayescal._annexes.imu.firmware_parameters import AUTOPILOTS
 from bayescal._annexes.imu.plain_correction import PlainCorrection, plain_correction
 from bayescal._annexes.imu.vector_correction import VectorCorrection
 

@@ -22,8 +22,7 @@ import numpy as np
 
 import bayescal as bc
 from bayescal import workshop as ws
-from bayescal._annexes.imu.autopilot import AUTOPILOTS
-from bayescal._annexes.imu.firmware_parameters import axis_of
+from bayescal._annexes.imu.firmware_parameters import AUTOPILOTS, axis_of
 from bayescal._annexes.workbench import kept
 from bayescal._annexes.workbench.kept import Origin, SearchOptions, State, path_to, script
 
