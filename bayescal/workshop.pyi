@@ -184,7 +184,6 @@ from ._search.structures import Structure as Structure
 from ._search.walk import explore as explore
 
 # readings before they are measurements: tables, headers, columns, checks, rows of poses
-from ._tables.formats import arrow_headers as arrow_headers
 from ._tables.open_table import MAX_BYTES as MAX_BYTES
 from ._tables.open_table import READ as READ
 from ._tables.open_table import open_table as open_table
