@@ -41,6 +41,7 @@ from bayescal._annexes.imu.scalar_readings import MOUNTING, tangents
 from bayescal._annexes.imu.still_stretches import (
     LoggedRun,
     as_readings,
+    averaged,
     in_common,
     logged_runs,
     per_sample,
@@ -534,12 +535,5 @@ def _columns(
     made |= {"output": rows.output / unit, ws.UNCERTAINTY: rows.uncertainty / unit}
     made |= {ws.OF: np.array(rows.kinds)}
     made |= {name: rows.force[:, j] for j, name in enumerate(beside)}
-    inside = [log.inside(*w) for w in rows.windows]
-    for name in samples.columns:
-        if name in made or name in (*ws.DIRECTION, MOUNTING):
-            continue
-        values = samples[name]
-        # Labels do not average: the one at the begin holds.
-        each = [values[s.start] if values.dtype.kind != "f" else values[s].mean() for s in inside]
-        made[name] = np.array(each)
-    return made
+    rest = [n for n in samples.columns if n not in (*made, *ws.DIRECTION, MOUNTING)]
+    return made | averaged(samples, rest, (log.inside(*w) for w in rows.windows))

@@ -8,7 +8,7 @@ its blocks but for the outermost two, pooled over all poses: often 3 to 4 times 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from typing import Any, NamedTuple
 
@@ -164,6 +164,17 @@ def as_readings(
     return bc.Measurements.from_arrays(instrument, **given)
 
 
+def averaged(
+    log: bc.Measurements, names: Iterable[str], stretches: Iterable[slice]
+) -> dict[str, np.ndarray]:
+    """Columns averaged over stretches of a run; labels do not average: the one at the beginning holds."""
+    stretches = [*stretches]
+    return {
+        n: np.array([v[s].mean() if v.dtype.kind == "f" else v[s.start] for s in stretches])
+        for n, v in ((name, log[name]) for name in names)
+    }
+
+
 def in_common(one: Float[np.ndarray, "k 2"], other: Float[np.ndarray, "l 2"]) -> np.ndarray:
     """Windows in which both are still, at least half as long as the shortest stretch of either (m, 2)."""
     begin = np.maximum(one[:, None, 0], other[None, :, 0])
@@ -196,18 +207,13 @@ def poses(
     log = per_sample(log)
     codes = log.groups("run")[1]
     found = [run.still for run in logged_runs(log, instrument.vector.outputs, shortest).values()]
+    names = [n for n in log.columns if n not in ("output", ws.UNCERTAINTY, ws.OF, *ws.ACROSS)]
+    parts = [
+        averaged(log.select(codes == code), names, map(slice, still.first, still.last))
+        for code, still in enumerate(found)
+    ]
     columns = {ws.UNCERTAINTY: np.concatenate([still.uncertainty for still in found])}
-    for name in log.columns:
-        if name in ("output", ws.UNCERTAINTY, ws.OF, *ws.ACROSS):
-            continue
-        made = []
-        for code, still in enumerate(found):
-            values = log[name][codes == code]
-            pairs = zip(still.first, still.last, strict=True)
-            # Labels do not average: the one at the stretch's beginning holds for it.
-            label = log.unit(name) is None
-            made += [values[a] if label else np.mean(values[a:b]) for a, b in pairs]
-        columns[name] = np.array(made)
+    columns |= {name: np.concatenate([part[name] for part in parts]) for name in names}
     made = as_readings(columns, instrument, log)
     ratio = np.mean([still.ratio for still in found])
     said = (
