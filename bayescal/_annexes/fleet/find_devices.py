@@ -64,9 +64,8 @@ class Evidence:
 class DeviceStructure:
     """What is missing from one device's model."""
 
-    effects: tuple[
-        str, ...
-    ]  # effects, families: of the structure to use: forms, and what they are of
+    # effects, families: of the structure to use: forms, and what they are of
+    effects: tuple[str, ...]
     families: frozenset[str]
     possible: frozenset[str]  # effects of which one is missing, with probability 0.95
     evidence: Evidence  # of its structures

@@ -30,14 +30,11 @@ from bayescal import workshop as ws
 class Origin:
     """What was opened, for scripts, in which names of files are quoted."""
 
-    instrument: (
-        str  # name of an installed one, or my.py:INSTRUMENT; empty where it was made in Python
-    )
+    instrument: str  # name of an installed one, or my.py:INSTRUMENT; empty where made in Python
     files: tuple[str, ...]  # files, holdout: of readings, in full
     holdout: tuple[str, ...] = ()
-    read: Mapping[str, Any] = field(
-        default_factory=dict
-    )  # arguments of `bayescal.read` that are not its usual ones
+    # Arguments of `bayescal.read` that are not its usual ones.
+    read: Mapping[str, Any] = field(default_factory=dict)
     average: str | None = None  # time over which means are taken; None for single readings
     keep_spikes: bool = False  # whether single readings far from both neighbours stay
     effect_files: tuple[str, ...] = ()  # Python files with effects of the user's own, in full

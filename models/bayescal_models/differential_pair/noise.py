@@ -57,10 +57,15 @@ def ends(r: bc.Frame, values: Any) -> tuple[Any, Any]:
 
 
 class NoiseWhileChanging(bc.Noise):
-    """White noise, larger where the acceleration changes: σᵢ = σ·√(1 + (k·Δaᵢ²)²), Δaᵢ over a reading, g."""
+    """White noise, larger where the acceleration changes: σᵢ = σ·√(1 + (k·Δaᵢ²)²), Δaᵢ over a reading, g.
 
-    scale: bc.HalfCauchy = bc.HalfCauchy(100.0)  # prior of σ, output unit
-    share: bc.HalfCauchy = bc.HalfCauchy(1.0)  # prior of k, 1/g²
+    Attributes:
+        scale: prior of σ, output unit.
+        share: prior of k, 1/g².
+    """
+
+    scale: bc.HalfCauchy = bc.HalfCauchy(100.0)
+    share: bc.HalfCauchy = bc.HalfCauchy(1.0)
     gaussian: ClassVar[bool] = True
     law: ClassVar[str] = "while_changing"
     words: ClassVar[str] = "larger while the acceleration changes"

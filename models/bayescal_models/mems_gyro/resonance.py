@@ -43,16 +43,21 @@ class Resonance:
 
     With one K_ET in both modes and the amplitude held, the slope at T0 is `quadrature·K_ET`: the
     defaults give 0.0535 °/s/°C, the slope of the document's table, and are nearly straight.
+
+    Attributes:
+        quadrature: quadrature times the demodulation phase error, °/s, at T0.
+        k_drive, k_sense: relative loss of modulus per degree, 1/°C, of each mode.
+        ratio: sense over drive frequency at T0, without unit.
+        quality: Q of the sense mode at T0, without unit.
+        held: what the drive loop holds, "amplitude" or "force".
     """
 
-    quadrature: float = 669.0  # quadrature times the demodulation phase error, °/s, at T0
-    k_drive: float = (
-        8e-5  # k_drive, k_sense: relative loss of modulus per degree, 1/°C, of each mode
-    )
+    quadrature: float = 669.0
+    k_drive: float = 8e-5
     k_sense: float = 8e-5
-    ratio: float = 1.05  # sense over drive frequency at T0, without unit
-    quality: float = 1000.0  # Q of the sense mode at T0, without unit
-    held: str = "amplitude"  # what the drive loop holds, "amplitude" or "force"
+    ratio: float = 1.05
+    quality: float = 1000.0
+    held: str = "amplitude"
 
     def __post_init__(self) -> None:
         refuse_options(self, held=("amplitude", "force"))

@@ -136,16 +136,19 @@ def _slope(temperature: Array, values: Array) -> Tempco:
 
 @dataclass(frozen=True)
 class FixedPointTempcos:
-    """Scale-factor tempcos of fixed-point heating at (near +, near −) full scale, ppm/°C, in three ways."""
+    """Scale-factor tempcos of fixed-point heating at (near +, near −) full scale, ppm/°C, in three ways.
 
-    zero_subtracted: tuple[
-        float, float
-    ]  # the output of the zero position subtracted, as source 0 prescribes
-    bias_subtracted: (
-        tuple[float, float] | None
-    )  # the true bias subtracted; None if its tempco was not given
-    nothing_subtracted: tuple[float, float]  # the slope of the output alone
-    bias_tempco: float  # slope at the zero position, µg/°C
+    Attributes:
+        zero_subtracted: the output of the zero position subtracted, as source 0 prescribes.
+        bias_subtracted: the true bias subtracted; None if its tempco was not given.
+        nothing_subtracted: the slope of the output alone.
+        bias_tempco: slope at the zero position, µg/°C.
+    """
+
+    zero_subtracted: tuple[float, float]
+    bias_subtracted: tuple[float, float] | None
+    nothing_subtracted: tuple[float, float]
+    bias_tempco: float
 
 
 def fixed_point_tempcos(

@@ -23,16 +23,21 @@ VARIES = 0.01  # relative change of the commanded acceleration, above which it i
 
 @dataclass(frozen=True)
 class Ratio:
-    """λbd = λ1d/λ2d of a pair."""
+    """λbd = λ1d/λ2d of a pair.
 
-    median: (
-        float  # median, low, high: of the posterior, with the limits of its 95 % credible interval
-    )
+    Attributes:
+        median, low, high: of the posterior, with the limits of its 95 % credible interval.
+        sd: of the posterior; a robust one, (q84 − q16)/2, because a ratio need not have a variance.
+        document: the estimator of source 3, step 2.
+        document_reliable: whether its denominator Σu is away from zero.
+    """
+
+    median: float
     low: float
     high: float
-    sd: float  # of the posterior; a robust one, (q84 − q16)/2, because a ratio need not have a variance
-    document: float  # the estimator of source 3, step 2
-    document_reliable: bool  # whether its denominator Σu is away from zero
+    sd: float
+    document: float
+    document_reliable: bool
 
 
 @dataclass(frozen=True)

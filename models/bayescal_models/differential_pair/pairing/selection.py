@@ -57,9 +57,8 @@ def select(found: bc.Calibration | Devices, *, criterion: str = "residual") -> P
 class Figures(NamedTuple):
     """What is computed of all pairs."""
 
-    of_pair: dict[
-        str, Array
-    ]  # of_pair, of_ratio: figures of `Pair` and of `Ratio` by their names, (outer, inner)
+    # of_pair, of_ratio: figures of `Pair` and of `Ratio` by their names, (outer, inner)
+    of_pair: dict[str, Array]
     of_ratio: dict[str, Array]
     residual: Array  # draws, µg, (d, outer, inner)
     near_zero: Array  # whether the denominator of an order is, (inner, 4)
