@@ -29,6 +29,7 @@ ANSWER_SECONDS = 20.0  # seconds within which a scheduler answers
 RETRIES = 2  # of a task that failed; a worker that died does not count
 POLL_SECONDS = 2.0  # between looks at the workers
 WORKER_TIMEOUT = 200.0  # seconds without a worker, after which a run is given up
+LARGEST_TASKS = "4GB"  # which a scheduler takes without a warning: twice what a file may hold
 NOT_REACHED = "not reached ({}): give more time"
 
 
@@ -128,9 +129,12 @@ def run_tasks(
             except (bc.BayescalError, OSError) as error:
                 yield index, None, str(error)
         return
+    import dask.config
     from distributed import as_completed
 
-    futures = client.map(function, *zip(*tasks, strict=True), pure=False, retries=RETRIES)
+    # Devices that were read are part of a task.
+    with dask.config.set({"distributed.admin.large-graph-warning-threshold": LARGEST_TASKS}):
+        futures = client.map(function, *zip(*tasks, strict=True), pure=False, retries=RETRIES)
     left, idle, why = {future: i for i, future in enumerate(futures)}, 0.0, ""
     while left and not why:
         try:
