@@ -10,7 +10,6 @@ A state is a model; its script is the differences from each model to the next, i
 
 from __future__ import annotations
 
-import json
 import re
 import tempfile
 from collections.abc import Collection, Iterator, Mapping, Sequence
@@ -20,7 +19,7 @@ from datetime import datetime
 from importlib import metadata
 from itertools import takewhile
 from pathlib import Path
-from typing import Any, TypedDict
+from typing import Any
 
 import bayescal as bc
 from bayescal import workshop as ws
@@ -131,7 +130,8 @@ SCHEMA = "bayescal.workbench/2"
 FIRST = "session_1"  # the folder of a session, in that of --out
 
 
-class SavedState(TypedDict):
+@dataclass(frozen=True)
+class SavedState:
     """What session.json holds of a state, beside its calibration; its number is its place."""
 
     parent: int | None
@@ -140,17 +140,31 @@ class SavedState(TypedDict):
     changed: str
     identity: str
 
+    @classmethod
+    def of(cls, state: State) -> SavedState:
+        step = state.step
+        own = state.at.isoformat(), step.added, step.changed, ws.identity(state.calibration)
+        return cls(state.parent, *own)
 
-class SavedSession(TypedDict):
-    """What session.json holds."""
+
+@dataclass(frozen=True)
+class SavedSession:
+    """What session.json holds; ValueError where it can be none."""
 
     schema: str
     states: list[SavedState]
     current: int
     typed: list[str]
 
-
-_NUMBERED = re.compile(r"session_(\d+)")
+    def __post_init__(self) -> None:
+        if self.schema != SCHEMA:
+            raise ValueError(f"its schema is {self.schema!r}, expected {SCHEMA!r}")
+        for number, state in enumerate(self.states):
+            datetime.fromisoformat(state.at)
+            if state.parent not in (range(number) if number else (None,)):
+                raise ValueError(f"the parent of step {number} is none before it")
+        if self.current not in range(len(self.states)):
+            raise ValueError(f"there is no step {self.current}")
 
 
 def own_folder(folder: str | Path | None) -> Path:
@@ -180,22 +194,9 @@ def keep_session(
     Raises:
         InputError: it cannot be written.
     """
-    told: SavedSession = {
-        "schema": SCHEMA,
-        "states": [
-            {
-                "parent": s.parent,
-                "at": s.at.isoformat(),
-                "added": s.step.added,
-                "changed": s.step.changed,
-                "identity": ws.identity(s.calibration),
-            }
-            for _, s in sorted(states.items())
-        ],
-        "current": current,
-        "typed": [*typed],
-    }
-    ws.write_text(json.dumps(told, indent=2, ensure_ascii=False) + "\n", folder / SESSION)
+    told = [SavedState.of(s) for _, s in sorted(states.items())]
+    session = SavedSession(SCHEMA, told, current, [*typed])
+    ws.write_json(ws.as_json(session), folder / SESSION)
     ws.write_text(script, folder / SCRIPT)
 
 
@@ -206,18 +207,8 @@ def session_in(folder: Path) -> SavedSession:
         InputError: there is none, or none that can be read.
     """
     try:
-        told = ws.read_json(folder / SESSION)
-        if isinstance(told, dict) and told.get("schema") != SCHEMA:
-            raise ValueError(f"its schema is {told.get('schema')!r}, expected {SCHEMA!r}")
-        found = ws.as_type(told, SavedSession)
-        for number, state in enumerate(found["states"]):
-            datetime.fromisoformat(state["at"])
-            if state["parent"] not in (range(number) if number else (None,)):
-                raise ValueError(f"the parent of step {number} is none before it")
-        if found["current"] not in range(len(found["states"])):
-            raise ValueError(f"there is no step {found['current']}")
-        return found
-    except (OSError, ValueError, TypeError, KeyError, bc.InputError) as error:
+        return ws.read_json(folder / SESSION, SavedSession)
+    except (OSError, ValueError) as error:
         raise bc.InputError(
             f"{folder} holds no session that can be gone on with ({error}): begin one in another folder"
         ) from None
@@ -232,21 +223,14 @@ def states_in(
         InputError: a calibration is not there, or is another one.
     """
     given = () if instrument.name in ws.installed_names() else (instrument,)
-    for number, state in enumerate(told["states"]):
+    for number, state in enumerate(told.states):
         file = fit_of(folder, number)
         calibration = bc.load(file, effects=effects, instruments=given)
-        if ws.identity(calibration) != state["identity"]:
+        if ws.identity(calibration) != state.identity:
             raise bc.InputError(
                 f"{file} is not the one that {SESSION} tells of: begin in another folder"
             )
         yield state, calibration
-
-
-def last_session(folder: Path) -> Path | None:
-    """The session worked with last of those that a folder holds; None where it holds none."""
-    there = [p for p in folder.glob(f"session_*/{SESSION}") if _NUMBERED.fullmatch(p.parent.name)]
-    last = max(there, key=lambda p: (p.stat().st_mtime_ns, p.parent.name), default=None)
-    return None if last is None else last.parent
 
 
 def script(path: Sequence[State], origin: Origin, settings: SearchOptions, folder: Path) -> str:

@@ -174,7 +174,7 @@ class Session:
     def _go_on(self, model: bc.Model) -> None:
         """Take every state that the folder holds, whatever ended what made it."""
         told = kept.session_in(self.folder)
-        for line in told["typed"]:
+        for line in told.typed:
             made = bc.effect(line, readings=self.readings, instrument=model.instrument)
             self.own[made.name] = made
         effects, accepted = tuple(self.own.values()), self.settings.accept_conflicts
@@ -186,10 +186,9 @@ class Session:
                     "folder (--out), or remove it"
                 )
             step = ws.step_of(calibration, self.holdout, accepted)
-            step = replace(step, added=said["added"], changed=said["changed"])
-            at = datetime.fromisoformat(said["at"])
-            self._states[n] = State(n, said["parent"], step, at)
-        self._at = told["current"]
+            step = replace(step, added=said.added, changed=said.changed)
+            self._states[n] = State(n, said.parent, step, datetime.fromisoformat(said.at))
+        self._at = told.current
         kept.fit_of(self.folder, len(self._states)).unlink(missing_ok=True)  # of a state cut short
 
     @property

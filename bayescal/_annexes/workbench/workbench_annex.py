@@ -65,7 +65,7 @@ def _sessions(
 ) -> dict[str, Opened]:
     """The sessions of a server, by channel ("" where there is one output); the first of them is open."""
     names, (models, readings, kept) = [n for n in folders if n], opened
-    from bayescal._annexes.workbench.kept import FIRST, Origin, last_session
+    from bayescal._annexes.workbench.kept import FIRST, Origin
     from bayescal._annexes.workbench.serve import Opened
     from bayescal._annexes.workbench.session import Session
 
@@ -81,7 +81,7 @@ def _sessions(
         files = (asked.files, asked.holdout, how, own_files)
         origin = Origin.of(asked.instrument, *files, channel=channel, **averaged)
         given = {"holdout": kept.get(channel), "effects": own, "reference": reference, **settings}
-        given |= {"folder": last_session(folder) or folder / FIRST, "origin": origin}
+        given |= {"folder": folder / FIRST, "origin": origin}
         return Opened(partial(Session.open, models[channel], readings[channel], **given))
 
     found = {channel: of_channel(channel, folder) for channel, folder in folders.items()}
