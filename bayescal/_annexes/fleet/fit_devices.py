@@ -98,7 +98,8 @@ def fit_devices(
             ws.deadline.current().defer_interrupt()
             ws.deadline.current().ask()
         for i in [*left]:
-            made[i] = fit_alone(models[i], left.pop(i), options)
+            made[i] = fit_alone(models[i], left[i], options)
+            del left[i]
             ws.deadline.current().defer_interrupt()
             ws.deadline.current().ask()
     why = NOT_REACHED.format(ws.deadline.current().why)
