@@ -35,7 +35,6 @@ class TriadOptions(ws.ReadRequest, ws.AsJson, ws.Options):
 
     def refuse_options(self) -> None:
         """Refuse a name or a length that cannot be."""
-
         ws.sensor_name(self.name, "")
         if self.shortest is not None and not self.shortest > 0:
             raise bc.InputError(f"--shortest {self.shortest:g}: give a positive number of seconds")
@@ -83,7 +82,6 @@ class ImuCommand(TriadOptions, ws.Command):
     magnetometers: str | None = ws.opt("Their three columns, mx,my,mz; of a log, those it has.")
 
     def answer(self) -> ws.Answer:
-
         self.refuse_options()
         with ws.result_folder(self.out) as folder:
             logs = self.logs()
@@ -179,7 +177,6 @@ def _of_sensor(
     sensors: str, instrument: Any, problems: Sequence[ws.Objection]
 ) -> Sequence[ws.Objection]:
     """Objections of a log, with one sentence in place of three where it has none of a sensor's three columns."""
-
     if not (missing := _lacks_outputs(problems)):
         return problems
     words = (word for p in missing for word in shlex.split(p.option.strip("()")))
@@ -230,7 +227,6 @@ def _calibrated(
 
 def triad_text(trail: bc.SearchPath, correction: bc.VectorCorrection) -> str:
     """What is found of three axes: the errors, the coefficients, and offset and matrix as exports have them."""
-
     return f"{trail}\n\n{ws.coefficients_text(trail)}\n\n{correction}"
 
 
@@ -248,7 +244,6 @@ def _write(folder: Path, trail: Any, correction: Any, readings: Any, sensor: str
 
 def _draw(trails: Mapping[str, Any], folder: Path) -> bool:
     """Pictures and reports of three axes, in the folders of their results in this one, and a report of all."""
-
     made = [ws.drawn(ws.draw_search, trails, folder)]
 
     def reports() -> None:

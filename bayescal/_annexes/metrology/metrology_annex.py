@@ -31,7 +31,6 @@ class DecideCommand(ws.InUse, ws.DecisionRule, ws.AsJson, ws.Command):
     local_gravity: float | None = ws.Shared.local_gravity
 
     def answer(self) -> ws.Answer:
-
         found = bc.decide(
             ws.load_saved(self.calibration, self),
             self.limit,
