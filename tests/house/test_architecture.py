@@ -263,7 +263,7 @@ CEILINGS = {
     "bayescal/_search": 5_700,
     "bayescal/_report": 1_733,
     "bayescal/_cli": 1_778,
-    "bayescal/_annexes/fleet": 2_319,
+    "bayescal/_annexes/fleet": 2_320,
     "bayescal/_annexes/imu": 3_804,
     "bayescal/_annexes/metrology": 1_656,
     "bayescal/_annexes/workbench": 3_363,

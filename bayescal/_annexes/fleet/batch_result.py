@@ -201,9 +201,10 @@ def _results_of(rows: pa.Table) -> tuple[DeviceResult, ...]:
         names, units, mean, covariance = (
             [] if refused else [row[key] for row in own] for key in keys
         )
-        facts = (np.nan if first[key] is None else first[key] for key in ("readings", "T0"))
-        moments = np.array(mean), np.reshape(covariance, (len(mean), len(mean)))
-        found.append(DeviceResult(name, first["reason"], (*names,), (*units,), *moments, *facts))
+        readings, t0 = (np.nan if first[key] is None else first[key] for key in ("readings", "T0"))
+        square = np.reshape(covariance, (len(mean), len(mean)))
+        own = (*names,), (*units,), np.array(mean), square, readings, t0
+        found.append(DeviceResult(name, first["reason"], *own))
     if len({one.device for one in found}) < len(found):
         raise ValueError("rows of a device stand apart")
     return tuple(found)
