@@ -7,4 +7,9 @@ They may change with a version.
 
 import lazy_loader
 
+from bayescal._core import (
+    deadline as deadline,  # modules, which `lazy_loader` hands on from one place only
+)
+from bayescal._report import plot_colours as plot_colours
+
 __getattr__, __dir__, __all__ = lazy_loader.attach_stub("bayescal", __file__)

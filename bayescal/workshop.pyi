@@ -2,10 +2,21 @@
 
 # an annex, and what it may offer
 # a calibration: its identity, its files, what stands against it; its part of a report
+# what is said of a calibration
+from ._calibration.check import covariates_of as covariates_of
+from ._calibration.check import place_in_words as place_in_words
 from ._calibration.check import why_not as why_not
+from ._calibration.claim import Claim as Claim
+from ._calibration.judgement import noiseless as noiseless
+from ._calibration.prior_influence import NotMeasured as NotMeasured
+from ._calibration.prior_influence import coefficients_not_measured as coefficients_not_measured
+from ._calibration.prior_influence import not_measured as not_measured
+from ._calibration.sensor_noise import FILTER_QUANTILE as FILTER_QUANTILE
 from ._calibration.storage import identity as identity
 from ._calibration.storage import sources_of as sources_of
+from ._calibration.summary import null_directions as null_directions
 from ._calibration.summary import summary as summary
+from ._calibration.summary import unknown_rows as unknown_rows
 from ._cli.commands import ExportCommand as ExportCommand
 
 # commands: their options, what they are asked for, what they answer
@@ -27,6 +38,7 @@ from ._cli.options import named_values as named_values
 from ._cli.options import names_in as names_in
 from ._cli.options import opt as opt
 from ._cli.options import refuse_missing as refuse_missing
+from ._cli.output import coefficients_text as coefficients_text
 from ._cli.request import CALIBRATION as CALIBRATION
 from ._cli.request import compensator_from as compensator_from
 from ._cli.request import compose as compose
@@ -38,6 +50,9 @@ from ._cli.request import open_request as open_request
 from ._cli.request import own_effects as own_effects
 from ._cli.request import reliable as reliable
 from ._cli.request import searched as searched
+
+# modules whose names are a vocabulary: when work ends, colours
+from ._core import deadline as deadline
 
 # JSON, and the type that it must have
 from ._core.as_json import as_json as as_json
@@ -54,10 +69,15 @@ from ._core.formatting import WIDTH as WIDTH  # columns of a page
 from ._core.formatting import number as number
 from ._core.formatting import probability as probability
 from ._core.formatting import with_error as with_error
+from ._core.importance_weights import smoothed as smoothed
+from ._core.inverse import stepped as stepped
+from ._core.jax_setup import obey_no_folder as obey_no_folder
+from ._core.jit import compiled as compiled
 from ._core.json_shape import as_type as as_type
 from ._core.json_shape import parsed_json as parsed_json
 from ._core.json_shape import read_json as read_json
 from ._core.json_shape import read_toml as read_toml
+from ._core.parallel import on_one_thread as on_one_thread
 from ._core.progress import print_notes as print_notes
 from ._core.progress import stage as stage
 from ._core.progress import tell as tell
@@ -71,12 +91,37 @@ from ._core.result_table import Printed as Printed
 from ._core.result_table import ResultTable as ResultTable
 from ._core.result_table import TableColumn as TableColumn
 from ._core.result_table import plain_table as plain_table
+
+# what is kept of a process: settings, one thread, a compiled function, roots
+from ._core.settings import settings as settings
+from ._core.settings import unusual as unusual
 from ._core.templates import template as template
 
 # files of readings
 from ._data.column import UNCERTAINTY as UNCERTAINTY
+from ._data.column import Place as Place
+from ._data.column import Source as Source
+from ._data.column_conversion import convert_columns as convert_columns
+from ._data.dataset_checks import backward_time as backward_time
+from ._data.dataset_checks import same_temperature as same_temperature
+from ._data.header_matching import MatchedFile as MatchedFile
 from ._data.header_matching import ReadOptions as ReadOptions
 from ._data.header_matching import expected_columns as expected_columns
+from ._data.pose_rows import ACROSS as ACROSS
+from ._data.pose_rows import AXES as AXES
+from ._data.pose_rows import DIRECTION as DIRECTION
+from ._data.pose_rows import MAGNITUDE as MAGNITUDE
+from ._data.pose_rows import MAGNITUDE_READ as MAGNITUDE_READ
+from ._data.pose_rows import OF as OF
+from ._data.pose_rows import RATE as RATE
+from ._data.pose_rows import TURNED as TURNED
+from ._data.pose_rows import ellipsoid as ellipsoid
+from ._data.pose_rows import magnitude as magnitude
+from ._data.read_options import ExpectedColumns as ExpectedColumns
+from ._data.read_options import output_name as output_name
+from ._data.read_options import unit_of as unit_of
+from ._data.read_options import unused_options as unused_options
+from ._data.records import equal_runs as equal_runs
 
 # units
 from ._data.unit_conversion import STANDARD_GRAVITY as STANDARD_GRAVITY
@@ -87,7 +132,29 @@ from ._data.unit_conversion import parse as parse
 from ._data.unit_conversion import pretty as pretty
 from ._data.unit_conversion import same_dimension as same_dimension
 from ._data.unit_conversion import unit_label as unit_label
+from ._inference.method import Method as Method
+from ._inference.newton import ByValues as ByValues
+from ._inference.newton import climb as climb
+from ._inference.newton import gaussian_fit as gaussian_fit
+from ._inference.problem import Problem as Problem
+from ._inference.record import Record as Record
+from ._inference.sampling import around_mode as around_mode
+from ._inference.sampling import prior_share as prior_share
+from ._inference.sampling import propose as propose
+from ._inference.trust import unevenness as unevenness
+
+# a model on readings: its frame, its unknowns, the problem, and how a posterior is drawn
+from ._model.effect import with_forms as with_forms
+from ._model.formula import Formula as Formula
+from ._model.frame import build_frame as build_frame
+from ._model.frame import reference_name as reference_name
+from ._model.frame import reference_of as reference_of
+from ._model.installed import installed_names as installed_names
+from ._model.parameters import bind as bind
+from ._model.unknowns import Unknowns as Unknowns
+from ._report import plot_colours as plot_colours
 from ._report.plots import new_figure as new_figure
+from ._report.report import Pictures as Pictures
 from ._report.result_json import Chapter as Chapter
 from ._report.result_json import Foreword as Foreword
 from ._report.save_search import draw_search as draw_search
@@ -98,17 +165,46 @@ from ._report.whole_folder import drawing as drawing
 from ._report.whole_folder import files_of as files_of
 from ._report.whole_folder import folders_of as folders_of
 from ._report.whole_folder import whole_folder as whole_folder
+from ._search.calibrate import QUICK as QUICK
+
+# the search: structures, their posterior, the loop over them, its steps
+from ._search.calibrate import Loop as Loop
+from ._search.calibrate import step_of as step_of
+from ._search.discover import SEARCH as SEARCH
+from ._search.discover import structures_over as structures_over
+from ._search.gate import judged as judged
+from ._search.library import Library as Library
+from ._search.noise_laws import laws_over as laws_over
+from ._search.own_files import in_a_file as in_a_file
+from ._search.posterior import Posterior as Posterior
+from ._search.search_path import Step as Step
+from ._search.search_path import steps_table as steps_table
+from ._search.structures import SIZE_FACTORS as SIZE_FACTORS
+from ._search.structures import Structure as Structure
+from ._search.walk import explore as explore
+
+# readings before they are measurements: tables, headers, columns, checks, rows of poses
+from ._tables.open_table import MAX_BYTES as MAX_BYTES
+from ._tables.open_table import READ as READ
 from ._tables.open_table import open_table as open_table
 from ._tables.raw_table import Objection as Objection
 from ._tables.raw_table import Objections as Objections
 from ._tables.raw_table import Table as Table
 from ._tables.raw_table import as_format as as_format
+from ._tables.raw_table import load_whole as load_whole
 from ._tables.raw_table import option as option
 from ._tables.raw_table import unusable as unusable
 
+# an equation in use
+from ._use.budget import notes_on as notes_on
+
 # corrections, and the files that they are written to
 from ._use.compensation_program import NOT_RELIABLE as NOT_RELIABLE
+from ._use.compensation_program import PAST as PAST
 from ._use.compensation_program import CorrectionInUse as CorrectionInUse
+from ._use.compensation_program import averaged_over as averaged_over
+from ._use.compensation_program import inputs_at_fit as inputs_at_fit
+from ._use.compensation_program import limits as limits
 from ._use.correction_files import CorrectionKind as CorrectionKind
 from ._use.correction_files import as_data as as_data
 from ._use.correction_files import as_text as as_text
@@ -118,3 +214,6 @@ from ._use.correction_files import include_guard as include_guard
 from ._use.correction_files import load_correction as load_correction
 from ._use.correction_files import names_in_unit as names_in_unit
 from ._use.correction_files import sensor_name as sensor_name
+from ._use.operating_equation import ALL_DRAWS as ALL_DRAWS
+from ._use.operating_equation import STIMULUS as STIMULUS
+from ._use.operating_equation import equation_in_use as equation_in_use

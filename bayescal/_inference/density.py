@@ -18,8 +18,8 @@ from bayescal._inference.newton import NOWHERE, ByValues, Nearby
 from bayescal._inference.noise_on_record import (
     Independent,
     Whitening,
-    products_of_several,
     density_terms,
+    products_of_several,
     total_log_density,
     whitening,
 )

@@ -133,8 +133,8 @@ def products_of_several(
 
     By a filter of several states some at once, as in `_densities`.
     """
-    for _, alike in groupby(pairs, lambda pair: _width(pair[1])):
-        for white, table in alike:
+    for _, group in groupby(pairs, lambda pair: _width(pair[1])):
+        for white, table in (alike := iter(group)):
             if isinstance(white, Independent):
                 made, logdet = white.both(table)
                 yield made.T @ made, logdet

@@ -153,8 +153,8 @@ class Posterior:
     def chosen(self) -> Structure:
         """The one structure to use: effect by effect what is more probable in than out, given those before.
 
-        Of effects that one of is found, and none is in so, the most probable structure's is. What is used need not be found: that
-        is for the word "missing". The noise law is that of the most probable structure that has all of it.
+        Of effects that one of is found, and none is in so, the most probable structure's is. What is used need not be
+        found: that is for the word "missing". The noise law is that of the most probable structure that has all of it.
         Source: M. Barbieri and J. Berger, Ann. Statist. 32 (2004) 870 (the median probability model predicts best).
         """
         effects = frozenset(self.given)

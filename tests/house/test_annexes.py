@@ -17,78 +17,6 @@ from tests.house.test_startup import run_python
 # What one annex has from another: the workbench offers what these decide and write.
 FROM_OTHERS = {("workbench", "imu"), ("workbench", "metrology")}
 
-# What annexes still have from behind the two faces, `bayescal` and `bayescal.workshop`: a list that gets shorter.
-BEHIND = {
-    "fleet": """
-        _calibration.claim: Claim
-        _calibration.judgement: noiseless
-        _core: deadline
-        _core.importance_weights: smoothed
-        _core.jax_setup: obey_no_folder
-        _core.settings: settings unusual
-        _data.column: ConvertedColumns Place Source
-        _data.column_conversion: convert_columns
-        _data.dataset_checks: backward_time same_temperature
-        _data.header_matching: MatchedFile
-        _data.read_options: ExpectedColumns InstrumentLike output_name unit_of unused_options
-        _inference: trust
-        _inference.newton: ByValues climb gaussian_fit
-        _inference.method: Method
-        _inference.problem: Problem
-        _inference.record: Record
-        _inference.sampling: around_mode prior_share propose
-        _model.frame: Frame build_frame reference_name reference_of
-        _model.parameters: Layout bind
-        _model.unknowns: Unknowns
-        _search.discover: structures_over
-        _search.library: Library
-        _search.own_files: in_a_file
-        _search.posterior: Posterior
-        _search.walk: explore
-        _tables.cells: Cells
-        _tables.open_table: MAX_BYTES READ
-        _tables.formats: arrow_cells arrow_headers
-        _tables.raw_table: Table as_format load_whole refuse_large
-    """,
-    "imu": """
-        _calibration.sensor_noise: FILTER_QUANTILE
-        _cli.output: coefficients_text
-        _core: deadline
-        _core.inverse: stepped
-        _core.jit: compiled
-        _core.parallel: on_one_thread
-        _data.pose_rows: ACROSS AXES DIRECTION MAGNITUDE MAGNITUDE_READ OF RATE TURNED ellipsoid magnitude
-        _data.records: equal_runs
-        _inference.problem: Problem
-        _report.plot_colours: GREY
-        _use.compensation_program: AGAIN STIMULUS inputs_at_fit
-    """,
-    "metrology": """
-        _calibration.prior_influence: NotMeasured coefficients_not_measured not_measured
-        _use.budget: notes_on
-        _use.compensation_program: PAST averaged_over limits
-        _use.operating_equation: ALL_DRAWS STIMULUS equation_in_use
-    """,
-    "workbench": """
-        _calibration.check: covariates_of place_in_words
-        _calibration.summary: null_directions unknown_rows
-        _core: deadline
-        _model.effect: with_forms
-        _model.formula: Formula
-        _model.installed: GROUP installed_names
-        _report.plot_colours: BLUE CYCLE GREEN ORANGE PURPLE RED SKY
-        _report.report: Pictures
-        _report.whole_folder: AGAIN
-        _search.calibrate: Loop QUICK step_of
-        _search.discover: SEARCH
-        _search.gate: judged
-        _search.noise_laws: laws_over
-        _search.own_files: in_a_file
-        _search.search_path: Step steps_table
-        _search.structures: SIZE_FACTORS Structure
-    """,
-}
-
 
 def annex_of(module: str) -> str:
     """The annex that a module is of; of the core, none."""
@@ -119,7 +47,9 @@ def _imported(module: str) -> Iterator[tuple[str, str, str]]:
             whole = (a.name.partition(".")[2] for a in node.names if a.name[:9] == "bayescal.")
             yield from ((*name.rpartition(".")[::2], where) for name in whole)
         elif isinstance(node, ast.Attribute) and isinstance(node.value, ast.Name):
-            yield from [("", node.attr, where)] * (node.value.id in ("bc", "bayescal"))
+            faces = {"bc": "", "bayescal": "", "ws": "workshop"}
+            if (face := faces.get(node.value.id)) is not None:
+                yield face, node.attr, where
 
 
 def test_the_core_imports_no_annex_and_one_annex_no_other() -> None:
@@ -134,18 +64,15 @@ def test_the_core_imports_no_annex_and_one_annex_no_other() -> None:
 
 
 def test_an_annex_is_built_on_the_two_faces() -> None:
-    """And on nothing behind them but what is listed, of which nothing is left out that is no longer needed."""
-    found: dict[str, dict[str, set[str]]] = {annex: {} for annex in BEHIND}
-    for module in MODULES:
-        for of, name, _ in imported(module):
-            behind = of not in ("", "workshop") and not annex_of(f"{of}.{name}")
-            if behind and (annex := annex_of(module)):
-                found[annex].setdefault(of, set()).add(name)
-    listed = {
-        annex: {of: {*names.split()} for of, names in re.findall(r"(\S+):(.*)", text)}
-        for annex, text in BEHIND.items()
-    }
-    assert found == listed
+    """`bayescal` and `bayescal.workshop`; and on nothing behind them."""
+    behind = [
+        f"{where}: {of} {name}"
+        for module in MODULES
+        if annex_of(module)
+        for of, name, where in imported(module)
+        if of not in ("", "workshop") and not annex_of(f"{of}.{name}")
+    ]
+    assert not behind, "\n".join(behind)
 
 
 @pytest.mark.parametrize("name", sorted(workshop.__all__))

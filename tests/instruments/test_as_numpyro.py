@@ -73,7 +73,7 @@ def standard(name: str, value: Any, site: dict[str, Any]) -> tuple[str, Any]:
 @pytest.mark.nightly
 @pytest.mark.parametrize("instrument", INSTRUMENTS)
 def test_nuts_on_it_agrees(instrument: str) -> None:
-    """Means within a tenth of a standard deviation, widths within a tenth, and what draws of both scatter by beside them.
+    """Means within a tenth of a standard deviation, widths within a tenth, beside what draws of both scatter by.
 
     Widths are from the 16 % to the 84 % quantile: beside three runs of unknown spread a constant has a kurtosis of 20,
     and the standard deviation of a thousand draws is that of its tails' luck. Of n draws of a Gaussian such a width

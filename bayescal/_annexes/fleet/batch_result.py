@@ -3,29 +3,27 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
-from itertools import pairwise
+from itertools import groupby
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import pandas as pd
 import pyarrow as pa
-import pyarrow.compute as pc
-import pyarrow.dataset as pads
 import pyarrow.parquet as pq
-from jaxtyping import Float
 
-from bayescal import InputError
-from bayescal._annexes.fleet.odd_devices import FAMILY_WISE_ERROR
+import bayescal as bc
+from bayescal import workshop as ws
 from bayescal._annexes.fleet.population import Named, Population, follow, learn
-from bayescal.workshop import as_json, parsed_json, replacing_for_user, write_json
 
 FORMAT = "bayescal.batch/1"
 AGAIN = "Take a copy, or run the batch again"
 TABLE, SUMMARY = "devices.parquet", "fleet.json"  # of a result that is a folder
+# Probability that a fleet of like devices has one that is named; shared by all devices and quantities (C. Bonferroni).
+FAMILY_WISE_ERROR = 0.01
 SHOWN_DEVICES = 10  # devices, files that are named in print
 SHOWN_ALIKE = 3  # of those of which the same is said
 SCHEMA = pa.schema(
@@ -43,7 +41,6 @@ SCHEMA = pa.schema(
     ]
 )
 COLUMNS = SCHEMA.names[:7]  # of the table that a user sees
-FILE = "file"  # beside these, until it is known that no device stands in several
 EFFECTS = ["effect", "devices", "possible", "in fleet", "expected", "share", "low", "high"]
 
 
@@ -77,145 +74,41 @@ def odd_in_words(odd: Mapping[str, list[str]], devices: int) -> list[str]:
 NOT_CHECKED = "fitted is not checked: what the model lacks was looked for in none of them (--find, in Python find=True)"
 
 
-class Moments(NamedTuple):
-    """Posterior means and covariances of devices with the same unknowns.
-
-    Attributes:
-        at: their places among all devices, (b,).
-        names, units: of the unknowns.
-        mean: (b, q), in these units.
-        covariance: (b, q, q); NaN for what is held at its estimate (standard deviations, by least squares).
-        readings: how many were fitted, (b,).
-        t0: their reference temperature, °C; NaN where there is none, (b,).
-    """
-
-    at: np.ndarray
-    names: tuple[str | None, ...]
-    units: tuple[str | None, ...]
-    mean: np.ndarray
-    covariance: np.ndarray
-    readings: np.ndarray
-    t0: np.ndarray
-
-
-def rows_of(
-    devices: Sequence[str], files: Sequence[str], reasons: Sequence[str], fitted: Sequence[Moments]
-) -> pa.Table:
-    """Return one row for each device and unknown, in the order of the devices; one of a device that has none.
-
-    Args:
-        devices: names.
-        files: that each stands in.
-        reasons: what stands against each; "" where nothing does.
-        fitted: moments of those that have any.
-    """
-    refused = np.setdiff1d(np.arange(len(devices)), np.concatenate([[], *(m.at for m in fitted)]))
-    nothing = np.full((len(refused), 1, 1), np.nan)
-    none = Moments(refused, (None,), (None,), nothing[:, 0], nothing, *2 * (nothing[:, 0, 0],))
-    told = [pa.array(own, pa.string()) for own in (devices, reasons, files)]
-    ok = np.array([not why for why in reasons], dtype=bool)
-    tables, places = [], []
-    for m in (*fitted, none):
-        b, q = m.mean.shape
-        at = np.repeat(m.at, q).astype(int)
-        names, units = (pa.array(own * b, pa.string()) for own in (m.names, m.units))
-        ends = np.arange(0, b * q * q + 1, q, dtype=np.int32)
-        covariance = pa.ListArray.from_arrays(ends, m.covariance.ravel())
-        device, reason, file = (own.take(pa.array(at)) for own in told)
-        facts = np.repeat(m.readings, q).astype(float), np.repeat(m.t0, q).astype(float)
-        sd = _standard_deviations(m.covariance).ravel()
-        own = [device, names, m.mean.ravel(), sd, units, ok[at], reason, covariance, *facts, file]
-        tables.append(pa.table(own, schema=SCHEMA.append(pa.field(FILE, pa.string()))))
-        places.append(at)
-    return pa.concat_tables(tables).take(np.argsort(np.concatenate(places), kind="stable"))
-
-
-def _standard_deviations(covariance: Float[np.ndarray, "b q q"]) -> Float[np.ndarray, "b q"]:
-    variance = np.diagonal(covariance, axis1=1, axis2=2)
-    return np.sqrt(np.where(variance >= 0, variance, np.nan))
-
-
-def without_repeated(rows: pa.Table) -> pa.Table:
-    """Return the rows of one run, in which devices of several files are refused: which readings count is not known."""
-    files = rows.group_by("device").aggregate([(FILE, "distinct")]).to_pylist()
-    twice = {one["device"]: sorted(own) for one in files if len(own := one[f"{FILE}_distinct"]) > 1}
-    kept = rows.filter(pc.invert(pc.is_in(rows["device"], pa.array([*twice], pa.string()))))
-    why = [
-        f"device {name!r} stands in {len(own)} files, {own[0]!r} and {own[1]!r}: put its readings into one"
-        for name, own in twice.items()
-    ]
-    found = pa.concat_tables([kept, rows_of([*twice], [""] * len(twice), why, ())])
-    return found.drop_columns([FILE])
-
-
-def pooled(rows: pa.Table, named: Named, seed: int) -> tuple[pa.Table, Population]:
-    """Return rows under the population that is learned from the devices that are to be relied on: each moves toward it.
-
-    Raises:
-        ModelError: fewer than three of them.
-    """
-    mean, covariances = rows["mean"].to_numpy().copy(), rows["covariance"].combine_chunks()
-    squares, offsets = covariances.values.to_numpy().copy(), covariances.offsets.to_numpy()
-    names, good = rows["coefficient"].to_numpy(), rows["ok"].to_numpy()
-    alike: dict[tuple[str, ...], list[int]] = {}
-    for begin, end in spans(rows).values():
-        if good[begin]:
-            alike.setdefault((*names[begin:end],), []).append(begin)
-    groups, parts = list[Any](), list[Any]()
-    for own, begins in alike.items():
-        q, of = len(own), np.array([own.index(name) for name in named])
-        at = np.array(begins)[:, None] + np.arange(q)
-        places = (offsets[at[:, 0]][:, None] + np.arange(q * q)).reshape(-1, q, q)
-        groups.append((of, at, places))
-        parts.append((mean[at][:, of], squares[places][:, of[:, None], of]))
-    if not groups:
-        parts = [(np.zeros((0, len(named))), np.zeros((0, len(named), len(named))))]
-    population, *moments = learn(*map(np.concatenate, zip(*parts, strict=True)), named, seed)
-    sd, begin = rows["sd"].to_numpy().copy(), 0
-    for of, at, places in groups:
-        some = slice(begin, begin + len(at))
-        begin = some.stop
-        new = follow(mean[at], squares[places], of, *(m[some] for m in moments))
-        mean[at], squares[places] = new
-        sd[at] = _standard_deviations(new[1])
-    lists = pa.ListArray.from_arrays(covariances.offsets, squares)
-    for name, column in (("mean", mean), ("sd", sd), ("covariance", lists)):
-        rows = rows.set_column(SCHEMA.names.index(name), SCHEMA.field(name), pa.array(column))
-    return rows, population
-
-
-def spans(rows: pa.Table) -> dict[str, tuple[int, int]]:
-    """Return the rows of each device, from and to."""
-    devices = rows["device"].combine_chunks().dictionary_encode()
-    begins = np.flatnonzero(np.diff(devices.indices.to_numpy(), prepend=-1)).tolist()
-    return dict(zip(devices.dictionary.to_pylist(), pairwise([*begins, len(rows)]), strict=True))
-
-
 @dataclass(frozen=True, eq=False)
 class DeviceResult:
     """One device of a batch.
 
     Attributes:
         device: its name.
-        ok: whether its fit is to be relied on; what the model lacks is another question.
-        reason: why not: a refusal, or what the fit did not reach; empty if nothing.
+        reason: why its fit is not to be relied on: a refusal, or what the fit did not reach; empty if nothing.
         names, units: of its unknowns; none if it was refused.
         mean: (q,), in these units.
-        covariance: (q, q).
+        covariance: (q, q); NaN for what is held at its estimate (standard deviations, by least squares).
+        readings: how many were fitted; NaN if that is not known.
+        t0: reference temperature, °C; NaN where there is none.
+        file: that it stands in.
     """
 
-    device: str
-    ok: bool
-    reason: str
-    names: tuple[str, ...]
-    units: tuple[str, ...]
-    mean: np.ndarray
-    covariance: np.ndarray
+    device: str = ""
+    reason: str = ""
+    names: tuple[str, ...] = ()
+    units: tuple[str, ...] = ()
+    mean: np.ndarray = field(default_factory=partial(np.zeros, 0))
+    covariance: np.ndarray = field(default_factory=partial(np.zeros, (0, 0)))
+    readings: float = np.nan
+    t0: float = np.nan
+    file: str = ""
+
+    @property
+    def ok(self) -> bool:
+        """Whether its fit is to be relied on; what the model lacks is another question."""
+        return not self.reason
 
     @property
     def sd(self) -> np.ndarray:
-        """Standard uncertainties, (q,)."""
-        return np.sqrt(np.diag(self.covariance))
+        """Standard uncertainties, (q,); NaN for what is held."""
+        variance = np.diag(self.covariance)
+        return np.sqrt(np.where(variance >= 0, variance, np.nan))
 
     def __getitem__(self, name: str) -> tuple[float, float]:
         """Mean and standard uncertainty of one unknown.
@@ -224,7 +117,7 @@ class DeviceResult:
             InputError: nothing is called so.
         """
         if name not in self.names:
-            raise InputError(
+            raise bc.InputError(
                 f"device {self.device!r} has no unknown {name!r}; it has: {', '.join(self.names) or 'none'}"
                 f"{' (' + self.reason + ')' if self.reason else ''}"
             )
@@ -238,12 +131,91 @@ class DeviceResult:
         return "\n".join([head, *(f"  {n} = {m:.6g}{s} {u}" for n, m, s, u in rows)])
 
 
+def once_each(results: Iterable[DeviceResult]) -> tuple[DeviceResult, ...]:
+    """Refuse devices that stand in several files: which of their readings count is not known."""
+    own: dict[str, list[DeviceResult]] = {}
+    for one in results:
+        own.setdefault(one.device, []).append(one)
+    found = []
+    for name, each in own.items():
+        if len(each) == 1:
+            found.append(each[0])
+            continue
+        first, other, *_ = sorted(one.file for one in each)
+        why = f"device {name!r} stands in {len(each)} files, {first!r} and {other!r}: put its readings into one"
+        found.append(DeviceResult(name, why))
+    return tuple(found)
+
+
+def pooled(
+    results: Sequence[DeviceResult], named: Named, seed: int
+) -> tuple[tuple[DeviceResult, ...], Population]:
+    """Return results under the population that the reliable ones make: each of these moves toward it.
+
+    Raises:
+        ModelError: fewer than three of them.
+    """
+    good = [one for one in results if one.ok]
+    places = [np.array([one.names.index(name) for name in named]) for one in good]
+    size = len(named)
+    means = [one.mean[at] for one, at in zip(good, places, strict=True)]
+    covariances = [one.covariance[np.ix_(at, at)] for one, at in zip(good, places, strict=True)]
+    population, *moments = learn(
+        np.reshape(means, (-1, size)), np.reshape(covariances, (-1, size, size)), named, seed
+    )
+    moved = dict[str, DeviceResult]()
+    for one, at, mean, covariance in zip(good, places, *moments, strict=True):
+        mean, covariance = follow(one.mean, one.covariance, at, mean, covariance)
+        moved[one.device] = replace(one, mean=mean, covariance=covariance)
+    return tuple(moved.get(one.device, one) for one in results), population
+
+
+def _rows_of(results: Sequence[DeviceResult]) -> pa.Table:
+    """Return one row for each device and unknown, and one of a device that has none."""
+    columns: list[list[Any]] = [[] for _ in SCHEMA.names]
+    for one in results:
+        q = max(1, len(one.names))
+        own = (
+            [one.names, one.mean, one.sd, one.units, one.covariance] if one.names else [[None]] * 5
+        )
+        names, mean, sd, units, covariance = own
+        said = ([value] * q for value in (one.device, one.ok, one.reason, one.readings, one.t0))
+        device, ok, reason, readings, t0 = said
+        parts = (device, names, mean, sd, units, ok, reason, covariance, readings, t0)
+        for column, part in zip(columns, parts, strict=True):
+            column.extend(part)
+    return pa.table(columns, schema=SCHEMA)
+
+
+def _results_of(rows: pa.Table) -> tuple[DeviceResult, ...]:
+    """Return the devices of such rows.
+
+    Raises:
+        ValueError: rows of a device are missing, or stand apart.
+    """
+    found = list[DeviceResult]()
+    for name, group in groupby(rows.to_pylist(), lambda row: row["device"]):
+        first, *_ = own = [*group]
+        keys = ("coefficient", "unit", "mean", "covariance")
+        refused = first["coefficient"] is None
+        names, units, mean, covariance = (
+            [] if refused else [row[key] for row in own] for key in keys
+        )
+        readings, t0 = (np.nan if first[key] is None else first[key] for key in ("readings", "T0"))
+        square = np.reshape(covariance, (len(mean), len(mean)))
+        own = (*names,), (*units,), np.array(mean), square, readings, t0
+        found.append(DeviceResult(name, first["reason"], *own))
+    if len({one.device for one in found}) < len(found):
+        raise ValueError("rows of a device stand apart")
+    return tuple(found)
+
+
 @dataclass(frozen=True, eq=False)
 class BatchResult:
     """Fits of many devices. `result["A17"]` or `result[3]` is one device's; `table()` is all of them.
 
     Attributes:
-        rows: the numbers, a row for each device and unknown, with that of the covariance.
+        results: one a device, in the order in which they came.
         about: instrument, effects, method, seed and notes.
         population: what the devices have in common, if it was asked for.
         odd: devices that are not like the others, and in what.
@@ -253,7 +225,7 @@ class BatchResult:
         effects: where effects were looked for, one row an effect, as `effects_table` says; else no rows.
     """
 
-    rows: pa.Table
+    results: tuple[DeviceResult, ...]
     about: dict[str, Any]
     population: Population | None = None
     odd: dict[str, list[str]] = field(default_factory=dict)
@@ -263,38 +235,37 @@ class BatchResult:
     effects: pd.DataFrame = field(default_factory=partial(pd.DataFrame, columns=EFFECTS))
 
     @cached_property
-    def _spans(self) -> dict[str, tuple[int, int]]:
-        return spans(self.rows)
+    def _by_name(self) -> dict[str, DeviceResult]:
+        return {one.device: one for one in self.results}
 
-    @cached_property
-    def _firsts(self) -> pa.Table:
-        return self.rows.take(pa.array([begin for begin, _ in self._spans.values()], pa.int64()))
-
-    @cached_property
+    @property
     def devices(self) -> tuple[str, ...]:
         """Names, in the order in which they came."""
-        return tuple(self._spans)
+        return tuple(self._by_name)
 
     @property
     def ok(self) -> np.ndarray:
         """Whether each fit is to be relied on, (devices,); what the model lacks is another question."""
-        return self._firsts["ok"].to_numpy()
+        return np.array([one.ok for one in self.results], dtype=bool)
 
     @property
     def reasons(self) -> tuple[str, ...]:
         """Why not; empty where nothing stands against it."""
-        return tuple(self._firsts["reason"].to_pylist())
+        return tuple(one.reason for one in self.results)
 
     @property
     def facts(self) -> pd.DataFrame:
         """By device, how many readings were fitted, and their T0, °C; NaN where that is not known."""
-        return self._firsts.select(["readings", "T0"]).to_pandas().set_axis(self.devices)
+        facts = [(one.readings, one.t0) for one in self.results]
+        return pd.DataFrame(
+            facts, index=list(self.devices), columns=["readings", "T0"], dtype=float
+        )
 
     def __len__(self) -> int:
-        return len(self._spans)
+        return len(self.results)
 
     def __iter__(self) -> Iterator[DeviceResult]:
-        return (self[i] for i in range(len(self)))
+        return iter(self.results)
 
     def __getitem__(self, device: str | int) -> DeviceResult:
         """One device's result, by its name or by its place.
@@ -303,29 +274,18 @@ class BatchResult:
             InputError: there is no such device.
         """
         if isinstance(device, int) and -len(self) <= device < len(self):
-            device = self.devices[device]
-        if device not in self._spans:
+            return self.results[device]
+        if device not in self._by_name:
             shown = ", ".join(self.devices[:5])
-            raise InputError(f"there is no device {device!r} among the {len(self)}: {shown} …")
-        begin, end = self._spans[device]
-        own = self.rows.slice(begin, end - begin).to_pydict()
-        q = 0 if own["coefficient"][0] is None else end - begin
-        return DeviceResult(
-            device,
-            own["ok"][0],
-            own["reason"][0],
-            tuple(own["coefficient"][:q]),
-            tuple(own["unit"][:q]),
-            np.array(own["mean"][:q]),
-            np.array(own["covariance"][:q]).reshape(q, q),
-        )
+            raise bc.InputError(f"there is no device {device!r} among the {len(self)}: {shown} …")
+        return self._by_name[str(device)]
 
     def table(self) -> pd.DataFrame:
         """One row for each device and unknown: device, coefficient, mean, sd, unit, ok, reason.
 
         A device that was refused has one row without a coefficient. Devices in the order in which they came.
         """
-        return self.rows.select(COLUMNS).to_pandas()
+        return _rows_of(self.results).select(COLUMNS).to_pandas()
 
     @property
     def fitted(self) -> int:
@@ -342,7 +302,7 @@ class BatchResult:
 
         Columns: its median, the standard deviation between devices, the median standard uncertainty, unit, devices.
         """
-        good = self.rows.select(COLUMNS).filter(pads.field("ok")).to_pandas()
+        good = _rows_of([one for one in self.results if one.ok]).select(COLUMNS).to_pandas()
         rows = [
             [name, np.median(own["mean"]), own["mean"].std(ddof=0), np.median(own["sd"]), unit]
             + [len(own)]
@@ -354,7 +314,7 @@ class BatchResult:
     def data(self) -> dict[str, Any]:
         """The whole without its devices, as plain data."""
         told = ("checked", "odd", "missing", "left_out", "about")
-        return as_json(
+        return ws.as_json(
             {
                 "schema": FORMAT,
                 "devices": len(self),
@@ -379,15 +339,15 @@ class BatchResult:
         path = Path(path)
         if not path.suffix:
             self.save(path / TABLE)
-            write_json(self.data(), path / SUMMARY)
+            ws.write_json(self.data(), path / SUMMARY)
             return path
         if path.suffix != ".parquet":
-            raise InputError(
+            raise bc.InputError(
                 f"a batch is saved as Parquet: name the file ….parquet, not {path.name!r}"
             )
         head = {"bayescal": json.dumps(self.data(), allow_nan=False)}
-        with replacing_for_user(path) as place:
-            table = self.rows.replace_schema_metadata(head)
+        with ws.replacing_for_user(path) as place:
+            table = _rows_of(self.results).replace_schema_metadata(head)
             pq.write_table(table, place, write_page_checksum=True)
         return path
 
@@ -414,27 +374,22 @@ def load_batch(path: str | Path) -> BatchResult:
     """
     path = Path(path) / TABLE if Path(path).is_dir() else Path(path)
     if not path.is_file():
-        raise InputError(f"There is no file {path}: give a batch saved by bayescal")
+        raise bc.InputError(f"There is no file {path}: give a batch saved by bayescal")
     try:
         table = pq.read_table(path, page_checksum_verification=True)
-        head = parsed_json((table.schema.metadata or {})[b"bayescal"])
+        head = ws.parsed_json((table.schema.metadata or {})[b"bayescal"])
         if head["schema"] != FORMAT:
             raise KeyError(head["schema"])
         for name in {*SCHEMA.names} - {*table.column_names}:  # facts, of earlier files
             table = table.append_column(name, pa.nulls(len(table), pa.float64()))
         told = ("about", "odd", "checked", "missing", "left_out")
-        found = BatchResult(
-            table.select(SCHEMA.names).cast(SCHEMA),
+        return BatchResult(
+            _results_of(table.select(SCHEMA.names).cast(SCHEMA)),
             population=head["population"] and Population.of_data(head["population"]),
             effects=pd.DataFrame(head.get("effects", []), columns=EFFECTS),
             **{name: head[name] for name in told if name in head},
         )
-        counts = np.array([end - begin for begin, end in found._spans.values()], dtype=int)
-        lengths = pc.list_value_length(found.rows["covariance"]).fill_null(1).to_numpy()
-        if not np.array_equal(lengths, np.repeat(counts, counts)):
-            raise ValueError("rows of a device are missing")
-        return found
     except Exception as error:  # whatever a damaged file makes Arrow raise
-        raise InputError(
+        raise bc.InputError(
             f"{path.name} is no batch of this version, or a damaged one ({type(error).__name__}). {AGAIN}"
         ) from None

@@ -1,113 +1,72 @@
-"""Files of many devices: those in folders, in parts of about so many readings, each read by itself.
-
-A part is a few files, or some of the devices of a large Parquet file.
-"""
+"""Files of many devices: those in folders, and parts of about so many readings, of files or of devices."""
 
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
-from functools import cache
+from collections.abc import Iterable, Sequence
+from contextlib import suppress
 from pathlib import Path
+from typing import NamedTuple, TypeVar
 
-import numpy as np
 import pyarrow as pa
-import pyarrow.compute as pc
-import pyarrow.dataset as pads
 import pyarrow.parquet as pq
 
-from bayescal import InputError, Model
+import bayescal as bc
+from bayescal import workshop as ws
 from bayescal._annexes.fleet.devices import Devices, open_readings, split_table
-from bayescal._tables.cells import Cells
-from bayescal._tables.formats import arrow_cells, arrow_headers
-from bayescal._tables.open_table import MAX_BYTES, READ
-from bayescal._tables.raw_table import Table, as_format, refuse_large
-from bayescal.workshop import ReadOptions, one_line
 
+T = TypeVar("T")
 BYTES_A_ROW = 30  # of a text file, a log
 
 
-@dataclass(frozen=True)
-class Piece:
-    """A file, or some of the devices of a Parquet file.
-
-    Attributes:
-        path: of the file.
-        readings: in it, estimated for what is no Parquet.
-        column: name of the column of devices, of some of which this is; "" of a whole file.
-        devices: their labels.
-    """
-
-    path: Path
-    readings: int
-    column: str = ""
-    devices: pa.Array | None = None
-
-    @property
-    def name(self) -> str:
-        """What messages call it."""
-        if self.devices is None:
-            return self.path.name
-        return f"{self.path.name}, devices {self.devices[0]} to {self.devices[-1]}"
-
-    def read(self, model: Model, options: ReadOptions) -> Devices:
-        """Read its devices; refuse what cannot be read, or is too large once unpacked."""
-        table = open_readings(self.path, options) if self.devices is None else self._open()
-        needs = tuple(dict.fromkeys(c for e in model.effects for c in e.columns))
-        return split_table(table, self.path.stem, model.instrument, options, needs)
-
-    def _open(self) -> Table:
-        file = self.path.name
-        with as_format(file, "Parquet"):
-            dataset = pads.dataset(self.path, format="parquet")
-            refuse_large(file, self.readings, len(dataset.schema), MAX_BYTES)
-            own = dataset.to_table(filter=pads.field(self.column).isin(self.devices))
-
-        def load(wanted: Mapping[int, bool]) -> dict[int, Cells]:
-            return {p: arrow_cells(own.column(p), number) for p, number in wanted.items()}
-
-        @cache
-        def rows() -> np.ndarray:
-            column = dataset.to_table([self.column]).column(0)
-            return np.flatnonzero(pc.is_in(column, self.devices).to_numpy())  # pyright: ignore
-
-        def place(index: int) -> str:
-            return f"row {rows()[index] + 1}"
-
-        return Table(file, arrow_headers(own.schema), own.num_rows, load, place=place)
-
-
-@dataclass(frozen=True)
-class ReadPiece:
-    """Devices that were read already, or given."""
+class ReadFile(NamedTuple):
+    """The devices of a file, or those that were given."""
 
     name: str
     devices: Devices
 
-    def read(self, model: Model, options: ReadOptions) -> Devices:
-        return self.devices
+    @classmethod
+    def of(cls, path: Path, model: bc.Model, options: ws.ReadOptions) -> ReadFile:
+        """Read a file; refuse what cannot be read, or is too large once unpacked."""
+        needs = tuple(dict.fromkeys(c for e in model.effects for c in e.columns))
+        table = open_readings(path, options)
+        return cls(path.name, split_table(table, path.stem, model.instrument, options, needs))
 
 
-def parts_of(files: Sequence[Path], rows: int, device: str) -> list[tuple[Piece, ...]]:
-    """Cut files into parts of about so many readings.
-
-    Args:
-        files: of readings.
-        rows: readings in a part.
-        device: the files' name of the column of devices.
-
-    Raises:
-        InputError: `rows` is none.
-    """
-    if rows < 1:
-        raise InputError(f"partition_rows is {rows}: give at least 1")
-    parts: list[list[Piece]] = [[]]
-    for piece in (piece for path in files for piece in _pieces(path, rows, device)):
-        if parts[-1] and sum(p.readings for p in parts[-1]) + piece.readings > rows:
+def packed(sized: Iterable[tuple[T, int]], most: int) -> list[list[T]]:
+    """Put things, with their sizes, in their order into parts of at most so much, or of one thing."""
+    parts, count = list[list[T]]([[]]), 0
+    for one, size in sized:
+        if parts[-1] and count + size > most:
             parts.append([])
-        parts[-1].append(piece)
-    return [*map(tuple, parts)]
+            count = 0
+        parts[-1].append(one)
+        count += size
+    return parts
+
+
+def parts_of(files: Iterable[Path], rows: int) -> list[list[Path]]:
+    """Put files into parts of about so many readings."""
+    return packed(((path, _readings_in(path)) for path in files), rows)
+
+
+def cut(files: Iterable[ReadFile], rows: int) -> list[list[ReadFile]]:
+    """Put devices that were read into parts of about so many readings."""
+    pieces = list[tuple[ReadFile, int]]()
+    for name, devices in files:
+        known = devices.measurements
+        sized = ((n, len(known[n]) if n in known else 0) for n in devices.names)
+        some = map(devices.some, packed(sized, rows))
+        pieces += [(ReadFile(name, own), own.readings) for own in some]
+    return packed(pieces, rows)
+
+
+def _readings_in(path: Path) -> int:
+    """Return how many readings a file holds, about."""
+    if path.suffix.lower() == ".parquet":
+        with suppress(OSError, pa.ArrowException):  # damaged: whoever reads it says how
+            return pq.read_metadata(path).num_rows
+    return path.stat().st_size // BYTES_A_ROW
 
 
 def files_of(paths: Sequence[Path]) -> tuple[list[Path], dict[str, str]]:
@@ -130,15 +89,15 @@ def files_of(paths: Sequence[Path]) -> tuple[list[Path], dict[str, str]]:
             folders[:] = [name for name in folders if not whys[name]]
             own += [Path(place, name) for name in names if not whys[name]]
             here = Path(place).relative_to(path)
-            left_out |= {one_line(here / name): why for name, why in whys.items() if why}
+            left_out |= {ws.one_line(here / name): why for name, why in whys.items() if why}
         files += sorted(own)
     if not files:
         unread = "".join(f"; {name}: {why}" for name, why in list(left_out.items())[:3])
-        raise InputError(
-            f"no file of readings in {', '.join(map(str, paths))}: one of {', '.join(READ)} was expected{unread}"
+        raise bc.InputError(
+            f"no file of readings in {', '.join(map(str, paths))}: one of {', '.join(ws.READ)} was expected{unread}"
         )
     if len({p.resolve() for p in files}) < len(files):
-        raise InputError("a file of readings was given twice: give each file once")
+        raise bc.InputError("a file of readings was given twice: give each file once")
     return files, left_out
 
 
@@ -152,28 +111,6 @@ def _why_not(path: Path) -> str:
     if not path.is_file():
         return "a link to nothing, a pipe or a device"
     suffix = path.suffix.lower()
-    return "" if suffix in READ else f"{suffix or 'no suffix'} is none of the formats that are read"
-
-
-def _pieces(path: Path, rows: int, device: str) -> Iterator[Piece]:
-    """A file; of a Parquet file that holds more rows, so many at a time, by device."""
-    whole = Piece(path, max(1, path.stat().st_size // BYTES_A_ROW))
-    if path.suffix.lower() != ".parquet":
-        yield whole
-        return
-    try:
-        with pq.ParquetFile(path) as file:
-            count, names = file.metadata.num_rows, file.schema_arrow.names
-            headers = zip(names, arrow_headers(file.schema_arrow), strict=True)
-            column = next((name for name, header in headers if header.name == device), None)
-            if column is None or count <= rows:
-                yield Piece(path, max(1, count))
-                return
-            labels, counts = file.read(columns=[column]).column(column).value_counts().flatten()
-    except (OSError, pa.ArrowException):  # damaged: whoever reads it says how
-        yield whole
-        return
-    ends = np.cumsum(counts.to_numpy())
-    for part in np.split(np.arange(len(ends)), np.flatnonzero(np.diff((ends - 1) // rows)) + 1):
-        readings = int(ends[part[-1]] - ends[part[0]]) + counts[int(part[0])].as_py()
-        yield Piece(path, readings, column, labels.slice(part[0], len(part)))
+    return (
+        "" if suffix in ws.READ else f"{suffix or 'no suffix'} is none of the formats that are read"
+    )

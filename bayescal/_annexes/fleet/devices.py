@@ -9,29 +9,14 @@ from __future__ import annotations
 import itertools
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cache
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pandas as pd
 
-from bayescal import Column, InputError, Measurements
-from bayescal._data.column import ConvertedColumns, Place, Source
-from bayescal._data.column_conversion import convert_columns
-from bayescal._data.dataset_checks import backward_time, same_temperature
-from bayescal._data.header_matching import MatchedFile
-from bayescal._data.read_options import (
-    ExpectedColumns,
-    InstrumentLike,
-    output_name,
-    unit_of,
-    unused_options,
-)
-from bayescal._tables.cells import Cells
-from bayescal._tables.open_table import MAX_BYTES
-from bayescal._tables.raw_table import Table, load_whole
-from bayescal.workshop import Objections, ReadOptions, base_unit, expected_columns, open_table
+import bayescal as bc
+from bayescal import workshop as ws
 
 DEVICE = "device"
 
@@ -49,27 +34,32 @@ class Devices:
     """
 
     names: tuple[str, ...]
-    measurements: dict[str, Measurements]
+    measurements: dict[str, bc.Measurements]
     refused: dict[str, str] = field(default_factory=dict)
 
     def __len__(self) -> int:
         return len(self.names)
 
-    def __getitem__(self, name: str) -> Measurements:
+    def __getitem__(self, name: str) -> bc.Measurements:
         """One device's readings.
 
         Raises:
             InputError: no device is called so, or it was refused.
         """
         if name in self.refused:
-            raise InputError(f"device {name!r} was refused: {self.refused[name]}")
+            raise bc.InputError(f"device {name!r} was refused: {self.refused[name]}")
         if name in self.measurements:
             return self.measurements[name]
         shown = ", ".join(self.names[:5])
-        raise InputError(f"no device is called {name!r}; there are {len(self)}: {shown} …")
+        raise bc.InputError(f"no device is called {name!r}; there are {len(self)}: {shown} …")
 
-    def __iter__(self) -> Iterator[Measurements]:
+    def __iter__(self) -> Iterator[bc.Measurements]:
         return iter(self.measurements.values())
+
+    def some(self, names: Sequence[str]) -> Devices:
+        """Some of the devices."""
+        kept = {n: self.measurements[n] for n in names if n in self.measurements}
+        return Devices(tuple(names), kept, {n: self.refused[n] for n in names if n in self.refused})
 
     def __repr__(self) -> str:
         return f"<{self.readings} readings of {len(self)} devices, {len(self.refused)} of them refused>"
@@ -80,14 +70,14 @@ class Devices:
         return sum(map(len, self))
 
     @classmethod
-    def of(cls, measurements: Mapping[str, Measurements], refused: Mapping[str, str]) -> Devices:
+    def of(cls, measurements: Mapping[str, bc.Measurements], refused: Mapping[str, str]) -> Devices:
         """Let in all devices but those that are refused."""
         names = tuple(dict.fromkeys([*measurements, *refused]))
         kept = {name: own for name, own in measurements.items() if name not in refused}
         return cls(names, kept, dict(refused))
 
 
-def gathered(readings: Sequence[Measurements] | Mapping[str, Measurements]) -> Devices:
+def gathered(readings: Sequence[bc.Measurements] | Mapping[str, bc.Measurements]) -> Devices:
     """Devices from measurements, named by their key, by their label of column `device`, or by their place."""
     if isinstance(readings, Mapping):
         given = {str(name): own for name, own in readings.items()}
@@ -99,12 +89,12 @@ def gathered(readings: Sequence[Measurements] | Mapping[str, Measurements]) -> D
     return Devices.of(given, bad)
 
 
-def _label(one: Measurements, index: int) -> str:
+def _label(one: bc.Measurements, index: int) -> str:
     levels = one.groups(DEVICE)[0] if one.has(DEVICE) else ()
     return levels[0] if len(levels) == 1 else str(index + 1)
 
 
-def _not_finite(name: str, one: Measurements) -> str:
+def _not_finite(name: str, one: bc.Measurements) -> str:
     """Return where a number is none; "" where all are (arrays made by hand were checked by no file reader)."""
     for column in one.columns:
         if one.unit(column) is None or column == "temperature_point":
@@ -119,10 +109,10 @@ def _not_finite(name: str, one: Measurements) -> str:
 
 def split_devices(
     paths: str | Path | Sequence[str | Path],
-    instrument: InstrumentLike,
+    instrument: bc.Instrument,
     *,
     needs: Sequence[str] = (),
-    max_bytes: int = MAX_BYTES,
+    max_bytes: int = ws.MAX_BYTES,
     **how: Any,
 ) -> Devices:
     """Read files that hold many devices, split by the column `device`; a file without one is a device by itself.
@@ -145,14 +135,14 @@ def split_devices(
     """
     given = [Path(p) for p in ([paths] if isinstance(paths, str | Path) else paths)]
     if not given:
-        raise InputError("no file was given to split into devices: give at least one")
-    options = ReadOptions.of(instrument, **{k: v for k, v in how.items() if v is not None})
+        raise bc.InputError("no file was given to split into devices: give at least one")
+    options = ws.ReadOptions.of(instrument, **{k: v for k, v in how.items() if v is not None})
     whole = Devices((), {})
     for path in given:
         table = open_readings(path, options, max_bytes)
         own = split_table(table, path.stem, instrument, options, needs)
         if twice := {*whole.names}.intersection(own.names):
-            raise InputError(
+            raise bc.InputError(
                 f"{path.name!r} holds device {min(twice)!r}, which a file before it holds too: put the "
                 "readings of a device into one file"
             )
@@ -161,24 +151,24 @@ def split_devices(
     return whole
 
 
-def open_readings(path: Path, options: ReadOptions, max_bytes: int = MAX_BYTES) -> Table:
+def open_readings(path: Path, options: ws.ReadOptions, max_bytes: int = ws.MAX_BYTES) -> ws.Table:
     """A file of readings as a table; of a log, the channels that the options name.
 
     Raises:
         InputError: it cannot be read, or is larger than it may be.
     """
     if path.is_file() and path.stat().st_size > max_bytes:
-        raise InputError(
+        raise bc.InputError(
             f"{path.name!r} is larger than {max_bytes} bytes: split it, or raise max_bytes"
         )
-    return open_table(path, path.name, max_bytes, options.decimal, options.headers)
+    return ws.open_table(path, path.name, max_bytes, options.decimal, options.headers)
 
 
 def split_table(
-    table: Table,
+    table: ws.Table,
     stem: str,
-    instrument: InstrumentLike,
-    options: ReadOptions,
+    instrument: bc.Instrument,
+    options: ws.ReadOptions,
     needs: Sequence[str] = (),
 ) -> Devices:
     """The devices of one table; without a column `device` it is a device called `stem`.
@@ -186,34 +176,24 @@ def split_table(
     Raises:
         InputError: as `split_devices`.
     """
-    problems, options = Objections(table.problems), options.of_file(table)
-    unused_options([table], options, problems)
+    problems, options = ws.Objections(table.problems), options.of_file(table)
+    ws.unused_options([table], options, problems)
     problems.refuse()
-    further = _further(table, instrument, options, needs)
-    output = output_name(instrument)
-    expects = ExpectedColumns(
-        instrument.name, (*instrument.columns, *further), instrument.nominal_scale, output
-    )
-    file = MatchedFile(table, expects, options, problems)
-    table, places = _read_once(file.table), file.positions
+    columns = (*instrument.columns, *_further(table, instrument, options, needs))
+    output = ws.output_name(instrument)
+    expects = ws.ExpectedColumns(instrument.name, columns, instrument.nominal_scale, output)
+    file = ws.MatchedFile(table, expects, options, problems)
     problems.refuse()
-    labels = np.full(table.rows, stem, dtype=object)
-    if DEVICE in places:
-        labels = table.load({places[DEVICE]: False})[places[DEVICE]].values
-        # The labels are at hand: as a column they would be checked, level by level, once more.
-        table = _less(table, places[DEVICE])
-        columns = {ours: theirs for ours, theirs in options.columns.items() if ours != DEVICE}
-        options = replace(options, columns=columns)
+    table, labels = file.table, np.full(table.rows, stem, dtype=object)
+    if (position := file.positions.get(DEVICE)) is not None:
+        labels = ws.load_whole(table, {position: False})[position].values
     codes, levels = pd.factorize(labels)
     if "" in levels:
         where = table.place(int(np.argmax(labels == "")))
-        raise InputError(f"{where} of {table.file!r} names no device: fill it in, or remove it")
+        raise bc.InputError(f"{where} of {table.file!r} names no device: fill it in, or remove it")
     names = tuple(map(str, levels))
-    converted, rows, refused = _convert_usable(table, codes, names, expects, options)
-    values, units = converted.values, converted.units
-    if DEVICE in places:
-        values, units = {**values, DEVICE: labels[rows]}, {**units, DEVICE: None}
-    found, needed = dict[str, Measurements](), {c.name for c in instrument.columns if c.required}
+    values, units, rows, refused = _convert_usable(table, codes, names, expects, options)
+    found, needed = dict[str, bc.Measurements](), {c.name for c in columns if c.required}
     begin = np.flatnonzero(np.diff(codes[rows], prepend=-1))
     for first, end in itertools.pairwise([*begin, len(rows)]):
         name = names[codes[rows[first]]]
@@ -221,60 +201,40 @@ def split_table(
         if why := _useless(own, name, "temperature" in needed and "temperature" in own):
             refused[name] = why
         else:
-            source = Source(f"{table.file}, device {name}", table.sha256, int(end - first))
-            found[name] = Measurements(own, units, (source,), output=output)
+            source = ws.Source(f"{table.file}, device {name}", table.sha256, int(end - first))
+            found[name] = bc.Measurements(own, units, (source,), output=output)
     return Devices(names, found, refused)
 
 
-def _read_once(table: Table) -> Table:
-    """The table, whose columns are kept once they were read: rows of it are taken again and again."""
-
-    @cache
-    def cells(position: int, number: bool) -> Cells:
-        return load_whole(table, {position: number})[position]
-
-    return replace(table, load=lambda wanted: {p: cells(p, n) for p, n in wanted.items()})
-
-
-def _less(table: Table, position: int) -> Table:
-    """A table without one of its columns."""
-    rest = [i for i in range(len(table.headers)) if i != position]
-
-    def load(wanted: Mapping[int, bool]) -> dict[int, Cells]:
-        cells = table.load({rest[p]: number for p, number in wanted.items()})
-        return {p: cells[rest[p]] for p in wanted}
-
-    return replace(table, headers=tuple(table.headers[i] for i in rest), load=load)
-
-
 def _further(
-    table: Table, instrument: InstrumentLike, options: ReadOptions, needs: Iterable[str]
-) -> tuple[Column, ...]:
+    table: ws.Table, instrument: bc.Instrument, options: ws.ReadOptions, needs: Iterable[str]
+) -> tuple[bc.Column, ...]:
     """Columns that effects need and the instrument does not know, in their base units."""
     headers = {h.name: h for h in table.headers}
     further = []
-    for name in [n for n in needs if n not in expected_columns(instrument)]:
+    for name in [n for n in needs if n not in ws.expected_columns(instrument)]:
         header = headers.get(options.columns.get(name, name))
-        if header is not None and (unit := unit_of(header, name, options)) is not None:
-            further.append(Column(name, base_unit(unit), required=False))
+        if header is not None and (unit := ws.unit_of(header, name, options)) is not None:
+            further.append(bc.Column(name, ws.base_unit(unit), required=False))
     return tuple(further)
 
 
 def _convert_usable(
-    table: Table,
+    table: ws.Table,
     codes: np.ndarray,
     names: Sequence[str],
-    instrument: InstrumentLike,
-    options: ReadOptions,
-) -> tuple[ConvertedColumns, np.ndarray, dict[str, str]]:
-    """The columns of all devices whose cells can be used, their rows of the table, and why the others cannot."""
+    expects: ws.ExpectedColumns,
+    options: ws.ReadOptions,
+) -> tuple[Mapping[str, np.ndarray], Mapping[str, str | None], np.ndarray, dict[str, str]]:
+    """Columns, with their units, of all devices whose cells can be used; their rows; why the others cannot."""
     rows, refused = np.argsort(codes, kind="stable"), dict[str, str]()
     while rows.size:
-        problems, some = Objections(), table.take(rows)
-        converted = convert_columns(some, instrument, options, problems)
+        problems, some = ws.Objections(), table.take(rows)
+        converted = ws.convert_columns(some, expects, options, problems)
         if not problems:
-            return converted, rows if converted.kept is None else rows[converted.kept], refused
-        Objections(p for p in problems if not p.rows).refuse()
+            rows = rows if converted.kept is None else rows[converted.kept]
+            return converted.values, converted.units, rows, refused
+        ws.Objections(p for p in problems if not p.rows).refuse()
         bad: dict[int, str] = {}
         for problem in problems:
             for index in problem.rows:
@@ -282,12 +242,12 @@ def _convert_usable(
                 bad[int(codes[rows[index]])] = str(one)
         refused |= {names[code]: why for code, why in bad.items()}
         rows = rows[~np.isin(codes[rows], list(bad))]
-    return ConvertedColumns(), rows, refused
+    return {}, {}, rows, refused
 
 
 def _useless(columns: dict[str, np.ndarray], name: str, warm: bool) -> str:
     """Return that a device has one temperature only, where it needs more, or time running backwards; "" otherwise."""
     file = f"device {name}"
-    problems = [*same_temperature(columns, file)] if warm else []
-    problems += backward_time(columns, lambda row: Place(f"reading {row + 1}", file))
+    problems = [*ws.same_temperature(columns, file)] if warm else []
+    problems += ws.backward_time(columns, lambda row: ws.Place(f"reading {row + 1}", file))
     return str(problems[0]) if problems else ""

@@ -17,10 +17,8 @@ from concurrent.futures import CancelledError
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
 
-from bayescal import BayescalError, InputError
-from bayescal._core import deadline
-from bayescal._core.jax_setup import obey_no_folder
-from bayescal.workshop import print_notes
+import bayescal as bc
+from bayescal import workshop as ws
 
 if TYPE_CHECKING:
     from distributed import Client, LocalCluster
@@ -31,6 +29,7 @@ ANSWER_SECONDS = 20.0  # seconds within which a scheduler answers
 RETRIES = 2  # of a task that failed; a worker that died does not count
 POLL_SECONDS = 2.0  # between looks at the workers
 WORKER_TIMEOUT = 200.0  # seconds without a worker, after which a run is given up
+LARGEST_TASKS = "4GB"  # which a scheduler takes without a warning: twice what a file may hold
 NOT_REACHED = "not reached ({}): give more time"
 
 
@@ -42,7 +41,7 @@ def open_cluster(workers: int | None, scheduler: str | None = None) -> Iterator[
         InputError: Dask is not installed, or nobody answers at the address.
     """
     if importlib.util.find_spec("distributed") is None:
-        raise InputError(INSTALL)
+        raise bc.InputError(INSTALL)
     from distributed import Client
 
     if scheduler is None:
@@ -52,7 +51,7 @@ def open_cluster(workers: int | None, scheduler: str | None = None) -> Iterator[
     try:
         client = Client(scheduler, timeout=ANSWER_SECONDS)
     except (OSError, ValueError, TimeoutError) as error:
-        raise InputError(
+        raise bc.InputError(
             f"no scheduler answers at {scheduler!r} ({error}): start one with `dask scheduler`, and workers with "
             "`dask worker`"
         ) from None
@@ -73,7 +72,7 @@ def _local_cluster(workers: int | None) -> Iterator[LocalCluster]:
             "any user of this computer can have the workers run code as long as they run, because they have no keys: "
             "pip install cryptography"
         )
-        print_notes([said])
+        ws.print_notes([said])
     settings = {f"distributed.{part}.http.routes": [] for part in ("scheduler", "worker")}
     settings["distributed.worker.preload"] = [__name__]  # has each worker call `dask_setup`
     with (
@@ -105,7 +104,7 @@ def _modules_of_no_folder() -> Iterator[None]:
 
 def dask_setup(_: Any) -> None:
     """What each worker of this machine does before its first task."""
-    obey_no_folder()
+    ws.obey_no_folder()
 
 
 # Which task, what it returned, why it failed: empty where it did not.
@@ -119,7 +118,7 @@ def run_tasks(
 
     Tasks that the deadline leaves out, and those of a cluster that is gone, fail with that reason.
     """
-    end = deadline.current()
+    end = ws.deadline.current()
     if client is None:
         for index, task in enumerate(tasks):
             if index and end.over:
@@ -127,12 +126,15 @@ def run_tasks(
                 continue
             try:
                 yield index, function(*task), ""
-            except (BayescalError, OSError) as error:
+            except (bc.BayescalError, OSError) as error:
                 yield index, None, str(error)
         return
+    import dask.config
     from distributed import as_completed
 
-    futures = client.map(function, *zip(*tasks, strict=True), pure=False, retries=RETRIES)
+    # Devices that were read are part of a task.
+    with dask.config.set({"distributed.admin.large-graph-warning-threshold": LARGEST_TASKS}):
+        futures = client.map(function, *zip(*tasks, strict=True), pure=False, retries=RETRIES)
     left, idle, why = {future: i for i, future in enumerate(futures)}, 0.0, ""
     while left and not why:
         try:
@@ -163,7 +165,7 @@ def _outcome(client: Client, future: Any) -> tuple[Any, str]:
         gone = client.status != "running" or future.status in ("cancelled", "lost")
         if isinstance(error, KilledWorker):
             why = "the workers that it ran on died one after the other: is there memory enough?"
-        elif gone and not isinstance(error, BayescalError):
+        elif gone and not isinstance(error, bc.BayescalError):
             address = "" if client.scheduler is None else f" at {client.scheduler.address}"
             why = f"the scheduler{address} is gone: start it again"
         return None, why

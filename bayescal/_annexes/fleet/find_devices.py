@@ -21,16 +21,10 @@ import pandas as pd
 from jaxtyping import Float
 from scipy.special import expit
 
-from bayescal import Effect, Measurements, Model
+import bayescal as bc
+from bayescal import workshop as ws
 from bayescal._annexes.fleet.batch_result import EFFECTS
 from bayescal._annexes.fleet.fit_devices import Reference
-from bayescal._core import deadline
-from bayescal._core.settings import settings
-from bayescal._model.frame import reference_of
-from bayescal._search.discover import structures_over
-from bayescal._search.library import Library
-from bayescal._search.posterior import Posterior
-from bayescal._search.walk import explore
 
 # Probability from which an effect of a device is kept, and printed of the whole: as that of a noise law.
 KEPT_PROBABILITY = 0.01
@@ -51,43 +45,35 @@ class Find:
         widen_noise: whether other noise laws are weighed.
     """
 
-    effects: tuple[Effect, ...] = ()
+    effects: tuple[bc.Effect, ...] = ()
     max_effects: int = 3
     widen_noise: bool = True
 
 
 @dataclass(frozen=True)
 class Evidence:
-    """What one device's readings say of its structures.
+    """What one device's readings say of its structures."""
 
-    Attributes:
-        prior: effect → probability, before the readings, that a device lacks it; what it cannot show is not named.
-        log_evidence: sets of effects, all noise laws together → natural logarithm, up to a constant.
-    """
-
+    # effect → probability, before the readings, that a device lacks it; what it cannot show is not named
     prior: Mapping[str, float]
+    # sets of effects, all noise laws together → natural logarithm, up to a constant
     log_evidence: Mapping[tuple[str, ...], float]
 
 
 @dataclass(frozen=True)
 class DeviceStructure:
-    """What is missing from one device's model.
+    """What is missing from one device's model."""
 
-    Attributes:
-        effects, families: of the structure to use: forms, and what they are of.
-        possible: effects of which one is missing, with probability 0.95.
-        evidence: of its structures.
-    """
-
+    # effects, families: of the structure to use: forms, and what they are of
     effects: tuple[str, ...]
     families: frozenset[str]
-    possible: frozenset[str]
-    evidence: Evidence
+    possible: frozenset[str]  # effects of which one is missing, with probability 0.95
+    evidence: Evidence  # of its structures
 
 
 def search_device(
-    model: Model, readings: Measurements, find: Find, reference: Reference
-) -> tuple[DeviceStructure, Model]:
+    model: bc.Model, readings: bc.Measurements, find: Find, reference: Reference
+) -> tuple[DeviceStructure, bc.Model]:
     """The posterior over structures of one device, and the model of the one to use.
 
     Raises:
@@ -95,14 +81,14 @@ def search_device(
         TimeIsUp: the walk was ended early.
     """
     model.require(readings)
-    constants = {**reference_of(readings), **reference}
-    structures, _ = structures_over(
+    constants = {**ws.reference_of(readings), **reference}
+    structures, _ = ws.structures_over(
         model, readings, constants, effects=find.effects, widen_noise=find.widen_noise
     )
     structures = replace(structures, thrifty=True)
-    if stopped := explore(Library(structures), find.max_effects):
-        raise deadline.TimeIsUp(stopped)
-    posterior = Posterior.of(structures)
+    if stopped := ws.explore(ws.Library(structures), find.max_effects):
+        raise ws.deadline.TimeIsUp(stopped)
+    posterior = ws.Posterior.of(structures)
     chosen = posterior.chosen
     odds = {
         n: float(np.logaddexp.reduce([structures.log_odds[f] for f in own]))
@@ -118,7 +104,9 @@ def search_device(
     return structure, structures.weigh(chosen).model
 
 
-def _weighed(posterior: Posterior, log_odds: Mapping[str, float]) -> dict[tuple[str, ...], float]:
+def _weighed(
+    posterior: ws.Posterior, log_odds: Mapping[str, float]
+) -> dict[tuple[str, ...], float]:
     """Log evidence of sets of effects, in whatever form, less that of the best."""
     total: dict[tuple[str, ...], float] = {}
     for structure, log_posterior in zip(posterior.structures, posterior.total, strict=True):
@@ -136,20 +124,13 @@ NONE, ALL = 1e-12, 1 - 1e-12  # shares, as far as their log odds are taken
 
 
 class Share(NamedTuple):
-    """Of one effect.
+    """Of one effect."""
 
-    Attributes:
-        in_fleet: probability that any device has it.
-        share: of the devices that have it, its mean.
-        low, high: of its 95 % interval, if any device has it.
-        expected: number of devices that have it, its mean.
-    """
-
-    in_fleet: float
-    share: float
-    low: float
+    in_fleet: float  # probability that any device has it
+    share: float  # of the devices that have it, its mean
+    low: float  # low, high: of its 95 % interval, if any device has it
     high: float
-    expected: float
+    expected: float  # number of devices that have it, its mean
 
 
 def shares(devices: Sequence[Evidence], seed: int = 0, rounds: int = ROUNDS) -> dict[str, Share]:
@@ -203,8 +184,11 @@ def shares(devices: Sequence[Evidence], seed: int = 0, rounds: int = ROUNDS) -> 
 
 
 def common_model(
-    model: Model, structures: Sequence[DeviceStructure], table: pd.DataFrame, own: Sequence[Effect]
-) -> Model:
+    model: bc.Model,
+    structures: Sequence[DeviceStructure],
+    table: pd.DataFrame,
+    own: Sequence[bc.Effect],
+) -> bc.Model:
     """Return the model that all devices of a fleet are compared by: with the named effects that any of them has.
 
     Args:
@@ -213,7 +197,7 @@ def common_model(
         table: of the effects, as of `effects_table`.
         own: candidates of the user's own.
     """
-    there = {*table.loc[table["in fleet"] >= settings().found_probability, "effect"]}
+    there = {*table.loc[table["in fleet"] >= ws.settings().found_probability, "effect"]}
     named = {e.name: e for one in own for e in (one, *one.forms)}
     count = Counter(name for one in structures for name in one.effects)
     for name, _ in count.most_common():  # of a family its most frequent form

@@ -14,27 +14,18 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
-import pyarrow as pa
 
-from bayescal import (
-    BayescalError,
-    InputError,
-    LeastSquares,
-    Marginal,
-    Measurements,
-    Model,
-    Settings,
-    use_settings,
-)
+import bayescal as bc
+from bayescal import workshop as ws
 from bayescal._annexes.fleet.batch_result import (
     BatchResult,
+    DeviceResult,
     first_few,
+    once_each,
     pooled,
-    rows_of,
-    without_repeated,
 )
-from bayescal._annexes.fleet.device_files import Piece, ReadPiece, files_of, parts_of
-from bayescal._annexes.fleet.devices import DEVICE, Devices, gathered
+from bayescal._annexes.fleet.device_files import ReadFile, cut, files_of, parts_of
+from bayescal._annexes.fleet.devices import Devices, gathered
 from bayescal._annexes.fleet.engine import run_tasks
 from bayescal._annexes.fleet.find_devices import (
     DeviceStructure,
@@ -46,17 +37,12 @@ from bayescal._annexes.fleet.find_devices import (
 from bayescal._annexes.fleet.fit_devices import (
     CHUNK,
     FitOptions,
-    Method,
     Reference,
     fit_devices,
     tailored,
 )
 from bayescal._annexes.fleet.odd_devices import odd_devices
 from bayescal._annexes.fleet.population import AskedPopulation, chosen
-from bayescal._core import deadline
-from bayescal._core.settings import settings, unusual
-from bayescal._model.frame import reference_name
-from bayescal.workshop import ReadOptions, print_notes, refuse_missing, stage, tell
 
 if TYPE_CHECKING:
     from distributed import Client
@@ -68,89 +54,79 @@ HOLDS_PART = threading.Lock()  # a worker of several threads holds one part at a
 
 Readings = (
     Devices
-    | Sequence[Measurements]
-    | Mapping[str, Measurements]
+    | Sequence[bc.Measurements]
+    | Mapping[str, bc.Measurements]
     | str
     | Path
     | Sequence[str | Path]
 )
-Part = Sequence[Piece | ReadPiece]
+Part = Sequence[Path | ReadFile]
 
 
 @dataclass(frozen=True)
 class Request:
-    """What is fitted to every device, and how its file is read.
+    """What is fitted to every device, and how its file is read."""
 
-    Attributes:
-        model: what is fitted.
-        fit_options: of every fit.
-        read_options: how columns are understood.
-        find: what is looked for in each device, if anything is.
-        settings: that hold where this was asked, and are to hold on the workers.
-    """
+    model: bc.Model  # what is fitted
+    fit_options: FitOptions  # of every fit
+    read_options: ws.ReadOptions  # how columns are understood
+    find: Find | None  # what is looked for in each device, if anything is
+    settings: bc.Settings  # that hold where this was asked, and are to hold on the workers
 
-    model: Model
-    fit_options: FitOptions
-    read_options: ReadOptions
-    find: Find | None
-    settings: Settings
-
-    def read(self, part: Part) -> tuple[list[ReadPiece], dict[str, str]]:
+    def read(self, part: Part) -> tuple[list[ReadFile], dict[str, str]]:
         """Read a part; and why files of it cannot be used."""
-        found, unreadable = list[ReadPiece](), dict[str, str]()
-        for piece in part:
+        found, unreadable = list[ReadFile](), dict[str, str]()
+        for one in part:
             try:
-                found.append(ReadPiece(piece.name, piece.read(self.model, self.read_options)))
-            except (InputError, OSError) as error:
-                unreadable[piece.name] = str(error)
+                is_read = isinstance(one, ReadFile)
+                found.append(one if is_read else ReadFile.of(one, self.model, self.read_options))
+            except (bc.InputError, OSError) as error:
+                unreadable[one.name] = str(error)
         return found, unreadable
 
 
 class Fits(NamedTuple):
-    """What came of some parts.
+    """What came of some parts."""
 
-    Attributes:
-        rows: of their devices, as `BatchResult` has them.
-        structures: of the devices that were searched.
-        missing: file → why its devices have no results.
-    """
-
-    rows: pa.Table
-    structures: dict[str, DeviceStructure]
-    missing: dict[str, str]
+    results: tuple[DeviceResult, ...]  # of their devices
+    structures: dict[str, DeviceStructure]  # of the devices that were searched
+    missing: dict[str, str]  # file → why its devices have no results
 
 
 def fit_part(request: Request, part: Part) -> Fits:
     """Read and fit the devices of a part."""
-    with HOLDS_PART, use_settings(request.settings):
+    with HOLDS_PART, bc.use_settings(request.settings):
         (pieces, unreadable), options = request.read(part), request.fit_options
         every = [(piece, name) for piece in pieces for name in piece.devices.names]
-        reasons = {i: piece.devices.refused.get(name, "") for i, (piece, name) in enumerate(every)}
-        good = {i: every[i][0].devices[every[i][1]] for i, why in reasons.items() if not why}
+        refused = [piece.devices.refused.get(name) for piece, name in every]
+        fitted = {i: DeviceResult(reason=why) for i, why in enumerate(refused) if why}
+        good = {i: p.devices[name] for i, (p, name) in enumerate(every) if i not in fitted}
         structures, models = dict[str, DeviceStructure](), dict.fromkeys(good, request.model)
         for i in [*good] if request.find else ():
-            own = request.model, good[i], request.find, options.reference
+            how = request.find or Find(), options.reference
             try:
-                structures[every[i][1]], models[i] = search_device(*own)
-            except (BayescalError, deadline.TimeIsUp) as error:
-                reasons[i] = str(error)
+                structures[every[i][1]], models[i] = search_device(request.model, good[i], *how)
+            except (bc.BayescalError, ws.deadline.TimeIsUp) as error:
+                fitted[i] = DeviceResult(reason=str(error))
                 del good[i]
-        with deadline.finishing() if request.find else nullcontext():
-            fitted, against = fit_devices(models, good, options)
-        names, files = [name for _, name in every], [piece.name for piece, _ in every]
-        rows = rows_of(names, files, [*(reasons | against).values()], fitted)
-        return Fits(rows, structures, unreadable)
+        with ws.deadline.finishing() if request.find else nullcontext():
+            fitted |= fit_devices(models, good, options)
+        results = [
+            replace(fitted[i], device=name, file=piece.name)
+            for i, (piece, name) in enumerate(every)
+        ]
+        return Fits(tuple(results), structures, unreadable)
 
 
 def sum_temperatures(request: Request, part: Part) -> dict[str, np.ndarray]:
     """Return sum and number of a part's temperatures, by the name of each column's reference."""
     total: dict[str, np.ndarray] = {}
-    with use_settings(request.settings):
+    with bc.use_settings(request.settings):
         for one in (one for piece in request.read(part)[0] for one in piece.devices):
             for name in (n for n in one.columns if one.unit(n) == "degC"):
-                own = total.setdefault(reference_name(name), np.zeros(2))
+                own = total.setdefault(ws.reference_name(name), np.zeros(2))
                 own += np.sum(one[name]), len(one)
-    total.pop(reference_name("temperature_point"), None)
+    total.pop(ws.reference_name("temperature_point"), None)
     return total
 
 
@@ -172,7 +148,7 @@ class _Run:
             if time.monotonic() > last + PROGRESS_SECONDS:
                 last = time.monotonic()
                 rest = (last - begun) * (len(tasks) / count - 1)
-                tell(f"{count} of {len(tasks)} parts, about {rest:,.0f} s left")
+                ws.tell(f"{count} of {len(tasks)} parts, about {rest:,.0f} s left")
         return [own for _, own in sorted(values.items())], errors
 
     def asking(self, **changed: Any) -> _Run:
@@ -186,14 +162,14 @@ class _Run:
             InputError: a part cannot be read.
         """
         options = self.request.fit_options
-        if not isinstance(self.parts[0][0], ReadPiece):
+        if not isinstance(self.parts[-1][0], ReadFile):
             if "T0" in options.reference:
                 return self
-            tell("reading all temperatures, for a common T0 (a reference given spares that)")
-        with deadline.finishing():
+            ws.tell("reading all temperatures, for a common T0 (a reference given spares that)")
+        with ws.deadline.finishing():
             sums, errors = self.each(sum_temperatures)
         if errors:
-            raise InputError("; ".join(errors.values()))
+            raise bc.InputError("; ".join(errors.values()))
         names = dict.fromkeys(name for own in sums for name in own)
         total = {name: sum(own.get(name, np.zeros(2)) for own in sums) for name in names}
         common: Reference = {name: float(np.round(s / n)) for name, (s, n) in total.items()}
@@ -210,10 +186,10 @@ class _Run:
             for readings in (one for piece in self.request.read(part)[0] for one in piece.devices):
                 try:
                     return self.asking(model=tailored(model, readings))
-                except InputError as error:
+                except bc.InputError as error:
                     refusals.append(str(error))
         if refusals:
-            raise InputError(f"none of the devices can be used; {refusals[0]}")
+            raise bc.InputError(f"none of the devices can be used; {refusals[0]}")
         return self
 
     def fitted(self) -> Fits:
@@ -224,15 +200,15 @@ class _Run:
         for own in found:
             structures |= own.structures
             missing |= own.missing
-        rows = pa.concat_tables([rows_of((), (), (), ()), *(own.rows for own in found)])
-        return Fits(without_repeated(rows), structures, missing)
+        results = once_each(one for own in found for one in own.results)
+        return Fits(results, structures, missing)
 
 
 def fit_batch(
-    model: Model,
+    model: bc.Model,
     readings: Readings,
     *,
-    method: Method | None = None,
+    method: ws.Method | None = None,
     population: AskedPopulation = False,
     seed: int = 0,
     chunk: int = CHUNK,
@@ -281,31 +257,33 @@ def fit_batch(
         ModelError: a population of something that is no coefficient.
     """
     if chunk < 1:
-        raise InputError(f"chunk is {chunk}: give at least 1")
-    method = method or LeastSquares()
-    if isinstance(method, Marginal):  # chains of single devices, minutes each, are left to `fit`
+        raise bc.InputError(f"chunk is {chunk}: give at least 1")
+    method = method or bc.LeastSquares()
+    if isinstance(method, bc.Marginal):  # chains of single devices, minutes each, are left to `fit`
         method = replace(method, chains=False)
     options = FitOptions(method, seed, chunk, dict(reference or {}))
     chosen(model, population)  # a wrong name is refused before anything is read
     search = Find() if find is True else find or None
-    read_options = ReadOptions.of(model.instrument, **(columns or {}))
-    request = Request(model, options, read_options, search, settings())
+    read_options = ws.ReadOptions.of(model.instrument, **(columns or {}))
+    request = Request(model, options, read_options, search, ws.settings())
     paths, unread, parts = _paths(readings), dict[str, str](), list[Part]()
+    rows = (FIND_ROWS if search else ROWS) if partition_rows is None else partition_rows
+    if rows < 1:
+        raise bc.InputError(f"partition_rows is {rows}: give at least 1")
     if paths:
-        refuse_missing([path for path in paths if not path.is_dir()])
+        ws.refuse_missing([path for path in paths if not path.is_dir()])
         files, unread = files_of([p.resolve() for p in paths])
-        print_notes(line.strip() for line in first_few(unread, len(unread), "not read: "))
-        device = read_options.columns.get(DEVICE, DEVICE)
-        usual = FIND_ROWS if search else ROWS
-        parts += parts_of(files, usual if partition_rows is None else partition_rows, device)
-        if len(parts) == 1 and client is None:  # several of the steps below see its readings
-            known = {piece.name: piece for piece in request.read(parts[0])[0]}
-            parts = [[known.get(piece.name, piece) for piece in parts[0]]]
+        ws.print_notes(line.strip() for line in first_few(unread, len(unread), "not read: "))
+        parts += parts_of(files, rows)
+        if len(parts) == 1:  # several of the steps below see its readings
+            read, unreadable = request.read(parts[0])
+            lost = [path for path in files if path.name in unreadable]
+            parts = [part for part in (lost, *cut(read, rows)) if part]
     else:
-        parts = [[ReadPiece("", _given(readings))]]
+        parts += cut([ReadFile("", _given(readings))], rows)
     if client is not None and client.cluster is None and client.dashboard_link:
-        tell(f"the cluster's dashboard: {client.dashboard_link}")
-    with deadline.until(time_limit):
+        ws.tell(f"the cluster's dashboard: {client.dashboard_link}")
+    with ws.deadline.until(time_limit):
         run = _Run(request, parts, client)
         run = run.with_reference() if population else run
         result = _fit(run.tailored(), population)
@@ -323,9 +301,8 @@ def _fit(run: _Run, population: AskedPopulation) -> BatchResult:
     """
     model, options, find = run.request.model, run.request.fit_options, run.request.find
     named = chosen(model, population)
-    with stage("fitting devices"):
+    with ws.stage("fitting devices"):
         fitted = run.fitted()
-    rows = fitted.rows
     about = {
         "instrument": model.instrument.name,
         "effects": list(model.names),
@@ -334,25 +311,29 @@ def _fit(run: _Run, population: AskedPopulation) -> BatchResult:
         "seed": options.seed,
         "reference": {k: v for k, v in options.reference.items() if not isinstance(v, dict)},
     }
-    result = BatchResult(rows, about | ({"settings": own} if (own := unusual()) else {}))
-    if not rows["coefficient"].null_count < len(rows):
+    result = BatchResult(
+        fitted.results, about | ({"settings": own} if (own := ws.unusual()) else {})
+    )
+    if not any(one.names for one in result):
         reasons = result.doubted | fitted.missing
         lines = "\n".join(first_few(reasons, len(reasons))).strip()
-        raise InputError(f"none of the devices can be used; {lines or 'there is none'}")
+        raise bc.InputError(f"none of the devices can be used; {lines or 'there is none'}")
     structures = [fitted.structures[name] for name in result.devices if name in fitted.structures]
     effects = effects_table(structures, options.seed)
     common = common_model(model, structures, effects, find.effects if find else ())
-    t0, compared = result.facts["T0"], rows
+    t0, compared = result.facts["T0"], result.results
     apart = "T0" not in options.reference and t0.dropna().nunique() > 1
     if apart:  # offsets are compared at one temperature
         reference = {**options.reference, "T0": float(t0.median().round())}
-        options = replace(options, reference=reference, method=LeastSquares())
+        options = replace(options, reference=reference, method=bc.LeastSquares())
     if apart or common is not model:
-        compared = run.asking(model=common, fit_options=options, find=None).fitted().rows
-    rows, learned = pooled(rows, named, options.seed) if named else (rows, None)
+        compared = run.asking(model=common, fit_options=options, find=None).fitted().results
+    results, learned = result.results, None
+    if named:
+        results, learned = pooled(results, named, options.seed)
     return replace(
         result,
-        rows=rows,
+        results=results,
         population=learned,
         odd=odd_devices(compared, t0, common.noise.parameters()),
         checked=len(structures),
@@ -376,10 +357,10 @@ def _given(readings: Any) -> Devices:
         return readings
     given = readings if isinstance(readings, Mapping) else list(readings)
     if not len(given):
-        raise InputError("there is no device to fit: give at least one")
+        raise bc.InputError("there is no device to fit: give at least one")
     for i, one in enumerate(given.values() if isinstance(given, Mapping) else given):
-        if not isinstance(one, Measurements):
-            raise InputError(
+        if not isinstance(one, bc.Measurements):
+            raise bc.InputError(
                 f"fit_batch: entry {i + 1} of the readings is of type {type(one).__name__}; measurements were "
                 "expected, or paths"
             )

@@ -26,19 +26,10 @@ from typing import Any
 import numpy as np
 from jaxtyping import Bool, Float
 
-from bayescal import BayescalError, Calibration, LeastSquares, Measurements, Model, fit
-from bayescal._annexes.fleet.batch_result import Moments
+import bayescal as bc
+from bayescal import workshop as ws
+from bayescal._annexes.fleet.batch_result import DeviceResult
 from bayescal._annexes.fleet.engine import NOT_REACHED
-from bayescal._calibration.claim import Claim
-from bayescal._calibration.judgement import noiseless
-from bayescal._core import deadline
-from bayescal._inference.method import Method
-from bayescal._inference.problem import Problem
-from bayescal._inference.record import Record
-from bayescal._model.frame import Frame, build_frame, reference_of
-from bayescal._model.parameters import Layout, bind
-from bayescal._model.unknowns import Unknowns
-from bayescal.workshop import UNCERTAINTY
 
 Reference = dict[str, Any]  # constants of bases
 
@@ -56,27 +47,20 @@ NOISE = "noise.white"
 
 @dataclass(frozen=True)
 class FitOptions:
-    """How every device is fitted.
+    """How every device is fitted."""
 
-    Attributes:
-        method: of every fit.
-        seed: of every random number.
-        chunk: devices fitted at once at most.
-        reference: constants of the bases, in place of each device's own.
-    """
+    method: ws.Method  # of every fit
+    seed: int  # of every random number
+    chunk: int  # devices fitted at once at most
+    reference: Reference  # constants of the bases, in place of each device's own
 
-    method: Method
-    seed: int
-    chunk: int
-    reference: Reference
-
-    def reference_for(self, readings: Measurements) -> Reference:
+    def reference_for(self, readings: bc.Measurements) -> Reference:
         """Return the constants of a device."""
-        known = reference_of(readings)
+        known = ws.reference_of(readings)
         return known | {n: v for n, v in self.reference.items() if n in known}
 
 
-def tailored(model: Model, readings: Measurements) -> Model:
+def tailored(model: bc.Model, readings: bc.Measurements) -> bc.Model:
     """The model with its instrument tailored to one device's readings; the same where nothing has to be.
 
     What it has of the instrument's own (effects, the noise law) is that of the tailored one; what was changed stays. A
@@ -95,7 +79,7 @@ def tailored(model: Model, readings: Measurements) -> Model:
     }
     effects = tuple(sized.get(e.name, e) if e.name in parts else e for e in model.effects)
     noise = own.noise if model.noise == general.noise else model.noise
-    made = Model(own, effects, noise, model.fixed)
+    made = bc.Model(own, effects, noise, model.fixed)
     for name, part in parts.items():
         if part != 1:
             made = made.resize(name, part * made.effect(name).coefficients[0].size)
@@ -103,95 +87,93 @@ def tailored(model: Model, readings: Measurements) -> Model:
 
 
 def fit_devices(
-    models: Mapping[int, Model], devices: Mapping[int, Measurements], options: FitOptions
-) -> tuple[list[Moments], dict[int, str]]:
-    """Fit each device by its model, plain ones of a model together.
-
-    Returns:
-        Their moments, and why devices have none or none to rely on; those that the deadline leaves out are refused.
-    """
-    made, against, left = list[Moments](), dict[int, str](), dict(devices)
-    with suppress(deadline.TimeIsUp):
-        for moments in _fit_plain(models, devices, options):
-            made.append(moments)
-            for i in moments.at.tolist():
-                del left[i]
-            deadline.current().defer_interrupt()
-            deadline.current().ask()
+    models: Mapping[int, bc.Model], devices: Mapping[int, bc.Measurements], options: FitOptions
+) -> dict[int, DeviceResult]:
+    """Fit each device by its model, plain ones of a model together; refuse those that the deadline leaves out."""
+    made, left = dict[int, DeviceResult](), dict(devices)
+    with suppress(ws.deadline.TimeIsUp):
+        for some in _fit_plain(models, devices, options):
+            made |= some
+            left = {i: own for i, own in left.items() if i not in some}
+            ws.deadline.current().defer_interrupt()
+            ws.deadline.current().ask()
         for i in [*left]:
-            moments, why = fit_alone(models[i], i, left.pop(i), options)
-            made += [] if moments is None else [moments]
-            against |= {i: why} if why else {}
-            deadline.current().defer_interrupt()
-            deadline.current().ask()
-    return made, against | dict.fromkeys(left, NOT_REACHED.format(deadline.current().why))
+            made[i] = fit_alone(models[i], left[i], options)
+            del left[i]
+            ws.deadline.current().defer_interrupt()
+            ws.deadline.current().ask()
+    why = NOT_REACHED.format(ws.deadline.current().why)
+    return made | {i: DeviceResult(reason=why) for i in left}
 
 
-def fit_alone(
-    model: Model, index: int, readings: Measurements, options: FitOptions
-) -> tuple[Moments | None, str]:
+def fit_alone(model: bc.Model, readings: bc.Measurements, options: FitOptions) -> DeviceResult:
     """Fit one device by `fit`: the moments of its posterior, and what stands against it."""
     how: dict[str, Any] = {"seed": options.seed, "reference": options.reference_for(readings)}
     try:
-        found = fit(model, readings, options.method, strict=False, **how)
-    except BayescalError as error:
-        return None, str(error)
-    table = found.values.reshape(-1, len(found.unknowns))
+        found = bc.fit(model, readings, options.method, strict=False, **how)
+    except bc.BayescalError as error:
+        return DeviceResult(reason=str(error))
+    table, of = found.values.reshape(-1, len(found.unknowns)), found.unknowns
     covariance = np.atleast_2d(np.cov(table.T))
     held = np.ptp(table, axis=0) == 0
     covariance[held], covariance[:, held] = np.nan, np.nan
-    facts = np.array([len(readings)]), np.array([float(found.reference.get("T0", np.nan))])  # pyright: ignore
-    own = table.mean(axis=0)[None], covariance[None], *facts
-    moments = Moments(np.array([index]), found.unknowns.names, found.unknowns.units, *own)
-    return moments, " ".join(map(str, _against(found)))
+    reason, t0 = " ".join(map(str, _against(found))), float(found.reference.get("T0", np.nan))  # pyright: ignore
+    own = of.names, of.units, table.mean(axis=0), covariance, len(readings), t0
+    return DeviceResult("", reason, *own)
 
 
-def _against(found: Calibration) -> Sequence[Any]:
+def _against(found: bc.Calibration) -> Sequence[Any]:
     """Return what stands against a device that was fitted by itself."""
     if not found.verdict.ok:
         return found.verdict.reasons
     free = found.layout.size
     if NOISE not in dict(found.model.fixed) and len(found.readings) <= free:
-        return [Claim("readings.too_few", count=len(found.readings), free=free)]
-    return [said] if (said := noiseless(found)) else found.conflicts
+        return [ws.Claim("readings.too_few", count=len(found.readings), free=free)]
+    return [said] if (said := ws.noiseless(found)) else found.conflicts
 
 
 # Devices all at once ----------------------------------------------------------------------------------------------
 
 
 def _fit_plain(
-    models: Mapping[int, Model], devices: Mapping[int, Measurements], options: FitOptions
-) -> Iterator[Moments]:
+    models: Mapping[int, bc.Model], devices: Mapping[int, bc.Measurements], options: FitOptions
+) -> Iterator[dict[int, DeviceResult]]:
     """Fit devices of which nothing but the effects of one model may have acted on the outputs, and these linearly."""
     different = {id(model): model for model in models.values()}
-    if not isinstance(options.method, LeastSquares) or len(different) != 1:
+    if not isinstance(options.method, bc.LeastSquares) or len(different) != 1:
         return
     (model,) = different.values()
     known = {c.name for c in model.instrument.columns} | model.columns
     alike: dict[Any, list[int]] = {}
     for i, one in devices.items():
         numbers = {name for name in one.columns if one.unit(name) is not None}
-        if numbers <= known and UNCERTAINTY not in numbers and {*model.columns} <= {*one.columns}:
+        if (
+            numbers <= known
+            and ws.UNCERTAINTY not in numbers
+            and {*model.columns} <= {*one.columns}
+        ):
             alike.setdefault((len(one), *one.columns), []).append(i)
     for (count, *_), every in alike.items():
         most = min(options.chunk, max(1, NUMBERS // count))
         for begin in range(0, len(every), most):
             some = every[begin : begin + most]
             references = [options.reference_for(devices[i]) for i in some]
-            frames = [build_frame(devices[i], r) for i, r in zip(some, references, strict=True)]
-            layout = bind(model, devices[some[0]], reference=references[0])[0]
-            whole = model.with_nuisances(devices[some[0]]) is model and layout.size < count
-            if not whole or (problem := _together(layout, frames)) is None:
+            frames = [ws.build_frame(devices[i], r) for i, r in zip(some, references, strict=True)]
+            first = devices[some[0]]
+            problem = _together(model, first, frames)
+            if problem is None or model.with_nuisances(first) is not model:
                 continue
             with np.errstate(all="ignore"):  # of devices that are no plain ones
                 plain, x, covariance, sd = _solve(problem, *_linearised(problem))
             if NOISE not in dict(model.fixed):
                 x = np.column_stack([x, sd])
                 covariance = np.pad(covariance, ((0, 0), (0, 1), (0, 1)), constant_values=np.nan)
+            of = ws.Unknowns.of(problem.layout)
             t0 = [r.get("T0", np.nan) for r in references]
-            of, at = Unknowns.of(layout), np.array(some)[plain]
-            own = x[plain], covariance[plain], np.full(len(at), count), np.array(t0)[plain]
-            yield Moments(at, of.names, of.units, *own)
+            yield {
+                some[k]: DeviceResult("", "", of.names, of.units, x[k], covariance[k], count, t0[k])
+                for k in np.flatnonzero(plain)
+            }
 
 
 def _stacked(each: Sequence[Any]) -> Any:
@@ -201,37 +183,41 @@ def _stacked(each: Sequence[Any]) -> Any:
     return np.stack(each)
 
 
-def _together(layout: Layout, frames: Sequence[Frame]) -> Problem | None:
+def _together(
+    model: bc.Model, first: bc.Measurements, frames: Sequence[bc.Frame]
+) -> ws.Problem | None:
     """Return a model on the readings of several devices at once; None where it has no closed form, or not together."""
-    model, blocks = layout.model, layout.blocks
+    layout = ws.bind(model, first, reference=frames[0].reference)[0]
     plain = all(
-        b.place != "input" and b.coefficient.per is None and not b.coefficient.flat for b in blocks
+        b.place != "input" and b.coefficient.per is None and not b.coefficient.flat
+        for b in layout.blocks
     )
-    sized = layout.size > 0 and not any(e.open for e in model.effects)
+    sized = 0 < layout.size < len(first) and not any(e.open for e in model.effects)
     if not (
         plain and sized and model.noise.first and all(h.kind == "noise" for h in layout.hypers)
     ):
         return None
     try:
-        each = {f.name: [getattr(one, f.name) for one in frames] for f in fields(Frame)}
-        together = Frame(**{name: _stacked(values) for name, values in each.items()})
+        each = {f.name: [getattr(one, f.name) for one in frames] for f in fields(bc.Frame)}
+        together = bc.Frame(**{name: _stacked(values) for name, values in each.items()})
         constants = {n: v[:, None] for n, v in together.reference.items()}
         frame = replace(together, reference=constants, silence=together.silence[:, None])
         problem, alone = (
-            Problem(layout, Record(model.instrument, f, f["output"])) for f in (frame, frames[0])
+            ws.Problem(layout, ws.Record(model.instrument, f, f["output"]))
+            for f in (frame, frames[0])
         )
         if alone.affine:
             # A basis may be of all readings that it is given, a response of one device's.
             jacobian, own = _linearised(problem)[1][0], _linearised(alone)[1]
             like = np.allclose(jacobian, own, rtol=ALIKE, atol=ALIKE * np.max(np.abs(own)))
             return problem if like else None
-    except (ValueError, TypeError, LookupError, BayescalError):  # of two axes
+    except (ValueError, TypeError, LookupError, bc.BayescalError):  # of two axes
         pass
     return None
 
 
 def _linearised(
-    problem: Problem,
+    problem: ws.Problem,
 ) -> tuple[Float[np.ndarray, "*b n"], Float[np.ndarray, "*b n p"]]:
     """Return what priors' means leave of the outputs, and the Jacobian."""
     hyper = problem.hyper(np.zeros(len(problem.hypers)))
@@ -240,7 +226,7 @@ def _linearised(
 
 
 def _solve(
-    problem: Problem, y: Float[np.ndarray, "b n"], jacobian: Float[np.ndarray, "b n p"]
+    problem: ws.Problem, y: Float[np.ndarray, "b n"], jacobian: Float[np.ndarray, "b n p"]
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """Return which devices are plain (b,), their coefficients (b, p), covariances (b, p, p) and σ (b,).
 

@@ -10,65 +10,50 @@ from typing import TYPE_CHECKING
 from typer import Argument
 
 import bayescal as bc
-from bayescal import InputError
-from bayescal._search.own_files import in_a_file
-from bayescal.workshop import (
-    Answer,
-    AsJson,
-    ColumnOptions,
-    Command,
-    ModelOptions,
-    Shared,
-    compose,
-    instrument_named,
-    method_named,
-    named_numbers,
-    opt,
-    own_effects,
-)
+from bayescal import workshop as ws
 
 if TYPE_CHECKING:
     from distributed import Client
 
 
-class BatchCommand(ColumnOptions, ModelOptions, AsJson, Command):
+class BatchCommand(ws.ColumnOptions, ws.ModelOptions, ws.AsJson, ws.Command):
     """Fit every device of files with a column 'device'."""
 
     example = "bayescal batch lot.parquet --instrument mems_gyro -o results.parquet"
     files: list[Path] = Argument(
         help="Files of readings, or folders of them: a Parquet dataset, CSVs, logs."
     )
-    instrument: str = Shared.instrument
-    out: Path = opt("Parquet file to write; or a folder, also for JSON.", ..., "--out", "-o")
-    method: str = opt(
-        "least-squares, marginal or nuts.", "least-squares", callback=Shared.method.callback
+    instrument: str = ws.Shared.instrument
+    out: Path = ws.opt("Parquet file to write; or a folder, also for JSON.", ..., "--out", "-o")
+    method: str = ws.opt(
+        "least-squares, marginal or nuts.", "least-squares", callback=ws.Shared.method.callback
     )
-    population: list[str] | None = opt(
+    population: list[str] | None = ws.opt(
         "Coefficient whose mean and standard deviation over the devices are estimated; 'all', or repeat."
     )
-    workers: int | None = opt("Processes of this machine that share the work.", min=1)
-    scheduler: str | None = opt("tcp://host:8786: a Dask cluster that does the work.")
-    find: bool = opt("Search each device's missing effects: a second a device.", False)
-    time_limit: float | None = Shared.time_limit
-    seed: int = Shared.seed
+    workers: int | None = ws.opt("Processes of this machine that share the work.", min=1)
+    scheduler: str | None = ws.opt("tcp://host:8786: a Dask cluster that does the work.")
+    find: bool = ws.opt("Search each device's missing effects: a second a device.", False)
+    time_limit: float | None = ws.Shared.time_limit
+    seed: int = ws.Shared.seed
 
-    def answer(self) -> Answer:
+    def answer(self) -> ws.Answer:
         _refuse_place(self.out, self.files)
-        chosen = instrument_named(self.instrument)
-        own = own_effects(self, chosen, None)
-        model = compose(chosen, self, own)
+        chosen = ws.instrument_named(self.instrument)
+        own = ws.own_effects(self, chosen, None)
+        model = ws.compose(chosen, self, own)
         own_files = [] if self.effects_file is None else [self.effects_file]
-        if in_a_file(self.instrument):  # the workers need the user's Python files too
+        if ws.in_a_file(self.instrument):  # the workers need the user's Python files too
             own_files.append(Path(self.instrument.rpartition(":")[0]))
         population = self.population
         with _cluster(self.workers, self.scheduler, own_files) as client:
             found = bc.fit_batch(
                 model,
                 self.files,
-                method=method_named(self.method),
+                method=ws.method_named(self.method),
                 population=True if population == ["all"] else population or False,
                 seed=self.seed,
-                reference={**named_numbers(self.reference, "--reference")},
+                reference={**ws.named_numbers(self.reference, "--reference")},
                 client=client,
                 out=self.out,
                 columns=self.for_read(),
@@ -79,7 +64,7 @@ class BatchCommand(ColumnOptions, ModelOptions, AsJson, Command):
         said = [f"{bad} of {len(found)} devices have no result, or none to rely on"] * bool(bad)
         said += [f"{lost} files have none"] * bool(lost)
         data = {"file": str(self.out), **found.data()}
-        return Answer(found, data, ok=not said, why="; ".join(said), written=str(self.out))
+        return ws.Answer(found, data, ok=not said, why="; ".join(said), written=str(self.out))
 
 
 ANNEX = {"commands": (BatchCommand,)}
@@ -88,11 +73,13 @@ ANNEX = {"commands": (BatchCommand,)}
 def _refuse_place(out: Path, files: list[Path]) -> None:
     """Refuse a place that results cannot be written to, before anything is read."""
     if out.is_file() and {*out.resolve().parents} & {*(file.resolve() for file in files)}:
-        raise InputError(f"--out {out} is a file of the folder that is read: name another")
+        raise bc.InputError(f"--out {out} is a file of the folder that is read: name another")
     if out.suffix and out.suffix != ".parquet":
-        raise InputError(f"--out: a batch is saved as Parquet: name it ….parquet, not {out.name!r}")
+        raise bc.InputError(
+            f"--out: a batch is saved as Parquet: name it ….parquet, not {out.name!r}"
+        )
     if out.is_file() and not out.suffix:
-        raise InputError(f"--out {out}: that is a file, a folder was expected; name another")
+        raise bc.InputError(f"--out {out}: that is a file, a folder was expected; name another")
 
 
 @contextmanager
@@ -104,7 +91,9 @@ def _cluster(
         yield None
         return
     if workers is not None and scheduler is not None:
-        raise InputError("--workers and --scheduler: give one of them, a cluster here or elsewhere")
+        raise bc.InputError(
+            "--workers and --scheduler: give one of them, a cluster here or elsewhere"
+        )
     from bayescal._annexes.fleet.engine import open_cluster
 
     with open_cluster(workers, scheduler) as client:

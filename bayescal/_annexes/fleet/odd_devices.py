@@ -19,61 +19,58 @@ Bull. 2 (1946) 110; E. B. Wilson and M. M. Hilferty, Proc. Natl. Acad. Sci. 17 (
 
 from __future__ import annotations
 
-from collections.abc import Collection
+from collections import Counter
+from collections.abc import Collection, Iterable
 from typing import NamedTuple
 
 import numpy as np
 import pandas as pd
-import pyarrow as pa
-import pyarrow.dataset as pads
 from jaxtyping import Float
 from scipy import stats
 from scipy.optimize import brentq
 
-from bayescal.workshop import number, unit_label
+from bayescal import workshop as ws
+from bayescal._annexes.fleet.batch_result import FAMILY_WISE_ERROR, DeviceResult
 
-# Probability that a fleet of like devices has one that is named; shared by all devices and quantities (C. Bonferroni).
-FAMILY_WISE_ERROR = 0.01
 FEWEST_DEVICES = 4  # devices, of fewer none is compared
 ROUNDS = 50  # until nothing changes, at most
 SAME_TEMPERATURE = 1.0  # °C, standard deviation of reference temperatures that are no different
 
 
-def odd_devices(rows: pa.Table, t0: pd.Series, of_noise: Collection[str]) -> dict[str, list[str]]:
+def odd_devices(
+    results: Iterable[DeviceResult], t0: pd.Series, of_noise: Collection[str]
+) -> dict[str, list[str]]:
     """Return the devices of which a quantity is not like the others', and what is said of each.
 
     Args:
-        rows: of fits by one model at one temperature, as `BatchResult` has them.
+        results: fits by one model at one temperature.
         t0: reference temperatures of the devices' own readings by their names, °C.
         of_noise: names of the coefficients that are standard deviations of the noise.
     """
-    columns = ["device", "coefficient", "mean", "sd", "unit", "readings"]
-    good = rows.select([*columns, "ok"]).filter(pads.field("ok")).to_pandas()
-    devices = good["device"].unique()
-    each = {n: own.set_index("device") for n, own in good.groupby("coefficient", sort=False)}
-    names = [str(n) for n, own in each.items() if len(own) == len(devices) and "[" not in str(n)]
-    least = FAMILY_WISE_ERROR / max(1, len(devices) * (len(names) + 1))
+    good = {one.device: one for one in results if one.ok}
+    count = Counter(name for one in good.values() for name in one.names)
+    names = [name for name, n in count.items() if n == len(good) and "[" not in name]
+    least = FAMILY_WISE_ERROR / max(1, len(good) * (len(names) + 1))
     odd: dict[str, list[str]] = {}
-    t0 = t0.loc[devices].dropna()
+    t0 = t0.loc[[*good]].dropna()
     p, middle = predicted(t0.to_numpy(), np.full(len(t0), SAME_TEMPERATURE**2), np.inf, least)
-    elsewhere = t0.loc[p < least].to_dict()
-    for device, at in elsewhere.items():
-        said = f"measured about {number(at)} °C, the others about {number(middle)} °C"
-        odd[device] = [f"{said}: its values are not compared"]
+    for device, at in t0.loc[p < least].items():
+        said = f"measured about {ws.number(at)} °C, the others about {ws.number(middle)} °C"
+        odd[str(device)] = [f"{said}: its values are not compared"]
+    compared = [one for device, one in good.items() if device not in odd]
+    freedom = np.array([max(one.readings - len(names) + 1, 1.0) for one in compared])
     for name in names:
-        own = each[name].drop(elsewhere, errors="ignore")
-        mean, power = own["mean"].to_numpy(), 1.0
-        variance = own["sd"].fillna(0.0).to_numpy() ** 2
-        freedom = np.maximum(own["readings"].fillna(0).to_numpy() - len(names) + 1, 1.0)
+        own = np.array([one[name] for one in compared]).reshape(-1, 2)
+        mean, variance, known_by, power = own[:, 0], np.nan_to_num(own[:, 1]) ** 2, freedom, 1.0
         if name in of_noise:
             power, mean = 2 / 3, np.abs(mean)
-            variance, freedom = np.median(mean) ** (2 * power) * 2 / (9 * freedom), np.inf
-        p, middle = predicted(mean**power if power < 1 else mean, variance, freedom, least)
-        usual = number(abs(middle) ** (1 / power) if power < 1 else middle)
+            variance, known_by = np.median(mean) ** (2 * power) * 2 / (9 * freedom), np.inf
+        p, middle = predicted(mean**power if power < 1 else mean, variance, known_by, least)
+        usual = ws.number(abs(middle) ** (1 / power) if power < 1 else middle)
         for i in np.flatnonzero(p < least).tolist():
-            said = f"{name} {number(mean[i])}, of the others {usual} "
-            said += unit_label(own["unit"].iloc[0])
-            odd.setdefault(own.index[i], []).append(said.rstrip())
+            unit = ws.unit_label(compared[i].units[compared[i].names.index(name)])
+            said = f"{name} {ws.number(mean[i])}, of the others {usual} {unit}"
+            odd.setdefault(compared[i].device, []).append(said.rstrip())
     return odd
 
 

@@ -38,11 +38,8 @@ import numpy as np
 import pandas as pd
 from jaxtyping import Float
 
-from bayescal import Coefficient, Flat, HalfCauchy, HalfNormal, Model, ModelError
-from bayescal._core.importance_weights import smoothed
-from bayescal._inference import trust
-from bayescal._inference.newton import ByValues, climb, gaussian_fit
-from bayescal._inference.sampling import around_mode, prior_share, propose
+import bayescal as bc
+from bayescal import workshop as ws
 
 # Devices from which a standard deviation between them can be learned: of two, it is their distance.
 FEWEST_DEVICES = 3
@@ -53,8 +50,10 @@ DRAWS = 2000  # of τ, fewer for many devices: their posterior is narrow
 CELLS = 1_000_000  # draws × devices at most
 STARTS = (-6.0, -4.0, -2.0, -1.0, 0.0, 1.0)  # of log(τ/scale), where its mode is looked for first
 
-GroupSdPrior = HalfNormal | HalfCauchy | Flat  # prior of a standard deviation between devices
-Named = Mapping[str, tuple[Coefficient, GroupSdPrior]]  # a population's coefficients by name
+GroupSdPrior = (
+    bc.HalfNormal | bc.HalfCauchy | bc.Flat
+)  # prior of a standard deviation between devices
+Named = Mapping[str, tuple[bc.Coefficient, GroupSdPrior]]  # a population's coefficients by name
 # Which those are: all, or some, or with priors.
 AskedPopulation = bool | Sequence[str] | Mapping[str, GroupSdPrior]
 COLUMNS = ("coefficient", "mean", "mean_sd", "group_sd", "group_sd_sd", "unit")
@@ -95,7 +94,7 @@ class Population:
         return f"{head}{'' if self.ok else ': ' + self.reason}\n{self.table.to_string(index=False)}"
 
 
-def chosen(model: Model, asked: AskedPopulation) -> Named:
+def chosen(model: bc.Model, asked: AskedPopulation) -> Named:
     """The coefficients of a population, each with the prior of its standard deviation between devices.
 
     Raises:
@@ -111,11 +110,11 @@ def chosen(model: Model, asked: AskedPopulation) -> Named:
     given = asked if isinstance(asked, Mapping) else {}
     for name in names:
         if name not in known:
-            raise ModelError(
+            raise bc.ModelError(
                 f"population: no coefficient that each device has one of is called {name!r}; there is: "
                 f"{', '.join(known)}"
             )
-    return {n: (known[n], given.get(n, HalfCauchy(known[n].size))) for n in names}
+    return {n: (known[n], given.get(n, bc.HalfCauchy(known[n].size))) for n in names}
 
 
 class Pooled:
@@ -179,15 +178,15 @@ class Pooled:
     def draws(self, seed: int) -> tuple[np.ndarray, np.ndarray, float]:
         """Return draws of v, with smoothed weights and k̂."""
         starts = [np.full(len(self.size), v) for v in STARTS]
-        density = ByValues(self.values)
-        best = climb(density, starts[int(np.argmax(self.values(np.array(starts))))])
-        covariance = gaussian_fit(density, best).covariance
+        density = ws.ByValues(self.values)
+        best = ws.climb(density, starts[int(np.argmax(self.values(np.array(starts))))])
+        covariance = ws.gaussian_fit(density, best).covariance
         count = int(np.clip(CELLS // len(self.estimate), 200, DRAWS))
-        prior, random = prior_share(self.priors, self.log_prior), np.random.default_rng(seed)
-        v, log_proposal = propose(around_mode(best, covariance), prior, random, count)
+        prior, random = ws.prior_share(self.priors, self.log_prior), np.random.default_rng(seed)
+        v, log_proposal = ws.propose(ws.around_mode(best, covariance), prior, random, count)
         log_density = self.values(v)
         log_weight = np.where(np.isfinite(log_density), log_density, -1e300) - log_proposal
-        return v, *smoothed(log_weight)
+        return v, *ws.smoothed(log_weight)
 
 
 def learn(
@@ -204,7 +203,7 @@ def learn(
         ModelError: fewer than three devices that can be trusted.
     """
     if (count := len(mean)) < FEWEST_DEVICES:
-        raise ModelError(
+        raise bc.ModelError(
             f"a population is learned from at least {FEWEST_DEVICES} devices that converge; here {count} did"
         )
     pooled = Pooled(mean, covariance, named)
@@ -230,24 +229,24 @@ def learn(
             "unit": [c.unit for c, _ in named.values()],
         }
     )
-    why = trust.unevenness(weights, k_hat, enough=POPULATION_DRAWS)
+    why = ws.unevenness(weights, k_hat, enough=POPULATION_DRAWS)
     reason = why and f"weights of the between-group standard deviations were uneven ({why})"
     found = Population(table, not why, reason, count, k_hat)
     return found, (about + first + pooled.centre) * size, second * np.outer(size, size)
 
 
 def follow(
-    mean: Float[np.ndarray, "b q"],
-    covariance: Float[np.ndarray, "b q q"],
+    mean: Float[np.ndarray, "q"],
+    covariance: Float[np.ndarray, "q q"],
     of: np.ndarray,
-    new_mean: Float[np.ndarray, "b k"],
-    new: Float[np.ndarray, "b k k"],
-) -> tuple[Float[np.ndarray, "b q"], Float[np.ndarray, "b q q"]]:
-    """Return all unknowns of devices, where those `of` have a new mean and covariance: by regression on them."""
-    rest = np.flatnonzero(np.isfinite(np.diagonal(covariance, axis1=1, axis2=2)).all(axis=0))
-    inner = covariance[:, of[:, None], of]
-    gain = covariance[:, rest[:, None], of] @ np.linalg.inv(inner)
+    new_mean: Float[np.ndarray, "k"],
+    new: Float[np.ndarray, "k k"],
+) -> tuple[Float[np.ndarray, "q"], Float[np.ndarray, "q q"]]:
+    """Return all unknowns of a device, where those `of` have a new mean and covariance: by regression on them."""
+    rest = np.flatnonzero(np.isfinite(np.diag(covariance)))
+    inner = covariance[np.ix_(of, of)]
+    gain = covariance[np.ix_(rest, of)] @ np.linalg.inv(inner)
     mean, covariance = mean.copy(), covariance.copy()
-    mean[:, rest] += (gain @ (new_mean - mean[:, of])[:, :, None])[:, :, 0]
-    covariance[:, rest[:, None], rest] += gain @ (new - inner) @ gain.mT
+    mean[rest] += gain @ (new_mean - mean[of])
+    covariance[np.ix_(rest, rest)] += gain @ (new - inner) @ gain.T
     return mean, covariance

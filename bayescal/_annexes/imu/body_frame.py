@@ -21,7 +21,7 @@ from jaxtyping import Float
 from scipy.linalg import block_diag
 from scipy.spatial.transform import Rotation
 
-from bayescal import InputError, Measurements
+import bayescal as bc
 from bayescal._annexes.imu.still_stretches import in_common, logged_runs, per_sample
 from bayescal._annexes.imu.vector_correction import UNKNOWN_DIRECTIONS, VectorCorrection
 
@@ -34,9 +34,9 @@ SCATTER = 0.2  # of sin(dip) between poses, from which on the axes do not fit or
 
 def in_frame_of(
     field: VectorCorrection,
-    field_log: Measurements,
+    field_log: bc.Measurements,
     force: VectorCorrection,
-    force_log: Measurements,
+    force_log: bc.Measurements,
     *,
     shortest: float | None = None,
 ) -> VectorCorrection:
@@ -54,7 +54,7 @@ def in_frame_of(
             handedness or a field that differs from pose to pose, or a correction of higher order.
     """
     if field.order > 1:
-        raise InputError(
+        raise bc.InputError(
             "the correction of the magnetometers has terms of higher order, which are not turned into other axes: fit "
             "the model without them"
         )
@@ -66,7 +66,7 @@ def in_frame_of(
     pull, drawn = runs[0][label], runs[1].get(label)
     windows = np.zeros((0, 2)) if drawn is None else in_common(pull.ends(), drawn.ends())
     if drawn is None or len(windows) <= UNKNOWNS:
-        raise InputError(
+        raise bc.InputError(
             f"{field_log.file}: {len(windows)} poses in common with {force_log.file}, and five or more are needed: log "
             "both together, at rest for some seconds in each of many poses"
         )
@@ -92,7 +92,7 @@ def in_frame_of(
         slopes = np.column_stack([np.cross(turned, up), -np.ones(len(up))])
         information = slopes.T @ weight @ slopes
         if np.linalg.cond(information) > 1 / np.finfo(float).eps:
-            raise InputError(
+            raise bc.InputError(
                 f"{field_log.file}: these poses do not determine how magnetometers and accelerometers stand to each "
                 "other: turn the unit about all three axes"
             )
@@ -108,7 +108,7 @@ def in_frame_of(
         if np.max(np.abs(step)) < SETTLED_RADIANS:
             break
     if not np.std(left) < SCATTER:
-        raise InputError(
+        raise bc.InputError(
             f"{field_log.file}: the angle between field and gravity differs by {np.std(left):.2g} rad from pose to "
             "pose, and one field has one dip. Is iron or a current near, or are two columns exchanged?"
         )

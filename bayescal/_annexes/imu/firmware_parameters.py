@@ -1,47 +1,249 @@
 """Calibrations, one for each axis, as an autopilot's thermal parameters: cubics, and what these leave out.
 
 The posterior mean of the reading at rest, b(T, rate, lag, …), is projected by least squares, over the readings of the
-calibration, on a cubic p(T) (`autopilot.py`). Where b is a cubic of the temperature alone, p is b to rounding; else
-b − p is the cost of firmware that knows no more than the temperature.
+calibration, on a cubic p(T). Where b is a cubic of the temperature alone, p is b to rounding; else b − p is the cost of
+firmware that knows no more than the temperature.
+
+PX4 (PX4-Autopilot, src/modules/temperature_compensation/TemperatureCompensation.cpp,
+calc_thermal_offsets_3D, and temp_comp_params_gyro_0.yaml and its like): for sensor n of its kind
+(TC_Gn_… gyroscope in rad/s, TC_An_… accelerometer in m/s²) and axis a = 0, 1, 2
+
+    corrected = raw − (X0_a + X1_a·d + X2_a·d² + X3_a·d³),   d = clip(T, TMIN, TMAX) − TREF,
+
+applied where TC_Gn_ID is the sensor's device_id and TC_G_ENABLE is 1. An accelerometer's X0 is 0, as in
+PX4's own calibration (temperature_calibration/accel.cpp): at rest its constant is not told from gravity.
+
+ArduPilot (ardupilot, libraries/AP_InertialSensor/AP_InertialSensor_tempcal.cpp, polynomial_eval and
+correct_sensor): for IMU n = 1, 2, 3, in rad/s and m/s² with coefficients in millionths,
+
+    P(T) = 10⁻⁶·(c1·d + c2·d² + c3·d³),   d = T − 35 °C,
+    corrected = raw − P(clip(T, TMIN, TMAX)) + P(clip(T_cal, TMIN, TMAX)),
+
+c1 … c3 being INS_TCALn_GYR1_X … GYR3_X and ACC1_X … ACC3_X, and T_cal the temperature at which its
+offsets were calibrated (INS_GYR_CALTEMP, INS_ACC_CALTEMP); the constant is part of these offsets. Range
+and reference are shared by gyroscope and accelerometer.
 """
 
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
-from bayescal import Calibration, Compensator, InputError, __version__, compensator
-from bayescal._annexes.imu.autopilot import (
-    AUTOPILOTS,
-    AXES,
-    AtRest,
-    Autopilot,
-    Axis,
-    ThermalPolynomial,
-    Values,
-    project,
-)
-from bayescal._use.compensation_program import STIMULUS, inputs_at_fit
-from bayescal.workshop import (
-    NOT_RELIABLE,
-    STANDARD_GRAVITY,
-    ascii_text,
-    convert,
-    identity,
-    number,
-    one_line,
-    plain_table,
-    unit_label,
-    write_text,
-)
+import bayescal as bc
+from bayescal import workshop as ws
+
+ORDER = 3  # of the temperature, the highest that an autopilot takes
+
+
+@dataclass(frozen=True)
+class AtRest:
+    """Readings of a calibration as its posterior mean says they would be at rest."""
+
+    temperature: np.ndarray  # °C, (n,)
+    offset: np.ndarray  # of the reading, in `unit`, (n,)
+    unit: str  # "rad/s" or "m/s^2"
+    noise: float  # standard deviation of one reading, in `unit`
+    uncertainty: float  # root mean square over the readings of the standard uncertainty of `offset`, in `unit`
+    # smallest and largest scale factor there, less one; zeros where none was calibrated
+    scale: tuple[float, float]
+
+    @property
+    def low(self) -> float:
+        return float(self.temperature.min())
+
+    @property
+    def high(self) -> float:
+        return float(self.temperature.max())
+
+
+@dataclass(frozen=True)
+class ThermalPolynomial:
+    """One axis as firmware has it; single precision, as firmware stores it."""
+
+    coefficients: tuple[float, float, float, float]  # c0 … c3, in `unit`/°C^k
+    reference: float  # T_ref, °C
+    low: float  # low, high: the temperatures between which it holds; firmware stops there, °C
+    high: float
+    rms: float  # rms, largest: of what it leaves out of the calibration, over its readings in that range, in `unit`
+    largest: float
+    of: AtRest  # what it was projected from
+
+    @property
+    def unit(self) -> str:
+        return self.of.unit
+
+    @property
+    def expected_error(self) -> float:
+        """Root mean square to expect of a corrected reading like those of the calibration, in `unit`."""
+        return float(np.sqrt(self.of.noise**2 + self.of.uncertainty**2 + self.rms**2))
+
+    def __call__(self, temperature: np.ndarray) -> np.ndarray:
+        """The offset at these temperatures, °C, held at its ends beyond the range."""
+        d = np.clip(temperature, self.low, self.high) - self.reference
+        c0, c1, c2, c3 = self.coefficients
+        return c0 + d * (c1 + d * (c2 + d * c3))
+
+
+def project(of: AtRest, reference: float, low: float, high: float) -> ThermalPolynomial:
+    """The cubic nearest to a calibration between two temperatures.
+
+    Args:
+        of: the calibration's readings at rest.
+        reference: T_ref, °C.
+        low, high: °C; readings outside count for nothing.
+
+    Raises:
+        InputError: the readings in that range are all at one temperature.
+    """
+    inside = (of.temperature >= low) & (of.temperature <= high)
+    temperature, offset = of.temperature[inside], of.offset[inside]
+    distinct = len(np.unique(temperature))
+    if distinct < 2:
+        raise bc.InputError(
+            f"between {low:.4g} and {high:.4g} °C the calibration has {distinct} temperature"
+            f"{'s' * (distinct != 1)}, and a polynomial needs several: calibrate over a range"
+        )
+    fitted = np.polynomial.Polynomial.fit(
+        temperature - reference, offset, min(ORDER, distinct - 1)
+    ).convert()
+    rounded = np.zeros(ORDER + 1, np.float32)
+    rounded[: len(fitted.coef)] = fitted.coef
+    c0, c1, c2, c3 = map(float, rounded)
+    made = ThermalPolynomial((c0, c1, c2, c3), reference, low, high, 0.0, 0.0, of)
+    left = offset - made(temperature)
+    rms, largest = float(np.sqrt(np.mean(left**2))), float(np.abs(left).max())
+    return replace(made, rms=rms, largest=largest)
+
+
+AXES = "xyz"
+PX4_SENSORS, ARDUPILOT_SENSORS = 4, 3  # GYRO_COUNT_MAX; INS_TCAL1 … INS_TCAL3
+ARDUPILOT_REFERENCE, ARDUPILOT_SCALE = 35.0, 1e6  # TEMP_REFERENCE, °C; SCALE_FACTOR
+INTEGER, REAL = 6, 9  # MAV_PARAM_TYPE_INT32, MAV_PARAM_TYPE_REAL32 (MAVLink, common.xml)
+
+
+class Axis(NamedTuple):
+    """One axis of one sensor: kind "gyro" or "acc", axis "x", "y" or "z", sensor 0, 1, …"""
+
+    kind: str
+    axis: str
+    sensor: int
+
+    def __str__(self) -> str:
+        return f"{self.kind}_{self.axis}" + (f"_{self.sensor}" if self.sensor else "")
+
+    @property
+    def unit(self) -> str:
+        return {"gyro": "rad/s", "acc": "m/s^2"}[self.kind]
+
+
+Polynomials = Mapping[Axis, ThermalPolynomial]
+Values = dict[str, float | int]
+
+
+class Autopilot(NamedTuple):
+    """A firmware."""
+
+    title: str  # of it
+    sensors: int  # how many of a kind it has parameters for
+    together: Callable[[Axis], tuple]  # what has one range of temperatures: the key of an axis
+    reference: Callable[[float, float], float]  # T_ref of a range (low, high), °C
+    # the parameters, from the polynomials and the device of each ("gyro", 0)
+    values: Callable[[Polynomials, Mapping[tuple[str, int], int]], Values]
+    line: Callable[[str, float | int], str]  # of a parameter file
+    head: tuple[str, ...]  # its first lines
+    afterwards: str  # what to do once it is loaded
+
+    def text(self, said: Iterable[str], values: Values) -> str:
+        """A parameter file, with what is said of it in comments."""
+        lines = [f"# {line}".rstrip() for line in (*said, *self.head)]
+        return "\n".join([*lines, *(self.line(n, v) for n, v in values.items()), ""])
+
+
+def _px4_values(found: Polynomials, devices: Mapping[tuple[str, int], int]) -> Values:
+    values: Values = {}
+    for kind, letter in (("acc", "A"), ("gyro", "G")):
+        sensors = sorted({a.sensor for a in found if a.kind == kind})
+        if sensors:
+            values[f"TC_{letter}_ENABLE"] = 1
+        for n in sensors:
+            own = {a.axis: p for a, p in found.items() if (a.kind, a.sensor) == (kind, n)}
+            if (kind, n) not in devices:
+                raise bc.InputError(
+                    f"{next(iter(own))} of {kind} {n}: PX4 corrects a sensor whose device_id it is given, and the "
+                    f"calibration does not say it: --device-id {kind}{f'_{n}' if n else ''}=NUMBER (param show "
+                    f"CAL_{'GYRO' if kind == 'gyro' else 'ACC'}{n}_ID on the autopilot)"
+                )
+            some = next(iter(own.values()))
+            values[f"TC_{letter}{n}_ID"] = devices[kind, n]
+            values[f"TC_{letter}{n}_TREF"] = some.reference
+            values[f"TC_{letter}{n}_TMIN"], values[f"TC_{letter}{n}_TMAX"] = some.low, some.high
+            for order in range(4):
+                for place, axis in enumerate(AXES):
+                    kept = axis in own and not (kind == "acc" and order == 0)
+                    value = own[axis].coefficients[order] if kept else 0.0
+                    values[f"TC_{letter}{n}_X{order}_{place}"] = value
+    return values
+
+
+def _ardupilot_values(found: Polynomials, devices: Mapping[tuple[str, int], int]) -> Values:
+    values: Values = {}
+    for n in sorted({a.sensor for a in found}):
+        own = {(a.kind, a.axis): p for a, p in found.items() if a.sensor == n}
+        some, name = next(iter(own.values())), f"INS_TCAL{n + 1}"
+        values |= {f"{name}_ENABLE": 1, f"{name}_TMIN": some.low, f"{name}_TMAX": some.high}
+        for kind, word in (("acc", "ACC"), ("gyro", "GYR")):
+            for order in (1, 2, 3):
+                for axis in AXES:
+                    one = own.get((kind, axis))
+                    value = ARDUPILOT_SCALE * one.coefficients[order] if one else 0.0
+                    values[f"{name}_{word}{order}_{axis.upper()}"] = value
+    return values
+
+
+def _written(value: float | int) -> str:
+    """A parameter as text: nine digits are all that a number of single precision has, others have more."""
+    if isinstance(value, int):
+        return str(value)
+    return f"{value:.9g}" if float(np.float32(value)) == value else f"{value:.13g}"
+
+
+def _px4_line(name: str, value: float | int) -> str:
+    return f"1\t1\t{name}\t{_written(value)}\t{INTEGER if isinstance(value, int) else REAL}"
+
+
+AUTOPILOTS = {
+    "px4-params": Autopilot(
+        title="PX4",
+        sensors=PX4_SENSORS,
+        together=lambda a: (a.kind, a.sensor),
+        reference=lambda low, high: round(0.5 * (low + high)),
+        values=_px4_values,
+        line=_px4_line,
+        head=("Onboard parameters, for QGroundControl or `param load`", "Vehicle-Id Component-Id Name Value Type"),
+        afterwards="Restart, then calibrate gyroscopes and accelerometers again: CAL_GYRO*_*OFF and CAL_ACC*_*OFF "
+        "come on top of this.",
+    ),
+    "ardupilot-params": Autopilot(
+        title="ArduPilot",
+        sensors=ARDUPILOT_SENSORS,
+        together=lambda a: (a.sensor,),
+        reference=lambda low, high: ARDUPILOT_REFERENCE,
+        values=_ardupilot_values,
+        line=lambda name, value: f"{name},{_written(value)}",
+        head=("Parameters, for Mission Planner, MAVProxy or QGroundControl",),
+        afterwards="Restart, then calibrate gyroscopes and accelerometers again: their offsets hold for the "
+        "temperature INS_GYR*_CALTEMP and INS_ACC*_CALTEMP at which they were found.",
+    ),
+}  # fmt: skip
 
 
 def at_rest(
-    chosen: Compensator, unit: str, name: str, local_gravity: float = STANDARD_GRAVITY
+    chosen: bc.Compensator, unit: str, name: str, local_gravity: float = ws.STANDARD_GRAVITY
 ) -> AtRest:
     """What a calibrated instrument reads at rest, over the readings of its calibration.
 
@@ -56,33 +258,35 @@ def at_rest(
         ModelError: an effect cannot be evaluated outside Python.
     """
     if chosen.calibration is None or chosen.equation is None:
-        raise InputError(
+        raise bc.InputError(
             f"{name}: an export has no readings to project on a polynomial: give the saved calibration (.nc)"
         )
     calibration = chosen.calibration
-    inputs = inputs_at_fit(calibration, chosen.equation)
+    inputs = ws.inputs_at_fit(calibration, chosen.equation)
     if "temperature" not in inputs:
-        raise InputError(
+        raise bc.InputError(
             f"{name}: the calibration has no column 'temperature', over which firmware corrects: calibrate "
             "with one"
         )
     program, rest = chosen.program, np.zeros(len(calibration.readings))
-    (expected,) = program.graph.evaluate((program.equation.expected,), {**inputs, STIMULUS: rest})
+    (expected,) = program.graph.evaluate(
+        (program.equation.expected,), {**inputs, ws.STIMULUS: rest}
+    )
     expected = np.broadcast_to(expected, rest.shape)
     _, own, slope = program.run(expected, inputs)
     own = own / np.where(slope > 0, slope, 1.0)  # of the reading, not of the stimulus
     scale = np.zeros(1)
     if chosen.equation.slope_calibrated:
         like = {"local_gravity": local_gravity, "difference": True}
-        scale = 1 / slope / float(convert(1.0, chosen.unit, calibration.unit, **like)) - 1
+        scale = 1 / slope / float(ws.convert(1.0, chosen.unit, calibration.unit, **like)) - 1
 
     def converted(values: np.ndarray) -> np.ndarray:
         try:
-            return convert(values, calibration.unit, unit, local_gravity=local_gravity)
-        except InputError:
-            raise InputError(
-                f"{name}: the calibration's output is in {unit_label(calibration.unit)}, firmware's "
-                f"parameter for {name} is in {unit_label(unit)}: give the calibration of such a sensor"
+            return ws.convert(values, calibration.unit, unit, local_gravity=local_gravity)
+        except bc.InputError:
+            raise bc.InputError(
+                f"{name}: the calibration's output is in {ws.unit_label(calibration.unit)}, firmware's "
+                f"parameter for {name} is in {ws.unit_label(unit)}: give the calibration of such a sensor"
             ) from None
 
     def rms(variances: np.ndarray) -> float:
@@ -129,23 +333,26 @@ class FirmwareParameters:
         head += ["not in the cubic, rms", "largest", "error to expect, rms"]
         rows = [
             [
-                *(name, unit_label(p.unit), f"{p.low:.1f}", f"{p.high:.1f}"),
-                *map(number, (p.of.uncertainty, p.of.noise)),
-                *(number(v if v > 1e-3 * p.of.noise else 0.0) for v in (p.rms, p.largest)),
-                number(p.expected_error),
+                *(name, ws.unit_label(p.unit), f"{p.low:.1f}", f"{p.high:.1f}"),
+                *map(ws.number, (p.of.uncertainty, p.of.noise)),
+                *(ws.number(v if v > 1e-3 * p.of.noise else 0.0) for v in (p.rms, p.largest)),
+                ws.number(p.expected_error),
             ]
             for name, p in self.axes.items()
         ]
-        laid_out = plain_table([*map(spelled, head)], [[*map(spelled, row)] for row in rows])
+        laid_out = ws.plain_table([*map(spelled, head)], [[*map(spelled, row)] for row in rows])
         return [*str(laid_out).splitlines(), *map(spelled, self.notes)]
 
     def text(self) -> str:
         """The parameter file, ASCII."""
         autopilot = AUTOPILOTS[self.format]
         said = [
-            f"Thermal parameters of {autopilot.title}, made by bayescal {__version__}",
+            f"Thermal parameters of {autopilot.title}, made by bayescal {bc.__version__}",
             *(f"{name}: calibration {identity}" for name, identity in self.sources.items()),
-            *(line.replace("─", "-") for line in self._said(lambda t: ascii_text(one_line(t)))),
+            *(
+                line.replace("─", "-")
+                for line in self._said(lambda t: ws.ascii_text(ws.one_line(t)))
+            ),
         ]
         return autopilot.text(said, self.values)
 
@@ -155,15 +362,15 @@ class FirmwareParameters:
         Raises:
             InputError: a place that cannot be written to.
         """
-        return write_text(self.text(), path)
+        return ws.write_text(self.text(), path)
 
 
 def firmware_parameters(
-    calibrations: Mapping[str, Calibration | Compensator],
+    calibrations: Mapping[str, bc.Calibration | bc.Compensator],
     format: str,
     *,
     devices: Mapping[str, int] | None = None,
-    local_gravity: float = STANDARD_GRAVITY,
+    local_gravity: float = ws.STANDARD_GRAVITY,
 ) -> FirmwareParameters:
     """The thermal parameters of PX4 or ArduPilot that calibrations at rest come to.
 
@@ -184,12 +391,12 @@ def firmware_parameters(
         ModelError: an effect that cannot be evaluated outside Python.
     """
     if format not in AUTOPILOTS:
-        raise InputError(f"format {format!r} is not one of {', '.join(AUTOPILOTS)}")
+        raise bc.InputError(f"format {format!r} is not one of {', '.join(AUTOPILOTS)}")
     autopilot = AUTOPILOTS[format]
     if not calibrations:
-        raise InputError(f"{autopilot.title}: give at least one calibration")
+        raise bc.InputError(f"{autopilot.title}: give at least one calibration")
     chosen = {
-        _axis(name, autopilot): c if isinstance(c, Compensator) else compensator(c)
+        _axis(name, autopilot): c if isinstance(c, bc.Compensator) else bc.compensator(c)
         for name, c in calibrations.items()
     }
     rest = {a: at_rest(c, a.unit, str(a), local_gravity) for a, c in sorted(chosen.items())}
@@ -200,14 +407,16 @@ def firmware_parameters(
         reference = float(autopilot.reference(low, high))
         found |= {a: project(r, reference, low, high) for a, r in own.items()}
     values = autopilot.values(found, _devices(chosen, devices or {}))
-    sources = {str(a): identity(c.calibration) for a, c in sorted(chosen.items()) if c.calibration}
+    sources = {
+        str(a): ws.identity(c.calibration) for a, c in sorted(chosen.items()) if c.calibration
+    }
     axes = {str(a): p for a, p in found.items()}
     return FirmwareParameters(
         format, values, axes, sources, tuple(_notes(found, chosen, autopilot))
     )
 
 
-def axis_of(calibration: Calibration) -> str | None:
+def axis_of(calibration: bc.Calibration) -> str | None:
     """The axis that a calibration is of, by the label `axis` of its readings or the column read; None if by neither."""
     readings = calibration.readings
     labels = readings.groups("axis")[0] if readings.has("axis") else ()
@@ -219,7 +428,7 @@ def axis_of(calibration: Calibration) -> str | None:
 def _axis(name: str, autopilot: Autopilot) -> Axis:
     match = _NAME.fullmatch(name)
     if match is None or int(match[3] or 0) >= autopilot.sensors:
-        raise InputError(
+        raise bc.InputError(
             f"{name!r} is no axis of {autopilot.title}: gyro_x, gyro_y, gyro_z, acc_x, acc_y, acc_z, and "
             f"gyro_x_1 … gyro_x_{autopilot.sensors - 1} of further sensors"
         )
@@ -231,7 +440,7 @@ def _range(own: Mapping[Axis, AtRest]) -> tuple[float, float]:
     low, high = max(r.low for r in own.values()), min(r.high for r in own.values())
     if not low < high:
         ranges = ", ".join(f"{a} {r.low:.4g} to {r.high:.4g} °C" for a, r in own.items())
-        raise InputError(
+        raise bc.InputError(
             f"one range of temperatures holds for these axes, and they share none: {ranges}. Calibrate them "
             "over one range, or leave one out"
         )
@@ -239,7 +448,7 @@ def _range(own: Mapping[Axis, AtRest]) -> tuple[float, float]:
 
 
 def _devices(
-    chosen: Mapping[Axis, Compensator], said: Mapping[str, int]
+    chosen: Mapping[Axis, bc.Compensator], said: Mapping[str, int]
 ) -> dict[tuple[str, int], int]:
     """device_id of each sensor: what is said, else what its log named."""
     found: dict[tuple[str, int], int] = {}
@@ -247,13 +456,13 @@ def _devices(
         readings = c.calibration.readings if c.calibration else None
         named = readings.groups("device")[0] if readings and readings.has("device") else ()
         if len(named) > 1:
-            raise InputError(
+            raise bc.InputError(
                 f"{a}: the calibration is of several devices ({', '.join(named)}), firmware's parameters of one"
             )
         if named and named[0].isdecimal():
             device = int(named[0])
             if found.setdefault((a.kind, a.sensor), device) != device:
-                raise InputError(
+                raise bc.InputError(
                     f"{a} is of the device {device}, another axis of its sensor of "
                     f"{found[a.kind, a.sensor]}: give calibrations of one sensor"
                 )
@@ -262,14 +471,16 @@ def _devices(
         key = (match[1], int(match[2] or 0)) if match else ("", 0)
         if not any((a.kind, a.sensor) == key for a in chosen):
             sensors = dict.fromkeys(f"{a.kind}{f'_{a.sensor}' if a.sensor else ''}" for a in chosen)
-            raise InputError(f"device {name!r} is none of the sensors given: {', '.join(sensors)}")
+            raise bc.InputError(
+                f"device {name!r} is none of the sensors given: {', '.join(sensors)}"
+            )
         found[key] = device
     return found
 
 
 def _notes(
     found: Mapping[Axis, ThermalPolynomial],
-    chosen: Mapping[Axis, Compensator],
+    chosen: Mapping[Axis, bc.Compensator],
     autopilot: Autopilot,
 ) -> list[str]:
     sensors = dict.fromkeys((a.kind, a.sensor) for a in found)
@@ -284,12 +495,12 @@ def _notes(
                 f"{p.high:.1f} °C."
             )
         if any(p.of.scale):
-            by = " to ".join(dict.fromkeys(f"{number(100 * one)} %" for one in p.of.scale))
+            by = " to ".join(dict.fromkeys(f"{ws.number(100 * one)} %" for one in p.of.scale))
             notes.append(
                 f"{a}: the scale factor differs from nominal by {by}, has no place here, and is left out."
             )
         if why_not := chosen[a].why_not:
-            notes.append(f"{a}: {NOT_RELIABLE}{why_not}")
+            notes.append(f"{a}: {ws.NOT_RELIABLE}{why_not}")
     return [
         *notes,
         "Beyond these temperatures the correction stays as at their ends.",

@@ -8,40 +8,10 @@ from __future__ import annotations
 import shlex
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import bayescal as bc
-from bayescal import InputError
-from bayescal._core import deadline
-from bayescal.workshop import (
-    CALIBRATION,
-    MANIFEST,
-    Answer,
-    AsJson,
-    Command,
-    ExportCommand,
-    InUse,
-    Options,
-    ReadRequest,
-    Shared,
-    compensator_from,
-    drawing,
-    drawn,
-    files_of,
-    instrument_named,
-    named_values,
-    names_in,
-    of_units,
-    open_request,
-    opt,
-    print_notes,
-    reliable,
-    result_folder,
-    whole_folder,
-)
-
-if TYPE_CHECKING:
-    from bayescal.workshop import Objection
+from bayescal import workshop as ws
 
 MOST_ADDED = 5  # effects that are added
 SENSORS = {
@@ -53,79 +23,77 @@ FILES = ("correction.h", "correction.py", "correction.json", "correction.yaml")
 REPORT = "report.html"
 
 
-class TriadOptions(ReadRequest, AsJson, Options):
+class TriadOptions(ws.ReadRequest, ws.AsJson, ws.Options):
     """What is asked of three axes, one triad or all of a unit."""
 
-    shortest: float | None = opt("Shortest pose in a log, s; 2, or 1 where many are shorter.")
-    baseline: bool = opt("Look for no effect beside bias, scale, misalignment.", False)
-    time_limit: float | None = Shared.time_limit
-    seed: int = Shared.seed
-    out: Path | None = Shared.folder
-    name: str | None = opt("With which all names in C begin; else that of the instrument.")
+    shortest: float | None = ws.opt("Shortest pose in a log, s; 2, or 1 where many are shorter.")
+    baseline: bool = ws.opt("Look for no effect beside bias, scale, misalignment.", False)
+    time_limit: float | None = ws.Shared.time_limit
+    seed: int = ws.Shared.seed
+    out: Path | None = ws.Shared.folder
+    name: str | None = ws.opt("With which all names in C begin; else that of the instrument.")
 
     def refuse_options(self) -> None:
         """Refuse a name or a length that cannot be."""
-        from bayescal.workshop import sensor_name
-
-        sensor_name(self.name, "")
+        ws.sensor_name(self.name, "")
         if self.shortest is not None and not self.shortest > 0:
-            raise InputError(f"--shortest {self.shortest:g}: give a positive number of seconds")
+            raise bc.InputError(f"--shortest {self.shortest:g}: give a positive number of seconds")
 
 
-class TriadCommand(TriadOptions, Command):
+class TriadCommand(TriadOptions, ws.Command):
     """Calibrate three axes by poses at rest or known rates."""
 
     example = "bayescal triad log.csv --instrument gyro_triad --out result"
-    instrument: str = opt("Or gyro_triad, magnetometer_triad.", "accelerometer_triad")
-    poses: bool = opt("Each row is a pose or a rate; else steady stretches of a log.", False)
-    dry_run: bool = opt("Say what these poses leave open and which to add; fit nothing.", False)
+    instrument: str = ws.opt("Or gyro_triad, magnetometer_triad.", "accelerometer_triad")
+    poses: bool = ws.opt("Each row is a pose or a rate; else steady stretches of a log.", False)
+    dry_run: bool = ws.opt("Say what these poses leave open and which to add; fit nothing.", False)
 
-    def answer(self) -> Answer:
+    def answer(self) -> ws.Answer:
         self.refuse_options()
         if self.poses and self.shortest is not None:
-            raise InputError("--shortest is of poses in a log: leave it out, or --poses")
-        if instrument_named(self.instrument).vector is None:
-            raise InputError(
+            raise bc.InputError("--shortest is of poses in a log: leave it out, or --poses")
+        if ws.instrument_named(self.instrument).vector is None:
+            raise bc.InputError(
                 f"--instrument {self.instrument}: it has one output; `bayescal calibrate` is for it"
             )
-        chosen, model, readings = open_request(self)
+        chosen, model, readings = ws.open_request(self)
         if not self.poses:
             readings = bc.poses(readings, chosen, shortest=self.shortest)
             model = chosen.for_readings(readings).baseline()
-        print_notes(readings.flags)
+        ws.print_notes(readings.flags)
         if self.dry_run:
-            return Answer(str(bc.undetermined(model, readings)))
-        with result_folder(self.out) as folder:
+            return ws.Answer(str(bc.undetermined(model, readings)))
+        with ws.result_folder(self.out) as folder:
             trail, correction = _calibrated(model, readings, self)
             if folder is not None:
-                with whole_folder(folder) as hidden:
+                with ws.whole_folder(folder) as hidden:
                     _write(hidden, trail, correction, readings, self.name)
             return _answer({"": trail}, correction.data(), folder, self)
 
 
-class ImuCommand(TriadOptions, Command):
+class ImuCommand(TriadOptions, ws.Command):
     """Calibrate the sensors of a unit by one log, in one frame."""
 
     example = "bayescal imu log.csv --accelerometers ax,ay,az --gyroscopes gx,gy,gz --out unit"
-    accelerometers: str | None = opt("Their three columns, as ax,ay,az; else by the usual names.")
-    gyroscopes: str | None = opt("Their three columns, as gx,gy,gz; else by the usual names.")
-    magnetometers: str | None = opt("Their three columns, mx,my,mz; of a log, those it has.")
+    accelerometers: str | None = ws.opt(
+        "Their three columns, as ax,ay,az; else by the usual names."
+    )
+    gyroscopes: str | None = ws.opt("Their three columns, as gx,gy,gz; else by the usual names.")
+    magnetometers: str | None = ws.opt("Their three columns, mx,my,mz; of a log, those it has.")
 
-    def answer(self) -> Answer:
-        from bayescal.workshop import names_in_unit
-
+    def answer(self) -> ws.Answer:
         self.refuse_options()
-        with result_folder(self.out) as folder:
+        with ws.result_folder(self.out) as folder:
             logs = self.logs()
             (force, forces), (turns, rates), *others = logs.values()
             long, left = {"shortest": self.shortest}, len(logs)
             poses = bc.poses(forces, force, **long)
-            print_notes(poses.flags)
+            ws.print_notes(poses.flags)
             model = force.for_readings(poses).baseline()
             (trail, first) = _calibrated(model, poses, self, left=left)
             found = {"accelerometer": (trail, first, poses)}
             moves = bc.moves(rates, turns, forces, first, **long)
-            print_notes(moves.flags)
+            ws.print_notes(moves.flags)
             model = dict(turns.structures)["moves"]()
             found["gyroscope"] = (*_calibrated(model, moves, self, left=left - 1), moves)
             for field, log in others:
@@ -134,13 +102,13 @@ class ImuCommand(TriadOptions, Command):
                     return bc.in_frame_of(own, log, first, forces, **long)
 
                 its = bc.poses(log, field, **long)
-                print_notes(its.flags)
+                ws.print_notes(its.flags)
                 model = field.for_readings(its).baseline()
                 found["magnetometer"] = (*_calibrated(model, its, self, turned), its)
             if folder is not None:
                 each = [correction for _, correction, _ in found.values()]
-                named = names_in_unit(self.name, each)
-                with whole_folder(folder) as hidden:
+                named = ws.names_in_unit(self.name, each)
+                with ws.whole_folder(folder) as hidden:
                     for (name, one), own in zip(found.items(), named, strict=True):
                         _write(hidden / name, *one, own)
                     for file in ("imu.h", "imu.py"):
@@ -154,21 +122,20 @@ class ImuCommand(TriadOptions, Command):
     def logs(self) -> dict[str, tuple[Any, Any]]:
         """Read each sensor's columns of the log; refuse with all that is wrong, of all sensors."""
         from bayescal._annexes.imu.logs import LOG_FORMATS
-        from bayescal.workshop import Objections
 
         how, needed = self.for_read(), bool(self.magnetometers or self.local_field)
         given = {name: _three(sensors, getattr(self, sensors)) for name, sensors in SENSORS.items()}
         if not (needed or all(path.suffix.lower() in LOG_FORMATS for path in self.files)):
             given.popitem()
-        logs, problems = dict[str, tuple[Any, Any]](), Objections()
+        logs, problems = dict[str, tuple[Any, Any]](), ws.Objections()
         for name, three in given.items():
             named = {**how, "columns": three | how["columns"]}
-            instrument, sensors = instrument_named(name), SENSORS[name]
+            instrument, sensors = ws.instrument_named(name), SENSORS[name]
             if sensors != "magnetometers":
                 named.pop("local_field", None)
             try:
                 logs[name] = instrument, bc.read(self.files, instrument, **named)
-            except InputError as error:
+            except bc.InputError as error:
                 if not error.problems:
                     raise
                 if sensors == "magnetometers" and not needed and _lacks_outputs(error.problems):
@@ -181,45 +148,45 @@ class ImuCommand(TriadOptions, Command):
 
 def _answer(
     trails: Mapping[str, Any], data: Any, folder: Path | None, asked: TriadOptions
-) -> Answer:
+) -> ws.Answer:
     """What was found of three axes, by the folder in this one: its words are printed already."""
     made = folder is None or _draw(trails, folder)
     for place in dict.fromkeys((*trails, "")) if folder is not None and not asked.json_ else ():
-        names = (*files_of(folder / place), MANIFEST)
+        names = (*ws.files_of(folder / place), ws.MANIFEST)
         print(f"written: {folder / place}/{', '.join(names)}")
     why = [trail.gate.reason for trail in trails.values() if not trail.ok]
     shown = data if asked.json_ else None
-    return Answer(shown, ok=not why, why="; ".join(why[:1]), made=made)
+    return ws.Answer(shown, ok=not why, why="; ".join(why[:1]), made=made)
 
 
 def _three(sensors: str, given: str | None) -> dict[str, str]:
     """Return the columns of three outputs in a file, as the option of these sensors names them."""
-    names = names_in(given)
+    names = ws.names_in(given)
     if len(names) not in (0, 3):
-        raise InputError(f"--{sensors} {given!r}: give three, as ax,ay,az, not {len(names)}")
+        raise bc.InputError(f"--{sensors} {given!r}: give three, as ax,ay,az, not {len(names)}")
     return dict(zip((f"output_{a}" for a in "xyz"), names, strict=False))
 
 
-def _lacks_outputs(problems: Sequence[Objection]) -> list[Objection]:
+def _lacks_outputs(problems: Sequence[ws.Objection]) -> list[ws.Objection]:
     """Return the objections to three outputs, where a file has none of them."""
     found = [p for p in problems if p.column in {f"output_{axis}" for axis in "xyz"}]
     return found if len(found) == 3 else []
 
 
-def _of_sensor(sensors: str, instrument: Any, problems: Sequence[Objection]) -> Sequence[Objection]:
+def _of_sensor(
+    sensors: str, instrument: Any, problems: Sequence[ws.Objection]
+) -> Sequence[ws.Objection]:
     """Objections of a log, with one sentence in place of three where it has none of a sensor's three columns."""
-    from bayescal.workshop import Objection, option
-
     if not (missing := _lacks_outputs(problems)):
         return problems
     words = (word for p in missing for word in shlex.split(p.option.strip("()")))
     own = dict.fromkeys(w.partition("=")[2] for w in words if w.startswith("output_"))
     three = ",".join(own if len(own) == 3 else (f"{sensors[0]}{axis}" for axis in "xyz"))
     return [
-        Objection(
+        ws.Objection(
             missing[0].file,
             f"holds no three columns called as those of {sensors} are, in a unit that converts to {instrument.unit}",
-            cure=f"Say which they are ({option(f'--{sensors}', three)}), or take a log that has them",
+            cure=f"Say which they are ({ws.option(f'--{sensors}', three)}), or take a log that has them",
         )
     ]
 
@@ -242,17 +209,17 @@ def _calibrated(
     """
     untold = bc.undetermined(model, readings)
     if untold.add:
-        print_notes([str(untold)])
+        ws.print_notes([str(untold)])
     # Where poses leave directions open, chains would go through the priors of these for minutes; where they leave
     # nothing to tell the noise by, so would draws.
     few = len(readings) <= sum(len(e.coefficients) for e in model.effects)
     method = bc.LeastSquares() if few else bc.Marginal(chains=not untold.add)
     most = 0 if asked.baseline or few else MOST_ADDED
-    with deadline.sooner(1 / left):
+    with ws.deadline.sooner(1 / left):
         trail = bc.calibrate(model, readings, method=method, seed=asked.seed, max_effects=most)
     correction = bc.vector_correction(trail.calibration)  # averaged over the structures
     correction = turned(correction)
-    print_notes(correction.notes)
+    ws.print_notes(correction.notes)
     if not asked.json_:
         print(triad_text(trail, correction))
     return trail, correction
@@ -260,44 +227,39 @@ def _calibrated(
 
 def triad_text(trail: bc.SearchPath, correction: bc.VectorCorrection) -> str:
     """What is found of three axes: the errors, the coefficients, and offset and matrix as exports have them."""
-    from bayescal._cli.output import coefficients_text
-
-    return f"{trail}\n\n{coefficients_text(trail)}\n\n{correction}"
+    return f"{trail}\n\n{ws.coefficients_text(trail)}\n\n{correction}"
 
 
 def _write(folder: Path, trail: Any, correction: Any, readings: Any, sensor: str | None) -> None:
     """All that there is of three axes but what is drawn, to a folder that is not seen yet."""
     from bayescal._annexes.imu.vector_parameters import left_out
-    from bayescal.workshop import write_search
 
-    write_search(trail, folder)
+    ws.write_search(trail, folder)
     for name in FILES:
         bc.export_vector(correction, folder / name, name=sensor)
     if said := left_out(correction, "yaml"):
-        print_notes([f"{correction.instrument}, YAML: {said}"])
+        ws.print_notes([f"{correction.instrument}, YAML: {said}"])
     readings.write(folder / "poses.csv")
 
 
 def _draw(trails: Mapping[str, Any], folder: Path) -> bool:
     """Pictures and reports of three axes, in the folders of their results in this one, and a report of all."""
-    from bayescal.workshop import draw_search
-
-    made = [drawn(draw_search, trails, folder)]
+    made = [ws.drawn(ws.draw_search, trails, folder)]
 
     def reports() -> None:
-        with drawing(REPORT), whole_folder(folder, more=True) as hidden:
+        with ws.drawing(REPORT), ws.whole_folder(folder, more=True) as hidden:
             for place, trail in trails.items():
                 (hidden / place).mkdir(exist_ok=True)
-                made.append(drawn(bc.report, trail, hidden / place / REPORT))
+                made.append(ws.drawn(bc.report, trail, hidden / place / REPORT))
             if len(trails) > 1:
-                made.append(drawn(bc.report, [*trails.values()], hidden / REPORT))
+                made.append(ws.drawn(bc.report, [*trails.values()], hidden / REPORT))
 
-    return all((drawn(reports), *made))
+    return all((ws.drawn(reports), *made))
 
 
-def parameters(asked: ExportCommand) -> Answer:
+def parameters(asked: ws.ExportCommand) -> ws.Answer:
     """`bayescal export` to parameters of an autopilot: of calibrations by axis, or of a triad."""
-    several = of_units(asked.calibrations, CALIBRATION)
+    several = ws.of_units(asked.calibrations, ws.CALIBRATION)
     loaded = asked.loaded(several)
     if loaded and not isinstance(loaded[0][1], bc.Compensator):
         return asked.written([one for _, one in loaded])
@@ -305,26 +267,26 @@ def parameters(asked: ExportCommand) -> Answer:
     how = {"devices": numbers, "local_gravity": asked.gravity}
     found = bc.firmware_parameters(given, str(asked.format_), **how)
     text = found.text() if asked.out is None else f"{found}\n\nwritten: {found.write(asked.out)}"
-    return Answer(text.removesuffix("\n"), **reliable(given))
+    return ws.Answer(text.removesuffix("\n"), **ws.reliable(given))
 
 
 def by_axis(
-    given: Sequence[tuple[Path, bc.Compensator]], named: list[str] | None, own: InUse
+    given: Sequence[tuple[Path, bc.Compensator]], named: list[str] | None, own: ws.InUse
 ) -> dict[str, bc.Compensator]:
     """Calibrations by their axis: as their readings name it, or as the user does."""
     from bayescal._annexes.imu.firmware_parameters import axis_of
 
     found, files = dict[str, bc.Compensator](), dict[str, Path]()
     every = [(axis_of(c.calibration) if c.calibration else None, p, c) for p, c in given]
-    pairs = (pair for one in named or [] for pair in named_values([one], "--axis").items())
-    every += [(name, Path(p), compensator_from(Path(p), own)) for name, p in pairs]
+    pairs = (pair for one in named or [] for pair in ws.named_values([one], "--axis").items())
+    every += [(name, Path(p), ws.compensator_from(Path(p), own)) for name, p in pairs]
     for name, path, chosen in every:
         if name is None:
-            raise InputError(
+            raise bc.InputError(
                 f"{path}: its readings do not say of which axis it is: --axis gyro_x={path} in its place"
             )
         if name in found:
-            raise InputError(
+            raise bc.InputError(
                 f"{path} and {files[name]} are both of {name}: give one, or say of which axis each is "
                 f"(--axis gyro_y={path})"
             )
@@ -334,15 +296,15 @@ def by_axis(
 
 def device_numbers(given: list[str] | None) -> dict[str, int]:
     """--device-id as `firmware_parameters` takes it."""
-    said = named_values(given, "--device-id")
+    said = ws.named_values(given, "--device-id")
     for name, value in said.items():
         if not value.isdecimal():
-            raise InputError(f"--device-id {name}={value}: {value!r} is not a whole number")
+            raise bc.InputError(f"--device-id {name}={value}: {value!r} is not a whole number")
     return {name: int(value) for name, value in said.items()}
 
 
-def _exports() -> dict[str, Callable[[ExportCommand], Answer]]:
-    from bayescal._annexes.imu.autopilot import AUTOPILOTS
+def _exports() -> dict[str, Callable[[ws.ExportCommand], ws.Answer]]:
+    from bayescal._annexes.imu.firmware_parameters import AUTOPILOTS
 
     return dict.fromkeys(AUTOPILOTS, parameters)
 
@@ -350,7 +312,7 @@ def _exports() -> dict[str, Callable[[ExportCommand], Answer]]:
 def _result(calibration: bc.Calibration, average: bc.Calibration | None) -> dict[str, Any]:
     if calibration.model.instrument.vector is None:
         return {"vector": None}
-    from bayescal._annexes.imu.vector_text import vector_data
+    from bayescal._annexes.imu.vector_files import vector_data
 
     return {"vector": vector_data(calibration, average)}
 
@@ -363,7 +325,7 @@ ANNEX = {
     "corrected": "bayescal:vector_correction",
     "noise_file": "bayescal:kalibr_yaml",
     "result": _result,
-    "coefficient_tables": f"{HERE}.vector_text:coefficient_tables",
+    "coefficient_tables": f"{HERE}.vector_files:coefficient_tables",
     "pictures": f"{HERE}.sphere:pictures",
     "log": f"{HERE}.logs:open_log",
     "scalar_readings": f"{HERE}.scalar_readings:scalar_readings",

@@ -9,10 +9,9 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping
 
-from bayescal import InputError, SensorNoise
+import bayescal as bc
+from bayescal import workshop as ws
 from bayescal._annexes.imu.vector_parameters import si_of
-from bayescal._calibration.sensor_noise import FILTER_QUANTILE
-from bayescal.workshop import c_comment, option
 
 KINDS = {"accelerometer": "m/s^2", "gyroscope": "rad/s"}
 BRIEF = {
@@ -24,7 +23,7 @@ EVEN = 0.05  # of the step, by which those of channels of one unit may differ
 
 
 def kalibr_yaml(
-    channels: Mapping[str, SensorNoise], topic: str = "/imu0", quantile: float | None = None
+    channels: Mapping[str, bc.SensorNoise], topic: str = "/imu0", quantile: float | None = None
 ) -> str:
     """Text of an imu.yaml; of several axes the noisiest.
 
@@ -36,23 +35,23 @@ def kalibr_yaml(
     Raises:
         InputError: a channel is neither, or their rates differ, the quantile is no probability, or the topic no name.
     """
-    quantile = FILTER_QUANTILE if quantile is None else quantile
+    quantile = ws.FILTER_QUANTILE if quantile is None else quantile
     if not 0 < quantile < 1:
-        raise InputError(f"the quantile {quantile:g} must be between 0 and 1, such as 0.95")
+        raise bc.InputError(f"the quantile {quantile:g} must be between 0 and 1, such as 0.95")
     if not TOPIC.fullmatch(topic):
-        raise InputError(
+        raise bc.InputError(
             f"the topic {topic!r} is no name of ROS: letters, digits, _ and /, such as /imu0"
         )
     steps = {name: noise.step for name, noise in channels.items()}
     if max(steps.values()) > (1 + EVEN) * min(steps.values()):
-        raise InputError(f"channels of one unit have one rate, not steps of {steps} s")
+        raise bc.InputError(f"channels of one unit have one rate, not steps of {steps} s")
     kinds = {name: _kind(name, noise.unit) for name, noise in channels.items()}
     lines = [
         "# Noise of an inertial measurement unit at rest, for Kalibr. Continuous time, SI units.",
         f"# Every number is the {quantile:.0%} quantile of its posterior, of the noisiest axis.",
     ]
     for name, noise in channels.items():
-        lines.append(f"# {c_comment(name)}: {noise.law}. {_left_out(noise)}")
+        lines.append(f"# {ws.c_comment(name)}: {noise.law}. {_left_out(noise)}")
         for n in (figure for figure in noise.figures if figure.symbol == "N"):
             middle, low, high = (f"{value:.4e}" for value in n.si)
             seen = "not seen" if n.bound else f"{middle} {n.si_unit} ({low} to {high})"
@@ -71,7 +70,7 @@ def kalibr_yaml(
     return "\n".join([*lines, f"rostopic: {topic}", f"update_rate: {rate:.6g}", ""])
 
 
-def _left_out(noise: SensorNoise) -> str:
+def _left_out(noise: bc.SensorNoise) -> str:
     horizon, lasting = f"{noise.horizon:.3g} s", {*noise.terms} - BRIEF.keys()
     brief = "".join(
         f"White noise stands for {said} too. " for t, said in BRIEF.items() if t in noise.terms
@@ -91,7 +90,7 @@ def _kind(name: str, unit: str) -> str:
     for kind, target in KINDS.items():
         if si_of(unit or "1")[1] == target:
             return kind
-    raise InputError(
+    raise bc.InputError(
         f"the channel {name!r} in {unit or 'no unit'} is neither a gyroscope's nor an accelerometer's: an imu.yaml has "
-        f"no place for it. Say its unit: {option('--unit', f'{name}=UNIT')}"
+        f"no place for it. Say its unit: {ws.option('--unit', f'{name}=UNIT')}"
     )

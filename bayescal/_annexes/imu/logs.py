@@ -29,8 +29,8 @@ from typing import Any
 
 import numpy as np
 
-from bayescal import InputError
-from bayescal.workshop import Table, as_format, one_line, unusable
+import bayescal as bc
+from bayescal import workshop as ws
 
 RATE, ACCELERATION = "rad/s", "m/s^2"  # units in which all these formats log
 AXES = ("x", "y", "z")
@@ -38,21 +38,15 @@ AXES = ("x", "y", "z")
 
 @dataclass(frozen=True)
 class Sensor:
-    """Channels of one sensor that are sampled together.
+    """Channels of one sensor that are sampled together."""
 
-    Attributes:
-        time: of the samples, s, (n,).
-        channels: name, such as "gyro_x", and "gyro_x_1" of a second one → values, (n,), and their unit.
-        temperature: °C, (m,); None where the log has none for this sensor.
-        temperature_time: when the temperature was sampled, s, (m,); None where with the channels.
-        device: identifier of the device, as the log states it.
-    """
-
-    time: np.ndarray
+    time: np.ndarray  # of the samples, s, (n,)
+    # name, such as "gyro_x", and "gyro_x_1" of a second one → values, (n,), and their unit
     channels: dict[str, tuple[np.ndarray, str]]
-    temperature: np.ndarray | None = None
+    temperature: np.ndarray | None = None  # °C, (m,); None where the log has none for this sensor
+    # when the temperature was sampled, s, (m,); None where with the channels
     temperature_time: np.ndarray | None = None
-    device: str | None = None
+    device: str | None = None  # identifier of the device, as the log states it
 
 
 def triad(
@@ -80,7 +74,7 @@ def columns_of(
     """
     holder = {name: sensor for sensor in sensors for name in sensor.channels}
     if not holder:
-        raise InputError(f"{file!r} is a log without messages of a sensor that is read")
+        raise bc.InputError(f"{file!r} is a log without messages of a sensor that is read")
     headers = {f"{name} [{one.channels[name][1]}]": name for name, one in holder.items()}
     wanted = [headers.get(name, name) for name in dict.fromkeys(chosen)]
     wanted = [name for name in dict.fromkeys(wanted) if name in holder] or list(holder)
@@ -92,7 +86,7 @@ def columns_of(
     high = min(t.max(initial=-np.inf) for t in spans)
     kept, notes = np.flatnonzero((base.time >= low) & (base.time <= high)), list[str]()
     if not len(kept):
-        raise InputError(
+        raise bc.InputError(
             f"{file!r}: the channels chosen and their temperature were not logged at one time: choose others, or log "
             "them together"
         )
@@ -283,7 +277,7 @@ def _refuse_views(path: Path) -> None:
     views = "SELECT name FROM sqlite_master WHERE type IN ('view', 'trigger') OR sql LIKE 'CREATE VIRTUAL%'"
     with closing(sqlite3.connect(uri, uri=True)) as base:
         for (name,) in base.execute(views):
-            first = one_line(str(name))
+            first = ws.one_line(str(name))
             raise ValueError(f"{first} in it is no table of messages, as a recorder writes")
 
 
@@ -323,7 +317,7 @@ LOG_FORMATS = {
 }
 
 
-def open_log(path: Path, file: str, chosen: Collection[str]) -> Table:
+def open_log(path: Path, file: str, chosen: Collection[str]) -> ws.Table:
     """Open the chosen channels of a log; all, if `chosen` names none that it has.
 
     Raises:
@@ -334,12 +328,12 @@ def open_log(path: Path, file: str, chosen: Collection[str]) -> Table:
         importlib.import_module(package)
     except ModuleNotFoundError:
         came = f"is a {title}, which the package {package} reads, and that is not installed"
-        raise unusable(file, came, "pip install 'bayescal[logs]'") from None
+        raise ws.unusable(file, came, "pip install 'bayescal[logs]'") from None
     printed = io.StringIO()  # libraries print; standard output is the command's own
-    with as_format(file, title), redirect_stdout(printed), redirect_stderr(printed):
+    with ws.as_format(file, title), redirect_stdout(printed), redirect_stderr(printed):
         sensors, notes = read(path)
     lines = [x for x in printed.getvalue().splitlines() if "dfindexer" not in x.lower()]
     notes += [f"{package} says: {line[:200]}" for line in lines[:1]]
     columns, more = columns_of(sensors, chosen, file)
     notes = (*(f"{file}: {note}" for note in notes), *more)
-    return Table.of_columns(file, columns, place=lambda i: f"sample {i + 1}", notes=notes)
+    return ws.Table.of_columns(file, columns, place=lambda i: f"sample {i + 1}", notes=notes)

@@ -35,29 +35,22 @@ from scipy.linalg import block_diag, solve_triangular
 from scipy.spatial.transform import Rotation
 from scipy.special import fdtrc, logsumexp
 
-from bayescal import InputError, Instrument, Measurements, ModelError
+import bayescal as bc
+from bayescal import workshop as ws
 from bayescal._annexes.imu.scalar_readings import MOUNTING, tangents
 from bayescal._annexes.imu.still_stretches import (
     LoggedRun,
     as_readings,
+    averaged,
     in_common,
     logged_runs,
     per_sample,
 )
 from bayescal._annexes.imu.vector_correction import VectorCorrection
-from bayescal._core.parallel import on_one_thread
-from bayescal._data.pose_rows import (
-    ACROSS,
-    AXES,
-    DIRECTION,
-    OF,
-    TURNED,
-)
-from bayescal.workshop import UNCERTAINTY, convert, number, same_dimension
 
 # Beside `TURNED`, the specific force on j, the square of what acts on a, and the Earth's rotation.
-PULLED = tuple(f"pulled_{a}{j}" for a in AXES for j in AXES)
-SQUARED = tuple(f"squared_{a}" for a in AXES)
+PULLED = tuple(f"pulled_{a}{j}" for a in ws.AXES for j in ws.AXES)
+SQUARED = tuple(f"squared_{a}" for a in ws.AXES)
 AROUND = tuple(f"around_{k}" for k in "123")
 SWEEPS = 60  # of integrating anew; four suffice for a matrix that is off by a tenth
 HALVINGS = 10  # of a step that leaves more over than was,
@@ -90,13 +83,13 @@ class _Rows(NamedTuple):
 
 
 def moves(
-    log: Measurements,
-    instrument: Instrument,
-    forces: Measurements,
+    log: bc.Measurements,
+    instrument: bc.Instrument,
+    forces: bc.Measurements,
     correction: VectorCorrection,
     *,
     shortest: float | None = None,
-) -> Measurements:
+) -> bc.Measurements:
     """Readings of gyroscopes: of each pose three outputs at rest, of each move between two poses two.
 
     The unit is at rest where both logs are; a slow turn about the vertical is seen by neither and counts as a bias.
@@ -117,16 +110,16 @@ def moves(
             from one pose to the next, an integration that does not settle, or too many moves that disagree.
         ModelError: an instrument whose outputs are no rates.
     """
-    if instrument.vector is None or not same_dimension(instrument.unit, "rad/s"):
-        raise ModelError(
+    if instrument.vector is None or not ws.same_dimension(instrument.unit, "rad/s"):
+        raise bc.ModelError(
             f"instrument {instrument.name!r}: moves are of three gyroscopes, and its output is in [{instrument.unit}]"
         )
-    unit = float(np.asarray(convert(np.ones(1), instrument.unit, "rad/s"))[0])
+    unit = float(np.asarray(ws.convert(np.ones(1), instrument.unit, "rad/s"))[0])
     log, forces = per_sample(log), per_sample(forces)
     pulls = logged_runs(forces, correction.outputs, shortest)
     rates = logged_runs(log, instrument.vector.outputs, shortest)
     if lacking := sorted(rates.keys() - pulls.keys()):
-        raise InputError(
+        raise bc.InputError(
             f"{forces.file}: run {lacking[0]!r} of {log.file} is not in it: log gyroscopes and accelerometers together"
         )
     made: dict[str, list[np.ndarray]] = {}
@@ -138,15 +131,15 @@ def moves(
         )
         windows = in_common(own.ends(), pulls[run].ends())
         if len(windows) < 2:
-            raise InputError(
+            raise bc.InputError(
                 f"{log.file}, run {run!r}: {len(windows)} poses in which gyroscopes and accelerometers are at rest "
                 "together, and a move needs two: hold the unit still for some seconds before and after each move"
             )
         poses += len(windows)
         try:
             rows, disagreeing = _readings(own, pulls[run], windows, correction, len(rates))
-        except InputError as error:
-            raise InputError(f"{log.file}, run {run!r}: {error}") from None
+        except bc.InputError as error:
+            raise bc.InputError(f"{log.file}, run {run!r}: {error}") from None
         odd += disagreeing
         labels, codes = log.groups("run")
         samples = log.select(codes == labels.index(run))
@@ -155,9 +148,9 @@ def moves(
     columns = {name: np.concatenate(parts) for name, parts in made.items()}
     # As of means of unequal numbers: the noise law's own is that of the surest reading, others have more beside it. A
     # noise beside known ones that suffice would have its mode at zero.
-    squares = columns[UNCERTAINTY] ** 2
+    squares = columns[ws.UNCERTAINTY] ** 2
     surest = float(np.sqrt(squares.min()))
-    columns[UNCERTAINTY] = np.sqrt(squares - squares.min())
+    columns[ws.UNCERTAINTY] = np.sqrt(squares - squares.min())
     found = as_readings(columns, instrument, log)
     said = (
         f"{len(found)} readings of {poses} poses and the moves between them, found in {log.file}; by their scatter the "
@@ -223,7 +216,7 @@ def _turned(moved: _Moves, matrix: np.ndarray, bias: np.ndarray) -> tuple[np.nda
     return rate, turned
 
 
-@on_one_thread
+@ws.on_one_thread
 def _readings(
     log: LoggedRun,
     pull: LoggedRun,
@@ -273,18 +266,18 @@ def _readings(
             break
         aside = further
         if len(aside.moves) > most:
-            raise InputError(
+            raise bc.InputError(
                 f"more than {most} of {len(moved.rate)} moves disagree with each other by more than they scatter. Were "
                 "samples lost, is a rate beyond the gyroscopes' range, or did accelerometers and gyroscopes not turn "
                 "together?"
             )
     if not np.max(np.abs(here - session.nominal[:OWN])[3:]) < FARTHEST:
-        raise InputError(
+        raise bc.InputError(
             "the outputs integrated over a move do not lead from one pose to the next. Check the unit of the "
             "gyroscopes, that their axes are those of the accelerometers, and that no rate is beyond their range"
         )
     if size >= SETTLED:
-        raise InputError(
+        raise bc.InputError(
             f"the integration over the moves did not settle: a further sweep would move an estimate by {size:.2g} "
             "standard uncertainties. Turn the unit less between two poses, about all three axes, and hold it still for "
             "longer; see that no rate is beyond the gyroscopes' range"
@@ -433,13 +426,13 @@ class _Line(NamedTuple):
         rate = np.rad2deg(np.linalg.norm(rates - rates.mean(axis=0), axis=1))
         still = float(np.median(np.delete(rate, aside.poses)))
         poses = (
-            f"the pose from {number(windows[k, 0], 5)} to {number(windows[k, 1], 5)} s, in which the outputs stand "
-            f"{number(rate[k], 2)} deg/s off (others {number(still, 2)})"
+            f"the pose from {ws.number(windows[k, 0], 5)} to {ws.number(windows[k, 1], 5)} s, in which the outputs "
+            f"stand {ws.number(rate[k], 2)} deg/s off (others {ws.number(still, 2)})"
             for k in sorted(aside.poses)
         )
         moves = (
-            f"the move from {number(windows[k, 1], 5)} to {number(windows[k + 1, 0], 5)} s, which leaves "
-            f"{number(angle[k], 2)} deg over (others {number(usual, 2)})"
+            f"the move from {ws.number(windows[k, 1], 5)} to {ws.number(windows[k + 1, 0], 5)} s, which leaves "
+            f"{ws.number(angle[k], 2)} deg over (others {ws.number(usual, 2)})"
             for k in sorted(aside.moves)
         )
         return [*poses, *moves]
@@ -461,7 +454,7 @@ class _Line(NamedTuple):
             uncertainty=np.concatenate([np.sqrt(rest), own]),
             windows=np.concatenate([windows[self.pose], between[self.move]]),
             force=np.concatenate([self.session.felt[self.pose], self.closure.force[self.move]]),
-            kinds=(*(AXES[i] for i in axis), *("move", "move too") * (len(self.move) // 2)),
+            kinds=(*(ws.AXES[i] for i in axis), *("move", "move too") * (len(self.move) // 2)),
         )
 
 
@@ -533,21 +526,14 @@ def _at_rest(
 
 
 def _columns(
-    rows: _Rows, samples: Measurements, log: LoggedRun, beside: tuple[str, ...], unit: float
+    rows: _Rows, samples: bc.Measurements, log: LoggedRun, beside: tuple[str, ...], unit: float
 ) -> dict[str, np.ndarray]:
     """Of readings, rates in the unit of the output; what else was recorded averaged over each."""
     powers = np.repeat([0.0, 1.0, 0.0, 2.0, 0.0], [3, 9, 9, 3, 3])
-    names = (*ACROSS, *TURNED, *PULLED, *SQUARED, *AROUND)
+    names = (*ws.ACROSS, *ws.TURNED, *PULLED, *SQUARED, *AROUND)
     made = dict(zip(names, (rows.levers / unit**powers).T, strict=True))
-    made |= {"output": rows.output / unit, UNCERTAINTY: rows.uncertainty / unit}
-    made |= {OF: np.array(rows.kinds)}
+    made |= {"output": rows.output / unit, ws.UNCERTAINTY: rows.uncertainty / unit}
+    made |= {ws.OF: np.array(rows.kinds)}
     made |= {name: rows.force[:, j] for j, name in enumerate(beside)}
-    inside = [log.inside(*w) for w in rows.windows]
-    for name in samples.columns:
-        if name in made or name in (*DIRECTION, MOUNTING):
-            continue
-        values = samples[name]
-        # Labels do not average: the one at the begin holds.
-        each = [values[s.start] if values.dtype.kind != "f" else values[s].mean() for s in inside]
-        made[name] = np.array(each)
-    return made
+    rest = [n for n in samples.columns if n not in (*made, *ws.DIRECTION, MOUNTING)]
+    return made | averaged(samples, rest, (log.inside(*w) for w in rows.windows))

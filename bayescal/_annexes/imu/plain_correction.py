@@ -18,13 +18,13 @@ from typing import Literal
 import numpy as np
 from jaxtyping import Float
 
+from bayescal import workshop as ws
 from bayescal._annexes.imu.vector_correction import (
     PAIRS,
     ROUNDING,
     VectorCorrection,
     slopes_by_terms,
 )
-from bayescal.workshop import number, same_dimension, unit_label
 
 # Means of polynomials up to the seventh degree: over a range by G. Lobatto's five points, over a sphere by V. Lebedev's
 # 26 (Zh. Vychisl. Mat. Mat. Fiz. 16 (1976) 293), the directions of axes, edges and corners of a cube.
@@ -74,9 +74,9 @@ class PlainCorrection:
     @property
     def said(self) -> str:
         """What is left out, in a sentence; empty for nothing."""
-        unit = unit_label(self.unit)
+        unit = ws.unit_label(self.unit)
         each = (
-            f"{one.what}, {number(one.rms, 2)} {unit} rms and up to {number(one.largest, 2)} {unit}"
+            f"{one.what}, {ws.number(one.rms, 2)} {unit} rms and up to {ws.number(one.largest, 2)} {unit}"
             for one in self.left
         )
         said = "; ".join(each)
@@ -104,7 +104,7 @@ def plain_correction(
     first = np.r_[0:12, p - 9 * bool(correction.beside) : p]  # terms that are of first order
     to_plain = np.eye(p)[first]
     for i in range(3):
-        if order > 1 and not same_dimension(correction.unit, "rad/s"):
+        if order > 1 and not ws.same_dimension(correction.unit, "rad/s"):
             to_plain[i, [12 + 6 * i + PAIRS.index((a, a)) for a in range(3)]] = radius**2 / 3
         if order > 2:
             to_plain[3 + 4 * i, 30 + i] = 0.6 * radius**2
@@ -140,6 +140,6 @@ def plain_correction(
         terms=to_form @ correction.terms.ravel() + taken_as_one,
         covariance=to_form @ correction.covariance @ to_form.T,
         left=tuple(left),
-        over=f"over all directions of {number(radius)} {unit_label(correction.unit)}, {correction.calibrated_at}",
+        over=f"over all directions of {ws.number(radius)} {ws.unit_label(correction.unit)}, {correction.calibrated_at}",
         unit=correction.unit,
     )

@@ -11,19 +11,8 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from jaxtyping import Float
 
-from bayescal import InputError, Instrument
-from bayescal._data.pose_rows import (
-    ACROSS,
-    AXES,
-    DIRECTION,
-    MAGNITUDE,
-    MAGNITUDE_READ,
-    OF,
-    RATE,
-    ellipsoid,
-    magnitude,
-)
-from bayescal.workshop import UNCERTAINTY
+import bayescal as bc
+from bayescal import workshop as ws
 
 POSE_UNCERTAINTY = "pose_uncertainty"  # of a known direction, rad
 MOUNTING = "mounting"  # readings that share an error of the direction
@@ -32,7 +21,7 @@ Units = Mapping[str, str | None]
 
 
 def scalar_readings(
-    instrument: Instrument, values: Values, units: Units, file: str
+    instrument: bc.Instrument, values: Values, units: Units, file: str
 ) -> tuple[Values, Units, list[str]]:
     """Return readings of three outputs as readings of one, with their units and flags.
 
@@ -46,15 +35,15 @@ def scalar_readings(
     """
     if "output" in values:  # they are so already
         return values, units, []
-    sized = [column.meaning for column in instrument.columns if column.name == MAGNITUDE]
+    sized = [column.meaning for column in instrument.columns if column.name == ws.MAGNITUDE]
     read = pose_readings if sized else component_readings
     made, made_units = read(instrument.outputs, values, units, file)
-    if MAGNITUDE_READ not in made.keys() - values.keys():
+    if ws.MAGNITUDE_READ not in made.keys() - values.keys():
         return made, made_units, []
-    size = f"{made[MAGNITUDE_READ][0]:.4g} {made_units[MAGNITUDE_READ]}"
+    size = f"{made[ws.MAGNITUDE_READ][0]:.4g} {made_units[ws.MAGNITUDE_READ]}"
     flag = (
-        f"{file}: the magnitude {sized[0]} is not given (--local-field, or a column {MAGNITUDE!r}): it is taken as the "
-        f"outputs read it, {size}, and ratios of scale factors are measured"
+        f"{file}: the magnitude {sized[0]} is not given (--local-field, or a column {ws.MAGNITUDE!r}): it is taken as "
+        f"the outputs read it, {size}, and ratios of scale factors are measured"
     )
     return made, made_units, [flag]
 
@@ -68,34 +57,38 @@ def pose_readings(
     radius of their ellipsoid, which makes the scale factors ratios. Arguments as of `scalar_readings`.
     """
     y = np.stack([values[name] for name in names], axis=1)
-    if MAGNITUDE not in values and MAGNITUDE_READ not in values:
-        values = {**values, MAGNITUDE_READ: np.full(len(y), _mean_radius(y))}
-        units = {**units, MAGNITUDE_READ: units[names[0]]}
+    if ws.MAGNITUDE not in values and ws.MAGNITUDE_READ not in values:
+        values = {**values, ws.MAGNITUDE_READ: np.full(len(y), _mean_radius(y))}
+        units = {**units, ws.MAGNITUDE_READ: units[names[0]]}
     size = _lengths(
         y, file, names, "all three read zero, so nothing acts on them: take the row out"
     )
     made_units = {**units, "output": units[names[0]]}
-    given = [own for own in (*DIRECTION, POSE_UNCERTAINTY) if own in values]
+    given = [own for own in (*ws.DIRECTION, POSE_UNCERTAINTY) if own in values]
     if not given:
         return {**values, "output": size}, made_units
     if len(given) < 4:
-        lacking = sorted({*DIRECTION, POSE_UNCERTAINTY} - {*given})
-        raise InputError(
-            f"{file}: a known direction needs {', '.join((*DIRECTION, POSE_UNCERTAINTY))}, and "
+        lacking = sorted({*ws.DIRECTION, POSE_UNCERTAINTY} - {*given})
+        raise bc.InputError(
+            f"{file}: a known direction needs {', '.join((*ws.DIRECTION, POSE_UNCERTAINTY))}, and "
             f"{', '.join(lacking)} is missing: add it, or take the others out, and directions are unknown"
         )
-    direction = np.stack([values[name] for name in DIRECTION], axis=1)
+    direction = np.stack([values[name] for name in ws.DIRECTION], axis=1)
     none = "a direction of length zero: give the direction of what acts, in the body's axes"
-    direction = direction / _lengths(direction, file, DIRECTION, none)[:, None]
+    direction = direction / _lengths(direction, file, ws.DIRECTION, none)[:, None]
     across = np.stack([np.zeros_like(y), *tangents(direction)], axis=1)  # (n, 3 readings, 3)
     outputs = np.column_stack([size, np.einsum("nkj,nj->nk", across[:, 1:], y)])
-    angle = values[POSE_UNCERTAINTY] * magnitude(values)
-    beside = values.get(UNCERTAINTY, np.zeros(len(y)))
+    angle = values[POSE_UNCERTAINTY] * ws.magnitude(values)
+    beside = values.get(ws.UNCERTAINTY, np.zeros(len(y)))
     uncertainty = np.stack([beside, *2 * [np.hypot(beside, angle)]], axis=1)
-    values = {**values, **dict(zip(DIRECTION, direction.T, strict=True))}
+    values = {**values, **dict(zip(ws.DIRECTION, direction.T, strict=True))}
     made = _three_each(values, across, outputs, ("magnitude", "across", "across too"))
-    made |= {UNCERTAINTY: uncertainty.ravel()}
-    made_units |= {**dict.fromkeys(ACROSS, "1"), UNCERTAINTY: made_units["output"], OF: None}
+    made |= {ws.UNCERTAINTY: uncertainty.ravel()}
+    made_units |= {
+        **dict.fromkeys(ws.ACROSS, "1"),
+        ws.UNCERTAINTY: made_units["output"],
+        ws.OF: None,
+    }
     return made, made_units
 
 
@@ -107,13 +100,13 @@ def _three_each(
 ) -> dict[str, np.ndarray]:
     """Return three readings of each moment: its outputs, what they are projections on, and what they are called."""
     made = {name: np.repeat(v, 3) for name, v in values.items()}
-    made |= {name: across[:, :, i].ravel() for i, name in enumerate(ACROSS)}
-    return made | {"output": outputs.ravel(), OF: np.tile(labels, len(outputs))}
+    made |= {name: across[:, :, i].ravel() for i, name in enumerate(ws.ACROSS)}
+    return made | {"output": outputs.ravel(), ws.OF: np.tile(labels, len(outputs))}
 
 
 def _mean_radius(outputs: Float[np.ndarray, "n 3"]) -> float:
     """Of the ellipsoid through outputs, the geometric mean; where there is none, of a sphere about their midrange."""
-    found = ellipsoid(outputs)
+    found = ws.ellipsoid(outputs)
     if found is None:
         middle = 0.5 * (outputs.min(axis=0) + outputs.max(axis=0))
         return float(np.median(np.linalg.norm(outputs - middle, axis=1)))
@@ -127,7 +120,7 @@ def _lengths(
     length = np.linalg.norm(vectors, axis=1)
     if not np.all(length > 0):
         row = int(np.argmin(length > 0)) + 1
-        raise InputError(f"{file}, row {row}, columns {', '.join(names)}: {none}")
+        raise bc.InputError(f"{file}, row {row}, columns {', '.join(names)}: {none}")
     return length
 
 
@@ -140,34 +133,34 @@ def component_readings(
     `scalar_readings`; raises InputError for a rate without its direction, or about one of no length.
     """
     count = len(values[names[0]])
-    turning = values[RATE] != 0
-    lacking = [name for name in DIRECTION if name not in values]
+    turning = values[ws.RATE] != 0
+    lacking = [name for name in ws.DIRECTION if name not in values]
     if lacking and turning.any():
         row = int(np.argmax(turning)) + 1
-        raise InputError(
-            f"{file}, row {row}, column {RATE}: a rate needs the direction that it is about, and "
+        raise bc.InputError(
+            f"{file}, row {row}, column {ws.RATE}: a rate needs the direction that it is about, and "
             f"{', '.join(lacking)} is missing: give the table's axis in the body's axes, of length one"
         )
     direction = np.zeros((count, 3))
     if not lacking:
-        direction = np.stack([values[name] for name in DIRECTION], axis=1)
+        direction = np.stack([values[name] for name in ws.DIRECTION], axis=1)
     length = np.linalg.norm(direction, axis=1)
     if np.any(turning & ~(length > 0)):
         row = int(np.argmax(turning & ~(length > 0))) + 1
-        raise InputError(
-            f"{file}, row {row}, columns {', '.join(DIRECTION)}: a rate about a direction of length zero: give the "
+        raise bc.InputError(
+            f"{file}, row {row}, columns {', '.join(ws.DIRECTION)}: a rate about a direction of length zero: give the "
             "table's axis in the body's axes"
         )
     direction = direction / np.where(length > 0, length, 1.0)[:, None]
-    values = {**values, **dict(zip(DIRECTION, direction.T, strict=True))}
+    values = {**values, **dict(zip(ws.DIRECTION, direction.T, strict=True))}
     outputs = np.stack([values[n] for n in names], axis=1)
-    made = _three_each(values, np.broadcast_to(np.eye(3), (count, 3, 3)), outputs, AXES)
+    made = _three_each(values, np.broadcast_to(np.eye(3), (count, 3, 3)), outputs, ws.AXES)
     if MOUNTING not in values:
         first = np.argmax(np.abs(direction) > 0.5, axis=1)  # one sign for both ways round
         way = direction * np.sign(direction[np.arange(count), first])[:, None]
         labels = ["about " + " ".join(f"{c + 0.0:.3f}" for c in one) for one in np.round(way, 3)]
         made[MOUNTING] = np.repeat(np.where(length > 0, labels, "at rest"), 3)
-    own = {**dict.fromkeys((*ACROSS, *DIRECTION), "1"), MOUNTING: None, OF: None}
+    own = {**dict.fromkeys((*ws.ACROSS, *ws.DIRECTION), "1"), MOUNTING: None, ws.OF: None}
     return made, {**units, **own, "output": units[names[0]]}
 
 

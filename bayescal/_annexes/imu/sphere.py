@@ -14,23 +14,21 @@ import numpy as np
 from jaxtyping import Float
 from matplotlib.figure import Figure
 
-from bayescal import Calibration, ModelError
-from bayescal._data.pose_rows import ACROSS
-from bayescal._report.plot_colours import GREY
-from bayescal.workshop import new_figure
+import bayescal as bc
+from bayescal import workshop as ws
 
 CAPTION = "Residuals of the magnitude along the sphere of poses, in standard deviations"
 COLOUR_END_SD = 3.0  # standard deviations, at which the colour ends
 
 
-def sphere(calibration: Calibration) -> Figure:
+def sphere(calibration: bc.Calibration) -> Figure:
     """Residuals of the magnitudes of poses, in standard deviations, where on the sphere each pose is.
 
     Raises:
         ModelError: an instrument of one output, or one of which the magnitude is not what is read.
     """
     direction, residual = residuals_on_sphere(calibration)
-    figure = new_figure(8.4, 4.2)
+    figure = ws.new_figure(8.4, 4.2)
     panels = figure.subplots(1, 2, sharex=True, sharey=True)
     points: Any = None
     for ax, up in zip(panels, (1, -1), strict=True):
@@ -43,12 +41,12 @@ def sphere(calibration: Calibration) -> Figure:
             cmap="RdBu_r",
             vmin=-COLOUR_END_SD,
             vmax=COLOUR_END_SD,
-            edgecolors=GREY,
+            edgecolors=ws.plot_colours.GREY,
             linewidths=0.5,
             s=36,
         )
         turn = np.linspace(0, 2 * np.pi, 200)
-        ax.plot(np.cos(turn), np.sin(turn), color=GREY, lw=0.8)
+        ax.plot(np.cos(turn), np.sin(turn), color=ws.plot_colours.GREY, lw=0.8)
         ax.set_title(f"z {'up' if up > 0 else 'down'}: {int(own.sum())} poses")
         ax.set_xlabel("x")
         ax.set_aspect("equal")
@@ -59,7 +57,7 @@ def sphere(calibration: Calibration) -> Figure:
     return figure
 
 
-def pictures(calibration: Calibration) -> list[tuple[str, Callable[[], Figure]]]:
+def pictures(calibration: bc.Calibration) -> list[tuple[str, Callable[[], Figure]]]:
     """Return the sphere of poses of three axes with its caption; nothing of other instruments."""
     vector = calibration.model.instrument.vector
     of_poses = vector is not None and vector.acting is None
@@ -67,19 +65,19 @@ def pictures(calibration: Calibration) -> list[tuple[str, Callable[[], Figure]]]
 
 
 def residuals_on_sphere(
-    calibration: Calibration,
+    calibration: bc.Calibration,
 ) -> tuple[Float[np.ndarray, "n 3"], Float[np.ndarray, "n"]]:
     """Directions of poses, by their outputs, and the residuals of their magnitudes in standard deviations."""
     vector, readings = calibration.model.instrument.vector, calibration.readings
     if vector is None or vector.acting is not None:
-        raise ModelError(
+        raise bc.ModelError(
             f"instrument {calibration.model.instrument.name!r} reads no magnitudes of poses: "
             "bayescal.plot.residuals draws its residuals"
         )
     outputs = np.stack([readings[name] for name in vector.outputs], axis=1)
     own = np.ones(len(readings), dtype=bool)
-    if readings.has(ACROSS[0]):
-        own = ~np.any([readings[name] != 0 for name in ACROSS], axis=0)
+    if readings.has(ws.ACROSS[0]):
+        own = ~np.any([readings[name] != 0 for name in ws.ACROSS], axis=0)
     linear = calibration.linear
     residual = linear.settled / np.sqrt(linear.variance)
     return outputs[own] / np.linalg.norm(outputs[own], axis=1)[:, None], residual[own]

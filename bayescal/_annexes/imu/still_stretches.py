@@ -8,17 +8,15 @@ its blocks but for the outermost two, pooled over all poses: often 3 to 4 times 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Float, Int
 
-from bayescal import InputError, Instrument, Measurements
-from bayescal._data.pose_rows import ACROSS, OF
-from bayescal._data.records import equal_runs
-from bayescal.workshop import UNCERTAINTY
+import bayescal as bc
+from bayescal import workshop as ws
 
 BLOCK_SECONDS = 0.25  # short against a move by hand, long against a filter of 20 Hz
 QUIET_QUANTILE = 0.1  # quantile of the blocks' scatter, that is taken as at rest
@@ -33,25 +31,17 @@ BLOCK_SAMPLES = 4  # fewest in a block, from which on their scatter says somethi
 
 
 class StillStretches(NamedTuple):
-    """Still stretches of a log.
+    """Still stretches of a log."""
 
-    Attributes:
-        first, last: their first sample and the one after the last (k,).
-        mean, uncertainty: of each output (k, m), and its standard uncertainty, one for all outputs (k,).
-        of_second: standard uncertainty of a mean over one second, of white noise.
-        ratio: of it to that of independent samples.
-        shortest: of these stretches, s, as asked or chosen.
-        left_out: duration of each shorter one of a second or more, s.
-    """
-
-    first: Int[np.ndarray, "k"]
+    first: Int[np.ndarray, "k"]  # first, last: their first sample and the one after the last (k,)
     last: Int[np.ndarray, "k"]
+    # mean, uncertainty: of each output (k, m), and its standard uncertainty, one for all outputs (k,)
     mean: Float[np.ndarray, "k m"]
     uncertainty: Float[np.ndarray, "k"]
-    of_second: float
-    ratio: float
-    shortest: float
-    left_out: tuple[float, ...]
+    of_second: float  # standard uncertainty of a mean over one second, of white noise
+    ratio: float  # of it to that of independent samples
+    shortest: float  # of these stretches, s, as asked or chosen
+    left_out: tuple[float, ...]  # duration of each shorter one of a second or more, s
 
 
 def still_stretches(
@@ -70,7 +60,7 @@ def still_stretches(
     step = float(np.median(np.diff(time))) if len(time) > 1 else np.inf
     size = round(BLOCK_SECONDS / step) if step > 0 else 0
     if size < BLOCK_SAMPLES:
-        raise InputError(
+        raise bc.InputError(
             f"samples {step:.3g} s apart: still stretches are found in blocks of {BLOCK_SECONDS:g} s, which need "
             f"{BLOCK_SAMPLES} samples each. If each row is a pose already, calibrate them as they are"
         )
@@ -82,7 +72,7 @@ def still_stretches(
     still = np.all(scatter <= STILL_RATIO * rest, axis=1)
     moved = np.any(np.abs(np.diff(mean, axis=0)) > STILL_RATIO * rest, axis=1)
     label = np.cumsum(np.concatenate([[True], moved | (still[1:] != still[:-1])]))
-    begins, counts = equal_runs(label)
+    begins, counts = ws.equal_runs(label)
     inner = still[begins] & (counts > 2)
     first, last = begins[inner] + 1, (begins + counts)[inner] - 1  # a move may reach into the ends
     # A block counts as a quarter of a second, which a step of 1/20 s makes 0.2499999 of.
@@ -93,7 +83,7 @@ def still_stretches(
     kept = lengths >= shortest
     shorter = tuple(map(float, lengths[(lengths >= BRIEF_SECONDS) & ~kept]))
     if not kept.any():
-        raise InputError(
+        raise bc.InputError(
             f"no stretch of the log is still for {shortest:g} s: hold the unit still in each pose for longer, or say a "
             "shorter time" + (f": {said_of(shorter)}" if shorter else "")
         )
@@ -142,15 +132,15 @@ class LoggedRun(NamedTuple):
         return slice(int(first), int(last) + 1)
 
 
-def per_sample(log: Measurements) -> Measurements:
+def per_sample(log: bc.Measurements) -> bc.Measurements:
     """Return one row a sample, where each is three readings; raise InputError without a column `time`."""
     if not log.has("time"):
-        raise InputError(f"{log.file}: still stretches need the column 'time', in s")
-    return log.select(np.arange(0, len(log), 3)) if log.has(ACROSS[0]) else log
+        raise bc.InputError(f"{log.file}: still stretches need the column 'time', in s")
+    return log.select(np.arange(0, len(log), 3)) if log.has(ws.ACROSS[0]) else log
 
 
 def logged_runs(
-    log: Measurements, names: tuple[str, ...], shortest: float | None
+    log: bc.Measurements, names: tuple[str, ...], shortest: float | None
 ) -> dict[str, LoggedRun]:
     """Of each run its samples and still stretches."""
     labels, codes = log.groups("run")
@@ -165,13 +155,24 @@ def logged_runs(
 
 
 def as_readings(
-    columns: dict[str, np.ndarray], instrument: Instrument, log: Measurements
-) -> Measurements:
+    columns: dict[str, np.ndarray], instrument: bc.Instrument, log: bc.Measurements
+) -> bc.Measurements:
     """What was made of a log as readings of an instrument; columns that it does not know have the log's units."""
-    known = {c.name for c in instrument.columns} | {UNCERTAINTY}
+    known = {c.name for c in instrument.columns} | {ws.UNCERTAINTY}
     units = {n: str(log.unit(n)) for n in columns if n not in known and log.unit(n)}
     given: dict[str, Any] = {"units": units, "allow_one_temperature": True, **columns}
-    return Measurements.from_arrays(instrument, **given)
+    return bc.Measurements.from_arrays(instrument, **given)
+
+
+def averaged(
+    log: bc.Measurements, names: Iterable[str], stretches: Iterable[slice]
+) -> dict[str, np.ndarray]:
+    """Columns averaged over stretches of a run; labels do not average: the one at the beginning holds."""
+    stretches = [*stretches]
+    return {
+        n: np.array([v[s].mean() if v.dtype.kind == "f" else v[s.start] for s in stretches])
+        for n, v in ((name, log[name]) for name in names)
+    }
 
 
 def in_common(one: Float[np.ndarray, "k 2"], other: Float[np.ndarray, "l 2"]) -> np.ndarray:
@@ -185,8 +186,8 @@ def in_common(one: Float[np.ndarray, "k 2"], other: Float[np.ndarray, "l 2"]) ->
 
 
 def poses(
-    log: Measurements, instrument: Instrument, *, shortest: float | None = None
-) -> Measurements:
+    log: bc.Measurements, instrument: bc.Instrument, *, shortest: float | None = None
+) -> bc.Measurements:
     """Average the still stretches of a log, a row each; other numeric columns are averaged beside them.
 
     Of gyroscopes on a rate table they are stretches of a steady rate.
@@ -200,26 +201,23 @@ def poses(
         InputError: an instrument of one output, no column `time`, or no still stretch.
     """
     if instrument.vector is None:
-        raise InputError(f"instrument {instrument.name!r} has one output: poses are of three axes")
+        raise bc.InputError(
+            f"instrument {instrument.name!r} has one output: poses are of three axes"
+        )
     log = per_sample(log)
     codes = log.groups("run")[1]
     found = [run.still for run in logged_runs(log, instrument.vector.outputs, shortest).values()]
-    columns = {UNCERTAINTY: np.concatenate([still.uncertainty for still in found])}
-    for name in log.columns:
-        if name in ("output", UNCERTAINTY, OF, *ACROSS):
-            continue
-        made = []
-        for code, still in enumerate(found):
-            values = log[name][codes == code]
-            pairs = zip(still.first, still.last, strict=True)
-            # Labels do not average: the one at the stretch's beginning holds for it.
-            label = log.unit(name) is None
-            made += [values[a] if label else np.mean(values[a:b]) for a, b in pairs]
-        columns[name] = np.array(made)
+    names = [n for n in log.columns if n not in ("output", ws.UNCERTAINTY, ws.OF, *ws.ACROSS)]
+    parts = [
+        averaged(log.select(codes == code), names, map(slice, still.first, still.last))
+        for code, still in enumerate(found)
+    ]
+    columns = {ws.UNCERTAINTY: np.concatenate([still.uncertainty for still in found])}
+    columns |= {name: np.concatenate([part[name] for part in parts]) for name in names}
     made = as_readings(columns, instrument, log)
     ratio = np.mean([still.ratio for still in found])
     said = (
-        f"{len(made['output'])} readings of {len(columns[UNCERTAINTY])} poses found in {log.file}; means of blocks "
+        f"{len(made['output'])} readings of {len(columns[ws.UNCERTAINTY])} poses found in {log.file}; means of blocks "
         f"scatter {ratio:.1f} times as much as those of independent samples would"
     )
     left_out = [seconds for still in found for seconds in still.left_out]

@@ -18,17 +18,9 @@ from jaxtyping import Float
 from numpy.typing import ArrayLike
 from scipy.linalg import block_diag
 
-from bayescal import InputError, Measurements, __version__
+import bayescal as bc
+from bayescal import workshop as ws
 from bayescal._annexes.imu.still_stretches import LoggedRun
-from bayescal._core.inverse import stepped
-from bayescal.workshop import (
-    CorrectionInUse,
-    ResultTable,
-    TableColumn,
-    as_json,
-    unit_label,
-    with_error,
-)
 
 ROUNDING = 1e-13  # of the largest term, up to which a term is none
 SIZES = (12, 30, 33)  # how many terms there are up to an order in what acts
@@ -153,7 +145,7 @@ def _known(quantity: Callable[..., np.ndarray], *of: CorrectedVector) -> Known:
 
 
 @dataclass(frozen=True, eq=False)
-class VectorCorrection(CorrectionInUse):
+class VectorCorrection(ws.CorrectionInUse):
     """Offset, matrix and terms of higher order over temperature, with their covariance: call it with outputs.
 
         correct = bc.vector_correction(calibration)
@@ -222,7 +214,7 @@ class VectorCorrection(CorrectionInUse):
 
     def data(self) -> dict[str, Any]:
         said = {
-            "made_by": f"bayescal {__version__}",
+            "made_by": f"bayescal {bc.__version__}",
             "equation": "outputs = offset + matrix·f (+ higher orders) (+ beside·g), each a polynomial of T − "
             "reference",
             "order_of_terms": "offset x y z; matrix by rows; second order xx yy zz xy xz yz by rows; cubes; beside by "
@@ -230,7 +222,7 @@ class VectorCorrection(CorrectionInUse):
             "temperatures_degC": None if self.low is None else [self.low, self.high],
         }
         shared = {} if self.shared is None else {"covariance_with_axes_of": self.shared.tolist()}
-        return said | {key: as_json(getattr(self, of)) for key, of in SAVED_AS.items()} | shared
+        return said | {key: ws.as_json(getattr(self, of)) for key, of in SAVED_AS.items()} | shared
 
     @property
     def calibrated_at(self) -> str:
@@ -279,7 +271,7 @@ class VectorCorrection(CorrectionInUse):
 
     def __call__(
         self,
-        outputs: Measurements | ArrayLike,
+        outputs: bc.Measurements | ArrayLike,
         /,
         temperature: ArrayLike | None = None,
         *,
@@ -337,12 +329,12 @@ class VectorCorrection(CorrectionInUse):
 
     def _solved(
         self,
-        outputs: Measurements | ArrayLike,
+        outputs: bc.Measurements | ArrayLike,
         temperature: ArrayLike | None,
         beside: ArrayLike | None,
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
         """f̂ (n, 3), H⁻¹ (n, 3, 3), slopes of f̂ by the terms at its temperature (n, 3, p), temperatures (n,)."""
-        if isinstance(outputs, Measurements):
+        if isinstance(outputs, bc.Measurements):
             readings = outputs
             if self.beside and beside is None and readings.has(self.beside[0]):
                 beside = np.stack([readings[name] for name in self.beside], axis=1)
@@ -351,15 +343,17 @@ class VectorCorrection(CorrectionInUse):
             outputs = np.stack([readings[name] for name in self.outputs], axis=1)
         y = np.atleast_2d(np.asarray(outputs, dtype=float))
         if y.ndim != 2 or y.shape[1] != 3:
-            raise InputError(
+            raise bc.InputError(
                 f"three outputs a reading are needed, (n, 3); these have the shape {y.shape}"
             )
         if temperature is None and len(self.terms) > 1:
-            raise InputError("the correction depends on the temperature: give temperature=… in °C")
+            raise bc.InputError(
+                "the correction depends on the temperature: give temperature=… in °C"
+            )
         given = self.assumed if temperature is None else np.asarray(temperature, float)
         warm = np.broadcast_to(given, len(y))
         if self.beside and beside is None:
-            raise InputError(
+            raise bc.InputError(
                 f"the correction depends on {', '.join(self.beside)}: give beside=… (n, 3), as calibrated"
             )
         acts = np.broadcast_to(np.asarray(beside, float), y.shape) if self.beside else None
@@ -370,7 +364,7 @@ class VectorCorrection(CorrectionInUse):
             slopes = _slopes_by_force(terms, force, self.order)
             return there[..., 0], lambda miss: np.linalg.solve(slopes, miss[..., None])[..., 0]
 
-        force = stepped(equation, y, y, NEWTON_STEPS)
+        force = ws.stepped(equation, y, y, NEWTON_STEPS)
         inverse = np.linalg.inv(_slopes_by_force(terms, force, self.order))
         return force, inverse, inverse @ slopes_by_terms(force, self.order, acts), warm
 
@@ -388,14 +382,16 @@ class TermRow(NamedTuple):
         return self.name + ("", " by T − T0", " by (T − T0)²", " by (T − T0)³")[self.power]
 
 
-def terms_table(rows: Sequence[TermRow]) -> ResultTable:
+def terms_table(rows: Sequence[TermRow]) -> ws.ResultTable:
     """Terms of a correction with their standard uncertainties."""
     columns = (
-        TableColumn("correction", str),
-        TableColumn("value ± standard uncertainty", lambda r: with_error(r.value, r.uncertainty)),
-        TableColumn("unit", lambda r: unit_label(r.unit)),
+        ws.TableColumn("correction", str),
+        ws.TableColumn(
+            "value ± standard uncertainty", lambda r: ws.with_error(r.value, r.uncertainty)
+        ),
+        ws.TableColumn("unit", lambda r: ws.unit_label(r.unit)),
     )
-    return ResultTable(columns, rows)
+    return ws.ResultTable(columns, rows)
 
 
 def term_rows(

@@ -1,34 +1,149 @@
-"""Corrections of three axes as a kind of corrections: the files they are written to, and read from again."""
+"""Corrections of three axes: their JSON, which is read back, C99 and Python by templates, files, tables of a result."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
-from bayescal import InputError
-from bayescal._annexes.imu.autopilot import AUTOPILOTS
-from bayescal._annexes.imu.vector_correction import VectorCorrection
-from bayescal._annexes.imu.vector_parameters import READ_BY_OTHERS, left_out, parameter_file
-from bayescal._annexes.imu.vector_text import headers, module, vector_from_data
-from bayescal.workshop import (
-    CorrectionKind,
-    as_data,
-    as_text,
-    format_of,
-    in_form,
-    load_correction,
-    write_text,
+import numpy as np
+
+import bayescal as bc
+from bayescal import workshop as ws
+from bayescal._annexes.imu.firmware_parameters import AUTOPILOTS
+from bayescal._annexes.imu.vector_correction import (
+    NEWTON_STEPS,
+    SAVED_AS,
+    SIZES,
+    VectorCorrection,
+    term_rows,
+    terms_table,
 )
+from bayescal._annexes.imu.vector_parameters import READ_BY_OTHERS, left_out, parameter_file
 
-THREE_AXES = CorrectionKind(
+PACKAGE = "bayescal._annexes.imu"  # whose templates these are
+
+
+@dataclass(frozen=True)
+class SavedCorrection:
+    """What the JSON of a correction of three axes holds."""
+
+    made_by: str
+    calibration: str
+    instrument: str
+    outputs: tuple[str, str, str]
+    unit: str
+    equation: str
+    order_of_terms: str
+    reference_degC: float
+    temperatures_degC: tuple[float, float] | None
+    reach: float
+    terms: list[list[float]]
+    covariance: list[list[float]]
+    noise: float
+    notes: tuple[str, ...]
+    beside: tuple[str, ...] = ()
+    why_not: str = ""
+    axes_of: str = ""
+    covariance_with_axes_of: list[list[float]] | None = None
+
+
+def vector_from_data(found: Any, file: str) -> VectorCorrection:
+    """A correction of three axes from JSON."""
+    try:
+        saved = ws.as_type(found, SavedCorrection)
+        given = {of: getattr(saved, key) for key, of in SAVED_AS.items()}
+        given |= {of: np.array(given[of], float) for of in ("terms", "covariance")}
+        terms, covariance = given["terms"], given["covariance"]
+        shared = saved.covariance_with_axes_of
+        fits = terms.ndim == 2 and terms.shape[1] - 9 * bool(saved.beside) in SIZES
+        if not fits or covariance.shape != 2 * (terms.size,):
+            shapes = f"{terms.shape} with a covariance of shape {covariance.shape}"
+            raise ValueError(f"terms of shape {shapes}")
+        shared = None if shared is None else np.array(shared, float)
+    except ValueError as error:
+        raise bc.InputError(f"{file} is damaged: {error}. Export it again") from None
+    low, high = saved.temperatures_degC or (None, None)
+    return VectorCorrection(**given, low=low, high=high, shared=shared)
+
+
+def headers(named: Mapping[str, VectorCorrection], uncertainty: bool) -> str:
+    """Corrections as C99, one after the other."""
+    layout = ws.template(PACKAGE, "vector.h.jinja", {"comment": ws.c_comment})
+
+    def header(name: str, c: VectorCorrection) -> str:
+        held = (c.terms.tolist(), c.covariance.tolist(), c.reference, c.low, c.high, uncertainty)
+        return layout.render(
+            c=c,
+            name=name,
+            guard=ws.include_guard(name, *held),
+            uncertainty=uncertainty,
+            recorded=c.low is not None,
+            thermal=len(c.terms) > 1,
+            # Twelve numbers, and no equation to solve.
+            plain=not uncertainty and c.terms.shape == (1, 12),
+            inverse=np.linalg.inv(c.matrix).tolist(),
+            newton=1 if c.order == 1 else NEWTON_STEPS,
+        )
+
+    return "\n".join(header(name, c) for name, c in named.items())
+
+
+def module(named: Mapping[str, VectorCorrection], uncertainty: bool) -> str:
+    """Corrections as one Python module."""
+    held = {n: c.data() for n, c in named.items()}
+    for one in () if uncertainty else held.values():
+        del one["covariance"]
+        one.pop("covariance_with_axes_of", None)
+    return ws.template(PACKAGE, "vector.py.jinja", {"comment": ws.python_words}).render(
+        named=named,
+        data={n: repr(one) for n, one in held.items()},
+        uncertainty=uncertainty,
+        newton=NEWTON_STEPS,
+    )
+
+
+CAPTION = "Three axes: outputs = offset + matrix · what acts, each a polynomial of T − T0; ± one standard uncertainty"
+
+
+def vector_data(
+    calibration: bc.Calibration, average: bc.Calibration | None = None
+) -> dict[str, Any] | None:
+    """Offset and 3 × 3 matrix over temperature, with standard uncertainties, of three axes; None of one output."""
+    if calibration.model.instrument.vector is None:
+        return None
+    from bayescal._annexes.imu.vector_series import vector_correction  # loads JAX
+
+    averaged = None if average is None else vector_data(average)
+    try:
+        correction = vector_correction(calibration)
+    except bc.ModelError as error:
+        return {"unavailable": str(error), "averaged": averaged}
+    whole = {k: v for k, v in correction.data().items() if k != "made_by"}
+    return {**whole, "uncertainty": correction.uncertainty.tolist(), "averaged": averaged}
+
+
+def coefficient_tables(data: Mapping[str, Any]) -> list[tuple[str, ws.ResultTable]]:
+    """Return terms of the correction of three axes, at T0 and by temperature, each ± u; nothing of one output."""
+    last = data.get("vector") or {}
+    averaged = last.get("averaged") or {}
+    found = averaged if "terms" in averaged else last
+    if "terms" not in found:
+        return []
+    rows = term_rows(found["terms"], found["uncertainty"], found["unit"], found["beside"])
+    return [(CAPTION, terms_table(rows))]
+
+
+THREE_AXES = ws.CorrectionKind(
     of=VectorCorrection,
     axes="three axes",
     writers={
-        "json": as_data,
+        "json": ws.as_data,
         "c": headers,
         "python": module,
-        **{name: in_form(write) for name, write in READ_BY_OTHERS.items()},
-        **{autopilot: in_form(parameter_file, autopilot) for autopilot in AUTOPILOTS},
+        **{name: ws.in_form(write) for name, write in READ_BY_OTHERS.items()},
+        **{autopilot: ws.in_form(parameter_file, autopilot) for autopilot in AUTOPILOTS},
     },
     suffixes={".json": "json", ".h": "c", ".py": "python", ".yaml": "yaml", ".yml": "yaml"},
     is_data=lambda data: "terms" in data,
@@ -69,7 +184,7 @@ def export_vector(
             one instrument, a name that is none in C, or a place that cannot be written to.
     """
     how = {"name": name, "others": others, "uncertainty": uncertainty}
-    return write_text(as_text(correction, format_of(path, format), **how), path)
+    return ws.write_text(ws.as_text(correction, ws.format_of(path, format), **how), path)
 
 
 def load_vector_correction(path: str | Path) -> VectorCorrection:
@@ -78,7 +193,9 @@ def load_vector_correction(path: str | Path) -> VectorCorrection:
     Raises:
         InputError: there is no such file, it is none, or damaged.
     """
-    found = load_correction(path)
+    found = ws.load_correction(path)
     if not isinstance(found, VectorCorrection):
-        raise InputError(f"{Path(path).name} is of one output: bayescal.load_compensator loads it")
+        raise bc.InputError(
+            f"{Path(path).name} is of one output: bayescal.load_compensator loads it"
+        )
     return found

@@ -22,24 +22,17 @@ Each gets the nearest of its form, and says what that leaves out.
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from typing import Any
 
 import numpy as np
 from jaxtyping import Float
 
-from bayescal import InputError, __version__
-from bayescal._annexes.imu.autopilot import AUTOPILOTS
+import bayescal as bc
+from bayescal import workshop as ws
+from bayescal._annexes.imu.firmware_parameters import AUTOPILOTS
 from bayescal._annexes.imu.plain_correction import PlainCorrection, plain_correction
 from bayescal._annexes.imu.vector_correction import VectorCorrection
-from bayescal.workshop import (
-    STANDARD_GRAVITY,
-    c_comment,
-    convert,
-    identifier,
-    json_text,
-    same_dimension,
-)
 
 NOTHING = "Nothing is left out."
 KINDS = {"rad/s": "gyroscope", "m/s^2": "accelerometer"}
@@ -51,11 +44,13 @@ def kalibr_yaml_of(correction: VectorCorrection, *others: VectorCorrection) -> s
     Others are in the same body axes, such as gyroscopes by moves between poses of these accelerometers: Kalibr's axes
     are then those of the first.
     """
-    notes = dict.fromkeys(note for c in (correction, *others) for note in c.notes)
-    frame = _split(_in_kalibr(correction).matrix)[1]
-    lines = [*_intrinsics(correction, np.eye(3))]
-    lines += [line for one in others for line in _intrinsics(one, frame)]
-    return _yaml("Intrinsics of three axes, made", notes, ["imu0:", *lines])
+    every = (correction, *others)
+    frames = np.eye(3), *[_split(_in_kalibr(correction).matrix)[1]] * len(others)
+    triads = [_intrinsics(c, frame) for c, frame in zip(every, frames, strict=True)]
+    filters = {"row": _list, "rows": _rows, "comment": ws.c_comment}
+    layout = ws.template("bayescal._annexes.imu", "intrinsics.yaml.jinja", filters)
+    notes = dict.fromkeys(note for c in every for note in c.notes)
+    return _head("Intrinsics of three axes, made", notes) + layout.render(triads=triads)
 
 
 def openvins_yaml_of(correction: VectorCorrection, *others: VectorCorrection) -> str:
@@ -74,18 +69,15 @@ def openvins_yaml_of(correction: VectorCorrection, *others: VectorCorrection) ->
         bias = _list(plain.offset * factor)
         notes += [f"{kind}: {plain.said or NOTHING}"]
         notes += [f"bias of the {kind}, which OpenVINS estimates: {bias} {unit}"]
-    fixed = ["  T_i_b:", *_rows(np.eye(4)), "  time_offset: 0.0", '  model: "kalibr"']
-    lines = ["imu0:", *fixed, *_matrices(held)]
-    return "%YAML:1.0\n" + _yaml("Intrinsics of an inertial unit, made", notes, lines)
+    lines = ["imu0:", "  T_i_b:", _rows(np.eye(4)), "  time_offset: 0.0", '  model: "kalibr"']
+    lines += [f"  {name}:\n{_rows(matrix)}" for name, matrix in held.items()]
+    head = _head("Intrinsics of an inertial unit, made", notes)
+    return "\n".join(["%YAML:1.0", head + lines[0], *lines[1:], ""])
 
 
-def _yaml(title: str, notes: Iterable[str], lines: Iterable[str]) -> str:
-    said = (f"# {c_comment(note)}" for note in notes)
-    return "\n".join([f"# {title} by bayescal {__version__}", *said, *lines, ""])
-
-
-def _matrices(named: Mapping[str, np.ndarray]) -> list[str]:
-    return [line for name, matrix in named.items() for line in (f"  {name}:", *_rows(matrix))]
+def _head(title: str, notes: Iterable[str]) -> str:
+    said = (f"# {ws.c_comment(note)}" for note in notes)
+    return "\n".join([f"# {title} by bayescal {bc.__version__}", *said, ""])
 
 
 def _openvins(correction: VectorCorrection) -> dict[str, np.ndarray]:
@@ -97,7 +89,7 @@ def _openvins(correction: VectorCorrection) -> dict[str, np.ndarray]:
         return {"Ta": lower, "R_IMUtoACC": turn}
     by_gravity = np.zeros((3, 3))
     if correction.beside:
-        by_gravity = plain.terms[12:].reshape(3, 3) * factor / STANDARD_GRAVITY
+        by_gravity = plain.terms[12:].reshape(3, 3) * factor / ws.STANDARD_GRAVITY
     return {"Tw": lower, "R_IMUtoGYRO": turn, "Tg": by_gravity}
 
 
@@ -106,21 +98,21 @@ def realsense_json_of(correction: VectorCorrection, *others: VectorCorrection) -
     every = _inertial("realsense", (correction, *others))
     as_measured = {"scale_and_alignment": np.eye(3).ravel().tolist(), "bias": [0.0, 0.0, 0.0]}
     imu: dict[str, Any] = dict.fromkeys(("accelerometer", "gyroscope"), as_measured)
-    said = [f"Made by bayescal {__version__}"]
+    said = [f"Made by bayescal {bc.__version__}"]
     for kind, one in every.items():
         back, bias = _after(one)
         imu[kind] = {"scale_and_alignment": back.T.ravel().tolist(), "bias": bias.tolist()}
         said += [one.calibrated_at, *one.notes, f"{kind}: {_plain(one).said or NOTHING}"]
-    return json_text({"imus": [imu], "said": said}, indent=1)
+    return ws.json_text({"imus": [imu], "said": said}, indent=1)
 
 
 def ros_yaml_of(correction: VectorCorrection) -> str:
     """imu_calib.yaml of ROS' imu_calib, of accelerometers."""
     if "accelerometer" not in _inertial("ros", (correction,)):
-        raise InputError("ros: imu_calib corrects accelerometers, and these are gyroscopes")
+        raise bc.InputError("ros: imu_calib corrects accelerometers, and these are gyroscopes")
     back, bias = _after(correction)
     notes = (correction.calibrated_at, *correction.notes, _plain(correction).said or NOTHING)
-    return _yaml("Made", notes, [f"SM: {_list(back.ravel())}", f"bias: {_list(bias)}"])
+    return _head("Made", notes) + f"SM: {_list(back.ravel())}\nbias: {_list(bias)}\n"
 
 
 def _plain(correction: VectorCorrection) -> PlainCorrection:
@@ -138,7 +130,7 @@ def _inertial(format: str, every: Sequence[VectorCorrection]) -> dict[str, Vecto
     """Triads by what they are of, "accelerometer" or "gyroscope"."""
     found = {KINDS.get(si_of(c.unit)[1], ""): c for c in every}
     if "" in found:
-        raise InputError(
+        raise bc.InputError(
             f"{format} holds accelerometers and gyroscopes, and these outputs are in [{found[''].unit}]"
         )
     return found
@@ -154,40 +146,23 @@ def _split(matrix: Float[np.ndarray, "3 3"]) -> tuple[np.ndarray, np.ndarray]:
     return lower, np.linalg.solve(lower, matrix)
 
 
-def _intrinsics(correction: VectorCorrection, frame: np.ndarray) -> list[str]:
-    """Lines of one triad; `frame` rotates the body axes of the calibration to Kalibr's."""
+def _intrinsics(correction: VectorCorrection, frame: np.ndarray) -> dict[str, Any]:
+    """What the template states of one triad; `frame` rotates the body axes of the calibration to Kalibr's."""
     factor, unit = si_of(correction.unit)
     plain, kind = _in_kalibr(correction), KINDS.get(unit)
     lower, turn = _split(plain.matrix)
-    lines = [
-        f"  {f'{kind}s' if kind else identifier(correction.instrument)}:",
-        f"    # {c_comment(correction.calibrated_at)}",
-        f"    # {c_comment(plain.said or NOTHING)}",
-        "    # Kalibr, scale-misalignment: measured = M*f + bias, M lower triangular, x axis of the body = sensor x",
-        "    M:",
-        *_rows(lower),
-        "    # from the body axes of this calibration to those: f_kalibr = R*f"
-        if np.array_equal(frame, np.eye(3))
-        else "    # from the axes of the first M to those of this one",
-        f"    {'C_gyro_i' if kind == 'gyroscope' else 'R'}:",
-        *_rows(turn @ frame.T),
-        f"    # bias, {c_comment(unit)}, and its standard uncertainty",
-        f"    bias: {_list(plain.offset * factor)}",
-        f"    bias_uncertainty: {_list(plain.uncertainty[:3] * factor)}",
-        "    # measured = matrix*f + bias, in the body axes of this calibration, and standard uncertainties",
-        "    matrix:",
-        *_rows(plain.matrix),
-        "    matrix_uncertainty:",
-        *_rows(plain.uncertainty[3:12].reshape(3, 3)),
-    ]
-    if kind is None:
-        return lines
     held = _openvins(correction)
-    if kind == "gyroscope" and correction.beside:
-        lines += ["    # sensitivity to specific force in the axes of M, rad/s per m/s^2", "    A:"]
-        lines += _rows(held["Tg"] @ turn.T)
-    said = "OpenVINS: measured = T*R*f + bias, of gyroscopes + Tg*a, in the body axes of this calibration"
-    return [*lines, f"  # {said}", *_matrices(held)]
+    by_force = held["Tg"] @ turn.T if kind == "gyroscope" and correction.beside else None
+    return {
+        "name": f"{kind}s" if kind else ws.identifier(correction.instrument),
+        "calibrated_at": correction.calibrated_at,
+        "left_out": plain.said or NOTHING,
+        **{"kind": kind, "unit": unit, "lower": lower, "turn": turn @ frame.T},
+        **{"bias": plain.offset * factor, "bias_uncertainty": plain.uncertainty[:3] * factor},
+        "matrix": plain.matrix,
+        "matrix_uncertainty": plain.uncertainty[3:12].reshape(3, 3),
+        **{"by_force": by_force, "openvins": held},
+    }
 
 
 # Of the first sensor of a kind: offset, scale, and what stands beside the diagonal, each for an axis.
@@ -210,9 +185,9 @@ def autopilot_parameters(
 ) -> tuple[dict[str, float], str]:
     """Return parameters of an autopilot by name, of its first sensor, and what they leave out, in a sentence."""
     if autopilot not in PARAMETERS:
-        raise InputError(f"format {autopilot!r} is not one of {', '.join(PARAMETERS)}")
+        raise bc.InputError(f"format {autopilot!r} is not one of {', '.join(PARAMETERS)}")
     factor, unit = si_of(correction.unit)
-    kind = "magnetometer" if same_dimension(unit, "uT") else KINDS.get(unit, "")
+    kind = "magnetometer" if ws.same_dimension(unit, "uT") else KINDS.get(unit, "")
     if kind == "accelerometer":
         plain = plain_correction(correction, "diagonal", beside=False)
         values, said = (plain.offset * factor, 1 / np.diag(plain.matrix)), plain.said
@@ -222,7 +197,7 @@ def autopilot_parameters(
     elif kind:
         values, said = _symmetric(correction, -1e3 if autopilot == "ardupilot-params" else 1.0)
     else:
-        raise InputError(
+        raise bc.InputError(
             f"{autopilot}: there are parameters for accelerometers, gyroscopes and magnetometers, and these outputs "
             f"are in [{correction.unit}]"
         )
@@ -245,7 +220,7 @@ def _symmetric(
     angle = np.degrees(Rotation.from_matrix(hand * turn).magnitude())
     kept = f"{'' if hand > 0 else 'a reflection and '}a rotation of {angle:.2g}°"
     said = f"{plain.said} The axes keep {kept} to those of this calibration.".lstrip()
-    offset = per_gauss * np.asarray(convert(plain.offset, correction.unit, "gauss"))
+    offset = per_gauss * np.asarray(ws.convert(plain.offset, correction.unit, "gauss"))
     return (offset, np.diag(symmetric), symmetric[[0, 0, 1], [1, 2, 2]]), said
 
 
@@ -261,16 +236,16 @@ def left_out(correction: VectorCorrection, format: str) -> str:
 def parameter_file(correction: VectorCorrection, format: str) -> str:
     """Parameters of an autopilot, as it loads them."""
     values, left = autopilot_parameters(correction, format)
-    said = f"Made by bayescal {__version__}, {correction.calibrated_at}", *correction.notes
-    every = map(c_comment, (*said, left or NOTHING))
+    said = f"Made by bayescal {bc.__version__}, {correction.calibrated_at}", *correction.notes
+    every = map(ws.c_comment, (*said, left or NOTHING))
     return AUTOPILOTS[format].text(every, {name: float(v) for name, v in values.items()})
 
 
 def si_of(unit: str) -> tuple[float, str]:
     """Return the factor from a unit to m/s² or rad/s, and that unit; 1 and the unit itself where it is of neither."""
     for target in ("m/s^2", "rad/s"):
-        if same_dimension(unit, target) or (target == "m/s^2" and same_dimension(unit, "g")):
-            return float(np.asarray(convert(np.ones(1), unit, target))[0]), target
+        if ws.same_dimension(unit, target) or (target == "m/s^2" and ws.same_dimension(unit, "g")):
+            return float(np.asarray(ws.convert(np.ones(1), unit, target))[0]), target
     return 1.0, unit
 
 
@@ -281,8 +256,8 @@ def _list(values: np.ndarray) -> str:
     return f"[{', '.join(pointed)}]"
 
 
-def _rows(matrix: np.ndarray) -> list[str]:
-    return [f"    - {_list(row)}" for row in matrix]
+def _rows(matrix: np.ndarray) -> str:
+    return "\n".join(f"    - {_list(row)}" for row in matrix)
 
 
 READ_BY_OTHERS: dict[str, Callable[..., str]] = {

@@ -20,17 +20,14 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from bayescal import Calibration, Frame, Measurements, ModelError, Vector
+import bayescal as bc
+from bayescal import workshop as ws
 from bayescal._annexes.imu.vector_correction import (
     PAIRS,
     ROUNDING,
     UNKNOWN_DIRECTIONS,
     VectorCorrection,
 )
-from bayescal._core.jit import compiled
-from bayescal._data.pose_rows import ACROSS, MAGNITUDE, TURNED, magnitude
-from bayescal._inference.problem import Problem
-from bayescal.workshop import NOT_RELIABLE, identity, number, unit_label, why_not
 
 # Share of the largest term up to which a polynomial of the temperature is the model's own.
 EXACT_SHARE = 1e-9
@@ -41,7 +38,7 @@ MENTIONED_SHARE = 0.1  # of a standard uncertainty: what of the test is larger i
 OfTest = dict[str, dict[str, float]]  # of effects, the standard deviation of what they add to slots
 
 
-def vector_correction(calibration: Calibration) -> VectorCorrection:
+def vector_correction(calibration: bc.Calibration) -> VectorCorrection:
     """The correction of a calibrated instrument of three axes.
 
     What leaves is for a run to come: the deviation of a run, a drift and what else belongs to the test are in the
@@ -56,7 +53,7 @@ def vector_correction(calibration: Calibration) -> VectorCorrection:
     """
     instrument = calibration.model.instrument
     if (vector := instrument.vector) is None:
-        raise ModelError(
+        raise bc.ModelError(
             f"instrument {instrument.name!r} has one output: bayescal.compensator corrects it"
         )
     effects = calibration.model.effects
@@ -105,7 +102,7 @@ def vector_correction(calibration: Calibration) -> VectorCorrection:
         terms=mean,
         covariance=covariance + np.outer(moved, moved),
         noise=float(np.sqrt(np.min(calibration.linear.variance))),
-        source=identity(calibration),
+        source=ws.identity(calibration),
         beside=beside,
         instrument=instrument.name,
     )
@@ -114,39 +111,40 @@ def vector_correction(calibration: Calibration) -> VectorCorrection:
         said = (
             *said,
             f"What depends on the temperature by more than its power {ORDERS} is not corrected, and is in the "
-            f"uncertainty (of offsets, rms, {number(float(rms.max()), 2)} {unit_label(instrument.unit)} at most).",
+            f"uncertainty (of offsets, rms, {ws.number(float(rms.max()), 2)} {ws.unit_label(instrument.unit)} at "
+            "most).",
         )
-    against = why_not(calibration)
-    notes = (f"{NOT_RELIABLE}{against}",) * bool(against)
+    against = ws.why_not(calibration)
+    notes = (f"{ws.NOT_RELIABLE}{against}",) * bool(against)
     notes = (*said, *notes, *_notes(calibration, made, of_test))
     return replace(made, reach=_reach(made, readings), notes=notes, against=against)
 
 
-def _reach(correction: VectorCorrection, readings: Measurements) -> float:
+def _reach(correction: VectorCorrection, readings: bc.Measurements) -> float:
     """Largest magnitude of what acted in the readings: of rates between poses, of their means."""
-    if readings.has(TURNED[0]):
-        acted = np.stack([readings[name] for name in TURNED], axis=1)
+    if readings.has(ws.TURNED[0]):
+        acted = np.stack([readings[name] for name in ws.TURNED], axis=1)
     else:
         acted = correction(readings).vector
     return float(np.max(np.linalg.norm(acted, axis=1)))
 
 
 def _common_scale(
-    calibration: Calibration, matrix: Float[np.ndarray, "3 3"]
+    calibration: bc.Calibration, matrix: Float[np.ndarray, "3 3"]
 ) -> tuple[float, tuple[str, ...]]:
     """Relative uncertainty of what all three scale factors share, beyond that of each, and what is to be said of it.
 
     It is that of data sheets where the magnitude of what acts is not known, and none where it is.
     """
     instrument, readings = calibration.model.instrument, calibration.readings
-    vector, unit = instrument.vector, unit_label(instrument.unit)
+    vector, unit = instrument.vector, ws.unit_label(instrument.unit)
     assert vector is not None
     plausible, common = vector.common_scale, float(np.mean(np.diag(matrix)))
     what, stated = "the rates", ""
     if vector.acting is None:
-        size = float(np.mean(magnitude(readings)))
-        what = f"the magnitude {instrument.column(MAGNITUDE).meaning}"
-        if not readings.has(MAGNITUDE):
+        size = float(np.mean(ws.magnitude(readings)))
+        what = f"the magnitude {instrument.column(ws.MAGNITUDE).meaning}"
+        if not readings.has(ws.MAGNITUDE):
             return plausible, (
                 f"{what.capitalize()} is not known and taken as the outputs read it, {size:.4g} {unit}: scale factors "
                 f"are ratios to their mean. The absolute scale is unknown, plausibly by {100 * plausible:.2g} %, which "
@@ -162,11 +160,11 @@ def _common_scale(
     )
 
 
-def _notes(calibration: Calibration, made: VectorCorrection, of_test: OfTest) -> tuple[str, ...]:
+def _notes(calibration: bc.Calibration, made: VectorCorrection, of_test: OfTest) -> tuple[str, ...]:
     notes, at = [], made.calibrated_at
-    if calibration.readings.has(TURNED[0]):
+    if calibration.readings.has(ws.TURNED[0]):
         notes.append("Axes are those of the accelerometers that the moves were closed by.")
-    elif not calibration.readings.has(ACROSS[0]):
+    elif not calibration.readings.has(ws.ACROSS[0]):
         notes.append(UNKNOWN_DIRECTIONS)
     if len(made.terms) > 1:
         notes.append(f"Valid from {made.low:.4g} to {made.high:.4g} °C.")
@@ -176,7 +174,9 @@ def _notes(calibration: Calibration, made: VectorCorrection, of_test: OfTest) ->
         )
     model = calibration.model
     for name, moved in of_test.items():
-        each = (f"{s} {number(sd, 2)} {model.instrument.slot(s).unit}" for s, sd in moved.items())
+        each = (
+            f"{s} {ws.number(sd, 2)} {model.instrument.slot(s).unit}" for s, sd in moved.items()
+        )
         of = {c.per for c in model.effect(name).coefficients if c.per}
         what = (
             f"a new {' or '.join(of)} has a deviation of its own, which"
@@ -195,7 +195,7 @@ def _notes(calibration: Calibration, made: VectorCorrection, of_test: OfTest) ->
 
 
 def _taylor(
-    calibration: Calibration, grid: np.ndarray, beside: tuple[str, ...]
+    calibration: bc.Calibration, grid: np.ndarray, beside: tuple[str, ...]
 ) -> tuple[Float[np.ndarray, "s g p"], OfTest]:
     """Offset, matrix, second order and what acts beside at temperatures, of draws; and what of it is of the test."""
     each, grid = len(grid), np.tile(grid, 1 + len(beside))  # at none, then at one of each
@@ -216,9 +216,9 @@ def _taylor(
     return np.concatenate([none, further], axis=2), of_test
 
 
-@compiled
+@ws.compiled
 def _series(
-    vector: Vector, slots: Mapping[str, Float[Array, "s g"]], frame: Frame
+    vector: bc.Vector, slots: Mapping[str, Float[Array, "s g"]], frame: bc.Frame
 ) -> Float[Array, "s g p"]:
     """Offset, matrix, second order and own cubes of the equation, for draws of its slots at each reading of a frame."""
     zero = jnp.zeros((frame.size, 3))
@@ -243,7 +243,7 @@ def _series(
 
 
 def _slots(
-    calibration: Calibration, at: Problem
+    calibration: bc.Calibration, at: ws.Problem
 ) -> tuple[dict[str, Float[np.ndarray, "s g"]], OfTest]:
     """What the effects come to in use, of draws, and what those of the test have in it.
 

@@ -25,21 +25,9 @@ from typing import Any, NamedTuple, TypedDict
 
 from markupsafe import Markup
 
-from bayescal import Calibration, InputError, __version__
+import bayescal as bc
+from bayescal import workshop as ws
 from bayescal._annexes.metrology.decide import Decisions, statement_lines
-from bayescal._calibration.prior_influence import coefficients_not_measured
-from bayescal.workshop import (
-    STANDARD_GRAVITY,
-    Chapter,
-    Foreword,
-    identity,
-    parse,
-    read_toml,
-    sources_of,
-    summary,
-    template,
-    why_not,
-)
 
 # Section → key → what a person reads. A section in lists may stand several times.
 _PLACE = {"street": "street", "city": "city", "postcode": "postcode", "country": "country"}
@@ -108,14 +96,14 @@ class Certificate:
         """
         missing = [n for n in needed if not self.get(*n.split("."))]
         if missing:
-            raise InputError(
+            raise bc.InputError(
                 f"{self.file} does not state {', '.join(missing)}, which a digital calibration certificate needs: "
                 "add " + "; ".join(f"[{s}] {k} = …" for s, k in (n.split(".") for n in missing))
             )
 
-    def foreword(self, chapters: Sequence[Chapter]) -> Foreword:
+    def foreword(self, chapters: Sequence[ws.Chapter]) -> ws.Foreword:
         """What is stated, before a report."""
-        return Foreword(
+        return ws.Foreword(
             "certificate",
             "Certificate data",
             "Stated by the laboratory; nothing of this section was measured or checked by bayescal.",
@@ -144,12 +132,12 @@ def read_certificate(path: str | Path) -> Certificate:
             text, or no date; names section and key, what came and what was expected.
     """
     path = Path(path)
-    stated = read_toml(path, Stated, f"{str(path)!r}", CURE)
+    stated = ws.read_toml(path, Stated, f"{str(path)!r}", CURE)
     if not stated:
-        raise InputError(f"{str(path)!r} states nothing: write [device], name = and serial =")
+        raise bc.InputError(f"{str(path)!r} states nothing: write [device], name = and serial =")
     begin, end = (stated.get("calibration", {}).get(k) for k in ("begin", "end"))
     if begin and end and end < begin:
-        raise InputError(
+        raise bc.InputError(
             f"{str(path)!r}, [calibration]: it ends ({end}) before it begins ({begin})"
         )
     return Certificate(stated, path.name)
@@ -182,9 +170,9 @@ def _xml_text(value: Any) -> str:
 
 
 def dcc_text(
-    calibration: Calibration,
+    calibration: bc.Calibration,
     certificate: Certificate | str | Path,
-    local_gravity: float = STANDARD_GRAVITY,
+    local_gravity: float = ws.STANDARD_GRAVITY,
     decisions: Decisions | None = None,
 ) -> str:
     """The certificate as XML.
@@ -203,25 +191,25 @@ def dcc_text(
     for section in ("laboratory", "customer"):
         country = stated.get(section, "country")
         if not re.fullmatch("[A-Z]{2}", country):
-            raise InputError(
+            raise bc.InputError(
                 f"{stated.file}, [{section}] country = {country!r}: two capital letters of ISO 3166-1 were expected, "
                 "such as DE"
             )
-    if said := why_not(calibration):
-        raise InputError(f"no certificate is written of a result that is not reliable: {said}")
+    if said := ws.why_not(calibration):
+        raise bc.InputError(f"no certificate is written of a result that is not reliable: {said}")
     conditions = {**stated.conditions, "place": stated.get("calibration", "place")}
-    layout = template(
+    layout = ws.template(
         "bayescal._annexes.metrology",
         "dcc.xml.jinja",
         {"statement_lines": statement_lines},
         autoescape=True,
         finalize=lambda value: value if isinstance(value, Markup) else _xml_text(value),
     )
-    read = sources_of(calibration.readings)
+    read = ws.sources_of(calibration.readings)
     files = (("other", f"SHA-256 of {s.file}", s.sha256) for s in read)
     written = layout.render(
         schema=SCHEMA,
-        version=__version__,
+        version=bc.__version__,
         stated=stated,
         standards=[
             {key: one.get(key, "") for key in SECTIONS["standards"]}
@@ -229,7 +217,7 @@ def dcc_text(
             if "name" in one
         ],
         conditions={name: said for name, said in conditions.items() if said},
-        hashes=[("other", "calibration, SHA-256", identity(calibration)), *files],
+        hashes=[("other", "calibration, SHA-256", ws.identity(calibration)), *files],
         model=calibration.model,
         description="Coefficients of the measurement equation, with U = k*u, k = "
         f"{K:g}; each effect adds its equation, times its coefficients, to a slot. Effects: "
@@ -248,7 +236,7 @@ def dcc_text(
     return '<?xml version="1.0" encoding="UTF-8"?>\n' + ET.tostring(root, encoding="unicode") + "\n"
 
 
-def _covered(calibration: Calibration, local_gravity: float) -> Iterator[tuple[str, Real, Real]]:
+def _covered(calibration: bc.Calibration, local_gravity: float) -> Iterator[tuple[str, Real, Real]]:
     """Column, lowest and highest value of what the readings cover."""
     readings = calibration.readings
     for name in readings.columns:
@@ -258,11 +246,11 @@ def _covered(calibration: Calibration, local_gravity: float) -> Iterator[tuple[s
             yield name, real(low, unit, local_gravity), real(high, unit, local_gravity)
 
 
-def _quantities(calibration: Calibration, local_gravity: float) -> Iterator[tuple[str, Real]]:
+def _quantities(calibration: bc.Calibration, local_gravity: float) -> Iterator[tuple[str, Real]]:
     for name, (value, unit) in calibration.held_at.items():
         yield f"{name}, at which constants hold", real(value, unit, local_gravity)
-    coefficients, hyperparameters = summary(calibration)
-    untold = coefficients_not_measured(calibration)
+    coefficients, hyperparameters = ws.summary(calibration)
+    untold = ws.coefficients_not_measured(calibration)
     for row in coefficients:
         name = row["name"] + ", by its prior more than by the readings" * (row["name"] in untold)
         yield name, real(row["mean"], row["unit"], local_gravity, row["sd"])
@@ -318,7 +306,7 @@ _D_SI = {
 }
 
 
-def d_si(unit: str | None, local_gravity: float = STANDARD_GRAVITY) -> tuple[float, str]:
+def d_si(unit: str | None, local_gravity: float = ws.STANDARD_GRAVITY) -> tuple[float, str]:
     """A unit in D-SI: the factor from the one to the other, and its text, such as \\radian\\second\\tothe{-1}.
 
     Args:
@@ -332,7 +320,7 @@ def d_si(unit: str | None, local_gravity: float = STANDARD_GRAVITY) -> tuple[flo
         return 1.0, "\\one"
     if unit == "degC":
         return 1.0, "\\degreecelsius"
-    found = parse(unit)
+    found = ws.parse(unit)
     factor, powers = found.factor, dict[str, float]()
     for base, power in found.powers.items():
         if base == "ug":

@@ -39,19 +39,8 @@ import numpy as np
 from jaxtyping import Float
 from scipy.special import ndtr, ndtri
 
-from bayescal import Calibration, Compensator, InputError
-from bayescal._use.budget import notes_on
-from bayescal._use.compensation_program import PAST
-from bayescal._use.compensation_program import limits as calibrated_limits
-from bayescal._use.operating_equation import ALL_DRAWS, STIMULUS, equation_in_use
-from bayescal.workshop import (
-    STANDARD_GRAVITY,
-    convert,
-    normalised,
-    parse,
-    same_dimension,
-    unit_label,
-)
+import bayescal as bc
+from bayescal import workshop as ws
 
 _NUMBER = r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?"
 _RANGE = rf"(?P<low>{_NUMBER})\s*(?:\.\.|…|to\b)\s*(?P<high>{_NUMBER})"
@@ -79,22 +68,14 @@ class LimitedRange(NamedTuple):
 
 @dataclass(frozen=True)
 class StatedLimit:
-    """A limit on a quantity, as it was written.
+    """A limit on a quantity, as it was written."""
 
-    Attributes:
-        quantity: "corrected reading", "corrected mean", a slot of the instrument such as "bias", or an unknown.
-        low, high: the tolerance limits, in `unit`; infinite where there is none.
-        unit: as written; "" for a number without one.
-        over: where it holds.
-        text: as written.
-    """
-
-    quantity: str
-    low: float
+    quantity: str  # "corrected reading", "corrected mean", a slot of the instrument such as "bias", or an unknown
+    low: float  # low, high: the tolerance limits, in `unit`; infinite where there is none
     high: float
-    unit: str
-    over: tuple[LimitedRange, ...] = ()
-    text: str = ""
+    unit: str  # as written; "" for a number without one
+    over: tuple[LimitedRange, ...] = ()  # where it holds
+    text: str = ""  # as written
 
 
 def stated_limit(text: str) -> StatedLimit:
@@ -109,7 +90,7 @@ def stated_limit(text: str) -> StatedLimit:
     """
     quantity, colon, rest = text.rpartition(":")
     if not (colon and quantity.strip() and rest.strip()):
-        raise InputError(f"limit {text!r} names no quantity: {FORM}")
+        raise bc.InputError(f"limit {text!r} names no quantity: {FORM}")
     for written, sign in _WRITTEN.items():
         rest = rest.replace(written, sign)
     said, *places = re.split(r"\b(over|at)\b", rest)
@@ -118,14 +99,16 @@ def stated_limit(text: str) -> StatedLimit:
     for kind, place in zip(places[::2], places[1::2], strict=True):
         over += [_span(kind, one.strip(), text) for one in re.split(r"\band\b", place)]
     if not low < high or (math.isinf(low) and math.isinf(high)):
-        raise InputError(f"limit {text!r}: the lower limit {low:g} is not below the upper {high:g}")
+        raise bc.InputError(
+            f"limit {text!r}: the lower limit {low:g} is not below the upper {high:g}"
+        )
     return StatedLimit(quantity.strip(), low, high, unit, tuple(over), text.strip())
 
 
 def _tolerance(said: str, text: str) -> tuple[float, float, str]:
     found = _TOLERANCE.fullmatch(said)
     if found is None:
-        raise InputError(f"limit {text!r}: {said!r} are no limits: {FORM}")
+        raise bc.InputError(f"limit {text!r}: {said!r} are no limits: {FORM}")
     unit = _unit(found["unit"], text)
     if found["half"]:
         centre, half = float(found["centre"] or 0.0), float(found["half"])
@@ -138,10 +121,10 @@ def _span(kind: str, place: str, text: str) -> LimitedRange:
     found = (_AT if kind == "at" else _OVER).fullmatch(place)
     if found is None:
         form = "at temperature = 25 °C" if kind == "at" else "over temperature -20..60 °C"
-        raise InputError(f"limit {text!r}: {place!r} is no place: write {form}")
+        raise bc.InputError(f"limit {text!r}: {place!r} is no place: write {form}")
     low, high = (float(found[end]) for end in (("value",) * 2 if kind == "at" else ("low", "high")))
     if kind == "over" and not -math.inf < low < high < math.inf:
-        raise InputError(f"limit {text!r}: {place!r} is no range from a number to a larger one")
+        raise bc.InputError(f"limit {text!r}: {place!r} is no range from a number to a larger one")
     return LimitedRange(found["name"], low, high, _unit(found["unit"], text))
 
 
@@ -150,28 +133,21 @@ def _unit(said: str, text: str) -> str:
     if not unit:
         return ""
     try:
-        parse(unit)
-    except InputError as error:
-        raise InputError(f"limit {text!r}: {error}") from None
-    return normalised(unit)
+        ws.parse(unit)
+    except bc.InputError as error:
+        raise bc.InputError(f"limit {text!r}: {error}") from None
+    return ws.normalised(unit)
 
 
 @dataclass(frozen=True)
 class SpreadOfDevices:
-    """Devices of one kind, for one quantity: mean and standard deviation, in `unit`.
+    """Devices of one kind, for one quantity: mean and standard deviation, in `unit`."""
 
-    Attributes:
-        quantity: whose it is; "" for every limit whose unit it has.
-        mean: None for the middle of the limits, which is where a maker aims.
-        sd, unit: of the devices.
-        text: as written.
-    """
-
-    quantity: str
-    mean: float | None
-    sd: float
+    quantity: str  # whose it is; "" for every limit whose unit it has
+    mean: float | None  # None for the middle of the limits, which is where a maker aims
+    sd: float  # sd, unit: of the devices
     unit: str
-    text: str = ""
+    text: str = ""  # as written
 
 
 _DEVICES = re.compile(
@@ -187,12 +163,12 @@ def spread_of_devices(text: str) -> SpreadOfDevices:
     """
     found = _DEVICES.fullmatch(text.strip().replace("−", "-"))
     if found is None:
-        raise InputError(
+        raise bc.InputError(
             f'population {text!r}: write "sd 0.2 °/s", "mean 0.1 sd 0.2 °/s" or "bias: sd 0.2 °/s"'
         )
     sd = float(found["sd"])
     if not 0 < sd < math.inf:
-        raise InputError(f"population {text!r}: a standard deviation is positive and finite")
+        raise bc.InputError(f"population {text!r}: a standard deviation is positive and finite")
     mean = float(found["mean"]) if found["mean"] else None
     return SpreadOfDevices(
         (found["quantity"] or "").strip(), mean, sd, _unit(found["unit"], text), text
@@ -230,17 +206,13 @@ class Limits(NamedTuple):
 
 @dataclass(frozen=True)
 class DrawnQuantity:
-    """What the posterior says of a quantity that is limited.
+    """What the posterior says of a quantity that is limited."""
 
-    Attributes:
-        values: in each draw at each place of the range that the limit names.
-        scatter: standard deviation of single readings about it at each place; zeros where it does not scatter.
-        scores: standard normal scores of readings that lie `DEVIATIONS` standard deviations above it, at each place;
-            None where readings are normally distributed.
-    """
-
-    values: Float[np.ndarray, "d g"]
+    values: Float[np.ndarray, "d g"]  # in each draw at each place of the range that the limit names
+    # standard deviation of single readings about it at each place; zeros where it does not scatter
     scatter: Float[np.ndarray, "g"]
+    # standard normal scores of readings that lie `DEVIATIONS` standard deviations above it, at each place; None
+    # where readings are normally distributed
     scores: Float[np.ndarray, "g m"] | None = None
 
     @property
@@ -400,7 +372,7 @@ class LimitedQuantity:
     notes: tuple[str, ...] = ()
     not_covered: tuple[str, ...] = ()
     draws: np.ndarray | None = None
-    chosen: Compensator | None = None
+    chosen: bc.Compensator | None = None
     places: Mapping[str, np.ndarray] = field(default_factory=dict)
 
     @property
@@ -426,7 +398,7 @@ class LimitedQuantity:
         if self.is_error:
             return set(equation.inputs)
         found = equation.graph.inputs([equation.slot_place(self.limit.quantity)])
-        return {chosen.stimulus if name == STIMULUS else name for name in found}
+        return {chosen.stimulus if name == ws.STIMULUS else name for name in found}
 
     @property
     def follows_time(self) -> bool:
@@ -459,7 +431,7 @@ class LimitedQuantity:
 
 
 def _noise_scores(
-    chosen: Compensator, places: Mapping[str, np.ndarray], deviations: Float[np.ndarray, "n m"]
+    chosen: bc.Compensator, places: Mapping[str, np.ndarray], deviations: Float[np.ndarray, "n m"]
 ) -> Float[np.ndarray, "n m"]:
     """Return standard normal scores of the predictive probability that one reading's noise is below a deviation."""
     calibration, noise = chosen.calibration, chosen.calibration.model.noise
@@ -472,11 +444,11 @@ def _noise_scores(
 
 
 def limited_quantity(
-    calibration: Calibration,
+    calibration: bc.Calibration,
     limit: StatedLimit,
     *,
     members: Mapping[str, str] | None = None,
-    local_gravity: float = STANDARD_GRAVITY,
+    local_gravity: float = ws.STANDARD_GRAVITY,
 ) -> LimitedQuantity:
     """The quantity that a limit is on.
 
@@ -495,10 +467,10 @@ def limited_quantity(
     if limit.quantity not in (READING, MEAN, *slots):
         return _unknown(calibration, limit, local_gravity)
     # All structures: what the less probable ones need is no reason to leave them out, as it is for firmware.
-    equation = equation_in_use(calibration, members)
-    chosen = Compensator(calibration, equation, ALL_DRAWS)
+    equation = ws.equation_in_use(calibration, members)
+    chosen = bc.Compensator(calibration, equation, ws.ALL_DRAWS)
     if limit.quantity in slots and limit.quantity not in {b.slot for b in equation.blocks}:
-        raise InputError(
+        raise bc.InputError(
             f"limit {limit.text!r}: no effect of the model acts on {limit.quantity!r} in use, so that nothing is known "
             "of it"
         )
@@ -513,7 +485,7 @@ def limited_quantity(
         spans.append((name, low, high))
     ranges = [(n, low, high) for n, low, high in spans if high > low and n in point]
     if len(ranges) > max(PLACES):
-        raise InputError(
+        raise bc.InputError(
             f"limit {limit.text!r}: at most {max(PLACES)} ranges, it has {len(ranges)}"
         )
     point |= {n: low for n, low, high in spans if high == low and n in point}
@@ -524,7 +496,7 @@ def limited_quantity(
     places = {n: np.full(size, v) for n, v in point.items()}
     places |= {n: g.ravel() for (n, _, _), g in zip(ranges, grid, strict=True)}
     # Where a range leaves what was calibrated is said by `not_covered`, in its own words.
-    notes += notes_on(chosen, of_correction=limit.quantity not in slots)
+    notes += ws.notes_on(chosen, of_correction=limit.quantity not in slots)
     if limit.quantity == MEAN and not calibration.model.noise.independent:
         notes.append(
             f"{MEAN!r} is without the correlated noise, which readings close in time share: a mean keeps it."
@@ -542,30 +514,32 @@ def limited_quantity(
 
 def _limits(limit: StatedLimit, unit: str, local_gravity: float) -> Limits:
     """The tolerance limits in the unit of the quantity."""
-    if not limit.unit and unit_label(unit):
-        raise InputError(
-            f"limit {limit.text!r} has no unit: {limit.quantity} is in {unit_label(unit)}"
+    if not limit.unit and ws.unit_label(unit):
+        raise bc.InputError(
+            f"limit {limit.text!r} has no unit: {limit.quantity} is in {ws.unit_label(unit)}"
         )
-    if not same_dimension(limit.unit or "1", unit or "1"):
-        raise InputError(
-            f"limit {limit.text!r}: {limit.quantity} is in {unit_label(unit) or 'plain numbers'}, not in "
-            f"{unit_label(limit.unit) or 'plain numbers'}"
+    if not ws.same_dimension(limit.unit or "1", unit or "1"):
+        raise bc.InputError(
+            f"limit {limit.text!r}: {limit.quantity} is in {ws.unit_label(unit) or 'plain numbers'}, not in "
+            f"{ws.unit_label(limit.unit) or 'plain numbers'}"
         )
     ends, own = np.array([limit.low, limit.high]), unit or "1"
-    found = convert(ends, limit.unit or "1", own, local_gravity=local_gravity, difference=True)
+    found = ws.convert(ends, limit.unit or "1", own, local_gravity=local_gravity, difference=True)
     return Limits(*found.tolist())
 
 
-def _unknown(calibration: Calibration, limit: StatedLimit, local_gravity: float) -> LimitedQuantity:
+def _unknown(
+    calibration: bc.Calibration, limit: StatedLimit, local_gravity: float
+) -> LimitedQuantity:
     unknowns = calibration.unknowns
     if limit.quantity not in unknowns.index:
         slots = ", ".join(s.name for s in calibration.model.instrument.slots)
-        raise InputError(
+        raise bc.InputError(
             f"limit {limit.text!r}: nothing is called {limit.quantity!r}. A limit is on {READING!r}, {MEAN!r}, what "
             f"acts ({slots}), or an unknown of the calibration: {', '.join(unknowns.names)}"
         )
     if limit.over:
-        raise InputError(
+        raise bc.InputError(
             f"limit {limit.text!r}: {limit.quantity} is one number, the same everywhere; leave the range out, or limit "
             "what acts"
         )
@@ -579,7 +553,7 @@ def _unknown(calibration: Calibration, limit: StatedLimit, local_gravity: float)
 
 
 def _resolved(
-    chosen: Compensator, span: LimitedRange, limit: StatedLimit, local_gravity: float
+    chosen: bc.Compensator, span: LimitedRange, limit: StatedLimit, local_gravity: float
 ) -> tuple[str, float, float]:
     """The column of a range, and its ends in that column's unit."""
     readings = chosen.calibration.readings
@@ -588,30 +562,31 @@ def _resolved(
     known = acting | {n: u for n in readings.columns if (u := readings.unit(n)) and n not in acting}
     known.pop("output", None)
     if span.name and span.name not in known:
-        raise InputError(
+        raise bc.InputError(
             f"limit {limit.text!r}: {span.name!r} is no column of this calibration; there is: {', '.join(known)}"
         )
-    past = {i.name for i in chosen.inputs if i.kind in PAST}
-    alike = {n for n, u in known.items() if same_dimension(u, span.unit or "1")}
+    past = {i.name for i in chosen.inputs if i.kind in ws.PAST}
+    alike = {n for n, u in known.items() if ws.same_dimension(u, span.unit or "1")}
     meant = [span.name] if span.name else [n for n in acting if n in alike - past] or sorted(alike)
     if len(meant) != 1:
         several = f"several could be meant: {', '.join(meant)}"
-        raise InputError(
-            f"limit {limit.text!r}: of which column is the range in {unit_label(span.unit) or 'plain numbers'}? "
+        raise bc.InputError(
+            f"limit {limit.text!r}: of which column is the range in {ws.unit_label(span.unit) or 'plain numbers'}? "
             f"{several if meant else 'no column is in that unit'}. Name it: over temperature -20..60 °C"
         )
     (name,) = meant
     unit = known[name]
-    if not same_dimension(span.unit or "1", unit):
-        raise InputError(
-            f"limit {limit.text!r}: {name} is in {unit_label(unit)}, not in {unit_label(span.unit) or 'plain numbers'}"
+    if not ws.same_dimension(span.unit or "1", unit):
+        raise bc.InputError(
+            f"limit {limit.text!r}: {name} is in {ws.unit_label(unit)}, not in "
+            f"{ws.unit_label(span.unit) or 'plain numbers'}"
         )
     ends = np.array([span.low, span.high])
-    low, high = convert(ends, span.unit or "1", unit, local_gravity=local_gravity).tolist()
+    low, high = ws.convert(ends, span.unit or "1", unit, local_gravity=local_gravity).tolist()
     return name, low, high
 
 
-def _beyond(chosen: Compensator, name: str, low: float, high: float) -> list[str]:
+def _beyond(chosen: bc.Compensator, name: str, low: float, high: float) -> list[str]:
     """What of a range was not calibrated, in words."""
     readings = chosen.calibration.readings
     if name in chosen.calibrated:
@@ -621,13 +596,13 @@ def _beyond(chosen: Compensator, name: str, low: float, high: float) -> list[str
     else:
         values, unit = readings[name], readings.unit(name) or "1"
         span = (float(values.min()), float(values.max()), unit)
-    first, last = calibrated_limits(span[:2])
+    first, last = ws.limits(span[:2])
     settled = {i.name for i in chosen.inputs if i.settled}
     if first <= low and (high <= last or name in settled):
         return []
     asked = f"{low:.6g}" if low == high else f"{low:.6g} to {high:.6g}"
     return [
-        f"{name} was calibrated from {span[0]:.6g} to {span[1]:.6g} {unit_label(span[2])}, not at {asked}"
+        f"{name} was calibrated from {span[0]:.6g} to {span[1]:.6g} {ws.unit_label(span[2])}, not at {asked}"
     ]
 
 
@@ -639,11 +614,11 @@ def with_population(
     if quantity.is_error or any(r.high > r.low for r in limit.over):
         return None
     unit, own = given.unit or "1", quantity.unit or "1"
-    if given.quantity not in ("", limit.quantity) or not same_dimension(unit, own):
+    if given.quantity not in ("", limit.quantity) or not ws.same_dimension(unit, own):
         return None
-    sd = float(convert(given.sd, unit, own, difference=True))
+    sd = float(ws.convert(given.sd, unit, own, difference=True))
     if given.mean is not None:
-        return float(convert(given.mean, unit, own, difference=True)), sd
+        return float(ws.convert(given.mean, unit, own, difference=True)), sd
     low, high = quantity.limits
     ends = [end for end in (low, high) if np.isfinite(end)]
     return (float(np.mean(ends)), sd) if len(ends) == 2 else None

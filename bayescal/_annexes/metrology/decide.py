@@ -28,7 +28,8 @@ from typing import Any, Literal, get_args
 
 import numpy as np
 
-from bayescal import Calibration, InputError
+import bayescal as bc
+from bayescal import workshop as ws
 from bayescal._annexes.metrology.conformity import (
     DrawnQuantity,
     GlobalRisks,
@@ -41,23 +42,6 @@ from bayescal._annexes.metrology.conformity import (
     spread_of_devices,
     stated_limit,
     with_population,
-)
-from bayescal._calibration.prior_influence import NotMeasured, not_measured
-from bayescal._use.compensation_program import averaged_over
-from bayescal.workshop import (
-    STANDARD_GRAVITY,
-    WIDTH,
-    Chapter,
-    Foreword,
-    Printed,
-    ResultTable,
-    TableColumn,
-    as_json,
-    identity,
-    number,
-    unit_label,
-    why_not,
-    with_error,
 )
 
 DAY = 86400.0  # s
@@ -108,7 +92,7 @@ class Recalibration:
 
 
 def recalibration(
-    quantity: LimitedQuantity, limits: Limits, calibration: Calibration, stated: float
+    quantity: LimitedQuantity, limits: Limits, calibration: bc.Calibration, stated: float
 ) -> Recalibration:
     """When the probability of conformity falls below a stated one, by the drift in the model.
 
@@ -127,7 +111,7 @@ def recalibration(
     after = first_below(probability, stated)
     changed = quantity.drawn(HORIZON if after is None else after).values - quantity.drawn().values
     # What is less probable than a failure at the stated probability cannot decide about the date.
-    if untold := not_measured(calibration, changed, rare=1 - stated):
+    if untold := ws.not_measured(calibration, changed, rare=1 - stated):
 
         def alone(later: float) -> float:
             return _alone(untold, quantity, calibration, later).probability(limits)
@@ -156,7 +140,10 @@ def recalibration(
 
 
 def _alone(
-    untold: NotMeasured, quantity: LimitedQuantity, calibration: Calibration, later: float = 0.0
+    untold: ws.NotMeasured,
+    quantity: LimitedQuantity,
+    calibration: bc.Calibration,
+    later: float = 0.0,
 ) -> DrawnQuantity:
     """What the readings alone say of a quantity, without the priors of what they did not measure."""
     drawn = quantity.drawn(later)
@@ -176,7 +163,7 @@ def first_below(probability: Callable[[float], float], stated: float) -> float |
     return None
 
 
-def _no_answer(quantity: LimitedQuantity, calibration: Calibration, stated: float) -> str:
+def _no_answer(quantity: LimitedQuantity, calibration: bc.Calibration, stated: float) -> str:
     """Why the model says nothing of the future; empty where it does."""
     name = quantity.limit.quantity
     if not quantity.place:
@@ -252,7 +239,7 @@ class Decision:
 
 
 @dataclass(frozen=True, repr=False)
-class Decisions(Printed):
+class Decisions(ws.Printed):
     """Decisions about the limits of one device.
 
     Attributes:
@@ -288,15 +275,15 @@ class Decisions(Printed):
         open_ = [f"{d.limit} ({d.decision})" for d in self.decisions if d.decision != ACCEPT]
         return f"not shown to conform: {', '.join(open_)}" * bool(open_)
 
-    def foreword(self, chapters: Sequence[Chapter]) -> Foreword:
+    def foreword(self, chapters: Sequence[ws.Chapter]) -> ws.Foreword:
         """What is decided, before a report: nothing about a result that its search has more against than its check."""
         for one in chapters:
-            if not one.data["verdict"]["ok"] and self.calibration == identity(one.used):
+            if not one.data["verdict"]["ok"] and self.calibration == ws.identity(one.used):
                 return self.withheld(" ".join(one.data["verdict"]["reasons"])).foreword(())
         table = self.table()
-        why = TableColumn("why; next calibration", lambda d: f"{d.why}; {d.recalibration}")
+        why = ws.TableColumn("why; next calibration", lambda d: f"{d.why}; {d.recalibration}")
         met = "Every limit is met, by the rule below."
-        return Foreword(
+        return ws.Foreword(
             "decisions",
             "Does it conform?",
             " ".join((f"Of the calibration {self.calibration}.", *self.notes)),
@@ -308,34 +295,34 @@ class Decisions(Printed):
 
     def data(self) -> dict[str, Any]:
         """As JSON."""
-        return {"schema": "bayescal.decisions/1", "conforms": self.conforms} | as_json(self)
+        return {"schema": "bayescal.decisions/1", "conforms": self.conforms} | ws.as_json(self)
 
     def _brief(self) -> str:
         said = ", ".join(f"{d.quantity} {d.decision}" for d in self.decisions)
         return f"{'conforms' if self.conforms else 'not shown to conform'}: {said}"
 
-    def table(self) -> ResultTable:
+    def table(self) -> ws.ResultTable:
         """Each limit: estimate, probability of conformity, accepted estimates, decision."""
 
         def estimate(d: Decision) -> str:
-            return f"{with_error(worst(d), d.uncertainty)} {unit_label(d.unit)}".strip()
+            return f"{ws.with_error(worst(d), d.uncertainty)} {ws.unit_label(d.unit)}".strip()
 
         columns = (
-            TableColumn("limit", lambda d: d.limit),
-            TableColumn("estimate", estimate, name=""),
-            TableColumn("estimate", worst, None),
-            TableColumn("uncertainty", lambda d: d.uncertainty, None),
-            TableColumn("unit", lambda d: d.unit, None),
-            TableColumn("probability", lambda d: d.probability, None),
-            TableColumn(
+            ws.TableColumn("limit", lambda d: d.limit),
+            ws.TableColumn("estimate", estimate, name=""),
+            ws.TableColumn("estimate", worst, None),
+            ws.TableColumn("uncertainty", lambda d: d.uncertainty, None),
+            ws.TableColumn("unit", lambda d: d.unit, None),
+            ws.TableColumn("probability", lambda d: d.probability, None),
+            ws.TableColumn(
                 "p(conforms)", lambda d: percent(d.probability, d.probability_error), name=""
             ),
-            TableColumn("accepted from … to", _accepted, name=""),
-            TableColumn("decision", lambda d: d.decision),
+            ws.TableColumn("accepted from … to", _accepted, name=""),
+            ws.TableColumn("decision", lambda d: d.decision),
         )
-        return ResultTable(columns, self.decisions)
+        return ws.ResultTable(columns, self.decisions)
 
-    def _parts(self) -> list[str | ResultTable]:
+    def _parts(self) -> list[str | ws.ResultTable]:
         said = ["\n".join(_fill(line) for line in statement_lines(d)) for d in self.decisions]
         of_each = (note for d in self.decisions for note in (*d.recalibration.notes, *d.notes))
         said += [_fill(note) for note in dict.fromkeys((*of_each, *self.notes))]
@@ -351,30 +338,30 @@ def worst(d: Decision) -> float:
 
 def _fill(text: str) -> str:
     indent = "    " if text.startswith("  ") else "  "
-    return textwrap.fill(text, WIDTH, subsequent_indent=indent)
+    return textwrap.fill(text, ws.WIDTH, subsequent_indent=indent)
 
 
 def _accepted(d: Decision) -> str:
     if d.accepted is None:
         return "none"
     low, high = d.accepted
-    unit = unit_label(d.unit)
+    unit = ws.unit_label(d.unit)
     if math.isinf(low):
-        return f"≤ {number(high, 4)} {unit}".strip()
+        return f"≤ {ws.number(high, 4)} {unit}".strip()
     if math.isinf(high):
-        return f"≥ {number(low, 4)} {unit}".strip()
-    return f"{number(low, 4)} … {number(high, 4)} {unit}".strip()
+        return f"≥ {ws.number(low, 4)} {unit}".strip()
+    return f"{ws.number(low, 4)} … {ws.number(high, 4)} {unit}".strip()
 
 
 def statement_lines(d: Decision) -> list[str]:
     """Each in a line: the decision and its risk, where it holds, the population's risks, when to calibrate again."""
     said = [f"{d.limit}: {d.decision}; {d.why}."]
     if d.at:
-        scatter = f"; single readings scatter by {number(d.scatter)} {unit_label(d.unit)}"
+        scatter = f"; single readings scatter by {ws.number(d.scatter)} {ws.unit_label(d.unit)}"
         places = ", ".join(_place(name, *place) for name, place in d.at.items())
         said.append(f"  at {places}{scatter * (d.scatter > 0)}")
     if (g := d.global_risks) is not None:
-        which = f" {with_error(*d.population)} {unit_label(d.unit)}" if d.population else ""
+        which = f" {ws.with_error(*d.population)} {ws.unit_label(d.unit)}" if d.population else ""
         said.append(
             f"  of devices{which or ' calibrated so'}: {percent(g.conforming)} conform, "
             f"{percent(g.accepted)} would be accepted; consumer's risk (accepted, does not conform) "
@@ -386,8 +373,8 @@ def statement_lines(d: Decision) -> list[str]:
 def _place(name: str, low: float, high: float, unit: str) -> str:
     if unit == "rad":
         low, high, unit = math.degrees(low), math.degrees(high), "deg"
-    values = number(low, 4) if low == high else f"{number(low, 4)} to {number(high, 4)}"
-    return f"{name} = {values} {unit_label(unit)}".strip()
+    values = ws.number(low, 4) if low == high else f"{ws.number(low, 4)} to {ws.number(high, 4)}"
+    return f"{name} = {values} {ws.unit_label(unit)}".strip()
 
 
 def percent(p: float, error: float = 0.0) -> str:
@@ -409,7 +396,7 @@ CONFORMITY = 0.95  # of which a recalibration interval is stated: the usual cove
 
 
 def decide(
-    calibration: Calibration,
+    calibration: bc.Calibration,
     limits: str | Sequence[str],
     *,
     rule: Rule = "guarded",
@@ -418,7 +405,7 @@ def decide(
     capability: float = CAPABILITY,
     conformity: float = CONFORMITY,
     members: Mapping[str, str] | None = None,
-    local_gravity: float = STANDARD_GRAVITY,
+    local_gravity: float = ws.STANDARD_GRAVITY,
 ) -> Decisions:
     """Decide whether a calibrated device conforms, limit by limit.
 
@@ -442,7 +429,7 @@ def decide(
     how = _How(rule, false_accept, capability, conformity)
     stated = [limits] if isinstance(limits, str) else list(limits)
     if not stated:
-        raise InputError('nothing to decide: give a limit, such as "bias: ±0.5 °/s"')
+        raise bc.InputError('nothing to decide: give a limit, such as "bias: ±0.5 °/s"')
     several = [population] if isinstance(population, str) else population or []
     devices = [spread_of_devices(one) for one in several]
     found, used = [], set[int]()
@@ -458,7 +445,7 @@ def decide(
         found.append(_decision(calibration, quantity, how, spread, bool(devices)))
     for i, given in enumerate(devices):
         if i not in used:
-            raise InputError(
+            raise bc.InputError(
                 f"population {given.text!r} is of no limit that is given: global risks are stated for a slot or an "
                 "unknown at one point, in its unit, with a mean where there is one limit only"
             )
@@ -467,8 +454,8 @@ def decide(
         rule_in_words=how.in_words,
         false_accept=false_accept,
         decisions=tuple(found),
-        calibration=identity(calibration),
-        notes=tuple(averaged_over(calibration)),
+        calibration=ws.identity(calibration),
+        notes=tuple(ws.averaged_over(calibration)),
     )
 
 
@@ -483,7 +470,7 @@ class _How:
 
     def __post_init__(self) -> None:
         if self.rule not in get_args(Rule):
-            raise InputError(f"rule {self.rule!r} is none: choose {', '.join(get_args(Rule))}")
+            raise bc.InputError(f"rule {self.rule!r} is none: choose {', '.join(get_args(Rule))}")
         small, usual = 0 < self.false_accept < 0.5, 0.5 <= self.conformity < 1
         for name, right, wanted in (
             ("false_accept", small, "a probability above 0 and below 0.5, such as 0.025"),
@@ -491,7 +478,7 @@ class _How:
             ("capability", 0 < self.capability < math.inf, "a positive ratio, such as 3"),
         ):
             if not right:
-                raise InputError(f"{name} = {getattr(self, name):g}: expected {wanted}")
+                raise bc.InputError(f"{name} = {getattr(self, name):g}: expected {wanted}")
 
     @property
     def in_words(self) -> str:
@@ -510,7 +497,7 @@ class _How:
 
 
 def _decision(
-    calibration: Calibration,
+    calibration: bc.Calibration,
     quantity: LimitedQuantity,
     how: _How,
     devices: tuple[float, float] | None,
@@ -560,16 +547,20 @@ def _decision(
 
 
 def _decided(
-    calibration: Calibration, quantity: LimitedQuantity, drawn: DrawnQuantity, p: float, how: _How
+    calibration: bc.Calibration,
+    quantity: LimitedQuantity,
+    drawn: DrawnQuantity,
+    p: float,
+    how: _How,
 ) -> tuple[str, str]:
     """The decision, and why."""
     limits, error = quantity.limits, drawn.probability_error(p)
-    if said := why_not(calibration):
+    if said := ws.why_not(calibration):
         return UNDECIDED, NOT_RELIABLE.format(said.rstrip("."))
     if quantity.not_covered:
         return UNDECIDED, "; ".join(quantity.not_covered)
     asked = {"of": quantity.limit.quantity, "scatter": drawn.scatter, "rare": how.false_accept}
-    if untold := not_measured(calibration, drawn.values, **asked):
+    if untold := ws.not_measured(calibration, drawn.values, **asked):
         alone = _alone(untold, quantity, calibration).probability(limits)
         if untold.hyperparameter or not _alike(p, alone, how.false_accept):
             return UNDECIDED, f"{CANNOT}: {untold}. {untold.cure}"
@@ -590,7 +581,7 @@ def _decided(
             return UNDECIDED, why
         if index < how.capability:
             return UNDECIDED, (
-                f"the capability index T/(4u) = {number(index)} is below {how.capability:g}, on which the risk is "
+                f"the capability index T/(4u) = {ws.number(index)} is below {how.capability:g}, on which the risk is "
                 "shared"
             )
     if limits.hold(*drawn.estimate):

@@ -8,60 +8,45 @@ from __future__ import annotations
 from pathlib import Path
 
 import bayescal as bc
-from bayescal import InputError
-from bayescal.workshop import (
-    Answer,
-    AsJson,
-    Command,
-    DecisionRule,
-    ExportCommand,
-    InUse,
-    Shared,
-    load_saved,
-    opt,
-    write_json,
-    write_text,
-)
+from bayescal import workshop as ws
 
 
-class DecideCommand(InUse, DecisionRule, AsJson, Command):
+class DecideCommand(ws.InUse, ws.DecisionRule, ws.AsJson, ws.Command):
     """Decide whether limits are met, with guard bands and risks.
 
     Exit status: 0 where every limit is met; 1 where one is not, or is undecided.
     """
 
     example = 'bayescal decide result --limit "bias: ±0.5 °/s"'
-    calibration: Path = Shared.calibration
-    limit: list[str] = opt(
+    calibration: Path = ws.Shared.calibration
+    limit: list[str] = ws.opt(
         '"bias: ±0.5 °/s", "corrected reading: ±0.1 °/s over -20..60 °C"; repeat for more.', ...
     )
-    population: list[str] | None = opt(
+    population: list[str] | None = ws.opt(
         'Devices of this kind, for global risks: "sd 0.2 °/s"; repeat, by name of a limit: "bias: sd 0.2 °/s".'
     )
-    capability: float = opt("Least T/(4u) with which 'shared-risk' decides.", 3.0)
-    conformity: float = opt("Probability of which the next calibration is stated.", 0.95)
-    out: Path | None = opt("JSON file to write the decisions to.", None, "--out", "-o")
-    local_gravity: float | None = Shared.local_gravity
+    capability: float = ws.opt("Least T/(4u) with which 'shared-risk' decides.", 3.0)
+    conformity: float = ws.opt("Probability of which the next calibration is stated.", 0.95)
+    out: Path | None = ws.opt("JSON file to write the decisions to.", None, "--out", "-o")
+    local_gravity: float | None = ws.Shared.local_gravity
 
-    def answer(self) -> Answer:
-        from bayescal.workshop import STANDARD_GRAVITY
-
+    def answer(self) -> ws.Answer:
         found = bc.decide(
-            load_saved(self.calibration, self),
+            ws.load_saved(self.calibration, self),
             self.limit,
             **self.deciding(),
             population=self.population or None,
             capability=self.capability,
             conformity=self.conformity,
             members=self.members,
-            local_gravity=self.local_gravity or STANDARD_GRAVITY,
+            local_gravity=self.local_gravity or ws.STANDARD_GRAVITY,
         )
         if self.out is not None:
-            write_json(found.data(), self.out, indent=1)
-        return Answer(found, doubt=found.doubt)
+            ws.write_json(found.data(), self.out, indent=1)
+        return ws.Answer(found, doubt=found.doubt)
 
 
-def certified(asked: ExportCommand) -> Answer:
+def certified(asked: ws.ExportCommand) -> ws.Answer:
     """`bayescal export` to a digital calibration certificate, with what is decided about limits, if any.
 
     Raises:
@@ -72,19 +57,19 @@ def certified(asked: ExportCommand) -> Answer:
     asked.refuse_several()
     (path,), gravity, decided = asked.calibrations, asked.gravity, None
     if asked.certificate is None:
-        raise InputError(
+        raise bc.InputError(
             "a digital calibration certificate states device, laboratory and customer: --certificate FILE.toml"
         )
     if path.suffix.lower() == ".json":
-        raise InputError("an export is no calibration: give the saved calibration (.nc)")
-    calibration = load_saved(path, asked)
+        raise bc.InputError("an export is no calibration: give the saved calibration (.nc)")
+    calibration = ws.load_saved(path, asked)
     if asked.limit:
         how = {"members": asked.members, "local_gravity": gravity, **asked.deciding()}
         decided = bc.decide(calibration, asked.limit, **how)
     text = dcc_text(calibration, asked.certificate, gravity, decided)
     if asked.out is not None:
-        text = f"written: {write_text(text, asked.out)}"
-    return Answer(text.removesuffix("\n"))
+        text = f"written: {ws.write_text(text, asked.out)}"
+    return ws.Answer(text.removesuffix("\n"))
 
 
 ANNEX = {

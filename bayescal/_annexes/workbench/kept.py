@@ -10,73 +10,34 @@ A state is a model; its script is the differences from each model to the next, i
 
 from __future__ import annotations
 
-import json
 import re
 import tempfile
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 from datetime import datetime
-from importlib.metadata import entry_points
+from importlib import metadata
 from itertools import takewhile
 from pathlib import Path
-from typing import Any, TypedDict
+from typing import Any
 
-import bayescal
-from bayescal import (
-    NUTS,
-    Calibration,
-    Discovery,
-    Effect,
-    InputError,
-    Instrument,
-    LeastSquares,
-    Marginal,
-    Measurements,
-    Model,
-    ModelError,
-    Noise,
-    __version__,
-    load,
-)
-from bayescal._model.formula import Formula
-from bayescal._model.installed import GROUP, installed_names
-from bayescal._report.whole_folder import AGAIN
-from bayescal._search.calibrate import QUICK
-from bayescal._search.own_files import in_a_file
-from bayescal._search.search_path import Step
-from bayescal.workshop import (
-    ReadOptions,
-    as_type,
-    identity,
-    one_line,
-    read_json,
-    write_text,
-)
+import bayescal as bc
+from bayescal import workshop as ws
 
 
 @dataclass(frozen=True)
 class Origin:
-    """What was opened, for scripts, in which names of files are quoted.
+    """What was opened, for scripts, in which names of files are quoted."""
 
-    Attributes:
-        instrument: name of an installed one, or my.py:INSTRUMENT; empty where it was made in Python.
-        files, holdout: of readings, in full.
-        read: arguments of `bayescal.read` that are not its usual ones.
-        average: time over which means are taken; None for single readings.
-        keep_spikes: whether single readings far from both neighbours stay.
-        effect_files: Python files with effects of the user's own, in full.
-        channel: which of the outputs that `read` names; empty where there is one.
-    """
-
-    instrument: str
-    files: tuple[str, ...]
+    instrument: str  # name of an installed one, or my.py:INSTRUMENT; empty where made in Python
+    files: tuple[str, ...]  # files, holdout: of readings, in full
     holdout: tuple[str, ...] = ()
+    # Arguments of `bayescal.read` that are not its usual ones.
     read: Mapping[str, Any] = field(default_factory=dict)
-    average: str | None = None
-    keep_spikes: bool = False
-    effect_files: tuple[str, ...] = ()
-    channel: str = ""
+    average: str | None = None  # time over which means are taken; None for single readings
+    keep_spikes: bool = False  # whether single readings far from both neighbours stay
+    effect_files: tuple[str, ...] = ()  # Python files with effects of the user's own, in full
+    channel: str = ""  # which of the outputs that `read` names; empty where there is one
 
     @classmethod
     def of(
@@ -89,11 +50,11 @@ class Origin:
         **more: Any,
     ) -> Origin:
         """With paths in full, and no argument that is the usual one."""
-        if in_a_file(instrument):
+        if ws.in_a_file(instrument):
             file, _, name = instrument.rpartition(":")
             instrument = f"{Path(file).resolve()}:{name}"
         full = [tuple(str(Path(p).resolve()) for p in some) for some in (files, holdout or ())]
-        usual = vars(ReadOptions())
+        usual = vars(ws.ReadOptions())
         given = {k: v for k, v in (read or {}).items() if v != usual.get(k)}
         own = tuple(str(Path(p).resolve()) for p in effect_files)
         return cls(instrument, *full, read=given, effect_files=own, **more)
@@ -101,9 +62,9 @@ class Origin:
     @classmethod
     def kept(
         cls,
-        instrument: Instrument,
-        readings: Measurements,
-        holdout: Measurements | None,
+        instrument: bc.Instrument,
+        readings: bc.Measurements,
+        holdout: bc.Measurements | None,
         folder: Path,
         keep_spikes: bool,
     ) -> Origin:
@@ -114,59 +75,15 @@ class Origin:
         """
         files = [readings.write(folder / "readings.nc")]
         apart = [] if holdout is None else [holdout.write(folder / "holdout.nc")]
-        name = instrument.name if instrument.name in installed_names() else ""
+        name = instrument.name if instrument.name in ws.installed_names() else ""
         return cls.of(name, files, apart, keep_spikes=keep_spikes)
-
-    def code(self, tailored: bool) -> list[str]:
-        """Lines of Python that open the same: `instrument`, `readings`, `holdout`, `own`.
-
-        Args:
-            tailored: whether the instrument is made for the readings.
-        """
-        spikes = ", keep_spikes=True" if self.keep_spikes else ""
-        options = "".join(f", {name}={value!r}" for name, value in self.read.items())
-        lines = [*self._code_of_instrument(), *self._code_of_effects(), ""]
-        channel = f"[{self.channel!r}]" if self.channel else ""
-        parts = {"readings": self.files, "holdout": self.holdout}
-        for name, files in parts.items():
-            if not files:
-                lines.append(f"{name} = None")
-                continue
-            lines.append(f"{name} = bc.read({list(files)!r}, instrument{options}){channel}")
-            if self.average is not None:
-                lines.append(f"{name} = bc.set_aside({name}{spikes}).average({self.average!r})")
-        if tailored:
-            lines.append("instrument = instrument.for_readings(readings)")
-        done = [name for name, files in parts.items() if files]
-        return [*lines, *(f"{name} = bc.set_aside({name}{spikes})" for name in done)]
-
-    def _code_of_instrument(self) -> list[str]:
-        if not self.instrument:
-            return ["instrument = ...  # yours, made in Python: give it here"]
-        if in_a_file(self.instrument):
-            file, _, name = self.instrument.rpartition(":")
-            return [f"instrument = runpy.run_path({file!r})[{name!r}]"]
-        found = entry_points(group=GROUP)[self.instrument]
-        return [f"from {found.module} import {found.attr} as instrument"]
-
-    def _code_of_effects(self) -> list[str]:
-        if not self.effect_files:
-            return []
-        return [
-            "own = {}  # effects of your own, by name",
-            f"for path in {list(self.effect_files)!r}:",
-            "    defined = runpy.run_path(path)",
-            '    effects = defined.get("EFFECTS", tuple(defined.values()))',
-            "    effects = effects if isinstance(effects, tuple | list) else (effects,)",
-            "    own |= {e.name: e for e in effects if isinstance(e, bc.Effect)}",
-        ]
 
 
 @dataclass(frozen=True)
 class SearchOptions:
     """What `calibrate` is asked with, apart from model and readings; see there."""
 
-    method: LeastSquares | Marginal | NUTS | None = None
+    method: bc.LeastSquares | bc.Marginal | bc.NUTS | None = None
     max_effects: int = 5
     widen_noise: bool = True
     keep_spikes: bool = False
@@ -178,21 +95,13 @@ class SearchOptions:
 
 @dataclass(frozen=True, eq=False)
 class State:
-    """One model of the tree. Nothing in it changes; a look gives the same state with its discovery.
+    """One model of the tree. Nothing in it changes; a look gives the same state with its discovery."""
 
-    Attributes:
-        number: of the state, from 0.
-        parent: number of the state that it was made from; None for the first.
-        step: its fit by least squares, where it fails, its errors.
-        at: when it was made.
-        discovery: what is missing from it; None until it was looked for.
-    """
-
-    number: int
-    parent: int | None
-    step: Step
-    at: datetime
-    discovery: Discovery | None = None
+    number: int  # of the state, from 0
+    parent: int | None  # number of the state that it was made from; None for the first
+    step: ws.Step  # its fit by least squares, where it fails, its errors
+    at: datetime  # when it was made
+    discovery: bc.Discovery | None = None  # what is missing from it; None until it was looked for
 
     @property
     def title(self) -> str:
@@ -200,11 +109,11 @@ class State:
         return self.step.title
 
     @property
-    def calibration(self) -> Calibration:
+    def calibration(self) -> bc.Calibration:
         return self.step.calibration
 
     @property
-    def model(self) -> Model:
+    def model(self) -> bc.Model:
         return self.step.calibration.model
 
 
@@ -221,7 +130,8 @@ SCHEMA = "bayescal.workbench/2"
 FIRST = "session_1"  # the folder of a session, in that of --out
 
 
-class SavedState(TypedDict):
+@dataclass(frozen=True)
+class SavedState:
     """What session.json holds of a state, beside its calibration; its number is its place."""
 
     parent: int | None
@@ -230,17 +140,31 @@ class SavedState(TypedDict):
     changed: str
     identity: str
 
+    @classmethod
+    def of(cls, state: State) -> SavedState:
+        step = state.step
+        own = state.at.isoformat(), step.added, step.changed, ws.identity(state.calibration)
+        return cls(state.parent, *own)
 
-class SavedSession(TypedDict):
-    """What session.json holds."""
+
+@dataclass(frozen=True)
+class SavedSession:
+    """What session.json holds; ValueError where it can be none."""
 
     schema: str
     states: list[SavedState]
     current: int
     typed: list[str]
 
-
-_NUMBERED = re.compile(r"session_(\d+)")
+    def __post_init__(self) -> None:
+        if self.schema != SCHEMA:
+            raise ValueError(f"its schema is {self.schema!r}, expected {SCHEMA!r}")
+        for number, state in enumerate(self.states):
+            datetime.fromisoformat(state.at)
+            if state.parent not in (range(number) if number else (None,)):
+                raise ValueError(f"the parent of step {number} is none before it")
+        if self.current not in range(len(self.states)):
+            raise ValueError(f"there is no step {self.current}")
 
 
 def own_folder(folder: str | Path | None) -> Path:
@@ -253,7 +177,7 @@ def own_folder(folder: str | Path | None) -> Path:
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        raise InputError(f"cannot write to the folder {folder}: {error.strerror}") from None
+        raise bc.InputError(f"cannot write to the folder {folder}: {error.strerror}") from None
     return folder
 
 
@@ -270,23 +194,10 @@ def keep_session(
     Raises:
         InputError: it cannot be written.
     """
-    told: SavedSession = {
-        "schema": SCHEMA,
-        "states": [
-            {
-                "parent": s.parent,
-                "at": s.at.isoformat(),
-                "added": s.step.added,
-                "changed": s.step.changed,
-                "identity": identity(s.calibration),
-            }
-            for _, s in sorted(states.items())
-        ],
-        "current": current,
-        "typed": [*typed],
-    }
-    write_text(json.dumps(told, indent=2, ensure_ascii=False) + "\n", folder / SESSION)
-    write_text(script, folder / SCRIPT)
+    told = [SavedState.of(s) for _, s in sorted(states.items())]
+    session = SavedSession(SCHEMA, told, current, [*typed])
+    ws.write_json(ws.as_json(session), folder / SESSION)
+    ws.write_text(script, folder / SCRIPT)
 
 
 def session_in(folder: Path) -> SavedSession:
@@ -296,75 +207,30 @@ def session_in(folder: Path) -> SavedSession:
         InputError: there is none, or none that can be read.
     """
     try:
-        told = read_json(folder / SESSION)
-        if isinstance(told, dict) and told.get("schema") != SCHEMA:
-            raise ValueError(f"its schema is {told.get('schema')!r}, expected {SCHEMA!r}")
-        found = as_type(told, SavedSession)
-        for number, state in enumerate(found["states"]):
-            datetime.fromisoformat(state["at"])
-            if state["parent"] not in (range(number) if number else (None,)):
-                raise ValueError(f"the parent of step {number} is none before it")
-        if found["current"] not in range(len(found["states"])):
-            raise ValueError(f"there is no step {found['current']}")
-        return found
-    except (OSError, ValueError, TypeError, KeyError, InputError) as error:
-        raise InputError(
+        return ws.read_json(folder / SESSION, SavedSession)
+    except (OSError, ValueError) as error:
+        raise bc.InputError(
             f"{folder} holds no session that can be gone on with ({error}): begin one in another folder"
         ) from None
 
 
 def states_in(
-    folder: Path, told: SavedSession, effects: Sequence[Effect], instrument: Instrument
-) -> Iterator[tuple[SavedState, Calibration]]:
+    folder: Path, told: SavedSession, effects: Sequence[bc.Effect], instrument: bc.Instrument
+) -> Iterator[tuple[SavedState, bc.Calibration]]:
     """The states that session.json tells of, with their calibrations.
 
     Raises:
         InputError: a calibration is not there, or is another one.
     """
-    given = () if instrument.name in installed_names() else (instrument,)
-    for number, state in enumerate(told["states"]):
+    given = () if instrument.name in ws.installed_names() else (instrument,)
+    for number, state in enumerate(told.states):
         file = fit_of(folder, number)
-        calibration = load(file, effects=effects, instruments=given)
-        if identity(calibration) != state["identity"]:
-            raise InputError(f"{file} is not the one that {SESSION} tells of. {AGAIN}")
+        calibration = bc.load(file, effects=effects, instruments=given)
+        if ws.identity(calibration) != state.identity:
+            raise bc.InputError(
+                f"{file} is not the one that {SESSION} tells of: begin in another folder"
+            )
         yield state, calibration
-
-
-def last_session(folder: Path) -> Path | None:
-    """The session worked with last of those that a folder holds; None where it holds none."""
-    there = [p for p in folder.glob(f"session_*/{SESSION}") if _NUMBERED.fullmatch(p.parent.name)]
-    last = max(there, key=lambda p: (p.stat().st_mtime_ns, p.parent.name), default=None)
-    return None if last is None else last.parent
-
-
-HEAD = '''"""What was done in the bayescal workbench, up to step {number}. It needs bayescal {version} or later."""
-
-{imports}
-'''
-FITTED = '''
-calibrations = []
-
-
-def fitted(title, model, method, **how):
-    """Fit a model, and print its errors: as fitted, and of the hold-out data."""
-    calibration = bc.fit(model, readings, method, strict=False{reference}, **how)
-    calibrations.append(calibration)
-    errors = {{"as fitted": bc.check(calibration).rms}}
-    if holdout is not None:
-        errors["held out"] = bc.predict(calibration, holdout).rmse
-    print(title, errors, calibration.unit)
-    return calibration
-
-'''
-LAST = """
-print(calibration)
-print(bc.check(calibration))
-
-# By the method that was asked for. Where nothing more is to be added, the report and exports are of the average over
-# the structures weighed, as bc.calibrate(model, readings).calibration is.
-final = bc.fit(model, readings, {method}, seed={seed}, strict=False{reference})
-print(final)
-"""
 
 
 def script(path: Sequence[State], origin: Origin, settings: SearchOptions, folder: Path) -> str:
@@ -376,32 +242,48 @@ def script(path: Sequence[State], origin: Origin, settings: SearchOptions, folde
         settings: of the fits.
         folder: that keeps the states' calibrations, for a model that no public function composes.
     """
-    reference = f", reference={dict(settings.reference)!r}" if settings.reference else ""
-    runs = "runpy" if origin.effect_files or ".py:" in origin.instrument else ""
-    imports = "\n".join([*(["import runpy", ""] if runs else []), "import bayescal as bc"])
-    instrument = path[0].model.instrument
-    lines = [
-        HEAD.format(number=path[-1].number, version=__version__, imports=imports).rstrip("\n"),
-        *origin.code(tailored=instrument.tailor is not None),
-        FITTED.format(reference=reference),
-    ]
-    line, before = _beginning(path[0].model)
-    lines.append(line)
+    beginning, before = _beginning(path[0].model)
+    steps = []
     for state in path:
-        lines += ["", f"# {state.number}: {one_line(state.title)}"] if state.number else []
-        changed = code_of(before, state.model)
-        lines += [_loaded(state, origin, folder)] if changed is None else changed
-        quick = method_code(QUICK if state.model.noise.gaussian else settings.method)
-        title = f"{state.number} {state.title}"
-        start = state.calibration.start
-        how = f", seed={state.calibration.seed}" + (f", start={start!r}" if start else "")
-        lines.append(f"calibration = fitted({title!r}, model, {quick}{how})")
+        edits = code_of(before, state.model)
+        c, quick = state.calibration, state.model.noise.gaussian
+        step = {
+            **{"number": state.number, "title": ws.one_line(state.title)},
+            "name": f"{state.number} {state.title}",
+            "lines": [_loaded(state, origin, folder)] if edits is None else edits,
+            "method": method_code(ws.QUICK if quick else settings.method),
+            "how": {"seed": c.seed} | ({"start": c.start} if c.start else {}),
+        }
+        steps.append(step)
         before = state.model
-    last = {"method": method_code(settings.method), "seed": settings.seed}
-    return "\n".join([*lines, LAST.format(**last, reference=reference)])
+    file, _, name = origin.instrument.rpartition(":")
+    installed = metadata.entry_points(group="bayescal.instruments")
+    arguments = {"repr": repr, "arguments": _arguments}
+    return ws.template("bayescal._annexes.workbench", "script.py.jinja", arguments).render(
+        version=bc.__version__,
+        file=file,
+        name=name,
+        entry=None if file or not origin.instrument else installed[name],
+        own_files=list(origin.effect_files),
+        parts={"readings": list(origin.files), "holdout": list(origin.holdout)},
+        read=origin.read,
+        channel=f"[{origin.channel!r}]" if origin.channel else "",
+        average=origin.average,
+        spikes={"keep_spikes": True} if origin.keep_spikes else {},
+        tailored=path[0].model.instrument.tailor is not None,
+        reference={"reference": dict(settings.reference)} if settings.reference else {},
+        beginning=beginning,
+        steps=steps,
+        method=method_code(settings.method),
+        seed=settings.seed,
+    )
 
 
-def _beginning(model: Model) -> tuple[str, Model]:
+def _arguments(given: Mapping[str, Any]) -> str:
+    return "".join(f", {name}={value!r}" for name, value in given.items())
+
+
+def _beginning(model: bc.Model) -> tuple[str, bc.Model]:
     """The baseline, or the instrument's structure that a model is, or was made of."""
     instrument = model.instrument
     ways = [("model = instrument.baseline()", instrument.baseline())]
@@ -420,7 +302,7 @@ def _loaded(state: State, origin: Origin, folder: Path) -> str:
     return f"model = bc.load({str(fit_of(folder, state.number))!r}{own}).model"
 
 
-def code_of(before: Model, after: Model) -> list[str] | None:
+def code_of(before: bc.Model, after: bc.Model) -> list[str] | None:
     """Lines of Python that make one model of another; None where no public function does.
 
     Each line is tried on the model itself: what comes of them all must be the other model.
@@ -429,7 +311,7 @@ def code_of(before: Model, after: Model) -> list[str] | None:
     return [line for line, _ in edits[1:]] if edits[-1][1] == after else None
 
 
-def _edits(model: Model, after: Model) -> Iterator[tuple[str, Model]]:
+def _edits(model: bc.Model, after: bc.Model) -> Iterator[tuple[str, bc.Model]]:
     """Each change with what it makes."""
     for name in reversed(model.names[_shared(model, after) :]):
         model = model - name
@@ -460,27 +342,27 @@ def _edits(model: Model, after: Model) -> Iterator[tuple[str, Model]]:
             yield f"model = model.fix({dict(after.fixed)!r})", model
 
 
-def _shared(before: Model, after: Model) -> int:
+def _shared(before: bc.Model, after: bc.Model) -> int:
     """How many effects at the beginning the two have in common; of other plausible sizes, they still are."""
 
-    def alike(both: tuple[Effect, Effect]) -> bool:
+    def alike(both: tuple[bc.Effect, bc.Effect]) -> bool:
         one, other = both
         return one == other or (one.name == other.name and not one.is_placeholder)
 
     return len(list(takewhile(alike, zip(before.effects, after.effects, strict=False))))
 
 
-def _effect_code(effect: Effect, model: Model) -> tuple[str, Effect | None]:
+def _effect_code(effect: bc.Effect, model: bc.Model) -> tuple[str, bc.Effect | None]:
     """An effect as it is added, at its own plausible size."""
     name, instrument = effect.name, model.instrument
     known = instrument.known
-    if isinstance(effect.basis, Formula):
+    if isinstance(effect.basis, ws.Formula):
         return f"bc.effect({effect.basis.text!r}, readings=readings, instrument=instrument)", effect
     if name in known:
         return repr(name), known[name]
     made = None
     if effect.is_placeholder:
-        with suppress(ModelError):  # one under a name of its own is the user's
+        with suppress(bc.ModelError):  # one under a name of its own is the user's
             made = instrument.effect(name)
     if made is None:
         return f"own[{name!r}]", effect
@@ -494,10 +376,10 @@ def _effect_code(effect: Effect, model: Model) -> tuple[str, Effect | None]:
     return f"instrument.effect({name!r}).ranging({ranges!r})", made.ranging(ranges)
 
 
-def noise_code(noise: Noise, model: Model) -> str | None:
+def noise_code(noise: bc.Noise, model: bc.Model) -> str | None:
     """A noise law as Python; None where the public names do not make it."""
     if noise == model.instrument.noise:
         return "instrument.noise"
     said = re.sub(r"\b(?=[A-Z]\w*\()", "bc.", repr(noise))
     names = set(re.findall(r"bc\.(\w+)", said))
-    return said if names <= set(bayescal.__all__) else None
+    return said if names <= set(bc.__all__) else None

@@ -21,12 +21,12 @@ from jinja2 import Template
 from panel.io.state import set_curdoc
 from tornado.web import ErrorHandler
 
+from bayescal import workshop as ws
 from bayescal._annexes.workbench.app import Workbench
 from bayescal._annexes.workbench.parts.pieces import INSIDE, words
 from bayescal._annexes.workbench.parts.work import in_words
 from bayescal._annexes.workbench.session import Session
 from bayescal._annexes.workbench.start import Address, opened_in_browser
-from bayescal.workshop import html_text
 
 # Bytes of one message of a browser's; files come in pieces that are far smaller.
 LARGEST_MESSAGE = 64 * 2**20
@@ -113,7 +113,7 @@ def application(channels: Mapping[str, Opened]) -> Callable[[], Any]:
 
 def _link(channel: str, shown: bool) -> str:
     """The way to another channel."""
-    name = html_text(channel)
+    name = ws.html_text(channel)
     return f"<b>{name}</b>" if shown else f'<a href="?{urlencode({"channel": channel})}">{name}</a>'
 
 

@@ -20,43 +20,11 @@ from typing import Any
 
 import numpy as np
 
-from bayescal import (
-    Budget,
-    Calibration,
-    Discovery,
-    Effect,
-    InputError,
-    Measurements,
-    Model,
-    ModelError,
-    Noise,
-    NotDrawn,
-    SearchPath,
-    budget,
-    check,
-    compare,
-    compensator,
-    fit,
-    report,
-    set_aside,
-)
-from bayescal import effect as typed_effect
-from bayescal._annexes.imu.autopilot import AUTOPILOTS
-from bayescal._annexes.imu.firmware_parameters import axis_of, firmware_parameters
-from bayescal._annexes.metrology.decide import Decisions, decide
+import bayescal as bc
+from bayescal import workshop as ws
+from bayescal._annexes.imu.firmware_parameters import AUTOPILOTS, axis_of
 from bayescal._annexes.workbench import kept
 from bayescal._annexes.workbench.kept import Origin, SearchOptions, State, path_to, script
-from bayescal._calibration.summary import unknown_rows
-from bayescal._core import deadline
-from bayescal._model.effect import with_forms
-from bayescal._model.formula import Formula
-from bayescal._search.calibrate import Loop, step_of
-from bayescal._search.discover import SEARCH
-from bayescal._search.gate import judged
-from bayescal._search.noise_laws import laws_over
-from bayescal._search.search_path import Step
-from bayescal._search.structures import SIZE_FACTORS, Structure
-from bayescal.workshop import WIDTH, number, plain_table, save_search, unit_label, with_error
 
 
 class Preview:
@@ -69,11 +37,11 @@ class Preview:
         in_words: that, with the size of the effect that is added.
     """
 
-    def __init__(self, before: Step, after: Calibration, added: str | None) -> None:
-        left = check(after).residuals
+    def __init__(self, before: ws.Step, after: bc.Calibration, added: str | None) -> None:
+        left = bc.check(after).residuals
         self.curve, self.rms = before.check.residuals - left, float(np.sqrt(np.mean(left**2)))
-        said = f"residuals from {number(before.rmse_fitted)} to {number(self.rms)}"
-        said += f" {unit_label(after.unit)} rms"
+        said = f"residuals from {ws.number(before.rmse_fitted)} to {ws.number(self.rms)}"
+        said += f" {ws.unit_label(after.unit)} rms"
         known, evidence = before.calibration.log_evidence, after.log_evidence
         if known is not None and evidence is not None:
             said += f", log Bayes factor {evidence[0] - known[0]:z.1f}"
@@ -83,80 +51,30 @@ class Preview:
             own = effect.group_sd_name(0) if grouped else effect.coefficient_name(0)
             draws = after.samples(effect.measure_name or own)
             draws = draws if draws.ndim == 1 else np.sqrt(np.mean(draws**2, axis=1))
-            size = with_error(float(draws.mean()), float(draws.std()))
-            unit = unit_label(effect.coefficients[0].unit)
+            size = ws.with_error(float(draws.mean()), float(draws.std()))
+            unit = ws.unit_label(effect.coefficients[0].unit)
             said = f"{added} would be {f'{size} {unit}'.rstrip()}: {said}"
         self.in_words = said
 
 
 @dataclass(frozen=True)
 class Change:
-    """A model, and how it differs from the one before.
+    """A model, and how it differs from the one before."""
 
-    Attributes:
-        model: what comes of it.
-        added: effect that was added; None where something else was done.
-        in_words: that, in words; empty where an effect was added.
-    """
-
-    model: Model
-    added: str | None = None
-    in_words: str = ""
-
-
-def changed(
-    model: Model,
-    kind: str,
-    arguments: Sequence[Any],
-    own: Mapping[str, Effect],
-    laws: Mapping[str, Noise],
-) -> Change:
-    """Return a model with a change.
-
-    Args:
-        model: before it.
-        kind: of the change, with its arguments: see below.
-        arguments: of the change.
-        own: effects that are not as the instrument states them, by the name under which they are asked for.
-        laws: noise laws, by name.
-
-    Raises:
-        ModelError: the model cannot be changed so.
-        InputError: there is no such change, or it takes other arguments.
-    """
-    match (kind, *arguments):
-        case ("add", str(name)):
-            effect = own.get(name) or model.instrument.effect(name)
-            return Change(model + effect, added=effect.name)
-        case ("take_out", str(name)):
-            return Change(model - name, in_words=f"− {name}")
-        case ("free", str(name)):
-            return Change(model.free(name), in_words=f"{name} estimated again")
-        case ("noise", str(name)):
-            if (law := laws.get(name)) is None:
-                raise ModelError(
-                    f"no noise law is called {name!r} here; there are: {', '.join(laws)}"
-                )
-            return Change(model.with_noise(law), in_words=f"noise: {law.in_words}")
-        case ("fix", str(name), value):
-            said = f"{name} = {number(float(value), 6)} fixed"
-            return Change(model.fix({name: float(value)}), in_words=said)
-        case ("resize", str(name), value):
-            unit = unit_label(model.effect(name).coefficients[0].unit)
-            said = f"{name} of plausible size {number(float(value))} {unit}".rstrip()
-            return Change(model.resize(name, float(value)), in_words=said)
-    raise InputError(f"{kind!r} with {len(arguments)} argument(s) is no change of a model")
+    model: bc.Model  # what comes of it
+    added: str | None = None  # effect that was added; None where something else was done
+    in_words: str = ""  # that, in words; empty where an effect was added
 
 
 SEARCHES = 4  # the latest ones, that are kept
 
 
-def _structure_of(model: Model, search: Loop) -> Structure | None:
+def _structure_of(model: bc.Model, search: ws.Loop) -> ws.Structure | None:
     """Return which structure of a search a model is, of those that are part of what it chooses; None if none is."""
     structures, goal = search.structures, search.goal
     base, candidates = structures.base, structures.candidates
     names = frozenset(model.names) - {*base.names}
-    laws = {n: structures.noise(Structure(noise=n)) for n in ("", goal.noise)}
+    laws = {n: structures.noise(ws.Structure(noise=n)) for n in ("", goal.noise)}
     law = next((n for n, one in laws.items() if one == model.noise), None)
     if law is None or not names <= goal.effects or model.fixed != base.fixed:
         return None
@@ -166,14 +84,14 @@ def _structure_of(model: Model, search: Loop) -> Structure | None:
         return None
     added = (model.effect(n) for n in names)
     alike = all(_as_searched(e, candidates[e.name]) for e in added)
-    return Structure(names, law) if alike else None
+    return ws.Structure(names, law) if alike else None
 
 
-def _as_searched(effect: Effect, known: Effect) -> bool:
+def _as_searched(effect: bc.Effect, known: bc.Effect) -> bool:
     """Return whether an effect is as known, or has one of the sizes that its evidence is averaged over."""
     first = known.coefficients[0]
     factor = 1.0 if first.flat else effect.coefficients[0].size / first.size
-    return effect.is_placeholder or effect == known or round(factor, 9) in SIZE_FACTORS
+    return effect.is_placeholder or effect == known or round(factor, 9) in ws.SIZE_FACTORS
 
 
 @dataclass(eq=False)
@@ -192,32 +110,32 @@ class Session:
         on_change: called when a state is made or gone to, by whichever page, from whatever thread.
     """
 
-    readings: Measurements
-    holdout: Measurements | None
+    readings: bc.Measurements
+    holdout: bc.Measurements | None
     folder: Path
     settings: SearchOptions
     origin: Origin
-    own: dict[str, Effect]
+    own: dict[str, bc.Effect]
     on_change: list[Callable[[], None]] = field(default_factory=list)
     _states: dict[int, State] = field(default_factory=dict)
     _at: int = 0
     _been: list[int] = field(default_factory=list)  # current states before this one, the last last
-    _loops: list[Loop] = field(default_factory=list)  # with the structures weighed over models
-    _trails: dict[int, SearchPath] = field(default_factory=dict)
-    _decisions: dict[int, Decisions] = field(default_factory=dict)
+    _loops: list[ws.Loop] = field(default_factory=list)  # with the structures weighed over models
+    _trails: dict[int, bc.SearchPath] = field(default_factory=dict)
+    _decisions: dict[int, bc.Decisions] = field(default_factory=dict)
     _lock: threading.RLock = field(default_factory=threading.RLock)  # of the tree
     _fitting: threading.Lock = field(default_factory=threading.Lock)
     _looking: threading.RLock = field(default_factory=threading.RLock)  # of the structures weighed
-    _end: deadline.Deadline | None = None  # of the search that is under way
+    _end: ws.deadline.Deadline | None = None  # of the search that is under way
 
     @classmethod
     def open(
         cls,
-        model: Model,
-        readings: Measurements,
+        model: bc.Model,
+        readings: bc.Measurements,
         *,
-        holdout: Measurements | None = None,
-        effects: Sequence[Effect] = (),
+        holdout: bc.Measurements | None = None,
+        effects: Sequence[bc.Effect] = (),
         folder: str | Path | None = None,
         origin: Origin | None = None,
         **settings: Any,
@@ -242,36 +160,35 @@ class Session:
         model.require(readings)
         if holdout is not None:
             model.require(holdout)
-            apart = set_aside(holdout, spikes)
+            apart = bc.set_aside(holdout, spikes)
         folder = kept.own_folder(folder)
         origin = origin or Origin.kept(model.instrument, readings, holdout, folder, spikes)
         own = {e.name: e for e in effects}
-        session = cls(set_aside(readings, spikes), apart, folder, asked, origin, own)
+        session = cls(bc.set_aside(readings, spikes), apart, folder, asked, origin, own)
         if (folder / kept.SESSION).is_file():
             session._go_on(model)
         else:
             session._become(Change(model), None)
         return session
 
-    def _go_on(self, model: Model) -> None:
+    def _go_on(self, model: bc.Model) -> None:
         """Take every state that the folder holds, whatever ended what made it."""
         told = kept.session_in(self.folder)
-        for line in told["typed"]:
-            made = typed_effect(line, readings=self.readings, instrument=model.instrument)
+        for line in told.typed:
+            made = bc.effect(line, readings=self.readings, instrument=model.instrument)
             self.own[made.name] = made
         effects, accepted = tuple(self.own.values()), self.settings.accept_conflicts
         kept_states = kept.states_in(self.folder, told, effects, model.instrument)
         for n, (said, calibration) in enumerate(kept_states):
             if not calibration.readings.same_as(self.readings):
-                raise InputError(
+                raise bc.InputError(
                     f"{self.folder} holds a session of other readings, {calibration.readings.file}: give another "
                     "folder (--out), or remove it"
                 )
-            step = step_of(calibration, self.holdout, accepted)
-            step = replace(step, added=said["added"], changed=said["changed"])
-            at = datetime.fromisoformat(said["at"])
-            self._states[n] = State(n, said["parent"], step, at)
-        self._at = told["current"]
+            step = ws.step_of(calibration, self.holdout, accepted)
+            step = replace(step, added=said.added, changed=said.changed)
+            self._states[n] = State(n, said.parent, step, datetime.fromisoformat(said.at))
+        self._at = told.current
         kept.fit_of(self.folder, len(self._states)).unlink(missing_ok=True)  # of a state cut short
 
     @property
@@ -298,7 +215,9 @@ class Session:
         """
         with self._lock:
             if number not in self._states:
-                raise InputError(f"there is no step {number}: there are 0 to {max(self._states)}")
+                raise bc.InputError(
+                    f"there is no step {number}: there are 0 to {max(self._states)}"
+                )
             self._been.append(self._at)
             return self._be(number)
 
@@ -315,17 +234,17 @@ class Session:
         """
         with self._lock:
             if (before := self.before) is None:
-                raise InputError("nothing was done that could be undone")
+                raise bc.InputError("nothing was done that could be undone")
             del self._been[-1:]
             return self._be(before)
 
     @property
-    def laws(self) -> Mapping[str, Noise]:
+    def laws(self) -> Mapping[str, bc.Noise]:
         """Noise laws that the readings can tell, by name, that of the first model among them."""
         first = self.states[0].calibration
-        return {first.model.noise.name: first.model.noise, **laws_over(first.model, first.frame)}
+        return {first.model.noise.name: first.model.noise, **ws.laws_over(first.model, first.frame)}
 
-    def preview(self, wanted: str | Effect) -> Preview:
+    def preview(self, wanted: str | bc.Effect) -> Preview:
         """Return what adding an effect to the current state would do."""
         if isinstance(wanted, str):
             wanted = self._named().get(wanted) or self.current.model.instrument.effect(wanted)
@@ -333,8 +252,33 @@ class Session:
 
     def consequences(self, kind: str, *arguments: Any) -> Preview:
         """Return what `act` would do, before it is done."""
-        laws, model = self.laws, self.current.model
-        return self._previewed(changed(model, kind, arguments, self._named(), laws))
+        return self._previewed(self._changed(kind, *arguments))
+
+    def _changed(self, kind: str, *arguments: Any) -> Change:
+        """Return the current model with a change."""
+        model = self.current.model
+        match (kind, *arguments):
+            case ("add", str(name)):
+                effect = self._named().get(name) or model.instrument.effect(name)
+                return Change(model + effect, added=effect.name)
+            case ("take_out", str(name)):
+                return Change(model - name, in_words=f"− {name}")
+            case ("free", str(name)):
+                return Change(model.free(name), in_words=f"{name} estimated again")
+            case ("noise", str(name)):
+                if (law := self.laws.get(name)) is None:
+                    raise bc.ModelError(
+                        f"no noise law is called {name!r} here; there are: {', '.join(self.laws)}"
+                    )
+                return Change(model.with_noise(law), in_words=f"noise: {law.in_words}")
+            case ("fix", str(name), value):
+                said = f"{name} = {ws.number(float(value), 6)} fixed"
+                return Change(model.fix({name: float(value)}), in_words=said)
+            case ("resize", str(name), value):
+                unit = ws.unit_label(model.effect(name).coefficients[0].unit)
+                said = f"{name} of plausible size {ws.number(float(value))} {unit}".rstrip()
+                return Change(model.resize(name, float(value)), in_words=said)
+        raise bc.InputError(f"{kind!r} with {len(arguments)} argument(s) is no change of a model")
 
     def _previewed(self, wanted: Change) -> Preview:
         """Fit a model that is not made a state."""
@@ -343,7 +287,7 @@ class Session:
         start = {n: float(v) for n, v in known.problem.hyper(known.mode.v).items()}
         how: dict[str, Any] = {"seed": loop.seed, "reference": loop.reference, "start": start}
         method = loop.quick(wanted.model)
-        after = fit(wanted.model, self.readings, method, strict=False, **how)
+        after = bc.fit(wanted.model, self.readings, method, strict=False, **how)
         return Preview(before, after, wanted.added)
 
     def act(self, kind: str, *arguments: Any) -> State:
@@ -354,16 +298,14 @@ class Session:
         Raises:
             ModelError, InputError: the model cannot be changed so.
         """
-        state = self.current
-        wanted = changed(state.model, kind, arguments, self._named(), self.laws)
-        return self._become(wanted, state.number)
+        return self._become(self._changed(kind, *arguments), self.current.number)
 
-    def _named(self) -> dict[str, Effect]:
+    def _named(self) -> dict[str, bc.Effect]:
         """Return effects that are not as the instrument states them, by the name by which they are asked for.
 
         The user's own; of what a look reports the likeliest form, at its likeliest size where it was found.
         """
-        own = {e.name: e for e in with_forms(self.own.values())}
+        own = {e.name: e for e in ws.with_forms(self.own.values())}
         if (found := self.current.discovery) is None:
             return own
         known, best = self.current.model.instrument.effect, [e for e in found.best if not e.open]
@@ -377,7 +319,7 @@ class Session:
     resize = partialmethod(act, "resize")  # (effect, plausible size of its first coefficient)
     noise = partialmethod(act, "noise")  # (name, of `laws`)
 
-    def look(self) -> Discovery:
+    def look(self) -> bc.Discovery:
         """Return what is missing from the current state, by the structures that were weighed; kept in the state."""
         number = self.current.number
         with self._in_time():  # another page may look for the same
@@ -387,7 +329,7 @@ class Session:
                 self._keep_found(number, found)
         return found
 
-    def find_all(self, follow: Callable[[SearchPath], None] = lambda _: None) -> None:
+    def find_all(self, follow: Callable[[bc.SearchPath], None] = lambda _: None) -> None:
         """Search from the current state on, as `calibrate` does; each step on the way becomes a state.
 
         It returns at the end, or soon after `stop`; `follow` is called with the trail so far, as by `calibrate`.
@@ -397,7 +339,7 @@ class Session:
         """
         begin = self.current
         if begin.step.against and not self._loop.freed(begin.step):
-            raise ModelError(f"nothing is looked for: {' '.join(begin.step.against)}")
+            raise bc.ModelError(f"nothing is looked for: {' '.join(begin.step.against)}")
         with self._in_time():
             loop, at = self._weighed(begin, follow)
             steps, number = [begin.step], begin.number
@@ -412,12 +354,12 @@ class Session:
     @contextmanager
     def _in_time(self) -> Iterator[None]:
         """Look at structures, one caller at a time, in the time that there is."""
-        with self._looking, deadline.until(self.settings.time_limit) as self._end:
+        with self._looking, ws.deadline.until(self.settings.time_limit) as self._end:
             yield
 
     def _weighed(
-        self, state: State, follow: Callable[[SearchPath], None] | None = None
-    ) -> tuple[Loop, Structure]:
+        self, state: State, follow: Callable[[bc.SearchPath], None] | None = None
+    ) -> tuple[ws.Loop, ws.Structure]:
         """Return the search that says what is missing from a state, and which of its structures that state is.
 
         It is that of `calibrate` over the first model, so that states on the way to what it chooses share one posterior
@@ -431,12 +373,15 @@ class Session:
         given = [e for e in first.model.effects if loop.weighs(e, first.model)]
         found = self._searched(reduce(sub, given, first.model), given, follow)
         if (at := _structure_of(state.model, found)) is None:
-            found, at = self._searched(state.model, (), follow), Structure()
+            found, at = self._searched(state.model, (), follow), ws.Structure()
         return found, at
 
     def _searched(
-        self, core: Model, given: Sequence[Effect], follow: Callable[[SearchPath], None] | None
-    ) -> Loop:
+        self,
+        core: bc.Model,
+        given: Sequence[bc.Effect],
+        follow: Callable[[bc.SearchPath], None] | None,
+    ) -> ws.Loop:
         """Weigh structures over a model, those with given effects among them; kept."""
         found = next((s for s in self._loops if s.steps[0].calibration.model == core), None)
         if begun := found is None:
@@ -446,7 +391,7 @@ class Session:
             more = (*self.own.values(), *found.freed(self.states[0].step))
             found.open(first, more, self.settings.widen_noise)
         if found.stopped and (begun or follow is not None):
-            with deadline.sooner(SEARCH):
+            with ws.deadline.sooner(ws.SEARCH):
                 found.look(lambda: None if follow is None else follow(found.trail()))
             self._loops = [*(one for one in self._loops if one is not found), found][-SEARCHES:]
         return found
@@ -456,13 +401,13 @@ class Session:
         if self._end is not None:
             self._end.interrupt.requested = True
 
-    def typed(self, line: str) -> Effect:
+    def typed(self, line: str) -> bc.Effect:
         """The effect of a typed formula, as `bc.effect` takes it.
 
         Raises:
             InputError: it is none; the place is marked.
         """
-        return typed_effect(line, readings=self.readings, instrument=self.current.model.instrument)
+        return bc.effect(line, readings=self.readings, instrument=self.current.model.instrument)
 
     def add_typed(self, line: str) -> State:
         """Have the effect of a typed formula among the candidates, and add it; what is missing is to be looked for
@@ -480,7 +425,7 @@ class Session:
         """Python that does what was clicked on the way to the current state, with equal numbers."""
         return self._script(self.path())
 
-    def trail(self) -> SearchPath:
+    def trail(self) -> bc.SearchPath:
         """Return the way to the current state as `calibrate` leaves one, its last model by the method asked for; kept.
 
         Where nothing more is to be added, what is used of it is averaged over the structures weighed.
@@ -491,20 +436,20 @@ class Session:
                 self._trails[state.number] = self._judged(state)
             return self._trails[state.number]
 
-    def _judged(self, state: State) -> SearchPath:
+    def _judged(self, state: State) -> bc.SearchPath:
         loop, way = self._loop, self.path(state.number)
         step = loop.step(state.model, loop.method, state.calibration.start or {})
         step = replace(step, added=state.step.added, changed=state.step.changed)
         weighed = None
         if step.calibration.verdict.ok:
-            with suppress(deadline.TimeIsUp), self._in_time():
+            with suppress(ws.deadline.TimeIsUp), self._in_time():
                 weighed = self._weighed(state)
                 self._keep_found(state.number, weighed[0].missing(weighed[1]))
                 way = self.path(state.number)
         steps = [*(s.step for s in way[:-1]), step]
         steps = [replace(s, discovery=w.discovery) for s, w in zip(steps, way, strict=True)]
         if weighed is None or weighed[1].effects != weighed[0].goal.effects:
-            return SearchPath(*judged(steps), self.holdout)
+            return bc.SearchPath(*ws.judged(steps), self.holdout)
         with self._looking:
             return weighed[0].averaged(steps, weighed[1])
 
@@ -513,7 +458,7 @@ class Session:
         trail = self.trail()
         said = "This result may be used." if trail.ok else "Not to be used as it is."
         told = (said, trail.gate.reason, str(trail.final.calibration.verdict))
-        return "\n\n".join([*(textwrap.fill(t, WIDTH) for t in told if t), str(trail)])
+        return "\n\n".join([*(textwrap.fill(t, ws.WIDTH) for t in told if t), str(trail)])
 
     def compare(self, number: int) -> str:
         """The current model beside another step's: `bc.compare`, then coefficients, noise and shapes ± u.
@@ -523,21 +468,21 @@ class Session:
         """
         both = self.current, self.states[number]
         fits = {f"{s.number} {s.title}": s.calibration for s in both}
-        told = [unknown_rows(c) for c in fits.values()]
+        told = [ws.unknown_rows(c) for c in fits.values()]
         units = {name: row[2] for own in told for name, row in own.items()}
         rows = [
             [name, *(own[name][1] if name in own else "–" for own in told), unit]
             for name, unit in units.items()
         ]
-        return f"{compare(fits)}\n\n{plain_table(['', *fits, 'unit'], rows)}"
+        return f"{bc.compare(fits)}\n\n{ws.plain_table(['', *fits, 'unit'], rows)}"
 
-    def budget(self, at: Mapping[str, float]) -> Budget:
+    def budget(self, at: Mapping[str, float]) -> bc.Budget:
         """`bc.budget` of the current model."""
-        return budget(self.trail().calibration, at)
+        return bc.budget(self.trail().calibration, at)
 
-    def decide(self, limits: Sequence[str], **how: Any) -> Decisions:
+    def decide(self, limits: Sequence[str], **how: Any) -> bc.Decisions:
         """`bc.decide` about the current model; its report begins with it."""
-        number, found = self.current.number, decide(self.trail().calibration, limits, **how)
+        number, found = self.current.number, bc.decide(self.trail().calibration, limits, **how)
         self._decisions[number] = found
         return found
 
@@ -545,7 +490,7 @@ class Session:
         """The report for sign-off, in the folder: what `bayescal report` writes of it, with what was decided."""
         (folder, trail), decided = self._result(), self._decisions.get(self.current.number)
         own = tuple(self.own.values())
-        return report([trail], folder / "report.html", effects=own, decisions=decided)
+        return bc.report([trail], folder / "report.html", effects=own, decisions=decided)
 
     def export(self, file: str) -> Path:
         """An export of the current model, in the folder: what `bayescal export` writes.
@@ -557,22 +502,22 @@ class Session:
             InputError, ModelError: there is no such format, or the model cannot be exported so.
         """
         folder, trail = self._result()
-        made, autopilot = compensator(trail.calibration), Path(file).stem
+        made, autopilot = bc.compensator(trail.calibration), Path(file).stem
         if autopilot not in AUTOPILOTS:
             return made.export(folder / file)
         axis = axis_of(trail.final.calibration)
         if axis is None:
-            raise InputError(
+            raise bc.InputError(
                 "these readings do not say of which axis they are, and an autopilot's parameters need it: export the "
                 f"calibration with bayescal export --format {autopilot} --axis gyro_x=FILE"
             )
-        return firmware_parameters({axis: made}, autopilot).write(folder / file)
+        return bc.firmware_parameters({axis: made}, autopilot).write(folder / file)
 
     @property
-    def _loop(self) -> Loop:
+    def _loop(self) -> ws.Loop:
         s = self.settings
         asked = (self.readings, self.holdout, s.method, s.seed, s.reference, s.max_effects)
-        return Loop(*asked, accepted=frozenset(s.accept_conflicts))
+        return ws.Loop(*asked, accepted=frozenset(s.accept_conflicts))
 
     def _become(self, wanted: Change, parent: int | None) -> State:
         """Fit a model as a child of a state, and make it the current one."""
@@ -580,20 +525,22 @@ class Session:
         step = loop.step(wanted.model, loop.quick(wanted.model))
         return self._append(replace(step, added=wanted.added, changed=wanted.in_words), parent)
 
-    def _append(self, step: Step, parent: int | None, discovery: Discovery | None = None) -> State:
+    def _append(
+        self, step: ws.Step, parent: int | None, discovery: bc.Discovery | None = None
+    ) -> State:
         """A step as a child of a state: kept, and then the current one."""
         with self._lock:
             number = len(self._states)
             state = State(number, parent, step, datetime.now(UTC), discovery)
             if (file := kept.fit_of(self.folder, number)).exists():
-                raise InputError(
+                raise bc.InputError(
                     f"{file} was made meanwhile: another workbench goes on here. End one"
                 )
             state.calibration.save(file)
             before = self._at
             try:
                 self._be(number, {**self._states, number: state})
-            except InputError:
+            except bc.InputError:
                 file.unlink()
                 raise
             self._been += [before] * bool(number)
@@ -602,7 +549,7 @@ class Session:
     def _be(self, number: int, states: dict[int, State] | None = None) -> State:
         """Make a state the current one, of these states if they are others."""
         states = self._states if states is None else states
-        texts = [e.basis.text for e in self.own.values() if isinstance(e.basis, Formula)]
+        texts = [e.basis.text for e in self.own.values() if isinstance(e.basis, ws.Formula)]
         way = [states[n] for n in path_to(states, number)]
         kept.keep_session(self.folder, states, number, texts, self._script(way))
         self._states, self._at = states, number
@@ -610,20 +557,20 @@ class Session:
             call()
         return self.current
 
-    def _keep_found(self, number: int, discovery: Discovery | None) -> None:
+    def _keep_found(self, number: int, discovery: bc.Discovery | None) -> None:
         with self._lock:
             self._states[number] = replace(self._states[number], discovery=discovery)
 
     def _script(self, way: list[State]) -> str:
         return script(way, self.origin, self.settings, self.folder.resolve())
 
-    def _result(self) -> tuple[Path, SearchPath]:
+    def _result(self) -> tuple[Path, bc.SearchPath]:
         """The current state's folder of results as `bayescal calibrate --out` leaves it, made anew; the trail in it."""
         trail, number = self.trail(), self.current.number
         folder = self.folder / f"result_{number:03d}"
         folder.mkdir(exist_ok=True)
         with suppress(
-            NotDrawn
+            bc.NotDrawn
         ):  # a report says itself what could not be drawn, an export needs no picture
-            save_search(trail, folder)
+            ws.save_search(trail, folder)
         return folder, trail

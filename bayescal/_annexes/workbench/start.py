@@ -12,13 +12,10 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-from bayescal import InputError
-from bayescal.workshop import html_text
-
-if TYPE_CHECKING:
-    from bayescal import Effect, Instrument, Measurements, Model
+import bayescal as bc
+from bayescal import workshop as ws
 
 LOOPBACK = "127.0.0.1"
 
@@ -51,7 +48,7 @@ class Address:
                 one.bind((host, 0))
                 return cls(one.getsockname()[1], f"/{secrets.token_urlsafe(32)}", host)
         except (OSError, ValueError) as error:
-            raise InputError(
+            raise bc.InputError(
                 f"--address {host}: give one IPv4 address of this computer, such as {LOOPBACK} ({error})"
             ) from None
 
@@ -90,7 +87,7 @@ def opened_in_browser(url: str, folder: Path) -> Iterator[None]:
     with tempfile.TemporaryDirectory(prefix="open_", dir=folder.resolve()) as private:  # mode 700
         page = Path(private) / "workbench.html"
         page.touch(0o600)
-        page.write_text(FORWARD.format(html_text(url)), "utf-8")
+        page.write_text(FORWARD.format(ws.html_text(url)), "utf-8")
         webbrowser.open(page.as_uri())
         yield
 
@@ -102,17 +99,17 @@ def refuse_without_panel() -> None:
         InputError: it is not.
     """
     if importlib.util.find_spec("panel") is None:
-        raise InputError(
+        raise bc.InputError(
             "the workbench needs Panel, which is not installed: pip install 'bayescal[workbench]'"
         )
 
 
 def workbench(
-    readings: Measurements,
-    instrument: Instrument | Model,
+    readings: bc.Measurements,
+    instrument: bc.Instrument | bc.Model,
     *,
-    holdout: Measurements | None = None,
-    effects: Sequence[Effect] = (),
+    holdout: bc.Measurements | None = None,
+    effects: Sequence[bc.Effect] = (),
     folder: str | Path | None = None,
     **settings: Any,
 ) -> Any:
@@ -136,13 +133,12 @@ def workbench(
     refuse_without_panel()
     import panel  # here and below, because all this is heavy
 
-    from bayescal import Model
     from bayescal._annexes.workbench.app import Workbench
     from bayescal._annexes.workbench.session import Session
 
     panel.extension(inline=True)
     given = instrument
-    model = given if isinstance(given, Model) else given.for_readings(readings).baseline()
+    model = given if isinstance(given, bc.Model) else given.for_readings(readings).baseline()
     asked = {"holdout": holdout, "effects": effects, "folder": folder, **settings}
     session = Session.open(model, readings, **asked)
     return Workbench(session, framed=True).view

@@ -56,15 +56,10 @@ class Compensated:
 
 @dataclass(frozen=True)
 class _Axis:
-    """One accelerometer in use.
+    """One accelerometer in use."""
 
-    Attributes:
-        used: its compensator.
-        covariates: what effects need beside the tilts, by name.
-    """
-
-    used: bc.Compensator
-    covariates: dict[str, Any]
+    used: bc.Compensator  # its compensator
+    covariates: dict[str, Any]  # what effects need beside the tilts, by name
 
     def tilt(self, reading: np.ndarray, cross: np.ndarray, **how: Any) -> Any:
         """Compensate readings at these tilts of the other axis, rad."""

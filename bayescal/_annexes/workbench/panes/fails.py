@@ -8,9 +8,8 @@ with the fit, and residuals with the noise, the worst region, the curve of a pre
 from __future__ import annotations
 
 import itertools
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -26,7 +25,8 @@ from bokeh.models import (
     Span,
 )
 
-from bayescal import Check
+import bayescal as bc
+from bayescal import workshop as ws
 from bayescal._annexes.workbench.parts.pieces import (
     MARKERS,
     Palette,
@@ -41,9 +41,6 @@ from bayescal._annexes.workbench.parts.pieces import (
     several,
     words,
 )
-from bayescal._calibration.check import covariates_of, place_in_words
-from bayescal._report.plot_colours import RED
-from bayescal.workshop import unit_label
 
 # A step is a gap if it is longer than so many usual ones (their median), and than this share of the time in all shorter
 # steps: a pause within a run stays, and so do evenly spaced runs of one reading.
@@ -59,16 +56,11 @@ return tick > ends[k] ? "" : String(Number((tick + taken[k]).toPrecision(10)));
 
 @dataclass(frozen=True)
 class CutAxis:
-    """Stretches of a column, one after the other.
+    """Stretches of a column, one after the other."""
 
-    Attributes:
-        starts, ends: values at which each begins and ends, (k,), rising.
-        taken: what is left out of the axis before each, (k,), a round number each.
-    """
-
-    starts: np.ndarray
+    starts: np.ndarray  # starts, ends: values at which each begins and ends, (k,), rising
     ends: np.ndarray
-    taken: np.ndarray
+    taken: np.ndarray  # what is left out of the axis before each, (k,), a round number each
 
     @classmethod
     def of(cls, values: np.ndarray) -> CutAxis:
@@ -145,64 +137,30 @@ AGAINST = "predicted output"  # over which the output is measured against predic
 TIME = "time"  # the column whose long gaps are left out
 
 
-@dataclass(frozen=True)
 class ResidualsOfState:
-    """A state's residuals with everything that they can be laid against.
+    """A state's residuals with everything that they can be laid against."""
 
-    Attributes:
+    def __init__(self, step: Any, before: np.ndarray | None) -> None:
+        """Args:
         step: the state's fit with its check.
         before: residuals of the step that it is compared with, output unit, (n,); None where there is none.
-    """
-
-    step: Any
-    before: np.ndarray | None
-
-    @property
-    def check(self) -> Check:
-        return self.step.check
-
-    @cached_property
-    def residual(self) -> np.ndarray:
-        return np.asarray(self.check.residuals, float)
-
-    @cached_property
-    def unit(self) -> str:
-        return unit_label(self.check.unit)
-
-    @cached_property
-    def measured(self) -> np.ndarray:
-        readings = self.step.calibration.readings
-        return np.asarray(readings[readings.output], float)
-
-    @cached_property
-    def _columns(self) -> list[Any]:
-        return covariates_of(self.step.calibration)
-
-    @cached_property
-    def covariates(self) -> Mapping[str, np.ndarray]:
-        """(n,) each, by name; a group's members as numbers 0, 1, …; at last what the model predicts."""
-        columns = {c.name: np.asarray(c.values, float) for c in self._columns}
-        return {**columns, AGAINST: self.measured - self.residual}
-
-    @cached_property
-    def cut(self) -> CutAxis | None:
-        """The axis of time; None without one."""
-        return CutAxis.of(self.covariates[TIME]) if TIME in self.covariates else None
-
-    @cached_property
-    def places(self) -> Mapping[str, np.ndarray]:
-        """(n,) each: where readings stand on the axis of a covariate."""
-        cut = {} if self.cut is None else {TIME: self.cut.place(self.covariates[TIME])}
-        return {**self.covariates, **cut}
-
-    @cached_property
-    def units(self) -> Mapping[str, str]:
-        return {**{c.name: unit_label(c.unit or "") for c in self._columns}, AGAINST: self.unit}
-
-    @cached_property
-    def levels(self) -> Mapping[str, tuple[str, ...]]:
-        """Members of the groups among them."""
-        return {c.name: c.levels for c in self._columns if c.levels}
+        """
+        readings, columns = step.calibration.readings, ws.covariates_of(step.calibration)
+        self.check: bc.Check = step.check
+        self.before, self.runs = before, readings.groups("run")
+        self.residual = np.asarray(self.check.residuals, float)
+        self.measured = np.asarray(readings[readings.output], float)
+        # (n,) each, by name; a group's members as numbers 0, 1, …; at last what the model predicts.
+        self.covariates = {c.name: np.asarray(c.values, float) for c in columns}
+        self.covariates[AGAINST] = self.measured - self.residual
+        self.unit = ws.unit_label(self.check.unit)
+        self.units = {c.name: ws.unit_label(c.unit or "") for c in columns} | {AGAINST: self.unit}
+        self.levels = {c.name: c.levels for c in columns if c.levels}  # members of the groups
+        # The axis of time, and where readings stand on the axis of a covariate.
+        self.cut = CutAxis.of(self.covariates[TIME]) if TIME in self.covariates else None
+        self.places = dict(self.covariates)
+        if self.cut is not None:
+            self.places[TIME] = self.cut.place(self.covariates[TIME])
 
     def worst(self, name: str) -> tuple[float, float] | None:
         """Where the worst region over a covariate begins and ends on its axis; None without evidence of one."""
@@ -216,10 +174,6 @@ class ResidualsOfState:
             low, high = map(float, self.cut.place(np.array([low, high])))
         wide = 0.02 * float(np.ptp(self.places[name])) if low == high else 0.0
         return low - wide, high + wide
-
-    @cached_property
-    def runs(self) -> tuple[tuple[str, ...], np.ndarray]:
-        return self.step.calibration.readings.groups("run")
 
     def colours(self, palette: Palette) -> np.ndarray:
         """A colour a reading, by run."""
@@ -247,7 +201,7 @@ class ResidualsOfState:
         side = "positive" if worst.worst.size > 0 else "negative"
         return (
             f"{rms}Against {worst.against} they are systematically {side}: {worst.worst.size:+.3g} {self.unit} on "
-            f"average, {place_in_words(worst.data(self.check.unit))} (z = {worst.worst.z:+.1f}; log Bayes factor "
+            f"average, {ws.place_in_words(worst.data(self.check.unit))} (z = {worst.worst.z:+.1f}; log Bayes factor "
             f"{worst.log_bayes_factor:.1f})."
         ).replace("-", "−")
 
@@ -297,7 +251,9 @@ class ColumnPanel:
         made = _figure(shown, name, f"residual [{shown.unit}]", self.x_range, y_range)
         plain: dict[str, Any] = {"level": "underlay", "fill_alpha": 0.16}
         self._noise = BoxAnnotation(fill_color=NOISE, line_alpha=0.0, **plain)
-        self._worst = BoxAnnotation(fill_color=RED, line_color=RED, line_alpha=0.5, **plain)
+        self._worst = BoxAnnotation(
+            fill_color=ws.plot_colours.RED, line_color=ws.plot_colours.RED, line_alpha=0.5, **plain
+        )
         zero = Span(location=0, dimension="width", line_color=NOISE, line_width=1)
         for ground in (self._noise, zero, self._worst):
             made.add_layout(ground)

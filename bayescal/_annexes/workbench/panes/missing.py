@@ -6,9 +6,9 @@ from typing import Any
 
 import panel as pn
 
-from bayescal import Discovery
+import bayescal as bc
+from bayescal import workshop as ws
 from bayescal._annexes.workbench.parts.pieces import Pane, Rows, button, column, field, row, words
-from bayescal.workshop import number, probability, unit_label, with_error
 
 NOT_VISIBLE = "Not detectable in this experiment"
 NOT_TESTABLE = "Not testable with these readings"
@@ -40,7 +40,7 @@ class Missing(Pane):
 
     def show(self, state: Any, reason: str = "Looking for what is missing …") -> None:
         """Show what was found; where nothing was yet, or cannot be, the reason."""
-        found: Discovery | None = state.discovery
+        found: bc.Discovery | None = state.discovery
         self.rows.pointed = ""
         self.told.object = HINT if found is not None else ""
         if found is None:
@@ -78,7 +78,7 @@ class Missing(Pane):
         self.add_typed.disabled = self.add_typed.disabled or busy
 
 
-def candidate_rows(found: Discovery) -> list[dict[str, Any]]:
+def candidate_rows(found: bc.Discovery) -> list[dict[str, Any]]:
     """Findings first, substitutes as "one of these"; then the others; what cannot be seen or tested in grey."""
     by_name = {c.effect: c for c in found.candidates}
     rows, placed = [], set()
@@ -86,7 +86,7 @@ def candidate_rows(found: Discovery) -> list[dict[str, Any]]:
         which = "Missing" if i == 0 else "Also missing"
         if len(one.effects) > 1:
             which = "One of these; these readings cannot tell which"
-        group = f"{which}: probability {probability(one.probability)}"
+        group = f"{which}: probability {ws.probability(one.probability)}"
         names = [n for n in one.effects if n in by_name and n not in placed]
         rows += [_row(by_name[name], group, "found") for name in names]
         placed |= set(one.effects)
@@ -106,11 +106,11 @@ def candidate_rows(found: Discovery) -> list[dict[str, Any]]:
 def _row(c: Any, group: str, kind: str) -> dict[str, Any]:
     cells: list[dict[str, Any]] = [{"text": c.effect, "kind": "name"}]
     if c.probability is not None:
-        said = probability(c.probability)
-        factor = f"log Bayes factor {number(c.log_bayes_factor)} by {c.source}"
+        said = ws.probability(c.probability)
+        factor = f"log Bayes factor {ws.number(c.log_bayes_factor)} by {c.source}"
         told = {"bar": c.probability, "kind": "value number"}
         if c.size is not None:
-            size = f"{with_error(c.size, c.size_sd or 0.0)} {unit_label(c.unit)}"
+            size = f"{ws.with_error(c.size, c.size_sd or 0.0)} {ws.unit_label(c.unit)}"
             told["text"] = f"{said} · {size}"
         cells.append({"text": said, "title": f"probability {said}; {factor}", **told})
     add = {"id": "add", "label": "Add", "title": f"fit the model with {c.form or c.effect}"}

@@ -6,9 +6,8 @@ from typing import Any
 
 import panel as pn
 
+from bayescal import workshop as ws
 from bayescal._annexes.workbench.parts.pieces import Pane, Rows, button, column, field, row, words
-from bayescal._calibration.summary import null_directions, unknown_rows
-from bayescal.workshop import probability, summary, unit_label, with_error
 
 COEFFICIENTS_IN_A_ROW = 6  # coefficients of one effect that stand in its row
 LEAST_PROBABILITY = 0.005  # probability of a noise law that is shown
@@ -67,7 +66,7 @@ class ModelPane(Pane):
         self.equation.object = equation_in_words(calibration.model)
         self.effects.rows = effect_rows(calibration)
         self.noise.rows = noise_rows(state)
-        said = [f"not measured: {w}" for w in null_directions(calibration)]
+        said = [f"not measured: {w}" for w in ws.null_directions(calibration)]
         said += [f"conflict: {w}" for w in calibration.conflicts]
         self.verdict.object = "\n".join([*said, str(calibration.verdict)])
         if self._chosen not in calibration.model.names:
@@ -96,7 +95,7 @@ class ModelPane(Pane):
         names += [own.shape_name(s) for s in own.shapes]
         self.coefficient.options, self.coefficient.value = names, names[0]
         first = own.coefficients[0]
-        self.size.label = f"plausible size [{unit_label(first.unit) or '1'}]"
+        self.size.label = f"plausible size [{ws.unit_label(first.unit) or '1'}]"
         self.size.value = None if first.flat else float(first.size)
         self._other_coefficient()
         self.bench.ask(self._say_consequences, "take_out", effect)
@@ -105,13 +104,13 @@ class ModelPane(Pane):
         self.consequences.object = f"Without it: {said.in_words}"
 
     def _other_coefficient(self) -> None:
-        coefficients, others = summary(self._calibration)
+        coefficients, others = ws.summary(self._calibration)
         means = {r["name"]: (r["mean"], r["unit"]) for r in (*coefficients, *others)}
         mean, unit = means.get(self.coefficient.value, (None, ""))
         mean = dict(self._calibration.model.fixed).get(self.coefficient.value, mean)
         self._open_buttons()
         self.value.value = None if mean is None else float(f"{mean:.6g}")
-        self.value.label = f"held at [{unit_label(unit) or '1'}]"
+        self.value.label = f"held at [{ws.unit_label(unit) or '1'}]"
 
     def _do(self, action: str, *arguments: Any) -> None:
         if None not in arguments:
@@ -137,7 +136,7 @@ def equation_in_words(model: Any) -> str:
 def effect_rows(calibration: Any) -> list[dict[str, Any]]:
     """A row an effect: each coefficient ± standard uncertainty, its contraction as a bar; a curve by its size."""
     model, rows = calibration.model, []
-    told, curves = [t for own in summary(calibration) for t in own], unknown_rows(calibration)
+    told, curves = [t for own in ws.summary(calibration) for t in own], ws.unknown_rows(calibration)
     for effect in model.effects:
         own = [t for t in told if t["effect"] == effect.name]
         cells: list[dict[str, Any]] = [
@@ -163,7 +162,7 @@ def effect_rows(calibration: Any) -> list[dict[str, Any]]:
 
 
 def _value(told: dict[str, Any]) -> str:
-    return f"{with_error(told['mean'], told['sd'])} {unit_label(told['unit'])}".rstrip()
+    return f"{ws.with_error(told['mean'], told['sd'])} {ws.unit_label(told['unit'])}".rstrip()
 
 
 def _contraction(share: float | None) -> dict[str, Any]:
@@ -177,7 +176,7 @@ def _contraction(share: float | None) -> dict[str, Any]:
 def noise_rows(state: Any) -> list[dict[str, Any]]:
     """The noise law in use with its parameters, and the probability of each law, where it was looked for."""
     calibration, found = state.calibration, state.discovery
-    used, (_, others) = calibration.model.noise, summary(calibration)
+    used, (_, others) = calibration.model.noise, ws.summary(calibration)
     own = [t for t in others if t["effect"] == "noise"]
     values = [f"{t['name'].removeprefix('noise.')} {_value(t)}" for t in own]
     told = {} if found is None else {law.law: law for law in found.noise}
@@ -190,7 +189,7 @@ def noise_rows(state: Any) -> list[dict[str, Any]]:
             {"text": used.in_words if law is None else law.in_words, "kind": "name"}
         ]
         if law is not None:
-            said = f"probability {probability(law.probability)}"
+            said = f"probability {ws.probability(law.probability)}"
             cells.append({"text": said, "bar": law.probability, **NUMBER})
         cells += [{"text": value, **NUMBER} for value in values if here]
         use = {"id": "use", "label": "Use", "title": "fit with this noise law"}

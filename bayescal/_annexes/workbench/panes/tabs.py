@@ -14,7 +14,8 @@ from typing import Any, get_args
 
 import panel as pn
 
-from bayescal import Budget, next_experiment
+import bayescal as bc
+from bayescal import workshop as ws
 from bayescal._annexes.metrology.decide import CONFORMITY, FALSE_ACCEPT, Rule
 from bayescal._annexes.workbench.kept import path_to
 from bayescal._annexes.workbench.parts.pieces import (
@@ -32,9 +33,6 @@ from bayescal._annexes.workbench.parts.pieces import (
     row,
     words,
 )
-from bayescal._report.report import Pictures
-from bayescal._search.search_path import steps_table
-from bayescal.workshop import pretty
 
 WHOLE = (
     # A picture in its room and its colours, with no ground of its own.
@@ -69,7 +67,7 @@ class ErrorPane(Pane):
         """Show the tree of states; the picture has the path to the current one."""
         states, current = self.session.states, state.number
         steps = [states[n].step.errors() for n in path_to(states, current)]
-        self.picture.object = str(Pictures().error(steps).body)
+        self.picture.object = str(ws.Pictures().error(steps).body)
         self.rows.head, self.rows.rows = step_rows(states, current)
         self.undo.disabled = self.session.before is None
 
@@ -114,7 +112,7 @@ def step_rows(states: Mapping[int, Any], current: int) -> tuple[list[str], list[
         complete = state.discovery and state.discovery.nothing_missing
         title = {"number": f"{lines}{n} ", "title": state.title}
         told.append({**row, **title, "nothing_missing": complete, "state": n})
-    table = steps_table(told)
+    table = ws.steps_table(told)
     table = table.only(*(c.head for c in table.shown if c.head in SHOWN))
     heads, rows = [c.head for c in table.columns], []
     rises = {"held-out": "more than a twentieth above the step before"}
@@ -253,13 +251,16 @@ class BudgetPane(AskPane):
         at = {n: f.value for n, f in self._at.items() if f.value is not None}
         return lambda: self.session.budget(at)
 
-    def answered(self, found: Budget) -> None:
+    def answered(self, found: bc.Budget) -> None:
         """A field a quantity of the operating point."""
         if list(self._at) == list(found.at):
             return
         self._at = {}
         for name, value in found.at.items():
-            label, shown = f"{name} [{pretty(found.at_units[name] or '1')}]", float(f"{value:.6g}")
+            label, shown = (
+                f"{name} [{ws.pretty(found.at_units[name] or '1')}]",
+                float(f"{value:.6g}"),
+            )
             self._at[name] = field(pn.widgets.FloatInput, label, value=shown, width=150)
         self.room[:] = list(self._at.values())
 
@@ -316,7 +317,7 @@ class ExperimentPane(AskPane):
 
     def question(self) -> Callable[[], Any]:
         calibration, rivals = self._calibration, self._rivals
-        return lambda: next_experiment(calibration, rivals)
+        return lambda: bc.next_experiment(calibration, rivals)
 
 
 EXPORTS = {

@@ -17,8 +17,7 @@ from bokeh.models import NoOverlap, PlainText, Range1d
 from bokeh.plotting import figure
 from panel.custom import JSComponent
 
-from bayescal._report.plot_colours import BLUE, CYCLE, GREEN, ORANGE, PURPLE, RED, SKY
-from bayescal.workshop import html_text
+from bayescal import workshop as ws
 
 YELLOW = "#F0E442"
 HERE = Path(__file__).parent
@@ -38,13 +37,19 @@ class Palette(NamedTuple):
     blue: str
 
 
-LIGHT = Palette(ink="#1c2126", quiet="#5a636b", line="#d9dde1", cycle=CYCLE, blue=BLUE)
+LIGHT = Palette(
+    ink="#1c2126",
+    quiet="#5a636b",
+    line="#d9dde1",
+    cycle=ws.plot_colours.CYCLE,
+    blue=ws.plot_colours.BLUE,
+)
 DARK = Palette(
     ink="#e8eaed",
     quiet="#a3acb5",
     line="#3b424a",
-    cycle=(SKY, ORANGE, GREEN, RED, PURPLE, YELLOW),
-    blue=SKY,
+    cycle=(ws.plot_colours.SKY, *ws.plot_colours.CYCLE[1:-1], YELLOW),
+    blue=ws.plot_colours.SKY,
 )
 MARKERS = ("circle", "square", "triangle", "diamond", "inverted_triangle", "hex")
 
@@ -103,7 +108,7 @@ class Text(pn.pane.Str):
     """Panel's pane of text, which shows `<b>` in bold: here it stays text; a table, which may scroll, takes focus."""
 
     def _transform_object(self, obj: Any) -> dict[str, Any]:
-        made = super()._transform_object(html_text(obj) if obj else "")
+        made = super()._transform_object(ws.html_text(obj) if obj else "")
         if "table" in self.css_classes:
             focused = "&lt;pre tabindex=&quot;0&quot;&gt;"
             made["object"] = made["object"].replace("&lt;pre&gt;", focused, 1)

@@ -10,11 +10,12 @@ import time
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from contextvars import copy_context
+from functools import partial
 from typing import Any
 
 import panel as pn
 
-from bayescal import BayescalError
+import bayescal as bc
 
 Then = Callable[[Any], None]
 
@@ -25,7 +26,7 @@ def nothing() -> None:
 
 def in_words(error: Exception) -> str:
     """An error of a thread, which would be lost: for the page, and in the log if it is none of a user's making."""
-    if isinstance(error, BayescalError):
+    if isinstance(error, bc.BayescalError):
         return str(error)
     logging.getLogger("bayescal").error("in the workbench", exc_info=error)
     return f"{type(error).__name__}: {error}"
@@ -50,16 +51,15 @@ class Work:
         kinds = ("job", "question", "look", "preview")
         self._pools = {k: ThreadPoolExecutor(1, thread_name_prefix=f"workbench {k}") for k in kinds}
         self._previewed, self._ticking = object(), None
-        self._under_way: list[
-            tuple[str, float, bool]
-        ] = []  # words, when it began, whether it only reads
+        # Words, when it began, whether it only reads.
+        self._under_way: list[tuple[str, float, bool]] = []
 
     @property
     def busy(self) -> bool:
         """Whether a job is under way that may change something."""
         return not all(reads for _, _, reads in self._under_way)
 
-    def on_page(self, call: Callable[[], None]) -> None:
+    def on_page(self, call: Callable[[], Any]) -> None:
         """Call something in the page's own thread, soon; from any thread."""
         if self._served:
             self._document.add_next_tick_callback(call)
@@ -94,7 +94,7 @@ class Work:
 
         self._under_way.append(under_way)
         self._follow()
-        self._submit("question" if reads else "job", job, then, failed=failed, ended=ended)
+        self._submit("question" if reads else "job", job, then, failed, ended)
 
     def look(self, job: Callable[[], Any], then: Then) -> None:
         """Look for something beside everything else; what is pressed meanwhile is not refused."""
@@ -119,34 +119,27 @@ class Work:
         kind: str,
         job: Callable[[], Any],
         then: Then,
-        *,
         failed: Callable[[], None] = nothing,
         ended: Callable[[], None] = nothing,
         wanted: Callable[[], bool] = lambda: True,
     ) -> None:
-        """Do a job in a thread; what follows on the page does so only if it is still wanted."""
+        """Do a job in a thread, and on the page what follows, while it is wanted."""
 
         def run() -> None:
             if not wanted():
                 return
-            result, wrong = None, ""
             try:
-                result = job()
+                follow = partial(then, job())
             except Exception as error:
-                wrong = in_words(error)
-
-            def done() -> None:
-                ended()
-                if not wrong:
-                    then(result)
-                else:
-                    self._tell(wrong, True)
-                    failed()
-
+                follow = partial(self._refused, in_words(error), failed)
             if wanted():
-                self.on_page(done)
+                self.on_page(lambda: (ended(), follow()))
 
         self._pools[kind].submit(self._context.copy().run, run)
+
+    def _refused(self, why: str, failed: Callable[[], None]) -> None:
+        self._tell(why, True)
+        failed()
 
     def _follow(self) -> None:
         """Work began or ended: shut or open what changes the model, and tell of the time while there is some."""

@@ -55,18 +55,13 @@ def select(found: bc.Calibration | Devices, *, criterion: str = "residual") -> P
 
 
 class Figures(NamedTuple):
-    """What is computed of all pairs.
+    """What is computed of all pairs."""
 
-    Attributes:
-        of_pair, of_ratio: figures of `Pair` and of `Ratio` by their names, (outer, inner).
-        residual: draws, µg, (d, outer, inner).
-        near_zero: whether the denominator of an order is, (inner, 4).
-    """
-
+    # of_pair, of_ratio: figures of `Pair` and of `Ratio` by their names, (outer, inner)
     of_pair: dict[str, Array]
     of_ratio: dict[str, Array]
-    residual: Array
-    near_zero: Array
+    residual: Array  # draws, µg, (d, outer, inner)
+    near_zero: Array  # whether the denominator of an order is, (inner, 4)
 
 
 def judge(devices: Devices) -> Figures:
