@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from bayescal._calibration.calibration import Calibration
+from bayescal._calibration.origin import with_origin
 from bayescal._calibration.storage import load_calibration
 from bayescal._core import deadline
 from bayescal._core.errors import InputError, ModelError, NotConverged
@@ -17,7 +18,6 @@ from bayescal._inference.laplace import NOTHING_KNOWN
 from bayescal._inference.linear_model import sized
 from bayescal._inference.marginal import Marginal
 from bayescal._inference.method import Method
-from bayescal._inference.origin import with_origin
 from bayescal._inference.problem import Problem
 from bayescal._inference.record import record_of
 from bayescal._model.effect import Effect

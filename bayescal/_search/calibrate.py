@@ -19,7 +19,7 @@ from bayescal._calibration.check import check, noise_floor
 from bayescal._calibration.fit import fit
 from bayescal._calibration.leave_group_out import leave_one_group_out, scheme
 from bayescal._calibration.predict import HoldoutTest, predict
-from bayescal._core import deadline, memory
+from bayescal._core import deadline
 from bayescal._core.errors import InputError
 from bayescal._core.formatting import probability
 from bayescal._core.progress import stage
@@ -271,9 +271,7 @@ class Loop:
         if len(self.steps) == 1 and self.method != QUICK:
             self.steps = [self.fitted(goal, None, last=True)]
         steps = [replace(s, discovery=one) for s, one in zip(self.steps, found, strict=True)]
-        made = self.averaged(steps, goal, search)
-        memory.trim()
-        return made
+        return self.averaged(steps, goal, search)
 
     def averaged(
         self, steps: Sequence[Step], goal: Structure, search: Search | None = None

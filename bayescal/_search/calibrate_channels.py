@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 from scipy.special import expit
 
-from bayescal._core import deadline
+from bayescal._core import deadline, memory
 from bayescal._core.errors import InputError
 from bayescal._core.formatting import number, probability, with_error
 from bayescal._core.progress import stage
@@ -202,6 +202,7 @@ def calibrate_channels(
         for i, c in enumerate(channels):
             with stage(c.name), deadline.sooner(1 / (count - i)):
                 trails[c.name] = c.loop.to_best(partial(follow, c.name))
+            memory.trim()
     return Channels(trails, tuple(shared))
 
 

@@ -174,8 +174,7 @@ class Posterior:
             inside = [(s, p) for s, p in inside if likeliest in s.effects]
         for finding in self.findings:
             if not self.space.families(effects).intersection(finding.effects):
-                own = (n for n in self.best.effects if self.space.family(n) in finding.effects)
-                effects |= frozenset(own)
+                effects |= {n for n in self.best.effects if self.space.family(n) in finding.effects}
         law = next((s for s in self.structures if s.effects >= effects), self.best).noise
         return Structure(effects, law)
 

@@ -171,8 +171,8 @@ def evidence_of(structures: Structures, name: str, shape: Shape) -> ShapeEvidenc
     with_it = [np.full(len(v), structures.best.total - OTHER_LAW_NATS)]
     for weighed in holding:
         # A refit knows the integral over v, the score its form: the form is scaled so that its prior mean is the
-        # refit's evidence. Of structures without the effect, to which no refit adds it, the score stands for both. Of
-        # what is far behind the form does not count.
+        # refit's evidence; far behind it does not count. Of structures without the effect, to which no refit adds it,
+        # the score stands for both.
         near = weighed.total > structures.best.total - ROUGHLY_NATS
         gains = _gains(fine, weighed, name) if near else np.zeros(len(v))
         total = weighed.total - structures.log_odds[name]

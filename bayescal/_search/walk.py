@@ -114,7 +114,8 @@ def walk(library: Library, max_effects: int, given: Structure | None = None) -> 
             elif among is physics:
                 # Forms that no score tells of come last, as finer ones do.
                 before = len(structures.visited)
-                yield from _weigh_forms(structures, _best(structures, physics))
+                own = (w for w in structures.visited.values() if physics.holds(w.structure))
+                yield from _weigh_forms(structures, max(own, key=lambda w: w.total))
                 if len(structures.visited) == before:
                     break
             else:
@@ -149,17 +150,11 @@ def path(library: Library, to: Structure, start: Structure | None = None) -> lis
         steps.append(max(totals, key=totals.__getitem__))
 
 
-def _best(structures: Structures, among: Scope) -> Weighed:
-    """The most probable structure within a scope."""
-    own = (w for w in structures.visited.values() if among.holds(w.structure))
-    return max(own, key=lambda w: w.total)
-
-
 def _next(structures: Structures, looked: set[Structure], among: Scope) -> Weighed | None:
     """The most probable structure of the beam that was not looked at, of those within a scope.
 
-    Of the beam is also the best under each noise law: which effects are probable hangs on the law, and from the best
-    under another one it would take several changes at once to come there.
+    Of the beam is also the best under each noise law: from the best under another one it would take several changes at
+    once to come there.
     """
     own = [w for w in structures.visited.values() if among.holds(w.structure)]
     ordered = sorted(own, key=lambda w: -w.total)
@@ -225,9 +220,8 @@ def _look_around(
             yield structures.weigh(other, at)
     if not math.isfinite(at.total):
         return
-    gained = {}
-    if among.laws is None:
-        gained = yield from _weigh_forms(structures, at)
+    all_laws = among.laws is None
+    gained = (yield from _weigh_forms(structures, at)) if all_laws else {}
     changes = [m for m in _changes_of_noise(structures, at) if among.has(m.to.noise)]
     moves = [*_moves(view(at), max_effects, among)]
     # Without what moves a column nothing that depends on it is what it was: what may stand in its place is seen beside
@@ -255,7 +249,7 @@ def _look_around(
         near = near or i < REFITTED_NEIGHBOURS[0]
         if near and _is_open(structures, move.to, at):
             yield (found := structures.weigh(move.to, at, move.hints))
-            if among.laws is None:
+            if all_laws:
                 yield from _weigh_forms(structures, found, gained)
     # What a dropped effect explained correlated noise may take up, as no score says that holds the noise.
     if at is structures.best and not structures.noise(here).independent:
