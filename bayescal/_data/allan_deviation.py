@@ -19,7 +19,7 @@ from bayescal._core.errors import InputError
 from bayescal._core.formatting import number
 from bayescal._core.result_table import plain_table
 from bayescal._data.measurements import Measurements
-from bayescal._data.time_in_runs import EVEN_STEPS, run_codes
+from bayescal._data.records import EVEN_STEPS
 from bayescal._data.unit_conversion import parse, unit_label
 
 # Readings of the longest run, below which no slope of an Allan deviation is told from another.
@@ -174,8 +174,7 @@ def even_runs(readings: Measurements) -> EvenRuns:
     need = f"Allan deviation of {readings.file} needs"
     if not readings.has("time"):
         raise InputError(f"{need} the column 'time'")
-    levels, codes = run_codes(readings)
-    order = np.lexsort((readings["time"], codes))
+    levels, codes, order = readings.records.names, readings.records.codes, readings.records.order
     rows = np.split(order, 1 + np.flatnonzero(np.diff(codes[order])))
     if max(len(r) for r in rows) < ALLAN_READINGS:
         raise InputError(f"{need} a run of {ALLAN_READINGS} readings or more")

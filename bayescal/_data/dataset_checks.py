@@ -24,13 +24,11 @@ from bayescal._data.column import ARRAYS, ASSUMED_GRAVITY, ConvertedColumns, Pla
 from bayescal._data.pose_rows import MAGNITUDE
 from bayescal._data.records import (
     PAUSE_STEPS,
+    RECORD,
     Columns,
+    Records,
     distinct,
     equal_runs,
-    members,
-    pieces,
-    record_codes,
-    runs_of,
 )
 from bayescal._data.unit_conversion import base_unit, convert, unit_label
 from bayescal._tables.raw_table import Objection, Objections, option
@@ -99,7 +97,7 @@ def backward_time(columns: Columns, where: Where) -> Iterator[Objection]:
     """
     if "time" not in columns:
         return
-    record = record_codes(columns)
+    record = Records.of(columns).codes
     order = np.argsort(record, kind="stable")
     values, time = columns["time"], columns["time"][order]
     step = np.where(np.diff(record[order]) == 0, np.diff(time), np.nan)  # within a record
@@ -139,6 +137,7 @@ class CheckedRecord:
     """Readings as `CHECKS` take them."""
 
     columns: Columns
+    records: Records
     units: Mapping[str, str | None]  # None for labels
     output: str  # name of the output column
     thermometers: Sequence[str]  # names of columns of measured temperatures, °C
@@ -154,8 +153,9 @@ def flags_of(
     columns, warm, where = converted.values, converted.thermometers, converted.where
     no_reading = {*converted.filled, MAGNITUDE, ASSUMED_GRAVITY}
     given = [n for n, v in columns.items() if v.dtype.kind == "f" and n not in no_reading]
-    odd = oddities(columns, warm, output)
-    record = CheckedRecord(columns, converted.units, output, warm, given, odd, where)
+    records = Records.of(columns)
+    odd = oddities(columns, records, warm, output)
+    record = CheckedRecord(columns, records, converted.units, output, warm, given, odd, where)
     flags = [f"{names}: {said}" for check in CHECKS for said in check(record)]
     if many := len(repeated):
         said = "rows repeat" if many > 1 else "row repeats"
@@ -206,7 +206,7 @@ LEAP_DEGREES = 40.0  # °C, between neighbours, that no body changes by
 def _of_leaps(record: CheckedRecord) -> Iterator[str]:
     """Leaps that no error value makes: of counters that began anew, as a rule."""
     gone = {odd.column: odd.rows for odd in record.oddities if odd.code == "leap"}
-    runs = runs_of(record.columns).values() if "time" in record.columns else ()
+    runs = record.records.rows if "time" in record.columns else ()
     for name in record.thermometers:
         for rows in runs:
             rows = rows[~np.isin(rows, gone.get(name, ()))]
@@ -268,7 +268,7 @@ SAME_TICK_SHARE = 0.5
 
 
 def _of_clocks(record: CheckedRecord) -> Iterator[str]:
-    time, codes = record.columns.get("time", np.zeros(0)), record_codes(record.columns)
+    time, codes = record.records.time, record.records.codes
     same = (time[1:] == time[:-1]) & (codes[1:] == codes[:-1]) if time.size > 1 else np.zeros(1)
     if (share := float(np.mean(same))) >= SAME_TICK_SHARE:
         steps = np.diff(np.unique(time))
@@ -375,13 +375,13 @@ class Oddity(NamedTuple):
 
 
 def oddities(
-    columns: Columns, thermometers: Collection[str], output: str = "output"
+    columns: Columns, records: Records, thermometers: Collection[str], output: str
 ) -> list[Oddity]:
     """Return what is odd in the columns of `thermometers`, °C; without a column `time` nothing can be said.
 
     A leap that the output takes part in was the body's.
     """
-    if "time" not in columns or not (whole := pieces(columns)):
+    if "time" not in columns or not (whole := records.stretches()):
         return []
     found = list[Oddity]()
     names = sorted(n for n in thermometers if np.ptp(columns[n]) > 0)  # false of NaN
@@ -406,20 +406,20 @@ def oddities(
                 level = values[rows[0]]
                 said = f"stands at {level:g} in {len(rows)} readings, and hardly anywhere else: at its end, or stuck?"
                 found.append(Oddity("stuck", name, said, rows, rows))
-        return [*found, *_unlike(columns, names)]
+        return [*found, *_unlike(columns, records, names)]
 
 
 UNLIKE_RATIO = 5.0  # times what is left without a run, that is left with it
 
 
-def _unlike(columns: Columns, names: Sequence[str]) -> Iterator[Oddity]:
+def _unlike(columns: Columns, records: Records, names: Sequence[str]) -> Iterator[Oddity]:
     """Find the run without which a thermometer is one function of another and its rate: one was different there."""
-    time, runs = columns["time"], runs_of(columns)
-    if len(runs) < 3 or any(len(r) < 3 or np.any(np.diff(time[r]) <= 0) for r in runs.values()):
+    time, runs = records.time, records.rows
+    if len(runs) < 3 or any(len(r) < 3 or np.any(np.diff(time[r]) <= 0) for r in runs):
         return
     for one, other in permutations(names, 2):
         rates = np.zeros(len(time))
-        for rows in runs.values():
+        for rows in runs:
             rates[rows] = np.gradient(columns[other][rows], time[rows])
         basis, left = np.column_stack([np.ones(len(time)), columns[other], rates]), {}
         basis /= np.maximum(np.linalg.norm(basis, axis=0), np.finfo(float).tiny)
@@ -428,14 +428,15 @@ def _unlike(columns: Columns, names: Sequence[str]) -> Iterator[Oddity]:
         off = columns[one] - axes @ (axes.T @ columns[one])
         squares = off @ off
         # Without a run, by its share of the products with the axes: as fast for many runs as for a few.
-        for run, rows in runs.items():
+        for run, rows in enumerate(runs):
             pull, own = axes[rows].T @ off[rows], axes[rows].T @ axes[rows]
             moved = pull @ np.linalg.pinv(np.eye(len(pull)) - own, hermitian=True) @ pull
             rest = max(squares - off[rows] @ off[rows] - moved, 0.0)
             left[run] = math.sqrt(rest / (len(time) - len(rows)))
         run, second, *_ = sorted(left, key=left.__getitem__)
         if left[second] > max(UNLIKE_RATIO * left[run], UNLIKE_DEGREES):
-            said = f"does not follow {other!r} in run {run} as it does in the others: one of both was different there"
+            label = " ".join(str(columns[n][runs[run][0]]) for n in RECORD if n in columns)
+            said = f"does not follow {other!r} in run {label} as it does in the others: one of both was different there"
             yield Oddity("run", one, said, runs[run], runs[run][:0])
 
 
@@ -508,14 +509,14 @@ def standing_rows(values: np.ndarray, own: Sequence[np.ndarray]) -> np.ndarray:
 ROOM = 20.0  # °C, near which a record begins where its counter leaves open which of its periods it is in
 
 
-def unwrap(values: np.ndarray, codes: np.ndarray, period: float, start: float) -> np.ndarray:
-    """Return a column, in the order of the file (n,), as of a counter that went on, whose `codes` are its records.
+def unwrap(values: np.ndarray, records: Records, period: float, start: float) -> np.ndarray:
+    """Return a column, in the order of the file (n,), as of a counter that went on.
 
     In a record it goes on from one reading to the next. The first record begins near `start` (20 °C, or 0); the mean of
     a later one is as near as may be to that of the first. The counter begins anew at `period`.
     """
     found, middle = values.copy(), None
-    for rows in (record[np.isfinite(values[record])] for record in members(codes)):
+    for rows in (record[np.isfinite(values[record])] for record in records.rows):
         if rows.size:
             own = np.unwrap(values[rows], period=period)
             near = own[0] - start if middle is None else own.mean() - middle

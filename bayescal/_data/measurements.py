@@ -30,7 +30,7 @@ from bayescal._data.column import (
 )
 from bayescal._data.column_conversion import convert_columns, joined
 from bayescal._data.read_options import InstrumentLike, ReadOptions, output_name, unused_options
-from bayescal._data.records import distinct
+from bayescal._data.records import Records, distinct
 from bayescal._data.unit_conversion import ANY, parse
 from bayescal._tables.cells import date_text, equally_long
 from bayescal._tables.raw_table import ROW, Objections, Table
@@ -148,10 +148,21 @@ class Measurements(Printed):
         return measured([table], instrument, options, allow_one_temperature)
 
     @cached_property
+    def records(self) -> Records:
+        """Each run of each device and axis."""
+        return Records.of(self.values)
+
+    @cached_property
+    def rates(self) -> dict[str, np.ndarray]:
+        """Slope of each column of temperatures over the last minute of its record, °C/s; none without time."""
+        warm = [n for n, unit in self.units.items() if unit == "degC" and n != MAY_BE_EMPTY]
+        return {n: self.records.slope(self[n]) for n in warm} if self.has("time") else {}
+
+    @cached_property
     def oddities(self) -> tuple[checks.Oddity, ...]:
         """What is odd in the columns of thermometers."""
         warm = [n for n in self.columns if self.unit(n) == "degC"]
-        return tuple(checks.oddities(self.values, warm, self.output))
+        return tuple(checks.oddities(self.values, self.records, warm, self.output))
 
     def __getitem__(self, name: str) -> np.ndarray:
         """A column, in its fixed unit; labels as text.

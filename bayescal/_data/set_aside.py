@@ -19,7 +19,7 @@ from bayescal._core.flag import Flag
 from bayescal._core.settings import settings
 from bayescal._data import dataset_checks as checks
 from bayescal._data.measurements import Measurements
-from bayescal._data.records import RECORD, Columns, pieces, record_codes, stretches
+from bayescal._data.records import RECORD, Columns
 
 # Robust standard deviations of a reading's distance from the line through its neighbours; of a million normal readings
 # none.
@@ -97,7 +97,7 @@ def _stuck(readings: Measurements) -> Fault:
     if len(rows):
         said = f"stands still at {output[rows[0]]:.6g} (rows {rows[0] + 1} to {rows[-1] + 1})"
     elif readings.has("time"):
-        own = pieces(readings.values)
+        own = readings.records.stretches()
         rows = checks.repeats(output, own, checks.held_rows(output, own))
         at = rows[0] + 1 if len(rows) else 0
         said = f"repeats a value until the next leap, first in row {at}: a logger asked it seldom"
@@ -143,8 +143,7 @@ def find_spikes(readings: Measurements) -> np.ndarray:
     none = np.zeros(0, dtype=int)
     if not readings.has("time"):
         return none
-    codes, most = record_codes(readings.values), max(1.0, SPIKE_SHARE * len(readings))
-    own = stretches(readings["time"], codes, SPIKE_FEWEST)
+    most, own = max(1.0, SPIKE_SHARE * len(readings)), readings.records.stretches(SPIKE_FEWEST)
     found = [piece[_standing_out(readings["output"][piece], most)] for piece in own]
     rows = np.sort(np.concatenate([none, *found]))
     return rows if len(rows) <= most else none
