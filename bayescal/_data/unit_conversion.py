@@ -172,8 +172,24 @@ class ParsedUnit:
 
     factor: float
     powers: Mapping[str, float]
-    offset: float | None
-    names: tuple[tuple[str, float], ...]
+    offset: float | None = None
+    names: tuple[tuple[str, float], ...] = ()
+
+    def times(self, other: ParsedUnit, power: float = 1.0) -> ParsedUnit:
+        """Return it times another unit to a power."""
+        powers = dict(self.powers)
+        for name, own in other.powers.items():
+            powers[name] = powers.get(name, 0.0) + power * own
+        kept = {name: own for name, own in powers.items() if own}
+        return ParsedUnit(self.factor * other.factor**power, kept)
+
+    def __str__(self) -> str:
+        """What it is the dimension of, as messages have it."""
+        words = "*".join(_raised(*part) for part in self.powers.items())
+        return f"[{base_unit(words).removeprefix('delta_')}]" if words else "a plain number"
+
+
+NUMBER = ParsedUnit(1.0, {})
 
 
 @lru_cache(maxsize=512)
