@@ -15,7 +15,6 @@ from bayescal._calibration.calibration import Calibration
 from bayescal._calibration.fitted import moments, replicate
 from bayescal._core.parallel import on_one_thread
 from bayescal._data.measurements import Measurements
-from bayescal._data.time_in_runs import going_on
 from bayescal._inference.noise_on_record import variance
 from bayescal._inference.problem import Problem
 from bayescal._model.effect import Effect
@@ -163,7 +162,7 @@ def _with_past(
     """What is made of readings, their frame, and the fitted readings before them that their runs begin with: of those
     that go on with fitted runs behind their past, of others as of new runs."""
     fitted = calibration.readings
-    runs = going_on(fitted, readings)
+    runs = fitted.continued_in(readings)
     if not runs:
         return made(readings, _of_new_groups(calibration.frame_of(readings)), NONE)
     rows = np.sort(np.concatenate([*runs.values()]))

@@ -101,11 +101,15 @@ class Records:
         step[np.diff(self.codes[self.order], prepend=-1) != 0] = -1.0
         return step
 
+    @cached_property
+    def in_time(self) -> list[np.ndarray]:
+        """Rows of each record, in the order of time."""
+        return np.split(self.order, np.flatnonzero(self.step < 0)[1:])
+
     def stretches(self, fewest: int = 3) -> list[np.ndarray]:
         """Return rows of each stretch without a pause, of `fewest` readings or more, in the order of time."""
         found = []
-        for own in self.rows:
-            rows = own[np.argsort(self.time[own], kind="stable")]
+        for rows in self.in_time:
             steps = np.diff(self.time[rows])
             usual = np.median(steps) if steps.size else 0.0
             found += np.split(rows, 1 + np.flatnonzero(steps > PAUSE_STEPS * usual))
@@ -129,7 +133,7 @@ class Records:
     def known_in(self, record: Records) -> dict[int, tuple[str, np.ndarray]]:
         """Return name and sorted times of those of other readings, by the index of the one of that name here."""
         return {
-            i: (name, np.sort(record.time[record.codes == record.names.index(name)]))
+            i: (name, record.time[record.in_time[record.names.index(name)]])
             for i, name in enumerate(self.names)
             if name in record.names
         }

@@ -170,8 +170,8 @@ def _standing_out(y: np.ndarray, most: float) -> np.ndarray:
         found, left = np.concatenate([found, left[worst]]), left[~worst]
 
 
-def not_new(readings: Measurements, holdout: Measurements) -> int:
-    """Return how many of the hold-out data are readings that are fitted, whatever their time and labels say.
+def said_of(readings: Measurements, holdout: Measurements) -> str:
+    """Return the flag that hold-out data are readings that are fitted, whatever their time and labels say; or "".
 
     A reading is known by its numbers but for the time: output, temperatures, inputs. Where these are so rounded that
     most occur again, nothing is said.
@@ -181,14 +181,9 @@ def not_new(readings: Measurements, holdout: Measurements) -> int:
     rows = [np.column_stack([np.nan_to_num(r[n]) for n in shared]) for r in (readings, holdout)]
     codes = np.unique(np.round(np.concatenate(rows), 12), axis=0, return_inverse=True)[1].ravel()
     mine, theirs = np.split(codes, [len(readings)])
-    both = int(np.isin(theirs, mine).sum())
-    own = len(np.unique(mine)) > checks.ROUNDED_SHARE * len(mine)
-    return both if own and both > NOT_NEW_SHARE * len(theirs) else 0
-
-
-def said_of(readings: Measurements, holdout: Measurements) -> str:
-    """Return the flag that hold-out data are not new; empty where they are."""
-    if not (many := not_new(readings, holdout)):
+    many = int(np.isin(theirs, mine).sum())
+    rounded = len(np.unique(mine)) <= checks.ROUNDED_SHARE * len(mine)
+    if rounded or many <= NOT_NEW_SHARE * len(theirs):
         return ""
     said = (
         f"{holdout.file}: {many} of the {len(holdout)} readings of the hold-out data are readings that are fitted "

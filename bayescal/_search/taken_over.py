@@ -141,7 +141,7 @@ def repeated(readings: Measurements, column: str) -> bool:
     if len(readings.records.rows) < 2:
         return False
     clock, values_of = readings["time"], readings[column]
-    each = ((clock[rows] - clock[rows[0]], values_of[rows]) for rows in _rows_of_runs(readings))
+    each = ((clock[rows] - clock[rows[0]], values_of[rows]) for rows in readings.records.in_time)
     (first, known), *others = each
     for time, values in others:
         inside = time <= first[-1]
@@ -151,12 +151,6 @@ def repeated(readings: Measurements, column: str) -> bool:
         if np.ptp(other) == 0 or np.corrcoef(other, values[inside])[0, 1] < ALIKE_CORRELATION:
             return False
     return True
-
-
-def _rows_of_runs(readings: Measurements) -> list[np.ndarray]:
-    """Rows of each run, in the order of time."""
-    time = readings["time"]
-    return [rows[np.argsort(time[rows], kind="stable")] for rows in readings.records.rows]
 
 
 def said_of_profiles(calibration: Calibration) -> list[Claim]:
@@ -177,7 +171,7 @@ def another_run(calibration: Calibration, columns: Sequence[str]) -> str:
     if others or column not in calibration.frame.rates:
         return f"Vary {' and '.join(columns)} otherwise in another run."
     values = calibration.readings[column]
-    begins = np.median([values[rows][0] for rows in _rows_of_runs(calibration.readings)])
+    begins = np.median([values[rows][0] for rows in calibration.readings.records.in_time])
     ends = sorted((values.max(), values.min()), key=lambda end: -abs(begins - end))
     far, near = (number(float(end), 3) for end in ends)
     return f"One run of another profile would tell: from {far} to {near} °C and back."

@@ -253,14 +253,14 @@ def test_what_is_offered_beside_an_instrument_is_there(group: str) -> None:
 # it from the same part first.
 CEILINGS = {
     "bayescal/_core": 2_117,
-    "bayescal/_tables": 1_619,
-    "bayescal/_data": 4_384,
-    "bayescal/_model": 5_559,
-    "bayescal/effects": 660,
+    "bayescal/_tables": 1_613,
+    "bayescal/_data": 4_383,
+    "bayescal/_model": 5_520,
+    "bayescal/effects": 657,
     "bayescal/_inference": 6_045,
-    "bayescal/_calibration": 4_862,
-    "bayescal/_use": 3_043,
-    "bayescal/_search": 5_700,
+    "bayescal/_calibration": 4_859,
+    "bayescal/_use": 3_042,
+    "bayescal/_search": 5_692,
     "bayescal/_report": 1_733,
     "bayescal/_cli": 1_778,
     "bayescal/_annexes/fleet": 2_530,
@@ -268,8 +268,8 @@ CEILINGS = {
     "bayescal/_annexes/metrology": 1_717,
     "bayescal/_annexes/workbench": 3_596,
     "models": 8_982,
-    "tests": 25_318,
-    "benchmarks": 10_971,
+    "tests": 25_316,
+    "benchmarks": 10_970,
 }
 WORDS = 53_705  # of docs/, README.md and CHANGELOG.md together
 
