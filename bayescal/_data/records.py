@@ -72,7 +72,7 @@ class Records:
     def of(cls, columns: Columns) -> Records:
         """Return the records of columns, by their labels."""
         codes = label_codes(columns, [n for n in RECORD if n in columns])
-        _, first = np.unique(codes, return_index=True)
+        first = np.flatnonzero(np.diff(np.maximum.accumulate(codes), prepend=-1))
         labels = [columns[n][first] for n in ("axis", "device") if n in columns]
         labels.append(columns["run"][first] if "run" in columns else np.ones(len(first), int))
         names = tuple("|".join(map(str, own)) for own in zip(*labels, strict=True))

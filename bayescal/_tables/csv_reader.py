@@ -294,7 +294,7 @@ def _separators_of(line: str) -> list[str]:
 
 def _scan_lines(text: CsvText) -> None:
     """Check that each line of readings has as many fields as the header; find whether commas are decimal ones."""
-    separator, expected = text.separator.encode(), len(text.header)
+    separator, expected, blank = text.separator.encode(), len(text.header), text.blank
     if not text.decimal and separator != b"," and _DECIMAL_COMMA.search(text.data, text.offset - 1):
         text.decimal = ","
     if text.decimal == ",":
@@ -307,7 +307,7 @@ def _scan_lines(text: CsvText) -> None:
         if b'"' in line:
             decoded, cure = line.decode(), "; a field cannot run over several lines"
             fields = len(text.split(decoded.rstrip("\r\n"), row, cure=cure))
-        elif line.strip(text.blank):
+        elif line.strip(blank):
             fields = line.count(separator) + 1
         else:
             blanks.add(row)
