@@ -255,7 +255,7 @@ CEILINGS = {
     "bayescal/_core": 2_117,
     "bayescal/_tables": 1_613,
     "bayescal/_data": 4_383,
-    "bayescal/_model": 5_520,
+    "bayescal/_model": 5_500,
     "bayescal/effects": 657,
     "bayescal/_inference": 6_045,
     "bayescal/_calibration": 4_859,
@@ -271,7 +271,7 @@ CEILINGS = {
     "tests": 25_316,
     "benchmarks": 10_970,
 }
-WORDS = 53_705  # of docs/, README.md and CHANGELOG.md together
+WORDS = 53_704  # of docs/, README.md and CHANGELOG.md together
 
 
 @pytest.mark.parametrize("part", CEILINGS)
