@@ -16,7 +16,6 @@ from bayescal._core.errors import InputError
 from bayescal._core.parallel import on_one_thread
 from bayescal._data.dataset_checks import FEW_CHANGES, resolution
 from bayescal._data.measurements import Measurements
-from bayescal._data.time_in_runs import on_clock
 from bayescal._inference.laplace import Mode
 from bayescal._inference.linear_model import LinearModel, linear_model
 from bayescal._inference.method import CHAINS, Draws, Verdict
@@ -228,7 +227,7 @@ class Fitted:
         Raises:
             InputError: one has dates and the other has none, and an effect changes with the date.
         """
-        return on_clock(readings, self.readings.since, lambda: ", ".join(self.dated))
+        return readings.on_clock(self.readings.since, lambda: ", ".join(self.dated))
 
     def frame_of(self, readings: Measurements) -> Frame:
         """Other readings as this calibration sees them: its clock, its T0, its runs, its groups."""

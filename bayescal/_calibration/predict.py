@@ -15,7 +15,6 @@ from bayescal._calibration.calibration import Calibration
 from bayescal._calibration.fitted import moments, replicate
 from bayescal._core.parallel import on_one_thread
 from bayescal._data.measurements import Measurements
-from bayescal._data.time_in_runs import going_on, run_codes
 from bayescal._inference.noise_on_record import variance
 from bayescal._inference.problem import Problem
 from bayescal._model.effect import Effect
@@ -163,12 +162,12 @@ def _with_past(
     """What is made of readings, their frame, and the fitted readings before them that their runs begin with: of those
     that go on with fitted runs behind their past, of others as of new runs."""
     fitted = calibration.readings
-    runs = going_on(fitted, readings)
+    runs = fitted.continued_in(readings)
     if not runs:
         return made(readings, _of_new_groups(calibration.frame_of(readings)), NONE)
     rows = np.sort(np.concatenate([*runs.values()]))
-    names, codes = run_codes(fitted)
-    past = np.flatnonzero(np.isin(codes, [names.index(name) for name in runs]))
+    codes = [fitted.records.names.index(name) for name in runs]
+    past = np.flatnonzero(np.isin(fitted.records.codes, codes))
     whole = fitted.select(past).followed_by(readings.select(rows))
     behind = made(whole, calibration.frame_of(whole), past)[:, len(past) :]
     found = np.empty((len(behind), len(readings)))
@@ -197,15 +196,14 @@ def _noise_at(
     law, values = calibration.model.noise, calibration.problem.hyper(calibration.mode.v)
     total = variance(law, values, record)
     white = np.maximum(total - law.slow_variance(values), ROUNDING * total)[past]
-    (names, known), (asked, codes) = run_codes(fitted), run_codes(readings)
+    before_them, asked = fitted.records, readings.records
     time, at = fitted["time"], readings["time"]
     before, after = (law.followed(calibration.frame_of(some)) for some in (fitted, readings))
 
     def noise(left: Float[np.ndarray, "n b"]) -> tuple[np.ndarray, np.ndarray]:
         mean, spread = np.empty((len(at), left.shape[1])), np.empty(len(at))
-        for code, name in enumerate(asked):
-            rows = np.flatnonzero(known == names.index(name))
-            others = np.flatnonzero(codes == code)
+        for name, others in zip(asked.names, asked.rows, strict=True):
+            rows = before_them.rows[before_them.names.index(name)]
             both = None
             if before is not None and after is not None:
                 both = np.asarray(before)[rows], np.asarray(after)[others]

@@ -21,7 +21,7 @@ from bayescal._core.formatting import number, with_error
 from bayescal._data.unit_conversion import unit_label
 from bayescal._model.effect import Coefficient
 from bayescal._model.parameters import Unknown
-from bayescal._model.prior import coordinate_variance, slope
+from bayescal._model.prior import slope
 
 
 def variance_by_origin(
@@ -122,12 +122,12 @@ def not_measured(
         rare: probability of an effect up to which it does not count.
     """
     unknown = next((u for u in calibration.unknowns if u.name == of), None)
-    if unknown is not None and unknown.block is None:
+    if unknown is not None and unknown.prior is not None:
         # What is positive may be told by its size (a spread near zero) or its logarithm (one far above).
         own, before = calibration.samples(of), unknown.prior_sd
         by_size = before is not None and 2 * own.var() <= before**2
         v = calibration.draws().v[:, unknown.v]
-        if by_size or 2 * np.var(v) <= coordinate_variance(unknown.prior):
+        if by_size or 2 * np.var(v) <= unknown.prior.coordinate_variance:
             return None
         known = _known(unknown, own)
         return NotMeasured((of,), known, "What would tell: more readings", hyperparameter=True)

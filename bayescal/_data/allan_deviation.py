@@ -19,7 +19,7 @@ from bayescal._core.errors import InputError
 from bayescal._core.formatting import number
 from bayescal._core.result_table import plain_table
 from bayescal._data.measurements import Measurements
-from bayescal._data.time_in_runs import EVEN_STEPS, run_codes
+from bayescal._data.records import EVEN_STEPS
 from bayescal._data.unit_conversion import parse, unit_label
 
 # Readings of the longest run, below which no slope of an Allan deviation is told from another.
@@ -174,9 +174,7 @@ def even_runs(readings: Measurements) -> EvenRuns:
     need = f"Allan deviation of {readings.file} needs"
     if not readings.has("time"):
         raise InputError(f"{need} the column 'time'")
-    levels, codes = run_codes(readings)
-    order = np.lexsort((readings["time"], codes))
-    rows = np.split(order, 1 + np.flatnonzero(np.diff(codes[order])))
+    names, rows = readings.records.names, readings.records.in_time
     if max(len(r) for r in rows) < ALLAN_READINGS:
         raise InputError(f"{need} a run of {ALLAN_READINGS} readings or more")
     steps = [np.diff(readings["time"][r]) for r in rows]
@@ -189,14 +187,14 @@ def even_runs(readings: Measurements) -> EvenRuns:
             "a column that counts"
         )
     placed = list[np.ndarray]()
-    for own, r in zip(steps, rows, strict=True):
+    for name, own, r in zip(names, steps, rows, strict=True):
         taken = np.maximum(np.round(own / usual), 1.0)
         places = np.concatenate([[0], np.cumsum(taken)]).astype(int)
         odd = np.flatnonzero(np.abs(own - taken * usual) > EVEN_STEPS * taken * usual)
         if not len(odd) and len(r) < (1 - LOST_SHARE) * (places[-1] + 1):
             odd = np.flatnonzero(taken > 1)
         if len(odd):
-            run = f" in run {levels[codes[r[0]]]}" if len(rows) > 1 else ""
+            run = f" in run {name}" if len(rows) > 1 else ""
             raise InputError(
                 f"{need} readings evenly spaced in time: {len(odd)} of {len(own)} steps{run}, such as "
                 f"{number(float(own[odd[0]]))} s, differ from the usual {number(usual)} s. Give runs without gaps"

@@ -9,7 +9,7 @@ import numpy as np
 
 from bayescal._core.errors import InputError
 from bayescal._data.column import MAY_BE_EMPTY, UNCERTAINTY
-from bayescal._data.records import label_codes, record_codes
+from bayescal._data.records import Records, label_codes
 from bayescal._data.unit_conversion import convert, quantity, unit_label
 
 # Usual changes of a column, beyond which a change is a step between two settings, over which no mean is taken.
@@ -73,7 +73,7 @@ def average(
         noise = _noise(columns, output, order, ~starts)
         known = _uncertainty(columns, order, begins, noise)
         means |= {UNCERTAINTY: known} if known is not None else {}
-    runs = record_codes(columns)[order][begins]
+    runs = Records.of(columns).codes[order][begins]
     row = np.lexsort((means["time"], runs))
     found = {name: values[row] for name, values in means.items()}
     own = units.get(output)

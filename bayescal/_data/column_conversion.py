@@ -33,7 +33,7 @@ from bayescal._data.read_options import (
     period_of,
     unit_of,
 )
-from bayescal._data.records import record_codes
+from bayescal._data.records import Records
 from bayescal._tables import cells as of_cells
 from bayescal._tables.cells import MOST_BAD, Cells, date_text
 from bayescal._tables.raw_table import Objection, Objections, Table, load_whole, option
@@ -342,13 +342,11 @@ class ColumnReader:
             values[known] = np.unwrap(raw[known], period=period)
         else:
             start = float(units.convert([checks.ROOM], "degC", unit)[0]) if warm else 0.0
-            values = checks.unwrap(raw, self._records(raw), period, start)
+            values = checks.unwrap(
+                raw, Records.of({**self.converted.values, "": raw}), period, start
+            )
         self._flag(f"began anew {begun} time{'s' * (begun != 1)}, which was undone (unwrap={said})")
         return values
-
-    def _records(self, raw: np.ndarray) -> np.ndarray:
-        """Return the record in time of each row, by the labels that are known."""
-        return record_codes({**self.converted.values, "": raw})
 
     def _on_clock(self, values: np.ndarray, dates: bool) -> np.ndarray:
         """Count times from the first reading, if they are dates, and from when that was taken, where the user says so.

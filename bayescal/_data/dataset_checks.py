@@ -11,7 +11,7 @@ asks seldom, or that of a converter that is stuck or at its end. Which readings 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import permutations
 from typing import Any, NamedTuple
@@ -24,13 +24,11 @@ from bayescal._data.column import ARRAYS, ASSUMED_GRAVITY, ConvertedColumns, Pla
 from bayescal._data.pose_rows import MAGNITUDE
 from bayescal._data.records import (
     PAUSE_STEPS,
+    RECORD,
     Columns,
+    Records,
     distinct,
     equal_runs,
-    members,
-    pieces,
-    record_codes,
-    runs_of,
 )
 from bayescal._data.unit_conversion import base_unit, convert, unit_label
 from bayescal._tables.raw_table import Objection, Objections, option
@@ -55,15 +53,6 @@ def problems_of_whole(
         problems += same_temperature(columns, file_names(files))
     problems += backward_time(columns, converted.where)
     return problems
-
-
-def _objection(
-    where: Where, rows: Sequence[int], column: str, came: str, cure: str, option: str = ""
-) -> Objection:
-    """An objection to rows, of which the first names the file."""
-    places = [where(int(row)) for row in rows]
-    at = tuple(place.row for place in places)
-    return Objection(places[0].file, came, "", cure, option, column, places=at)
 
 
 def same_temperature(columns: Columns, names: str) -> Iterator[Objection]:
@@ -99,7 +88,7 @@ def backward_time(columns: Columns, where: Where) -> Iterator[Objection]:
     """
     if "time" not in columns:
         return
-    record = record_codes(columns)
+    record = Records.of(columns).codes
     order = np.argsort(record, kind="stable")
     values, time = columns["time"], columns["time"][order]
     step = np.where(np.diff(record[order]) == 0, np.diff(time), np.nan)  # within a record
@@ -112,55 +101,59 @@ def backward_time(columns: Columns, where: Where) -> Iterator[Objection]:
     index, at = int(rows[0]), int(np.flatnonzero(order == rows[0])[0]) - 1
     before, undo = int(order[at]), ""
     if far.any():
+        rows = rows[:1]
         came = f"leaps by {step[at] / 3.156e7:.3g} years from {where(before)} on, within one run"
         came += ": the clock was set there"
         cure = (
             "Correct the times, or give what stands before and behind it labels of their own in a column 'run' (where "
             "no time is needed, leave it out: --ignore time)"
         )
-        yield _objection(where, [index], "time", came, cure)
-        return
-    cure = "Put the rows in the order in which they were taken, or give each record its own label in a column 'run'"
-    labels = [f"{n} {columns[n][index]!s}" for n in ("run", "device", "axis") if n in columns]
-    inside = f" within {', '.join(labels)}" * bool(labels)
-    came = f"reads {values[index]:.12g} s after {values[before]:.12g} s in {where(before)}: time runs backwards{inside}"
-    usual = float(np.median(step[step > 0])) if (step > 0).any() else 0.0
-    for name, period in PERIODS.items():
-        after = step[back] + period
-        if np.all((after > 0) & (after <= PAUSE_STEPS * usual)):
-            came += f", as a clock does that begins anew at {name}"
-            cure, undo = "Undo it, if that is so", option("--unwrap", f"time={name}")
-            break
-    yield _objection(where, rows.tolist(), "time", came, cure, undo)
+    else:
+        cure = "Put the rows in the order in which they were taken, or give each record its own label in a column 'run'"
+        labels = [f"{n} {columns[n][index]!s}" for n in ("run", "device", "axis") if n in columns]
+        inside = f" within {', '.join(labels)}" * bool(labels)
+        came = f"reads {values[index]:.12g} s after {values[before]:.12g} s in {where(before)}: "
+        came += f"time runs backwards{inside}"
+        usual = float(np.median(step[step > 0])) if (step > 0).any() else 0.0
+        for name, period in PERIODS.items():
+            after = step[back] + period
+            if np.all((after > 0) & (after <= PAUSE_STEPS * usual)):
+                came += f", as a clock does that begins anew at {name}"
+                cure, undo = "Undo it, if that is so", option("--unwrap", f"time={name}")
+                break
+    places = [where(int(row)) for row in rows]
+    at_rows = tuple(place.row for place in places)
+    yield Objection(places[0].file, came, "", cure, undo, "time", places=at_rows)
 
 
 @dataclass(frozen=True)
 class CheckedRecord:
     """Readings as `CHECKS` take them."""
 
-    columns: Columns
-    units: Mapping[str, str | None]  # None for labels
+    converted: ConvertedColumns
+    records: Records
     output: str  # name of the output column
-    thermometers: Sequence[str]  # names of columns of measured temperatures, °C
-    given: Sequence[str]  # names of the columns of numbers that were measured, not filled in
     oddities: Sequence[Oddity]  # of the thermometers
-    where: Where  # names a reading's file and row
+
+    @property
+    def columns(self) -> Columns:
+        return self.converted.values
 
 
 def flags_of(
     converted: ConvertedColumns, output: str, names: str, repeated: np.ndarray
 ) -> list[str]:
     """Return what is odd in the readings but no reason to refuse them; `names` of the files, `repeated` rows."""
-    columns, warm, where = converted.values, converted.thermometers, converted.where
-    no_reading = {*converted.filled, MAGNITUDE, ASSUMED_GRAVITY}
-    given = [n for n, v in columns.items() if v.dtype.kind == "f" and n not in no_reading]
-    odd = oddities(columns, warm, output)
-    record = CheckedRecord(columns, converted.units, output, warm, given, odd, where)
+    columns, records = converted.values, Records.of(converted.values)
+    odd = oddities(columns, records, converted.thermometers, output)
+    record = CheckedRecord(converted, records, output, odd)
     flags = [f"{names}: {said}" for check in CHECKS for said in check(record)]
     if many := len(repeated):
         said = "rows repeat" if many > 1 else "row repeats"
         end = f": {'they are' if many > 1 else 'it is'} dropped" * ("time" in columns)
-        said += f" an earlier one in every column, first at {where(int(repeated[0]))}{end}"
+        said += (
+            f" an earlier one in every column, first at {converted.where(int(repeated[0]))}{end}"
+        )
         flags.insert(0, f"{many} {said}")
     return flags
 
@@ -197,25 +190,26 @@ def _of_saturation(record: CheckedRecord) -> Iterator[str]:
 
 def _of_thermometers(record: CheckedRecord) -> Iterator[str]:
     for odd in record.oddities:
-        yield f"column {odd.column!r} {odd.said} (first at {record.where(int(odd.rows[0]))})"
+        yield f"column {odd.column!r} {odd.said} (first at {record.converted.where(int(odd.rows[0]))})"
 
 
 LEAP_DEGREES = 40.0  # °C, between neighbours, that no body changes by
 
 
 def _of_leaps(record: CheckedRecord) -> Iterator[str]:
-    """Leaps that no error value makes: of counters that began anew, as a rule."""
+    """Leaps that neither an error value nor a silence makes: of counters that began anew, as a rule."""
     gone = {odd.column: odd.rows for odd in record.oddities if odd.code == "leap"}
-    runs = runs_of(record.columns).values() if "time" in record.columns else ()
-    for name in record.thermometers:
-        for rows in runs:
+    time, silence = record.records.time, record.records.silence
+    for name in record.converted.thermometers:
+        for rows in record.records.in_time if time.size else ():
             rows = rows[~np.isin(rows, gone.get(name, ()))]
-            leap = np.abs(np.diff(record.columns[name][rows]))
+            leap = np.abs(np.diff(record.columns[name][rows])) * (np.diff(time[rows]) <= silence)
             if np.any(leap > LEAP_DEGREES):
                 at = int(np.argmax(leap))
+                place, undo = record.converted.where(int(rows[at + 1])), f"{name}=PERIODdegC"
                 yield (
-                    f"column {name!r} leaps by {leap[at]:.4g} °C at {record.where(int(rows[at + 1]))}: a counter that "
-                    f"began anew? {option('--unwrap', f'{name}=PERIODdegC')} undoes it"
+                    f"column {name!r} leaps by {leap[at]:.4g} °C at {place}: a counter that began anew? "
+                    f"{option('--unwrap', undo)} undoes it"
                 )
                 break
 
@@ -229,12 +223,17 @@ REPEATED_SHARE = 0.1
 def _of_standstills(record: CheckedRecord) -> Iterator[str]:
     """Columns that do not change, at all or, where no thermometer's oddity says so, for long."""
     told = {odd.column for odd in record.oddities}
-    for name in record.given:
-        values = record.columns[name]
+    no_reading = {*record.converted.filled, MAGNITUDE, ASSUMED_GRAVITY}
+    for name, values in record.columns.items():
+        if values.dtype.kind != "f" or name in no_reading:
+            continue
         if len(values) > 1 and (values == values[0]).all():
             yield f"column {name!r} is constant ({values[0]:g})"
         elif name not in told and len(rows := standing_rows(values, [np.arange(len(values))])):
-            first, last = record.where(int(rows[0])), record.where(int(rows[-1]))
+            first, last = (
+                record.converted.where(int(rows[0])),
+                record.converted.where(int(rows[-1])),
+            )
             yield f"column {name!r} stands still at {values[rows[0]]:g} from {first} to {last}: was it stuck?"
 
 
@@ -246,7 +245,7 @@ OUTPUT_RANGES = (("m/s^2", 1e-12, 1e7), ("rad/s", 1e-13, 1e5), ("rad", 1e-12, 1e
 
 def _of_size(record: CheckedRecord) -> Iterator[str]:
     name = record.output
-    values, unit = record.columns.get(name, np.zeros(1)), record.units.get(name) or "1"
+    values, unit = record.columns.get(name, np.zeros(1)), record.converted.units.get(name) or "1"
     for base, least, most in OUTPUT_RANGES:
         if unit == "any" or base_unit(unit) != base_unit(base):
             continue
@@ -268,7 +267,7 @@ SAME_TICK_SHARE = 0.5
 
 
 def _of_clocks(record: CheckedRecord) -> Iterator[str]:
-    time, codes = record.columns.get("time", np.zeros(0)), record_codes(record.columns)
+    time, codes = record.records.time, record.records.codes
     same = (time[1:] == time[:-1]) & (codes[1:] == codes[:-1]) if time.size > 1 else np.zeros(1)
     if (share := float(np.mean(same))) >= SAME_TICK_SHARE:
         steps = np.diff(np.unique(time))
@@ -375,13 +374,13 @@ class Oddity(NamedTuple):
 
 
 def oddities(
-    columns: Columns, thermometers: Collection[str], output: str = "output"
+    columns: Columns, records: Records, thermometers: Collection[str], output: str
 ) -> list[Oddity]:
     """Return what is odd in the columns of `thermometers`, °C; without a column `time` nothing can be said.
 
     A leap that the output takes part in was the body's.
     """
-    if "time" not in columns or not (whole := pieces(columns)):
+    if "time" not in columns or not (whole := records.stretches()):
         return []
     found = list[Oddity]()
     names = sorted(n for n in thermometers if np.ptp(columns[n]) > 0)  # false of NaN
@@ -406,20 +405,20 @@ def oddities(
                 level = values[rows[0]]
                 said = f"stands at {level:g} in {len(rows)} readings, and hardly anywhere else: at its end, or stuck?"
                 found.append(Oddity("stuck", name, said, rows, rows))
-        return [*found, *_unlike(columns, names)]
+        return [*found, *_unlike(columns, records, names)]
 
 
 UNLIKE_RATIO = 5.0  # times what is left without a run, that is left with it
 
 
-def _unlike(columns: Columns, names: Sequence[str]) -> Iterator[Oddity]:
+def _unlike(columns: Columns, records: Records, names: Sequence[str]) -> Iterator[Oddity]:
     """Find the run without which a thermometer is one function of another and its rate: one was different there."""
-    time, runs = columns["time"], runs_of(columns)
-    if len(runs) < 3 or any(len(r) < 3 or np.any(np.diff(time[r]) <= 0) for r in runs.values()):
+    time, runs = records.time, records.rows
+    if len(runs) < 3 or any(len(r) < 3 or np.any(np.diff(time[r]) <= 0) for r in runs):
         return
     for one, other in permutations(names, 2):
         rates = np.zeros(len(time))
-        for rows in runs.values():
+        for rows in runs:
             rates[rows] = np.gradient(columns[other][rows], time[rows])
         basis, left = np.column_stack([np.ones(len(time)), columns[other], rates]), {}
         basis /= np.maximum(np.linalg.norm(basis, axis=0), np.finfo(float).tiny)
@@ -428,14 +427,15 @@ def _unlike(columns: Columns, names: Sequence[str]) -> Iterator[Oddity]:
         off = columns[one] - axes @ (axes.T @ columns[one])
         squares = off @ off
         # Without a run, by its share of the products with the axes: as fast for many runs as for a few.
-        for run, rows in runs.items():
+        for run, rows in enumerate(runs):
             pull, own = axes[rows].T @ off[rows], axes[rows].T @ axes[rows]
             moved = pull @ np.linalg.pinv(np.eye(len(pull)) - own, hermitian=True) @ pull
             rest = max(squares - off[rows] @ off[rows] - moved, 0.0)
             left[run] = math.sqrt(rest / (len(time) - len(rows)))
         run, second, *_ = sorted(left, key=left.__getitem__)
         if left[second] > max(UNLIKE_RATIO * left[run], UNLIKE_DEGREES):
-            said = f"does not follow {other!r} in run {run} as it does in the others: one of both was different there"
+            label = " ".join(str(columns[n][runs[run][0]]) for n in RECORD if n in columns)
+            said = f"does not follow {other!r} in run {label} as it does in the others: one of both was different there"
             yield Oddity("run", one, said, runs[run], runs[run][:0])
 
 
@@ -508,14 +508,14 @@ def standing_rows(values: np.ndarray, own: Sequence[np.ndarray]) -> np.ndarray:
 ROOM = 20.0  # °C, near which a record begins where its counter leaves open which of its periods it is in
 
 
-def unwrap(values: np.ndarray, codes: np.ndarray, period: float, start: float) -> np.ndarray:
-    """Return a column, in the order of the file (n,), as of a counter that went on, whose `codes` are its records.
+def unwrap(values: np.ndarray, records: Records, period: float, start: float) -> np.ndarray:
+    """Return a column, in the order of the file (n,), as of a counter that went on.
 
     In a record it goes on from one reading to the next. The first record begins near `start` (20 °C, or 0); the mean of
     a later one is as near as may be to that of the first. The counter begins anew at `period`.
     """
     found, middle = values.copy(), None
-    for rows in (record[np.isfinite(values[record])] for record in members(codes)):
+    for rows in (record[np.isfinite(values[record])] for record in records.rows):
         if rows.size:
             own = np.unwrap(values[rows], period=period)
             near = own[0] - start if middle is None else own.mean() - middle

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
 from pathlib import Path
@@ -30,10 +30,10 @@ from bayescal._data.column import (
 )
 from bayescal._data.column_conversion import convert_columns, joined
 from bayescal._data.read_options import InstrumentLike, ReadOptions, output_name, unused_options
-from bayescal._data.records import distinct
+from bayescal._data.records import PAUSE_STEPS, Records, distinct, usual_step
 from bayescal._data.unit_conversion import ANY, parse
 from bayescal._tables.cells import date_text, equally_long
-from bayescal._tables.raw_table import ROW, Objections, Table
+from bayescal._tables.raw_table import ROW, Objections, Table, option
 from bayescal._tables.write import write
 
 if TYPE_CHECKING:
@@ -41,6 +41,8 @@ if TYPE_CHECKING:
     import xarray as xr
 
 SINCE = "since"  # attribute of the time: seconds since 1970 at its zero, where the file has dates
+# Changes from one record to the other, a reading, beyond which two lie in one time and neither goes on with the other.
+INTERLEAVED_SHARE = 0.2
 SHOWN_LABELS = 5  # labels of a column that are named
 CAUSE = "cause"  # attribute of a column: 0 where nothing is taken to depend on it
 
@@ -148,10 +150,21 @@ class Measurements(Printed):
         return measured([table], instrument, options, allow_one_temperature)
 
     @cached_property
+    def records(self) -> Records:
+        """Each run of each device and axis."""
+        return Records.of(self.values)
+
+    @cached_property
+    def rates(self) -> dict[str, np.ndarray]:
+        """Slope of each column of temperatures over the last minute of its record, °C/s; none without time."""
+        warm = [n for n, unit in self.units.items() if unit == "degC" and n != MAY_BE_EMPTY]
+        return {n: self.records.slope(self[n]) for n in warm} if self.has("time") else {}
+
+    @cached_property
     def oddities(self) -> tuple[checks.Oddity, ...]:
         """What is odd in the columns of thermometers."""
         warm = [n for n in self.columns if self.unit(n) == "degC"]
-        return tuple(checks.oddities(self.values, warm, self.output))
+        return tuple(checks.oddities(self.values, self.records, warm, self.output))
 
     def __getitem__(self, name: str) -> np.ndarray:
         """A column, in its fixed unit; labels as text.
@@ -339,6 +352,54 @@ class Measurements(Printed):
             no_causes=self.no_causes - {name},
             since=None if name == "time" else self.since,
         )
+
+    def on_clock(self, epoch: float | None, changing: Callable[[], str]) -> Measurements:
+        """These readings with times counted from a calibration's `epoch`, s since 1970; None where it has no dates.
+
+        Times without dates count from the calibration's zero where that has no date either: a column `time` has one
+        origin over all runs. `changing` gives what changes with the date, for the message; empty for nothing.
+
+        Raises:
+            InputError: one has dates and the other has none, and something changes with the date.
+        """
+        if not self.has("time") or self.since == epoch:
+            return self
+        if self.since is not None and epoch is not None:
+            time = np.round(self["time"] + (self.since - epoch), 6)
+            return replace(self.with_column("time", time), since=epoch)
+        if not (names := changing()):
+            return self
+        dated = "has no dates" if epoch is None else f"counts time from {date_text(epoch)}"
+        own, example = ("dates", "9 days") if epoch is None else ("no dates", "2026-05-13 10:14:20")
+        of = self.sources[0].file if len(self.sources) == 1 else "FILE"
+        raise InputError(
+            f"{self.file}: its times have {own}, the calibration {dated}; with the date changes {names}. Say "
+            f"when its first reading was taken{' on the clock of the calibration' * (epoch is None)}: "
+            f"{option('--begin', f'{of}={example}')} (in Python, begin={example!r} where it is read)"
+        )
+
+    def continued_in(self, later: Measurements) -> dict[str, np.ndarray]:
+        """Which of later readings go on with runs of these: their rows by run.
+
+        They have the run's name (and device and axis), and follow its readings in blocks, the first of them at once. A
+        file of another test, whose clock begins anew, has times that fall among all of the record's, or far from them.
+        """
+        if not (self.has("time") and later.has("time")) or self.since != later.since:
+            return {}
+        at, found = later["time"], {}
+        for i, (name, known) in later.records.known_in(self.records).items():
+            rows = later.records.rows[i]
+            first = float(at[rows].min())
+            before = known[known < first]
+            if not before.size or known.size < 2 or np.isin(at[rows], known).any():
+                continue
+            merged = np.concatenate([np.zeros(known.size, bool), np.ones(rows.size, bool)])
+            merged = merged[np.argsort(np.concatenate([known, at[rows]]), kind="stable")]
+            most = max(2.0, INTERLEAVED_SHARE * min(known.size, rows.size))
+            apart = np.count_nonzero(np.diff(merged)) <= most
+            if apart and first - before[-1] <= PAUSE_STEPS * usual_step(known):
+                found[name] = rows
+        return found
 
     def average(self, step: str | float) -> Measurements:
         """Means over times that follow each other, of readings whose labels and settings agree.

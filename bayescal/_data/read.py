@@ -162,15 +162,10 @@ def _each(
 
 def _runs(paths: Sequence[Path]) -> list[str]:
     """A run's label for each file: its stem, with folder or number where that is not enough."""
-    stems = [one_line(path.stem) for path in paths]
-    if len(set(stems)) < len(stems):
-        with_folder = [one_line(f"{path.resolve().parent.name}/{path.stem}") for path in paths]
-        repeated = Counter(stems)
-        stems = [w if repeated[s] > 1 else s for s, w in zip(stems, with_folder, strict=True)]
-    labels: list[str] = []
-    for stem in stems:
-        label, number = stem, 2
-        while label in labels:
-            label, number = f"{stem} ({number})", number + 1
-        labels.append(label)
+    stems, labels = Counter(path.stem for path in paths), list[str]()
+    for path in paths:
+        folder = f"{path.resolve().parent.name}/" * (stems[path.stem] > 1)
+        label = one_line(f"{folder}{path.stem}")
+        tried = (label, *(f"{label} ({number})" for number in range(2, len(paths) + 1)))
+        labels.append(next(one for one in tried if one not in labels))
     return labels

@@ -1,8 +1,11 @@
-"""Records in time: which readings make one, and which follow each other without a pause."""
+"""Records in time: what makes one, which readings follow each other without a pause, a column's slope within one."""
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -13,6 +16,15 @@ RECORD = ("device", "axis", "run")  # columns of labels that tell one record in 
 # Usual steps between readings, beyond which the next one is no neighbour; a logger that loses four readings in a row
 # has not paused.
 PAUSE_STEPS = 5.0
+RATE_WINDOW = 60.0  # s
+# Of the usual step, by which others may differ where steps are to be even: time stamps jitter.
+EVEN_STEPS = 0.05
+# Windows of a rate (a minute each) without a reading, after which a rate is not known: the change over hours, such as
+# a soak before a tumble, says nothing of the rate now.
+SILENCE_WINDOWS = 10.0
+# Of a change, that those on both sides of a step that was set are at the most; and the share of all changes, in
+# squares, that such steps are where a column was set.
+ALONE_RATIO, SET_SHARE = 0.1, 0.9
 
 
 def distinct(columns: Sequence[np.ndarray]) -> tuple[list[tuple[Any, ...]], np.ndarray]:
@@ -36,41 +48,183 @@ def label_codes(columns: Columns, names: Collection[str]) -> np.ndarray:
     return distinct(every)[1] if every else np.zeros(len(next(iter(columns.values()))), np.int64)
 
 
-def record_codes(columns: Columns) -> np.ndarray:
-    """A number for each run of each device and axis."""
-    return label_codes(columns, [n for n in RECORD if n in columns])
-
-
-def members(codes: np.ndarray) -> list[np.ndarray]:
-    """Rows of each code, in the order of the file."""
-    order = np.argsort(codes, kind="stable")
-    return np.split(order, 1 + np.flatnonzero(np.diff(codes[order]))) if codes.size else []
-
-
-def stretches(time: np.ndarray, codes: np.ndarray, fewest: int) -> list[np.ndarray]:
-    """Return rows of each stretch of a record without a pause, of `fewest` readings or more, in order of time, s."""
-    found = []
-    for own in members(codes):
-        rows = own[np.argsort(time[own], kind="stable")]
-        steps = np.diff(time[rows])
-        usual = np.median(steps) if steps.size else 0.0
-        found += np.split(rows, 1 + np.flatnonzero(steps > PAUSE_STEPS * usual))
-    return [rows for rows in found if len(rows) >= fewest]
-
-
-def pieces(columns: Columns) -> list[np.ndarray]:
-    """Rows of each stretch of a run without a pause, in time; three readings at least."""
-    return stretches(columns["time"], record_codes(columns), 3)
-
-
-def runs_of(columns: Columns) -> dict[str, np.ndarray]:
-    """Rows of each run of each device and axis, by its labels, in the order of the file."""
-    names = [n for n in RECORD if n in columns]
-    records = members(record_codes(columns))
-    return {" ".join(str(columns[n][rows[0]]) for n in names): rows for rows in records}
-
-
 def equal_runs(values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return where each stretch of equal values begins, and how many there are."""
     begins = np.flatnonzero(np.concatenate([[True], values[1:] != values[:-1]]))
     return begins, np.diff(begins, append=len(values))
+
+
+@dataclass(frozen=True, eq=False)
+class Records:
+    """Each run of each device and axis.
+
+    Attributes:
+        names: of its axis, its device and its run, "1" where there is no such column.
+        codes: which record each reading is of, as they first appear (n,).
+        time: of each reading, s (n,); what asks for it needs a column `time`.
+    """
+
+    names: tuple[str, ...]
+    codes: np.ndarray
+    time: np.ndarray
+
+    @classmethod
+    def of(cls, columns: Columns) -> Records:
+        """Return the records of columns, by their labels."""
+        codes = label_codes(columns, [n for n in RECORD if n in columns])
+        first = np.flatnonzero(np.diff(np.maximum.accumulate(codes), prepend=-1))
+        labels = [columns[n][first] for n in ("axis", "device") if n in columns]
+        labels.append(columns["run"][first] if "run" in columns else np.ones(len(first), int))
+        names = tuple("|".join(map(str, own)) for own in zip(*labels, strict=True))
+        return cls(names, codes, columns.get("time", np.zeros(0)))
+
+    @cached_property
+    def rows(self) -> list[np.ndarray]:
+        """Rows of each record, in the order of the file."""
+        order = np.argsort(self.codes, kind="stable")
+        ends = 1 + np.flatnonzero(np.diff(self.codes[order]))
+        return np.split(order, ends) if self.codes.size else []
+
+    @cached_property
+    def order(self) -> np.ndarray:
+        """The order of time within records (n,); that of the file where there is no time."""
+        known = self.time.size
+        return np.lexsort((self.time, self.codes)) if known else np.arange(self.codes.size)
+
+    @cached_property
+    def step(self) -> np.ndarray:
+        """Time since the previous reading of the record, s, in this order, −1 at its first or without time (n,)."""
+        if not self.time.size:
+            return -np.ones(self.codes.size)
+        time = self.time[self.order]
+        step = np.diff(time, prepend=time[:1])
+        step[np.diff(self.codes[self.order], prepend=-1) != 0] = -1.0
+        return step
+
+    @cached_property
+    def in_time(self) -> list[np.ndarray]:
+        """Rows of each record, in the order of time."""
+        return np.split(self.order, np.flatnonzero(self.step < 0)[1:])
+
+    def stretches(self, fewest: int = 3) -> list[np.ndarray]:
+        """Return rows of each stretch without a pause, of `fewest` readings or more, in the order of time."""
+        found = []
+        for rows in self.in_time:
+            steps = np.diff(self.time[rows])
+            usual = np.median(steps) if steps.size else 0.0
+            found += np.split(rows, 1 + np.flatnonzero(steps > PAUSE_STEPS * usual))
+        return [rows for rows in found if len(rows) >= fewest]
+
+    def starts(self, record: Records | None = None) -> np.ndarray:
+        """Return when each began, s: at its first reading, or with the run of fitted readings that it is of.
+
+        It is of one of its name (and device and axis) whose readings, or the pause after them, hold its first reading;
+        a run of the same name on another day is another run.
+        """
+        first = np.full(len(self.names), np.inf)
+        np.minimum.at(first, self.codes, self.time)
+        if record is not None and record.time.size:
+            for i, (_, known) in self.known_in(record).items():
+                pause = PAUSE_STEPS * usual_step(known)
+                if known[0] <= first[i] <= known[-1] + pause:
+                    first[i] = known[0]
+        return first
+
+    def known_in(self, record: Records) -> dict[int, tuple[str, np.ndarray]]:
+        """Return name and sorted times of those of other readings, by the index of the one of that name here."""
+        return {
+            i: (name, record.time[record.in_time[record.names.index(name)]])
+            for i, name in enumerate(self.names)
+            if name in record.names
+        }
+
+    def elapsed(self, record: Records | None = None) -> np.ndarray:
+        """Return the time since each reading's record began, s (n,); `record` as of `starts`."""
+        return self.time - self.starts(record)[self.codes]
+
+    @property
+    def silence(self) -> float:
+        """Time without a reading, s, beyond which it is not known how a quantity went from one to the next."""
+        return SILENCE_WINDOWS * rate_window(self.step)
+
+    def set_in_steps(self, values: np.ndarray) -> bool:
+        """Return whether a column was set from time to time and stood between, as a load does, not measured on its way.
+
+        Nearly all that it changes by, in squares, are changes beyond which and before which it hardly does.
+        """
+        change = np.where(self.step[1:] < 0, 0.0, np.abs(np.diff(values[self.order])))
+        padded = np.pad(change, 1)
+        alone = np.maximum(padded[:-2], padded[2:]) < ALONE_RATIO * change
+        whole = float(np.sum(change**2))
+        return whole > 0 and float(np.sum(change[alone] ** 2)) > SET_SHARE * whole
+
+    def slope(self, values: np.ndarray) -> np.ndarray:
+        """Return the least-squares slope over the last minute (or the last step, if longer) of each record, unit/s.
+
+        The first reading of a record has no past and gets 0; so does the first after a silence, such as the soak before
+        a tumble, for the change over hours says nothing of the rate now. Linear in the readings.
+        """
+        t, y, here = self.time[self.order], values[self.order], np.arange(self.time.size)
+        window = rate_window(self.step) * (1 + 1e-9)
+        first = np.empty(
+            t.size, dtype=int
+        )  # reading of each window, one of an earlier time at least
+        for low, high in itertools.pairwise([*np.flatnonzero(self.step < 0), t.size]):
+            own = t[low:high]
+            earlier = np.searchsorted(own, own) - 1
+            first[low:high] = low + np.clip(np.searchsorted(own, own - window), 0, earlier.clip(0))
+        of_t, of_y, of_tt, of_ty = _window_sums(t, y, first)
+        count = here - first + 1
+        scatter = of_tt - of_t**2 / count
+        known = (first < here) & (scatter > 0) & (t - t[first] <= self.silence * (1 + 1e-9))
+        slopes = np.zeros_like(y)
+        slopes[self.order[known]] = (of_ty - of_t * of_y / count)[known] / scatter[known]
+        return slopes
+
+
+def usual_step(times: np.ndarray) -> float:
+    """Return the usual step between sorted times, s; 0 of a single one."""
+    return float(np.median(np.diff(times))) * (1 + 1e-9) if times.size > 1 else 0.0
+
+
+def rate_window(step: np.ndarray) -> float:
+    """Return the time, s, whose slope a rate is: a minute, or the usual step between readings, if longer."""
+    steps = step[step > 0]
+    return max(RATE_WINDOW, float(np.median(steps)) if steps.size else 0.0)
+
+
+def recursion(share: np.ndarray, push: np.ndarray) -> np.ndarray:
+    """Return x of xᵢ = shareᵢ·xᵢ₋₁ + pushᵢ, from zero (*s, n): a unit bidiagonal matrix, LAPACK's banded solver."""
+    from scipy.linalg.lapack import dtbtrs, ztbtrs  # only what computes loads SciPy
+
+    share, push = np.broadcast_arrays(share, push)
+    solve = ztbtrs if np.iscomplexobj(share) else dtbtrs
+    # All recursions are one, which begins anew at the first element of each.
+    band = np.ones((share.size, 2), share.dtype)
+    np.negative(share.reshape(-1)[1:], out=band[:-1, 1])
+    band[share.shape[-1] - 1 :: share.shape[-1], 1] = 0.0
+    return solve(band.T, push.reshape(-1), uplo="L", diag="U")[0].reshape(push.shape)
+
+
+def _window_sums(t: np.ndarray, y: np.ndarray, first: np.ndarray) -> np.ndarray:
+    """Sums of dt, dy, dt² and dt·dy over the readings first[i] … i, for each i; `first` rises.
+
+    An anchor stands in each window: the sums grow away from it on either side, dt and dy are distances from it, and
+    nothing is ever subtracted from a sum, so no digits are lost however long the record.
+    """
+    here = np.arange(t.size)
+    beyond = np.searchsorted(first, here, side="right")  # the first window without this reading
+    anchors = [0]
+    while (after := int(beyond[anchors[-1]])) < t.size:
+        anchors.append(after)
+    stretch = np.searchsorted(anchors, here, side="right") - 1
+    at, after = np.array(anchors)[stretch], np.array([*anchors[1:], t.size - 1])[stretch]
+
+    def sums(origin: np.ndarray, rows: slice) -> np.ndarray:  # of each stretch, in this direction
+        dt, dy = t - t[origin], y - y[origin]
+        terms = np.stack([dt, dy, dt * dt, dt * dy])[:, rows]
+        same = np.diff(stretch[rows], prepend=-1) == 0
+        return recursion(same.astype(float), terms)[:, rows]
+
+    since, until = sums(at, slice(None)), sums(after, slice(None, None, -1))
+    return since + np.where(first < at, until[:, first], 0.0)

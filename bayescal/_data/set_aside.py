@@ -19,7 +19,7 @@ from bayescal._core.flag import Flag
 from bayescal._core.settings import settings
 from bayescal._data import dataset_checks as checks
 from bayescal._data.measurements import Measurements
-from bayescal._data.records import RECORD, Columns, pieces, record_codes, stretches
+from bayescal._data.records import RECORD, Columns
 
 # Robust standard deviations of a reading's distance from the line through its neighbours; of a million normal readings
 # none.
@@ -97,7 +97,7 @@ def _stuck(readings: Measurements) -> Fault:
     if len(rows):
         said = f"stands still at {output[rows[0]]:.6g} (rows {rows[0] + 1} to {rows[-1] + 1})"
     elif readings.has("time"):
-        own = pieces(readings.values)
+        own = readings.records.stretches()
         rows = checks.repeats(output, own, checks.held_rows(output, own))
         at = rows[0] + 1 if len(rows) else 0
         said = f"repeats a value until the next leap, first in row {at}: a logger asked it seldom"
@@ -143,8 +143,7 @@ def find_spikes(readings: Measurements) -> np.ndarray:
     none = np.zeros(0, dtype=int)
     if not readings.has("time"):
         return none
-    codes, most = record_codes(readings.values), max(1.0, SPIKE_SHARE * len(readings))
-    own = stretches(readings["time"], codes, SPIKE_FEWEST)
+    most, own = max(1.0, SPIKE_SHARE * len(readings)), readings.records.stretches(SPIKE_FEWEST)
     found = [piece[_standing_out(readings["output"][piece], most)] for piece in own]
     rows = np.sort(np.concatenate([none, *found]))
     return rows if len(rows) <= most else none
@@ -171,8 +170,8 @@ def _standing_out(y: np.ndarray, most: float) -> np.ndarray:
         found, left = np.concatenate([found, left[worst]]), left[~worst]
 
 
-def not_new(readings: Measurements, holdout: Measurements) -> int:
-    """Return how many of the hold-out data are readings that are fitted, whatever their time and labels say.
+def said_of(readings: Measurements, holdout: Measurements) -> str:
+    """Return the flag that hold-out data are readings that are fitted, whatever their time and labels say; or "".
 
     A reading is known by its numbers but for the time: output, temperatures, inputs. Where these are so rounded that
     most occur again, nothing is said.
@@ -182,14 +181,9 @@ def not_new(readings: Measurements, holdout: Measurements) -> int:
     rows = [np.column_stack([np.nan_to_num(r[n]) for n in shared]) for r in (readings, holdout)]
     codes = np.unique(np.round(np.concatenate(rows), 12), axis=0, return_inverse=True)[1].ravel()
     mine, theirs = np.split(codes, [len(readings)])
-    both = int(np.isin(theirs, mine).sum())
-    own = len(np.unique(mine)) > checks.ROUNDED_SHARE * len(mine)
-    return both if own and both > NOT_NEW_SHARE * len(theirs) else 0
-
-
-def said_of(readings: Measurements, holdout: Measurements) -> str:
-    """Return the flag that hold-out data are not new; empty where they are."""
-    if not (many := not_new(readings, holdout)):
+    many = int(np.isin(theirs, mine).sum())
+    rounded = len(np.unique(mine)) <= checks.ROUNDED_SHARE * len(mine)
+    if rounded or many <= NOT_NEW_SHARE * len(theirs):
         return ""
     said = (
         f"{holdout.file}: {many} of the {len(holdout)} readings of the hold-out data are readings that are fitted "

@@ -172,8 +172,23 @@ class ParsedUnit:
 
     factor: float
     powers: Mapping[str, float]
-    offset: float | None
-    names: tuple[tuple[str, float], ...]
+    offset: float | None = None
+    names: tuple[tuple[str, float], ...] = ()
+
+    def times(self, other: ParsedUnit, power: float = 1.0) -> ParsedUnit:
+        """Return it times another unit to a power."""
+        powers = dict(self.powers)
+        for name, own in other.powers.items():
+            powers[name] = powers.get(name, 0.0) + power * own
+        kept = {name: own for name, own in powers.items() if own}
+        return ParsedUnit(self.factor * other.factor**power, kept)
+
+    def __str__(self) -> str:
+        """What it is the dimension of, as messages have it."""
+        return f"[{_in_base(self.powers)}]" if self.powers else "a plain number"
+
+
+NUMBER = ParsedUnit(1.0, {})
 
 
 @lru_cache(maxsize=512)
@@ -400,8 +415,8 @@ def basis_factor(
         if size is not None:
             return factor * size
     raise InputError(
-        f"a coefficient in [{unit}] on a slot in [{slot_unit}] needs a basis in [{_shown(wanted)}], and no product of "
-        f"its columns' units ({_listed(named)}) is that"
+        f"a coefficient in [{unit}] on a slot in [{slot_unit}] needs a basis in [{_in_base(wanted)}], and no product "
+        f"of its columns' units ({_listed(named)}) is that"
         + "; a column in m/s² that no instrument declares is kept in ug: write the coefficient per ug, mg or g"
         * as_gravity
     )
@@ -475,10 +490,6 @@ def _listed(units: Sequence[str]) -> str:
     return ", ".join(f"[{u}]" for u in dict.fromkeys(units)) or "none is named"
 
 
-def _shown(powers: Mapping[str, float]) -> str:
-    return "*".join(_raised("degC" if n == "K" else n, p) for n, p in sorted(powers.items()))
-
-
 def base_unit(unit: str) -> str:
     """Return the unit of a column that no instrument prescribes: base units, or °C; raise InputError if unknown."""
     parsed = parse(unit)
@@ -486,9 +497,15 @@ def base_unit(unit: str) -> str:
         return "ug"
     if parsed.powers == {"K": 1}:
         return "degC" if parsed.offset is not None else "delta_degC"
-    shown = {"degC" if name == "K" else name: power for name, power in parsed.powers.items()}
-    above = [_raised(n, p) for n, p in sorted(shown.items()) if p > 0]
-    below = [_raised(n, -p) for n, p in sorted(shown.items()) if p < 0]
+    return _in_base(parsed.powers)
+
+
+def _in_base(powers: Mapping[str, float]) -> str:
+    """Powers of base units as a unit; a temperature's is that of a difference."""
+    above, below = list[str](), list[str]()
+    for name, power in sorted(("degC" if n == "K" else n, p) for n, p in powers.items()):
+        part = name if abs(power) == 1 else f"{name}^{abs(power):g}"
+        (above if power > 0 else below).append(part)
     return "/".join(["*".join(above) or "1", *below])
 
 
@@ -522,10 +539,6 @@ def pretty(unit: str) -> str:
 def unit_label(unit: str) -> str:
     """A unit for people; nothing for a number without one."""
     return pretty(unit) if unit not in ("", "1") else ""
-
-
-def _raised(name: str, power: float) -> str:
-    return name if power == 1 else f"{name}^{power:g}"
 
 
 def _power_of_gravity(old: Mapping[str, float], new: Mapping[str, float]) -> float | None:

@@ -28,7 +28,7 @@ from jaxtyping import Float, Int
 from scipy.fft import dct
 from scipy.linalg import block_diag
 
-from bayescal._data.time_in_runs import EVEN_STEPS
+from bayescal._data.records import EVEN_STEPS
 from bayescal._inference.chebyshev import nodes_and_shares
 from bayescal._model.noise_law import WHITE, Noise
 from bayescal._model.noise_spectrum import eigenvalues, end_transform

@@ -23,7 +23,15 @@ import numpy as np
 from bayescal._core.errors import InputError, ModelError
 from bayescal._core.xp import xp
 from bayescal._data.measurements import Measurements
-from bayescal._data.unit_conversion import ANY, base_unit, coefficient_factor, convert, parse
+from bayescal._data.unit_conversion import (
+    ANY,
+    NUMBER,
+    ParsedUnit,
+    base_unit,
+    coefficient_factor,
+    convert,
+    parse,
+)
 from bayescal._model.effect import Coefficient, Effect, Shape
 from bayescal._model.frame import Frame, build_frame, reference_of
 from bayescal._model.instrument import Instrument
@@ -69,42 +77,12 @@ _VALUES = ast.Name | ast.Constant | ast.BinOp | ast.UnaryOp | ast.Call
 _PARTS = _VALUES | ast.operator | ast.unaryop | ast.Load
 
 
-class Dimension(NamedTuple):
-    """Powers of base units, and how many of these the unit is in which its numbers are written."""
-
-    powers: tuple[tuple[str, float], ...]
-    factor: float
-
-    @classmethod
-    def of(cls, unit: str) -> Dimension:
-        parsed = parse(unit)
-        return cls(tuple(sorted(parsed.powers.items())), parsed.factor)
-
-    def times(self, other: Dimension, sign: float = 1.0) -> Dimension:
-        powers = dict(self.powers)
-        for name, power in other.powers:
-            powers[name] = powers.get(name, 0.0) + sign * power
-        kept = tuple(sorted((n, p) for n, p in powers.items() if p))
-        return Dimension(kept, self.factor * other.factor**sign)
-
-    def raised(self, power: float) -> Dimension:
-        kept = tuple((n, p * power) for n, p in self.powers if power)
-        return Dimension(kept, self.factor**power)
-
-    def __str__(self) -> str:
-        words = "*".join(f"{n}^{p:g}" for n, p in self.powers)
-        return f"[{base_unit(words).removeprefix('delta_')}]" if words else "a plain number"
-
-
-NUMBER = Dimension((), 1.0)
-
-
 class FormulaPart(NamedTuple):
     """A part of a formula, its numbers in base units."""
 
     tree: Any  # a number, a name, or a function (an operator by its sign, "neg") with its arguments
     # its dimension; None of a literal, which takes that of what it is added to or compared with
-    unit: Dimension | None
+    unit: ParsedUnit | None
     at: int  # where it begins in the line
 
     def like(self, other: FormulaPart) -> FormulaPart:
@@ -244,8 +222,8 @@ class _TypedLine:
         unknowns = set(self.first) - set(self.columns)
         bent = {name for part in _bent(tree) for _, name in self.named(part)} & unknowns
         self.shapes = {n: self._shape(n, tree) for n in sorted(bent)}  # not linear in these
-        self.units = {n: Dimension.of(u) if u else None for n, (_, u) in self.columns.items()}
-        self.units |= {n: Dimension.of(s.unit) for n, s in self.shapes.items()}
+        self.units = {n: parse(u) if u else None for n, (_, u) in self.columns.items()}
+        self.units |= {n: parse(s.unit) for n, s in self.shapes.items()}
         self.coefficients = self.linear(tree)  # for each other unknown what it is multiplied by
         if "" in self.coefficients:
             near = "" if unknowns else ": write one in front, as s * (…)"
@@ -309,7 +287,7 @@ class _TypedLine:
         nodes = [n for part in parts for n in ast.walk(part) if isinstance(n, ast.Name)]
         return [(self.at(n), self.names[n.id]) for n in nodes if n.id in self.names]
 
-    def applied(self, function: str, unit: Dimension | None, *parts: FormulaPart) -> FormulaPart:
+    def applied(self, function: str, unit: ParsedUnit | None, *parts: FormulaPart) -> FormulaPart:
         """Return a function of parts; of literals alone, its value.
 
         Raises:
@@ -394,7 +372,7 @@ class _TypedLine:
         if unit is not None and unit.powers:
             if not isinstance(b.tree, float) or abs(b.tree) > 10:
                 raise self.refusal(b.at, f"of {unit} only a power such as 2 or 0.5 has a unit")
-            unit = unit.raised(b.tree)
+            unit = NUMBER.times(unit, b.tree)
         elif b.unit is not None:
             unit = NUMBER
         return self.applied(sign, unit, a, b)
@@ -407,25 +385,25 @@ class _TypedLine:
             return self._compared(name, a, *more)
         unit = a.unit
         if name not in ("abs", "sqrt"):
-            powers = () if unit is None or name in ("step", "sign") else unit.powers
-            if powers and not (name in ("sin", "cos", "tan") and powers == (("rad", 1.0),)):
+            powers = {} if unit is None or name in ("step", "sign") else unit.powers
+            if powers and not (name in ("sin", "cos", "tan") and powers == {"rad": 1.0}):
                 why = f"{name} takes a plain number, this is {unit}: divide it by one"
                 raise self.refusal(a.at, why)
             unit = NUMBER
         elif name == "sqrt":
-            unit = unit and unit.raised(0.5)
+            unit = unit and NUMBER.times(unit, 0.5)
         return self.applied(name, unit, a)
 
     def _of_past(self, function: str, of: ast.expr, *tau: ast.expr) -> FormulaPart:
         column, *times = (self.names.get(getattr(n, "id", "")) for n in (of, *tau))
         if column not in self.columns:
             raise self.refusal(self.at(of), f"{function} takes the name of a column")
-        unit = self.units[column] or Dimension.of("degC")
+        unit = self.units[column] or parse("degC")
         if function == "rate":
-            if unit.powers != (("K", 1.0),):
+            if unit.powers != {"K": 1.0}:
                 raise self.refusal(self.at(of), "rate is of a temperature")
-            unit = unit.times(Dimension.of("s"), -1.0)
-        elif times[0] not in self.shapes or self.units[times[0]].powers != (("s", 1.0),):
+            unit = unit.times(parse("s"), -1.0)
+        elif times[0] not in self.shapes or self.units[times[0]].powers != {"s": 1.0}:
             why = f"the second argument of {function} is a time constant, such as tau"
             raise self.refusal(self.at(tau[0]), why)
         return FormulaPart((function, column, *times), unit, self.at(of))
@@ -461,7 +439,7 @@ class _TypedLine:
             column = column if column in there or name in renamed else _ALIASES.get(column, column)
             stated, unsaid = base_unit(unit.rstrip("] ")) if bracket else "", name not in given
             if column in there:
-                if stated and Dimension.of(stated).powers != Dimension.of(there[column]).powers:
+                if stated and parse(stated).powers != parse(there[column]).powers:
                     raise self.refusal(
                         at, f"{column} is in [{there[column]}], and not in [{stated}]"
                     )
@@ -528,7 +506,7 @@ class _TypedLine:
         )
 
     def _basis(self, text: str) -> Formula:
-        used = tuple((n, c, Dimension.of(u or "1").factor) for n, (c, u) in self.columns.items())
+        used = tuple((n, c, parse(u or "1").factor) for n, (c, u) in self.columns.items())
         parts = tuple(part.tree for part in self.coefficients.values())
         return Formula(text, parts, used, tuple(self.shapes))
 
@@ -543,15 +521,15 @@ class _TypedLine:
         for name, part in self.coefficients.items():
             size = _SIZE.fullmatch(self.given.get(name, ""))
             if size and size[3]:
-                whole = Dimension.of(size[3].strip()).times(part.unit or NUMBER).powers
-                fitting = (s for s in self.instrument.slots if Dimension.of(s.unit).powers == whole)
+                whole = parse(size[3].strip()).times(part.unit or NUMBER).powers
+                fitting = (s for s in self.instrument.slots if parse(s.unit).powers == whole)
                 if found := next(fitting, None):
                     chosen = found
                     break
         return chosen.name, chosen.unit, cause
 
     def _coefficient(
-        self, name: str, unit: Dimension | None, slot_unit: str | None, size: float | None
+        self, name: str, unit: ParsedUnit | None, slot_unit: str | None, size: float | None
     ) -> Coefficient:
         """Return a coefficient with its prior, its unit such that the product is in that of the slot."""
         own, said = unit or NUMBER, self.given.get(name)
@@ -561,7 +539,7 @@ class _TypedLine:
                 raise InputError(
                     f"effect {self.text!r}: how large {name!r} plausibly is, is not said: {name} = 0.1 mV/V"
                 )
-            divided = (("degC" if n == "K" else n, p) for n, p in own.powers)
+            divided = (("degC" if n == "K" else n, p) for n, p in sorted(own.powers.items()))
             powers = (n if p == 1 else f"({n}^{p:g})" for n, p in divided)
             text = "/".join([slot_unit, *powers])
             rounded = _number(f"{size / coefficient_factor(text, slot_unit):.2g}")
@@ -574,8 +552,8 @@ class _TypedLine:
         sd, mean = abs(_number(found[2] or found[1])), _number(found[1]) if found[2] else 0.0
         if not sd > 0:
             raise InputError(f"{name} = {said!r}: a size is not zero")
-        whole = Dimension.of(text).times(own)
-        if slot_unit is not None and whole.powers != (wanted := Dimension.of(slot_unit)).powers:
+        whole = parse(text).times(own)
+        if slot_unit is not None and whole.powers != (wanted := parse(slot_unit)).powers:
             raise InputError(
                 f"effect {self.text!r}: {name} in {text} makes it {whole}, and it adds to what is {wanted}: correct "
                 f"the unit of {name}"

@@ -55,12 +55,6 @@ def composed(
     return source, terms, composition.compose(source, terms, values, hyper, sloped)
 
 
-def mean(layout: Layout, frame: Frame, x: Float[Array, "p"], hyper: Values) -> Float[Array, "n"]:
-    """Expected output, output unit."""
-    source, _, made = composed(layout, frame, x, hyper)
-    return composition.expected(source, made)
-
-
 def linearise(
     layout: Layout, frame: Frame, x: Float[Array, "p"], hyper: Values
 ) -> composition.Linearised:
@@ -72,9 +66,10 @@ def with_inputs(
     layout: Layout, frame: Frame, x: Float[Array, "p"], hyper: Values
 ) -> tuple[Float[Array, "n"], Float[Array, "n"] | None]:
     """Expected output, and the variance that noise on inputs adds to each reading; None where there is none."""
-    if not any(b.place == "input" for b in layout.blocks):
-        return mean(layout, frame, x, hyper), None
-    source, terms, made = composed(layout, frame, x, hyper, sloped=True)
+    inputs = any(b.place == "input" for b in layout.blocks)
+    source, terms, made = composed(layout, frame, x, hyper, sloped=inputs)
+    if not inputs:
+        return composition.expected(source, made), None
     line = composition.linearised(source, terms, made)
     return line.mean, composition.variance_of_inputs(terms, line)
 

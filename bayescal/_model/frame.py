@@ -20,15 +20,7 @@ from bayescal._core.xp import is_traced, xp
 from bayescal._data.column import UNCERTAINTY
 from bayescal._data.measurements import Measurements
 from bayescal._data.pose_rows import ACROSS
-from bayescal._data.time_in_runs import (
-    causal_slope,
-    recursion,
-    run_codes,
-    run_starts,
-    sequence,
-    set_in_steps,
-    silence,
-)
+from bayescal._data.records import recursion
 
 # that all readings have; an instrument's label columns are groups too
 GROUPS = ("run", "cell", "axis", "device")
@@ -247,12 +239,9 @@ def derived(readings: Measurements, every: bool = False) -> dict[str, np.ndarray
     own |= set() if every else readings.no_causes
     found = {n: readings[n] for n in readings.columns if readings.unit(n) and n not in own}
     if readings.has("time"):
-        time, (names, codes) = readings["time"], run_codes(readings)
-        order, step = sequence(time, codes)
-        warm = (n for n in readings.columns if readings.unit(n) == "degC" and n not in own)
-        found |= {f"{n} rate": causal_slope(time, readings[n], order, step) for n in warm}
-        if len(names) > 1:
-            found["elapsed"] = time - run_starts(readings)[codes]
+        found |= {f"{n} rate": rate for n, rate in readings.rates.items() if n not in own}
+        if len(readings.records.names) > 1:
+            found["elapsed"] = readings.records.elapsed()
     return found
 
 
@@ -282,10 +271,9 @@ def reference_of(readings: Measurements) -> Reference:
         time = readings["time"]
         found["time_mean"] = float(np.mean(time))
         found["time_span"] = float(np.ptp(time)) or 1.0
-        order = sequence(time, run_codes(readings)[1])
         for name in (n for n in readings.columns if readings.unit(n) and n not in UNHELD):
             measured = readings.unit(name) == "degC"  # and goes from one reading to the next
-            held = not measured and set_in_steps(readings[name], *order)
+            held = not measured and readings.records.set_in_steps(readings[name])
             found[held_name(name)] = float(held)
     return found
 
@@ -320,25 +308,20 @@ def build_frame(
     columns, scalars = _from_origin(columns, reference)
     named = ((n, label) for n in label_groups(readings) for label in readings.groups(n)[0])
     labels = {f"{n}={label}": np.asarray(readings[n] == label, float) for n, label in named}
-    rates: dict[str, np.ndarray] = {}
-    order, step = np.arange(len(readings)), -np.ones(len(readings))
+    records = readings.records
     if readings.has("time"):
-        time, (_, codes) = readings["time"], run_codes(readings)
-        columns["elapsed"] = time - run_starts(readings, record)[codes]
-        order, step = sequence(time, codes)
-        warm = [name for name in unit if unit[name] == "degC"]
-        rates = {name: causal_slope(time, readings[name], order, step) for name in warm}
+        columns["elapsed"] = records.elapsed(None if record is None else record.records)
     groups = dict.fromkeys((*GROUPS, *label_groups(readings), *(levels or ())))
     return Frame(
         columns=columns,
         labels=labels,
-        rates=rates,
+        rates=dict(readings.rates),
         codes={group: _member_codes(readings, group, levels) for group in groups},
         reference={k: np.asarray(v) for k, v in scalars.items()},
-        order=np.asarray(order, dtype=np.int32),
-        step=np.asarray(step),
+        order=np.asarray(records.order, dtype=np.int32),
+        step=records.step,
         record=dict(columns),
-        silence=np.asarray(silence(step)),
+        silence=np.asarray(records.silence),
     )
 
 

@@ -12,14 +12,7 @@ from bayescal._core.lazy_jax import Array, jax, jnp
 from bayescal._core.xp import special_of, xp
 from bayescal._data.column import UNCERTAINTY
 from bayescal._model.frame import Frame, measured_column, reference_name
-from bayescal._model.noise_law import (
-    WHITE,
-    Noise,
-    Parameters,
-    offered,
-    own_variance,
-    scores_of_tails,
-)
+from bayescal._model.noise_law import WHITE, Noise, Parameters, offered, own_variance
 from bayescal._model.prior import HalfCauchy, LogNormal, Normal, Positive
 
 SLOPE, CURVATURE = "noise.slope", "noise.curvature"
@@ -27,6 +20,7 @@ PROPORTIONAL = "noise.proportional"
 # Of a column's largest size to its least, from which a proportion to it is no exponential.
 RATIO = 3.0
 FREEDOM = "noise.freedom"
+NEVER = 1e-300  # a probability that stands for none
 LEAST_FREEDOM = 2.1  # below 2 the variance does not exist
 
 
@@ -235,9 +229,10 @@ class StudentT(Noise):
         # P(T < −t) = ½·I_{ν/(ν + t²)}(ν/2, ½)
         freedom = parameters[FREEDOM]
         squares = left**2 / own_variance(parameters, frame)
-        betainc = special_of((freedom, squares)).betainc
-        tail = 0.5 * betainc(0.5 * freedom, 0.5, freedom / (freedom + squares))
-        return scores_of_tails(tail, left)
+        special = special_of((freedom, squares))
+        tail = 0.5 * special.betainc(0.5 * freedom, 0.5, freedom / (freedom + squares))
+        # Φ⁻¹ of the smaller tail keeps its digits far out, where one minus it would be one.
+        return -xp.sign(left) * special.ndtri(xp.maximum(tail, NEVER))
 
     def sample(self, key, mean, parameters, frame):
         draws = jax.random.t(key, parameters[FREEDOM], mean.shape)

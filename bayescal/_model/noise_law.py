@@ -23,7 +23,7 @@ from jaxtyping import Float
 from typing_extensions import dataclass_transform
 
 from bayescal._core.lazy_jax import Array, jax, jnp
-from bayescal._core.xp import special_of, xp
+from bayescal._core.xp import xp
 from bayescal._data.column import UNCERTAINTY
 from bayescal._model.frame import Frame
 from bayescal._model.prior import KINDS, Positive
@@ -32,7 +32,6 @@ from bayescal._model.static import static
 Parameters = Mapping[str, Any]  # values by name, in their units
 WHITE = "noise.white"  # of each reading by itself, in the unit of the output
 LOG_2PI = math.log(2 * math.pi)
-NEVER = 1e-300  # a probability that stands for none
 
 
 @static
@@ -348,12 +347,6 @@ def offered(offer: Offer) -> Offer:
     name = (offer.__module__, offer.__qualname__)
     OFFERS[:] = [*(o for o in OFFERS if (o.__module__, o.__qualname__) != name), offer]
     return offer
-
-
-def scores_of_tails(lower: Float[Array, "n"], left: Float[Array, "n"]) -> Float[Array, "n"]:
-    """Standard normal numbers of the same tail probabilities, each on the side of what is left of its reading."""
-    # Φ⁻¹ of the smaller tail keeps its digits far out, where one minus it would be one.
-    return -xp.sign(left) * special_of((lower, left)).ndtri(xp.maximum(lower, NEVER))
 
 
 def own_variance(parameters: Parameters, frame: Frame) -> Float[Array, "n"]:

@@ -17,7 +17,7 @@ from jaxtyping import Float
 
 from bayescal._core.lazy_jax import Array, jnp
 from bayescal._core.xp import special_of
-from bayescal._data.time_in_runs import EVEN_STEPS
+from bayescal._data.records import EVEN_STEPS
 from bayescal._model import noise_spectrum
 from bayescal._model.noise_law import WHITE
 from bayescal._model.noise_spectrum import SpectralTerm

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import field
-from typing import Any
+from typing import Any, ClassVar
 
 from bayescal._core.xp import special_of, xp
 from bayescal._model.static import static
@@ -24,6 +24,8 @@ _EDGE = 1e-15  # of the probability, within which a bounded value counts as at i
 
 class _StandardNormal:
     """A prior whose coordinate is standard normal."""
+
+    coordinate_variance: ClassVar[float] = 1.0  # infinite where there is none
 
     def log_density(self, v: Any) -> Any:
         """Log density in the coordinate."""
@@ -114,6 +116,8 @@ class LogUniform(_StandardNormal):
 class HalfNormal(_Scaled):
     """The positive half of N(0, scale²), for spreads and noise scales."""
 
+    coordinate_variance: ClassVar[float] = math.pi**2 / 8  # of log|N(0, 1)|
+
     def log_density(self, v: Any) -> Any:
         return _LOG_2 - _HALF_LOG_2PI - 0.5 * xp.exp(2 * v) + v
 
@@ -121,6 +125,8 @@ class HalfNormal(_Scaled):
 @static
 class HalfCauchy(_Scaled):
     """The positive half of a Cauchy: a scale known to an order of magnitude or two."""
+
+    coordinate_variance: ClassVar[float] = math.pi**2 / 4
 
     def log_density(self, v: Any) -> Any:
         return math.log(2 / math.pi) - xp.logaddexp(0.0, 2 * v) + v
@@ -134,6 +140,8 @@ class Flat(_Scaled):
     `scale` only setting the unit of its coordinate.
     """
 
+    coordinate_variance: ClassVar[float] = math.inf
+
     def log_density(self, v: Any) -> Any:
         return v + math.log(self.scale)
 
@@ -143,6 +151,7 @@ class FlatLine:
     """A flat prior on the whole line, for a flat coefficient that is sampled with the hyper-parameters."""
 
     scale: float = 1.0
+    coordinate_variance: ClassVar[float] = math.inf
 
     def value(self, v: Any) -> Any:
         return self.scale * v
@@ -167,18 +176,6 @@ def deviation(prior: Any) -> float | None:
             width = math.log(high / low)
             return math.sqrt((high**2 - low**2) / (2 * width) - ((high - low) / width) ** 2)
     return None
-
-
-def coordinate_variance(prior: Any) -> float:
-    """Variance of the coordinate v in which a hyper-parameter of this prior is sampled; infinite where it has none."""
-    match prior:
-        case HalfNormal():  # of log|N(0, 1)|
-            return math.pi**2 / 8
-        case HalfCauchy():
-            return math.pi**2 / 4
-        case Flat() | FlatLine():
-            return math.inf
-    return 1.0
 
 
 KINDS = (Normal, LogNormal, LogUniform, HalfNormal, HalfCauchy, Flat, FlatLine)

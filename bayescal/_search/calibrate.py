@@ -26,7 +26,6 @@ from bayescal._core.progress import stage
 from bayescal._core.settings import settings
 from bayescal._data.measurements import Measurements
 from bayescal._data.set_aside import said_of, set_aside
-from bayescal._data.time_in_runs import going_on, on_clock
 from bayescal._inference.laplace import NOTHING_KNOWN
 from bayescal._inference.least_squares import LeastSquares
 from bayescal._inference.method import Method
@@ -418,10 +417,10 @@ def prepared(
         return used, None
     model.require(holdout)
     found = "what may be found, such as a drift" * readings.has("time")
-    dated = on_clock(holdout, readings.since, lambda: found)
+    dated = holdout.on_clock(readings.since, lambda: found)
     kept = set_aside(dated, keep_spikes, model.columns)
     said = said_of(used, kept)
-    if not said and (going := going_on(used, kept)):
+    if not said and (going := used.continued_in(kept)):
         said = (
             f"{used.file}: {sum(map(len, going.values()))} readings of the hold-out data continue its run "
             f"{', '.join(going)}: they are predicted with the record's past (lags, hysteresis, correlated noise)"

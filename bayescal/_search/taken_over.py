@@ -24,7 +24,6 @@ from bayescal._calibration.calibration import Calibration
 from bayescal._calibration.claim import Claim, limit
 from bayescal._core.formatting import number
 from bayescal._data.measurements import Measurements
-from bayescal._data.time_in_runs import run_codes
 from bayescal._model.effect import Effect
 from bayescal._model.frame import measured_column
 
@@ -124,7 +123,7 @@ def _followed(
     m0, m1 = float(first.z[i] * first.sd[i]), float(last.z[j] * last.sd[j])
     kept = abs(m1) / abs(m0) if m0 else np.inf
     left, moved = beside / max(without, 1e-300), abs(m1 - m0) / first.uncertainty(i)
-    runs = len(run_codes(after.readings)[0]) if after.readings.has("time") else 1
+    runs = len(after.readings.records.rows) if after.readings.has("time") else 1
     return TakenOver(term, tuple(by), left, moved, kept, runs, another_run(after, term.varies))
 
 
@@ -132,10 +131,10 @@ def repeated(readings: Measurements, column: str) -> bool:
     """Whether a temperature is the same function of the time within a run in all runs, two or more."""
     if not (readings.has("time") and readings.has(column)):
         return False
-    if len(run_codes(readings)[0]) < 2:
+    if len(readings.records.rows) < 2:
         return False
     clock, values_of = readings["time"], readings[column]
-    each = ((clock[rows] - clock[rows[0]], values_of[rows]) for rows in _rows_of_runs(readings))
+    each = ((clock[rows] - clock[rows[0]], values_of[rows]) for rows in readings.records.in_time)
     (first, known), *others = each
     for time, values in others:
         inside = time <= first[-1]
@@ -147,12 +146,6 @@ def repeated(readings: Measurements, column: str) -> bool:
         ):
             return False
     return True
-
-
-def _rows_of_runs(readings: Measurements) -> list[np.ndarray]:
-    """Rows of each run, in the order of time."""
-    (names, codes), order = run_codes(readings), np.argsort(readings["time"], kind="stable")
-    return [order[codes[order] == code] for code in range(len(names))]
 
 
 def said_of_profiles(calibration: Calibration) -> list[Claim]:
@@ -173,7 +166,7 @@ def another_run(calibration: Calibration, columns: Sequence[str]) -> str:
     if others or column not in calibration.frame.rates:
         return f"Vary {' and '.join(columns)} otherwise in another run."
     values = calibration.readings[column]
-    begins = np.median([values[rows][0] for rows in _rows_of_runs(calibration.readings)])
+    begins = np.median([values[rows][0] for rows in calibration.readings.records.in_time])
     ends = sorted((values.max(), values.min()), key=lambda end: -abs(begins - end))
     far, near = (number(float(end), 3) for end in ends)
     return f"One run of another profile would tell: from {far} to {near} °C and back."

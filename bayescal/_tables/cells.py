@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 import sys
+import unicodedata
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
@@ -24,17 +25,20 @@ _FORMS = {
     re.compile(r"(\d{4})([./-])(\d{1,2})\2(\d{2})(?!\d)"): {"": (1, 3, 4)},
     re.compile(r"(\d{1,2})\.(\d{1,2})\.(\d{2,4})(?!\d)"): {"": (3, 2, 1)},  # always the day first
     re.compile(r"(\d{1,2})([/-])(\d{1,2})\2(\d{2,4})(?!\d)"): {"mdy": (4, 1, 3), "dmy": (4, 3, 1), "ymd": (1, 3, 4)},
-    re.compile(r"(\d{1,2})[ -]([^\W\d_]{3,9})\.?[ -](\d{4})(?!\d)"): {"": (3, 2, 1)},  # 23-Nov-2026
-    re.compile(r"([^\W\d_]{3,9})\.? (\d{1,2}),? (\d{4})(?!\d)"): {"": (3, 1, 2)},  # Nov 23, 2026
+    re.compile(r"(\d{1,2})[ -]([^\W\d_]{3,10})\.?[ -](\d{4})(?!\d)"): {"": (3, 2, 1)},  # 23-Nov-2026
+    re.compile(r"([^\W\d_]{3,10})\.? (\d{1,2}),? (\d{4})(?!\d)"): {"": (3, 1, 2)},  # Nov 23, 2026
 }  # fmt: skip
 _BETWEEN = re.compile(r"\s*(?:[T,_-]|klo)?\s*")  # a date and its time of day
 _CLOCK = re.compile(
     r"(\d{1,4})([:.])(\d\d)(?:\2(\d\d)(?:[.,:](\d{1,9}))?)?(?:\s*([AaPp])\.?[Mm]\.?)?\s*(Z|[+-]\d\d:?\d\d)?"
 )
 _POINTS = re.compile(r"\d{1,2}\.\d\d\.\d\d(?!\d)")  # 10.14.20: a time of day, or a date
-_MONTHS = {
-    "jan": 1, "feb": 2, "mar": 3, "apr": 4, "may": 5, "jun": 6, "jul": 7, "aug": 8, "sep": 9, "oct": 10, "nov": 11,
-    "dec": 12, "mrz": 3, "mai": 5, "okt": 10, "dez": 12,
+_MONTHS = {  # how their names begin in languages of Europe, without accents
+    "jan": 1, "gen": 1, "ene": 1, "tammi": 1, "feb": 2, "fev": 2, "helmi": 2, "mar": 3, "mrz": 3, "mrt": 3, "maa": 3,
+    "apr": 4, "avr": 4, "abr": 4, "huhti": 4, "may": 5, "mai": 5, "mei": 5, "mag": 5, "maj": 5, "touko": 5, "jun": 6,
+    "juin": 6, "giu": 6, "kesa": 6, "jul": 7, "juil": 7, "lug": 7, "heina": 7, "aug": 8, "aou": 8, "ago": 8, "elo": 8,
+    "sep": 9, "set": 9, "syys": 9, "oct": 10, "okt": 10, "ott": 10, "out": 10, "loka": 10, "nov": 11, "marras": 11,
+    "dec": 12, "dez": 12, "dic": 12, "des": 12, "joulu": 12,
 }  # fmt: skip
 
 
@@ -83,10 +87,16 @@ def _days(text: str) -> dict[str, int]:
             with suppress(ValueError):
                 year, month, day = (found[part] for part in parts)
                 if len(year) in (2, 4):  # of two digits: of this century
-                    number = int(month) if month.isdigit() else _MONTHS.get(month[:3].lower(), 0)
+                    number = int(month) if month.isdigit() else _month(month)
                     when = date(int(year) + 2000 * (len(year) == 2), number, int(day))
                     days[order] = (when - _EPOCH.date()).days
     return days
+
+
+def _month(name: str) -> int:
+    """Return the number of a month by its name, or the beginning of it; 0 for none."""
+    bare = "".join(filter(str.isalpha, unicodedata.normalize("NFD", name.lower())))
+    return _MONTHS.get(max(filter(bare.startswith, _MONTHS), key=len, default=""), 0)
 
 
 def _time_of_day(text: str, longest: int) -> float | None:

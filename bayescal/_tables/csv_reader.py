@@ -16,7 +16,6 @@ from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 from itertools import islice, product
-from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
@@ -51,30 +50,13 @@ _LONGEST_UNIT = 24  # characters
 _NO_UNITS = ("TS", "RN")  # what Campbell's loggers write for moments and the numbers of records
 
 
-def open_csv(path: Path, file: str, decimal: str = "") -> Table:
-    """Open a text file: comma, semicolon, tab, bar or blanks between fields.
-
-    Args:
-        path: where it is.
-        file: its name in messages.
-        decimal: a point or a comma; empty for a point, or a comma where semicolons or tabs part the fields and a
-            number such as 20,5 shows that it parts no thousands.
-
-    Returns:
-        The table; rows of unequal length are its `problems`.
-
-    Raises:
-        InputError: it is empty, in an encoding that cannot be told, or ends lines in a way that cannot be counted.
-    """
-    return parse_text(path.read_bytes(), file, decimal).table()
-
-
 @dataclass
 class CsvText:
     """A text file, and how its lines are parted; rows are line numbers.
 
     Attributes:
-        data: its bytes; those of UTF-16 as UTF-8, with tabs where runs of blanks part the fields.
+        data: the file in UTF-8, with tabs where runs of blanks part the fields.
+        encoding: of the file.
         decimal: a point or a comma; empty until a number shows it.
         named: row of the header.
         first, offset: row and byte of the first line after the header.
@@ -87,8 +69,8 @@ class CsvText:
 
     file: str
     data: bytes
-    encoding: str = "utf-8"
-    sha256: str = ""
+    encoding: str
+    sha256: str
     header: list[str] = field(default_factory=list)
     separator: str = ","
     decimal: str = ""
@@ -105,11 +87,6 @@ class CsvText:
     def blank(self) -> bytes:
         """What a line may hold and count as blank."""
         return b" \r\n" if self.separator == "\t" else b" \t\r\n"
-
-    @property
-    def written_in(self) -> str:
-        """The encoding of `data`."""
-        return _LEGACY if self.encoding == _LEGACY else "utf-8"
 
     def table(self, *more: str) -> Table:
         """Return it as a table, with a note of each thing that is not as usual, and more."""
@@ -137,7 +114,7 @@ class CsvText:
         numbered = enumerate(self.rows(), self.first)
         lines = (line for row, line in numbered if row not in self.skipped)
         while stretch := list(islice(lines, _ROWS)):
-            text = b"".join(stretch).decode(self.written_in)
+            text = b"".join(stretch).decode()
             text = text.replace("\r\n", "\n").removesuffix("\n")
             if '"' in text:
                 rows = csv.reader(text.split("\n"), delimiter=self.separator)
@@ -169,25 +146,54 @@ class CsvText:
 def parse_text(data: bytes, file: str, decimal: str = "") -> CsvText:
     """Parse the bytes of a file: its layout, its rows, and which of them are blank or have another number of fields.
 
-    It is in windows-1252 where bytes beyond ASCII make no character in UTF-8 anywhere: these have two and more such
-    bytes side by side in hardly any word. A file with characters of both was joined of two, and is refused.
+    Comma, semicolon, tab, bar or blanks part fields. `decimal` is a point or a comma; empty for a point, or a comma
+    where semicolons or tabs part the fields and a number such as 20,5 shows that it parts no thousands.
+
+    Raises:
+        InputError: it is empty, in an encoding that cannot be told, or ends lines in a way that cannot be counted.
     """
-    text = CsvText(file, data, sha256=hashlib.sha256(data).hexdigest(), decimal=decimal)
-    beyond = set(data.translate(None, _ASCII))
-    if data.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
-        text.encoding = "utf-16"
-        try:
-            text.data = data.decode("utf-16").encode()
-        except UnicodeError as error:
-            raise unusable(file, "is UTF-16 text that breaks off", _SAVE) from error
-    elif beyond and beyond.isdisjoint(_NO_LEGACY) and not _BEYOND.search(data):
-        text.encoding = _LEGACY
+    text = CsvText(file, *_decoded(data, file), hashlib.sha256(data).hexdigest(), decimal=decimal)
     if text.encoding != "utf-8":
         text.notes.append(f"read as {text.encoding}")
-    _refuse_undecodable(text)
     _read_header(text)
     _scan_lines(text)
     return text
+
+
+def _decoded(data: bytes, file: str) -> tuple[bytes, str]:
+    """Return the text of a file in UTF-8, and its encoding.
+
+    It is in windows-1252 where bytes beyond ASCII make no character in UTF-8 anywhere: these have two and more such
+    bytes side by side in hardly any word. A file with characters of both was joined of two, and is refused.
+    """
+    encoding, came, cure, beyond = "utf-8", "", _SAVE, set(data.translate(None, _ASCII))
+    if data.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
+        encoding = "utf-16"
+    elif beyond and beyond.isdisjoint(_NO_LEGACY) and not _BEYOND.search(data):
+        encoding = _LEGACY
+    if encoding != "utf-8":
+        try:
+            data = data.decode(encoding).encode()
+        except UnicodeError as error:
+            raise unusable(file, "is UTF-16 text that breaks off", _SAVE) from error
+    if (at := data.find(b"\0")) >= 0:
+        came = "holds a zero byte: it is UTF-16 text or no text at all"
+    elif lone := re.search(rb"\r(?!\n)", data):
+        at = lone.start()
+        came = "holds a carriage return that ends no line: lines must end in LF or CR LF"
+    elif not data.isascii():
+        try:
+            data.decode()
+        except UnicodeDecodeError as error:
+            at = error.start
+            line = data[data.rfind(b"\n", 0, at) + 1 : at]
+            came = f"is not UTF-8: byte {len(line) + 1} of the row is 0x{data[at]:02x}, after "
+            came += f"{line[-20:].decode('utf-8', 'replace')!r}"
+            cure += "; do not join files of different encodings"
+    if came:
+        row = 1 + data.count(b"\n", 0, at)
+        raise unusable(file, came, cure, f"row {row}")
+    return data, encoding
 
 
 def _read_header(text: CsvText) -> None:
@@ -235,7 +241,7 @@ def _first_lines(text: CsvText, commented: bool = False) -> list[tuple[int, str,
     handle, there, row = io.BytesIO(text.data), [], 0
     while len(there) < _LOOKED_AT and (raw := handle.readline(_LONGEST_LINE)):
         row += 1
-        line = raw.removeprefix(_MARK if row == 1 else b"").decode(text.written_in, "replace")
+        line = raw.removeprefix(_MARK if row == 1 else b"").decode("utf-8", "replace")
         line = line.removeprefix("#").lstrip() if commented else line
         if line.strip() and not line.startswith("#"):
             there.append((row, line.rstrip("\r\n"), handle.tell()))
@@ -286,31 +292,9 @@ def _separators_of(line: str) -> list[str]:
     return sorted(there, key=lambda one: (one == ",", -line.count(one))) or [","]
 
 
-def _refuse_undecodable(text: CsvText) -> None:
-    """Raise InputError where the file is no text that is known, or ends lines by no line feed."""
-    data, came, cure = text.data, "", _SAVE
-    if (at := data.find(b"\0")) >= 0:
-        came = "holds a zero byte: it is UTF-16 text or no text at all"
-    elif lone := re.search(rb"\r(?!\n)", data):
-        at = lone.start()
-        came = "holds a carriage return that ends no line: lines must end in LF or CR LF"
-    elif not data.isascii():
-        try:
-            data.decode(text.written_in)
-        except UnicodeDecodeError as error:
-            at = error.start
-            line = data[data.rfind(b"\n", 0, at) + 1 : at]
-            came = f"is not UTF-8: byte {len(line) + 1} of the row is 0x{data[at]:02x}, after "
-            came += f"{line[-20:].decode('utf-8', 'replace')!r}"
-            cure += "; do not join files of different encodings"
-    if came:
-        row = 1 + data.count(b"\n", 0, at)
-        raise unusable(text.file, came, cure, f"row {row}")
-
-
 def _scan_lines(text: CsvText) -> None:
     """Check that each line of readings has as many fields as the header; find whether commas are decimal ones."""
-    separator, expected = text.separator.encode(), len(text.header)
+    separator, expected, blank = text.separator.encode(), len(text.header), text.blank
     if not text.decimal and separator != b"," and _DECIMAL_COMMA.search(text.data, text.offset - 1):
         text.decimal = ","
     if text.decimal == ",":
@@ -321,15 +305,15 @@ def _scan_lines(text: CsvText) -> None:
             came = f"is longer than {_LONGEST_LINE} bytes"
             raise unusable(text.file, came, "is it a CSV file?", f"row {row}")
         if b'"' in line:
-            decoded, cure = line.decode(text.written_in), "; a field cannot run over several lines"
+            decoded, cure = line.decode(), "; a field cannot run over several lines"
             fields = len(text.split(decoded.rstrip("\r\n"), row, cure=cure))
-        elif line.strip(text.blank):
+        elif line.strip(blank):
             fields = line.count(separator) + 1
         else:
             blanks.add(row)
             continue
         if fields != expected and len(text.ragged) < MOST_BAD:
-            text.ragged.append((row, line.decode(text.written_in).strip()[:80], fields))
+            text.ragged.append((row, line.decode().strip()[:80], fields))
     rows, odd = np.arange(text.first, row + 1), {row for row, _, _ in text.ragged}
     text.readable = len(odd) < min(MOST_BAD, max(1, len(rows) - len(blanks)))
     text.skipped = frozenset(blanks | odd if text.readable else blanks)

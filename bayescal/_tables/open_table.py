@@ -12,7 +12,7 @@ from bayescal._core.annex import first_offered
 from bayescal._core.atomic_file import sha256_of
 from bayescal._core.errors import InputError
 from bayescal._core.quoting import one_line
-from bayescal._tables.csv_reader import open_csv
+from bayescal._tables.csv_reader import parse_text
 from bayescal._tables.raw_table import Table, bytes_text, unusable
 
 MAX_BYTES = 2_000_000_000  # of a file, and of its numbers in memory: a larger one is refused, and not killed for memory
@@ -68,7 +68,7 @@ def open_table(
     decimal: str = "",
     asked: Collection[str] = (),
 ) -> Table:
-    """Open a file as a table of at most `max_bytes`; `decimal` as `open_csv`, `asked` are the channels of a log.
+    """Open a file as a table of at most `max_bytes`; `decimal` as `parse_text`, `asked` are the channels of a log.
 
     Raises:
         InputError: another suffix, a file that is not what its suffix says, or that cannot be read.
@@ -86,7 +86,7 @@ def open_table(
             expected = "a header and rows of readings were expected"
             raise unusable(name, "is empty (0 bytes)", expected)
         if suffix in TEXT:
-            return open_csv(path, name, decimal)
+            return parse_text(path.read_bytes(), name, decimal).table()
         if suffix in LOGS:
             found = first_offered("log", f"{name!r}, a log,")(path, name, asked)
         else:  # a second that text does without

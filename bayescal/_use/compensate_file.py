@@ -199,22 +199,22 @@ def _csv(added: AddedColumns, path: Path, partial: Path, table: Table, raw: str)
     """Lines as they stand, with two fields more."""
     text = parse_text(path.read_bytes(), table.file, added.decimal)
     rows = added.cells(text.decimal or ".")
-    with partial.open("wb") as target:
+    encoding = "utf-8" if text.encoding == "utf-16" else text.encoding
+    with partial.open("w", encoding=encoding, newline="") as target:
         head = text.data[: text.offset].splitlines(keepends=True)
         for row, line in enumerate(head, 1):  # comments, the header, a row of units
             fields = added.headers if row == text.named else ["", ""]
-            target.write(line if row < text.named else _longer(line, fields, text))
+            target.write(line.decode() if row < text.named else _longer(line, fields, text))
         for line in text.rows():
             filled = line.strip(text.blank)
-            target.write(_longer(line, next(rows), text) if filled else line)
+            target.write(_longer(line, next(rows), text) if filled else line.decode())
 
 
-def _longer(line: bytes, fields: list[str], text: CsvText) -> bytes:
-    """A line with fields more, in the encoding of its file."""
-    body = line.rstrip(b"\r\n")
-    end = line[len(body) :] or b"\n"
-    more = text.separator + csv_line(fields, text.separator)
-    return body + more.encode(text.written_in) + end
+def _longer(line: bytes, fields: list[str], text: CsvText) -> str:
+    """A line with fields more."""
+    body = line.decode().rstrip("\r\n")
+    end = line.decode()[len(body) :] or "\n"
+    return body + text.separator + csv_line(fields, text.separator) + end
 
 
 def _parquet(added: AddedColumns, path: Path, partial: Path, table: Table, raw: str) -> None:

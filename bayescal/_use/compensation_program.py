@@ -30,7 +30,7 @@ from bayescal._core.inverse import solved
 from bayescal._core.json_shape import as_type
 from bayescal._core.version import __version__
 from bayescal._data.measurements import Measurements
-from bayescal._data.time_in_runs import RATE_WINDOW, rate_window
+from bayescal._data.records import RATE_WINDOW, rate_window
 from bayescal._data.unit_conversion import unit_label
 from bayescal._model.frame import Frame, build_frame, held_name
 from bayescal._tables.cells import date_text

@@ -19,7 +19,6 @@ from bayescal._core.atomic_file import write_text
 from bayescal._core.errors import InputError
 from bayescal._data.column import UNCERTAINTY, Column
 from bayescal._data.measurements import Measurements
-from bayescal._data.time_in_runs import on_clock
 from bayescal._model.composition import columns_read
 from bayescal._use.compensation_program import (
     NOT_RELIABLE,
@@ -112,7 +111,7 @@ class Compensator:
         method = method or ("first order" if self.loaded else "draws")
         epoch = self.about.epoch
         if readings is not None:
-            readings = on_clock(readings, epoch, lambda: self.dated)
+            readings = readings.on_clock(epoch, lambda: self.dated)
         given, record = gathered(self.inputs, readings, columns, epoch)
         if method == "first order":
             value, own, inclination = self.in_use.run(given["output"], given)

@@ -22,7 +22,7 @@ from bayescal._core.inverse import STEPS
 from bayescal._core.json_shape import read_json
 from bayescal._core.quoting import identifier, number_text, python_string
 from bayescal._core.templates import template
-from bayescal._data.time_in_runs import RATE_WINDOW, SILENCE_WINDOWS
+from bayescal._data.records import RATE_WINDOW, SILENCE_WINDOWS
 from bayescal._use.compensation_program import (
     KINDS,
     PAST,

@@ -13,7 +13,6 @@ import numpy as np
 
 from bayescal._core.xp import xp
 from bayescal._data.measurements import Measurements
-from bayescal._data.time_in_runs import run_codes
 from bayescal._data.unit_conversion import unit_label
 from bayescal._model.effect import Coefficient, Effect, Shape
 from bayescal._model.frame import Frame, build_frame, reference_of
@@ -326,9 +325,7 @@ def _one_way(column: str, widths: tuple[float, float, str], readings: Measuremen
 
 def _too_short(low: float, readings: Measurements) -> str | None:
     """Why no run is long enough to see a body whose time is `low` at the least, s, if so."""
-    _, codes = run_codes(readings)
-    time = readings["time"]
-    longest = max(float(np.ptp(time[codes == run])) for run in np.unique(codes))
+    longest = max(float(np.ptp(readings["time"][rows])) for rows in readings.records.rows)
     if longest >= low:
         return None
     return f"needs a run longer than {low:g} s, the shortest plausible lag; the longest has {longest:g} s"

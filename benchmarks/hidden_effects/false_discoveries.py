@@ -15,7 +15,6 @@ from typing import Any
 import numpy as np
 
 import bayescal as bc
-from bayescal._data.time_in_runs import run_codes
 from benchmarks.bank import Bank
 from benchmarks.hidden_effects.bank import INSTRUMENTS, instrument_named
 from benchmarks.hidden_effects.searched import Searched, noise_of
@@ -59,7 +58,7 @@ Spoil = Callable[[bc.Instrument, bc.Measurements, float, np.random.Generator], S
 
 def _wandering(instrument, readings, noise, random) -> Spoilt:
     """A wander of the noise's own size in each run, remembered for a tenth of the run."""
-    runs, at = run_codes(readings)
+    runs, at = readings.records.names, readings.records.codes
     wander = np.zeros(len(readings))
     for one in range(len(runs)):
         rows = np.flatnonzero(at == one)

@@ -105,7 +105,7 @@ READ = {
     "day first, as the user says": Good(
         dated(lambda m: f"{m - timedelta(days=20):%d/%m/%y %I:%M:%S %p}"), {"date_order": "dmy"}
     ),
-    "the month as a word": Good(dated(lambda m: f"{m:%d-%b-%Y %H:%M:%S}")),
+    "the month as a word": Good(dated(lambda m: f"{m:%d}-{('Aug', 'août', 'ago')[m.second % 3]}-{m:%Y %H:%M:%S}")),
     "milliseconds behind a colon": Good(dated(lambda m: f"{m:%m/%d/%Y %H:%M:%S}:{m.microsecond // 1000:03}")),
     "a title, a remark, then the header": Good("Lab 3, unit 7\n\nremark\n" + text(HEAD)),
     "a row of units": Good(text(("time", "temperature", "output")).replace("output\n", "output\ns,(°C),deg/s\n")),

@@ -64,7 +64,7 @@ def differences(layout: Layout, frame, x, v) -> tuple[Any, jax.Array, jax.Array]
     sd = forward.prior_sd(layout, hyper)
 
     def by(push):
-        return forward.mean(layout, frame, x + STEP * push * sd, hyper)
+        return forward.with_inputs(layout, frame, x + STEP * push * sd, hyper)[0]
 
     def along(one):
         return (by(one) - by(-one)) / (2 * STEP)

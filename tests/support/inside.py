@@ -33,7 +33,7 @@ from bayescal._data.allan_deviation import EvenRuns as EvenRuns
 from bayescal._data.allan_deviation import degrees_of_freedom as degrees_of_freedom
 from bayescal._data.allan_deviation import overlapping as overlapping
 from bayescal._data.column import overloads
-from bayescal._data.set_aside import not_new, said_of
+from bayescal._data.set_aside import said_of
 from bayescal._data.unit_conversion import coefficient_factor as coefficient_factor
 from bayescal._inference.noise_on_record import Whitening as Whitening
 from bayescal._inference.record import Record as Record
@@ -97,11 +97,6 @@ def dcc_of(calibration: bc.Calibration, stated: Any, decided: bc.Decisions | Non
     """The digital calibration certificate as XML; `stated`: its file, or what stands in it."""
     given = Certificate(stated) if isinstance(stated, dict) else stated
     return dcc_text(calibration, given, decisions=decided)
-
-
-def readings_again(readings: bc.Measurements, holdout: bc.Measurements) -> int:
-    """How many hold-out readings are readings that were fitted."""
-    return not_new(readings, holdout)
 
 
 def said_of_holdout(readings: bc.Measurements, holdout: bc.Measurements) -> str:
