@@ -41,6 +41,7 @@ WIDER_RATIO = 1.5  # interval over range: at its ends the function is 0, and so 
 
 PLACES = (0.05, 0.95)  # of a step, in parts of the record
 SHARP = 0.01  # half width of a step, in parts of the record: as good as sudden, and its place has a slope
+WIDTHS = (0.01, 0.2)  # of a step, a kink or a peak along a column, in parts of its range
 CYCLES = (1.5, 15.0)  # in the record
 FEWEST_TIMES = 30  # different times, twice the most cycles: fewer leave a period undetermined
 
@@ -192,22 +193,28 @@ def _shapes(kind: Kind, in_time: bool) -> tuple[Shape, ...]:
     """Return the place of a step or a kink, in parts of the range; or how many cycles there are."""
     if kind == "cycle":
         return (Shape("cycles", "1", *CYCLES, ragged=True),)
-    # A moment is the same in all channels of a unit.
-    place = Shape("place", "1", *PLACES, scale="linear", ragged=True, shared=in_time)
-    return (place,) if kind in ("jump", "kink") else ()
+    if kind == "line":
+        return ()
+    # A moment is the same in all channels of a unit. A kink's evidence is smooth in its place.
+    place = Shape("place", "1", *PLACES, scale="linear", ragged=kind != "kink", shared=in_time)
+    return (place,) if in_time else (place, Shape("width", "1", *WIDTHS))
 
 
-def _step(covariate, r, place):
-    return 0.5 * xp.tanh((r.position(covariate) - place) / SHARP)
+def _step(covariate, r, place, width=SHARP):
+    return 0.5 * xp.tanh((r.position(covariate) - place) / width)
 
 
 def _straight(covariate, r):
     return r.position(covariate) - 0.5
 
 
-def _hinge(covariate, r, place):
+def _hinge(covariate, r, place, width=SHARP):
     beyond = r.position(covariate) - place
-    return 0.5 * (beyond + xp.sqrt(beyond**2 + SHARP**2))
+    return 0.5 * (beyond + xp.sqrt(beyond**2 + width**2))
+
+
+def _resonance(covariate, r, place, width):
+    return 1 / (1 + ((r.position(covariate) - place) / width) ** 2)
 
 
 def _waves(covariate, r, cycles):
@@ -236,12 +243,14 @@ _STEPS = (
     "A slot's value steps by a at one moment of the record, or at one value of a column, and stays."
 )
 _BENDS = "A slot's slope along a column changes at one value of it, by a over the column's range."
+_PEAKS = "A slot's value has a peak at one value of a column, as of a resonance that the column tunes."
 _TURNS = "A slot's value goes up and down evenly in time."
 line = _form("line", f"a·(x − ½),  {_X}", _straight, "A slot's value is proportional to a column.")
 jump = _form("jump", "−a/2 {}, a/2 {} it", _step, _STEPS)
 kink = _form("kink", f"a·max(0, x − p),  {_X}", _hinge, _BENDS)
+peak = _form("peak", f"a/(1 + ((x − p)/w)²),  {_X}", _resonance, _PEAKS)
 cycle = _form("cycle", "a·sin(2π·cycles·t + φ)", _waves, _TURNS)
 
 JUMP = "time, jump"
 IN_TIME = (JUMP, "time, cycle")
-FORMS = {"line": line, "jump": jump, "kink": kink}  # along a column
+FORMS = {"line": line, "jump": jump, "kink": kink, "peak": peak}  # along a column

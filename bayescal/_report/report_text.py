@@ -283,6 +283,7 @@ PHYSICS = {  # what an effect is, by the form of its dependence
     "line": "an unknown slope along",
     "jump": "a step along",
     "kink": "a kink along",
+    "peak": "a peak along",
     "cycle": "a cycle over",
 }
 
