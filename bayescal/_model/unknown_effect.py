@@ -1,5 +1,5 @@
-"""What no named effect describes: an unknown dependence on one covariate, smooth, straight, with a step or a kink; in
-time a step or a periodic form.
+"""What no named effect describes: an unknown dependence on one covariate, smooth, straight, with a step, a kink or a
+peak; in time a step or a periodic form.
 
 They stand beside the instrument and not in the catalogue, because the language of models has a word for them:
 `model + "unknown(humidity)"`. Each is linear in coefficients whose sizes the amplitude gives. What amplitudes are
@@ -9,9 +9,9 @@ same functions.
 The smooth one is a Gaussian process. Its columns are the eigenfunctions of the Laplacian on an interval somewhat wider
 than the covariate's range, weighted with the root of the process's spectral density (Solin & Särkkä, Stat. Comput. 30
 (2020) 419). It follows steps and periodic forms too, but spends most of its freedom on what is not there: a record that
-steps once, or goes up and down evenly, is then more probable as correlated noise. Hence the forms of one shape and one
-or two coefficients. A line, a step or a kink along a column is a form of the smooth dependence on it: a search weighs
-them in its place. Beyond the record a step stays, and a periodic form goes on.
+steps once, or goes up and down evenly, is then more probable as correlated noise. Hence the forms of few shapes and one
+or two coefficients. A line, a step, a kink or a peak along a column is a form of the smooth dependence on it: a search
+weighs them in its place. Beyond the record a step stays, and a periodic form goes on.
 """
 
 from __future__ import annotations
@@ -40,8 +40,8 @@ LENGTHS_IN_TIME = (0.03, 0.8)  # parts of the record
 WIDER_RATIO = 1.5  # interval over range: at its ends the function is 0, and so it stays beyond
 
 PLACES = (0.05, 0.95)  # of a step, in parts of the record
-SHARP = 0.01  # half width of a step, in parts of the record: as good as sudden, and its place has a slope
-WIDTHS = (0.01, 0.2)  # of a step, a kink or a peak along a column, in parts of its range
+SHARP = 0.01  # half width of a step in time, in parts of the record: as good as sudden, and its place has a slope
+WIDTHS = (SHARP, 0.2)  # half widths along a column, in parts of its range
 CYCLES = (1.5, 15.0)  # in the record
 FEWEST_TIMES = 30  # different times, twice the most cycles: fewer leave a period undetermined
 
@@ -63,7 +63,7 @@ def along_and_form(covariate: str) -> tuple[str, str]:
 
 
 def placeholder(covariate: str, slot: str, unit: str) -> Effect:
-    """The placeholder for a covariate, and for its forms: "humidity, line", ", jump", ", kink", "time, cycle"."""
+    """The placeholder for a covariate, and for its forms: "humidity, line", ", jump", ", kink", ", peak", "time, cycle"."""
     along, form = along_and_form(covariate)
     if form == "cycle" and along == "time":
         return cycle(slot, *OPEN, unit)
@@ -190,14 +190,15 @@ def _form(kind: Kind, words: str, basis: Callable[..., Any], says: str) -> Calla
 
 
 def _shapes(kind: Kind, in_time: bool) -> tuple[Shape, ...]:
-    """Return the place of a step or a kink, in parts of the range; or how many cycles there are."""
+    """Return the place of a step, a kink or a peak and its half width, in parts of the range; or how many cycles."""
     if kind == "cycle":
         return (Shape("cycles", "1", *CYCLES, ragged=True),)
     if kind == "line":
         return ()
-    # A moment is the same in all channels of a unit. A kink's evidence is smooth in its place.
-    place = Shape("place", "1", *PLACES, scale="linear", ragged=kind != "kink", shared=in_time)
-    return (place,) if in_time else (place, Shape("width", "1", *WIDTHS))
+    # A moment is the same in all channels of a unit, and sudden. A kink's evidence is smooth in its place.
+    sudden = kind == "jump" and in_time
+    place = Shape("place", "1", *PLACES, scale="linear", ragged=kind != "kink", shared=sudden)
+    return (place,) if sudden else (place, Shape("width", "1", *WIDTHS))
 
 
 def _step(covariate, r, place, width=SHARP):
@@ -208,12 +209,12 @@ def _straight(covariate, r):
     return r.position(covariate) - 0.5
 
 
-def _hinge(covariate, r, place, width=SHARP):
+def _hinge(covariate, r, place, width):
     beyond = r.position(covariate) - place
     return 0.5 * (beyond + xp.sqrt(beyond**2 + width**2))
 
 
-def _resonance(covariate, r, place, width):
+def _lorentzian(covariate, r, place, width):
     return 1 / (1 + ((r.position(covariate) - place) / width) ** 2)
 
 
@@ -240,15 +241,15 @@ def _too_few(covariate: str, readings: Measurements) -> str | None:
 
 _X = "x the position in the range of {covariate}"
 _STEPS = (
-    "A slot's value steps by a at one moment of the record, or at one value of a column, and stays."
+    "A slot's value steps by a at one moment of the record, or about one value of a column, and stays."
 )
-_BENDS = "A slot's slope along a column changes at one value of it, by a over the column's range."
-_PEAKS = "A slot's value has a peak at one value of a column, as of a resonance that the column tunes."
+_BENDS = "A slot's slope along a column changes about one value of it, by a over the column's range."
+_PEAKS = "A slot's value has a peak of height a at one value of a column, as where it tunes a resonance."
 _TURNS = "A slot's value goes up and down evenly in time."
 line = _form("line", f"a·(x − ½),  {_X}", _straight, "A slot's value is proportional to a column.")
 jump = _form("jump", "−a/2 {}, a/2 {} it", _step, _STEPS)
 kink = _form("kink", f"a·max(0, x − p),  {_X}", _hinge, _BENDS)
-peak = _form("peak", f"a/(1 + ((x − p)/w)²),  {_X}", _resonance, _PEAKS)
+peak = _form("peak", f"a/(1 + ((x − p)/w)²),  {_X}", _lorentzian, _PEAKS)
 cycle = _form("cycle", "a·sin(2π·cycles·t + φ)", _waves, _TURNS)
 
 JUMP = "time, jump"

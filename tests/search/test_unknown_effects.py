@@ -144,14 +144,18 @@ def test_a_named_effect_is_preferred_to_an_unknown_dependence_on_its_covariate()
     assert [e.name for e in found.best] == ["bias.temperature_quadratic"]
 
 
-# A package that jumps, or an adhesive that softens, at one temperature: forms of an unknown dependence on it.
+# A package that jumps, an adhesive that softens, or modes that cross at one temperature: forms of an unknown dependence.
 
 
 AT = 52.3  # °C
-WHAT = {"jump": lambda t: 0.4 * (t > AT), "kink": lambda t: 0.02 * np.maximum(0.0, t - AT)}
+WHAT = {
+    "jump": lambda t: 0.4 * (t > AT),
+    "kink": lambda t: 0.02 * np.maximum(0.0, t - AT),
+    "peak": lambda t: 0.4 / (1 + ((t - AT) / 4.0) ** 2),
+}
 
 
-@pytest.mark.parametrize("form", slow_but(["jump"], WHAT))
+@pytest.mark.parametrize("form", slow_but(["jump", "peak"], WHAT))
 def test_it_is_found_where_it_is(form: str) -> None:
     readings = mems_gyro.simulate({}, seed=5)
     output = readings["output"] + WHAT[form](readings["temperature"])
