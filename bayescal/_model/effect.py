@@ -264,8 +264,7 @@ class Effect:
 
     @property
     def unnamed(self) -> bool:
-        """Whether it says how the output goes and not with what: a curve, a step, a fourth power, no line along a
-        column."""
+        """Whether it says how the output goes and not with what: a curve, a step, a fourth power; no line."""
         return self.kind == "quartic" or (self.is_placeholder and self.kind != "line")
 
     @property

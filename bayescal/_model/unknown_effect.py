@@ -32,11 +32,9 @@ from bayescal._model.effect import OPEN, Coefficient, Effect, Kind, Shape
 from bayescal._model.frame import measured_column
 from bayescal._model.prior import Normal
 
-TERMS = 12  # eigenfunctions: enough for lengths down to a tenth of the range
-LENGTHS = (0.1, 0.8)  # plausible lengths of the process, in parts of the range
-# A dependence on a temperature is smooth; in time there are periodic forms and steps.
-TERMS_IN_TIME = 36  # eigenfunctions: enough for the shorter lengths
-LENGTHS_IN_TIME = (0.03, 0.8)  # parts of the record
+# Eigenfunctions and plausible lengths in parts of the range, enough of those for the shorter ones of these; in time,
+# where there are periodic forms and steps, more and shorter ones.
+RESOLUTION = {False: (12, (0.1, 0.8)), True: (36, (0.03, 0.8))}
 WIDER_RATIO = 1.5  # interval over range: at its ends the function is 0, and so it stays beyond
 
 PLACES = (0.05, 0.95)  # of a step, in parts of the record
@@ -63,7 +61,7 @@ def along_and_form(covariate: str) -> tuple[str, str]:
 
 
 def placeholder(covariate: str, slot: str, unit: str) -> Effect:
-    """The placeholder for a covariate, and for its forms: "humidity, line", ", jump", ", kink", ", peak", "time, cycle"."""
+    """The placeholder for a covariate, and for its forms, such as "humidity, line", ", peak" or "time, cycle"."""
     along, form = along_and_form(covariate)
     if form == "cycle" and along == "time":
         return cycle(slot, *OPEN, unit)
@@ -101,11 +99,6 @@ def process_weights(length: Any, terms: int) -> Any:
     return xp.sqrt(scale * math.sqrt(2 * math.pi)) * xp.exp(-((scale * order) ** 2) / 4)
 
 
-def resolution(in_time: bool) -> tuple[int, tuple[float, float]]:
-    """How many terms, and which lengths, a smooth dependence has: more and shorter ones in time."""
-    return (TERMS_IN_TIME, LENGTHS_IN_TIME) if in_time else (TERMS, LENGTHS)
-
-
 @functools.cache  # the same dependence is the same object, so that what was compiled for it serves again
 def unknown(
     covariate: str, slot: str, low: float, high: float, unit: str, *, name: str = ""
@@ -118,7 +111,7 @@ def unknown(
             the readings.
         name: canonical; `unknown(covariate)` if not given.
     """
-    terms, lengths = resolution(covariate in ("time", "elapsed"))
+    terms, lengths = RESOLUTION[covariate in ("time", "elapsed")]
     measured = measured_column(covariate)
     derived = covariate in ("elapsed", f"{measured} rate")
     columns = ("time",) if covariate == "elapsed" else (measured,)
@@ -240,11 +233,9 @@ def _too_few(covariate: str, readings: Measurements) -> str | None:
 
 
 _X = "x the position in the range of {covariate}"
-_STEPS = (
-    "A slot's value steps by a at one moment of the record, or about one value of a column, and stays."
-)
-_BENDS = "A slot's slope along a column changes about one value of it, by a over the column's range."
-_PEAKS = "A slot's value has a peak of height a at one value of a column, as where it tunes a resonance."
+_STEPS = "A slot's value steps by a at one moment, or about one value of a column, and stays."
+_BENDS = "A slot's slope along a column changes about one value of it, by a over its range."
+_PEAKS = "A slot's value has a peak of height a at one value of a column, as of a resonance."
 _TURNS = "A slot's value goes up and down evenly in time."
 line = _form("line", f"a·(x − ½),  {_X}", _straight, "A slot's value is proportional to a column.")
 jump = _form("jump", "−a/2 {}, a/2 {} it", _step, _STEPS)
@@ -252,6 +243,5 @@ kink = _form("kink", f"a·max(0, x − p),  {_X}", _hinge, _BENDS)
 peak = _form("peak", f"a/(1 + ((x − p)/w)²),  {_X}", _lorentzian, _PEAKS)
 cycle = _form("cycle", "a·sin(2π·cycles·t + φ)", _waves, _TURNS)
 
-JUMP = "time, jump"
-IN_TIME = (JUMP, "time, cycle")
+IN_TIME = ("time, jump", "time, cycle")
 FORMS = {"line": line, "jump": jump, "kink": kink, "peak": peak}  # along a column

@@ -40,7 +40,7 @@ ROUNDS = 6  # of adaptation at most
 # How much more uncertain the expected output is where something is missing from the model that has no formula here: on
 # campaigns whose formulas are none of the catalogue's, 95 % intervals then hold about 95 % (docs/wrong_model.md).
 INCOMPLETE_FACTOR = 2.5
-# Spreads between runs that were not found, log of the plausible one: from a thousandth of it, three decades.
+# Log of spreads between runs over the plausible one, from a thousandth of it: equally probable, where none was found.
 LOG_SPREADS = np.linspace(math.log(1e-3), math.log(10.0), 41)
 
 
@@ -74,8 +74,8 @@ def with_form(
         f"counts {factor:.2f} times."
     )
     found = calibration.with_verdict(notes=(*calibration.verdict.notes, said))
-    spreads = _of_new_runs(calibration, structures, at)
-    return replace(found, form_factor=factor, unfound_spreads=spreads)
+    own = _of_new_runs(calibration, structures, at)
+    return replace(found, form_factor=factor, unfound_spreads=own)
 
 
 def _of_new_runs(
@@ -96,8 +96,7 @@ def _of_new_runs(
             place = problem.layout.index_in_phi[effect.group_sd_name(0)]
             along = np.tile(mode.v, (len(LOG_SPREADS), 1))
             along[:, place] = LOG_SPREADS
-            # The prior is a density of the spread τ, v = log τ: e⁻ᵛ makes it one that is even in log τ below its scale.
-            density = Density(problem, mode.x, mode.flat, mode.v).values(along) - LOG_SPREADS
+            density = Density(problem, mode.x, mode.flat, mode.v).values(along) - LOG_SPREADS  # 1/τ
             weight = np.exp(density - density.max())
             squares = problem.hypers[place].prior.value(LOG_SPREADS) ** 2
             found[name] = float(np.sqrt(lacking * (weight @ squares) / weight.sum()))
@@ -203,17 +202,15 @@ def shares_of(structures: Structures, noise: str) -> tuple[StructureShare, ...]:
             mass[s.effects] = mass.get(s.effects, 0.0) + float(probability)
     barred = structures.barred(Structure(noise=noise))
     found = [frozenset(f.effects) for f in posterior.findings]
-    kept, total = list[tuple[frozenset[str], float]](), 0.0
-    for effects in sorted(mass, key=lambda e: -mass[e]):
-        there, enough = posterior.space.families(effects), settings().found_probability
-        if total < enough and not any(f.isdisjoint(there) for f in found):
-            kept.append((effects, mass[effects]))
-        total += mass[effects] / sum(mass.values())
-    kept = [
-        (e, p) for e, p in kept if p >= settings().averaged_probability and e.isdisjoint(barred)
-    ]
-    whole = sum(p for _, p in kept)
-    return tuple(StructureShare(tuple(sorted(e)), p / whole) for e, p in kept)
+    kept, total, whole = dict[frozenset[str], float](), 0.0, sum(mass.values())
+    for effects, part in sorted(mass.items(), key=lambda m: -m[1]):
+        there = posterior.space.families(effects)
+        likely = total < settings().found_probability and part >= settings().averaged_probability
+        if likely and effects.isdisjoint(barred) and not any(f.isdisjoint(there) for f in found):
+            kept[effects] = part
+        total += part / whole
+    averaged = sum(kept.values())
+    return tuple(StructureShare(tuple(sorted(e)), p / averaged) for e, p in kept.items())
 
 
 def _drawn(weighed: Weighed, count: int, probability: float, seed: int) -> _Values:

@@ -94,8 +94,9 @@ def walk(library: Library, max_effects: int, given: Structure | None = None) -> 
     looked: dict[Scope, set[Structure]] = {physics: set(), every: set()}
     view = lru_cache(BEAM_STRUCTURES)(partial(View, library))  # of either scope
     for among, later in ((physics, None), (every, None), (every, given)):
-        for first in () if among is physics else roots(structures):
-            yield structures.weigh(first, root)
+        # From the base under a correlated law an effect is seen that slow residuals would otherwise hide.
+        for law in () if among is physics else correlated_laws(structures):
+            yield structures.weigh(Structure(noise=law), root)
         if later:
             # Effect by effect, as the walk would: from the root at once its shapes may end at a lower maximum.
             yield from map(structures.weigh, path(library, later))
@@ -180,11 +181,6 @@ class Scope(NamedTuple):
 
     def has(self, law: str) -> bool:
         return self.laws is None or law in self.laws
-
-
-def roots(structures: Structures) -> list[Structure]:
-    """The base under each correlated law: from there an effect is seen that slow residuals would otherwise hide."""
-    return [Structure(noise=law) for law in correlated_laws(structures)]
 
 
 class Move(NamedTuple):
