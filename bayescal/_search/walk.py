@@ -89,7 +89,9 @@ def walk(library: Library, max_effects: int, given: Structure | None = None) -> 
     root = structures.weigh(Structure())
     # Physics first: a curve, or noise that is correlated, found before a second effect takes what this explains, and
     # hides it. So what has a name is looked for by itself, under the noise that is given, and then all together.
-    named = frozenset(n for n, e in structures.candidates.items() if not e.unnamed)
+    # A fourth power costs nothing to look for, and what is wrong with it the second walk exchanges.
+    known = structures.candidates.items()
+    named = frozenset(n for n, e in known if not (e.is_placeholder and e.unnamed))
     physics, every = Scope(named, ("",)), Scope(frozenset(structures.candidates))
     looked: dict[Scope, set[Structure]] = {physics: set(), every: set()}
     view = lru_cache(BEAM_STRUCTURES)(partial(View, library))  # of either scope

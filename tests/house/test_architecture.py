@@ -260,7 +260,7 @@ CEILINGS = {
     "bayescal/_inference": 6_045,
     "bayescal/_calibration": 4_862,
     "bayescal/_use": 3_043,
-    "bayescal/_search": 5_697,
+    "bayescal/_search": 5_699,
     "bayescal/_report": 1_732,
     "bayescal/_cli": 1_778,
     "bayescal/_annexes/fleet": 2_530,
