@@ -28,7 +28,7 @@ from bayescal._core.settings import settings
 from bayescal._data.unit_conversion import unit_label
 from bayescal._inference.least_squares import LeastSquares
 from bayescal._inference.linear_model import taken_up
-from bayescal._model.unknown_effect import process_columns, process_weights, resolution
+from bayescal._model.unknown_effect import RESOLUTION, process_columns, process_weights
 
 SIGNIFICANT_P = 1e-3  # p-value of the tests without a Bayes factor
 
@@ -331,7 +331,7 @@ class Covariate:
         cls, name: str, values: np.ndarray, unit: str = "", *, in_time: bool = False
     ) -> Covariate:
         """A smooth dependence on a covariate that takes several values."""
-        terms, plausible = resolution(in_time)
+        terms, plausible = RESOLUTION[in_time]
         position = (values - values.min()) / (np.ptp(values) or 1.0)
         lengths = np.geomspace(*plausible, SCALES[in_time])
         weights = tuple(process_weights(length, terms) for length in lengths)

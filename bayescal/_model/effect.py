@@ -26,7 +26,7 @@ from bayescal._model.static import set_once, static
 Kind = Literal[
     *("", "constant", "linear", "quadratic", "cubic", "quartic"),
     *("rate", "lag", "warm-up", "drift", "hysteresis"),
-    *("curve", "line", "jump", "kink", "cycle"),  # placeholders
+    *("curve", "line", "jump", "kink", "peak", "cycle"),  # placeholders
 ]
 Role = Literal["named", "unnamed", "freed"]
 Group = str  # "run", "cell", "axis", "device", "reading", or a column of labels that the instrument declares
@@ -264,8 +264,8 @@ class Effect:
 
     @property
     def unnamed(self) -> bool:
-        """Whether it says how the output goes and not with what: a curve, a step, no line along a column."""
-        return self.is_placeholder and self.kind != "line"
+        """Whether it says how the output goes and not with what: a curve, a step, a fourth power; no line."""
+        return self.kind == "quartic" or (self.is_placeholder and self.kind != "line")
 
     @property
     def role(self) -> Role:

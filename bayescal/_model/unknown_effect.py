@@ -1,5 +1,5 @@
-"""What no named effect describes: an unknown dependence on one covariate, smooth, straight, with a step or a kink; in
-time a step or a periodic form.
+"""What no named effect describes: an unknown dependence on one covariate, smooth, straight, with a step, a kink or a
+peak; in time a step or a periodic form.
 
 They stand beside the instrument and not in the catalogue, because the language of models has a word for them:
 `model + "unknown(humidity)"`. Each is linear in coefficients whose sizes the amplitude gives. What amplitudes are
@@ -9,9 +9,9 @@ same functions.
 The smooth one is a Gaussian process. Its columns are the eigenfunctions of the Laplacian on an interval somewhat wider
 than the covariate's range, weighted with the root of the process's spectral density (Solin & Särkkä, Stat. Comput. 30
 (2020) 419). It follows steps and periodic forms too, but spends most of its freedom on what is not there: a record that
-steps once, or goes up and down evenly, is then more probable as correlated noise. Hence the forms of one shape and one
-or two coefficients. A line, a step or a kink along a column is a form of the smooth dependence on it: a search weighs
-them in its place. Beyond the record a step stays, and a periodic form goes on.
+steps once, or goes up and down evenly, is then more probable as correlated noise. Hence the forms of few shapes and one
+or two coefficients. A line, a step, a kink or a peak along a column is a form of the smooth dependence on it: a search
+weighs them in its place. Beyond the record a step stays, and a periodic form goes on.
 """
 
 from __future__ import annotations
@@ -32,15 +32,14 @@ from bayescal._model.effect import OPEN, Coefficient, Effect, Kind, Shape
 from bayescal._model.frame import measured_column
 from bayescal._model.prior import Normal
 
-TERMS = 12  # eigenfunctions: enough for lengths down to a tenth of the range
-LENGTHS = (0.1, 0.8)  # plausible lengths of the process, in parts of the range
-# A dependence on a temperature is smooth; in time there are periodic forms and steps.
-TERMS_IN_TIME = 36  # eigenfunctions: enough for the shorter lengths
-LENGTHS_IN_TIME = (0.03, 0.8)  # parts of the record
+# Eigenfunctions and plausible lengths in parts of the range, enough of those for the shorter ones of these; in time,
+# where there are periodic forms and steps, more and shorter ones.
+RESOLUTION = {False: (12, (0.1, 0.8)), True: (36, (0.03, 0.8))}
 WIDER_RATIO = 1.5  # interval over range: at its ends the function is 0, and so it stays beyond
 
 PLACES = (0.05, 0.95)  # of a step, in parts of the record
-SHARP = 0.01  # half width of a step, in parts of the record: as good as sudden, and its place has a slope
+SHARP = 0.01  # half width of a step in time, in parts of the record: as good as sudden, and its place has a slope
+WIDTHS = (SHARP, 0.2)  # half widths along a column, in parts of its range
 CYCLES = (1.5, 15.0)  # in the record
 FEWEST_TIMES = 30  # different times, twice the most cycles: fewer leave a period undetermined
 
@@ -62,7 +61,7 @@ def along_and_form(covariate: str) -> tuple[str, str]:
 
 
 def placeholder(covariate: str, slot: str, unit: str) -> Effect:
-    """The placeholder for a covariate, and for its forms: "humidity, line", ", jump", ", kink", "time, cycle"."""
+    """The placeholder for a covariate, and for its forms, such as "humidity, line", ", peak" or "time, cycle"."""
     along, form = along_and_form(covariate)
     if form == "cycle" and along == "time":
         return cycle(slot, *OPEN, unit)
@@ -100,11 +99,6 @@ def process_weights(length: Any, terms: int) -> Any:
     return xp.sqrt(scale * math.sqrt(2 * math.pi)) * xp.exp(-((scale * order) ** 2) / 4)
 
 
-def resolution(in_time: bool) -> tuple[int, tuple[float, float]]:
-    """How many terms, and which lengths, a smooth dependence has: more and shorter ones in time."""
-    return (TERMS_IN_TIME, LENGTHS_IN_TIME) if in_time else (TERMS, LENGTHS)
-
-
 @functools.cache  # the same dependence is the same object, so that what was compiled for it serves again
 def unknown(
     covariate: str, slot: str, low: float, high: float, unit: str, *, name: str = ""
@@ -117,7 +111,7 @@ def unknown(
             the readings.
         name: canonical; `unknown(covariate)` if not given.
     """
-    terms, lengths = resolution(covariate in ("time", "elapsed"))
+    terms, lengths = RESOLUTION[covariate in ("time", "elapsed")]
     measured = measured_column(covariate)
     derived = covariate in ("elapsed", f"{measured} rate")
     columns = ("time",) if covariate == "elapsed" else (measured,)
@@ -189,25 +183,32 @@ def _form(kind: Kind, words: str, basis: Callable[..., Any], says: str) -> Calla
 
 
 def _shapes(kind: Kind, in_time: bool) -> tuple[Shape, ...]:
-    """Return the place of a step or a kink, in parts of the range; or how many cycles there are."""
+    """Return the place of a step, a kink or a peak and its half width, in parts of the range; or how many cycles."""
     if kind == "cycle":
         return (Shape("cycles", "1", *CYCLES, ragged=True),)
-    # A moment is the same in all channels of a unit.
-    place = Shape("place", "1", *PLACES, scale="linear", ragged=True, shared=in_time)
-    return (place,) if kind in ("jump", "kink") else ()
+    if kind == "line":
+        return ()
+    # A moment is the same in all channels of a unit, and sudden. A kink's evidence is smooth in its place.
+    sudden = kind == "jump" and in_time
+    place = Shape("place", "1", *PLACES, scale="linear", ragged=kind != "kink", shared=sudden)
+    return (place,) if sudden else (place, Shape("width", "1", *WIDTHS))
 
 
-def _step(covariate, r, place):
-    return 0.5 * xp.tanh((r.position(covariate) - place) / SHARP)
+def _step(covariate, r, place, width=SHARP):
+    return 0.5 * xp.tanh((r.position(covariate) - place) / width)
 
 
 def _straight(covariate, r):
     return r.position(covariate) - 0.5
 
 
-def _hinge(covariate, r, place):
+def _hinge(covariate, r, place, width):
     beyond = r.position(covariate) - place
-    return 0.5 * (beyond + xp.sqrt(beyond**2 + SHARP**2))
+    return 0.5 * (beyond + xp.sqrt(beyond**2 + width**2))
+
+
+def _lorentzian(covariate, r, place, width):
+    return 1 / (1 + ((r.position(covariate) - place) / width) ** 2)
 
 
 def _waves(covariate, r, cycles):
@@ -232,16 +233,15 @@ def _too_few(covariate: str, readings: Measurements) -> str | None:
 
 
 _X = "x the position in the range of {covariate}"
-_STEPS = (
-    "A slot's value steps by a at one moment of the record, or at one value of a column, and stays."
-)
-_BENDS = "A slot's slope along a column changes at one value of it, by a over the column's range."
+_STEPS = "A slot's value steps by a at one moment, or about one value of a column, and stays."
+_BENDS = "A slot's slope along a column changes about one value of it, by a over its range."
+_PEAKS = "A slot's value has a peak of height a at one value of a column, as of a resonance."
 _TURNS = "A slot's value goes up and down evenly in time."
 line = _form("line", f"a·(x − ½),  {_X}", _straight, "A slot's value is proportional to a column.")
 jump = _form("jump", "−a/2 {}, a/2 {} it", _step, _STEPS)
 kink = _form("kink", f"a·max(0, x − p),  {_X}", _hinge, _BENDS)
+peak = _form("peak", f"a/(1 + ((x − p)/w)²),  {_X}", _lorentzian, _PEAKS)
 cycle = _form("cycle", "a·sin(2π·cycles·t + φ)", _waves, _TURNS)
 
-JUMP = "time, jump"
-IN_TIME = (JUMP, "time, cycle")
-FORMS = {"line": line, "jump": jump, "kink": kink}  # along a column
+IN_TIME = ("time, jump", "time, cycle")
+FORMS = {"line": line, "jump": jump, "kink": kink, "peak": peak}  # along a column

@@ -278,13 +278,12 @@ PHYSICS = {  # what an effect is, by the form of its dependence
     "quartic": "a quartic term along",
     "rate": "a dependence on the rate of",
     "lag": "a lag behind",
-    "hysteresis": "a hysteresis along",
     "warm-up": "a warm-up over",
     "drift": "a drift over",
     "curve": "an unknown curve along",
     "line": "an unknown slope along",
     "jump": "a step along",
-    "kink": "a kink along",
+    **{kind: f"a {kind} along" for kind in ("kink", "peak", "hysteresis")},
     "cycle": "a cycle over",
 }
 

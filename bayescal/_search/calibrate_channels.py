@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 from scipy.special import expit
 
-from bayescal._core import deadline, memory
+from bayescal._core import deadline
 from bayescal._core.errors import InputError
 from bayescal._core.formatting import number, probability, with_error
 from bayescal._core.progress import stage
@@ -19,6 +19,7 @@ from bayescal._core.result_table import Printed, ResultTable, plain_table
 from bayescal._core.settings import settings
 from bayescal._data.measurements import Measurements
 from bayescal._data.unit_conversion import unit_label
+from bayescal._inference import memory
 from bayescal._inference.method import Method
 from bayescal._model.effect import Effect, Shape
 from bayescal._model.frame import Reference

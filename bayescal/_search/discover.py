@@ -29,7 +29,7 @@ from bayescal._model.instrument import Instrument
 from bayescal._model.model import Model, testable
 from bayescal._model.noise_law import Noise
 from bayescal._model.parameters import bind
-from bayescal._model.unknown_effect import FORMS, IN_TIME, along_and_form
+from bayescal._model.unknown_effect import FORMS, IN_TIME
 from bayescal._search.candidate import (
     Candidate,
     alike,
@@ -312,11 +312,10 @@ def placeholders(model: Model, readings: Measurements) -> list[Effect]:
     if all(s.unit != instrument.unit for s in instrument.slots):
         return []
     names = [name for name, values in derived(readings).items() if np.ptp(values) > 0]
-    forms = [form for form in IN_TIME if along_and_form(form)[0] in names]
+    forms = [*IN_TIME] if "time" in names else []
     columns = [name for name in names if readings.has(name) and name != "time"]
     straight = {n for effect in model.effects for n in effect.varies}  # a line along them is there
-    pairs = [(n, form) for n in columns for form in FORMS if form != "line" or n not in straight]
-    forms += [f"{name}, {form}" for name, form in pairs]
+    forms += [f"{n}, {f}" for n in columns for f in FORMS if f != "line" or n not in straight]
     return [instrument.unknown(name) for name in (*names, *forms)]
 
 

@@ -162,7 +162,7 @@ class Library:
             if same and np.array_equal(known[2], by_slot):
                 return known[3][[p.index for p in points]]
         kept = self.width * record.size <= HELD_NUMBERS
-        at = _shapes(self.points[name] if kept else points)
+        at = np.transpose([[*p.shapes.values()] for p in (self.points[name] if kept else points)])
         bases = record.columns_of_draws(
             ColumnsOf.of(effect).on([*needed]), [*at, *itertools.chain(*needed.values())], {}
         )
@@ -195,11 +195,6 @@ def _at_ends(points: Sequence[GridPoint]) -> list[GridPoint]:
     along = np.array([[*p.shapes.values()] for p in points])
     ends = {*along.argmin(axis=0), *along.argmax(axis=0)} if along.size else {0}
     return [points[i] for i in sorted(ends)]
-
-
-def _shapes(points: Sequence[GridPoint]) -> list[np.ndarray]:
-    """Values of a candidate's shapes at some points, an array for each."""
-    return [*np.transpose([[*p.shapes.values()] for p in points])]
 
 
 def _nearby(correction: Correction, at: tuple[float, ...]) -> tuple[float, ...]:
@@ -271,17 +266,15 @@ def _usual_grid(effect: Effect) -> list[Place]:
 
 def _grid(shapes: Sequence[Shape]) -> np.ndarray:
     """Coordinates of shapes (points, shapes), equally probable under their priors."""
-    count = len(shapes)
-    if count == 0:
+    if not shapes:
         return np.zeros((1, 0))
-    if count == 1 and not shapes[0].ragged:
+    count = SHAPE_POINTS if len(shapes) == 1 else SEVERAL_SHAPES
+    count = RAGGED_SHAPES if any(s.ragged for s in shapes) else count
+    if len(shapes) == 1:
         # Φ⁻¹ of the middles of equal parts: shapes are standard normal in their coordinates, so each point stands for
         # the same prior mass, and the mean over points is the integral over the prior.
-        return ndtri((np.arange(SHAPE_POINTS) + 0.5) / SHAPE_POINTS)[:, None]
-    if count == 1:
-        return ndtri((np.arange(RAGGED_SHAPES) + 0.5) / RAGGED_SHAPES)[:, None]
-    points = RAGGED_SHAPES if any(s.ragged for s in shapes) else SEVERAL_SHAPES
-    return ndtri(sobol_points(count)[:points])
+        return ndtri((np.arange(count) + 0.5) / count)[:, None]
+    return ndtri(sobol_points(len(shapes))[:count])
 
 
 def sobol_points(count: int) -> Float[np.ndarray, "k count"]:

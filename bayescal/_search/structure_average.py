@@ -23,6 +23,7 @@ from bayescal._core.importance_weights import resample, smoothed
 from bayescal._core.parallel import on_one_thread
 from bayescal._core.progress import stage
 from bayescal._core.settings import settings
+from bayescal._inference.density import Density
 from bayescal._inference.laplace import Mode
 from bayescal._inference.method import CHAINS, Draws
 from bayescal._inference.problem import ABSENT
@@ -39,6 +40,8 @@ ROUNDS = 6  # of adaptation at most
 # How much more uncertain the expected output is where something is missing from the model that has no formula here: on
 # campaigns whose formulas are none of the catalogue's, 95 % intervals then hold about 95 % (docs/wrong_model.md).
 INCOMPLETE_FACTOR = 2.5
+# Log of spreads between runs over the plausible one, from a thousandth of it: equally probable, where none was found.
+LOG_SPREADS = np.linspace(math.log(1e-3), math.log(10.0), 41)
 
 
 @dataclass(frozen=True)
@@ -71,14 +74,17 @@ def with_form(
         f"counts {factor:.2f} times."
     )
     found = calibration.with_verdict(notes=(*calibration.verdict.notes, said))
-    spreads = _of_new_runs(calibration, structures, at)
-    return replace(found, form_factor=factor, unfound_spreads=spreads)
+    own = _of_new_runs(calibration, structures, at)
+    return replace(found, form_factor=factor, unfound_spreads=own)
 
 
 def _of_new_runs(
     calibration: Calibration, structures: Structures, at: Structure
 ) -> dict[str, float]:
-    """Return by how much runs may as well as not differ where draws lack that, of each such effect added to `at`."""
+    """Return by how much runs may differ where draws lack that: of each such effect added to `at`, its rms spread.
+
+    Below its plausible size a spread that was not found is of any order of magnitude: its logarithm is uniform.
+    """
     found, open_to = dict[str, float](), {*at.effects, *structures.open_to(at)}
     open_to &= calibration.model.instrument.known.keys()  # in which a name is looked up
     for name, effect in structures.candidates.items():
@@ -86,9 +92,14 @@ def _of_new_runs(
         learned = effect.coefficients[0].group_sd is not None
         if lacking and learned and name in open_to and effect.columns == ("run",):
             weighed = structures.weigh(at.plus(name))
-            place = weighed.problem.layout.index_in_phi[effect.group_sd_name(0)]
-            spread = weighed.problem.hypers[place].prior.value(weighed.mode.v[place])
-            found[name] = float(np.sqrt(lacking) * spread)
+            problem, mode = weighed.problem, weighed.mode
+            place = problem.layout.index_in_phi[effect.group_sd_name(0)]
+            along = np.tile(mode.v, (len(LOG_SPREADS), 1))
+            along[:, place] = LOG_SPREADS
+            density = Density(problem, mode.x, mode.flat, mode.v).values(along) - LOG_SPREADS  # 1/τ
+            weight = np.exp(density - density.max())
+            squares = problem.hypers[place].prior.value(LOG_SPREADS) ** 2
+            found[name] = float(np.sqrt(lacking * (weight @ squares) / weight.sum()))
     return {name: size for name, size in found.items() if np.isfinite(size)}
 
 
@@ -191,17 +202,15 @@ def shares_of(structures: Structures, noise: str) -> tuple[StructureShare, ...]:
             mass[s.effects] = mass.get(s.effects, 0.0) + float(probability)
     barred = structures.barred(Structure(noise=noise))
     found = [frozenset(f.effects) for f in posterior.findings]
-    kept, total = list[tuple[frozenset[str], float]](), 0.0
-    for effects in sorted(mass, key=lambda e: -mass[e]):
-        there, enough = posterior.space.families(effects), settings().found_probability
-        if total < enough and not any(f.isdisjoint(there) for f in found):
-            kept.append((effects, mass[effects]))
-        total += mass[effects] / sum(mass.values())
-    kept = [
-        (e, p) for e, p in kept if p >= settings().averaged_probability and e.isdisjoint(barred)
-    ]
-    whole = sum(p for _, p in kept)
-    return tuple(StructureShare(tuple(sorted(e)), p / whole) for e, p in kept)
+    kept, total, whole = dict[frozenset[str], float](), 0.0, sum(mass.values())
+    for effects, part in sorted(mass.items(), key=lambda m: -m[1]):
+        there = posterior.space.families(effects)
+        likely = total < settings().found_probability and part >= settings().averaged_probability
+        if likely and effects.isdisjoint(barred) and not any(f.isdisjoint(there) for f in found):
+            kept[effects] = part
+        total += part / whole
+    averaged = sum(kept.values())
+    return tuple(StructureShare(tuple(sorted(e)), p / averaged) for e, p in kept.items())
 
 
 def _drawn(weighed: Weighed, count: int, probability: float, seed: int) -> _Values:

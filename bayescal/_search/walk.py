@@ -13,9 +13,10 @@ from functools import lru_cache, partial
 from types import MappingProxyType
 from typing import NamedTuple
 
-from bayescal._core import deadline, memory
+from bayescal._core import deadline
 from bayescal._core.parallel import on_one_thread
 from bayescal._core.progress import stage, tell
+from bayescal._inference import memory
 from bayescal._search.library import Library
 from bayescal._search.noise_laws import log_prior
 from bayescal._search.scores import HINTS, ScoredPoint, View, gain_of
@@ -91,13 +92,16 @@ def walk(library: Library, max_effects: int, given: Structure | None = None) -> 
     root = structures.weigh(Structure())
     # Physics first: a curve, or noise that is correlated, found before a second effect takes what this explains, and
     # hides it. So what has a name is looked for by itself, under the noise that is given, and then all together.
-    named = frozenset(n for n, e in structures.candidates.items() if not e.unnamed)
+    # A fourth power costs nothing to look for, and what is wrong with it the second walk exchanges.
+    known = structures.candidates.items()
+    named = frozenset(n for n, e in known if not (e.is_placeholder and e.unnamed))
     physics, every = Scope(named, ("",)), Scope(frozenset(structures.candidates))
     looked: dict[Scope, set[Structure]] = {physics: set(), every: set()}
     view = lru_cache(BEAM_STRUCTURES)(partial(View, library))  # of either scope
     for among, later in ((physics, None), (every, None), (every, given)):
-        for first in () if among is physics else roots(structures):
-            yield structures.weigh(first, root)
+        # From the base under a correlated law an effect is seen that slow residuals would otherwise hide.
+        for law in () if among is physics else correlated_laws(structures):
+            yield structures.weigh(Structure(noise=law), root)
         if later:
             # Effect by effect, as the walk would: from the root at once its shapes may end at a lower maximum.
             yield from map(structures.weigh, path(library, later))
@@ -187,11 +191,6 @@ class Scope(NamedTuple):
 
     def has(self, law: str) -> bool:
         return self.laws is None or law in self.laws
-
-
-def roots(structures: Structures) -> list[Structure]:
-    """The base under each correlated law: from there an effect is seen that slow residuals would otherwise hide."""
-    return [Structure(noise=law) for law in correlated_laws(structures)]
 
 
 class Move(NamedTuple):

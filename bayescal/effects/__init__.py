@@ -8,6 +8,7 @@ from bayescal._model.unknown_effect import cycle as cycle
 from bayescal._model.unknown_effect import jump as jump
 from bayescal._model.unknown_effect import kink as kink
 from bayescal._model.unknown_effect import line as line
+from bayescal._model.unknown_effect import peak as peak
 from bayescal._model.unknown_effect import unknown as unknown
 from bayescal.effects.constant import constant as constant
 from bayescal.effects.constant import deviation as deviation

@@ -58,9 +58,7 @@ def _power(called: Kind, order: int, said: str, suffix: str, sign: str, per: str
     return made
 
 
-linear = _power(
-    "linear", 1, "a straight line in a temperature, in practice the tempco", "", "", "degC"
-)
+linear = _power("linear", 1, "a straight line, in practice the tempco", "", "", "degC")
 quadratic = _power("quadratic", 2, "curvature, symmetric about T0", "_quadratic", "²", "degC^2")
 cubic = _power("cubic", 3, "curvature, antisymmetric about T0", "_cubic", "³", "degC^3")
 quartic = _power("quartic", 4, "curvature that grows towards both ends", "_quartic", "⁴", "degC^4")

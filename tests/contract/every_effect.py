@@ -29,6 +29,7 @@ MADE = {
     "jump": effects.jump("bias", 1.0, 100.0, "ug"),
     "line": effects.line("bias", 1.0, 100.0, "ug", covariate="temperature"),
     "kink": effects.kink("bias", 1.0, 100.0, "ug", covariate="temperature"),
+    "peak": effects.peak("bias", 1.0, 100.0, "ug", covariate="temperature"),
     "cycle": effects.cycle("bias", 1.0, 100.0, "ug"),
 }
 EFFECTS = tuple(MADE.values())
