@@ -168,7 +168,7 @@ def _fold(
     is expected, sum of squares of the whitened errors, and the eigenvalues of their covariance; None of nothing."""
     parts = (Part(whole.record, rows) for rows in (kept, out))
     problems = (Problem(whole.layout, part, whole.size_factors) for part in parts)
-    near = Nearby(mode.v, np.linalg.pinv(mode.covariance))
+    near = Nearby(mode.v, np.linalg.pinv(mode.covariance), True)
     fitted, predicted = (Density(p, mode.x, mode.flat, mode.v, like=near) for p in problems)
     v = climb(fitted, mode.v, ftol=1e-3)  # φ to 0.05 standard deviations
     kinds = np.array(whole.kinds)

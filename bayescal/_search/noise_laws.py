@@ -100,15 +100,14 @@ def _starts(law: Noise, record: Record, near: Mapping[str, float]) -> list[dict[
     """Coordinates of a law's parameters, by name, where a climb may begin; none where nothing is left of the readings.
 
     What is known of some, beside every combination of levels of the others; where a maximum was on other residuals,
-    beside that, and it with one parameter at another level.
+    that, and it with one parameter at another level.
     """
     priors = law.parameters()
-    if near and law.independent and law.gaussian and np.any(record.y):  # one hill
-        return [dict(near)]
+    if near and np.any(record.y):
+        one_hill = law.independent and law.gaussian
+        others = () if one_hill else ({n: level} for n in priors for level in LEVELS)
+        return [{**near, **one} for one in ({}, *others)]
     known = [{n: priors[n].coordinate(v) for n, v in s.items()} for s in _stated(law, record)]
-    if known and near:
-        others = [{n: level} for n in priors for level in LEVELS]
-        return [{**near, **one} for one in ({}, *known, *others)]
     return [
         dict(zip(priors, one, strict=True))
         for some in known
