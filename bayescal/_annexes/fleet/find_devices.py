@@ -69,6 +69,7 @@ class DeviceStructure:
     families: frozenset[str]
     possible: frozenset[str]  # effects of which one is missing, with probability 0.95
     evidence: Evidence  # of its structures
+    start: Mapping[str, float]  # shapes, noise and spreads at its mode, where a fit may begin
 
 
 def search_device(
@@ -90,6 +91,7 @@ def search_device(
         raise ws.deadline.TimeIsUp(stopped)
     posterior = ws.Posterior.of(structures)
     chosen = posterior.chosen
+    weighed = structures.weigh(chosen)
     odds = {
         n: float(np.logaddexp.reduce([structures.log_odds[f] for f in own]))
         for n, own in structures.forms.items()
@@ -100,8 +102,9 @@ def search_device(
         frozenset(posterior.space.families(chosen.effects)),
         frozenset(name for finding in posterior.findings for name in finding.effects),
         Evidence(prior, _weighed(posterior, odds)),
+        weighed.phi,
     )
-    return structure, structures.weigh(chosen).model
+    return structure, weighed.model
 
 
 def _weighed(

@@ -110,7 +110,8 @@ def fit_part(request: Request, part: Part) -> Fits:
                 fitted[i] = DeviceResult(reason=str(error))
                 del good[i]
         with ws.deadline.finishing() if request.find else nullcontext():
-            fitted |= fit_devices(models, good, options)
+            known = {i: one.start for i in good if (one := structures.get(every[i][1]))}
+            fitted |= fit_devices(models, good, options, known)
         results = [
             replace(fitted[i], device=name, file=piece.name)
             for i, (piece, name) in enumerate(every)

@@ -21,6 +21,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, fields, replace
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -87,9 +88,15 @@ def tailored(model: bc.Model, readings: bc.Measurements) -> bc.Model:
 
 
 def fit_devices(
-    models: Mapping[int, bc.Model], devices: Mapping[int, bc.Measurements], options: FitOptions
+    models: Mapping[int, bc.Model],
+    devices: Mapping[int, bc.Measurements],
+    options: FitOptions,
+    starts: Mapping[int, Mapping[str, float]] = MappingProxyType({}),
 ) -> dict[int, DeviceResult]:
-    """Fit each device by its model, plain ones of a model together; refuse those that the deadline leaves out."""
+    """Fit each device by its model, plain ones of a model together; refuse those that the deadline leaves out.
+
+    Their modes are looked for at `starts` first, where these are known.
+    """
     made, left = dict[int, DeviceResult](), dict(devices)
     with suppress(ws.deadline.TimeIsUp):
         for some in _fit_plain(models, devices, options):
@@ -98,7 +105,7 @@ def fit_devices(
             ws.deadline.current().defer_interrupt()
             ws.deadline.current().ask()
         for i in [*left]:
-            made[i] = fit_alone(models[i], left[i], options)
+            made[i] = fit_alone(models[i], left[i], options, starts.get(i, {}))
             del left[i]
             ws.deadline.current().defer_interrupt()
             ws.deadline.current().ask()
@@ -106,9 +113,12 @@ def fit_devices(
     return made | {i: DeviceResult(reason=why) for i in left}
 
 
-def fit_alone(model: bc.Model, readings: bc.Measurements, options: FitOptions) -> DeviceResult:
+def fit_alone(
+    model: bc.Model, readings: bc.Measurements, options: FitOptions, start: Mapping[str, float]
+) -> DeviceResult:
     """Fit one device by `fit`: the moments of its posterior, and what stands against it."""
-    how: dict[str, Any] = {"seed": options.seed, "reference": options.reference_for(readings)}
+    reference = options.reference_for(readings)
+    how: dict[str, Any] = {"seed": options.seed, "reference": reference, "start": start}
     try:
         found = bc.fit(model, readings, options.method, strict=False, **how)
     except bc.BayescalError as error:
