@@ -89,7 +89,9 @@ class Density(ByValues):
         problem = self.problem
         together = problem.affine and not problem.noisy
         for some in np.array_split(vs, -(-len(vs) // self._together)):
-            new = {key: v for v in some if (key := self._key(v)) not in self._lines}
+            keys = [self._key(v) for v in some]
+            self._lines = {key: self._lines[key] for key in keys if key in self._lines}
+            new = {k: v for k, v in zip(keys, some, strict=True) if k not in self._lines}
             if together and len(new) > 1:
                 at = np.tile(self.x, (len(new), 1))
                 made = problem.linearise(at, problem.hyper(np.array([*new.values()]).T))

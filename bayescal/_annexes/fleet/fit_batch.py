@@ -322,6 +322,8 @@ def _fit(run: _Run, population: AskedPopulation) -> BatchResult:
     structures = [fitted.structures[name] for name in result.devices if name in fitted.structures]
     effects = effects_table(structures, options.seed)
     common = common_model(model, structures, effects, find.effects if find else ())
+    if shapes := _usual_shapes(common, model, fitted.results):
+        common = common.fix(shapes)
     t0, compared = result.facts["T0"], result.results
     apart = "T0" not in options.reference and t0.dropna().nunique() > 1
     if apart:  # offsets are compared at one temperature
@@ -341,6 +343,16 @@ def _fit(run: _Run, population: AskedPopulation) -> BatchResult:
         missing=fitted.missing,
         effects=effects,
     )
+
+
+def _usual_shapes(
+    common: bc.Model, model: bc.Model, results: Sequence[DeviceResult]
+) -> dict[str, float]:
+    """Return the medians of shapes over the devices that have them: of the others these would be the priors'."""
+    added = (e for e in common.effects if e.name not in model.names)
+    names = [e.shape_name(s) for e in added for s in e.shapes]
+    told = {n: [one[n][0] for one in results if one.ok and n in one.names] for n in names}
+    return {name: float(np.median(values)) for name, values in told.items() if values}
 
 
 def _paths(readings: Any) -> list[Path]:
