@@ -30,6 +30,7 @@ from bayescal._model.composition import Linearised
 NEWTON_STEPS = 50  # to the mode of x at most
 NEWTON_NATS = 1e-6  # that the last of them gains: one more would gain the square of that
 NUMBERS = 4_000_000  # in linearisations that are kept, and in what is computed at once
+WIDEST = 128  # columns that a filter passes over together
 
 
 @dataclass(eq=False)
@@ -150,7 +151,7 @@ class Density(ByValues):
         noise, alike = np.array([kind == "noise" for kind in self.problem.kinds]), {}
         for i, v in enumerate(vs):
             alike.setdefault(i if self.problem.noisy else tuple(v[noise]), []).append(i)
-        most, groups = self._together, list[list[int]]()
+        most, groups = max(1, WIDEST // (self.problem.size + 1)), list[list[int]]()
         for own in sorted(alike.values(), key=len):
             groups += [own[k : k + most] for k in range(0, len(own), most)]
         places = list[list[list[int]]]()

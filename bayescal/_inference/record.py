@@ -133,6 +133,12 @@ class Record:
         """Columns of an affine output that structures share, and their products at nodes of noise laws."""
         return ColumnTable(self.y - self.affine[0])  # pyright: ignore[reportOptionalSubscript]
 
+    def forget(self) -> None:
+        """Forget columns at shapes and the table that structures share; where they are asked for they are made anew."""
+        self._shaped, self._bytes, self._expansions = OrderedDict(), 0, {}
+        if self.affine is not None:
+            self.table.forget()
+
     def expansions(self, effect: ColumnsOf, held: tuple[float | None, ...]) -> Expansions:
         """Return an effect's columns as functions of the coordinates of its free shapes; the others are `held`."""
         key = effect.key, held

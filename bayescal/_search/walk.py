@@ -70,8 +70,7 @@ def explore(
         if end.interrupted:
             tell("interrupted: fitting the best so far; Ctrl-C again ends without a result")
     follow()
-    if structures.record.affine is not None:
-        structures.record.table.forget()
+    structures.record.forget()
     memory.trim()
     return ended
 

@@ -37,7 +37,8 @@ def test_the_loop_by_hand(session: Session) -> None:
         state = session.add(name)
         assert state.step.rmse_fitted == pytest.approx(promised.rms, rel=1e-6)
         left = session.states[state.parent or 0].step.check.residuals - promised.curve
-        np.testing.assert_allclose(state.step.check.residuals, left, atol=1e-6)
+        # Modes of a search are found to 0.03 standard deviations: to 1e-4 °/s beside a noise of 0.05.
+        np.testing.assert_allclose(state.step.check.residuals, left, atol=1e-4)
     last = session.current.step
     assert last.holdout_rmse is not None and before.holdout_rmse is not None
     assert last.holdout_rmse < 1.15 * last.noise_floor < before.holdout_rmse
