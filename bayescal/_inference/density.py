@@ -88,17 +88,17 @@ class Density(ByValues):
     def _linearised(self, vs: Float[np.ndarray, "b d"]) -> Iterator[Linearised]:
         """Yield the structure linearised at each of several φ; of an affine output as many at once as are kept."""
         problem = self.problem
-        together = problem.affine and not problem.noisy
         for some in np.array_split(vs, -(-len(vs) // self._together)):
             keys = [self._key(v) for v in some]
             self._lines = {key: self._lines[key] for key in keys if key in self._lines}
             new = {k: v for k, v in zip(keys, some, strict=True) if k not in self._lines}
-            if together and len(new) > 1:
+            if problem.affine and not problem.noisy and len(new) > 1:
                 at = np.tile(self.x, (len(new), 1))
                 made = problem.linearise(at, problem.hyper(np.array([*new.values()]).T))
                 for i, key in enumerate(new):
                     self._lines[key] = Linearised(made.mean[i], made.jacobian[i], made.inputs)
-            yield from [self._line(v, problem.hyper(v)) for v in some]
+            for key, v in zip(keys, some, strict=True):
+                yield self._lines.get(key) or self._line(v, problem.hyper(v))
 
     @property
     def _together(self) -> int:
