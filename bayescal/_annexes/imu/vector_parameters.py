@@ -151,7 +151,7 @@ def _intrinsics(correction: VectorCorrection, frame: np.ndarray) -> dict[str, An
     factor, unit = si_of(correction.unit)
     plain, kind = _in_kalibr(correction), KINDS.get(unit)
     lower, turn = _split(plain.matrix)
-    held = _openvins(correction)
+    held = _openvins(correction) if kind else {}
     by_force = held["Tg"] @ turn.T if kind == "gyroscope" and correction.beside else None
     return {
         "name": f"{kind}s" if kind else ws.identifier(correction.instrument),
