@@ -42,3 +42,14 @@ def test_measurements_that_differ_do_not_stop_each_other(readings, result) -> No
     np.testing.assert_allclose(found["whole"].mean, result["D00"].mean, rtol=1e-12)
     np.testing.assert_allclose(found["last"].mean, result["D03"].mean, rtol=1e-12)
     assert "Empty" not in str(bc.fit_batch(MODEL, [whole.select(np.arange(2))]))
+
+
+def test_a_file_that_cannot_be_read_stops_none_of_its_name(tmp_path, result) -> None:
+    own = table(count=1).drop(columns="device")
+    for folder in ("good", "broken"):
+        (tmp_path / folder).mkdir()
+    own.to_csv(tmp_path / "good" / "log.csv", index=False)
+    (tmp_path / "broken" / "log.csv").write_text("no readings\n", "utf-8")
+    found = bc.fit_batch(MODEL, tmp_path)
+    assert found.devices == ("log",) and "log.csv" in found.missing
+    np.testing.assert_allclose(found["log"].mean, result["D00"].mean, rtol=1e-10)

@@ -69,13 +69,12 @@ class DeviceStructure:
     families: frozenset[str]
     possible: frozenset[str]  # effects of which one is missing, with probability 0.95
     evidence: Evidence  # of its structures
-    start: Mapping[str, float]  # shapes, noise and spreads at its mode, where a fit may begin
 
 
 def search_device(
     model: bc.Model, readings: bc.Measurements, find: Find, reference: Reference
-) -> tuple[DeviceStructure, bc.Model]:
-    """The posterior over structures of one device, and the model of the one to use.
+) -> tuple[DeviceStructure, bc.Model, Mapping[str, float]]:
+    """The posterior over structures of one device, the model of the one to use, and its φ by name at the mode.
 
     Raises:
         BayescalError: the readings lack what the model needs.
@@ -102,9 +101,8 @@ def search_device(
         frozenset(posterior.space.families(chosen.effects)),
         frozenset(name for finding in posterior.findings for name in finding.effects),
         Evidence(prior, _weighed(posterior, odds)),
-        weighed.phi,
     )
-    return structure, weighed.model
+    return structure, weighed.model, weighed.phi
 
 
 def _weighed(

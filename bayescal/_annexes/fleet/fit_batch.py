@@ -102,21 +102,32 @@ def fit_part(request: Request, part: Part) -> Fits:
         fitted = {i: DeviceResult(reason=why) for i, why in enumerate(refused) if why}
         good = {i: p.devices[name] for i, (p, name) in enumerate(every) if i not in fitted}
         structures, models = dict[str, DeviceStructure](), dict.fromkeys(good, request.model)
-        for i in [*good] if request.find else ():
-            how = request.find or Find(), options.reference
+        starts = dict[int, Mapping[str, float]]()
+        for i, find in ((i, request.find) for i in [*good] if request.find):
             try:
-                structures[every[i][1]], models[i] = search_device(request.model, good[i], *how)
+                made = search_device(request.model, good[i], find, options.reference)
+                structures[every[i][1]], models[i], starts[i] = made
             except (bc.BayescalError, ws.deadline.TimeIsUp) as error:
                 fitted[i] = DeviceResult(reason=str(error))
                 del good[i]
         with ws.deadline.finishing() if request.find else nullcontext():
-            known = {i: one.start for i in good if (one := structures.get(every[i][1]))}
-            fitted |= fit_devices(models, good, options, known)
+            fitted |= fit_devices(models, good, options, starts)
         results = [
             replace(fitted[i], device=name, file=piece.name)
             for i, (piece, name) in enumerate(every)
         ]
         return Fits(tuple(results), structures, unreadable)
+
+
+def _refused(part: Part, why: str) -> Fits:
+    """Return a part that nothing came of: devices of what was read have that reason, of files nothing is known."""
+    read = [piece for piece in part if isinstance(piece, ReadFile)]
+    results = tuple(
+        DeviceResult(name, piece.devices.refused.get(name, why), file=piece.name)
+        for piece in read
+        for name in piece.devices.names
+    )
+    return Fits(results, {}, {piece.name: why for piece in part if isinstance(piece, Path)})
 
 
 def sum_temperatures(request: Request, part: Part) -> dict[str, np.ndarray]:
@@ -196,8 +207,8 @@ class _Run:
     def fitted(self) -> Fits:
         """Fit all parts, and put them together."""
         found, errors = self.each(fit_part)
-        missing = {piece.name: why for i, why in errors.items() for piece in self.parts[i]}
-        structures = dict[str, DeviceStructure]()
+        found += [_refused(self.parts[i], why) for i, why in errors.items()]
+        structures, missing = dict[str, DeviceStructure](), dict[str, str]()
         for own in found:
             structures |= own.structures
             missing |= own.missing
@@ -277,9 +288,10 @@ def fit_batch(
         ws.print_notes(line.strip() for line in first_few(unread, len(unread), "not read: "))
         parts += parts_of(files, rows)
         if len(parts) == 1:  # several of the steps below see its readings
-            read, unreadable = request.read(parts[0])
-            lost = [path for path in files if path.name in unreadable]
-            parts = [part for part in (lost, *cut(read, rows)) if part]
+            each = {path: request.read([path])[0] for path in files}
+            lost = [path for path, own in each.items() if not own]
+            pieces = cut((one for own in each.values() for one in own), rows)
+            parts = [part for part in (lost, *pieces) if part]
     else:
         parts += cut([ReadFile("", _given(readings))], rows)
     if client is not None and client.cluster is None and client.dashboard_link:

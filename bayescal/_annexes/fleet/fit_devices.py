@@ -21,7 +21,6 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, fields, replace
-from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -91,7 +90,7 @@ def fit_devices(
     models: Mapping[int, bc.Model],
     devices: Mapping[int, bc.Measurements],
     options: FitOptions,
-    starts: Mapping[int, Mapping[str, float]] = MappingProxyType({}),
+    starts: Mapping[int, Mapping[str, float]],
 ) -> dict[int, DeviceResult]:
     """Fit each device by its model, plain ones of a model together; refuse those that the deadline leaves out.
 
@@ -167,11 +166,12 @@ def _fit_plain(
         most = min(options.chunk, max(1, NUMBERS // count))
         for begin in range(0, len(every), most):
             some = every[begin : begin + most]
+            first = devices[some[0]]
+            if model.with_nuisances(first) is not model:
+                continue
             references = [options.reference_for(devices[i]) for i in some]
             frames = [ws.build_frame(devices[i], r) for i, r in zip(some, references, strict=True)]
-            first = devices[some[0]]
-            problem = _together(model, first, frames)
-            if problem is None or model.with_nuisances(first) is not model:
+            if (problem := _together(model, first, frames)) is None:
                 continue
             with np.errstate(all="ignore"):  # of devices that are no plain ones
                 plain, x, covariance, sd = _solve(problem, *_linearised(problem))

@@ -58,7 +58,7 @@ def odd_devices(
         said = f"measured about {ws.number(at)} °C, the others about {ws.number(middle)} °C"
         odd[str(device)] = [f"{said}: its values are not compared"]
     compared = [one for device, one in good.items() if device not in odd]
-    freedom = np.array([max(one.readings - len(names) + 1, 1.0) for one in compared])
+    freedom = np.array([max(1.0, one.readings - len(names) + 1) for one in compared])
     for name in names:
         own = np.array([one[name] for one in compared]).reshape(-1, 2)
         mean, variance, known_by, power = own[:, 0], np.nan_to_num(own[:, 1]) ** 2, freedom, 1.0
