@@ -65,7 +65,7 @@ from ._core.atomic_file import result_folder as result_folder
 from ._core.atomic_file import write_text as write_text
 
 # text for people and for programs: numbers, names, tables
-from ._core.formatting import WIDTH as WIDTH  # columns of a page
+from ._core.formatting import folded as folded
 from ._core.formatting import number as number
 from ._core.formatting import probability as probability
 from ._core.formatting import with_error as with_error
@@ -203,7 +203,6 @@ from ._use.compensation_program import NOT_RELIABLE as NOT_RELIABLE
 from ._use.compensation_program import PAST as PAST
 from ._use.compensation_program import CorrectionInUse as CorrectionInUse
 from ._use.compensation_program import averaged_over as averaged_over
-from ._use.compensation_program import inputs_at_fit as inputs_at_fit
 from ._use.compensation_program import limits as limits
 from ._use.correction_files import CorrectionKind as CorrectionKind
 from ._use.correction_files import as_data as as_data

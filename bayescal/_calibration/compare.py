@@ -198,7 +198,7 @@ def _warnings(rows: list[ComparisonRow], by: str, fold: LeaveOneGroupOut | None)
     """Whether what ranks the models tells the first two apart, and where another measure is not reliable or differs."""
     best, second = rows[:2]
     if fold and fold.count < FEWEST_GROUPS:
-        yield Claim("compare.few_groups", fold.group, count=fold.count, group=fold.group)
+        yield Claim("compare.few_groups", fold.group, count=fold.count)
     undecided = partial(Claim, "compare.undecided", best.name, second.name)
     if by == BY_EVIDENCE:
         gap = (best.log_evidence or 0.0) - (second.log_evidence or 0.0)
@@ -209,7 +209,7 @@ def _warnings(rows: list[ComparisonRow], by: str, fold: LeaveOneGroupOut | None)
             yield Claim("compare.other_first", other.name)
     elif by == BY_GROUPS and second.group_error:
         gap, error = -(second.group_difference or 0.0), second.group_error
-        if gap < 2 * error:
+        if gap < limit("compare.undecided", "errors") * error:
             yield undecided(gap=f"{gap:.1f} ± {error:.1f}", measure=f"{by} score")
     for row in (r for r in rows if r.pareto_k > K_HAT):
         yield Claim("compare.pointwise_unreliable", row.name, pareto_k=row.pareto_k)

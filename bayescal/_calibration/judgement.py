@@ -1,14 +1,13 @@
 """Acceptance checks of a fit: what it may not be, and what its own readings say against it.
 
-Each is a function of a fit and what was computed to judge it; which are asked stands in the lists at the end, their
-thresholds and words in `claims.toml`. What is missing from a model only a search tells; what it gets wrong shows in its
-residuals.
+Each is a function of a fit and what was computed to judge it, its thresholds and words in `claims.toml`. What is
+missing from a model only a search tells; what it gets wrong shows in its residuals.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -23,7 +22,7 @@ from bayescal._core.formatting import number
 from bayescal._core.parallel import on_one_thread
 from bayescal._core.settings import settings
 from bayescal._data.dataset_checks import rounding_step
-from bayescal._data.unit_conversion import same_dimension, unit_label
+from bayescal._data.unit_conversion import unit_label
 from bayescal._inference.density import Density
 from bayescal._inference.laplace import across, find_mode, prior_draws
 from bayescal._inference.newton import Nearby
@@ -59,12 +58,13 @@ class Subject:
 
 def conflicts(subject: Subject) -> list[Claim]:
     """Return what may not be, whatever the residuals: readings that contradict the model."""
-    return _asked(CONFLICTS, subject)
+    found = [*contradicted(subject), *widened(subject)]
+    return [*found, *too_large(subject), *beyond_the_known(subject)]
 
 
 def group_conflicts(subject: Subject) -> list[Claim]:
     """Return what members of groups may not be."""
-    return _asked(GROUP_CONFLICTS, subject)
+    return [*too_different(subject), *following_members(subject)]
 
 
 def wrong_question(
@@ -79,7 +79,10 @@ def wrong_question(
 
 def residual_claims(subject: Subject) -> list[Claim]:
     """Return what a fit's own residuals say against it; of one that did not converge, or is fixed to it, that alone."""
-    return [*not_converged(subject)] or _asked(RESIDUAL_CHECKS, subject)
+    if found := [*not_converged(subject)]:
+        return found
+    found += [*not_finite(subject), *subject.doubts, *describing(subject), *scattered(subject)]
+    return [*found, *depending(subject), *steps_between_runs(subject), *correlated(subject)]
 
 
 def against(subject: Subject) -> list[Claim]:
@@ -141,7 +144,7 @@ def _against_priors(subject: Subject, stands: Mapping[str, tuple[float, float]])
         away = abs(where - c.mean) / c.size
         sizes = 1 if effect.name in baseline else limit(PRIOR, "candidate_sizes")
         if away - give / c.size > far * sizes:
-            cure = "zero and scale" if same_dimension(c.unit, subject.fit.unit) else "scale"
+            cure = "scale" if effect.slot.partition("_")[0] == "scale" else "zero and scale"
             told = {"where": where, "mean": c.mean, "size": c.size, "unit": c.unit, "away": away}
             told |= {"fall": 0.5 * away**2, "cure": cure if effect.kind == "constant" else "units"}
             yield Claim(PRIOR, u.name, effect.name, **told)
@@ -279,9 +282,8 @@ def too_few(subject: Subject) -> Iterator[Claim]:
     nuisances = {e.name for e in fit.model.instrument.nuisances}
     names = [b.effect.name for b in fit.layout.blocks if b.place in ("x", "phi")]
     free = round(sum(there[name] for name in names if name not in nuisances))
-    if len(fit.readings) < free + limit("readings.too_few", "freedom") and fit.layout.positions(
-        "noise"
-    ):
+    enough = free + limit("readings.too_few", "freedom")
+    if len(fit.readings) < enough and fit.layout.positions("noise"):
         yield Claim("readings.too_few", count=len(fit.readings), free=free)
 
 
@@ -402,12 +404,12 @@ def describing(subject: Subject) -> Iterator[Claim]:
 
 def scattered(subject: Subject) -> Iterator[Claim]:
     """What the leave-one-out tests say against the noise law."""
-    check, rare = subject.check, limit("noise.scatter", "p")
+    check, rare = subject.check, limit("group.follows_column", "p")
     if along := [name for name, chance in check.scatter_with.items() if chance < rare]:
         yield Claim("noise.scatter", *along)
-    elif check.one_sided < limit("noise.one_sided", "p"):
+    elif check.one_sided < rare:
         yield Claim("noise.one_sided", p=check.one_sided)
-    elif check.pit_p < limit("noise.tails", "p"):
+    elif check.pit_p < rare:
         outside = f", {len(check.outliers)} of them outliers" if check.outliers else ""
         yield Claim("noise.tails", p=check.pit_p, outside=outside)
 
@@ -462,18 +464,3 @@ def correlated(subject: Subject) -> Iterator[Claim]:
     code = "noise.correlated"
     if abs(z) > limit(code, "z") and abs(coefficient) > limit(code, "coefficient"):
         yield Claim(code, coefficient=coefficient, z=z)
-
-
-# The checks, in the order in which they are asked -------------------------------------------------------------------
-
-AcceptanceCheck = Callable[[Subject], Iterable[Claim]]
-CONFLICTS: tuple[AcceptanceCheck, ...] = (contradicted, widened, too_large, beyond_the_known)
-GROUP_CONFLICTS: tuple[AcceptanceCheck, ...] = (too_different, following_members)
-RESIDUAL_CHECKS: tuple[AcceptanceCheck, ...] = (
-    *(not_finite, lambda subject: subject.doubts, describing, scattered),
-    *(depending, steps_between_runs, correlated),
-)
-
-
-def _asked(checks: Iterable[AcceptanceCheck], subject: Subject) -> list[Claim]:
-    return [claim for check in checks for claim in check(subject)]

@@ -49,8 +49,8 @@ def as_type(value: Any, kind: Any, where: str = "") -> Any:
         for one in args:
             with suppress(ValueError):
                 return as_type(value, one, where)
-        *_, last = (one for one in args if one is not NoneType)
-        return as_type(value, last, where)  # which refuses it
+        meant = [one for one in args if get_origin(one) is type(value)]
+        return as_type(value, (*meant, *args)[0], where)  # which refuses it
     if origin in (list, tuple):
         each = args if origin is tuple and args[-1] is not ... else None
         if not isinstance(value, list) or (each and len(value) != len(each)):

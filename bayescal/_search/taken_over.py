@@ -135,15 +135,13 @@ def repeated(readings: Measurements, column: str) -> bool:
         return False
     clock, values_of = readings["time"], readings[column]
     each = ((clock[rows] - clock[rows[0]], values_of[rows]) for rows in readings.records.in_time)
-    (first, known), *others = each
+    ((first, known), *others), alike = each, limit("profile.one", "correlation")
     for time, values in others:
         inside = time <= first[-1]
         if inside.sum() < 3 or np.ptp(values[inside]) == 0:
             return False
         other = np.interp(time[inside], first, known)
-        if np.ptp(other) == 0 or np.corrcoef(other, values[inside])[0, 1] < limit(
-            "profile.one", "correlation"
-        ):
+        if np.ptp(other) == 0 or np.corrcoef(other, values[inside])[0, 1] < alike:
             return False
     return True
 

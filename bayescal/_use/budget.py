@@ -11,7 +11,6 @@ Two tables split the same variance, correlations included:
 
 from __future__ import annotations
 
-import textwrap
 from collections.abc import Mapping
 from dataclasses import dataclass, fields, replace
 from typing import Any
@@ -23,7 +22,7 @@ from bayescal._calibration.claim import Claim, limit
 from bayescal._calibration.prior_influence import not_measured, variance_by_origin
 from bayescal._core.as_json import as_json
 from bayescal._core.errors import InputError
-from bayescal._core.formatting import WIDTH, number, with_error
+from bayescal._core.formatting import folded, number, with_error
 from bayescal._core.result_table import Printed, ResultTable, TableColumn
 from bayescal._data.unit_conversion import (
     coefficient_factor,
@@ -160,7 +159,7 @@ class Budget(Printed):
             f"Combined standard uncertainty {combined}; with the noise of one reading ({noise}): {both}.",
             f"Expanded uncertainty (k = {shown.k:g}): {number(shown.expanded)} {unit}; with the noise of one reading: "
             f"{number(shown.expanded_reading)} {unit}.",
-            textwrap.fill(" ".join(shown.notes), WIDTH),
+            folded(" ".join(shown.notes), ""),
         ]
         return [line for part in parts for line in (part, "")][:-1]
 
@@ -232,7 +231,7 @@ def budget(
     every = chosen.equation.moments(ALL_DRAWS)
     places = {name: np.array([value]) for name, value in point.items()}
     untold = not_measured(chosen.calibration, (every.draws @ gradient)[:, None])
-    said = [untold and Claim("budget.prior", *untold.names, untold=untold, told=untold.cure)]
+    said = [Claim("budget.prior", *u.names, untold=str(u), told=u.cure) for u in (untold,) if u]
     sd = np.sqrt(np.diag(covariance))
     share = gradient * (covariance @ gradient) / (variance or np.inf)
     numbers = (chosen._moments.mean, sd, gradient, np.abs(gradient) * sd, share)
@@ -253,7 +252,7 @@ def budget(
         ),
         sources=_by_source(chosen, point, gradient, variance),
         covariance=covariance,
-        notes=(*filter(None, said), *_beyond(chosen, point), *notes_on(chosen)),
+        notes=(*said, *_beyond(chosen, point), *notes_on(chosen)),
     )
 
 
@@ -346,7 +345,7 @@ def _beyond(chosen: Compensator, point: Mapping[str, float]) -> list[Claim]:
 
 def notes_on(chosen: Compensator, of_correction: bool = True) -> tuple[Claim, ...]:
     """Which coverage of a budget is short, and what is not counted in it, of a correction or of a slot alone."""
-    notes = [*clock_note(chosen.calibration, chosen.equation.inputs)]
+    notes = clock_note(chosen.equation)
     learned = _learned_group_sds(chosen.equation)
     for block in (b for b in chosen.equation.blocks if b.name in learned):
         per = str(block.coefficient.per)

@@ -12,7 +12,7 @@ The stimulus solves expected(s) = reading: one Newton step from 0 where the equa
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
@@ -138,11 +138,6 @@ def inputs_in_use(equation: OperatingEquation) -> list[Input]:
         )
         add(lag.slope or "", "delta_degC/s", meaning, "lag slope", lag.column, **past)
     return sorted(found, key=lambda i: i.name)
-
-
-def inputs_at_fit(calibration: Calibration, equation: OperatingEquation) -> dict[str, np.ndarray]:
-    """All inputs at the readings of the fit, (n,) each; lags at the mean of their time constants."""
-    return equation.at_fit
 
 
 def gathered(
@@ -274,10 +269,11 @@ def clock_words(calibration: Calibration) -> str:
     return f"from {date_text(since)} UTC, as which dates without a zone count"
 
 
-def clock_note(calibration: Calibration, inputs: Collection[str]) -> list[Claim]:
+def clock_note(equation: OperatingEquation) -> list[Claim]:
     """Say what changes with the date and what time counts from; nothing where no input is the time."""
-    if "time" not in inputs:
+    if "time" not in equation.inputs:
         return []
+    calibration = equation.calibration
     last, since = float(calibration.readings["time"].max()), calibration.readings.since
     end = f"{number(last, 6)} s" if since is None else date_text(since + last)
     changing = calibration.dated or ("the noise",)
@@ -294,7 +290,7 @@ def averaged_over(calibration: Calibration) -> list[Claim]:
 def notes_on_use(equation: OperatingEquation, has_range: bool) -> tuple[Claim, ...]:
     """What to know before a reading is compensated."""
     calibration = equation.calibration
-    notes = [*averaged_over(calibration), *clock_note(calibration, equation.inputs)]
+    notes = [*averaged_over(calibration), *clock_note(equation)]
     if new := [u.name for u in equation.unknowns if u.kind == "new"]:
         notes.append(Claim("use.new_members", *new))
     if held := equation.held_inputs:

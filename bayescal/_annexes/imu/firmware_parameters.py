@@ -262,7 +262,7 @@ def at_rest(
             f"{name}: an export has no readings to project on a polynomial: give the saved calibration (.nc)"
         )
     calibration = chosen.calibration
-    inputs = ws.inputs_at_fit(calibration, chosen.equation)
+    inputs = chosen.equation.at_fit
     if "temperature" not in inputs:
         raise bc.InputError(
             f"{name}: the calibration has no column 'temperature', over which firmware corrects: calibrate "

@@ -20,7 +20,6 @@ Source: ILAC-G24/OIML D 10:2022 leaves the method to the laboratory; this one st
 from __future__ import annotations
 
 import math
-import textwrap
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime, timedelta
@@ -338,7 +337,7 @@ def worst(d: Decision) -> float:
 
 def _fill(text: str) -> str:
     indent = "    " if text.startswith("  ") else "  "
-    return textwrap.fill(text, ws.WIDTH, subsequent_indent=indent)
+    return ws.folded(text, indent)
 
 
 def _accepted(d: Decision) -> str:

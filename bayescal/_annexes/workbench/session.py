@@ -6,7 +6,6 @@ the command line makes them.
 
 from __future__ import annotations
 
-import textwrap
 import threading
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
@@ -458,7 +457,7 @@ class Session:
         trail = self.trail()
         said = "This result may be used." if trail.ok else "Not to be used as it is."
         told = (said, trail.gate.reason, str(trail.final.calibration.verdict))
-        return "\n\n".join([*(textwrap.fill(t, ws.WIDTH) for t in told if t), str(trail)])
+        return "\n\n".join([*(ws.folded(t, "") for t in told if t), str(trail)])
 
     def compare(self, number: int) -> str:
         """The current model beside another step's: `bc.compare`, then coefficients, noise and shapes ± u.
