@@ -14,7 +14,7 @@ from scipy.special import chdtrc
 from bayescal._calibration.confounding import Confounder, confounders, unexplained, widened
 from bayescal._core.errors import InputError
 from bayescal._core.parallel import on_one_thread
-from bayescal._data.dataset_checks import FEW_CHANGES, resolution
+from bayescal._data.dataset_checks import MIN_CHANGES, resolution
 from bayescal._data.measurements import Measurements
 from bayescal._inference.laplace import Mode
 from bayescal._inference.linear_model import LinearModel, linear_model
@@ -117,7 +117,7 @@ class Fitted:
         warm = (n for n in readings.columns if readings.unit(n) == "degC")
         for name in (n for n in warm if n in self.model.columns):
             values = readings[name]
-            if 0 < (step := resolution(values, FEW_CHANGES)) <= COARSEST_DEGREES:
+            if 0 < (step := resolution(values, MIN_CHANGES)) <= COARSEST_DEGREES:
                 frame = self.frame_of(readings.with_column(name, values + step))
                 hyper = self.problem.hyper(self.mode.v)
                 line = self.problem_on(frame).linearise(self.mode.x, hyper)

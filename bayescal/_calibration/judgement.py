@@ -384,7 +384,7 @@ def odd_thermometers(subject: Subject) -> Iterator[Claim]:
     readings, model = subject.fit.readings, subject.first or subject.fit.model
     for one in readings.oddities:
         if one.column in model.columns and readings.unit(one.column) == "degC":
-            yield Claim("column.odd", one.column, one.code, said=one.said)
+            yield Claim("column.odd", one.column, one.code, said=one.description)
 
 
 def describes(noise: Noise, values: Mapping[str, Any]) -> bool:

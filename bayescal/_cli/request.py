@@ -181,7 +181,7 @@ def flags_of(readings: Mapping[str, Measurements]) -> list[str]:
 def each_device(readings: Mapping[str, Measurements]) -> dict[str, Measurements]:
     """Split the readings of channels by device and by axis, where a file holds several."""
     from bayescal._data.header_matching import BEGINNINGS, plain
-    from bayescal._data.unit_conversion import alike
+    from bayescal._data.unit_conversion import is_convertible
 
     found = dict(readings)
     for group in ("device", "axis"):
@@ -195,7 +195,7 @@ def each_device(readings: Mapping[str, Measurements]) -> dict[str, Measurements]
             for code, label in enumerate(levels):
                 found[f"{name}, {group} {label}"] = one.select(codes == code)
                 kinds = (k for k, words in BEGINNINGS.items() if plain(label).startswith(words))
-                if any(not alike(kind, unit) for kind in kinds):
+                if any(not is_convertible(kind, unit) for kind in kinds):
                     raise InputError(
                         f"{one.file}: the column {group!r} names {label!r}, whose output is not in "
                         f"{unit or 'no unit'}: give the readings of each sensor in a file of their own"

@@ -22,16 +22,16 @@ from bayescal._data.measurements import Measurements
 from bayescal._data.records import EVEN_STEPS
 from bayescal._data.unit_conversion import parse, unit_label
 
-# Readings of the longest run, below which no slope of an Allan deviation is told from another.
+# Fewest readings of the longest run: below, no slope of an Allan deviation can be told from another.
 ALLAN_READINGS = 30
-FULL_SHARE = 0.5  # of the readings of an average, that must be there
-CUT_STEPS = 1.5  # of a grid, over which the stamps of readings may lie about it; two readings on one stamp are over 1
-# Of the places of a run's grid, that may have no reading: drivers lose some per cent.
-LOST_SHARE = 0.2
+MIN_PRESENT_SHARE = 0.5  # of the readings of an average, that must be present
+# Largest range of time stamps about a grid, in its steps; two readings on one stamp are over 1.
+MAX_STAMP_RANGE_STEPS = 1.5
+MAX_LOST_SHARE = 0.2  # of the places of a run's grid, without a reading: drivers lose some per cent
 
 
 class Habit(NamedTuple):
-    """How the terms of one kind of output are called and given on data sheets: N, B, K; `rounded` is the unit of Q."""
+    """Names and units on data sheets of the noise terms N, B, K of one kind of output; `rounded` is the unit of Q."""
 
     names: tuple[str, str, str]
     units: tuple[str, str, str]
@@ -47,7 +47,7 @@ def habit(unit: str) -> Habit:
     Noise densities are of the spectrum on both sides of zero frequency, as in IEEE 952, so that N per √Hz is N·√s;
     a data sheet with a one-sided spectrum prints √2 times as much.
     """
-    own, powers = unit or "1", dict(parse(unit or "1").powers)
+    base, powers = unit or "1", dict(parse(unit or "1").powers)
     if powers == {"rad": 1, "s": -1}:
         names = ("angle random walk", "bias instability", "rate random walk")
         return Habit(names, ("deg/h^0.5", "deg/h", "deg/h/h^0.5"), "arcsec")
@@ -56,15 +56,15 @@ def habit(unit: str) -> Habit:
     if powers == {"m": 1, "s": -2}:
         return Habit(WALKS, ("m/s/h^0.5", "m/s^2", "m/s^2/h^0.5"), "m/s")
     names = ("white noise", "bias instability", "random walk")
-    return Habit(names, (f"{own}/Hz^0.5", own, f"{own}/s^0.5"), f"{own}*s")
+    return Habit(names, (f"{base}/Hz^0.5", base, f"{base}/s^0.5"), f"{base}*s")
 
 
-SHARE = 4  # of the longest run that is averaged, at most: Riley's stop ratio of this estimator
+STOP_RATIO = 4  # of the longest run to the longest average: Riley's for this estimator
 CONFIDENCE = 0.95  # of its intervals, as of every interval here
 
 
 class EvenRuns(NamedTuple):
-    """Which reading stands at each place of each run's grid in time, −1 where it was lost; and the grid's step, s."""
+    """Index of the reading at each place of each run's time grid, −1 where it was lost; and the grid's step, s."""
 
     rows: tuple[np.ndarray, ...]
     step: float
@@ -79,13 +79,13 @@ class EvenRuns(NamedTuple):
 
     @property
     def lost(self) -> float:
-        """Share of the places without a reading."""
+        """Return the share of the places without a reading."""
         return sum(int(np.sum(r < 0)) for r in self.rows) / sum(self.lengths)
 
     @property
     def factors(self) -> Float[np.ndarray, "k"]:
-        """How many readings are averaged: octaves up to a quarter of the longest run."""
-        return 2.0 ** np.arange(int(np.log2(max(self.lengths) // SHARE)) + 1)
+        """Return the numbers of readings averaged (k,): octaves up to a quarter of the longest run."""
+        return 2.0 ** np.arange(int(np.log2(max(self.lengths) // STOP_RATIO)) + 1)
 
 
 @dataclass(frozen=True)
@@ -161,7 +161,7 @@ def of_runs(
 
 
 def even_runs(readings: Measurements) -> EvenRuns:
-    """The runs of a record, each in the order of time.
+    """Place the readings of each run of a record on a grid even in time.
 
     Stamps that were cut to whole milliseconds, or are shared by readings that arrived together, are those of an even
     grid, where no reading is a step off it: the grid's step is taken. A step that is several usual ones has lost the
@@ -187,17 +187,17 @@ def even_runs(readings: Measurements) -> EvenRuns:
             "a column that counts"
         )
     placed = list[np.ndarray]()
-    for name, own, r in zip(names, steps, rows, strict=True):
-        taken = np.maximum(np.round(own / usual), 1.0)
-        places = np.concatenate([[0], np.cumsum(taken)]).astype(int)
-        odd = np.flatnonzero(np.abs(own - taken * usual) > EVEN_STEPS * taken * usual)
-        if not len(odd) and len(r) < (1 - LOST_SHARE) * (places[-1] + 1):
-            odd = np.flatnonzero(taken > 1)
+    for name, run_steps, r in zip(names, steps, rows, strict=True):
+        multiples = np.maximum(np.round(run_steps / usual), 1.0)
+        places = np.concatenate([[0], np.cumsum(multiples)]).astype(int)
+        odd = np.flatnonzero(np.abs(run_steps - multiples * usual) > EVEN_STEPS * multiples * usual)
+        if not len(odd) and len(r) < (1 - MAX_LOST_SHARE) * (places[-1] + 1):
+            odd = np.flatnonzero(multiples > 1)
         if len(odd):
             run = f" in run {name}" if len(rows) > 1 else ""
             raise InputError(
-                f"{need} readings evenly spaced in time: {len(odd)} of {len(own)} steps{run}, such as "
-                f"{number(float(own[odd[0]]))} s, differ from the usual {number(usual)} s. Give runs without gaps"
+                f"{need} readings evenly spaced in time: {len(odd)} of {len(run_steps)} steps{run}, such as "
+                f"{number(float(run_steps[odd[0]]))} s, differ from the usual {number(usual)} s. Give runs without gaps"
             )
         placed.append(np.full(places[-1] + 1, -1))
         placed[-1][places] = r
@@ -205,27 +205,27 @@ def even_runs(readings: Measurements) -> EvenRuns:
 
 
 def _grid(time: np.ndarray, rows: Sequence[np.ndarray], usual: float) -> float | None:
-    """The step, s, of the grid that the stamps of all runs are cut from; None where readings may have been lost.
+    """Return the step, s, of the grid that the stamps of all runs are cut from; None where readings may have been lost.
 
     A lost reading leaves a multiple of the usual step; stamps that were cut stay near the line through all.
     """
-    found = list[float]()
+    grid_steps = list[float]()
     for r in rows:
-        own = time[r]
+        stamps = time[r]
         if len(r) < ALLAN_READINGS:
             return None
-        steps = np.diff(own) / usual if usual else np.array([0.5])
+        steps = np.diff(stamps) / usual if usual else np.array([0.5])
         whole = np.maximum(np.round(steps), 1.0)
         places = np.arange(len(r))
-        grid = float(np.polyfit(places, own - own[0], 1)[0])
+        grid = float(np.polyfit(places, stamps - stamps[0], 1)[0])
         if (
             np.all(abs(steps - whole) <= EVEN_STEPS)
-            or np.ptp(own - grid * places) > CUT_STEPS * grid
+            or np.ptp(stamps - grid * places) > MAX_STAMP_RANGE_STEPS * grid
         ):
             return None
-        found.append(grid)
-    grid = float(np.median(found))
-    return grid if all(abs(own - grid) < EVEN_STEPS * grid for own in found) else None
+        grid_steps.append(grid)
+    grid = float(np.median(grid_steps))
+    return grid if all(abs(step - grid) < EVEN_STEPS * grid for step in grid_steps) else None
 
 
 def overlapping(
@@ -238,18 +238,18 @@ def overlapping(
     """
     squares, count = np.zeros(len(runs.factors)), np.zeros(len(runs.factors))
     for rows in runs.rows:
-        own = values[rows].reshape(len(rows), -1)
-        there = rows >= 0
-        own = np.where(there[:, None], own - own[there].mean(axis=0), 0.0)
-        sums = np.zeros((len(rows) + 1, own.shape[1] + 1))
-        np.cumsum(np.column_stack([own, there]), axis=0, out=sums[1:])
+        columns = values[rows].reshape(len(rows), -1)
+        present = rows >= 0
+        columns = np.where(present[:, None], columns - columns[present].mean(axis=0), 0.0)
+        sums = np.zeros((len(rows) + 1, columns.shape[1] + 1))
+        np.cumsum(np.column_stack([columns, present]), axis=0, out=sums[1:])
         for k, m in enumerate(runs.factors.astype(int)):
             if len(rows) + 1 - 2 * m > 1:
                 parts = sums[m:] - sums[:-m]
-                taken = parts[:, -1:]
-                later, sooner = taken[m:], taken[:-m]
-                full = (np.minimum(later, sooner) >= FULL_SHARE * m)[:, 0]
-                means = parts[:, :-1] / np.maximum(taken, 1)
+                present_counts = parts[:, -1:]
+                later, sooner = present_counts[m:], present_counts[:-m]
+                full = (np.minimum(later, sooner) >= MIN_PRESENT_SHARE * m)[:, 0]
+                means = parts[:, :-1] / np.maximum(present_counts, 1)
                 second = (means[m:] - means[:-m])[full]
                 # Of white noise, means of fewer readings scatter by as much more.
                 second *= np.sqrt(2 / m / (1 / later[full] + 1 / sooner[full]))
@@ -259,7 +259,7 @@ def overlapping(
 
 
 def noise_types(variance: Float[np.ndarray, "k"]) -> Float[np.ndarray, "k"]:
-    """The power-law noise nearest to the slope of a curve in octaves: 0 white, −1 flicker, −2 random walk.
+    """Return the power-law noise nearest to the slope of a curve in octaves (k,): 0 white, −1 flicker, −2 random walk.
 
     An Allan variance that goes with τ to the power μ is of a spectrum that goes with the frequency to −1 − μ.
     """
@@ -272,35 +272,35 @@ def degrees_of_freedom(runs: EvenRuns, types: Float[np.ndarray, "k"]) -> Float[n
     A mean of estimates of the variance 2·v²/eᵢ with weights wᵢ has the variance 2·v²·Σ wᵢ²/eᵢ.
     """
     lengths, counts = np.unique(runs.lengths, return_counts=True)
-    found = []
+    edfs = []
     for m, kind in zip(runs.factors.astype(int), types.astype(int), strict=True):
         differences = lengths + 1 - 2 * m
-        there = differences > 1
-        weight = differences[there] / (differences[there] @ counts[there])
-        edf = np.array([_edf(int(kind), int(m), int(n)) for n in lengths[there]])
-        found.append(1 / (counts[there] @ (weight**2 / edf)))
-    return (1 - runs.lost) * np.array(found)
+        usable = differences > 1
+        weight = differences[usable] / (differences[usable] @ counts[usable])
+        edf = np.array([_edf(int(kind), int(m), int(n)) for n in lengths[usable]])
+        edfs.append(1 / (counts[usable] @ (weight**2 / edf)))
+    return (1 - runs.lost) * np.array(edfs)
 
 
-# a₀ and a₁ of `_edf` where averages overlap in more than `TERMS` terms: white, flicker and random-walk noise.
-MANY = {0: (2 / 3, 1 / 3), -1: (0.852, 0.375), -2: (1.079, 0.368)}
-TERMS = 100  # of a sum over the overlaps, above which it is approximated
+# a₀ and a₁ of `_edf` where averages overlap in more than 100 terms: white, flicker and random-walk noise.
+ASYMPTOTIC_EDF = {0: (2 / 3, 1 / 3), -1: (0.852, 0.375), -2: (1.079, 0.368)}
+MAX_OVERLAP_TERMS = 100  # of a sum over the overlaps, above which it is approximated
 
 
 def _edf(kind: int, m: int, readings: int) -> float:
-    """Equivalent degrees of freedom of the overlapping Allan variance of a run, averages of m readings each.
+    """Return equivalent degrees of freedom of the overlapping Allan variance of a run, averages of m readings each.
 
     C. Greenhall & W. Riley, "Uncertainty of stability variances based on finite differences", 35th PTTI meeting
     (2003), equations 7 to 10 and table 2, for second differences of a filter as wide as their stride.
     """
     differences = readings + 1 - 2 * m
     terms, ratio = min(differences, 3 * m), differences / m
-    if terms > TERMS and ratio > 3:
-        a0, a1 = MANY[kind]
+    if terms > MAX_OVERLAP_TERMS and ratio > 3:
+        a0, a1 = ASYMPTOTIC_EDF[kind]
         return ratio / (a0 - a1 / ratio)
-    stride, width = float(m), m if 3 * m <= TERMS else math.inf
-    if terms > TERMS:
-        terms, differences, stride = TERMS, TERMS, TERMS / ratio
+    stride, width = float(m), m if 3 * m <= MAX_OVERLAP_TERMS else math.inf
+    if terms > MAX_OVERLAP_TERMS:
+        terms, differences, stride = MAX_OVERLAP_TERMS, MAX_OVERLAP_TERMS, MAX_OVERLAP_TERMS / ratio
     j = np.arange(terms + 1)
     squares = _covariance(j / stride, width, kind) ** 2
     weights = np.where(j > 0, 2.0, 1.0) * (1 - j / differences)
@@ -309,7 +309,7 @@ def _edf(kind: int, m: int, readings: int) -> float:
 
 
 def _covariance(t: Float[np.ndarray, "j"], width: float, kind: int) -> Float[np.ndarray, "j"]:
-    """Of second differences so many averaging times apart, each of averages of `width` readings; but for a factor."""
+    """Return the autocovariance, up to a factor, of second differences at lags `t` (averaging times of `width`)."""
 
     def generalised(t: np.ndarray) -> np.ndarray:
         power = 3 - kind if math.isfinite(width) else 1 - kind

@@ -1,4 +1,4 @@
-"""Means of readings over short times: a long log made short, with the noise that each mean has."""
+"""Averages of readings over short times: a long log made short, with the noise of each mean."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from bayescal._data.column import MAY_BE_EMPTY, UNCERTAINTY
 from bayescal._data.records import Records, label_codes
 from bayescal._data.unit_conversion import convert, quantity, unit_label
 
-# Usual changes of a column, beyond which a change is a step between two settings, over which no mean is taken.
+# In usual changes of a column: a larger change is a step between two settings, over which no mean is taken.
 SET_JUMP_CHANGES = 10.0
 # Share of the readings that may be such steps, which leave ten to a mean at the least.
 SET_JUMPS_SHARE = 0.1
@@ -38,7 +38,7 @@ def average(
     step: str | float,
     names: str,
 ) -> tuple[dict[str, np.ndarray], dict[str, str | None], str]:
-    """Average readings whose labels all agree over times that follow each other, `step` (such as "1 s", or s) long.
+    """Average readings whose labels all agree over consecutive times, `step` (such as "1 s", or s) long.
 
     Returns:
         Means of numbers and labels as they were, in the order of time within runs; their units; and a flag.
@@ -53,9 +53,9 @@ def average(
             f"{', '.join(columns)}). Name the column that holds the time, or do not average"
         )
     time = columns["time"]
-    alike = label_codes(columns, [n for n in columns if units[n] is None or n == MAY_BE_EMPTY])
-    order = np.lexsort((time, alike))
-    same = np.diff(alike[order], prepend=-1) == 0  # as the reading before, in this order
+    label_sets = label_codes(columns, [n for n in columns if units[n] is None or n == MAY_BE_EMPTY])
+    order = np.lexsort((time, label_sets))
+    same = np.diff(label_sets[order], prepend=-1) == 0  # as the reading before, in this order
     bins = _bins(time[order], same, seconds)
     starts = ~same | (np.diff(bins, prepend=bins[:1]) != 0)
     for name, unit in units.items():
@@ -71,39 +71,39 @@ def average(
     noise = 0.0
     if output in columns:
         noise = _noise(columns, output, order, ~starts)
-        known = _uncertainty(columns, order, begins, noise)
-        means |= {UNCERTAINTY: known} if known is not None else {}
+        uncertainties = _uncertainty(columns, order, begins, noise)
+        means |= {UNCERTAINTY: uncertainties} if uncertainties is not None else {}
     runs = Records.of(columns).codes[order][begins]
     row = np.lexsort((means["time"], runs))
-    found = {name: values[row] for name, values in means.items()}
-    own = units.get(output)
+    averaged = {name: values[row] for name, values in means.items()}
+    output_unit = units.get(output)
     low, high = int(counts.min()), int(counts.max())
-    each = str(high) if low == high else f"{low} to {high}"
-    flag = f"{names}: {time.size} readings averaged over {seconds:g} s, to {counts.size} means of {each}"
+    sizes = str(high) if low == high else f"{low} to {high}"
+    flag = f"{names}: {time.size} readings averaged over {seconds:g} s, to {counts.size} means of {sizes}"
     if noise:
-        alone = f"{noise:.3g} {unit_label(own or '')}".rstrip()
+        alone = f"{noise:.3g} {unit_label(output_unit or '')}".rstrip()
         flag += f"; noise.white is that of a mean of {high}, {alone} that of one"
-    return found, {UNCERTAINTY: own, **units}, flag
+    return averaged, {UNCERTAINTY: output_unit, **units}, flag
 
 
 def _refuse_useless(
     time: np.ndarray, same: np.ndarray, counts: np.ndarray, seconds: float, names: str
 ) -> None:
-    """Refuse a time that averages nothing, or everything."""
+    """Raise InputError for a time that averages no two readings, or all of them."""
     if counts.size == 1:
-        said = f"a mean over {seconds:g} s is one of all {time.size} readings: give a shorter time"
-        raise InputError(f"{names}: {said}")
+        one_mean = f"a mean over {seconds:g} s is one of all {time.size} readings"
+        raise InputError(f"{names}: {one_mean}: give a shorter time")
     if counts.max() == 1:
         usual = float(np.median(np.diff(time)[same[1:]])) if same.any() else np.inf
-        apart = f" (they are {usual:.3g} s apart)" * bool(np.isfinite(usual))
+        spacing = f" (they are {usual:.3g} s apart)" * bool(np.isfinite(usual))
         raise InputError(
             f"{names}: nothing to average, as no two readings with the same labels and settings lie within "
-            f"{seconds:g} s{apart}: give a longer time, or do not average"
+            f"{seconds:g} s{spacing}: give a longer time, or do not average"
         )
 
 
 def _bins(time: np.ndarray, same: np.ndarray, seconds: float) -> np.ndarray:
-    """Which of the times that follow each other a reading falls into, counted from its record's first reading.
+    """Return the index of the averaging time that each reading falls into, counted from its record's first reading.
 
     They begin half a step before a reading, so that uneven clocks do not move readings across.
     """
@@ -115,7 +115,7 @@ def _bins(time: np.ndarray, same: np.ndarray, seconds: float) -> np.ndarray:
 
 
 def _steps(values: np.ndarray, same: np.ndarray) -> np.ndarray:
-    """Where a column of settings, an angle or a rate that is held for many readings, goes to its next value.
+    """Return where (n,) a column of settings, such as an angle held for many readings, goes to its next value.
 
     A step is a change of more than ten times the usual one (the median: zero where a value is held exactly). A column
     with many of them holds no settings, but toggles in its last digit: its means are as good as any.
@@ -135,23 +135,23 @@ def mean_rows(rows: np.ndarray, begins: np.ndarray) -> np.ndarray:
 def _noise(
     columns: Mapping[str, np.ndarray], output: str, order: np.ndarray, inside: np.ndarray
 ) -> float:
-    """White noise of a single reading beyond its known uncertainty: half the mean square of its changes."""
-    known = columns[UNCERTAINTY] if UNCERTAINTY in columns else np.zeros(order.size)
+    """Return the white noise of a reading beyond its known uncertainty: half the mean square of its changes, rooted."""
+    uncertainties = columns[UNCERTAINTY] if UNCERTAINTY in columns else np.zeros(order.size)
     change = np.diff(columns[output][order], prepend=0.0)[inside]
-    square = 0.5 * float(np.mean(change**2)) - float(np.mean(known[order][inside] ** 2))
+    square = 0.5 * float(np.mean(change**2)) - float(np.mean(uncertainties[order][inside] ** 2))
     return float(np.sqrt(max(square, 0.0)))
 
 
 def _uncertainty(
     columns: Mapping[str, np.ndarray], order: np.ndarray, begins: np.ndarray, noise: float
 ) -> np.ndarray | None:
-    """Standard uncertainty of each mean beside the noise of the fullest, which a fit finds; None where there is none.
+    """Return the standard uncertainty of each mean beyond the noise of the fullest, which a fit finds; None if zero.
 
     A mean of n readings has the noise σ²/n; the fullest has σ²/N, hence σ²·(1/n − 1/N) beside it.
     """
     counts = np.diff(begins, append=order.size)
     square = noise**2 * (1 / counts - 1 / counts.max())
     if UNCERTAINTY in columns:
-        own = columns[UNCERTAINTY][order] ** 2
-        square = square + np.add.reduceat(own, begins) / counts**2
+        variances = columns[UNCERTAINTY][order] ** 2
+        square = square + np.add.reduceat(variances, begins) / counts**2
     return np.sqrt(square) if square.any() else None

@@ -1,4 +1,4 @@
-"""What an instrument says of its columns, and where readings came from."""
+"""Columns of an instrument, its nominal scale, and the sources of readings."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ from bayescal._core.errors import InputError
 from bayescal._data.unit_conversion import ANY
 from bayescal._tables.raw_table import ROW, Table
 
-PLACEHOLDER_RANGES = 3.0  # ranges of the others, beyond which a −999 or 9999 is no reading
+MIN_PLACEHOLDER_RANGES = 3.0  # of the other values, beyond which a −999 or 9999 is no reading
 
 UNCERTAINTY = "output_uncertainty"  # known standard uncertainty of each reading
 MAY_BE_EMPTY = "temperature_point"  # empty on a ramp
 # 1 where the output was divided by a local gravity that nobody stated; 0 elsewhere.
 ASSUMED_GRAVITY = "assumed_gravity"
 ARRAYS = "the given arrays"  # in place of files
-TAKEN = (ROW, "cell")  # names of groupings: each reading, and run × temperature point
+RESERVED_NAMES = (ROW, "cell")  # names of groupings: each reading, and run × temperature point
 
 
 @dataclass(frozen=True)
@@ -53,7 +53,7 @@ class Column:
 
     def __post_init__(self) -> None:
         """Raise InputError where the column contradicts itself."""
-        if not self.name.strip() or self.name in TAKEN:
+        if not self.name.strip() or self.name in RESERVED_NAMES:
             raise InputError(f"a column cannot be called {self.name!r}: choose a name of its own")
         low, high, unit = self.low, self.high, self.unit
         faults = {
@@ -68,13 +68,13 @@ class Column:
 
     @property
     def example(self) -> str | None:
-        """A unit that a file's header may give it."""
+        """Return a unit that a file's header may give the column."""
         return "m/s^2" if self.unit == ANY else self.unit
 
 
 @dataclass(frozen=True)
 class NominalScale:
-    """How a raw output (V, Hz) becomes the instrument's output: (raw − offset)/gain.
+    """Conversion of a raw output (V, Hz) to the instrument's output: (raw − offset)/gain.
 
     Attributes:
         unit: of the raw output and of `offset`.
@@ -97,7 +97,7 @@ class NominalScale:
             )
 
     def apply(self, raw: ArrayLike, *, difference: bool = False) -> np.ndarray:
-        """Convert raw outputs in `unit` to outputs; a difference, an uncertainty, has no offset or sign."""
+        """Convert raw outputs in `unit` to outputs; a `difference` (an uncertainty) has no offset or sign."""
         raw = np.asarray(raw, dtype=np.float64)
         return raw / abs(self.gain) if difference else (raw - self.offset) / self.gain
 
@@ -121,7 +121,7 @@ class Source:
 
 
 class Place(NamedTuple):
-    """Where a reading stands, such as "row 12", and in which file."""
+    """Position of a reading, such as "row 12", and its file."""
 
     row: str
     file: str
@@ -132,7 +132,7 @@ class Place(NamedTuple):
 
 @dataclass
 class ConvertedColumns:
-    """Columns of one file, or of several one after the other, as ours.
+    """Columns of one file, or of several concatenated, by our names and in fixed units.
 
     Attributes:
         tables: the files, with the rows that were kept.
@@ -141,9 +141,9 @@ class ConvertedColumns:
         filled: names of columns that hold a default.
         missing: name → indices of the readings that are missing there.
         origin: seconds since 1970 at time zero; None where the time counts from no date.
-        kept: indices of the rows of the file that were kept; None for all.
+        kept_rows: indices of the rows of the file that were kept; None for all.
         unread: names of columns that are in the file, and could not be read.
-        beside: names of columns that are other channels of the unit whose output this is.
+        other_channels: names of columns that are other channels of the unit whose output this is.
         by_gravity: names of columns that were converted by the local gravity.
     """
 
@@ -154,9 +154,9 @@ class ConvertedColumns:
     filled: set[str] = field(default_factory=set)
     missing: dict[str, np.ndarray] = field(default_factory=dict)
     origin: float | None = None
-    kept: np.ndarray | None = None
+    kept_rows: np.ndarray | None = None
     unread: set[str] = field(default_factory=set)
-    beside: set[str] = field(default_factory=set)
+    other_channels: set[str] = field(default_factory=set)
     by_gravity: set[str] = field(default_factory=set)
 
     def fill(self, name: str, value: float | str, unit: str | None) -> None:
@@ -167,7 +167,7 @@ class ConvertedColumns:
         self.filled.add(name)
 
     def where(self, index: int) -> Place:
-        """Return where a reading stands, of the files one after the other."""
+        """Return the file and row of a reading, given its index in the concatenated files."""
         for table in self.tables:
             if index < table.rows:
                 break
@@ -176,12 +176,12 @@ class ConvertedColumns:
 
     @property
     def thermometers(self) -> list[str]:
-        """Names of the columns of measured temperatures, °C."""
+        """Return the names of the columns of measured temperatures, °C."""
         return [n for n, unit in self.units.items() if unit == "degC" and n != MAY_BE_EMPTY]
 
 
 def file_names(files: Sequence[str]) -> str:
-    """Files, short, for messages."""
+    """Format file names, short, for messages."""
     if not files:
         return ARRAYS
     return files[0] if len(files) == 1 else f"{files[0]} and {len(files) - 1} more"
@@ -194,20 +194,20 @@ OVERLOAD, NO_NUMBER = 9.9e37, 9.91e37
 
 
 def overloads(values: np.ndarray) -> np.ndarray:
-    """Rows with a code that SCPI instruments give for a reading out of range, or for none: ±9.9E37, 9.91E37."""
+    """Return the rows with a code of SCPI instruments for a reading out of range, or for none: ±9.9E37, 9.91E37."""
     codes = np.isclose(abs(values), OVERLOAD, rtol=1e-6) | np.isclose(values, NO_NUMBER, rtol=1e-6)
     return np.flatnonzero(codes)
 
 
 def placeholders(values: np.ndarray) -> np.ndarray:
-    """Where a column has a number that stands for a missing reading, such as −999: far from all the others."""
-    found = np.zeros(len(values), dtype=bool)
+    """Return the rows with a number that stands for a missing reading, such as −999: far from all other values."""
+    is_placeholder = np.zeros(len(values), dtype=bool)
     for value in np.intersect1d(values[np.isin(values, PLACEHOLDERS)], PLACEHOLDERS):
-        there = values == value
-        others = values[~there & np.isfinite(values)]
+        equal = values == value
+        others = values[~equal & np.isfinite(values)]
         if len(others) < max(3, len(values) / 2):  # of two numbers, each is far from all others
             continue
         low, high = float(others.min()), float(others.max())
-        if max(low - value, value - high) > PLACEHOLDER_RANGES * (high - low):
-            found |= there
-    return np.flatnonzero(found)
+        if max(low - value, value - high) > MIN_PLACEHOLDER_RANGES * (high - low):
+            is_placeholder |= equal
+    return np.flatnonzero(is_placeholder)

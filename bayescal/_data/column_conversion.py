@@ -1,4 +1,4 @@
-"""From a file's columns to an instrument's numbers; all that is wrong with them is noted before any of it is said."""
+"""Conversion of a file's columns to an instrument's units; all problems are collected before any is reported."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ from bayescal._data.read_options import (
     ReadOptions,
     output_name,
     parse_begin,
-    period_of,
+    parse_period,
     unit_of,
 )
 from bayescal._data.records import Records
@@ -39,7 +39,7 @@ from bayescal._tables.cells import MOST_BAD, Cells, date_text
 from bayescal._tables.raw_table import Objection, Objections, Table, load_whole, option
 
 _EMPTY = "holds no number (empty, NaN, - or the like)"
-_TEXTS = 3  # of a column, that are quoted
+_QUOTED = 3  # of a column
 _OVERLOAD = "reads {:.4g}, an instrument's code for an overload or no reading at all (SCPI writes ±9.9E37 and 9.91E37)"
 _PLACEHOLDER = "reads {:g}, far from all other numbers: it stands for a missing reading"
 _SINCE_1904 = 2_082_844_800.0  # s, from 1904 to 1970
@@ -53,48 +53,48 @@ def convert_columns(
     options: ReadOptions,
     problems: Objections | None = None,
 ) -> ConvertedColumns:
-    """Convert a file's columns to the instrument's units, in its order, then what else was kept.
+    """Convert a file's columns to the instrument's units, in its order, then the further columns that are kept.
 
-    What is wrong is added to `problems`, and the columns without any are converted all the same; where there are none
-    to add to, InputError is raised. Rows with a missing reading are dropped where the options say so.
+    Problems are added to `problems`, and the columns without any are converted all the same; where `problems` is None,
+    InputError is raised. Rows with a missing reading are dropped where the options say so.
     """
-    own = Objections() if problems is None else problems
-    before = len(own)
-    file = MatchedFile(table, instrument, options, own)
+    objections = Objections() if problems is None else problems
+    before = len(objections)
+    file = MatchedFile(table, instrument, options, objections)
     extra, flags = ({}, []) if file.note_missing() else file.further_columns()
-    own += table.problems
+    objections += table.problems
     converted = ConvertedColumns((file.table,), flags=[*file.table.notes, *flags])
     cells = _load(file, extra) if table.readable else {}
     _read_expected(file, cells, converted)
     _read_further(file, extra, cells, converted)
     _note_gravity(file, converted)
     _note_channels(file, extra, converted)
-    if converted.missing and len(own) == before:
-        _drop(file.table, converted, own)
+    if converted.missing and len(objections) == before:
+        _drop(file.table, converted, objections)
     if problems is None:
-        own.refuse()
+        objections.refuse()
     return converted
 
 
 def _load(file: MatchedFile, extra: Mapping[str, Column]) -> dict[str, Cells]:
-    """Load the cells of the columns that are read; times of day on the days of a column beside them."""
+    """Load the cells of the columns that are read; times of day are joined with a column of dates."""
     table, positions = file.table, file.positions
     columns = {n: c for n, c in {**file.expected, **extra}.items() if n in positions}
-    wanted = {positions[n]: c.unit is not None for n, c in columns.items()}
+    requested = {positions[n]: c.unit is not None for n, c in columns.items()}
     days = [i for i, h in enumerate(table.headers) if plain(h.name) in DAYS and not h.unit]
     days = [i for i in days if "time" in columns and i != positions["time"]]
-    beside = dict.fromkeys(days, True) if len(days) == 1 else {}
-    cells = load_whole(table, wanted | beside)
-    found = {name: cells[positions[name]] for name in columns}
-    for day in beside:
-        found["time"] = found["time"].on_days(cells[day])
-    return found
+    dates = dict.fromkeys(days, True) if len(days) == 1 else {}
+    cells = load_whole(table, requested | dates)
+    loaded = {name: cells[positions[name]] for name in columns}
+    for day in dates:
+        loaded["time"] = loaded["time"].on_days(cells[day])
+    return loaded
 
 
 def _read_expected(
     file: MatchedFile, cells: Mapping[str, Cells], converted: ConvertedColumns
 ) -> None:
-    """Read the instrument's columns, in its order; those that the file lacks and that have a default hold that."""
+    """Read the instrument's columns, in its order; fill those that the file lacks with their default."""
     for name, column in file.expected.items():
         default = column.default
         if name in cells:
@@ -117,48 +117,49 @@ def _read_further(
     cells: Mapping[str, Cells],
     converted: ConvertedColumns,
 ) -> None:
-    """Read columns that no instrument asked for; one of which a cell is no number is left out with a flag."""
+    """Read columns that the instrument does not expect; flag and leave out one with a cell that is no number."""
     options = replace(file.options, missing="refuse")
     for name in (n for n in extra if n in cells):
-        beside, flags = Objections(), len(converted.flags)  # these are no problems of the file
-        ColumnReader(file, extra[name], converted, options, beside).read(cells[name])
-        for problem in beside[:1]:
+        objections, flags = Objections(), len(converted.flags)  # these are no problems of the file
+        ColumnReader(file, extra[name], converted, options, objections).read(cells[name])
+        for problem in objections[:1]:
             why = " ".join((*problem.places[:1], problem.came))
-            said = f"{file.table.file}: column {problem.column!r} ignored: {why}"
-            converted.flags[flags:] = [said]
+            message = f"{file.table.file}: column {problem.column!r} ignored: {why}"
+            converted.flags[flags:] = [message]
 
 
 def _note_gravity(file: MatchedFile, converted: ConvertedColumns) -> None:
-    """Mark readings that were divided by a local gravity that nobody stated, where scale factors depend on it."""
+    """Mark readings divided by a local gravity that nobody stated, where scale factors depend on it."""
     outputs = getattr(file.instrument, "outputs", ()) or (output_name(file.instrument),)
     assumed = file.options.local_gravity is None and converted.by_gravity.intersection(outputs)
     if assumed and ASSUMED_GRAVITY in file.expected and MAGNITUDE not in converted.by_gravity:
         converted.fill(ASSUMED_GRAVITY, 1.0, "1")
-        said = (
+        message = (
             f"{file.table.file}: {file.options.gravity:g} m/s² was taken for local gravity, which nobody stated "
             "(--local-gravity): scale factors are as uncertain as it is on Earth, 9.780 to 9.832 m/s²"
         )
-        converted.flags.append(Flag(said, "gravity.assumed", *outputs))
+        converted.flags.append(Flag(message, "gravity.assumed", *outputs))
 
 
 def _note_channels(
     file: MatchedFile, extra: Mapping[str, Column], converted: ConvertedColumns
 ) -> None:
-    """Note the other channels of the unit whose output this is: they are no causes of it."""
+    """Flag the other channels of the unit whose output this is: they are no causes of it."""
     if (output := output_name(file.instrument)) not in converted.values:
         return
-    own = file.header(output).name
+    output_header = file.header(output).name
     others = {n: u for n, u in converted.units.items() if n in extra}
-    converted.beside.update(channels_beside(own, others, converted.units[output]))
-    if converted.beside:
+    converted.other_channels.update(channels_beside(output_header, others, converted.units[output]))
+    if converted.other_channels:
+        names = ", ".join(sorted(converted.other_channels))
         converted.flags.append(
-            f"{file.table.file}: {', '.join(sorted(converted.beside))}: other channels beside the output {own!r}, not "
-            "taken as its causes (--covariates NAME, in Python covariates=, to let one be)"
+            f"{file.table.file}: {names}: other channels beside the output {output_header!r}, not taken as its causes "
+            "(--covariates NAME, in Python covariates=, to let one be)"
         )
 
 
 def _drop(table: Table, converted: ConvertedColumns, problems: Objections) -> None:
-    """Leave the rows out in which a reading is missing, and say so; a problem if none would be left."""
+    """Drop the rows with a missing reading, with a flag; add a problem if no row would remain."""
     missing = converted.missing
     gone = np.unique(np.concatenate(list(missing.values())))
     if len(gone) == table.rows:
@@ -166,22 +167,22 @@ def _drop(table: Table, converted: ConvertedColumns, problems: Objections) -> No
         came = f"has no row without a missing reading: {counts} of {table.rows} rows"
         problems.append(Objection(table.file, came))
         return
-    converted.kept = np.setdiff1d(np.arange(table.rows), gone)
-    converted.tables = (table.take(converted.kept),)
-    converted.values = {name: v[converted.kept] for name, v in converted.values.items()}
-    places = "; ".join(f"{name} in {_rows(table, rows)}" for name, rows in missing.items())
-    said = f"{table.file}: {len(gone)} of {table.rows} rows dropped, where readings are missing: {places}"
-    converted.flags.append(Flag(said, "rows.dropped", *missing))
+    converted.kept_rows = np.setdiff1d(np.arange(table.rows), gone)
+    converted.tables = (table.take(converted.kept_rows),)
+    converted.values = {name: v[converted.kept_rows] for name, v in converted.values.items()}
+    places = "; ".join(f"{name} in {_format_rows(table, rows)}" for name, rows in missing.items())
+    message = f"{table.file}: {len(gone)} of {table.rows} rows dropped, where readings are missing: {places}"
+    converted.flags.append(Flag(message, "rows.dropped", *missing))
 
 
-def _rows(table: Table, rows: np.ndarray) -> str:
-    """Rows, the first few by number."""
+def _format_rows(table: Table, rows: np.ndarray) -> str:
+    """Format rows, the first three by number."""
     first = ", ".join(table.place(int(i)) for i in rows[:3])
     return first if len(rows) == 1 else f"{len(rows)} rows ({first}{' …' * (len(rows) > 3)})"
 
 
 class ColumnReader:
-    """Checks a column of a file and converts it into `converted`; options and problems are the file's unless given."""
+    """Checker and converter of one column of a file; options and problems are the file's unless given."""
 
     def __init__(
         self,
@@ -200,7 +201,7 @@ class ColumnReader:
         self.names = self.header.raw, self.header.name, self.name
 
     def read(self, cells: Cells) -> None:
-        """Read a column; one that is empty and not required is left out."""
+        """Check and convert the cells of the column; leave it out if it is empty and not required."""
         label, before = self.column.unit is None, len(self.problems)
         empty = cells.values == "" if label else np.isnan(cells.values)
         if not self.column.required and not cells.bad and empty.all():
@@ -220,9 +221,9 @@ class ColumnReader:
         unit = "s" if dates else self._unit(cells)
         raw, noted = cells.values, set(cells.bad)
         self._note_text(cells, unit, dates)
-        for find, said in ((overloads, _OVERLOAD), (placeholders, _PLACEHOLDER)):
+        for find, template in ((overloads, _OVERLOAD), (placeholders, _PLACEHOLDER)):
             if (rows := find(raw)).size:
-                self._note_missing(rows, said.format(raw[rows[0]]))
+                self._note_missing(rows, template.format(raw[rows[0]]))
                 noted |= {*rows.tolist()}
                 raw = raw.copy()
                 raw[rows] = np.nan
@@ -243,36 +244,36 @@ class ColumnReader:
         self.converted.values[self.name] = values
         self.converted.units[self.name] = self.column.unit
 
-    def _problem(self, came: str, *about: str, **more: Any) -> None:
-        self.problems.append(self.file.table.objection(self.header.raw, came, *about, **more))
+    def _problem(self, came: str, *about: str, **details: Any) -> None:
+        self.problems.append(self.file.table.objection(self.header.raw, came, *about, **details))
 
-    def _flag(self, said: str) -> None:
-        self.converted.flags.append(f"{self.file.table.file}: column {self.header.raw!r} {said}")
+    def _flag(self, text: str) -> None:
+        self.converted.flags.append(f"{self.file.table.file}: column {self.header.raw!r} {text}")
 
     def _note_missing(self, rows: np.ndarray, came: str, expected: str = "") -> None:
-        """Note readings that are missing: a problem, unless such rows are dropped."""
+        """Record missing readings: a problem, unless such rows are dropped."""
         if self.options.missing == "refuse":
-            cure, given = "Fill it in, or drop such rows", option("--missing", "drop")
-            self._problem(came, expected, cure, given, rows=rows)
+            cure, suggestion = "Fill it in, or drop such rows", option("--missing", "drop")
+            self._problem(came, expected, cure, suggestion, rows=rows)
             return
         earlier = self.converted.missing.get(self.name, rows[:0])
         self.converted.missing[self.name] = np.union1d(earlier, rows)
 
     def _note_labels(self, labels: np.ndarray) -> None:
-        """Note labels that are unknown, or hold a control character."""
-        allowed = self.column.allowed
+        """Add a problem for labels that are unknown, or hold a control character."""
+        allowed, known = self.column.allowed, f"one of {', '.join(self.column.allowed)}"
         for label in dict.fromkeys(labels.tolist()):
             if any(unicodedata.category(character) in ("Cc", "Cs") for character in label):
-                came, known, cure = "which holds a control character", "", "Remove it"
+                came, expected, cure = "which holds a control character", "", "Remove it"
             elif label and allowed and label not in allowed:
-                came, known, cure = "an unknown label", f"one of {', '.join(allowed)}", "Correct it"
+                came, expected, cure = "an unknown label", known, "Correct it"
             else:
                 continue
             rows = np.flatnonzero(labels == label)
-            self._problem(f"reads {label!r}, {came}", known, cure, rows=rows)
+            self._problem(f"reads {label!r}, {came}", expected, cure, rows=rows)
 
     def _read_dates(self, texts: np.ndarray) -> Cells:
-        """Read dates; a problem where they leave open which number is the day, and the user does not say."""
+        """Parse dates; add a problem where they leave open which number is the day, and the user does not say."""
         dates, orders = of_cells.dates_of(texts, self.options.date_order)
         if orders:
             came = "its dates are not all dates in one order of month, day and year"
@@ -286,31 +287,31 @@ class ColumnReader:
         return dates
 
     def _unit(self, cells: Cells) -> str | None:
-        """Return the unit of the numbers; None, and a problem, if there is none or the text is none."""
+        """Return the unit of the numbers; None, and a problem, if there is none or the text is no unit."""
         unit = unit_of(self.header, self.name, self.options)
-        asked = option("--unit", f"{self.header.raw}=UNIT")
+        suggestion = option("--unit", f"{self.header.raw}=UNIT")
         if unit is None:
-            if self.is_time and (shown := of_cells.unit_of_counts(cells.values)):
-                self._flag(f"taken as {units.pretty(shown)} since 1970, as its size shows")
-                return shown
+            if self.is_time and (inferred := of_cells.unit_of_counts(cells.values)):
+                self._flag(f"taken as {units.pretty(inferred)} since 1970, as its size shows")
+                return inferred
             if not (self.is_time and cells.bad and np.isnan(cells.values).all()):
-                own = self.column.example
-                cure = f"UNIT is what its numbers are in, such as {own}; in a header, '{self.header.name} [{own}]'"
-                self._problem("the header has no unit", "one", cure, asked)
+                like = self.column.example
+                cure = f"UNIT is what its numbers are in, such as {like}; in a header, '{self.header.name} [{like}]'"
+                self._problem("the header has no unit", "one", cure, suggestion)
             return None  # dates of another form are said as such
         if self.column.unit != units.ANY:
             unit = units.unit_in(unit, (str(self.column.unit),)) or unit
         try:
             units.parse(unit)
         except InputError as error:
-            self._problem(str(error), "", "Correct the header, or say the unit", asked)
+            self._problem(str(error), "", "Correct the header, or say the unit", suggestion)
             return None
         if self.header.unit and unit != self.header.unit:
             self._flag(f"taken as [{unit}], as --unit says")
         return unit
 
     def _note_text(self, cells: Cells, unit: str | None, dates: bool) -> None:
-        """Note the cells that hold text."""
+        """Add a problem for cells that hold text."""
         if not cells.bad:
             return
         expected, date = _number_in(unit), f"a date such as {of_cells.EXAMPLE}"
@@ -322,34 +323,33 @@ class ColumnReader:
         hint = "Correct the cell, or remove the row"
         if any(map(of_cells.DECIMAL_COMMA.fullmatch, texts)):
             hint = "If that is a decimal comma, say so (--decimal ,), or export the file with decimal points"
-        came = ", ".join(repr(text[:60]) for text in texts[:_TEXTS]) + " …" * (len(texts) > _TEXTS)
-        self._problem(f"reads {came}", expected, hint, rows=sorted(cells.bad))
+        quoted = ", ".join(repr(t[:60]) for t in texts[:_QUOTED]) + " …" * (len(texts) > _QUOTED)
+        self._problem(f"reads {quoted}", expected, hint, rows=sorted(cells.bad))
 
     def _unwrapped(self, raw: np.ndarray, unit: str | None) -> np.ndarray:
-        """Undo a counter's wraps, where the user says so."""
-        given = self.options.unwrap
-        said = next((given[n] for n in self.names if n in given), None)
-        if said is None or unit is None:
+        """Unwrap a counter, where the user gives its period."""
+        periods = self.options.unwrap
+        text = next((periods[n] for n in self.names if n in periods), None)
+        if text is None or unit is None:
             return raw
         warm = units.same_dimension(unit, "degC")
-        period, own = period_of(said)
-        if own != "1":
-            period = float(units.convert(period, own, unit, difference=True))
-        known = np.isfinite(raw)
-        begun = int(np.count_nonzero(abs(np.diff(raw[known])) > 0.5 * period))
+        period, period_unit = parse_period(text)
+        if period_unit != "1":
+            period = float(units.convert(period, period_unit, unit, difference=True))
+        finite = np.isfinite(raw)
+        wraps = int(np.count_nonzero(abs(np.diff(raw[finite])) > 0.5 * period))
         if self.is_time:  # a converter's counts have a sign; a clock's have none
             values = raw.copy()
-            values[known] = np.unwrap(raw[known], period=period)
+            values[finite] = np.unwrap(raw[finite], period=period)
         else:
-            start = float(units.convert([checks.ROOM], "degC", unit)[0]) if warm else 0.0
-            values = checks.unwrap(
-                raw, Records.of({**self.converted.values, "": raw}), period, start
-            )
-        self._flag(f"began anew {begun} time{'s' * (begun != 1)}, which was undone (unwrap={said})")
+            start = float(units.convert([checks.ROOM_DEGREES], "degC", unit)[0]) if warm else 0.0
+            records = Records.of({**self.converted.values, "": raw})
+            values = checks.unwrap(raw, records, period, start)
+        self._flag(f"began anew {wraps} time{'s' * (wraps != 1)}, which was undone (unwrap={text})")
         return values
 
     def _on_clock(self, values: np.ndarray, dates: bool) -> np.ndarray:
-        """Count times from the first reading, if they are dates, and from when that was taken, where the user says so.
+        """Return times from the first reading, if they are dates, and from the user's `begin`, where it is given.
 
         Seconds that lie so far ahead since 1970 that nobody measured count from 1904, as LabVIEW's do.
         """
@@ -371,23 +371,23 @@ class ColumnReader:
         return values - np.nanmin(values) + (0.0 if dated else begin)
 
     def _note_unsigned(self, raw: np.ndarray) -> None:
-        """Note signed counts that were written as unsigned: at both ends of the bits, and never between."""
-        known = raw[np.isfinite(raw)]
-        if not self.is_output or not known.size or known.min() < 0 or (known % 1).any():
+        """Add a problem for signed counts written as unsigned: at both ends of the bits, and never between."""
+        finite = raw[np.isfinite(raw)]
+        if not self.is_output or not finite.size or finite.min() < 0 or (finite % 1).any():
             return
-        bits = next((b for b in _BITS if known.max() < 2.0**b), np.inf)
-        part = known // 2.0 ** (bits - 4)  # sixteenths of the range
+        bits = next((b for b in _BITS if finite.max() < 2.0**b), np.inf)
+        part = finite // 2.0 ** (bits - 4)  # sixteenths of the range
         if np.isin(part, (0, 15)).all() and (part == 15).any() and np.sum(part == 0) > 1:
             came = f"holds whole numbers near 0 and near 2^{bits}, and none between: signed counts read as unsigned"
-            asked = option("--unwrap", f"{self.header.raw}=2^{bits}")
-            self._problem(came, cure="Undo it, if that is so", option=asked)
+            suggestion = option("--unwrap", f"{self.header.raw}=2^{bits}")
+            self._problem(came, cure="Undo it, if that is so", option=suggestion)
 
     def _convert(self, values: np.ndarray, unit: str) -> np.ndarray | None:
-        """Numbers in `unit` in the column's, or by the nominal scale; None, and a problem, if neither can be."""
+        """Convert numbers to the column's unit, or by the nominal scale; None, and a problem, if neither can be."""
         target, gravity = self.column.unit or "1", self.options.gravity
-        own, difference = self.options.nominal_scale, self.name == UNCERTAINTY
-        scale = own or self.file.instrument.nominal_scale
-        asked = option("--unit", f"{self.header.raw}=UNIT")
+        given_scale, difference = self.options.nominal_scale, self.name == UNCERTAINTY
+        scale = given_scale or self.file.instrument.nominal_scale
+        suggestion = option("--unit", f"{self.header.raw}=UNIT")
         how = {"local_gravity": gravity, "difference": difference}
         if units.same_dimension(unit, target):
             if units.needs_gravity(unit, target):
@@ -396,7 +396,7 @@ class ColumnReader:
             try:
                 return units.convert(values, unit, target, **how)
             except InputError as error:  # a difference of temperatures, say
-                self._problem(str(error), option=asked)
+                self._problem(str(error), option=suggestion)
                 return None
         also = hint = ""
         if self.is_output or difference:
@@ -406,20 +406,20 @@ class ColumnReader:
                 return scale.apply(raw, difference=difference)
             also = f", or {scale.unit}, which the nominal scale converts" if scale else ""
             per = f"({target})" if "/" in target else target
-            given = option("--nominal-scale", f"250 {unit}/{per}")
-            hint = f" Or say how many {unit} one {target} is, such as {given}"
+            scale_option = option("--nominal-scale", f"250 {unit}/{per}")
+            hint = f" Or say how many {unit} one {target} is, such as {scale_option}"
         cure = f"Correct the header, or give the unit that is meant.{hint}"
         came, expected = f"its unit is [{unit}]", f"one that converts to {target}{also}"
-        self._problem(came, expected, cure, asked)
+        self._problem(came, expected, cure, suggestion)
         return None
 
     def _note_scale(self, scale: NominalScale, difference: bool) -> None:
-        """Note that raw outputs are turned into the instrument's by the nominal scale."""
-        own = self.options.nominal_scale is not None
+        """Flag that raw outputs are converted to the instrument's by the nominal scale."""
+        is_given = self.options.nominal_scale is not None
         shifted = scale.offset and not difference
         reading = f"(reading − {scale.offset:g})" if shifted else "reading"
-        of = "" if own else f" of {self.file.instrument.name}"
-        other = "" if own else " (another sensor's: --nominal-scale and --nominal-zero)"
+        of = "" if is_given else f" of {self.file.instrument.name}"
+        other = "" if is_given else " (another sensor's: --nominal-scale and --nominal-zero)"
         self._flag(
             f"turned into {units.pretty(self.column.unit or '1')} by the nominal scale{of}: {reading}/{scale.gain:g}, "
             f"reading in {units.pretty(scale.unit)}{other}"
@@ -430,7 +430,7 @@ class ColumnReader:
     def _note_not_finite(
         self, raw: np.ndarray, values: np.ndarray, unit: str | None, noted: set[int]
     ) -> None:
-        """Note what is empty as missing, and what is infinite as wrong; a temperature point may be empty."""
+        """Record empty cells as missing and infinite ones as problems; a temperature point may be empty."""
         expected = _number_in(unit)
         bad = np.isinf(values) if self.name == MAY_BE_EMPTY else ~np.isfinite(values)
         wrong = np.setdiff1d(np.flatnonzero(bad), list(noted))
@@ -451,9 +451,9 @@ class ColumnReader:
         index, target = int(wrong[0]), self.column.unit or "1"
         limits = f"at least {low:g}" if high == np.inf else f"at most {high:g}"
         limits = f"{low:g} … {high:g}" if low > -np.inf and high < np.inf else limits
-        read, shown = units.pretty(unit), units.pretty(target)
-        internal = f", that is {values[index]:.6g} {shown}" * (read != shown)
-        came = f"reads {raw[index]:.6g} {read}{internal}; plausible is {limits} {shown}"
+        unit_text, target_text = units.pretty(unit), units.pretty(target)
+        internal = f", that is {values[index]:.6g} {target_text}" * (unit_text != target_text)
+        came = f"reads {raw[index]:.6g} {unit_text}{internal}; plausible is {limits} {target_text}"
         cure = "Check the unit and the number"
         if target == "degC" and values[index] > high:
             undo = option("--unwrap", f"{self.header.raw}=PERIODdegC")
@@ -465,8 +465,8 @@ def _number_in(unit: str | None) -> str:
     return "a number" if unit is None else f"a number in {units.pretty(unit)}"
 
 
-def joined(parts: Sequence[ConvertedColumns], labels: Sequence[str]) -> ConvertedColumns:
-    """Return the files' columns one after the other; files without a column `run` take `labels`.
+def join_files(parts: Sequence[ConvertedColumns], labels: Sequence[str]) -> ConvertedColumns:
+    """Concatenate the files' columns; files without a column `run` take `labels`.
 
     Raises:
         InputError: labels or dates stand in some files only, or one column has two dimensions.
@@ -477,7 +477,7 @@ def joined(parts: Sequence[ConvertedColumns], labels: Sequence[str]) -> Converte
     whole = ConvertedColumns(tuple(table for part in parts for table in part.tables))
     whole.flags = [flag for part in parts for flag in part.flags]
     whole.filled = set.intersection(*(part.filled for part in parts))
-    whole.beside = set().union(*(part.beside for part in parts))
+    whole.other_channels = set().union(*(part.other_channels for part in parts))
     whole.origin = _on_one_clock(parts)
     for name, unit in {name: unit for part in parts for name, unit in part.units.items()}.items():
         for part in parts:
@@ -498,8 +498,8 @@ def joined(parts: Sequence[ConvertedColumns], labels: Sequence[str]) -> Converte
             continue
         fill = 0.0 if name == ASSUMED_GRAVITY else np.nan
         missing = (np.full(table.rows, fill) for table in whole.tables)
-        own = [p.values.get(name, none) for p, none in zip(parts, missing, strict=True)]
-        whole.values[name], whole.units[name] = np.concatenate(own), unit
+        columns = [p.values.get(name, none) for p, none in zip(parts, missing, strict=True)]
+        whole.values[name], whole.units[name] = np.concatenate(columns), unit
     first: dict[str, str] = {}
     for table in whole.tables:
         if (other := first.setdefault(table.sha256, table.file)) != table.file:
@@ -509,32 +509,32 @@ def joined(parts: Sequence[ConvertedColumns], labels: Sequence[str]) -> Converte
 
 
 def _label_runs(parts: Sequence[ConvertedColumns], labels: Sequence[str]) -> None:
-    """Give the files without a column `run` a run of their own, and say which runs span files."""
-    own = [set(part.values.get("run", ())) for part in parts]
-    named, seen = set().union(*own), dict[str, str]()
-    for part, label, runs in zip(parts, labels, own, strict=True):
+    """Label the files without a column `run` as a run each, and flag runs that span files."""
+    run_sets = [set(part.values.get("run", ())) for part in parts]
+    named, file_of_run = set().union(*run_sets), dict[str, str]()
+    for part, label, runs in zip(parts, labels, run_sets, strict=True):
         (table,) = part.tables
         if "run" not in part.values:
             label = f"file {label}" if label in named else label
             part.values["run"] = np.full(table.rows, label, dtype=object)
             part.units["run"] = None
         part.flags += [
-            f"run {run!r} of {table.file} is taken as the one of {seen[run]}, continued"
-            for run in sorted(runs & seen.keys())
+            f"run {run!r} of {table.file} is taken as the one of {file_of_run[run]}, continued"
+            for run in sorted(runs & file_of_run.keys())
         ]
-        seen = dict.fromkeys(runs, table.file) | seen
+        file_of_run = dict.fromkeys(runs, table.file) | file_of_run
 
 
 def _first_files(
     parts: Sequence[ConvertedColumns], have: Sequence[bool]
 ) -> tuple[str | None, str | None]:
-    """The first file that has something, and the first that has not."""
+    """Return the first file that has something (`have`), and the first that has not."""
     first = {has: part.tables[0].file for part, has in reversed([*zip(parts, have, strict=True)])}
     return first.get(True), first.get(False)
 
 
 def _on_one_clock(parts: Sequence[ConvertedColumns]) -> float | None:
-    """Shift the times of files that count from dates to the earliest, which is returned; None without dates."""
+    """Shift the times of files that count from dates to the earliest, and return it; None without dates."""
     timed = [part for part in parts if "time" in part.values]
     origins = [part.origin for part in timed if part.origin is not None]
     if not origins:

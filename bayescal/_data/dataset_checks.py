@@ -1,11 +1,11 @@
-"""Checks of a whole data set: what makes it unusable, and what its owner should know of.
+"""Checks of a whole data set: problems that make it unusable, and warnings.
 
-Refused: one temperature only, time running backwards. Flagged: what the list `CHECKS` finds. Thresholds stand above
-the check that they are of; what they are set against ("good records") are the campaigns that the six instruments
-simulate, as they are, rounded as displays do, and noisy.
+Refused: one temperature only, time running backwards. Flagged: findings of the list `CHECKS`. Thresholds stand above
+their check; the "good records" against which they are set are the campaigns that the six instruments simulate, as
+they are, rounded as displays do, and noisy.
 
 A thermometer is a measurement too: a reading of it may be an error value or a spike, a repeated value of a logger that
-asks seldom, or that of a converter that is stuck or at its end. Which readings these are is said by name and row.
+asks seldom, or that of a converter that is stuck or at its end. Such readings are reported by name and row.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ Where = Callable[[int], Place]  # by the index of a reading
 def problems_of_whole(
     converted: ConvertedColumns, instrument: Any, one_temperature: bool
 ) -> Objections:
-    """Return what is wrong with readings as a whole: one temperature only, time that runs backwards.
+    """Return the problems of a whole record: one temperature only, time that runs backwards.
 
     The temperature need not change where `one_temperature` accepts it, or where the instrument says which effects its
     baseline has, and none of them needs that.
@@ -56,33 +56,33 @@ def problems_of_whole(
 
 
 def same_temperature(columns: Columns, names: str) -> Iterator[Objection]:
-    """Object where temperatures, °C, span less than `Settings.temperature_span`."""
+    """Yield an objection where temperatures, °C, span less than `Settings.temperature_span`."""
     temperature = columns["temperature"]
     low, high = float(temperature.min()), float(temperature.max())
     if high - low < settings().temperature_span:
-        seen = f"{low:g}" if low == high else f"{low:g} … {high:g}"
+        span = f"{low:g}" if low == high else f"{low:g} … {high:g}"
         cure = (
             "At least two are needed, or nothing that depends on temperature can be calibrated: add readings at "
             "another (files given together are read together)"
         )
-        came = f"reads {seen} °C, one temperature only"
+        came = f"reads {span} °C, one temperature only"
         yield Objection(names, came, cure=cure, column="temperature")  # of files, or of a device
 
 
-# What clocks hold when they begin anew, s: counters of 32, 24 and 16 bits, a GPS week, a day.
-PERIODS = {
+# Periods after which clocks wrap, s: counters of 32, 24 and 16 bits, a GPS week, a day.
+CLOCK_PERIODS = {
     f"2^{bits}{unit}": 2.0**bits * size
     for bits in (32, 24, 16)
     for unit, size in (("ns", 1e-9), ("us", 1e-6), ("ms", 1e-3))
 } | {"604800s": 604_800.0, "86400s": 86_400.0}
-# Within a run: a pause that no test makes, s (ten years); a clock was set there.
-CLOCK_SET = 3.2e8
-# Usual steps that such a pause is at the least: yearly readings have not paused.
-CLOCK_SET_STEPS = 1e4
+# s (ten years): no test pauses that long within a run; beyond, the clock was set.
+MAX_PAUSE_SECONDS = 3.2e8
+# In usual steps, which such a pause exceeds too: yearly readings have not paused.
+MAX_PAUSE_STEPS = 1e4
 
 
 def backward_time(columns: Columns, where: Where) -> Iterator[Objection]:
-    """Object where time, s, runs backwards, or leaps by years, within a run of a device and axis.
+    """Yield an objection where time, s, runs backwards, or leaps by years, within a run of a device and axis.
 
     `where` names a reading's file and row.
     """
@@ -94,7 +94,7 @@ def backward_time(columns: Columns, where: Where) -> Iterator[Objection]:
     step = np.where(np.diff(record[order]) == 0, np.diff(time), np.nan)  # within a record
     size = abs(step[step != 0])
     usual = float(np.nanmedian(size)) if np.isfinite(size).any() else 0.0
-    far, back = abs(step) > max(CLOCK_SET, CLOCK_SET_STEPS * usual), step < 0
+    far, back = abs(step) > max(MAX_PAUSE_SECONDS, MAX_PAUSE_STEPS * usual), step < 0
     rows = np.sort(order[1:][far if far.any() else back])
     if not rows.size:
         return
@@ -115,7 +115,7 @@ def backward_time(columns: Columns, where: Where) -> Iterator[Objection]:
         came = f"reads {values[index]:.12g} s after {values[before]:.12g} s in {where(before)}: "
         came += f"time runs backwards{inside}"
         usual = float(np.median(step[step > 0])) if (step > 0).any() else 0.0
-        for name, period in PERIODS.items():
+        for name, period in CLOCK_PERIODS.items():
             after = step[back] + period
             if np.all((after > 0) & (after <= PAUSE_STEPS * usual)):
                 came += f", as a clock does that begins anew at {name}"
@@ -128,12 +128,12 @@ def backward_time(columns: Columns, where: Where) -> Iterator[Objection]:
 
 @dataclass(frozen=True)
 class CheckedRecord:
-    """Readings as `CHECKS` take them."""
+    """Readings of a record with its anomalies, as `CHECKS` take them."""
 
     converted: ConvertedColumns
     records: Records
     output: str  # name of the output column
-    oddities: Sequence[Oddity]  # of the thermometers
+    anomalies: Sequence[Anomaly]  # of the thermometers
 
     @property
     def columns(self) -> Columns:
@@ -143,23 +143,22 @@ class CheckedRecord:
 def flags_of(
     converted: ConvertedColumns, output: str, names: str, repeated: np.ndarray
 ) -> list[str]:
-    """Return what is odd in the readings but no reason to refuse them; `names` of the files, `repeated` rows."""
+    """Return warnings of readings that are accepted; `names` of the files, `repeated` rows."""
     columns, records = converted.values, Records.of(converted.values)
-    odd = oddities(columns, records, converted.thermometers, output)
+    odd = find_anomalies(columns, records, converted.thermometers, output)
     record = CheckedRecord(converted, records, output, odd)
-    flags = [f"{names}: {said}" for check in CHECKS for said in check(record)]
+    flags = [f"{names}: {message}" for check in CHECKS for message in check(record)]
     if many := len(repeated):
-        said = "rows repeat" if many > 1 else "row repeats"
+        message = "rows repeat" if many > 1 else "row repeats"
         end = f": {'they are' if many > 1 else 'it is'} dropped" * ("time" in columns)
-        said += (
-            f" an earlier one in every column, first at {converted.where(int(repeated[0]))}{end}"
-        )
-        flags.insert(0, f"{many} {said}")
+        first = converted.where(int(repeated[0]))
+        message += f" an earlier one in every column, first at {first}{end}"
+        flags.insert(0, f"{many} {message}")
     return flags
 
 
-# Readings at the very end of an output's range, below which that may be chance; also as a share, in a long record.
-CLIPPED_READINGS, CLIPPED_SHARE = 5, 0.01
+# Fewest readings at the very end of an output's range that are no chance; also as a share, in a long record.
+MIN_CLIPPED_READINGS, MIN_CLIPPED_SHARE = 5, 0.01
 # Share of the range, between an end and the next level, beyond which the end is a set-up of its own, such as one
 # position.
 CLIPPED_GAP = 0.1
@@ -168,43 +167,43 @@ CLIPPED_RATIO = 3.0
 
 
 def clip_levels(values: np.ndarray) -> list[tuple[str, float]]:
-    """Return the ends of the range at which an output was cut off, each with the level; empty if it looks natural."""
+    """Return the ends of the range at which an output is clipped, each with its level; empty where none is."""
     levels, counts = np.unique(values, return_counts=True)
     if len(levels) < 3:
         return []
-    found, enough = [], max(CLIPPED_READINGS, CLIPPED_SHARE * len(values))
-    for end, beside, name in ((-1, -2, "maximum"), (0, 1, "minimum")):
+    clipped, enough = [], max(MIN_CLIPPED_READINGS, MIN_CLIPPED_SHARE * len(values))
+    for end, next_level, name in ((-1, -2, "maximum"), (0, 1, "minimum")):
         with np.errstate(over="ignore"):
-            near = abs(levels[end] - levels[beside]) < CLIPPED_GAP * (levels[-1] - levels[0])
-        if near and counts[end] >= enough and counts[end] > CLIPPED_RATIO * counts[beside]:
-            found.append((name, float(levels[end])))
-    return found
+            near = abs(levels[end] - levels[next_level]) < CLIPPED_GAP * (levels[-1] - levels[0])
+        if near and counts[end] >= enough and counts[end] > CLIPPED_RATIO * counts[next_level]:
+            clipped.append((name, float(levels[end])))
+    return clipped
 
 
-def _of_saturation(record: CheckedRecord) -> Iterator[str]:
+def _check_saturation(record: CheckedRecord) -> Iterator[str]:
     values = record.columns.get(record.output, np.zeros(0))
     for end, level in clip_levels(values):
         count = int((values == level).sum())
         yield f"column {record.output!r} may be saturated: {count} readings stand exactly at its {end} {level:g}"
 
 
-def _of_thermometers(record: CheckedRecord) -> Iterator[str]:
-    for odd in record.oddities:
-        yield f"column {odd.column!r} {odd.said} (first at {record.converted.where(int(odd.rows[0]))})"
+def _check_thermometers(record: CheckedRecord) -> Iterator[str]:
+    for odd in record.anomalies:
+        yield f"column {odd.column!r} {odd.description} (first at {record.converted.where(int(odd.rows[0]))})"
 
 
-LEAP_DEGREES = 40.0  # °C, between neighbours, that no body changes by
+MAX_STEP_DEGREES = 40.0  # °C, between neighbours: no body changes by more
 
 
-def _of_leaps(record: CheckedRecord) -> Iterator[str]:
-    """Leaps that neither an error value nor a silence makes: of counters that began anew, as a rule."""
-    gone = {odd.column: odd.rows for odd in record.oddities if odd.code == "leap"}
+def _check_leaps(record: CheckedRecord) -> Iterator[str]:
+    """Yield a warning of leaps beyond error values and silences: as a rule, of counters that wrapped."""
+    gone = {odd.column: odd.rows for odd in record.anomalies if odd.code == "leap"}
     time, silence = record.records.time, record.records.silence
     for name in record.converted.thermometers:
         for rows in record.records.in_time if time.size else ():
             rows = rows[~np.isin(rows, gone.get(name, ()))]
             leap = np.abs(np.diff(record.columns[name][rows])) * (np.diff(time[rows]) <= silence)
-            if np.any(leap > LEAP_DEGREES):
+            if np.any(leap > MAX_STEP_DEGREES):
                 at = int(np.argmax(leap))
                 place, undo = record.converted.where(int(rows[at + 1])), f"{name}=PERIODdegC"
                 yield (
@@ -214,26 +213,23 @@ def _of_leaps(record: CheckedRecord) -> Iterator[str]:
                 break
 
 
-STUCK_READINGS = 8  # readings in a row without a change, below which that may be chance
-STUCK_RATIO = 4.0  # times the next longest stretch without a change, below which it is like others
-# Share of the other readings that repeat the one before, above which all are rounded, or set.
-REPEATED_SHARE = 0.1
+MIN_STUCK_READINGS = 8  # readings in a row without a change, below which that may be chance
+MIN_STUCK_RATIO = 4.0  # to the next longest stretch without a change; below, it is like others
+# Largest share of the other readings that repeat the one before: above, all are rounded, or set.
+MAX_REPEATED_SHARE = 0.1
 
 
-def _of_standstills(record: CheckedRecord) -> Iterator[str]:
-    """Columns that do not change, at all or, where no thermometer's oddity says so, for long."""
-    told = {odd.column for odd in record.oddities}
+def _check_standstills(record: CheckedRecord) -> Iterator[str]:
+    """Yield a warning of columns that are constant, or stuck for long where no thermometer's anomaly says so."""
+    anomalous = {odd.column for odd in record.anomalies}
     no_reading = {*record.converted.filled, MAGNITUDE, ASSUMED_GRAVITY}
     for name, values in record.columns.items():
         if values.dtype.kind != "f" or name in no_reading:
             continue
         if len(values) > 1 and (values == values[0]).all():
             yield f"column {name!r} is constant ({values[0]:g})"
-        elif name not in told and len(rows := standing_rows(values, [np.arange(len(values))])):
-            first, last = (
-                record.converted.where(int(rows[0])),
-                record.converted.where(int(rows[-1])),
-            )
+        elif name not in anomalous and len(rows := standing_rows(values, [np.arange(len(values))])):
+            first, last = (record.converted.where(int(rows[i])) for i in (0, -1))
             yield f"column {name!r} stands still at {values[rows[0]]:g} from {first} to {last}: was it stuck?"
 
 
@@ -243,7 +239,7 @@ def _of_standstills(record: CheckedRecord) -> Iterator[str]:
 OUTPUT_RANGES = (("m/s^2", 1e-12, 1e7), ("rad/s", 1e-13, 1e5), ("rad", 1e-12, 1e4))
 
 
-def _of_size(record: CheckedRecord) -> Iterator[str]:
+def _check_size(record: CheckedRecord) -> Iterator[str]:
     name = record.output
     values, unit = record.columns.get(name, np.zeros(1)), record.converted.units.get(name) or "1"
     for base, least, most in OUTPUT_RANGES:
@@ -263,13 +259,13 @@ def _of_size(record: CheckedRecord) -> Iterator[str]:
 
 # Share of the readings that have the time of the one before, from which a clock is too coarse or has too few digits:
 # most changes are lost.
-SAME_TICK_SHARE = 0.5
+MAX_SAME_TICK_SHARE = 0.5
 
 
-def _of_clocks(record: CheckedRecord) -> Iterator[str]:
+def _check_clocks(record: CheckedRecord) -> Iterator[str]:
     time, codes = record.records.time, record.records.codes
     same = (time[1:] == time[:-1]) & (codes[1:] == codes[:-1]) if time.size > 1 else np.zeros(1)
-    if (share := float(np.mean(same))) >= SAME_TICK_SHARE:
+    if (share := float(np.mean(same))) >= MAX_SAME_TICK_SHARE:
         steps = np.diff(np.unique(time))
         step = f" Its values are {np.min(steps):.3g} s apart at the least." if len(steps) else ""
         yield (
@@ -278,13 +274,13 @@ def _of_clocks(record: CheckedRecord) -> Iterator[str]:
         )
 
 
-COUNTED_RUNS = 8  # runs of one reading each, below which that may be the plan of a test
+MIN_COUNTED_RUNS = 8  # runs of one reading each, below which that may be the plan of a test
 
 
-def _of_runs(record: CheckedRecord) -> Iterator[str]:
-    """Runs that are a counter."""
+def _check_runs(record: CheckedRecord) -> Iterator[str]:
+    """Yield a warning where the column `run` is a counter of readings."""
     runs = record.columns.get("run", np.zeros(0))
-    if len(runs) >= COUNTED_RUNS and len(np.unique(runs)) == len(runs):
+    if len(runs) >= MIN_COUNTED_RUNS and len(np.unique(runs)) == len(runs):
         yield (
             f"column 'run' gives each of the {len(runs)} readings a run of its own: nothing goes on from one to the "
             "next, and no rate, lag or correlation is seen. Is it a counter? Leave it out, or label the runs"
@@ -292,8 +288,8 @@ def _of_runs(record: CheckedRecord) -> Iterator[str]:
 
 
 CHECKS: tuple[Callable[[CheckedRecord], Iterator[str]], ...] = (
-    *(_of_saturation, _of_thermometers, _of_leaps, _of_standstills),
-    *(_of_size, _of_clocks, _of_runs),
+    *(_check_saturation, _check_thermometers, _check_leaps, _check_standstills),
+    *(_check_size, _check_clocks, _check_runs),
 )
 
 # Share of all readings that distinct values are at most where values occur again by rounding.
@@ -303,15 +299,15 @@ OFF_GRID_STEPS = 0.01
 
 
 def rounding_step(values: np.ndarray) -> float:
-    """Return the step that a column is rounded to where rounding makes values occur again, in its unit; else 0."""
+    """Return the step that a column is rounded to where rounding makes values recur, in its unit; else 0."""
     return resolution(values) if len(np.unique(values)) <= ROUNDED_SHARE * len(values) else 0.0
 
 
 def resolution(values: np.ndarray, fewest: int = 3) -> float:
     """Return the step of the grid on which all values of a column lie, in its unit; 0 where there is none.
 
-    Found by Euclid's algorithm: what a step leaves of the gaps between values is the next one. Of less than `fewest`
-    different values nothing is said.
+    Found by Euclid's algorithm: the remainder of the gaps between values divided by a step is the next step. For fewer
+    than `fewest` different values, 0 is returned.
     """
     levels = np.unique(values)
     if len(levels) < max(fewest, 2):
@@ -328,135 +324,135 @@ def resolution(values: np.ndarray, fewest: int = 3) -> float:
 
 
 def repeated_rows(columns: Columns) -> np.ndarray:
-    """Return the rows that repeat an earlier one in every column, NaN equal to NaN; few columns tell most apart."""
+    """Return the rows that repeat an earlier one in every column, NaN equal to NaN."""
     codes = np.zeros(len(next(iter(columns.values()))), np.int64)
     for name in sorted(columns, key=lambda name: (name != "time", columns[name].dtype.kind != "f")):
         values = columns[name]
         number = values.dtype.kind == "f"
-        own = np.unique(values, return_inverse=True)[1] if number else distinct([values])[1]
-        both = codes * (int(own.max()) + 1) + own
+        levels = np.unique(values, return_inverse=True)[1] if number else distinct([values])[1]
+        both = codes * (int(levels.max()) + 1) + levels
         _, first, codes = np.unique(both, return_index=True, return_inverse=True)
         if len(first) == len(codes):
             break
     return np.setdiff1d(np.arange(len(codes)), first)
 
 
-FEW_CHANGES = 20  # changes of a column, below which nothing is usual in it
+MIN_CHANGES = 20  # of a column, below which no change is usual in it
 # Share of a thermometer's changes that are usual ones: a rounded corner of a profile is among the rest.
 USUAL_CHANGES_SHARE = 0.9
 # °C: what a thermometer good to 0.5 °C (uniform) differs by from one time to another.
-UNLIKE_DEGREES = 0.3
+MIN_ANOMALY_DEGREES = 0.3
 # Steps of a rounded column, above which a change is a leap: noise toggles by one or two.
-HELD_STEPS = 3.0
+MIN_LEAP_STEPS = 3.0
 # Standard deviations of a column's noise, beyond which a reading is off its path.
 LEAP_NOISE_SD = 8.0
 # Share of all readings, that different values off the path are at most; more are a thermometer's noise, or its way.
 LEAP_SHARE = 0.05
-BESIDE = 3  # readings on either side, whose median is the path
-SHOWN_VALUES = 3  # of a column, that a message names
+HALF_WIDTH = 3  # readings on either side, whose median is the path
+MAX_SHOWN_VALUES = 3  # of a column, that a message names
 
 
-class Oddity(NamedTuple):
+class Anomaly(NamedTuple):
     """Readings at which a thermometer was wrong.
 
     Attributes:
         code: "leap", "held", "stuck" or "run".
-        said: what is odd, in words.
-        rows: at which it is.
-        wrong: of these, where the temperature was surely another than the column says.
+        description: in words, behind the name of the column.
+        rows: at which it occurs.
+        wrong: of these, where the column is certainly not the temperature.
     """
 
     code: str
     column: str
-    said: str
+    description: str
     rows: np.ndarray
     wrong: np.ndarray
 
 
-def oddities(
+def find_anomalies(
     columns: Columns, records: Records, thermometers: Collection[str], output: str
-) -> list[Oddity]:
-    """Return what is odd in the columns of `thermometers`, °C; without a column `time` nothing can be said.
+) -> list[Anomaly]:
+    """Find the anomalies of the columns of `thermometers`, °C; none without a column `time`.
 
-    A leap that the output takes part in was the body's.
+    A leap that the output follows was the body's.
     """
     if "time" not in columns or not (whole := records.stretches()):
         return []
-    found = list[Oddity]()
+    anomalies = list[Anomaly]()
     names = sorted(n for n in thermometers if np.ptp(columns[n]) > 0)  # false of NaN
     with np.errstate(all="ignore"):  # of numbers that no temperature is
         body = off_path(columns.get(output, np.zeros(len(columns["time"]))), whole)
         for name in names:
-            values, own = columns[name], whole
-            if np.count_nonzero(np.diff(values)) < FEW_CHANGES:
+            values, pieces = columns[name], whole
+            if np.count_nonzero(np.diff(values)) < MIN_CHANGES:
                 continue
-            leaps = np.setdiff1d(off_path(values, own, UNLIKE_DEGREES), body)
+            leaps = np.setdiff1d(off_path(values, pieces, MIN_ANOMALY_DEGREES), body)
             if 0 < len(np.unique(values[leaps])) <= LEAP_SHARE * len(values):
-                rest = (piece[~np.isin(piece, leaps)] for piece in own)
-                own = [piece for piece in rest if len(piece)]
-                some = dict.fromkeys(values[leaps][:SHOWN_VALUES].tolist())
+                clean = (piece[~np.isin(piece, leaps)] for piece in pieces)
+                pieces = [piece for piece in clean if len(piece)]
+                some = dict.fromkeys(values[leaps][:MAX_SHOWN_VALUES].tolist())
                 read = ", ".join(map("{:g}".format, some))
-                said = f"reads {read} °C, far from the readings about it, in {len(leaps)} reading(s): an error value?"
-                found.append(Oddity("leap", name, said, leaps, leaps))
-            if len(rows := held_rows(values, own)):
-                said = "repeats a value until the next leap: it was held, or asked seldom"
-                found.append(Oddity("held", name, said, rows, repeats(values, own, rows)))
-            elif len(rows := standing_rows(values, own)):
+                text = f"reads {read} °C, far from the readings about it, in {len(leaps)} reading(s): an error value?"
+                anomalies.append(Anomaly("leap", name, text, leaps, leaps))
+            if len(rows := held_rows(values, pieces)):
+                text = "repeats a value until the next leap: it was held, or asked seldom"
+                anomalies.append(Anomaly("held", name, text, rows, repeats(values, pieces, rows)))
+            elif len(rows := standing_rows(values, pieces)):
                 level = values[rows[0]]
-                said = f"stands at {level:g} in {len(rows)} readings, and hardly anywhere else: at its end, or stuck?"
-                found.append(Oddity("stuck", name, said, rows, rows))
-        return [*found, *_unlike(columns, records, names)]
+                text = f"stands at {level:g} in {len(rows)} readings, and hardly anywhere else: at its end, or stuck?"
+                anomalies.append(Anomaly("stuck", name, text, rows, rows))
+        return [*anomalies, *_differing_run(columns, records, names)]
 
 
-UNLIKE_RATIO = 5.0  # times what is left without a run, that is left with it
+MIN_RMS_RATIO = 5.0  # of the residuals with a run to those without it, above which the run differs
 
 
-def _unlike(columns: Columns, records: Records, names: Sequence[str]) -> Iterator[Oddity]:
-    """Find the run without which a thermometer is one function of another and its rate: one was different there."""
+def _differing_run(columns: Columns, records: Records, names: Sequence[str]) -> Iterator[Anomaly]:
+    """Find the run without which a thermometer is one function of another and its rate: one of both differed there."""
     time, runs = records.time, records.rows
     if len(runs) < 3 or any(len(r) < 3 or np.any(np.diff(time[r]) <= 0) for r in runs):
         return
-    for one, other in permutations(names, 2):
+    for name, other in permutations(names, 2):
         rates = np.zeros(len(time))
         for rows in runs:
             rates[rows] = np.gradient(columns[other][rows], time[rows])
-        basis, left = np.column_stack([np.ones(len(time)), columns[other], rates]), {}
+        basis, residual_rms = np.column_stack([np.ones(len(time)), columns[other], rates]), {}
         basis /= np.maximum(np.linalg.norm(basis, axis=0), np.finfo(float).tiny)
         axes, sizes, _ = np.linalg.svd(basis, full_matrices=False)
         axes = axes[:, sizes > len(time) * np.finfo(float).eps * sizes[0]]
-        off = columns[one] - axes @ (axes.T @ columns[one])
+        off = columns[name] - axes @ (axes.T @ columns[name])
         squares = off @ off
         # Without a run, by its share of the products with the axes: as fast for many runs as for a few.
         for run, rows in enumerate(runs):
-            pull, own = axes[rows].T @ off[rows], axes[rows].T @ axes[rows]
-            moved = pull @ np.linalg.pinv(np.eye(len(pull)) - own, hermitian=True) @ pull
-            rest = max(squares - off[rows] @ off[rows] - moved, 0.0)
-            left[run] = math.sqrt(rest / (len(time) - len(rows)))
-        run, second, *_ = sorted(left, key=left.__getitem__)
-        if left[second] > max(UNLIKE_RATIO * left[run], UNLIKE_DEGREES):
+            pull, leverage = axes[rows].T @ off[rows], axes[rows].T @ axes[rows]
+            gain = pull @ np.linalg.pinv(np.eye(len(pull)) - leverage, hermitian=True) @ pull
+            rss = max(squares - off[rows] @ off[rows] - gain, 0.0)
+            residual_rms[run] = math.sqrt(rss / (len(time) - len(rows)))
+        run, second, *_ = sorted(residual_rms, key=residual_rms.__getitem__)
+        if residual_rms[second] > max(MIN_RMS_RATIO * residual_rms[run], MIN_ANOMALY_DEGREES):
             label = " ".join(str(columns[n][runs[run][0]]) for n in RECORD if n in columns)
-            said = f"does not follow {other!r} in run {label} as it does in the others: one of both was different there"
-            yield Oddity("run", one, said, runs[run], runs[run][:0])
+            text = f"does not follow {other!r} in run {label} as it does in the others: one of both was different there"
+            yield Anomaly("run", name, text, runs[run], runs[run][:0])
 
 
-def off_path(values: np.ndarray, own: Sequence[np.ndarray], least: float = 0.0) -> np.ndarray:
-    """Return rows away from the median of those about them, by more than pace, noise and rounding make.
+def off_path(values: np.ndarray, stretches: Sequence[np.ndarray], least: float = 0.0) -> np.ndarray:
+    """Return the rows off the median of their neighbours by more than pace, noise and rounding explain.
 
-    On a way up or down, and on both sides of a step, a reading is that median itself. A value that repeats counts once.
+    On a ramp, and on both sides of a step, a reading is that median itself. A value that repeats counts once.
     """
-    found = [np.zeros(0, int)]
+    outliers = [np.zeros(0, int)]
     step = float(np.diff(np.unique(values)).min(initial=np.inf))
-    for piece in own:
+    for piece in stretches:
         begins, counts = equal_runs(values[piece])
         level = values[piece][begins]
-        if len(level) <= 2 * BESIDE:
+        if len(level) <= 2 * HALF_WIDTH:
             continue
-        about = sliding_window_view(np.pad(level, BESIDE, mode="reflect"), 2 * BESIDE + 1)
+        about = sliding_window_view(np.pad(level, HALF_WIDTH, mode="reflect"), 2 * HALF_WIDTH + 1)
         pace = float(np.quantile(np.abs(np.diff(level)), USUAL_CHANGES_SHARE))
-        made = max(least, HELD_STEPS * step, LEAP_NOISE_SD * scatter(level))
-        off = np.abs(level - np.median(about, axis=1)) > made + BESIDE * pace
-        found.append(piece[np.repeat(off, counts)])
-    return np.sort(np.concatenate(found))
+        tolerance = max(least, MIN_LEAP_STEPS * step, LEAP_NOISE_SD * scatter(level))
+        off = np.abs(level - np.median(about, axis=1)) > tolerance + HALF_WIDTH * pace
+        outliers.append(piece[np.repeat(off, counts)])
+    return np.sort(np.concatenate(outliers))
 
 
 def scatter(values: np.ndarray) -> float:
@@ -464,61 +460,61 @@ def scatter(values: np.ndarray) -> float:
     return 1.4826 * float(np.median(np.abs(np.diff(values, 2)))) / math.sqrt(6.0)
 
 
-HELD_LEAPS = 6  # leaps there and back, below which that may be chance; good records have none
-HELD_SHARE = 0.05  # the same as a share of a stretch's changes
+MIN_HELD_LEAPS = 6  # leaps there and back, below which that may be chance; good records have none
+MIN_HELD_SHARE = 0.05  # the same as a share of a stretch's changes
 
 
-def held_rows(values: np.ndarray, own: Sequence[np.ndarray]) -> np.ndarray:
-    """Return rows of stretches in which values are repeated until the next leap, again and again: asked seldom.
+def held_rows(values: np.ndarray, stretches: Sequence[np.ndarray]) -> np.ndarray:
+    """Return the rows of stretches in which values are held until the next leap: the sensor was polled seldom.
 
     Rounded values repeat too, and then change by a step of their rounding, the smallest gap between any two of them.
     """
-    held, pairs = [np.zeros(0, int)], 0
-    some = np.unique(values[np.concatenate([held[0], *own])])
-    leap = HELD_STEPS * float(np.diff(some).min(initial=np.inf))
-    for piece in own:
+    held_stretches, pairs = [np.zeros(0, int)], 0
+    some = np.unique(values[np.concatenate([held_stretches[0], *stretches])])
+    leap = MIN_LEAP_STEPS * float(np.diff(some).min(initial=np.inf))
+    for piece in stretches:
         begins, counts = equal_runs(values[piece])
         repeated, change = counts > 1, np.abs(np.diff(values[piece][begins]))
         pair = repeated[:-1] & repeated[1:] & (change > leap)
-        if pair.any() and pair.mean() > HELD_SHARE:
-            held.append(piece)
+        if pair.any() and pair.mean() > MIN_HELD_SHARE:
+            held_stretches.append(piece)
             pairs += int(np.count_nonzero(pair))
-    return np.concatenate(held) if pairs >= HELD_LEAPS else held[0]
+    return np.concatenate(held_stretches) if pairs >= MIN_HELD_LEAPS else held_stretches[0]
 
 
-def repeats(values: np.ndarray, own: Sequence[np.ndarray], rows: np.ndarray) -> np.ndarray:
-    """Those of some rows that repeat the value before them in their stretch."""
-    again = [piece[1:][values[piece[1:]] == values[piece[:-1]]] for piece in own]
+def repeats(values: np.ndarray, stretches: Sequence[np.ndarray], rows: np.ndarray) -> np.ndarray:
+    """Return those of `rows` that repeat the value before them in their stretch."""
+    again = [piece[1:][values[piece[1:]] == values[piece[:-1]]] for piece in stretches]
     return np.intersect1d(rows, np.concatenate([np.zeros(0, int), *again]))
 
 
-def standing_rows(values: np.ndarray, own: Sequence[np.ndarray]) -> np.ndarray:
-    """Return rows of the one level at which a column stands for far longer than at any other, if there is one."""
-    begins, lengths = zip(*(equal_runs(values[piece]) for piece in own), strict=True)
-    levels = np.concatenate([values[p[first]] for p, first in zip(own, begins, strict=True)])
-    rows, lengths = np.concatenate(own), np.concatenate(lengths)
+def standing_rows(values: np.ndarray, stretches: Sequence[np.ndarray]) -> np.ndarray:
+    """Return the rows of the one level at which a column stays for far longer than at any other, if there is one."""
+    begins, lengths = zip(*(equal_runs(values[piece]) for piece in stretches), strict=True)
+    levels = np.concatenate([values[p[first]] for p, first in zip(stretches, begins, strict=True)])
+    rows, lengths = np.concatenate(stretches), np.concatenate(lengths)
     worst = levels[np.argmax(lengths)]
     others = lengths[levels != worst]
-    least = max(STUCK_READINGS, STUCK_RATIO * np.max(others, initial=1))
-    by_rounding = np.sum(others - 1) > REPEATED_SHARE * np.sum(others)
+    least = max(MIN_STUCK_READINGS, MIN_STUCK_RATIO * np.max(others, initial=1))
+    by_rounding = np.sum(others - 1) > MAX_REPEATED_SHARE * np.sum(others)
     far = others.size and np.max(lengths) >= least and not by_rounding
     return np.sort(rows[values[rows] == worst]) if far else rows[:0]
 
 
-ROOM = 20.0  # °C, near which a record begins where its counter leaves open which of its periods it is in
+ROOM_DEGREES = 20.0  # °C, near which a record begins where its counter leaves open which of its periods it is in
 
 
 def unwrap(values: np.ndarray, records: Records, period: float, start: float) -> np.ndarray:
-    """Return a column, in the order of the file (n,), as of a counter that went on.
+    """Unwrap a counter that wraps at `period`; return the column in the order of the file (n,).
 
-    In a record it goes on from one reading to the next. The first record begins near `start` (20 °C, or 0); the mean of
-    a later one is as near as may be to that of the first. The counter begins anew at `period`.
+    Each record is unwrapped from one reading to the next. The first begins near `start` (20 °C, or 0); the mean of
+    a later one is as near as may be to that of the first.
     """
-    found, middle = values.copy(), None
+    unwrapped, middle = values.copy(), None
     for rows in (record[np.isfinite(values[record])] for record in records.rows):
         if rows.size:
-            own = np.unwrap(values[rows], period=period)
-            near = own[0] - start if middle is None else own.mean() - middle
-            found[rows] = own - period * np.round(near / period)
-            middle = found[rows].mean() if middle is None else middle
-    return found
+            piece = np.unwrap(values[rows], period=period)
+            near = piece[0] - start if middle is None else piece.mean() - middle
+            unwrapped[rows] = piece - period * np.round(near / period)
+            middle = unwrapped[rows].mean() if middle is None else middle
+    return unwrapped

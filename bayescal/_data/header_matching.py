@@ -1,9 +1,9 @@
-"""A file's headers understood for an instrument: the rules, as tables, and what the user says beside them.
+"""Matching of a file's headers to an instrument's columns: the rules, as tables, and the user's options.
 
 A header has several possible readings as a name and a unit ("Temp (°C)", "gyro_z_dps", 'angle/"'); one counts only if
 the quantity that is expected there has a unit of its kind. So "Temp_C" is a temperature in °C, since nothing else that
-is written C is a temperature. What has one reading is taken and said; what looks like a column is offered. Columns that
-no instrument asked for are kept if they have a unit: an effect of the user may need them; no file is refused for them.
+is written C is a temperature. A header with one reading is taken, with a flag; one that looks like a column is
+proposed. Further columns are kept if they have a unit: an effect of the user may need them; none is a reason to refuse.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ import numpy as np
 
 from bayescal._core.errors import InputError
 from bayescal._core.flag import Flag
-from bayescal._data.column import TAKEN, UNCERTAINTY, Column
+from bayescal._data.column import RESERVED_NAMES, UNCERTAINTY, Column
 from bayescal._data.read_options import (
     InstrumentLike,
     ReadOptions,
@@ -32,9 +32,9 @@ from bayescal._data.read_options import (
 from bayescal._data.unit_conversion import (
     ANY,
     WHERE_EXPECTED,
-    alike,
     base_unit,
     fixed_unit,
+    is_convertible,
     parse,
     pretty,
     same_dimension,
@@ -68,8 +68,8 @@ NAMES = {
     "run": "run_no run_nr run_number run_id test_run",
     "device": "device_id serial serial_no serial_number sn",
 }
-# Names under which labels are known where their values are labels too: text or whole numbers, each for a while; what
-# says that it is counted, such as "no." or "id", is left out of a name before.
+# Names of columns of labels, where their values are labels too: text or whole numbers, each for a while; words for a
+# count, such as "no." or "id", are removed from a name before.
 LABELS = {
     "run": "run run_label test_run cycle zyklus lauf laufnummer messung messreihe versuch versuchsnummer durchgang "
     "durchlauf essai passage sweep trial test repetition wiederholung mounting montage aufspannung einspannung setup",
@@ -78,26 +78,26 @@ LABELS = {
     "axis": "axis achse axe",
 }
 COUNTED = frozenset(["no", "nr", "n", "number", "num", "nummer", "numero", "id", "de", "du"])
-# What a chamber was told, which is no thermometer's reading: never proposed for one.
+# Words for a chamber's set point, which is no thermometer's reading: never proposed for one.
 COMMANDED = "setpoint set soll sollwert solltemperatur consigne target command commanded demand"
-# What stands in place of a unit where there is none.
+# Texts in place of a unit where there is none.
 NO_UNIT = frozenset(
     ["", "1", "-", "#", "no", "no.", "nr", "nr.", "n", "№", "id", "text", "label", "index", "none"]
 )
 MIN_READINGS_PER_LABEL = 3.0  # readings, on average, that have one label before the next
-# How names begin under which what is missing is logged, by its unit.
+# Beginnings of names in logs, by the unit of their column.
 BEGINNINGS = {
     "deg/s": ("gyr", "rate", "omega", "gx", "gy", "gz", "wx", "wy", "wz"),
     "ug": ("acc", "ax", "ay", "az"),
     "rad": ("tilt", "angle", "incl", "roll", "pitch"),
 }
-# A column of days beside one of times of day, in the languages of those who write both with points.
+# Names of a column of dates beside one of times of day, in languages that write both with points.
 DAYS = (
     *("date", "datum", "day", "tag", "dato", "dag", "data", "giorno", "fecha", "dia", "jour"),
     *("paiva", "paivamaara", "pvm"),
 )
 RAW = ("V", "Hz", "A", "count")  # units of a raw output, which a nominal scale turns into another
-# What a channel of the output's own axis is in; one in another unit, such as a drive voltage, is of the same sensor.
+# Units of channels on the output's own axis; one in another unit, such as a drive voltage, is of the same sensor.
 MOTION = ("m/s^2", "rad/s", "rad", "uT", "count")
 WORDS = frozenset(  # units that may be other words
     ["min", "day", "days", "bar", "rev", "count", "counts", "second", "minute", "hour", "degree"]
@@ -110,8 +110,8 @@ _AXIS = re.compile(
 
 def unit_among(header: Header, kinds: tuple[str, ...]) -> str | None:
     """Return the unit of one of these kinds that a header has in one of its readings; None for none."""
-    found = (unit_in(reading.unit or "", kinds) for reading in readings_of(header))
-    return next(filter(None, found), None)
+    units = (unit_in(reading.unit or "", kinds) for reading in readings_of(header))
+    return next(filter(None, units), None)
 
 
 def unit_behind(header: Header) -> Header | None:
@@ -123,36 +123,36 @@ def unit_behind(header: Header) -> Header | None:
 
 
 def longest_unit(header: Header) -> Header | None:
-    """The reading of a header with the longest unit, whatever its quantity; None where that may be half of one.
+    """Return the reading of a header with the longest unit, of any quantity; None where that may be half of a unit.
 
-    So "Rate in deg/hr" is in °/h, not "Rate in deg" in h; "flow_L_min" is asked about.
+    So "Rate in deg/hr" is in °/h, not "Rate in deg" in h; "flow_L_min" is left open.
     """
-    known = [(r, unit) for r in readings_of(header) if (unit := unit_in(r.unit or "", (ANY,)))]
-    if not known:
+    candidates = [(r, unit) for r in readings_of(header) if (unit := unit_in(r.unit or "", (ANY,)))]
+    if not candidates:
         return None
-    reading, unit = max(known, key=lambda one: len(one[0].unit or ""))
+    reading, unit = max(candidates, key=lambda pair: len(pair[0].unit or ""))
     before = re.split(r"[\s_./]+", reading.name.strip())[1:]
-    divides = parse(unit).powers.keys() in ({"s"}, {"m"})  # as what is measured is divided by
+    divides = parse(unit).powers.keys() in ({"s"}, {"m"})  # a usual denominator
     half = divides and header.raw[-1:].isalnum() and any(unit_in(t, (ANY,)) for t in before[-1:])
     return None if half else replace(reading, unit=unit)
 
 
-def like_a_unit(header: Header) -> str | None:
-    """What a header without a known unit ends in that may be meant as one; None if there is nothing of that kind.
+def unit_like_ending(header: Header) -> str | None:
+    """Return the end of a header without a known unit that may be meant as a unit; None if there is none.
 
-    That is what stands in brackets, unless it is a number, and behind a gap what is a unit where one is expected.
+    That is a text in brackets, unless it is a number, and behind a gap a unit as it is written where one is expected.
     """
     end = header.raw[-LONGEST_UNIT:]
-    if found := next((f for p in BRACKETS if (f := p.fullmatch(end))), None):
-        return None if found[2].strip().isdigit() else found[2].strip()
-    known = {text for texts in WHERE_EXPECTED.values() for text in texts if text.isascii()}
-    meant = known.difference(("G", "g")) | {"K"}
+    if bracketed := next((f for p in BRACKETS if (f := p.fullmatch(end))), None):
+        return None if bracketed[2].strip().isdigit() else bracketed[2].strip()
+    spellings = {text for texts in WHERE_EXPECTED.values() for text in texts if text.isascii()}
+    meant = spellings.difference(("G", "g")) | {"K"}
     return next((r.unit for r in readings_of(header) if r.unit in meant), None)
 
 
 @lru_cache(maxsize=4096)  # each is asked for by many columns
 def plain(name: str) -> str:
-    """A name without what people write differently: case, spaces, "temp" for temperature."""
+    """Return a name normalised for comparison: case, accents, spaces, "temp" for temperature."""
     bare = unicodedata.normalize("NFD", name)
     bare = "".join(c for c in bare if not unicodedata.combining(c))  # Prüfling as Prufling
     parted = re.sub(r"(?<=[a-z])(?=[A-Z])", "_", bare)  # boardTemp as board_Temp
@@ -161,20 +161,20 @@ def plain(name: str) -> str:
 
 
 def compared(reading: Header) -> str:
-    """Return the name of a reading as names are compared."""
+    """Return the name of a reading, normalised; a symbol of one letter as it is."""
     name = reading.name.strip()
     return name if len(name) == 1 else plain(name)
 
 
 def labels_in(header: Header) -> str | None:
-    """Return which of our columns of labels a header names by one of the names in `LABELS`; None for none."""
+    """Return the column of labels that a header names by one of the names in `LABELS`; None for none."""
     names = (plain(r.name) for r in readings_of(header) if (r.unit or "").lower() in NO_UNIT)
     nouns = {"_".join(word for word in name.split("_") if word not in COUNTED) for name in names}
     return next((ours for ours, those in LABELS.items() if nouns & {*those.split()}), None)
 
 
-def like_labels(texts: np.ndarray, in_turn: bool = False) -> bool:
-    """Whether a column's cells are labels: several, text or whole numbers, each for a while, or (devices) in turn."""
+def are_labels(texts: np.ndarray, in_turn: bool = False) -> bool:
+    """Return whether cells are labels: several, text or whole numbers, each for a while, or (devices) in turn."""
     levels = set(texts.tolist())
     blocks = len(levels) if in_turn else 1 + int(np.count_nonzero(texts[1:] != texts[:-1]))
     whole = all(re.fullmatch(r"[^.,]*[^\d.,][^.,]*|[+-]?\d+(?:[.,]0*)?", text) for text in levels)
@@ -183,7 +183,7 @@ def like_labels(texts: np.ndarray, in_turn: bool = False) -> bool:
 
 @dataclass(frozen=True)
 class ColumnRule:
-    """How the header of one column is known: its units are of `kinds` ("any" where no instrument knows it)."""
+    """Rule by which the header of a column is matched: its units are of `kinds` ("any" for further columns)."""
 
     column: Column
     kinds: tuple[str, ...]
@@ -191,28 +191,28 @@ class ColumnRule:
 
     @property
     def tiers(self) -> list[frozenset[str]]:
-        """Names as which it is known, the likeliest first: its own, then further ones."""
-        own = frozenset(map(plain, (self.column.name, *self.column.also)))
+        """Return the names of the column, the likeliest first: its own, then further ones."""
+        own_names = frozenset(map(plain, (self.column.name, *self.column.also)))
         further = NAMES.get(self.column.name, "").split("|")
-        return [own, *(frozenset(tier.split()) for tier in further)]
+        return [own_names, *(frozenset(tier.split()) for tier in further)]
 
-    def among(
-        self, headers: Sequence[Header], free: Collection[int], given: Mapping[str, str]
+    def matches(
+        self, headers: Sequence[Header], free: Collection[int], user_units: Mapping[str, str]
     ) -> dict[int, Header]:
-        """Return the free headers that can be read as it, under the likeliest of its names that there are.
+        """Return the free headers that can be read as the column, under the likeliest of its names that occur.
 
-        `given` are units that the user says.
+        `user_units` are units that the user gives.
         """
         tried = (
-            {i: r for i in sorted(free) if (r := self._reading(headers[i], names, given))}
+            {i: r for i in sorted(free) if (r := self._reading(headers[i], names, user_units))}
             for names in self.tiers
         )
         return next(filter(None, tried), {})
 
     def _reading(
-        self, header: Header, names: Collection[str], given: Mapping[str, str]
+        self, header: Header, names: Collection[str], user_units: Mapping[str, str]
     ) -> Header | None:
-        """The reading of a header under one of these names, in a unit of its kind or in none."""
+        """Return the reading of a header under one of these names, in a unit of the column's kind or in none."""
         for reading in sorted(readings_of(header), key=lambda r: r.unit is None):  # "T (°)" has one
             if compared(reading) not in names:
                 continue
@@ -220,90 +220,91 @@ class ColumnRule:
                 return reading
             if unit := unit_in(reading.unit, self.kinds):
                 return replace(reading, unit=unit)
-            if header.raw in given or reading.name in given:
-                unit = given.get(reading.name, "")
+            if header.raw in user_units or reading.name in user_units:
+                unit = user_units.get(reading.name, "")
                 return replace(reading, unit=unit if unit_in(unit, (ANY,)) else None)
         return None
 
-    def fitting(self, header: Header, given: Mapping[str, str]) -> Header | None:
-        """The reading of a header, whatever its name, with a unit of its kind, if it has just one."""
+    def sole_reading(self, header: Header, units: Mapping[str, str]) -> Header | None:
+        """Return the one reading of a header, of any name, with a unit of the column's kind; None if not just one."""
         if ANY in self.kinds:
-            return None if header.raw in given else longest_unit(header)
-        found = {
+            return None if header.raw in units else longest_unit(header)
+        readings = {
             unit: replace(reading, unit=unit)
             for reading in readings_of(header)
             if reading.unit and (unit := unit_in(reading.unit, self.kinds)) and not unit.isdigit()
         }
-        return found.popitem()[1] if len(found) == 1 and header.raw not in given else None
+        return readings.popitem()[1] if len(readings) == 1 and header.raw not in units else None
 
     def candidates(self, headers: Sequence[Header]) -> list[Header]:
-        """Return the headers that may mean it: in a unit of its kind, else in none; of these those that share a word
-        with its name, if any does."""
-        word, told = plain(self.column.name), frozenset(COMMANDED.split())
+        """Return the headers that may mean the column: in a unit of its kind, else in none; of these those that share a
+        word with its name, if any does."""
+        word, commanded = plain(self.column.name), frozenset(COMMANDED.split())
         if word.startswith("temperature"):
-            headers = [h for h in headers if told.isdisjoint(plain(h.name).split("_"))]
+            headers = [h for h in headers if commanded.isdisjoint(plain(h.name).split("_"))]
         tiers = (MOTION, self.kinds) if ANY in self.kinds else (self.kinds, RAW * self.output)
         tried = ([h for h in headers if unit_among(h, kinds)] for kinds in tiers)
         unknown = [h for h in headers if not longest_unit(h)]
         fitting = next(filter(None, tried), [])
         named = [h for h in (fitting or unknown) if _share_a_word(plain(h.name), word)]
-        unsaid = [h for h in unknown if self.column.unit and not like_a_unit(h)]
+        unsaid = [h for h in unknown if self.column.unit and not unit_like_ending(h)]
         return named or fitting or unsaid
 
-    def could_be(self, header: Header) -> bool:
-        """Whether a header names it in part; of a label or a known uncertainty none does."""
+    def could_mean(self, header: Header) -> bool:
+        """Return whether a header contains a name of the column; never for a label or a known uncertainty."""
         if self.column.unit is None or self.column.name == UNCERTAINTY:
             return False
-        own, *further = self.tiers
-        names = own.union(n for tier in further for n in tier if len(n) > 2)
+        own_names, *further = self.tiers
+        names = own_names.union(n for tier in further for n in tier if len(n) > 2)
         parts = set(plain(self.column.name).split("_"))
         words = (plain(reading.name) for reading in readings_of(header))
         return any(name in names or parts <= set(name.split("_")) for name in words)
 
 
 def _share_a_word(theirs: str, ours: str) -> bool:
-    """Whether names share a word, or the beginning of one, of three letters or more; of one letter, such as an axis."""
+    """Return whether names share a word, or the beginning of one, of three letters or more, or one letter (an axis)."""
     words = [(a, b) for a in theirs.split("_") for b in ours.split("_") if a and b]
     return any(a == b or (min(len(a), len(b)) > 2 and b.startswith(a)) for a, b in words)
 
 
 def channels_beside(output: str, columns: Mapping[str, str | None], unit: str | None) -> list[str]:
-    """Return the columns that are channels of the unit whose output this is: of another axis, of its own and another
-    motion, or of another number and alike.
+    """Return the columns that are channels of the unit whose output this is: of another axis, of its own axis and
+    another motion, or of another number and the same quantity.
 
     Channels of one unit see the same temperature and time, so that each follows the others, and causes none of them.
     `columns` (name → unit) are those that no instrument declares.
     """
     numbered, axis = re.sub(r"\d+", "#", output), _axis(output)
-    found = []
-    for name, own in columns.items():
-        alike = own and unit and same_dimension(own, unit) and re.sub(r"\d+", "#", name) == numbered
-        moves = own is None or any(same_dimension(own, motion) for motion in MOTION)
+    channels = []
+    for name, their_unit in columns.items():
+        same_unit = their_unit and unit and same_dimension(their_unit, unit)
+        same_quantity = same_unit and re.sub(r"\d+", "#", name) == numbered
+        moves = their_unit is None or any(same_dimension(their_unit, motion) for motion in MOTION)
         another = axis and (its := _axis(name)) and (its != axis or moves)
-        if another or (alike and "#" in numbered):
-            found.append(name)
-    return found
+        if another or (same_quantity and "#" in numbered):
+            channels.append(name)
+    return channels
 
 
 def _axis(name: str) -> str:
-    """The letter of the axis that a name ends in or begins with; "" if there is none."""
+    """Return the letter of the axis that a name ends in or begins with; "" if there is none."""
     return next((text[-1].lower() for text in reversed(_AXIS.findall(name))), "")
 
 
-SHOWN_HEADERS = 4  # of those that may be meant
+MAX_SHOWN_HEADERS = 4  # of those that may be meant
 
 
 @dataclass
 class MatchedFile:
-    """A file whose headers are understood, for an instrument.
+    """A file whose headers are matched to an instrument's columns.
 
-    A header means a column of the instrument if it has one reading as such, which a note says. A column that the file
-    holds under its own name, or that `columns=` names, is not looked for.
+    A header means a column of the instrument if it has one reading as such, which a note reports. A column that the
+    file holds under its own name, or that `columns=` names, is not searched for.
 
     Attributes:
         table: the file, with the name and unit that each header means.
         instrument: whose columns are expected.
-        options: what the user says.
+        options: of the user.
         problems: to add to.
         expected: the columns that are expected, by our names, in the units in which they are kept.
         positions: our name of every column → its position in the file.
@@ -317,7 +318,7 @@ class MatchedFile:
     positions: dict[str, int] = field(init=False, default_factory=dict)
 
     def __post_init__(self) -> None:
-        """Match the headers: by what the user says, by their names and units, then by what their cells hold."""
+        """Match the headers: by the user's options, by their names and units, then by their cells."""
         self.expected = expected_columns(self.instrument)
         self.options = self.options.of_file(self.table)
         self._headers, self._notes = list(self.table.headers), list(self.table.notes)
@@ -331,7 +332,7 @@ class MatchedFile:
         self.table = replace(self.table, headers=tuple(self._headers), notes=tuple(self._notes))
         for name, column in self.expected.items():
             unit = self.header(name).unit if name in self.positions else None
-            meant = name in self.options.columns and not _known(unit)
+            meant = name in self.options.columns and not _known_unit(unit)
             if column.unit is None and not meant and (unit or "").lower() not in NO_UNIT:
                 came, meant = f"carries the unit {unit}", f"a label (text) as {name!r}"
                 cure = "Remove the unit, or rename the column"
@@ -339,7 +340,7 @@ class MatchedFile:
         self._fix_units()
 
     def _take(self, position: int, reading: Header, name: str, why: str = "") -> None:
-        """Take a header for a column of ours, in this reading."""
+        """Take a header, in this reading, as our column `name`."""
         self._free.discard(position)
         self.positions[name] = position
         self._rename(position, reading, name + why)
@@ -353,46 +354,46 @@ class MatchedFile:
     def _take_named(self) -> None:
         """Take the columns that the user names."""
         for ours, theirs in self.options.columns.items():
-            asked = in_one_line(theirs)
-            position = called(self._headers, asked)
+            wanted_header = in_one_line(theirs)
+            position = called(self._headers, wanted_header)
             if position is None:
                 came = f"no such column, but {option('--columns', f'{ours}={theirs}')}"
                 self.problem(theirs, came, cure=f"It has: {names_in(self.table)}")
             elif position not in self._free:
-                other = next(name for name, taken in self.positions.items() if taken == position)
+                other = next(name for name, index in self.positions.items() if index == position)
                 came = f"both {other} and {ours} by --columns"
                 self.problem(theirs, came, cure="Name one for each")
             else:
                 header = self._headers[position]
-                found = self.rule(ours).fitting(header, self.options.units)
-                name = header.name if asked in (header.name, header.raw) else asked
-                self._take(position, replace(found or header, name=name), ours)
+                reading = self.rule(ours).sole_reading(header, self.options.units)
+                name = header.name if wanted_header in (header.name, header.raw) else wanted_header
+                self._take(position, replace(reading or header, name=name), ours)
 
     def _take_known(self) -> None:
-        """Take the columns of the instrument: by their own names, else by names that are usual, with a fitting unit."""
+        """Take the columns of the instrument: by their own names, else by usual names with a fitting unit."""
         headers = self._headers
         exact = {headers[i].name: i for i in self._free}
         for name, column in self.expected.items():
             if name in self.options.columns:
                 continue
             also = [n for n in column.also if n not in self.expected]
-            own, rule = [n for n in (name, *also) if n in exact], self.rule(name)
-            for second in own[1:]:
-                first, other = headers[exact[own[0]]].raw, headers[exact[second]].raw
+            own_names, rule = [n for n in (name, *also) if n in exact], self.rule(name)
+            for second in own_names[1:]:
+                first, other = headers[exact[own_names[0]]].raw, headers[exact[second]].raw
                 self.problem(other, f"a second {name!r} beside {first!r}", cure="Remove one")
-            if own:
-                position = exact[own[0]]
+            if own_names:
+                position = exact[own_names[0]]
                 unit = unit_in(headers[position].unit or "", rule.kinds) or headers[position].unit
                 self._take(position, replace(headers[position], unit=unit), name)
                 continue
-            found = rule.among(headers, self._free, self.options.units)
-            if len(found) == 1:
-                position, reading = found.popitem()
+            matches = rule.matches(headers, self._free, self.options.units)
+            if len(matches) == 1:
+                position, reading = matches.popitem()
                 self._take(position, replace(reading, name=name), name)
 
     def _take_three_axes(self) -> None:
-        """Take the outputs of three axes: the one triple of headers in their dimension that are alike but for x, y, z
-        at the beginning or the end of their names."""
+        """Take the outputs of three axes: the one triple of headers in their dimension that differ only in x, y, z at
+        the beginning or the end of their names."""
         outputs = getattr(self.instrument, "outputs", ())
         if not outputs or not {*self.positions, *self.options.columns}.isdisjoint(outputs):
             return
@@ -402,10 +403,10 @@ class MatchedFile:
             if header.raw not in self.options.units:
                 header = longest_unit(header) or header
             unit, name = unit_of(header, "", self.options), header.name.lower()
-            if name and unit and alike(unit, str(self.expected[outputs[0]].unit)):
+            if name and unit and is_convertible(unit, str(self.expected[outputs[0]].unit)):
                 for key, axis in ((f"{name[:-1]}?", name[-1]), (f"?{name[1:]}", name[0])):
                     triples.setdefault(key, {})[axis] = i, header
-        whole = [found for found in triples.values() if found.keys() >= {*"xyz"}]
+        whole = [triple for triple in triples.values() if triple.keys() >= {*"xyz"}]
         if len(whole) == 1:
             for axis in "xyz":
                 position, header = whole[0][axis]
@@ -439,8 +440,8 @@ class MatchedFile:
     def _fix_units(self) -> None:
         """Give columns a unit in place of "any": the fixed unit of what the file has; a known uncertainty its output's.
 
-        What has no unit, or one that is none, is refused where the column is converted; a nominal scale for an output
-        that may be anything is a problem here.
+        A column without a valid unit is refused where it is converted; a nominal scale for an output of unit "any" is a
+        problem here.
         """
         for name, column in self.expected.items():
             if column.unit != ANY or name not in self.positions:
@@ -457,13 +458,13 @@ class MatchedFile:
                     self.expected[name] = replace(column, unit=fixed_unit(unit))
 
     def _holds_labels(self, position: int, in_turn: bool = False) -> bool:
-        """Whether the cells of a column are labels."""
-        if self.options.leaves_out(self.table.headers[position]) or not self.table.readable:
+        """Return whether the cells of a column are labels."""
+        if self.options.is_ignored(self.table.headers[position]) or not self.table.readable:
             return False
-        return like_labels(load_whole(self.table, {position: False})[position].values, in_turn)
+        return are_labels(load_whole(self.table, {position: False})[position].values, in_turn)
 
     def rule(self, name: str) -> ColumnRule:
-        """How the header of a column of ours is known."""
+        """Return the rule by which the header of our column `name` is matched."""
         column, output = self.expected.get(name), output_name(self.instrument)
         if column is None:
             return ColumnRule(Column(name, ANY), (ANY,))
@@ -474,21 +475,21 @@ class MatchedFile:
         return ColumnRule(column, kinds, name == output)
 
     def header(self, name: str) -> Header:
-        """The header of a column by our name."""
+        """Return the header of a column by our name."""
         return self.table.headers[self.positions[name]]
 
-    def problem(self, column: str, came: str, *about: str, **more: Any) -> None:
-        """Note a problem of a column, given by its header; arguments as of `Table.objection`."""
-        self.problems.append(self.table.objection(column, came, *about, **more))
+    def problem(self, column: str, came: str, *about: str, **details: Any) -> None:
+        """Add a problem of a column, given by its header; arguments as of `Table.objection`."""
+        self.problems.append(self.table.objection(column, came, *about, **details))
 
     def note_missing(self) -> bool:
-        """Note the columns that the instrument needs and the file lacks, with the headers that may be meant.
+        """Add a problem for each required column that the file lacks, with the headers that may be meant.
 
         Returns:
             Whether there are any.
         """
-        taken = {self.positions[name] for name in self.expected if name in self.positions}
-        free = [h for i, h in enumerate(self.table.headers) if h.name and i not in taken]
+        positions = {self.positions[name] for name in self.expected if name in self.positions}
+        free = [h for i, h in enumerate(self.table.headers) if h.name and i not in positions]
         lacking = [
             column
             for name, column in self.expected.items()
@@ -497,70 +498,70 @@ class MatchedFile:
         has = f"It has: {names_in(self.table)}. "
         for column in lacking:
             self._note_lack(column, self.rule(column.name).candidates(free), has)
-            has = ""  # it is said once
+            has = ""  # once
         return bool(lacking)
 
     def _note_lack(self, column: Column, candidates: Sequence[Header], has: str) -> None:
-        asked = f"{column.name} [{column.example}]" if column.unit else column.name
-        asked += f" ({column.meaning})" * bool(column.meaning)
+        expected = f"{column.name} [{column.example}]" if column.unit else column.name
+        expected += f" ({column.meaning})" * bool(column.meaning)
         if not candidates:
-            self.problem(column.name, "no such column", asked, f"{has}Add such a column")
+            self.problem(column.name, "no such column", expected, f"{has}Add such a column")
             return
-        some = candidates[:SHOWN_HEADERS]
+        some = candidates[:MAX_SHOWN_HEADERS]
         choices = [self._as_column(column, header) for header in some]
-        given = choices[0] if len(choices) == 1 else f"({' or '.join(choices)})"
-        shown = ", ".join(header.raw for header in some)
-        advice = f"{shown} {'looks' if len(candidates) == 1 else 'look'} like it. "
-        if "--nominal-scale" in given:
+        suggestion = choices[0] if len(choices) == 1 else f"({' or '.join(choices)})"
+        names = ", ".join(header.raw for header in some)
+        advice = f"{names} {'looks' if len(candidates) == 1 else 'look'} like it. "
+        if "--nominal-scale" in suggestion:
             advice += "The nominal scale says what one unit of output is of it; --nominal-zero what it is at zero. "
         of_unit = {h.name: (longest_unit(h) or h).unit or "" for h in candidates}
-        moving = [n for n, unit in of_unit.items() if any(alike(unit, m) for m in MOTION)]
+        moving = [n for n, unit in of_unit.items() if any(is_convertible(unit, m) for m in MOTION)]
         if len(moving) > 1 and column.name == output_name(self.instrument):
             together = option("--channels", ",".join(moving))
             advice += f"Together, as channels of one unit: {together}. "
         cure = f"{has}{advice}Add such a column, or say which it is"
-        self.problem(column.name, "no such column", asked, cure, given)
+        self.problem(column.name, "no such column", expected, cure, suggestion)
 
     def _as_column(self, column: Column, header: Header) -> str:
-        """Return the options that say that a header is a column; what the file cannot tell is left to fill in."""
-        said, rule = option("--columns", f"{column.name}={header.raw}"), self.rule(column.name)
-        if column.unit is None or rule.fitting(header, {}):
-            return said
+        """Return the options that declare a header to be a column; unknown values are left to fill in."""
+        options, rule = option("--columns", f"{column.name}={header.raw}"), self.rule(column.name)
+        if column.unit is None or rule.sole_reading(header, {}):
+            return options
         raw = unit_among(header, RAW)
         if raw and rule.output and self.options.nominal_scale is None:
             per = f"({column.unit})" if "/" in column.unit else column.unit
-            return f"{said} {option('--nominal-scale', f'NUMBER {raw}/{per}')}"
-        return said if header.unit else f"{said} {option('--unit', f'{header.raw}=UNIT')}"
+            return f"{options} {option('--nominal-scale', f'NUMBER {raw}/{per}')}"
+        return options if header.unit else f"{options} {option('--unit', f'{header.raw}=UNIT')}"
 
     def further_columns(self) -> tuple[dict[str, Column], list[str]]:
-        """Return the columns beyond the instrument's that are kept, in base units, and why others are not.
+        """Return the columns beyond the instrument's that are kept, in base units, and flags of those ignored.
 
-        One that the instrument could use, or that ends in what may be a unit and is none known here, is a problem:
-        what is left out is left out because somebody says so.
+        One that the instrument could use, or that ends in an unknown text that may be a unit, is a problem: only the
+        user excludes it.
         """
-        kept, flags, file = dict[str, Column](), list[str](), self.table.file
+        columns, flags, file = dict[str, Column](), list[str](), self.table.file
         if self.options.only:
-            return kept, flags
+            return columns, flags
         without_unit = list[str]()
         for name, position in self.positions.items():
             header = self.table.headers[position]
-            if name in self.expected or self.options.leaves_out(header):
+            if name in self.expected or self.options.is_ignored(header):
                 continue
             if plain(header.name) in DAYS and not header.unit and "time" in self.positions:
                 continue  # taken with the time of day
-            if name in TAKEN:
-                said = f"{file}: column {header.raw!r} ignored: the name {name!r} is taken"
-                flags.append(Flag(said, "column.ignored", header.raw))
+            if name in RESERVED_NAMES:
+                message = f"{file}: column {header.raw!r} ignored: the name {name!r} is taken"
+                flags.append(Flag(message, "column.ignored", header.raw))
                 continue
             unit = unit_of(header, name, self.options)
-            if unit and alike(unit, unit):  # it is a unit
-                kept[name] = Column(name, base_unit(unit), required=False)
+            if unit and is_convertible(unit, unit):  # it is a unit
+                columns[name] = Column(name, base_unit(unit), required=False)
                 continue
-            unit, could_be = unit or like_a_unit(header), self._could_be(header)
+            unit, possible = unit or unit_like_ending(header), self._possible_column(header)
             text = (unit or "").lower()
-            meant = text not in NO_UNIT or (could_be and not text)
-            if meant and (could_be or _known(unit) or not self._holds_labels(position)):
-                self._note_unclear(header, unit, could_be)
+            meant = text not in NO_UNIT or (possible and not text)
+            if meant and (possible or _known_unit(unit) or not self._holds_labels(position)):
+                self._note_unclear(header, unit, possible)
             else:
                 without_unit.append(header.raw)
         nameless = (i for i, h in enumerate(self.table.headers) if not h.name)
@@ -570,35 +571,35 @@ class MatchedFile:
             lacking = [n for n in needs_none if n not in self.positions]
             meant = " or ".join(option("--columns", f"{n}={without_unit[0]}") for n in lacking)
             meant = f"to say what one is: {meant}; " * bool(lacking)
-            said = (
+            message = (
                 f"{file}: ignored, because they have no unit: {', '.join(without_unit)} "
                 f"({meant}to keep one beside the instrument's, write 'name [unit]' or give units=)"
             )
-            flags.append(Flag(said, "column.ignored", *without_unit))
-        return kept, flags
+            flags.append(Flag(message, "column.ignored", *without_unit))
+        return columns, flags
 
-    def _could_be(self, header: Header) -> Column | None:
-        """Return the column, not one that the file must have, which it lacks and a header names in part."""
+    def _possible_column(self, header: Header) -> Column | None:
+        """Return the first optional column that the file lacks and whose name a header contains; None for none."""
         lacking = (c for n, c in self.expected.items() if n not in self.positions)
-        named = (c for c in lacking if not _needed(c) and self.rule(c.name).could_be(header))
+        named = (c for c in lacking if not _needed(c) and self.rule(c.name).could_mean(header))
         return next(named, None)
 
     def _note_unclear(self, header: Header, unit: str | None, column: Column | None) -> None:
-        """Note a column that would be left out and may be of use: how to keep it, and how to leave it out."""
-        known = _known(unit, (column and column.unit) or ANY)
+        """Add a problem for a column that would be ignored and may be of use: how to keep it, and how to exclude it."""
+        known_unit = _known_unit(unit, (column and column.unit) or ANY)
         came = f"ends in [{unit}], no unit known here" if unit else "has no unit"
-        left = option("--ignore", header.raw)
-        keep = option("--unit", f"{header.raw}={known or 'UNIT'}")
-        wanted, given = "a unit known here", keep if known else left
+        ignore_option = option("--ignore", header.raw)
+        keep = option("--unit", f"{header.raw}={known_unit or 'UNIT'}")
+        expected, suggestion = "a unit known here", keep if known_unit else ignore_option
         if column:
-            wanted = f"{column.name} [{column.example}]"
-            given = f"{option('--columns', f'{column.name}={header.raw}')} {keep}"
-        cure = f"Say what it is and its unit, {keep}, or leave the column out, {left}"
-        self.problem(header.raw, came, wanted, cure, given)
+            expected = f"{column.name} [{column.example}]"
+            suggestion = f"{option('--columns', f'{column.name}={header.raw}')} {keep}"
+        cure = f"Say what it is and its unit, {keep}, or leave the column out, {ignore_option}"
+        self.problem(header.raw, came, expected, cure, suggestion)
 
 
-def _known(unit: str | None, kind: str = ANY) -> str | None:
-    """The unit that a text may be meant as; None for none."""
+def _known_unit(unit: str | None, kind: str = ANY) -> str | None:
+    """Return the unit that a text may be meant as; None for none."""
     return unit_in(unit or "", (kind,)) or spelled(unit or "")
 
 

@@ -1,4 +1,4 @@
-"""Readings: checked columns in fixed units, with the groups that they fall into."""
+"""Measurements: checked columns in fixed units, with the groups of their readings."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ from bayescal._data.column import (
     Source,
     file_names,
 )
-from bayescal._data.column_conversion import convert_columns, joined
+from bayescal._data.column_conversion import convert_columns, join_files
 from bayescal._data.read_options import InstrumentLike, ReadOptions, output_name, unused_options
 from bayescal._data.records import PAUSE_STEPS, Records, distinct, usual_step
 from bayescal._data.unit_conversion import ANY, parse
@@ -41,10 +41,10 @@ if TYPE_CHECKING:
     import xarray as xr
 
 SINCE = "since"  # attribute of the time: seconds since 1970 at its zero, where the file has dates
-# Changes from one record to the other, a reading, beyond which two lie in one time and neither goes on with the other.
-INTERLEAVED_SHARE = 0.2
-SHOWN_LABELS = 5  # labels of a column that are named
-CAUSE = "cause"  # attribute of a column: 0 where nothing is taken to depend on it
+# Changes from one record to the other, per reading: beyond, two are simultaneous and neither continues the other.
+MAX_INTERLEAVED_SHARE = 0.2
+MAX_SHOWN_LABELS = 5  # of a column
+CAUSE = "cause"  # attribute of a column: 0 where it is no possible cause
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -57,10 +57,10 @@ class Measurements(Printed):
         values: name → one entry a reading; numbers are float64, labels are text.
         units: name → the column's fixed unit; None for labels.
         sources: the files they came from.
-        flags: what was odd but no reason to refuse them, a sentence each.
+        flags: warnings of readings that were accepted, a sentence each.
         output: name of the output column.
-        scale: how a raw output is turned into the instrument's, where the user said so.
-        no_causes: columns that nothing is taken to depend on: other channels, and what the user leaves out.
+        scale: nominal scale from a raw output to the instrument's, where the user gave one.
+        no_causes: columns that are no possible causes: other channels, and those that the user excludes.
         since: seconds since 1970 at time zero; None where the time counts from no date.
     """
 
@@ -75,25 +75,25 @@ class Measurements(Printed):
 
     def __post_init__(self) -> None:
         """Make the arrays read-only; raise InputError for an unknown unit, or columns of unequal shapes."""
-        made = {name: _column(values, self.units[name]) for name, values in self.values.items()}
-        if {v.ndim for v in made.values()} != {1} or len({*map(len, made.values())}) > 1:
-            shapes = ", ".join(f"{name} {values.shape}" for name, values in made.items()) or "none"
+        columns = {name: _column(values, self.units[name]) for name, values in self.values.items()}
+        if {v.ndim for v in columns.values()} != {1} or len({*map(len, columns.values())}) > 1:
+            shapes = ", ".join(f"{name} {v.shape}" for name, v in columns.items()) or "none"
             raise InputError(
                 f"measurements have the one dimension {ROW!r}, these have columns of unequal shapes: {shapes}"
             )
-        object.__setattr__(self, "values", made)
-        object.__setattr__(self, "units", {name: self.units[name] for name in made})
+        object.__setattr__(self, "values", columns)
+        object.__setattr__(self, "units", {name: self.units[name] for name in columns})
 
     @classmethod
-    def of_variables(cls, held: Mapping[str, Any], **more: Any) -> Measurements:
-        """Make readings of `variables`, unchecked; `more` are fields that these do not hold, such as `sources`."""
+    def of_variables(cls, held: Mapping[str, Any], **other_fields: Any) -> Measurements:
+        """Make readings of `variables`, unchecked; `other_fields` are those beyond these, such as `sources`."""
         gone = (name for name, variable in held.items() if not variable.attrs.get(CAUSE, 1))
         return cls(
             {name: variable.values for name, variable in held.items()},
             {name: variable.attrs.get("units") for name, variable in held.items()},
             no_causes=frozenset(gone),
             since=held["time"].attrs.get(SINCE) if "time" in held else None,
-            **more,
+            **other_fields,
         )
 
     @classmethod
@@ -112,7 +112,7 @@ class Measurements(Printed):
         begin: str = "",
         **columns: ArrayLike,
     ) -> Measurements:
-        """Make readings of arrays, checked as `read` checks a file; options as of `read`.
+        """Make measurements of arrays, checked as `read` checks a file; options as of `read`.
 
         Args:
             instrument: whose columns these are.
@@ -134,10 +134,10 @@ class Measurements(Printed):
                 "from_arrays takes the instrument first, and then the columns: from_arrays(instrument, {'output': …}); "
                 f"a {type(instrument).__name__} came first"
             )
-        each = ((name, c.unit) for c in instrument.columns for name in (c.name, *c.also))
-        own = {name: None if unit == ANY else unit for name, unit in each}
-        own.setdefault(UNCERTAINTY, own.get(output_name(instrument)))
-        table = Table.of_columns(ARRAYS, equally_long({**(arrays or {}), **columns}), own)
+        named_units = ((name, c.unit) for c in instrument.columns for name in (c.name, *c.also))
+        default_units = {name: None if unit == ANY else unit for name, unit in named_units}
+        default_units.setdefault(UNCERTAINTY, default_units.get(output_name(instrument)))
+        table = Table.of_columns(ARRAYS, equally_long({**(arrays or {}), **columns}), default_units)
         options = ReadOptions.of(
             instrument,
             units=units or {},
@@ -147,27 +147,27 @@ class Measurements(Printed):
             missing=missing,
             begin=begin,
         )
-        return measured([table], instrument, options, allow_one_temperature)
+        return measure_tables([table], instrument, options, allow_one_temperature)
 
     @cached_property
     def records(self) -> Records:
-        """Each run of each device and axis."""
+        """Return the records: each run of each device and axis."""
         return Records.of(self.values)
 
     @cached_property
     def rates(self) -> dict[str, np.ndarray]:
-        """Slope of each column of temperatures over the last minute of its record, °C/s; none without time."""
+        """Return the slope of each column of temperatures over the last minute of its record, °C/s; {} without time."""
         warm = [n for n, unit in self.units.items() if unit == "degC" and n != MAY_BE_EMPTY]
         return {n: self.records.slope(self[n]) for n in warm} if self.has("time") else {}
 
     @cached_property
-    def oddities(self) -> tuple[checks.Oddity, ...]:
-        """What is odd in the columns of thermometers."""
+    def oddities(self) -> tuple[checks.Anomaly, ...]:
+        """Return the anomalies of the columns of thermometers."""
         warm = [n for n in self.columns if self.unit(n) == "degC"]
-        return tuple(checks.oddities(self.values, self.records, warm, self.output))
+        return tuple(checks.find_anomalies(self.values, self.records, warm, self.output))
 
     def __getitem__(self, name: str) -> np.ndarray:
-        """A column, in its fixed unit; labels as text.
+        """Return a column, in its fixed unit; labels as text.
 
         Raises:
             InputError: there is none of that name.
@@ -185,7 +185,7 @@ class Measurements(Printed):
         return name in self.values
 
     def __reduce__(self) -> Any:  # through `__post_init__`: pickled arrays can be written to
-        return Measurements, tuple(getattr(self, one.name) for one in fields(self))
+        return Measurements, tuple(getattr(self, f.name) for f in fields(self))
 
     def _parts(self) -> list[str | ResultTable]:
         rows = []
@@ -193,26 +193,26 @@ class Measurements(Printed):
             values, unit = self[name], self.unit(name)
             if unit is None:
                 labels = list(dict.fromkeys(values.tolist()))
-                more = " …" * (len(labels) > SHOWN_LABELS)
-                said = f"{len(labels)} labels: {', '.join(labels[:SHOWN_LABELS])}{more}"
+                ellipsis = " …" * (len(labels) > MAX_SHOWN_LABELS)
+                text = f"{len(labels)} labels: {', '.join(labels[:MAX_SHOWN_LABELS])}{ellipsis}"
             elif np.isnan(values).all():
-                said = "empty"
+                text = "empty"
             else:
-                said = f"{number(np.nanmin(values), 5)} to {number(np.nanmax(values), 5)}"
-            rows.append([name, unit or "", said])
-        shown = plain_table(["column", "unit", "range"], rows, left=3)
-        return [f"{len(self)} readings of {self.file}", shown]
+                text = f"{number(np.nanmin(values), 5)} to {number(np.nanmax(values), 5)}"
+            rows.append([name, unit or "", text])
+        table = plain_table(["column", "unit", "range"], rows, left=3)
+        return [f"{len(self)} readings of {self.file}", table]
 
     def _brief(self) -> str:
         named = (f"{n} [{self.unit(n)}]" if self.unit(n) else n for n in self.columns)
         return f"{len(self)} readings of {self.file}: {', '.join(named)}"
 
     def to_pandas(self) -> pd.DataFrame:
-        """The readings as a `pandas.DataFrame`, columns in their fixed units."""
+        """Return the readings as a `pandas.DataFrame`, columns in their fixed units."""
         return self.to_xarray().to_dataframe()
 
     def to_xarray(self) -> xr.Dataset:
-        """The readings as an `xarray.Dataset`; each column of numbers says its `units`."""
+        """Return the readings as an `xarray.Dataset`; each column of numbers has the attribute `units`."""
         import xarray as xr  # half a second that reading does without
 
         return xr.Dataset(
@@ -220,32 +220,32 @@ class Measurements(Printed):
         )
 
     def variables(self) -> dict[str, Variable]:
-        """The columns with their attributes, as a file of NetCDF holds them."""
-        made = {}
+        """Return the columns with their attributes, as a NetCDF file holds them."""
+        variables = {}
         for name, values in self.values.items():
             unit = self.units[name]
-            said = {} if unit is None else {"units": unit}
-            said |= {CAUSE: 0} if name in self.no_causes else {}
-            said |= {SINCE: self.since} if name == "time" and self.since is not None else {}
-            made[name] = Variable((ROW,), values, said)
-        return made
+            attributes = {} if unit is None else {"units": unit}
+            attributes |= {CAUSE: 0} if name in self.no_causes else {}
+            attributes |= {SINCE: self.since} if name == "time" and self.since is not None else {}
+            variables[name] = Variable((ROW,), values, attributes)
+        return variables
 
     def has(self, name: str) -> bool:
-        """Whether there is a column of that name."""
+        """Return whether there is a column of that name."""
         return name in self
 
     @property
     def columns(self) -> tuple[str, ...]:
-        """Names of the columns."""
+        """Return the names of the columns."""
         return tuple(self.values)
 
     @property
     def file(self) -> str:
-        """Where the readings came from, short, for messages."""
+        """Return the names of the source files, short, for messages."""
         return file_names([source.file for source in self.sources])
 
     def unit(self, name: str) -> str | None:
-        """A column's fixed unit; None for labels.
+        """Return a column's fixed unit; None for labels.
 
         Raises:
             InputError: there is no column of that name.
@@ -254,15 +254,15 @@ class Measurements(Printed):
         return self.units[name]
 
     def without_causes(self, names: Collection[str], others: bool = True) -> Measurements:
-        """The same readings, in which nothing is taken to depend on these columns; others as before, or all may be.
+        """Exclude columns as possible causes; the others as before, or (without `others`) all allowed.
 
         Raises:
             InputError: there is no such column.
         """
         for name in names:
             self[name]
-        kept = self.no_causes if others else frozenset()
-        return replace(self, no_causes=kept.union(names))
+        no_causes = self.no_causes if others else frozenset()
+        return replace(self, no_causes=no_causes.union(names))
 
     def add_to(self, digest: Any) -> None:
         """Add names, units and values of all columns to a digest of `hashlib`."""
@@ -273,20 +273,20 @@ class Measurements(Printed):
             digest.update(json.dumps(column.tolist()).encode() if text else column.tobytes())
 
     def same_as(self, other: Measurements) -> bool:
-        """Whether both have the same columns, and equal entries in each."""
+        """Return whether both have the same columns, and equal entries in each."""
         return self.values.keys() == other.values.keys() and all(
             np.array_equal(self[name], other[name], equal_nan=unit is not None)
             for name, unit in self.units.items()
         )
 
     def followed_by(self, later: Measurements) -> Measurements:
-        """These readings and then later ones, of the columns that both have; unchecked."""
+        """Concatenate these readings and later ones, in the columns that both have; unchecked."""
         names = [n for n in self.columns if later.has(n) and self.unit(n) == later.unit(n)]
-        joined = {n: np.concatenate([self[n], later[n]]) for n in names}
-        return replace(self, values=joined, no_causes=frozenset())
+        values = {n: np.concatenate([self[n], later[n]]) for n in names}
+        return replace(self, values=values, no_causes=frozenset())
 
     def groups(self, name: str) -> tuple[tuple[str, ...], np.ndarray]:
-        """The members of a grouping, in order of appearance, and each reading's index among them.
+        """Return the members of a grouping, in order of appearance, and each reading's index among them.
 
         Args:
             name: "run", "device", "axis" (a single "1" where there is no such column), another
@@ -314,15 +314,15 @@ class Measurements(Printed):
             return (), np.full(len(self), -1, dtype=np.int64)
         runs, run = self.groups("run")
         point, codes = self[MAY_BE_EMPTY], np.full(len(self), -1, dtype=np.int64)
-        there = ~np.isnan(point)
-        pairs, codes[there] = distinct([run[there], point[there]])
+        has_point = ~np.isnan(point)
+        pairs, codes[has_point] = distinct([run[has_point], point[has_point]])
         return tuple(f"run {runs[r]}, {p:.10g} °C" for r, p in pairs), codes
 
     def select(self, chosen: ArrayLike) -> Measurements:
-        """Some of the readings, by a mask or by indices.
+        """Select readings by a mask or by indices.
 
         Raises:
-            InputError: a mask of another length, or nothing chosen.
+            InputError: a mask of another length, or an empty selection.
         """
         index = np.asarray(chosen)
         if index.dtype == bool and index.shape != (len(self),):
@@ -336,7 +336,7 @@ class Measurements(Printed):
         return replace(self, values={name: values[index] for name, values in self.values.items()})
 
     def with_column(self, name: str, values: ArrayLike, unit: str | None = None) -> Measurements:
-        """The same readings with one column replaced or added, one value a reading; unchecked.
+        """Replace or add one column, one value per reading; unchecked.
 
         Args:
             unit: of a new column of numbers; a column that is there keeps its own.
@@ -354,7 +354,7 @@ class Measurements(Printed):
         )
 
     def on_clock(self, epoch: float | None, changing: Callable[[], str]) -> Measurements:
-        """These readings with times counted from a calibration's `epoch`, s since 1970; None where it has no dates.
+        """Count times from a calibration's `epoch`, s since 1970; None where it has no dates.
 
         Times without dates count from the calibration's zero where that has no date either: a column `time` has one
         origin over all runs. `changing` gives what changes with the date, for the message; empty for nothing.
@@ -370,44 +370,44 @@ class Measurements(Printed):
         if not (names := changing()):
             return self
         dated = "has no dates" if epoch is None else f"counts time from {date_text(epoch)}"
-        own, example = ("dates", "9 days") if epoch is None else ("no dates", "2026-05-13 10:14:20")
+        has, example = ("dates", "9 days") if epoch is None else ("no dates", "2026-05-13 10:14:20")
         of = self.sources[0].file if len(self.sources) == 1 else "FILE"
         raise InputError(
-            f"{self.file}: its times have {own}, the calibration {dated}; with the date changes {names}. Say "
+            f"{self.file}: its times have {has}, the calibration {dated}; with the date changes {names}. Say "
             f"when its first reading was taken{' on the clock of the calibration' * (epoch is None)}: "
             f"{option('--begin', f'{of}={example}')} (in Python, begin={example!r} where it is read)"
         )
 
     def continued_in(self, later: Measurements) -> dict[str, np.ndarray]:
-        """Which of later readings go on with runs of these: their rows by run.
+        """Return the rows, by run, of later readings that continue runs of these.
 
-        They have the run's name (and device and axis), and follow its readings in blocks, the first of them at once. A
-        file of another test, whose clock begins anew, has times that fall among all of the record's, or far from them.
+        They have the run's name (and device and axis), and follow its readings in blocks, the first without a pause. A
+        file of another test, whose clock restarts, has times that fall among all of the record's, or far from them.
         """
         if not (self.has("time") and later.has("time")) or self.since != later.since:
             return {}
-        at, found = later["time"], {}
-        for i, (name, known) in later.records.known_in(self.records).items():
+        at, continued = later["time"], {}
+        for i, (name, times) in later.records.matching_records(self.records).items():
             rows = later.records.rows[i]
             first = float(at[rows].min())
-            before = known[known < first]
-            if not before.size or known.size < 2 or np.isin(at[rows], known).any():
+            before = times[times < first]
+            if not before.size or times.size < 2 or np.isin(at[rows], times).any():
                 continue
-            merged = np.concatenate([np.zeros(known.size, bool), np.ones(rows.size, bool)])
-            merged = merged[np.argsort(np.concatenate([known, at[rows]]), kind="stable")]
-            most = max(2.0, INTERLEAVED_SHARE * min(known.size, rows.size))
-            apart = np.count_nonzero(np.diff(merged)) <= most
-            if apart and first - before[-1] <= PAUSE_STEPS * usual_step(known):
-                found[name] = rows
-        return found
+            merged = np.concatenate([np.zeros(times.size, bool), np.ones(rows.size, bool)])
+            merged = merged[np.argsort(np.concatenate([times, at[rows]]), kind="stable")]
+            most = max(2.0, MAX_INTERLEAVED_SHARE * min(times.size, rows.size))
+            in_blocks = np.count_nonzero(np.diff(merged)) <= most
+            if in_blocks and first - before[-1] <= PAUSE_STEPS * usual_step(times):
+                continued[name] = rows
+        return continued
 
     def average(self, step: str | float) -> Measurements:
-        """Means over times that follow each other, of readings whose labels and settings agree.
+        """Average over consecutive times readings whose labels and settings agree.
 
-        Each mean keeps the noise it has: `noise.white` of a fit is that of the mean of most readings, the column
-        `output_uncertainty` holds what a mean of fewer has beside it, and a flag says what a single reading scatters
-        by. Correlated noise slower than `step` stays as it is. Lost is what happens within `step`: rates, lags and
-        vibration that fast, and spikes, which a mean hides: set them aside first.
+        Each mean keeps its noise: `noise.white` of a fit is that of the mean of most readings, the column
+        `output_uncertainty` holds the excess of a mean of fewer, and a flag gives the noise of a single reading.
+        Correlated noise slower than `step` stays as it is. Changes within `step` are lost: rates, lags and vibration
+        that fast, and spikes, which a mean hides: set them aside first.
 
         Args:
             step: such as "1 s", "0.5 s" or "2 min"; a number is in s.
@@ -430,7 +430,7 @@ class Measurements(Printed):
         return write(dated.values, dated.units, path, dated.variables())
 
 
-def measured(
+def measure_tables(
     tables: Sequence[Table],
     instrument: InstrumentLike,
     options: ReadOptions,
@@ -438,27 +438,27 @@ def measured(
     labels: Sequence[str] = ("",),
     problems: Objections | None = None,
 ) -> Measurements:
-    """Convert tables of files, or of arrays, to one record; all that is wrong with any of them is refused at once.
+    """Convert tables of files, or of arrays, to measurements; raise InputError with all problems of all of them.
 
     `labels` are of the files' runs, where they have no column `run`; `problems` of files that could not be opened.
     """
     problems, parts = Objections(problems or ()), list[ConvertedColumns]()
     if not problems:
         unused_options(tables, options, problems)
-    own = [options.of_file(table, tables) for table in tables]
-    for table, of_it in zip(tables, own, strict=True):
+    file_options = [options.of_file(table, tables) for table in tables]
+    for table, table_options in zip(tables, file_options, strict=True):
         with problems.collecting():
-            part = convert_columns(table, instrument, of_it, problems)
+            part = convert_columns(table, instrument, table_options, problems)
             parts.append(part)
             records_known = part.unread.isdisjoint(("run", "device", "axis"))
-            if problems and records_known:  # said with the rest
+            if problems and records_known:  # reported together
                 problems += checks.problems_of_whole(part, instrument, True)
     problems.refuse()
-    whole, output = joined(parts, labels), output_name(instrument)
+    whole, output = join_files(parts, labels), output_name(instrument)
     checks.problems_of_whole(whole, instrument, one_temperature).refuse()
     sources = tuple(
         Source(t.file, t.sha256, t.rows, o.columns.get(output, ""), dict(o.columns), dict(o.units))
-        for t, o in zip(tables, own, strict=True)
+        for t, o in zip(tables, file_options, strict=True)
         if t.sha256
     )
     return assemble(whole, instrument, sources, options.nominal_scale)
@@ -470,12 +470,12 @@ def assemble(
     sources: tuple[Source, ...] = (),
     scale: NominalScale | None = None,
 ) -> Measurements:
-    """Measurements of checked columns, of one file or of several one after the other."""
+    """Make measurements of checked columns, of one file or of several concatenated."""
     names, output = file_names([source.file for source in sources]), output_name(instrument)
     since, units = converted.origin, converted.units
     if since is not None:
-        said = f"time is in s since {date_text(since)} (dates without a zone count as UTC)"
-        converted.flags.append(f"{names}: {said}")
+        message = f"time is in s since {date_text(since)} (dates without a zone count as UTC)"
+        converted.flags.append(f"{names}: {message}")
     repeated = checks.repeated_rows(converted.values)
     flags = [*converted.flags, *checks.flags_of(converted, output, names, repeated)]
     values = converted.values
@@ -484,16 +484,16 @@ def assemble(
         values = {n: np.delete(v, repeated) for n, v in values.items()}
     if outputs := getattr(instrument, "outputs", ()):
         as_scalar = first_offered("scalar_readings", f"reading {', '.join(outputs)}")
-        values, units, more = as_scalar(instrument, values, units, names)
-        flags += more
-    beside = frozenset(converted.beside & values.keys())
-    return Measurements(values, units, sources, tuple(flags), output, scale, beside, since)
+        values, units, scalar_flags = as_scalar(instrument, values, units, names)
+        flags += scalar_flags
+    channels = frozenset(converted.other_channels & values.keys())
+    return Measurements(values, units, sources, tuple(flags), output, scale, channels, since)
 
 
 def _column(values: ArrayLike, unit: str | None) -> np.ndarray:
-    """A column that cannot be written to: text without a unit, numbers with one."""
+    """Return a read-only column: text without a unit, numbers with one."""
     if unit is not None:
         parse(unit)
-    made = np.asarray(values).astype(str) if unit is None else np.asarray(values, np.float64).view()
-    made.flags.writeable = False
-    return made
+    view = np.asarray(values).astype(str) if unit is None else np.asarray(values, np.float64).view()
+    view.flags.writeable = False
+    return view

@@ -1,4 +1,4 @@
-"""Columns of readings of three outputs, and the ellipsoid that outputs of a known magnitude lie on."""
+"""Columns of readings of three outputs, and the ellipsoid fitted to outputs at a known magnitude."""
 
 from __future__ import annotations
 
@@ -23,14 +23,14 @@ TURNED = tuple(f"turned_{a}{j}" for a in AXES for j in AXES)
 
 
 def magnitude(columns: Any) -> Any:
-    """Of what acts, as it is given or else as the outputs have it, of the columns of readings."""
+    """Return the magnitude of the vector measurand from columns of readings: as given, else as read from outputs."""
     return columns[MAGNITUDE] if MAGNITUDE in columns else columns[MAGNITUDE_READ]
 
 
 def ellipsoid(
     outputs: Float[np.ndarray, "n 3"],
 ) -> tuple[Float[np.ndarray, "3"], Float[np.ndarray, "3 3"]] | None:
-    """Centre c and form Q of the ellipsoid (y − c)ᵀQ(y − c) = 1 through outputs; None where they determine none.
+    """Return centre c and form Q of the ellipsoid (y − c)ᵀQ(y − c) = 1 through outputs; None where not determined.
 
     By least squares on the quadric's coefficients (Q. Li and J. G. Griffiths, Proc. GMP 2004).
     """

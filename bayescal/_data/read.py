@@ -1,4 +1,4 @@
-"""`read`: files in, measurements out, or a refusal that says where and what to do."""
+"""`read`: measurements from files, or an error that says where the fault is and what to do."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from typing import Any, overload
 from bayescal._core.errors import InputError
 from bayescal._core.quoting import one_line
 from bayescal._data.column import NominalScale
-from bayescal._data.measurements import Measurements, measured
+from bayescal._data.measurements import Measurements, measure_tables
 from bayescal._data.read_options import (
     InstrumentLike,
     ReadOptions,
@@ -90,9 +90,9 @@ def read(  # pyright: ignore[reportInconsistentOverload]
             "256degC"}.
         begin: when the first reading of a file without dates was taken: a date, or a time on the clock of `like` such
             as "9 days"; of several files, or in place of a file's dates, by its name: {"b.csv": "2026-05-13 10:14"}.
-        like: readings, as of a calibration, whose headers mean the same in these files, where nothing is said of them
-            here; and their nominal scale holds.
-        max_bytes: most that all files together may hold.
+        like: readings, as of a calibration, whose headers mean the same in these files unless given otherwise here;
+            and their nominal scale holds.
+        max_bytes: limit on the size of all files together.
 
     Returns:
         The readings; of several outputs, by their names.
@@ -123,28 +123,31 @@ def read(  # pyright: ignore[reportInconsistentOverload]
         epoch=like.since if like else None,
     )
 
-    def one(options: ReadOptions) -> Measurements:
+    def read_one(options: ReadOptions) -> Measurements:
         problems, tables = Objections(), list[Table]()
-        known = (name for c in instrument.columns for name in (c.name, *c.also))
-        asked = (*options.headers, *known)
+        expected = (name for c in instrument.columns for name in (c.name, *c.also))
+        names_wanted = (*options.headers, *expected)
         for path, name in zip(paths, names, strict=True):
             with problems.collecting():
-                tables.append(open_table(path, name, max_bytes, options.decimal, asked))
-        return measured(tables, instrument, options, allow_one_temperature, _runs(paths), problems)
+                tables.append(open_table(path, name, max_bytes, options.decimal, names_wanted))
+        labels, one_temperature = _run_labels(paths), allow_one_temperature
+        return measure_tables(tables, instrument, options, one_temperature, labels, problems)
 
-    return one(options) if outputs is None else _each(outputs, options, instrument, one)
+    if outputs is None:
+        return read_one(options)
+    return _read_outputs(outputs, options, instrument, read_one)
 
 
-def _each(
+def _read_outputs(
     outputs: Sequence[str],
     options: ReadOptions,
     instrument: InstrumentLike,
-    one: Callable[[ReadOptions], Measurements],
+    read_one: Callable[[ReadOptions], Measurements],
 ) -> dict[str, Measurements]:
-    """Readings of several outputs, each as `one` reads it; what is wrong with any is said at once."""
+    """Read several outputs by `read_one`; raise InputError with the problems of all of them."""
     if not outputs or len(set(outputs)) < len(outputs):
         raise InputError(f"outputs={list(outputs)}: name each channel once, and one at least")
-    problems, found = Objections(), dict[str, Measurements]()
+    problems, readings = Objections(), dict[str, Measurements]()
     if (output := output_name(instrument)) in options.columns:
         raise InputError(f"{output}={options.columns[output]}, and channels: say only the channels")
     for name in (expected_columns(instrument).keys() - {output}).intersection(outputs):
@@ -155,17 +158,17 @@ def _each(
         columns = {**options.columns, output: name}
         others = frozenset(outputs) - {name}
         with problems.collecting():
-            found[name] = one(replace(options, columns=columns, others=others))
+            readings[name] = read_one(replace(options, columns=columns, others=others))
     Objections(dict.fromkeys(problems)).refuse()
-    return found
+    return readings
 
 
-def _runs(paths: Sequence[Path]) -> list[str]:
-    """A run's label for each file: its stem, with folder or number where that is not enough."""
+def _run_labels(paths: Sequence[Path]) -> list[str]:
+    """Return a run's label for each file: its stem, with folder or number where that is not unique."""
     stems, labels = Counter(path.stem for path in paths), list[str]()
     for path in paths:
         folder = f"{path.resolve().parent.name}/" * (stems[path.stem] > 1)
         label = one_line(f"{folder}{path.stem}")
         tried = (label, *(f"{label} ({number})" for number in range(2, len(paths) + 1)))
-        labels.append(next(one for one in tried if one not in labels))
+        labels.append(next(text for text in tried if text not in labels))
     return labels

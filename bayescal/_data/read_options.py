@@ -1,4 +1,4 @@
-"""What the user says beside a file, and what an instrument expects in it.
+"""Options of reading a file, and the columns that an instrument expects in it.
 
 A file may call its columns otherwise (`columns=`), and leave their units out or get them wrong (`units=`).
 """
@@ -17,8 +17,8 @@ from bayescal._data.pose_rows import MAGNITUDE
 from bayescal._data.records import RECORD
 from bayescal._data.unit_conversion import (
     STANDARD_GRAVITY,
-    alike,
     convert,
+    is_convertible,
     needs_gravity,
     parse,
     quantity,
@@ -41,7 +41,7 @@ _PERIOD = re.compile(r"(\d+\.?\d*)(?:\^(\d{1,2}))?\s*([^\d\s.^].*)?")
 
 
 class InstrumentLike(Protocol):
-    """What reading a file asks of an instrument. (It may also name its `output`.)"""
+    """Instrument as reading a file needs it. (It may also name its `output`.)"""
 
     @property
     def name(self) -> str: ...
@@ -52,7 +52,7 @@ class InstrumentLike(Protocol):
 
 
 class ExpectedColumns(NamedTuple):
-    """What a file must hold, as reading asks an instrument."""
+    """Columns that a file must hold, in place of an instrument."""
 
     name: str
     columns: tuple[Column, ...]
@@ -62,14 +62,14 @@ class ExpectedColumns(NamedTuple):
 
 @dataclass(frozen=True)
 class ReadOptions:
-    """What the user says beside the file; those not named here are as `read` takes them.
+    """Options of the user for reading a file; those not listed here are as `read` takes them.
 
     Attributes:
-        columns: our name → the file's, or several, where files differ; of one file (`of_file`) the one that it has.
+        columns: our name → the file's, or several, where files differ; for one file (`of_file`) the one that it has.
         local_field: in the unit of the instrument's column `magnitude`.
         only: whether all columns beside the instrument's are left out.
         others: columns of the file that are outputs of other channels, and left out.
-        remembered: files of which it was said before how they are read: a header that stands there means the same.
+        remembered: files read before with options: a header of theirs means the same.
         begin: a file's name, or "" for files without dates → when its first reading was taken.
         epoch: of the calibration, seconds since 1970; None where it has none.
     """
@@ -112,9 +112,9 @@ class ReadOptions:
         local_field: str | None = None,
         ignore: Sequence[str] = (),
         begin: str | Mapping[str, str] = "",
-        **given: Any,
+        **other_options: Any,
     ) -> ReadOptions:
-        """Parse what a user gives as text: nominal scale and zero, and the local field.
+        """Parse options that a user gives as text: nominal scale and zero, and the local field.
 
         Raises:
             InputError: one of them is not of its form, or not in a unit of this instrument.
@@ -122,7 +122,7 @@ class ReadOptions:
         options = cls(
             ignore=tuple(ignore),
             begin={"": begin} if begin and isinstance(begin, str) else dict(begin or {}),
-            **given,
+            **other_options,
         )
         if local_field is not None:
             options = replace(options, local_field=_parse_field(instrument, local_field))
@@ -135,39 +135,39 @@ class ReadOptions:
 
     @property
     def gravity(self) -> float:
-        """Local gravity as it is taken, m/s²: standard gravity where nobody stated it."""
+        """Return the local gravity used, m/s²: standard gravity where nobody stated it."""
         return STANDARD_GRAVITY if self.local_gravity is None else self.local_gravity
 
     @property
     def headers(self) -> tuple[str, ...]:
-        """All headers that columns are said to have."""
+        """Return all headers that the user names for columns."""
         return tuple(name for names in self.columns.values() for name in _several(names))
 
-    def of_file(self, table: Table, beside: Sequence[Table] = ()) -> ReadOptions:
-        """Return the options of one file: of several headers of a column, the one that it has.
+    def of_file(self, table: Table, other_tables: Sequence[Table] = ()) -> ReadOptions:
+        """Return the options for one file: of several headers of a column, the one that it has.
 
-        A header that it lacks and a file beside it has was said for that one: here nothing is said of its column.
+        A header that it lacks and another file has is meant for that one: here it is not an option.
         """
         columns, units = dict[str, str](), dict(self.units)
 
-        def there(names: Sequence[str], one: Table = table) -> list[str]:
-            return [n for n in names if called(one.headers, in_one_line(n)) is not None]
+        def present_in(names: Sequence[str], source: Table = table) -> list[str]:
+            return [n for n in names if called(source.headers, in_one_line(n)) is not None]
 
         for ours, names in self.columns.items():
-            found = there(_several(names))
-            if found or not any(there(_several(names), one) for one in beside):
-                columns[ours] = (found or _several(names))[0]
-        raw, said = {header.raw for header in table.headers}, {*self.headers}
+            present = present_in(_several(names))
+            if present or not any(present_in(_several(names), other) for other in other_tables):
+                columns[ours] = (present or _several(names))[0]
+        raw, named = {header.raw for header in table.headers}, {*self.headers}
         for before in self.remembered:
             for ours, theirs in before.columns.items():
                 new = ours not in {*self.columns, *columns}
-                if new and theirs not in {*said, *columns.values()} and there([theirs]):
+                if new and theirs not in {*named, *columns.values()} and present_in([theirs]):
                     columns[ours] = theirs
             units = {h: unit for h, unit in before.units.items() if h in raw} | units
         return replace(self, columns=columns, units=units, remembered=())
 
-    def leaves_out(self, header: Header) -> bool:
-        """Whether a column is left out, as the user says, or as it is another channel's output."""
+    def is_ignored(self, header: Header) -> bool:
+        """Return whether a column is excluded, by the user or as another channel's output."""
         return any(name in (header.raw, header.name) for name in (*self.ignore, *self.others))
 
 
@@ -177,17 +177,17 @@ def _several(names: str | Sequence[str]) -> Sequence[str]:
 
 def _with_zero(instrument: InstrumentLike, scale: NominalScale | None, zero: str) -> NominalScale:
     """Return a nominal scale with the raw output at zero, such as "1.21 V"."""
-    said = f"nominal_zero={zero!r} (--nominal-zero)"
+    argument = f"nominal_zero={zero!r} (--nominal-zero)"
     if scale is None:
         raise InputError(
-            f"{said} and no scale: {instrument.name!r} has none of its own. Say how the raw output becomes the "
+            f"{argument} and no scale: {instrument.name!r} has none of its own. Say how the raw output becomes the "
             "instrument's: --nominal-scale '250 V/g'"
         )
-    value, unit = _number_and_unit(zero, said, f"1.21 {scale.unit}")
+    value, unit = _number_and_unit(zero, argument, f"1.21 {scale.unit}")
     if not same_dimension(unit, scale.unit):
         raise InputError(
-            f"{said} is in {unit}, the nominal scale is of a raw output in {scale.unit}: give the raw output at zero "
-            "in that unit"
+            f"{argument} is in {unit}, the nominal scale is of a raw output in {scale.unit}: give the raw output at "
+            "zero in that unit"
         )
     return replace(scale, offset=float(convert(value, unit, scale.unit)))
 
@@ -196,43 +196,43 @@ def _parse_scale(instrument: InstrumentLike, text: str, local_gravity: float) ->
     """Parse a number in raw units per output unit, "250 V/g", or the other way round, "61 ug/count"."""
     unit = expected_columns(instrument)[output_name(instrument)].unit or "1"
     example = f"250 mV/({unit})" if "/" in unit else f"250 mV/{unit}"
-    said = f"nominal_scale={text!r} (--nominal-scale)"
-    gain, ratio = _number_and_unit(text, said, example)
+    flag = f"nominal_scale={text!r} (--nominal-scale)"
+    gain, ratio = _number_and_unit(text, flag, example)
     above, _, below = (part.strip() for part in ratio.partition("/"))
     for raw, inverse in ((above, False), (below, True)):
-        wanted = f"({unit})/{raw}" if inverse else f"{raw}/({unit})"
+        target = f"({unit})/{raw}" if inverse else f"{raw}/({unit})"
         for whole in (ratio, f"{above}/({below})"):  # as it stands, and "mV/°/s" as it is meant
-            if alike(whole, wanted) and not alike(raw, unit):
-                per = float(convert(gain, whole, wanted, local_gravity=local_gravity))
-                by_gravity = needs_gravity(whole, wanted)
+            if is_convertible(whole, target) and not is_convertible(raw, unit):
+                per = float(convert(gain, whole, target, local_gravity=local_gravity))
+                by_gravity = needs_gravity(whole, target)
                 return NominalScale(raw, 1 / per if inverse and per else per, by_gravity=by_gravity)
     raise InputError(
-        f"{said} is not a raw unit per {unit}: give what one unit of output is of the raw output, such as {example!r}"
+        f"{flag} is not a raw unit per {unit}: give what one unit of output is of the raw output, such as {example!r}"
     )
 
 
 def _parse_field(instrument: InstrumentLike, text: str) -> float:
     """Parse the magnitude of the local field, such as "48.2 uT", into the unit of the instrument's column."""
-    said = f"local_field={text!r} (--local-field)"
-    value, unit = _number_and_unit(text, said, "48.2 uT")
+    argument = f"local_field={text!r} (--local-field)"
+    value, unit = _number_and_unit(text, argument, "48.2 uT")
     target = next((str(c.unit) for c in instrument.columns if c.name == MAGNITUDE), "1")
     if same_dimension(unit, "uT") and same_dimension("uT", target):
         return float(convert(value, unit, target))
     raise InputError(
-        f"{said} is nothing that {instrument.name!r} can take: it is the magnitude of a magnetic field, such as "
+        f"{argument} is nothing that {instrument.name!r} can take: it is the magnitude of a magnetic field, such as "
         "'48.2 uT', and of magnetometers"
     )
 
 
-def _number_and_unit(text: str, said: str, example: str) -> tuple[float, str]:
+def _number_and_unit(text: str, argument: str, example: str) -> tuple[float, str]:
     try:
         return quantity(text)
     except InputError as error:
-        raise InputError(f"{said}: {error}: write it such as {example!r}") from None
+        raise InputError(f"{argument}: {error}: write it such as {example!r}") from None
 
 
 def output_name(instrument: InstrumentLike) -> str:
-    """Name of the instrument's output column."""
+    """Return the name of the instrument's output column."""
     name = getattr(instrument, "output", "output")
     return name if isinstance(name, str) else "output"
 
@@ -247,36 +247,36 @@ def expected_columns(instrument: InstrumentLike) -> dict[str, Column]:
         expected.setdefault(name, Column(name, None, required=False))
     if (output := expected.get(output_name(instrument))) is not None:
         meaning = "known standard uncertainty of each output"
-        own = Column(UNCERTAINTY, output.unit, meaning, required=False, low=0.0)
-        expected.setdefault(UNCERTAINTY, own)
+        uncertainty = Column(UNCERTAINTY, output.unit, meaning, required=False, low=0.0)
+        expected.setdefault(UNCERTAINTY, uncertainty)
     return expected
 
 
 def unit_of(header: Header, ours: str, options: ReadOptions) -> str | None:
-    """Return the unit of a column: what the user says, else its header's; None if neither."""
+    """Return the unit of a column: the user's, else its header's; None if neither."""
     names = (n for n in (header.raw, header.name, ours) if n in options.units)
     return next((options.units[n] for n in names), header.unit or None)
 
 
-def period_of(text: str) -> tuple[float, str]:
-    """Parse what a counter holds when it begins anew, a number and its unit: "2^32us", "604800 s", "65536"."""
-    found = _PERIOD.fullmatch(text.strip())
-    if not found or not float(found[1]) > 0:
+def parse_period(text: str) -> tuple[float, str]:
+    """Parse the period of a counter, a number and its unit: "2^32us", "604800 s", "65536"."""
+    match = _PERIOD.fullmatch(text.strip())
+    if not match or not float(match[1]) > 0:
         raise InputError(
             f"unwrap={text!r} (--unwrap): write what the counter held when it began anew, such as '2^32us', '604800s' "
             "or '65536count'"
         )
-    unit = found[3] or "1"
+    unit = match[3] or "1"
     parse(unit)
-    return float(found[1]) ** int(found[2] or 1), unit
+    return float(match[1]) ** int(match[2] or 1), unit
 
 
 def parse_begin(text: str) -> tuple[float, bool]:
-    """Parse when a first reading was taken: seconds, and whether they count from 1970 or on a calibration's clock."""
+    """Parse the time of a first reading: seconds, and whether they count from 1970 or on a calibration's clock."""
     with contextlib.suppress(ValueError):
-        (found,) = unix_seconds(text).values()
-        if found >= EARLIEST:
-            return found, True
+        (seconds,) = unix_seconds(text).values()
+        if seconds >= EARLIEST:
+            return seconds, True
     with contextlib.suppress(InputError):
         number, unit = quantity(text)
         return float(convert(number, unit, "s")), False
@@ -287,24 +287,24 @@ def parse_begin(text: str) -> tuple[float, bool]:
 
 
 def unused_options(tables: Sequence[Table], options: ReadOptions, problems: Objections) -> None:
-    """Note each unit, each column to ignore and each counter that is said for a column that no file has."""
+    """Add a problem for each unit, ignored column and counter period given for a column that no file has."""
     first, *others = [t.file for t in tables]
     headers = [h for t in tables for h in t.headers]
-    known = {n for h in headers for n in (h.raw, *(r.name for r in readings_of(h)))}
-    known |= {*options.columns, *options.headers} | ({"time"} & options.unwrap.keys())
+    known_names = {n for h in headers for n in (h.raw, *(r.name for r in readings_of(h)))}
+    known_names |= {*options.columns, *options.headers} | ({"time"} & options.unwrap.keys())
     if "" in options.begin and others:
         came = f"has one begin, {options.begin['']!r}, for {len(tables)} files"
-        asked = option("--begin", f"{first}={options.begin['']}")
-        problems.append(Objection(first, came, cure="Say of each", option=asked))
-    said = {name: option("--unit", f"{name}={unit}") for name, unit in options.units.items()}
-    said |= {name: option("--ignore", name) for name in options.ignore}
-    said |= {name: option("--unwrap", f"{name}={text}") for name, text in options.unwrap.items()}
-    for name in (n for n in said if n not in known):
+        suggestion = option("--begin", f"{first}={options.begin['']}")
+        problems.append(Objection(first, came, cure="Say of each", option=suggestion))
+    arguments = {name: option("--unit", f"{name}={unit}") for name, unit in options.units.items()}
+    arguments |= {name: option("--ignore", name) for name in options.ignore}
+    arguments |= {n: option("--unwrap", f"{n}={text}") for n, text in options.unwrap.items()}
+    for name in (n for n in arguments if n not in known_names):
         cure = f"It has: {names_in(tables[0])}" + "".join(f", nor has {file!r}" for file in others)
-        came = f"no such column, but {said[name]}"
+        came = f"no such column, but {arguments[name]}"
         problems.append(Objection(first, came, cure=cure, column=name))
 
 
 def names_in(table: Table) -> str:
-    """The headers of a file, for messages."""
+    """List the headers of a file, for messages."""
     return ", ".join(header.raw or "(no name)" for header in table.headers)

@@ -1,4 +1,4 @@
-"""Records in time: what makes one, which readings follow each other without a pause, a column's slope within one."""
+"""Records in time: their readings, their stretches without a pause, and a column's slope within one."""
 
 from __future__ import annotations
 
@@ -12,23 +12,23 @@ import numpy as np
 
 Columns = Mapping[str, np.ndarray]
 
-RECORD = ("device", "axis", "run")  # columns of labels that tell one record in time from another
+RECORD = ("device", "axis", "run")  # columns of labels that identify a record in time
 # Usual steps between readings, beyond which the next one is no neighbour; a logger that loses four readings in a row
 # has not paused.
 PAUSE_STEPS = 5.0
 RATE_WINDOW = 60.0  # s
-# Of the usual step, by which others may differ where steps are to be even: time stamps jitter.
+# Share of the usual step, by which others may differ where steps are to be even: time stamps jitter.
 EVEN_STEPS = 0.05
-# Windows of a rate (a minute each) without a reading, after which a rate is not known: the change over hours, such as
-# a soak before a tumble, says nothing of the rate now.
+# Windows of a rate (a minute each) without a reading, after which a rate is not known: a change over hours, such as
+# a soak before a tumble, does not determine the rate now.
 SILENCE_WINDOWS = 10.0
-# Of a change, that those on both sides of a step that was set are at the most; and the share of all changes, in
-# squares, that such steps are where a column was set.
-ALONE_RATIO, SET_SHARE = 0.1, 0.9
+# Largest ratio to a step that was set, of the changes on either side of it; and the least share of the sum of squared
+# changes that such steps make up where a column was set.
+MAX_NEIGHBOUR_RATIO, MIN_SET_SHARE = 0.1, 0.9
 
 
 def distinct(columns: Sequence[np.ndarray]) -> tuple[list[tuple[Any, ...]], np.ndarray]:
-    """The different rows of some columns, in the order in which they first appear, and which of them each row is.
+    """Return the distinct rows of columns, in the order in which they first appear, and the index of each row.
 
     By a dictionary of the first rows of stretches, since labels stay the same for long, and pandas takes half a second
     to load.
@@ -37,31 +37,31 @@ def distinct(columns: Sequence[np.ndarray]) -> tuple[list[tuple[Any, ...]], np.n
     begins[1:] = np.any([values[1:] != values[:-1] for values in columns], axis=0)
     first, codes = np.flatnonzero(begins), dict[tuple[Any, ...], int]()
     rows = zip(*(values[first].tolist() for values in columns), strict=True)
-    found = np.fromiter((codes.setdefault(row, len(codes)) for row in rows), np.int64, len(first))
-    return list(codes), np.repeat(found, np.diff(first, append=len(begins)))
+    indices = np.fromiter((codes.setdefault(row, len(codes)) for row in rows), np.int64, len(first))
+    return list(codes), np.repeat(indices, np.diff(first, append=len(begins)))
 
 
 def label_codes(columns: Columns, names: Collection[str]) -> np.ndarray:
-    """A number for each combination of labels, in the order in which they first appear; NaN is one of them."""
-    every = [columns[n] for n in names]
-    every = [np.where(v == v, v.astype(object), "") if v.dtype.kind == "f" else v for v in every]
-    return distinct(every)[1] if every else np.zeros(len(next(iter(columns.values()))), np.int64)
+    """Number the combinations of labels in the order in which they first appear; NaN is one of them."""
+    labels = [columns[n] for n in names]
+    labels = [np.where(v == v, v.astype(object), "") if v.dtype.kind == "f" else v for v in labels]
+    return distinct(labels)[1] if labels else np.zeros(len(next(iter(columns.values()))), np.int64)
 
 
 def equal_runs(values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return where each stretch of equal values begins, and how many there are."""
+    """Return the begin and the length of each stretch of equal values."""
     begins = np.flatnonzero(np.concatenate([[True], values[1:] != values[:-1]]))
     return begins, np.diff(begins, append=len(values))
 
 
 @dataclass(frozen=True, eq=False)
 class Records:
-    """Each run of each device and axis.
+    """Records in time: each run of each device and axis.
 
     Attributes:
         names: of its axis, its device and its run, "1" where there is no such column.
-        codes: which record each reading is of, as they first appear (n,).
-        time: of each reading, s (n,); what asks for it needs a column `time`.
+        codes: index of each reading's record (n,).
+        time: of each reading, s (n,); empty without a column `time`.
     """
 
     names: tuple[str, ...]
@@ -70,30 +70,30 @@ class Records:
 
     @classmethod
     def of(cls, columns: Columns) -> Records:
-        """Return the records of columns, by their labels."""
+        """Group the rows of columns into records, by their labels."""
         codes = label_codes(columns, [n for n in RECORD if n in columns])
         first = np.flatnonzero(np.diff(np.maximum.accumulate(codes), prepend=-1))
         labels = [columns[n][first] for n in ("axis", "device") if n in columns]
         labels.append(columns["run"][first] if "run" in columns else np.ones(len(first), int))
-        names = tuple("|".join(map(str, own)) for own in zip(*labels, strict=True))
+        names = tuple("|".join(map(str, label)) for label in zip(*labels, strict=True))
         return cls(names, codes, columns.get("time", np.zeros(0)))
 
     @cached_property
     def rows(self) -> list[np.ndarray]:
-        """Rows of each record, in the order of the file."""
+        """Return the rows of each record, in the order of the file."""
         order = np.argsort(self.codes, kind="stable")
         ends = 1 + np.flatnonzero(np.diff(self.codes[order]))
         return np.split(order, ends) if self.codes.size else []
 
     @cached_property
     def order(self) -> np.ndarray:
-        """The order of time within records (n,); that of the file where there is no time."""
-        known = self.time.size
-        return np.lexsort((self.time, self.codes)) if known else np.arange(self.codes.size)
+        """Return the order of time within records (n,); that of the file where there is no time."""
+        has_time = self.time.size
+        return np.lexsort((self.time, self.codes)) if has_time else np.arange(self.codes.size)
 
     @cached_property
     def step(self) -> np.ndarray:
-        """Time since the previous reading of the record, s, in this order, −1 at its first or without time (n,)."""
+        """Return the time since the record's previous reading, s, in `order`; −1 at its first or without time (n,)."""
         if not self.time.size:
             return -np.ones(self.codes.size)
         time = self.time[self.order]
@@ -103,35 +103,35 @@ class Records:
 
     @cached_property
     def in_time(self) -> list[np.ndarray]:
-        """Rows of each record, in the order of time."""
+        """Return the rows of each record, in the order of time."""
         return np.split(self.order, np.flatnonzero(self.step < 0)[1:])
 
     def stretches(self, fewest: int = 3) -> list[np.ndarray]:
-        """Return rows of each stretch without a pause, of `fewest` readings or more, in the order of time."""
-        found = []
+        """Return the rows of each stretch without a pause, of `fewest` readings or more, in the order of time."""
+        pieces = []
         for rows in self.in_time:
             steps = np.diff(self.time[rows])
             usual = np.median(steps) if steps.size else 0.0
-            found += np.split(rows, 1 + np.flatnonzero(steps > PAUSE_STEPS * usual))
-        return [rows for rows in found if len(rows) >= fewest]
+            pieces += np.split(rows, 1 + np.flatnonzero(steps > PAUSE_STEPS * usual))
+        return [rows for rows in pieces if len(rows) >= fewest]
 
     def starts(self, record: Records | None = None) -> np.ndarray:
-        """Return when each began, s: at its first reading, or with the run of fitted readings that it is of.
+        """Return the start of each, s: of its first reading, or of the fitted run (in `record`) that it continues.
 
-        It is of one of its name (and device and axis) whose readings, or the pause after them, hold its first reading;
-        a run of the same name on another day is another run.
+        It continues one of its name (and device and axis) whose readings, or the pause after them, include its first
+        reading; a run of the same name on another day is another run.
         """
         first = np.full(len(self.names), np.inf)
         np.minimum.at(first, self.codes, self.time)
         if record is not None and record.time.size:
-            for i, (_, known) in self.known_in(record).items():
-                pause = PAUSE_STEPS * usual_step(known)
-                if known[0] <= first[i] <= known[-1] + pause:
-                    first[i] = known[0]
+            for i, (_, times) in self.matching_records(record).items():
+                pause = PAUSE_STEPS * usual_step(times)
+                if times[0] <= first[i] <= times[-1] + pause:
+                    first[i] = times[0]
         return first
 
-    def known_in(self, record: Records) -> dict[int, tuple[str, np.ndarray]]:
-        """Return name and sorted times of those of other readings, by the index of the one of that name here."""
+    def matching_records(self, record: Records) -> dict[int, tuple[str, np.ndarray]]:
+        """Return name and sorted times of other records, by the index of the record of the same name here."""
         return {
             i: (name, record.time[record.in_time[record.names.index(name)]])
             for i, name in enumerate(self.names)
@@ -139,62 +139,60 @@ class Records:
         }
 
     def elapsed(self, record: Records | None = None) -> np.ndarray:
-        """Return the time since each reading's record began, s (n,); `record` as of `starts`."""
+        """Return the time since the start of each reading's record, s (n,); `record` as of `starts`."""
         return self.time - self.starts(record)[self.codes]
 
     @property
     def silence(self) -> float:
-        """Time without a reading, s, beyond which it is not known how a quantity went from one to the next."""
+        """Return the longest time between readings, s, over which a quantity may be interpolated."""
         return SILENCE_WINDOWS * rate_window(self.step)
 
     def set_in_steps(self, values: np.ndarray) -> bool:
-        """Return whether a column was set from time to time and stood between, as a load does, not measured on its way.
+        """Return whether a column was set in steps and constant between, as a load, rather than measured as it changed.
 
-        Nearly all that it changes by, in squares, are changes beyond which and before which it hardly does.
+        Nearly all of the sum of its squared changes is then in changes whose neighbours hardly change it.
         """
         change = np.where(self.step[1:] < 0, 0.0, np.abs(np.diff(values[self.order])))
         padded = np.pad(change, 1)
-        alone = np.maximum(padded[:-2], padded[2:]) < ALONE_RATIO * change
+        alone = np.maximum(padded[:-2], padded[2:]) < MAX_NEIGHBOUR_RATIO * change
         whole = float(np.sum(change**2))
-        return whole > 0 and float(np.sum(change[alone] ** 2)) > SET_SHARE * whole
+        return whole > 0 and float(np.sum(change[alone] ** 2)) > MIN_SET_SHARE * whole
 
     def slope(self, values: np.ndarray) -> np.ndarray:
         """Return the least-squares slope over the last minute (or the last step, if longer) of each record, unit/s.
 
         The first reading of a record has no past and gets 0; so does the first after a silence, such as the soak before
-        a tumble, for the change over hours says nothing of the rate now. Linear in the readings.
+        a tumble, as a change over hours does not determine the rate now. Linear in the readings.
         """
-        t, y, here = self.time[self.order], values[self.order], np.arange(self.time.size)
+        t, y, index = self.time[self.order], values[self.order], np.arange(self.time.size)
         window = rate_window(self.step) * (1 + 1e-9)
-        first = np.empty(
-            t.size, dtype=int
-        )  # reading of each window, one of an earlier time at least
+        first = np.empty(t.size, dtype=int)  # reading of each window
         for low, high in itertools.pairwise([*np.flatnonzero(self.step < 0), t.size]):
-            own = t[low:high]
-            earlier = np.searchsorted(own, own) - 1
-            first[low:high] = low + np.clip(np.searchsorted(own, own - window), 0, earlier.clip(0))
+            times = t[low:high]
+            last = (np.searchsorted(times, times) - 1).clip(0)  # of an earlier time at least
+            first[low:high] = low + np.clip(np.searchsorted(times, times - window), 0, last)
         of_t, of_y, of_tt, of_ty = _window_sums(t, y, first)
-        count = here - first + 1
+        count = index - first + 1
         scatter = of_tt - of_t**2 / count
-        known = (first < here) & (scatter > 0) & (t - t[first] <= self.silence * (1 + 1e-9))
+        valid = (first < index) & (scatter > 0) & (t - t[first] <= self.silence * (1 + 1e-9))
         slopes = np.zeros_like(y)
-        slopes[self.order[known]] = (of_ty - of_t * of_y / count)[known] / scatter[known]
+        slopes[self.order[valid]] = (of_ty - of_t * of_y / count)[valid] / scatter[valid]
         return slopes
 
 
 def usual_step(times: np.ndarray) -> float:
-    """Return the usual step between sorted times, s; 0 of a single one."""
+    """Return the median step between sorted times, s; 0 for a single one."""
     return float(np.median(np.diff(times))) * (1 + 1e-9) if times.size > 1 else 0.0
 
 
 def rate_window(step: np.ndarray) -> float:
-    """Return the time, s, whose slope a rate is: a minute, or the usual step between readings, if longer."""
+    """Return the window of a rate, s: a minute, or the usual step between readings, if longer."""
     steps = step[step > 0]
     return max(RATE_WINDOW, float(np.median(steps)) if steps.size else 0.0)
 
 
 def recursion(share: np.ndarray, push: np.ndarray) -> np.ndarray:
-    """Return x of xᵢ = shareᵢ·xᵢ₋₁ + pushᵢ, from zero (*s, n): a unit bidiagonal matrix, LAPACK's banded solver."""
+    """Solve xᵢ = shareᵢ·xᵢ₋₁ + pushᵢ from zero for x (*s, n): a unit bidiagonal matrix, LAPACK's banded solver."""
     from scipy.linalg.lapack import dtbtrs, ztbtrs  # only what computes loads SciPy
 
     share, push = np.broadcast_arrays(share, push)
@@ -207,17 +205,17 @@ def recursion(share: np.ndarray, push: np.ndarray) -> np.ndarray:
 
 
 def _window_sums(t: np.ndarray, y: np.ndarray, first: np.ndarray) -> np.ndarray:
-    """Sums of dt, dy, dt² and dt·dy over the readings first[i] … i, for each i; `first` rises.
+    """Return sums of dt, dy, dt² and dt·dy over the readings first[i] … i, for each i; `first` rises.
 
     An anchor stands in each window: the sums grow away from it on either side, dt and dy are distances from it, and
     nothing is ever subtracted from a sum, so no digits are lost however long the record.
     """
-    here = np.arange(t.size)
-    beyond = np.searchsorted(first, here, side="right")  # the first window without this reading
+    index = np.arange(t.size)
+    beyond = np.searchsorted(first, index, side="right")  # the first window without this reading
     anchors = [0]
     while (after := int(beyond[anchors[-1]])) < t.size:
         anchors.append(after)
-    stretch = np.searchsorted(anchors, here, side="right") - 1
+    stretch = np.searchsorted(anchors, index, side="right") - 1
     at, after = np.array(anchors)[stretch], np.array([*anchors[1:], t.size - 1])[stretch]
 
     def sums(origin: np.ndarray, rows: slice) -> np.ndarray:  # of each stretch, in this direction

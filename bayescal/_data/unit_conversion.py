@@ -1,9 +1,9 @@
-"""The units that are known, what the text of a unit means (factor, powers of base units, offset), and units converted.
+"""Known units, parsing of a unit's text (factor, powers of base units, offset), and conversion between units.
 
 The units are our own: customary tables read g as gram and Hz as an angle rate, while here g is the local
 acceleration of gravity, angle and frequency are dimensions of their own, and dps is known; a mass is in gram. Base
-units are s, K (written degC where it is a difference), rad, µg of local g, V, Hz, m, kg and others. All that is known
-of a unit, its other spellings too, stands in its row of `REGISTRY`.
+units are s, K (written degC where it is a difference), rad, µg of local g, V, Hz, m, kg and others. A unit is
+defined, with its other spellings, by its row of `REGISTRY`.
 """
 
 from __future__ import annotations
@@ -35,12 +35,12 @@ class Unit(NamedTuple):
         name: as the library writes it.
         size: in its base; 0 for a product of units that only has other spellings.
         base: a product of base units; empty for a plain number.
-        prefixes: of the SI, that it is known with too.
-        also: how else it is written anywhere, parted by spaces.
-        here: how else where a unit of its kind is expected, and nothing else can be meant; parted by commas.
-        shown: to people, where that is not its name.
+        prefixes: of the SI, that it may have.
+        also: other spellings anywhere, parted by spaces.
+        in_context: other spellings where a unit of its kind is expected, and unambiguous; parted by commas.
+        symbol: for people, where that is not its name.
         zero: of a temperature scale, K.
-        kind: of a base unit, what it is a unit of.
+        kind: of a base unit, its quantity.
     """
 
     name: str
@@ -48,8 +48,8 @@ class Unit(NamedTuple):
     base: str = ""
     prefixes: str = ""
     also: str = ""
-    here: str = ""
-    shown: str = ""
+    in_context: str = ""
+    symbol: str = ""
     zero: float | None = None
     kind: str = ""
 
@@ -60,31 +60,31 @@ REGISTRY = (
     Unit("s", 1, "s", "n", "sec second seconds Sec Seconds", "s., sec., seconds, Sek, Sek., Sekunden", kind="time"),
     Unit("ms", 1e-3, "s", also="msec"),
     Unit("us", 1e-6, "s", also="usec"),
-    Unit("min", 60, "s", also="minute minutes", here="Min, Min., min., Minuten"),
-    Unit("h", 3600, "s", also="hr hour hours", here="Std, Std., Stunden, heures"),
+    Unit("min", 60, "s", also="minute minutes", in_context="Min, Min., min., Minuten"),
+    Unit("h", 3600, "s", also="hr hour hours", in_context="Std, Std., Stunden, heures"),
     Unit("day", 86400, "s", also="days"),
     Unit("K", 1, "K", "m", "kelvin Kelvin", zero=0.0, kind="temperature"),
     Unit("degC", 1, "K", "", "celsius Celsius DegC DEGC",
          "C, oC, deg C, degrees C, deg. C, celcius, Cel, Grad C, °, º, deg, degree, degrees, c", "°C", 273.15),
-    Unit("delta_degC", 1, "K", shown="°C"),
+    Unit("delta_degC", 1, "K", symbol="°C"),
     Unit("degF", 5 / 9, "K", "", "", "F, deg F, degrees F, fahrenheit, f", "°F", 459.67 * 5 / 9),
-    Unit("delta_degF", 5 / 9, "K", shown="°F"),
+    Unit("delta_degF", 5 / 9, "K", symbol="°F"),
     Unit("rad", 1, "rad", "pnum", "radian radians", kind="angle"),
-    Unit("deg", _DEGREE, "rad", "m", "degree degrees Degrees Grad", shown="°"),
+    Unit("deg", _DEGREE, "rad", "m", "degree degrees Degrees Grad", symbol="°"),
     Unit("gon", math.pi / 200, "rad"),
     Unit("arcmin", _DEGREE / 60, "rad", also="arcminutes"),
     Unit("arcsec", _DEGREE / 3600, "rad", "", "arcsecond arcseconds", "sec of arc, asec"),
     Unit("mas", _DEGREE / 3.6e6, "rad"),
     Unit("rev", 2 * math.pi, "rad"),
-    Unit("rad/s", 0, here="rad_s, radps, rads, rad_sec, rad_per_s, rad_per_sec, rad per s"),
-    Unit("deg/s", 0, here="deg_s, degs, deg_sec, deg_per_s, deg_per_sec, degps, deg per s, deg per sec"),
-    Unit("deg/h", 0, here="deg_h, deg_hr, deg_per_h, deg_per_hr, deg per h, deg per hr"),
-    Unit("dps", _DEGREE, "rad/s", "m", shown="°/s"),
-    Unit("dph", _DEGREE / 3600, "rad/s", shown="°/h"),
-    Unit("rpm", math.pi / 30, "rad/s", here="U/min, 1/min, tr/min"),
-    Unit("ug", 1, "ug", here="micro_g, micro g", kind="acceleration in local g"),
+    Unit("rad/s", 0, in_context="rad_s, radps, rads, rad_sec, rad_per_s, rad_per_sec, rad per s"),
+    Unit("deg/s", 0, in_context="deg_s, degs, deg_sec, deg_per_s, deg_per_sec, degps, deg per s, deg per sec"),
+    Unit("deg/h", 0, in_context="deg_h, deg_hr, deg_per_h, deg_per_hr, deg per h, deg per hr"),
+    Unit("dps", _DEGREE, "rad/s", "m", symbol="°/s"),
+    Unit("dph", _DEGREE / 3600, "rad/s", symbol="°/h"),
+    Unit("rpm", math.pi / 30, "rad/s", in_context="U/min, 1/min, tr/min"),
+    Unit("ug", 1, "ug", in_context="micro_g, micro g", kind="acceleration in local g"),
     Unit("g", 1e6, "ug", "nm", "", "G, gee, gn"),
-    Unit("m/s^2", 0, here="m_s2, ms2, ms-2, ms^-2, mps2, m_per_s2, m_s_2, mss, m per s2"),
+    Unit("m/s^2", 0, in_context="m_s2, ms2, ms-2, ms^-2, mps2, m_per_s2, m_s_2, mss, m per s2"),
     Unit("Gal", 1e-2, "m/s**2", "u", "gal"),
     Unit("mGal", 1e-5, "m/s**2", also="mgal"),
     Unit("m", 1, "m", "numck", kind="length"),
@@ -122,30 +122,30 @@ REGISTRY = (
     Unit("uT", 1, "uT", kind="magnetic flux density"),
     Unit("nT", 1e-3, "uT"),
     Unit("mT", 1e3, "uT"),
-    Unit("gauss", 1e2, "uT", also="Gauss", here="Gs"),
-    Unit("mgauss", 1e-1, "uT", also="mGauss", here="mG"),
+    Unit("gauss", 1e2, "uT", also="Gauss", in_context="Gs"),
+    Unit("mgauss", 1e-1, "uT", also="mGauss", in_context="mG"),
     Unit("count", 1, "count", also="counts LSB lsb", kind="count"),
-    Unit("percent", 1e-2, shown="%"),
+    Unit("percent", 1e-2, symbol="%"),
     Unit("ppm", 1e-6),
     Unit("ppb", 1e-9),
 )  # fmt: skip
 BASE = {unit.name: unit.kind for unit in REGISTRY if unit.kind}
-KNOWN = {name: (1.0, name) for name in BASE} | {
+KNOWN_UNITS = {name: (1.0, name) for name in BASE} | {
     prefix + unit.name: (_PREFIXES.get(prefix, 1.0) * unit.size, unit.base)
     for unit in REGISTRY
     for prefix in ("", *unit.prefixes)
     if unit.size
 }
 SPELLINGS = {text: unit.name for unit in REGISTRY for text in unit.also.split()}
-WHERE_EXPECTED = {unit.name: unit.here.split(", ") for unit in REGISTRY if unit.here}
-# Of products of units, what can be meant wherever it stands; "rads" and "degs" may be words.
+WHERE_EXPECTED = {unit.name: unit.in_context.split(", ") for unit in REGISTRY if unit.in_context}
+# Spellings of products of units that are unambiguous anywhere; "rads" and "degs" may be words.
 _COMPOUND = {
-    text: unit.name for unit in REGISTRY if not unit.size for text in unit.here.split(", ")
+    text: unit.name for unit in REGISTRY if not unit.size for text in unit.in_context.split(", ")
 }
 for _word in ("", "rads", "degs"):
     _COMPOUND.pop(_word)
 _ZEROS = {unit.name: unit.zero for unit in REGISTRY if unit.zero is not None}
-_SHOWN = {unit.name: unit.shown for unit in REGISTRY if unit.shown} | {"mdeg": "m°"}
+_SYMBOLS = {unit.name: unit.symbol for unit in REGISTRY if unit.symbol} | {"mdeg": "m°"}
 _REWRITTEN = {
     "μ": "u", "µ": "u", "º": "°", "℃": "degC", "℉": "degF", "°C": "degC", "°F": "degF", "°": "deg",
     "%RH": "%", "%rH": "%", "%rh": "%", "% RH": "%", "%rF": "%", "% r.F.": "%", "%r.F.": "%",
@@ -161,7 +161,7 @@ NAME = re.compile(r"[A-Za-z_]+")
 
 @dataclass(frozen=True)
 class ParsedUnit:
-    """A unit understood.
+    """A parsed unit.
 
     Attributes:
         factor: in base units.
@@ -176,15 +176,15 @@ class ParsedUnit:
     names: tuple[tuple[str, float], ...] = ()
 
     def times(self, other: ParsedUnit, power: float = 1.0) -> ParsedUnit:
-        """Return it times another unit to a power."""
+        """Multiply by another unit raised to a power."""
         powers = dict(self.powers)
-        for name, own in other.powers.items():
-            powers[name] = powers.get(name, 0.0) + power * own
-        kept = {name: own for name, own in powers.items() if own}
-        return ParsedUnit(self.factor * other.factor**power, kept)
+        for name, exponent in other.powers.items():
+            powers[name] = powers.get(name, 0.0) + power * exponent
+        nonzero = {name: exponent for name, exponent in powers.items() if exponent}
+        return ParsedUnit(self.factor * other.factor**power, nonzero)
 
     def __str__(self) -> str:
-        """What it is the dimension of, as messages have it."""
+        """Format the dimension in base units, for messages."""
         return f"[{_in_base(self.powers)}]" if self.powers else "a plain number"
 
 
@@ -193,19 +193,19 @@ NUMBER = ParsedUnit(1.0, {})
 
 @lru_cache(maxsize=512)
 def parse(text: str) -> ParsedUnit:
-    """Parse a unit; raise InputError for what is none."""
+    """Parse a unit; raise InputError for a text that is none."""
     plain = normalised(text)
-    # As a Python expression: what stands side by side is multiplied, ^ is a power.
+    # As a Python expression: factors side by side are multiplied, ^ is a power.
     side_by_side = r"(?<=[\w)])\s*(?=\()|(?<=\))\s*(?=\w)|(?<=\w)\s+(?=\w)|(?<=\d)(?=[A-Za-z])"
     expression = re.sub(side_by_side, "*", plain).replace("^", "**").strip()
     factor, powers = 1.0, dict[str, float]()
     try:
         names = tuple(_factors(ast.parse(expression, mode="eval").body))
         for name, power in names:
-            size, base = KNOWN[name]
+            size, base = KNOWN_UNITS[name]
             factor *= size**power
-            for unit, own in _factors(ast.parse(base, mode="eval").body) if base else ():
-                powers[unit] = powers.get(unit, 0.0) + power * own
+            for unit, exponent in _factors(ast.parse(base, mode="eval").body) if base else ():
+                powers[unit] = powers.get(unit, 0.0) + power * exponent
     except (SyntaxError, ValueError, OverflowError) as error:
         raise InputError(
             f"[{text}] is not a unit: write one such as [ug/mg^2] or [deg/s/degC]"
@@ -215,9 +215,9 @@ def parse(text: str) -> ParsedUnit:
 
 
 def _factors(part: ast.expr) -> list[tuple[str, float]]:
-    """The names in a parsed product, quotient or power, each with its power."""
+    """Return the names in a parsed product, quotient or power, each with its power."""
     match part:
-        case ast.Name(id=name) if name in KNOWN:
+        case ast.Name(id=name) if name in KNOWN_UNITS:
             return [(name, 1.0)]
         case ast.Constant(value=1):
             return []
@@ -226,17 +226,17 @@ def _factors(part: ast.expr) -> list[tuple[str, float]]:
             return [*_factors(left), *((name, sign * power) for name, power in _factors(right))]
         case ast.BinOp(left=left, op=ast.Pow(), right=right):
             power = float(ast.literal_eval(right))
-            return [(name, power * own) for name, own in _factors(left)]
+            return [(name, power * exponent) for name, exponent in _factors(left)]
     raise ValueError("no product of units")
 
 
 def normalised(text: str) -> str:
-    """Return one spelling for each unit: plain ASCII, known names, ^ for powers; raise InputError for unknown names."""
+    """Normalise a unit's spelling: plain ASCII, known names, ^ for powers; raise InputError for unknown names."""
     if not text.strip() or len(text) > 60:
         raise InputError(f"[{text[:60]}] is not a unit: write one such as [degC], [deg/s] or [1]")
     plain = re.sub(r"([⁻⁰¹²³⁴⁵⁶⁷⁸⁹]+)", r"^\1", text.strip()).translate(_SUPERSCRIPTS)  # m/s²
-    for seen, meant in _REWRITTEN.items():
-        plain = plain.replace(seen, meant)
+    for spelling, meant in _REWRITTEN.items():
+        plain = plain.replace(spelling, meant)
     plain = re.sub(r"(?:√|sqrt)\(?([A-Za-z]+)\)?", r"\1^0.5", plain)  # deg/√h
     plain = re.sub(r"([A-Za-z])([2-4]|-[1-4])\b", r"\1^\2", plain)  # m/s2, m s-2
     if re.search(r"\bms\^-?2", plain):
@@ -248,11 +248,11 @@ def normalised(text: str) -> str:
     plain = NAME.sub(lambda m: SPELLINGS.get(m[0], m[0]), plain)
     names = NAME.findall(plain)
     for name in names:
-        if name not in KNOWN:
+        if name not in KNOWN_UNITS:
             raise InputError(f"[{text}] is not a unit known here: {name!r} is none{_near(name)}")
     # Without its powers, each name as "u", a unit may hold operators and a lone 1, as in 1/degC.
-    rest = NAME.sub("u", EXPONENT.sub("", plain))
-    if re.search(r"[^u1*/() ]|11|1u", rest):
+    skeleton = NAME.sub("u", EXPONENT.sub("", plain))
+    if re.search(r"[^u1*/() ]|11|1u", skeleton):
         raise InputError(
             f"[{text}] is not a unit: a unit is made of names, *, /, ^ and brackets, without "
             "numbers in front. Write one such as [ug/mg^2] or [deg/s/degC]"
@@ -260,7 +260,7 @@ def normalised(text: str) -> str:
     return plain
 
 
-# no units here, and what may be meant
+# symbols that are no units here, and the units that may be meant
 _OTHERS = {"C": ("the coulomb", "degC"), "F": ("the farad", "degF"), "S": ("the siemens", "s")}
 
 
@@ -268,35 +268,35 @@ def _near(name: str) -> str:
     if name in _OTHERS:
         called, meant = _OTHERS[name]
         return f" ({name!r} is {called}; is {meant} meant?)"
-    near = [k for k in KNOWN if k.lower() == name.lower()]
-    near = near or difflib.get_close_matches(name, KNOWN, 3)
-    return f" (is {' or '.join(near)} meant?)" if near else f" (known are {', '.join(KNOWN)})"
+    near = [k for k in KNOWN_UNITS if k.lower() == name.lower()]
+    near = near or difflib.get_close_matches(name, KNOWN_UNITS, 3)
+    return f" (is {' or '.join(near)} meant?)" if near else f" (known are {', '.join(KNOWN_UNITS)})"
 
 
 def unit_in(text: str, kinds: tuple[str, ...]) -> str | None:
-    """Return a text as a unit of the dimension of one of `kinds` ("any" expects none); None for none, or for two."""
+    """Return the one unit that a text spells, of the dimension of one of `kinds` ("any" expects none), else None."""
     if _is(text, kinds):
         return text
     if ANY in kinds:
         return _COMPOUND.get(text.translate(_SUPERSCRIPTS))
     lower, spellings = text.lower(), WHERE_EXPECTED.items()
-    own = {u for u, texts in spellings if text in texts}
+    exact = {u for u, texts in spellings if text in texts}
     loose = {u for u, texts in spellings if len(text) > 1 and lower in map(str.lower, texts)}
-    folded = {u for u in KNOWN if u.lower() == lower}
-    tried = ({u for u in some if _is(u, kinds)} for some in (own or loose, folded, {lower}))
-    found = next((some for some in tried if some), set())
-    return found.pop() if len(found) == 1 else None
+    folded = {u for u in KNOWN_UNITS if u.lower() == lower}
+    tried = ({u for u in some if _is(u, kinds)} for some in (exact or loose, folded, {lower}))
+    matches = next((some for some in tried if some), set())
+    return matches.pop() if len(matches) == 1 else None
 
 
 def spelled(text: str) -> str | None:
-    """The one unit that a text is another spelling of, such as degC of C; None if there is none or several."""
-    found = [unit for unit, texts in WHERE_EXPECTED.items() if text in texts]
-    return found[0] if len(found) == 1 else None
+    """Return the one unit that a text is another spelling of, such as degC of C; None if there is none or several."""
+    units = [unit for unit, texts in WHERE_EXPECTED.items() if text in texts]
+    return units[0] if len(units) == 1 else None
 
 
 def _is(unit: str, kinds: tuple[str, ...]) -> bool:
-    """Whether a text is a known unit of one of these kinds."""
-    return any(alike(unit, unit if kind == ANY else kind) for kind in kinds)
+    """Return whether a text is a known unit of one of these kinds."""
+    return any(is_convertible(unit, unit if kind == ANY else kind) for kind in kinds)
 
 
 EARTH_GRAVITY = (9.7, 9.9)  # m/s²; nowhere on Earth is it outside
@@ -351,11 +351,11 @@ _QUANTITY = re.compile(r"([+\-−]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)\s*([^\d
 
 def quantity(text: str) -> tuple[float, str]:
     """Parse the number and the unit of a text such as "48.2 uT" or "2min"; raise InputError for any other."""
-    found = _QUANTITY.fullmatch(text.strip())
-    if not found:
+    match = _QUANTITY.fullmatch(text.strip())
+    if not match:
         raise InputError("it is no number with a unit")
-    parse(found[2])
-    return float(found[1].replace("−", "-")), found[2]
+    parse(match[2])
+    return float(match[1].replace("−", "-")), match[2]
 
 
 def same_dimension(a: str, b: str) -> bool:
@@ -363,8 +363,8 @@ def same_dimension(a: str, b: str) -> bool:
     return _power_of_gravity(parse(a).powers, parse(b).powers) is not None
 
 
-def alike(a: str, b: str) -> bool:
-    """Whether both texts are units, of one dimension."""
+def is_convertible(a: str, b: str) -> bool:
+    """Return whether both texts are units, of one dimension."""
     with contextlib.suppress(InputError):
         return same_dimension(a, b)
     return False
@@ -384,7 +384,7 @@ def coefficient_factor(unit: str, slot_unit: str) -> float:
 def basis_factor(
     unit: str, slot_unit: str, named: tuple[str, ...], open_: bool, others: tuple[str, ...]
 ) -> float:
-    """Return what a coefficient in its unit, times a basis of columns in their own units, is in the slot's unit.
+    """Return the factor that converts a coefficient in its unit, times a basis in its columns' units, to the slot's.
 
     The basis has the dimension of slot unit ÷ unit, and is in the product of column units that has this dimension:
     where the slot is in um/s^2, a coefficient in um/s^2/hPa on a column in hPa has the factor 1, on one in Pa 0.01. A
@@ -399,23 +399,23 @@ def basis_factor(
     Raises:
         InputError: an unknown unit; columns that make no such product, or several products of different size.
     """
-    own, slot = parse(unit), parse(slot_unit)
-    wanted = {n: slot.powers.get(n, 0) - own.powers.get(n, 0) for n in {*slot.powers, *own.powers}}
-    wanted = {name: power for name, power in wanted.items() if power}
-    factor = own.factor / slot.factor * _ratios(unit, slot_unit, named, open_)
+    coef, slot = parse(unit), parse(slot_unit)
+    basis = {n: slot.powers.get(n, 0) - coef.powers.get(n, 0) for n in {*slot.powers, *coef.powers}}
+    basis = {name: power for name, power in basis.items() if power}
+    factor = coef.factor / slot.factor * _ratios(unit, slot_unit, named, open_)
     clock = () if any(parse(u).powers == {"s": 1} for u in named) else ("s",)
     tried = [named, (*named, *clock)]
     # m/s² of a column that no instrument declares is kept as local g
-    as_gravity = open_ and "m" in wanted and wanted.get("s") == -2 * wanted["m"]
+    as_gravity = open_ and "m" in basis and basis.get("s") == -2 * basis["m"]
     if open_ and not as_gravity:
         tried.append((*named, *BASE))
     tried.append((*named, *clock, *others))
     for units in tried:
-        size = _product(wanted, tuple(dict.fromkeys(units)), unit, slot_unit)
+        size = _product(basis, tuple(dict.fromkeys(units)), unit, slot_unit)
         if size is not None:
             return factor * size
     raise InputError(
-        f"a coefficient in [{unit}] on a slot in [{slot_unit}] needs a basis in [{_in_base(wanted)}], and no product "
+        f"a coefficient in [{unit}] on a slot in [{slot_unit}] needs a basis in [{_in_base(basis)}], and no product "
         f"of its columns' units ({_listed(named)}) is that"
         + "; a column in m/s² that no instrument declares is kept in ug: write the coefficient per ug, mg or g"
         * as_gravity
@@ -423,7 +423,7 @@ def basis_factor(
 
 
 def _ratios(unit: str, slot_unit: str, named: tuple[str, ...], open_: bool) -> float:
-    """Units of ratio columns (%, ppm, ppb, 1) to the powers to which the coefficient is per ratio."""
+    """Return the product of the units of ratio columns (%, ppm, ppb, 1), each to the power that the coefficient has."""
     ratios = {parse(u).factor for u in named if not parse(u).powers} | ({1.0} if open_ else set())
     written = [(parse(n).factor, p) for n, p in parse(unit).names if not parse(n).powers]
     if not ratios or not written:
@@ -432,7 +432,7 @@ def _ratios(unit: str, slot_unit: str, named: tuple[str, ...], open_: bool) -> f
     for size, power in written:
         below[size] -= min(power, 0.0)  # pyright: ignore[reportArgumentType]
         above += max(power, 0.0)
-    # a ratio's own coefficient has one above its stroke: what the output is counted in
+    # a ratio's own coefficient has one above its stroke: the unit of the output
     beyond = above - (0.0 if parse(slot_unit).powers else min(above, 1.0))
     below = {size: power for size, power in below.items() if power}
     if len(ratios) == 1 and not (below and beyond):
@@ -450,21 +450,21 @@ def _ratios(unit: str, slot_unit: str, named: tuple[str, ...], open_: bool) -> f
 
 
 def _product(
-    wanted: Mapping[str, float], units: Sequence[str], unit: str, slot_unit: str
+    basis: Mapping[str, float], units: Sequence[str], unit: str, slot_unit: str
 ) -> float | None:
-    """The size, in base units, of the product of these units that has a dimension; None where there is none."""
+    """Return the size, in base units, of the product of these units that has a dimension; None where there is none."""
     above, below = Counter[str](), Counter[str]()
     for name, power in parse(unit).names:
-        for base, own in parse(name).powers.items():
-            (above if power > 0 else below)[base] += own * power  # pyright: ignore[reportArgumentType]
+        for base, exponent in parse(name).powers.items():
+            (above if power > 0 else below)[base] += exponent * power  # pyright: ignore[reportArgumentType]
     slot = parse(slot_unit).powers
-    involved = {n for n in {*above, *below} if below[n] or above[n] != slot.get(n, 0)} | {*wanted}
+    involved = {n for n in {*above, *below} if below[n] or above[n] != slot.get(n, 0)} | {*basis}
     parts = {u: parse(u) for u in units if not involved.isdisjoint(parse(u).powers)}
     if not parts:
-        return None if wanted else 1.0
-    names = sorted({*wanted, *(n for part in parts.values() for n in part.powers)})
+        return None if basis else 1.0
+    names = sorted({*basis, *(n for part in parts.values() for n in part.powers)})
     matrix = np.array([[part.powers.get(n, 0.0) for part in parts.values()] for n in names])
-    aim = np.array([wanted.get(n, 0.0) for n in names])
+    aim = np.array([basis.get(n, 0.0) for n in names])
     sizes = np.log([part.factor for part in parts.values()])
     powers, _, rank, _ = np.linalg.lstsq(matrix, aim)
     if np.abs(matrix @ powers - aim).max() > 1e-9:
@@ -501,7 +501,7 @@ def base_unit(unit: str) -> str:
 
 
 def _in_base(powers: Mapping[str, float]) -> str:
-    """Powers of base units as a unit; a temperature's is that of a difference."""
+    """Format powers of base units as a unit; a temperature's is that of a difference."""
     above, below = list[str](), list[str]()
     for name, power in sorted(("degC" if n == "K" else n, p) for n, p in powers.items()):
         part = name if abs(power) == 1 else f"{name}^{abs(power):g}"
@@ -525,11 +525,10 @@ def pretty(unit: str) -> str:
 
     def name(match: re.Match[str]) -> str:
         text = match[0]
-        return _SHOWN.get(text) or ("µ" + text[1:] if text[0] == "u" else text)
+        return _SYMBOLS.get(text) or ("µ" + text[1:] if text[0] == "u" else text)
 
-    text = re.sub(
-        r"(\w+)\^\(?0\.5\)?", r"√\1", NAME.sub(name, normalised(unit)).replace("*", "·")
-    )  # °/√h
+    text = NAME.sub(name, normalised(unit)).replace("*", "·")
+    text = re.sub(r"(\w+)\^\(?0\.5\)?", r"√\1", text)  # °/√h
     digits = str.maketrans("0123456789-", "⁰¹²³⁴⁵⁶⁷⁸⁹⁻")
     return EXPONENT.sub(
         lambda m: m[0].strip("^()").translate(digits) if "." not in m[0] else m[0], text
@@ -537,19 +536,19 @@ def pretty(unit: str) -> str:
 
 
 def unit_label(unit: str) -> str:
-    """A unit for people; nothing for a number without one."""
+    """Format a unit for people; "" for a plain number."""
     return pretty(unit) if unit not in ("", "1") else ""
 
 
 def _power_of_gravity(old: Mapping[str, float], new: Mapping[str, float]) -> float | None:
-    """How often m/s² must become local g to get from one to the other; None if nothing helps."""
+    """Return the power of m/s² that becomes local g in a conversion; None where there is no conversion."""
     power, names = old.get("m", 0) - new.get("m", 0), {*old, *new}
     expected = {"m": power, "s": -2 * power, "ug": -power}
-    alike = all(old.get(n, 0) - new.get(n, 0) == expected.get(n, 0) for n in names)
-    return power if alike and (not power or {"s", "ug"} <= names) else None
+    matches = all(old.get(n, 0) - new.get(n, 0) == expected.get(n, 0) for n in names)
+    return power if matches and (not power or {"s", "ug"} <= names) else None
 
 
 def _dimension(parsed: ParsedUnit) -> str:
     ranked = sorted(parsed.powers.items(), key=lambda item: -item[1])
-    shown = (BASE[n] if power == 1 else f"({BASE[n]})^{power:g}" for n, power in ranked)
-    return " × ".join(shown) or "a plain number"
+    factors = (BASE[n] if power == 1 else f"({BASE[n]})^{power:g}" for n, power in ranked)
+    return " × ".join(factors) or "a plain number"

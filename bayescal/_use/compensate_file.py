@@ -141,7 +141,7 @@ def compensate_file(
         _refuse_another_clock(compensator, readings, bool(options.begin))
         found = compensator(readings, noise=noise, method=method, warn=False)
         values = np.full((2, table.rows), np.nan)
-        kept = slice(None) if converted.kept is None else converted.kept
+        kept = slice(None) if converted.kept_rows is None else converted.kept_rows
         values[:, kept] = found.value, found.uncertainty
         writers = {".parquet": _parquet, ".nc": _netcdf, **dict.fromkeys(AS_CSV, _as_csv)}
         added = AddedColumns(names, compensator.unit, values, options.decimal)

@@ -232,7 +232,7 @@ def _convert_usable(
         problems, some = ws.Objections(), table.take(rows)
         converted = ws.convert_columns(some, expects, options, problems)
         if not problems:
-            rows = rows if converted.kept is None else rows[converted.kept]
+            rows = rows if converted.kept_rows is None else rows[converted.kept_rows]
             return converted.values, converted.units, rows, refused
         ws.Objections(p for p in problems if not p.rows).refuse()
         bad: dict[int, str] = {}
