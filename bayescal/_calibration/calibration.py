@@ -1,4 +1,4 @@
-"""What a fit returns, with all that it offers: it prints itself, is an ArviZ tree, and is saved."""
+"""The result of a fit: printed, converted to an ArviZ tree, saved to NetCDF."""
 
 from __future__ import annotations
 
@@ -37,10 +37,10 @@ class Calibration(Printed, Fitted):
         layout: where each unknown stands.
         mode: φ̂ and x̂, at which everything is linearised.
         log_evidence: (value, Monte-Carlo error or None), None where a prior is flat.
-        start: φ by name where its mode was looked for beside the prior draws; empty for most.
-        form_factor: on the standard uncertainty of the expected output, for formulas that a search does not have; 1 for
-            a fit of a formula that is known.
-        unfound_spreads: standard deviations of new runs that no draw has, by the effect that was not found; in the unit
+        start: φ by name, a starting point for its mode besides the prior draws; empty for most.
+        form_factor: multiplies the standard uncertainty of the expected output, for formulas absent from a search; 1
+            if the formula is known.
+        unfound_spreads: standard deviations between new runs that no draw has, by effect not found; in the unit
             of its coefficient.
     """
 
@@ -49,16 +49,15 @@ class Calibration(Printed, Fitted):
 
     @property
     def remarks(self) -> str:
-        """What was not measured, the verdict, and what stands against the result, a line each."""
-        told = {(one.code, one.of) for one in self.conflicts}
-        further = (
-            w for w in self.verdict.against if not isinstance(w, Flag) or (w.code, w.of) not in told
-        )
+        """Return unidentified directions, the verdict, conflicts and failed checks, one per line."""
+        stated = {(claim.code, claim.of) for claim in self.conflicts}
+        against = self.verdict.against
+        further = (f for f in against if not isinstance(f, Flag) or (f.code, f.of) not in stated)
         lines = [
-            *(f"not measured: {one}" for one in null_directions(self)),
+            *(f"not measured: {direction}" for direction in null_directions(self)),
             str(self.verdict),
-            *(f"conflict: {words}" for words in self.conflicts),
-            *(f"not reliable: {words}" for words in further),
+            *(f"conflict: {conflict}" for conflict in self.conflicts),
+            *(f"not reliable: {conflict}" for conflict in further),
         ]
         return "\n".join(folded(line, "") for line in lines)
 
@@ -68,7 +67,7 @@ class Calibration(Printed, Fitted):
         return f"{verdict}, {len(self.readings)} readings of {self.readings.file}, {in_short(self.model)}"
 
     def _columns(self) -> dict[str, list[Any]]:
-        """A row for each unknown, in its own unit; `low` and `high` bound the 95 % credible interval."""
+        """Return one row per unknown, in its unit; `low` and `high` bound the 95 % credible interval."""
         rows = [row for part in summary(self) for row in part]
         return {
             "unknown": [r["name"] for r in rows],
@@ -80,13 +79,13 @@ class Calibration(Printed, Fitted):
 
     @cached_property
     def conflicts(self) -> tuple[Claim, ...]:
-        """Where readings and priors contradict each other, and what else a fit may not be."""
+        """Return contradictions of readings and priors, implausible group members, and too few readings."""
         subject = Subject(self)
         return (*conflicts(subject), *group_conflicts(subject), *too_few(subject))
 
     @cached_property
     def tree(self) -> xr.DataTree:
-        """The ArviZ DataTree, made when it is first looked at: replicated readings take time and memory.
+        """Build the ArviZ DataTree, on first access: replicated readings take time and memory.
 
         Groups: posterior, prior, posterior_predictive, log_prior, sample_stats, observed_data, constant_data, and the
         joint draws as plain vectors.
@@ -96,15 +95,15 @@ class Calibration(Printed, Fitted):
         return build_tree(self)
 
     def with_log_likelihood(self) -> xr.DataTree:
-        """A copy of `tree` with the group `log_likelihood`, (chain, draw, reading), for `arviz_stats.loo` and its like.
+        """Return a copy of `tree` with the group `log_likelihood`, (chain, draw, reading), for `arviz_stats.loo`.
 
-        Made anew each time, since it is as large as draws times readings; above two million numbers draws are thinned,
-        and those of the other groups with them. Under correlated noise a reading's is given those before it in its run.
+        Not cached: its size is draws times readings; above two million numbers the draws are thinned,
+        in all groups alike. Under correlated noise it is conditional on the earlier readings of the run.
         """
         from bayescal._calibration.posterior_tree import with_log_likelihood
 
         return with_log_likelihood(self.tree, self)
 
     def save(self, path: str | Path) -> Path:
-        """Write draws, mode and readings to NetCDF, beside and then renamed. `bc.load` reads them back."""
+        """Write draws, mode and readings to NetCDF, atomically. `bc.load` reads them back."""
         return save(self, Path(path))

@@ -1,4 +1,4 @@
-"""Where the model fails: residuals against every covariate, with evidence and the worst region in physical units.
+"""Residual checks: residuals against every covariate, with evidence and the worst region in physical units.
 
 A covariate's log Bayes factor says whether the residuals hold structure against it: the score test of a variance
 component, in the metric in which all nuisances are marginalised, averaged over the length and amplitude of an unknown
@@ -47,7 +47,7 @@ class Region:
 
 @dataclass(frozen=True)
 class Entry:
-    """One covariate, or group of readings (`by_group`): a run, a cell, an axis, a device."""
+    """Evidence against one covariate, or group of readings (`by_group`): run, cell, axis, device."""
 
     against: str
     log_bayes_factor: float
@@ -55,7 +55,7 @@ class Entry:
     by_group: bool = False
 
     def data(self, unit: str) -> dict[str, Any]:
-        """As in result.json; sizes in the output's unit, places in the covariate's."""
+        """Return the record in result.json; sizes in the output's unit, places in the covariate's."""
         worst = dict(vars(self.worst))
         place = {"from": worst.pop("low"), "to": worst.pop("high"), "unit": unit}
         return {**vars(self), "worst": {**place, **worst}}
@@ -71,7 +71,7 @@ class Pair:
 
 @dataclass(frozen=True)
 class FixedComparison:
-    """What residuals of a model with fixed coefficients are judged against, output unit."""
+    """Reference noise for the residuals of a model with fixed coefficients, output unit."""
 
     noise: float  # standard deviation used as the measure
     rms: float  # of the residuals
@@ -79,25 +79,25 @@ class FixedComparison:
 
     @property
     def wrong(self) -> bool:
-        """Whether the fixed coefficients leave clearly more than the noise of the same model with free coefficients."""
+        """Return whether the rms is more than twice the noise of the same model with free coefficients."""
         return self.rms > 2 * self.noise
 
 
 @dataclass(frozen=True, repr=False)
 class Check(Printed):
-    """Where a model fails.
+    """Residual checks of a model.
 
     Attributes:
-        entries: a covariate each, the strongest evidence first.
+        entries: one per covariate, the strongest evidence first.
         pairs: of covariates, likewise.
         unit: of the output.
         rms: of the residuals, output unit.
-        noise: standard deviation that they are judged against.
+        noise: standard deviation of the noise that they are compared with.
         autocorrelation: (lag-1 coefficient within runs beyond what the fit itself leaves, its z).
         scatter_with: covariates with which the scatter changes, and the p-value of each.
         outliers: (row, leave-one-out standard deviations).
         pit_p: p-value of uniform leave-one-out probability integral transforms.
-        one_sided: p-value of as many readings far above the model as far below it.
+        one_sided: p-value of the sign test on the readings farthest from the model.
         fixed: only for models with fixed coefficients.
         residuals: (n,), output unit.
     """
@@ -119,23 +119,24 @@ class Check(Printed):
         return check_parts(self)
 
     def data(self) -> list[dict[str, Any]]:
-        """Each covariate, as in result.json."""
+        """Return one record per covariate, as in result.json."""
         return [e.data(self.unit) for e in self.entries]
 
     def _brief(self) -> str:
         unit = unit_label(self.unit)
-        said = f"residuals {self.rms:.3g} {unit} rms, noise {self.noise:.3g} {unit}"
-        for most in self.entries[:1]:
-            said += f"; most against {most.against}, log Bayes factor {most.log_bayes_factor:z.1f}"
-        return said
+        text = f"residuals {self.rms:.3g} {unit} rms, noise {self.noise:.3g} {unit}"
+        for entry in self.entries[:1]:
+            factor = f"log Bayes factor {entry.log_bayes_factor:z.1f}"
+            text += f"; most against {entry.against}, {factor}"
+        return text
 
     def _columns(self) -> dict[str, list[Any]]:
-        """A row for each covariate or group; sizes in the output's unit, places in the covariate's."""
+        """Return one row per covariate or group; sizes in the output's unit, places in the covariate's."""
         return check_table(self.data()).data()
 
 
 def check_table(rows: Sequence[Mapping[str, Any]]) -> ResultTable:
-    """Residuals against each covariate; of its rows as they stand in result.json."""
+    """Tabulate residuals against each covariate, from the rows of result.json."""
 
     def signed(places: str) -> Callable[[float | None], str]:
         return lambda value: "–" if value is None else f"{value:{places}}"
@@ -159,11 +160,7 @@ def check_table(rows: Sequence[Mapping[str, Any]]) -> ResultTable:
 
 
 def check_parts(check: Check, most: int | None = None) -> list[str | ResultTable]:
-    """Where a model fails, the worst covariate first.
-
-    Of `most` covariates alone, what always stands below them (neighbours in time, probabilities of single readings) is
-    left out too.
-    """
+    """List a model's residual checks, the worst covariate first; without autocorrelation and PIT if cut to `most`."""
     unit, rows = unit_label(check.unit), check.data()[:most]
     noise = f"judged against noise of {check.noise:.3g} {unit}"
     lines: list[str | ResultTable] = [f"residuals {check.rms:.3g} {unit} rms, {noise}"]
@@ -185,8 +182,8 @@ def check_parts(check: Check, most: int | None = None) -> list[str | ResultTable
         f"scatter changes with {name} (p = {p:.1g})" for name, p in check.scatter_with.items()
     ]
     if check.outliers:
-        shown = ", ".join(f"row {i + 1} ({z:+.1f} sd)" for i, z in check.outliers[:5])
-        lines.append(f"outliers: {shown}{' …' if len(check.outliers) > 5 else ''}")
+        listed = ", ".join(f"row {i + 1} ({z:+.1f} sd)" for i, z in check.outliers[:5])
+        lines.append(f"outliers: {listed}{' …' if len(check.outliers) > 5 else ''}")
     if most is None:
         lines.append(f"leave-one-out probabilities uniform: p = {check.pit_p:.2g}")
     if check.one_sided < SIGNIFICANT_P:
@@ -195,7 +192,7 @@ def check_parts(check: Check, most: int | None = None) -> list[str | ResultTable
 
 
 def place_in_words(row: Mapping[str, Any]) -> str:
-    """Where the worst region of a covariate is: "48.7 to 79.74 °C in run 2", "run 2", "rows 3 to 8"."""
+    """Describe the worst region of a covariate: "48.7 to 79.74 °C in run 2", "run 2", "rows 3 to 8"."""
     against, region = row["against"], row["worst"]
     low, high, group = region["from"], region["to"], region["group"]
     if row.get("by_group", against == "run"):  # which results of before 0.4 do not say
@@ -216,9 +213,8 @@ def _fixed_text(f: FixedComparison, residuals: np.ndarray, unit: str) -> str:
     )
 
 
-SAME_COVARIATE_CORRELATION = 0.95  # rank correlation from which two covariates are taken for one
-# Expected lag-1 autocorrelation, from which neighbours are what the fit leaves, such as two about a free level, and
-# say nothing of the noise.
+SAME_COVARIATE_CORRELATION = 0.95  # rank correlation from which two covariates count as the same
+# Expected lag-1 autocorrelation above which the fit itself determines it, as with two readings about a free level.
 TIED_CORRELATION = 0.99
 FARTHEST_SHARE = 0.1  # share of the readings, those farthest from the model, whose signs are tested
 DUOS = 15  # pairs of covariates, at most
@@ -233,22 +229,21 @@ WAVES = 2  # along each of two covariates together
 
 @on_one_thread
 def check(calibration: Calibration) -> Check:
-    """Where a fitted model fails.
+    """Check a fitted model's residuals against every covariate.
 
-    A model with fixed coefficients is judged against the noise of the same model with free coefficients, not against a
-    noise inflated to cover its misfit.
+    With fixed coefficients the reference is the noise of the same model with free ones, not noise inflated by misfit.
     """
-    judged, free = _judged(calibration)
+    judged, free = _with_free_noise(calibration)
     linear, fixed = judged.linear, None
     residual, white = linear.settled, linear.scores
     noise, rms = float(np.sqrt(np.mean(linear.variance))), float(np.sqrt(np.mean(residual**2)))
     covariates = covariates_of(judged)
-    duos = _duos(covariates)
+    two = _covariate_pairs(covariates)
     factors = log_bayes_factors(judged, covariates, noise)
-    of_duos = log_bayes_factors(judged, [_together(a, b) for a, b in duos], noise)
-    each = zip(covariates, factors, strict=True)
-    entries = [Entry(c.name, f, _worst_region(judged, c), bool(c.levels)) for c, f in each]
-    pairs = [Pair((a.name, b.name), f) for (a, b), f in zip(duos, of_duos, strict=True)]
+    of_two = log_bayes_factors(judged, [_interaction(a, b) for a, b in two], noise)
+    scored = zip(covariates, factors, strict=True)
+    entries = [Entry(c.name, f, _worst_region(judged, c), bool(c.levels)) for c, f in scored]
+    pairs = [Pair((a.name, b.name), f) for (a, b), f in zip(two, of_two, strict=True)]
     # Each reading predicted from the others, in standard deviations of that prediction: V⁻¹r over the root of V⁻¹'s
     # diagonal, both from the leverages. Under correlated noise: from those before it in its run.
     loo = white
@@ -257,7 +252,7 @@ def check(calibration: Calibration) -> Check:
     # Where the mean is off, so are size and side of the residuals: these are judged only where it is not.
     scatter, one_sided = dict[str, float](), 1.0
     if max(factors, default=0.0) < settings().strong_evidence:
-        scatter = _scatter_with(covariates, white, calibration.readings["output"] - residual)
+        scatter = _scatter_p_values(covariates, white, calibration.readings["output"] - residual)
         if count := int(FARTHEST_SHARE * len(loo)):  # sign test
             above = int(np.sum(loo[np.argsort(-np.abs(loo))[:count]] > 0))
             one_sided = min(1.0, 2 * float(bdtr(min(above, count - above), count, 0.5)))
@@ -273,7 +268,7 @@ def check(calibration: Calibration) -> Check:
         autocorrelation=autocorrelation(judged, white),
         scatter_with=scatter,
         outliers=tuple((i, z) for i, z in enumerate(loo.tolist()) if abs(z) > far),
-        pit_p=_normal(loo),
+        pit_p=_normality_p_value(loo),
         one_sided=one_sided,
         fixed=fixed,
         residuals=residual,
@@ -281,43 +276,43 @@ def check(calibration: Calibration) -> Check:
 
 
 def why_not(calibration: Calibration) -> str:
-    """Return why a calibration is not to be used; empty where it may be. One that nobody checked is checked."""
+    """Return why a calibration must not be used, empty if it may; an unchecked one is checked first."""
     verdict = calibration.verdict
     if verdict.checked or not verdict.reliable:
         return verdict.why_not
-    known = vars(calibration)  # kept with what else is computed of it
-    if "why_not" not in known:
-        known["why_not"] = judgement.noiseless(calibration) or " ".join(_against(calibration))
-    return known["why_not"]
+    cache = vars(calibration)  # cached with the other computed attributes
+    if "why_not" not in cache:
+        cache["why_not"] = judgement.noiseless(calibration) or " ".join(_failures(calibration))
+    return cache["why_not"]
 
 
-def _against(calibration: Calibration) -> Sequence[judgement.Claim]:
+def _failures(calibration: Calibration) -> Sequence[judgement.Claim]:
     if wrong := judgement.wrong_question(calibration, noise_floor(calibration)):
         return wrong
-    doubts = tuple(judgement.doubts_of_the_mode(calibration))
-    asked = {"left_out": leave_one_group_out(calibration), "doubts": doubts}
-    return judgement.against(judgement.Subject(calibration, check=check(calibration), **asked))
+    doubts = tuple(judgement.multimodality(calibration))
+    parts = {"left_out": leave_one_group_out(calibration), "doubts": doubts}
+    return judgement.failures(judgement.Subject(calibration, check=check(calibration), **parts))
 
 
-def _judged(calibration: Calibration) -> tuple[Calibration, float | None]:
-    """The calibration with the noise to judge by; and the free fit's noise, if coefficients are fixed."""
-    # Coefficients fixed at values that were stated; those that are known by definition are none of them.
-    held = {b.name for b in calibration.layout.blocks} & {*dict(calibration.model.fixed)}
-    if not held:
+def _with_free_noise(calibration: Calibration) -> tuple[Calibration, float | None]:
+    """Return the calibration with its reference noise; and the free fit's noise, if coefficients are fixed."""
+    # Coefficients fixed at stated values; not those known by definition.
+    fixed_names = {b.name for b in calibration.layout.blocks} & {*dict(calibration.model.fixed)}
+    if not fixed_names:
         return calibration, None
     method, reference = LeastSquares(draws=400), calibration.reference
-    model, readings = calibration.model.free(*held), calibration.readings
+    model, readings = calibration.model.free(*fixed_names), calibration.readings
     free = fit(model, readings, method, reference=reference, strict=False)
     v = np.array(calibration.mode.v)
     for i in calibration.layout.positions("noise"):
         v[i] = free.mode.v[free.layout.index_in_phi[calibration.layout.hypers[i].name]]
-    judged = replace(calibration, mode=calibration.mode._replace(v=v))
-    return judged, float(np.sqrt(np.mean(free.linear.variance)))
+    judged_fit = replace(calibration, mode=calibration.mode._replace(v=v))
+    return judged_fit, float(np.sqrt(np.mean(free.linear.variance)))
 
 
 @dataclass(frozen=True)
 class Covariate:
-    """A covariate and its columns."""
+    """A covariate and its basis columns."""
 
     name: str
     values: np.ndarray  # (n,); of a group the numbers of its members
@@ -330,7 +325,7 @@ class Covariate:
     def smooth(
         cls, name: str, values: np.ndarray, unit: str = "", *, in_time: bool = False
     ) -> Covariate:
-        """A smooth dependence on a covariate that takes several values."""
+        """Build a smooth dependence on a covariate that takes several values."""
         terms, plausible = RESOLUTION[in_time]
         position = (values - values.min()) / (np.ptp(values) or 1.0)
         lengths = np.geomspace(*plausible, SCALES[in_time])
@@ -339,62 +334,62 @@ class Covariate:
 
 
 def covariates_of(calibration: Calibration) -> list[Covariate]:
-    """Everything recorded or derived that residuals can be laid against."""
+    """List the recorded and derived covariates that residuals are tested against."""
     readings, frame, smooth = calibration.readings, calibration.frame, Covariate.smooth
-    left_out = {"output", "output_uncertainty", "temperature_point", *readings.no_causes}
-    found = []
+    excluded = {"output", "output_uncertainty", "temperature_point", *readings.no_causes}
+    covariates = []
     for name in readings.columns:
         unit = readings.unit(name)
-        if unit is not None and name not in left_out and np.ptp(readings[name]) > 0:
-            found.append(smooth(name, readings[name], unit, in_time=name == "time"))
+        if unit is not None and name not in excluded and np.ptp(readings[name]) > 0:
+            covariates.append(smooth(name, readings[name], unit, in_time=name == "time"))
     if "temperature" in frame.rates and np.ptp(np.asarray(frame.rates["temperature"])) > 0:
         rate = np.asarray(frame.rates["temperature"]) * 60
-        found.append(smooth("temperature rate", rate, "degC/min"))
+        covariates.append(smooth("temperature rate", rate, "degC/min"))
     if len(readings.groups("run")[0]) > 1 and "elapsed" in frame.columns:
         elapsed = np.asarray(frame.columns["elapsed"])
-        found.append(smooth("elapsed", elapsed, "s", in_time=True))
+        covariates.append(smooth("elapsed", elapsed, "s", in_time=True))
     for group in calibration.levels:
         levels, codes = readings.groups(group)
         if 1 < len(levels) <= MEMBERS:  # a level for each member
             columns = (codes[:, None] == np.unique(codes[codes >= 0])).astype(float)
             even = (np.ones(columns.shape[1]),)
-            found.append(Covariate(group, codes.astype(float), columns, even, levels=levels))
+            covariates.append(Covariate(group, codes.astype(float), columns, even, levels=levels))
     if not readings.has("time"):
-        found.append(smooth("order", np.arange(1.0, len(readings) + 1), in_time=True))
-    return found
+        covariates.append(smooth("order", np.arange(1.0, len(readings) + 1), in_time=True))
+    return covariates
 
 
-def _duos(covariates: list[Covariate]) -> list[tuple[Covariate, Covariate]]:
-    """Pairs of covariates that are not nearly one and the same."""
+def _covariate_pairs(covariates: list[Covariate]) -> list[tuple[Covariate, Covariate]]:
+    """List pairs of covariates whose rank correlation is below 0.95."""
     varied = (c for c in covariates if not c.levels and np.ptp(c.values) > 0)
     pairs = combinations([(c, _ranks(c.values)) for c in varied], 2)
-    apart = ((a, b, judgement.correlation(one, two)[0]) for (a, one), (b, two) in pairs)
-    return [(a, b) for a, b, r in apart if abs(r) < SAME_COVARIATE_CORRELATION][:DUOS]
+    rows = ((a, b, judgement.correlation(first, second)[0]) for (a, first), (b, second) in pairs)
+    return [(a, b) for a, b, r in rows if abs(r) < SAME_COVARIATE_CORRELATION][:DUOS]
 
 
 def _ranks(values: np.ndarray) -> np.ndarray:
-    """Ranks from 1; equal values share the mean of theirs."""
+    """Return ranks from 1; ties get their mean rank."""
     _, inverse, counts = np.unique(values, return_inverse=True, return_counts=True)
     return (np.cumsum(counts) - 0.5 * (counts - 1))[inverse]
 
 
-def _normal(values: np.ndarray) -> float:
-    """p-value of standard normal values (Kolmogorov; for few by M. Stephens, J. R. Stat. Soc. B 32 (1970) 115)."""
+def _normality_p_value(values: np.ndarray) -> float:
+    """Return the Kolmogorov p-value of standard normality (M. Stephens, J. R. Stat. Soc. B 32 (1970) 115)."""
     root, p = np.sqrt(len(values)), ndtr(np.sort(values))
     steps = np.arange(len(values) + 1) / len(values)
-    apart = max(np.max(steps[1:] - p), np.max(p - steps[:-1]))
-    return float(kolmogorov((root + 0.12 + 0.11 / root) * apart))
+    distance = max(np.max(steps[1:] - p), np.max(p - steps[:-1]))
+    return float(kolmogorov((root + 0.12 + 0.11 / root) * distance))
 
 
-def _together(first: Covariate, second: Covariate) -> Covariate:
-    """An interaction of two covariates, not explained by additive terms: products of long waves along them."""
+def _interaction(first: Covariate, second: Covariate) -> Covariate:
+    """Build an interaction of two covariates: products of low-order Legendre polynomials along them."""
 
     def waves(values: np.ndarray) -> np.ndarray:
         low, high = values.min(), values.max()
         return np.polynomial.legendre.legvander(2 * (values - low) / (high - low) - 1, WAVES)[:, 1:]
 
-    one, two = waves(first.values), waves(second.values)
-    basis = (one[:, :, None] * two[:, None, :]).reshape(len(one), -1)
+    first_waves, second_waves = waves(first.values), waves(second.values)
+    basis = (first_waves[:, :, None] * second_waves[:, None, :]).reshape(len(first_waves), -1)
     scale = np.sqrt(np.mean(np.sum(basis**2, axis=1)))
     weights = (np.full(basis.shape[1], 1 / max(scale, 1e-300)),)
     return Covariate(f"{first.name} × {second.name}", first.values, basis, weights)
@@ -403,22 +398,22 @@ def _together(first: Covariate, second: Covariate) -> Covariate:
 def log_bayes_factors(
     calibration: Calibration, covariates: Sequence[Covariate], noise: float
 ) -> list[float]:
-    """For each covariate the log Bayes factor of a dependence on it against none, over lengths and amplitudes.
+    """Return each covariate's log Bayes factor of a dependence against none, over lengths and amplitudes.
 
     Amplitudes are prior standard deviations common to all of its columns, in units of the noise (output unit).
     """
-    found = list[float]()
+    factors = list[float]()
     for covariate in covariates:
         u, information = calibration.linear.score(covariate.columns * noise)
         sizes = np.concatenate([np.outer(AMPLITUDES, weight) for weight in covariate.weights])
         volume, squares = taken_up(sizes * u, sizes[:, :, None] * information * sizes[:, None, :])
         terms = 0.5 * squares - volume
-        found.append(float(logsumexp(terms) - np.log(np.size(terms))))
-    return found
+        factors.append(float(logsumexp(terms) - np.log(np.size(terms))))
+    return factors
 
 
 def autocorrelation(calibration: Calibration, standardised: np.ndarray) -> tuple[float, float]:
-    """Lag-1 autocorrelation of neighbours in time within runs beyond what the fit itself leaves, and its z.
+    """Return the lag-1 autocorrelation within runs in excess of that induced by the fit, and its z.
 
     A fit takes from residuals what it follows: about a fitted level, n independent readings have −1/(n − 1). With
     r that of the residuals and ρ that expected of independent noise under this model, the coefficient is the
@@ -431,17 +426,17 @@ def autocorrelation(calibration: Calibration, standardised: np.ndarray) -> tuple
     size = float(np.linalg.norm(before) * np.linalg.norm(after))
     if not size > 0:
         return 0.0, 0.0
-    expected, sd = _of_independent_noise(calibration.linear.directions[order], first)
+    expected, sd = _white_autocorrelation(calibration.linear.directions[order], first)
     product, squares = float(before @ after), 0.5 * float(before @ before + after @ after)
-    found = product / size
+    lag_one = product / size
     if sd == 0 or abs(expected) > TIED_CORRELATION:
         return 0.0, 0.0
-    coefficient = float(np.clip((found - expected) / (1 - found * expected), -1, 1))
+    coefficient = float(np.clip((lag_one - expected) / (1 - lag_one * expected), -1, 1))
     return coefficient, (product / squares - expected) / sd
 
 
-def _of_independent_noise(directions: np.ndarray, first: np.ndarray) -> tuple[float, float]:
-    """Mean and standard deviation of the lag-1 autocorrelation of residuals e ~ N(0, C), C = I − G·Gᵀ.
+def _white_autocorrelation(directions: np.ndarray, first: np.ndarray) -> tuple[float, float]:
+    """Return mean and standard deviation of the lag-1 autocorrelation of e ~ N(0, C), C = I − G·Gᵀ.
 
     G are the directions (n, q), in the order of time. The sum over neighbours of eᵢ·eᵢ₊₁ is eᵀBe, that of their
     squares, halved, eᵀDe. Their means have the ratio ρ = tr(BC)/tr(DC), and the variance of eᵀKe, K = B − ρ·D, is
@@ -455,28 +450,28 @@ def _of_independent_noise(directions: np.ndarray, first: np.ndarray) -> tuple[fl
     kg = -expected * halves[:, None] * directions
     kg[first] += 0.5 * directions[first + 1]
     kg[first + 1] += 0.5 * directions[first]
-    own = 0.5 * first.size + expected**2 * float(halves @ halves)  # tr(KK)
-    trace = own - 2 * float(np.sum(kg**2)) + float(np.sum((directions.T @ kg) ** 2))
+    square_trace = 0.5 * first.size + expected**2 * float(halves @ halves)  # tr(KK)
+    trace = square_trace - 2 * float(np.sum(kg**2)) + float(np.sum((directions.T @ kg) ** 2))
     if trace < ROUNDING_SHARE * first.size:
         return expected, 0.0
     return expected, float(np.sqrt(2 * trace)) / squares
 
 
-def _scatter_with(
+def _scatter_p_values(
     covariates: list[Covariate], standardised: np.ndarray, expected: np.ndarray
 ) -> dict[str, float]:
-    """Covariates along which the size of the residuals changes (rank correlation), with p-values."""
-    along = {c.name: c.values for c in covariates if not c.levels}
-    # Noise in proportion to a signal of both signs grows on both sides, which a ranking along no column shows.
-    along["the output's distance from its median"] = np.abs(expected - np.median(expected))
-    varied = {n: values for n, values in along.items() if np.ptp(values) > 0 and len(values) > 2}
+    """Return covariates with which the residuals' size changes (rank correlation), with p-values."""
+    orders = {c.name: c.values for c in covariates if not c.levels}
+    # Noise in proportion to a signal of both signs grows on both sides: no column's ranking shows it.
+    orders["the output's distance from its median"] = np.abs(expected - np.median(expected))
+    varied = {n: values for n, values in orders.items() if np.ptp(values) > 0 and len(values) > 2}
     sizes = _ranks(np.abs(standardised))
-    found = {n: judgement.correlation(sizes, _ranks(values))[1] for n, values in varied.items()}
-    return {name: p for name, p in found.items() if p < SIGNIFICANT_P}
+    p_values = {n: judgement.correlation(sizes, _ranks(values))[1] for n, values in varied.items()}
+    return {name: p for name, p in p_values.items() if p < SIGNIFICANT_P}
 
 
 def noise_floor(calibration: Fitted) -> float:
-    """Noise that no model of smooth effects could remove, output unit.
+    """Return the noise that no model of smooth effects could remove, output unit.
 
     From each residual against the mean of its two neighbours (in time within a run; in temperature where there
     is no time), as in a von Neumann ratio: what varies slowly cancels.
@@ -499,46 +494,46 @@ def noise_floor(calibration: Fitted) -> float:
 
 
 def _worst_region(calibration: Calibration, covariate: Covariate) -> Region:
-    """The range of neighbouring bins whose mean residual is worst against its uncertainty, of all runs or of one.
+    """Find the range of bins whose mean residual is largest over its uncertainty, in all runs or one.
 
     Means and uncertainties follow the noise law: under correlated noise a long range counts for less.
     """
     levels, codes = calibration.readings.groups("run")
-    region = _worst(calibration, covariate, np.ones(len(codes), bool), None)
+    region = _worst_range(calibration, covariate, np.ones(len(codes), bool), None)
     if covariate.levels:
         return replace(region, group=covariate.levels[int(region.low)])
     for k, level in enumerate(levels if len(levels) > 1 else ()):
         if np.sum(codes == k) >= RUN_REGION_READINGS:
-            own = _worst(calibration, covariate, codes == k, level)
-            # One run's own region must be clearly worse than the common one to be named.
-            if abs(own.z) - 1 > abs(region.z) - (region.group is not None):
-                region = own
+            of_run = _worst_range(calibration, covariate, codes == k, level)
+            # A single run's region must be clearly worse than the common one.
+            if abs(of_run.z) - 1 > abs(region.z) - (region.group is not None):
+                region = of_run
     return region
 
 
-def _worst(
-    calibration: Calibration, covariate: Covariate, own: np.ndarray, run: str | None
+def _worst_range(
+    calibration: Calibration, covariate: Covariate, mask: np.ndarray, run: str | None
 ) -> Region:
-    """The worst range of the readings that a mask names."""
-    values = covariate.values[own]
-    distinct, bins = np.unique(values), np.full(len(own), -1)
+    """Find the worst range among the masked readings."""
+    values = covariate.values[mask]
+    distinct, bins = np.unique(values), np.full(len(mask), -1)
     if covariate.levels or len(distinct) <= BINS:
-        bins[own], count = np.searchsorted(distinct, values), len(distinct)
+        bins[mask], count = np.searchsorted(distinct, values), len(distinct)
     else:
         edges = np.quantile(values, np.linspace(0, 1, BINS + 1)[1:-1])
-        bins[own], count = np.searchsorted(edges, values, side="right"), BINS
-    pull, weight = calibration.linear.along((bins[:, None] == np.arange(count)).astype(float))
+        bins[mask], count = np.searchsorted(edges, values, side="right"), BINS
+    score, weight = calibration.linear.along((bins[:, None] == np.arange(count)).astype(float))
     starts, ends = np.triu_indices(count + 1, 1)
     short = ends - starts <= (1 if covariate.levels else max(1, (2 * count) // 3))
     starts, ends = starts[short], ends[short]
-    pulls = np.append(0.0, np.cumsum(pull))
+    score_sums = np.append(0.0, np.cumsum(score))
     weights = np.pad(weight.cumsum(axis=0).cumsum(axis=1), ((1, 0), (1, 0)))
-    total = pulls[ends] - pulls[starts]
+    total = score_sums[ends] - score_sums[starts]
     information = (weights[ends, ends] - weights[starts, ends]) - (
         weights[ends, starts] - weights[starts, starts]
     )
-    known = information > 0
-    scores = np.where(known, total, 0.0) / np.sqrt(np.where(known, information, 1.0))
+    informed = information > 0
+    scores = np.where(informed, total, 0.0) / np.sqrt(np.where(informed, information, 1.0))
     at = int(np.argmax(np.abs(scores)))
     z = float(scores[at])
     inside = (bins >= starts[at]) & (bins < ends[at])

@@ -1,4 +1,4 @@
-"""A claim: something that the program says of readings or of a result, as data.
+"""Claims: statements about readings or a result, as data.
 
 Thresholds and words of all claims stand in `claims.toml`, by code.
 """
@@ -17,7 +17,7 @@ from bayescal._data.unit_conversion import unit_label
 
 
 class Criterion(NamedTuple):
-    """When a claim is made, what it means for the result, what it says, and what to do."""
+    """Severity, message, remedies and thresholds of a claim."""
 
     severity: str
     says: str
@@ -44,7 +44,7 @@ def limit(code: str, name: str) -> float:
 
 
 class _Filled(string.Formatter):
-    """`str.format` with what the templates in `claims.toml` are filled with."""
+    """A `str.format` that fills the templates in `claims.toml`: units, lists and numbers."""
 
     def format_field(self, value: Any, format_spec: str) -> str:
         if format_spec == "unit":
@@ -57,12 +57,12 @@ class _Filled(string.Formatter):
 
 
 class Claim(Flag):
-    """What is said and what to do, as text that knows its code, names and numbers: code asks these, never the words.
+    """A message and its remedy, as text with its code, names and numbers: code reads these, never the words.
 
     Attributes:
         code: a key of `CRITERIA`.
-        of: names of the effects, coefficients, columns or groups that it is of, the most important first.
-        numbers: what its words hold, by name: numbers, names (several in a tuple) and units.
+        of: names of the effects, coefficients, columns or groups concerned, the most important first.
+        numbers: values of the template's fields, by name: numbers, names (several in a tuple) and units.
     """
 
     numbers: dict[str, Any]
@@ -70,25 +70,25 @@ class Claim(Flag):
     def __new__(cls, code: str, *of: str, **numbers: Any) -> Self:
         criterion = CRITERIA[code]
         template = f"{criterion.says} {criterion.cures.get(numbers.get('cure', ''), '')}".rstrip()
-        said = _Filled().vformat(template, (), {"of": of, **numbers})
-        made = super().__new__(cls, said, code, *of)
-        made.numbers = numbers
-        return made
+        words = _Filled().vformat(template, (), {"of": of, **numbers})
+        claim = super().__new__(cls, words, code, *of)
+        claim.numbers = numbers
+        return claim
 
     def __getnewargs_ex__(self) -> tuple[tuple[str, ...], dict[str, Any]]:
         return (self.code, *self.of), self.numbers
 
     @property
     def severity(self) -> str:
-        """What it means for the result: "stop" and "doubt" shut the gate, a "note" does not."""
+        """Return the severity: "stop" and "doubt" fail the acceptance checks, a "note" does not."""
         return CRITERIA[self.code].severity
 
     def data(self) -> dict[str, Any]:
-        """Return what result.json has of it."""
-        told = {"code": self.code, "of": list(self.of), "severity": self.severity}
-        return {**told, "in_words": str(self)}
+        """Return the claim's record in result.json."""
+        record = {"code": self.code, "of": list(self.of), "severity": self.severity}
+        return {**record, "in_words": str(self)}
 
 
 def as_claim(words: str) -> Claim:
-    """Return a claim as it is, and what a saved calibration says against itself as one of which only words are left."""
+    """Return a claim unchanged, and a failure loaded from a saved calibration as a claim of words alone."""
     return words if isinstance(words, Claim) else Claim("kept", words=words)

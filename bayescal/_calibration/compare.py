@@ -1,4 +1,4 @@
-"""Which model predicts better: leave-one-group-out, pointwise leave-one-out, evidence, stacking weights.
+"""Model comparison: leave-one-group-out, pointwise leave-one-out, evidence, stacking weights.
 
 Sources: Vehtari, Gelman & Gabry, Stat. Comput. 27 (2017) 1413 (PSIS-LOO); Yao et al., Bayesian Analysis 13 (2018)
 917 (stacking). PSIS-LOO is ArviZ's.
@@ -33,7 +33,7 @@ BY_READINGS = "pointwise leave-one-out"
 
 @dataclass(frozen=True)
 class ComparisonRow:
-    """One model."""
+    """Scores of one model."""
 
     name: str  # given by the user
     effects: str  # canonical names, with commas between
@@ -52,7 +52,7 @@ class ComparisonRow:
 
 @dataclass(frozen=True, repr=False)
 class Comparison(Printed):
-    """Models side by side, the best first.
+    """A comparison of fitted models, the best first.
 
     Attributes:
         rows: one each.
@@ -70,7 +70,7 @@ class Comparison(Printed):
     warnings: tuple[Claim, ...]
 
     def _parts(self) -> list[str | ResultTable]:
-        """Models side by side, the best first."""
+        """Return the table, its heading and the warnings."""
         grouped = self.chosen_by != BY_READINGS
         by_group = (
             TableColumn(scheme(self.group), "group_rmse", number),
@@ -89,15 +89,15 @@ class Comparison(Printed):
             TableColumn("weight", "weight", "{:.2f}".format),
         )
         count = f" ({self.groups} of them)" if self.chosen_by == BY_GROUPS else ""
-        shown = ResultTable(columns, [vars(r) for r in self.rows])
-        said = [f"the best first, by {self.chosen_by}{count}"]
-        return [shown, *said, *(folded(w, "") for w in self.warnings)]
+        table = ResultTable(columns, [vars(r) for r in self.rows])
+        heading = [f"the best first, by {self.chosen_by}{count}"]
+        return [table, *heading, *(folded(w, "") for w in self.warnings)]
 
     def _brief(self) -> str:
         return f"{', '.join(repr(r.name) for r in self.rows)}, the best first by {self.chosen_by}"
 
     def _columns(self) -> dict[str, list[Any]]:
-        """A row for each model, with the fields of `ComparisonRow`; errors in the output's unit."""
+        """Return one row per model, with the fields of `ComparisonRow`; errors in the output's unit."""
         return {f.name: [getattr(r, f.name) for r in self.rows] for f in fields(ComparisonRow)}
 
 
@@ -112,7 +112,7 @@ def compare(calibrations: Mapping[str, Calibration] | Sequence[Calibration]) -> 
     """Set fitted models side by side.
 
     The best comes first: by the leave-one-group-out log scores where there are ten groups or more; by log evidence
-    where there are fewer, whose scatter says nothing; by pointwise leave-one-out where the noise is not Gaussian.
+    where there are fewer, too few for a standard error; by pointwise leave-one-out where the noise is not Gaussian.
 
     Args:
         calibrations: name → fit, of the same readings; or the fits, named after what each adds to what all share.
@@ -124,12 +124,12 @@ def compare(calibrations: Mapping[str, Calibration] | Sequence[Calibration]) -> 
         calibrations = _named(calibrations)
     if len(calibrations) < 2:
         raise InputError(f"compare needs at least two calibrations, not {len(calibrations)}")
-    (one, first), *others = calibrations.items()
-    own = first.readings["output"]
+    (first_name, first), *others = calibrations.items()
+    output = first.readings["output"]
     for name, c in others:
-        if len(c.readings) != len(own) or not np.allclose(c.readings["output"], own):
+        if len(c.readings) != len(output) or not np.allclose(c.readings["output"], output):
             raise InputError(
-                f"{one!r} and {name!r} were fitted to different readings ({first.readings.file}, "
+                f"{first_name!r} and {name!r} were fitted to different readings ({first.readings.file}, "
                 f"{c.readings.file}): fit both to the same"
             )
     loo = {name: pointwise_loo(c) for name, c in calibrations.items()}
@@ -141,16 +141,16 @@ def compare(calibrations: Mapping[str, Calibration] | Sequence[Calibration]) -> 
     best = max((f.log_score for f in left_out), key=np.sum) if grouped else None
     rows = list[ComparisonRow]()
     for (name, c), weight in zip(calibrations.items(), weights, strict=True):
-        (points, pareto_k), out = loo[name], folds[name]
-        gap = None if out is None or best is None else out.log_score - best
+        (points, pareto_k), held_out = loo[name], folds[name]
+        gap = None if held_out is None or best is None else held_out.log_score - best
         row = ComparisonRow(
             name=name,
             effects=", ".join(c.model.names),
             rmse=predict(c).rmse,
-            group_score=out and float(out.log_score.sum()),
+            group_score=held_out and float(held_out.log_score.sum()),
             group_difference=None if gap is None else float(gap.sum()),
             group_error=None if gap is None or len(gap) < FEWEST_GROUPS else _error(gap),
-            group_rmse=out and out.rmse,
+            group_rmse=held_out and held_out.rmse,
             loo=float(points.sum()),
             loo_difference=float((points - best_loo).sum()),
             loo_error=_error(points - best_loo),
@@ -159,43 +159,43 @@ def compare(calibrations: Mapping[str, Calibration] | Sequence[Calibration]) -> 
             weight=float(weight),
         )
         rows.append(row)
-    by, measured = (BY_GROUPS, "group_score") if grouped else (BY_READINGS, "loo")
-    few = grouped and fold is not None and fold.count < FEWEST_GROUPS
-    if few and all(r.log_evidence is not None for r in rows):
-        by, measured = BY_EVIDENCE, "log_evidence"
+    ranking, measured = (BY_GROUPS, "group_score") if grouped else (BY_READINGS, "loo")
+    few_groups = grouped and fold is not None and fold.count < FEWEST_GROUPS
+    if few_groups and all(r.log_evidence is not None for r in rows):
+        ranking, measured = BY_EVIDENCE, "log_evidence"
     rows.sort(key=lambda r: -getattr(r, measured))
     return Comparison(
         rows=tuple(rows),
         group=fold.group if fold else "reading",
-        groups=fold.count if fold else len(own),
+        groups=fold.count if fold else len(output),
         unit=first.unit,
-        chosen_by=by,
-        warnings=tuple(_warnings(rows, by, fold)),
+        chosen_by=ranking,
+        warnings=tuple(_warnings(rows, ranking, fold)),
     )
 
 
 def pointwise_loo(calibration: Calibration) -> tuple[np.ndarray, float]:
-    """Expected log predictive density of each reading left out, by PSIS, and the largest Pareto k."""
+    """Return the PSIS leave-one-out log predictive density of each reading, and the largest Pareto k."""
     import arviz_stats  # a second that only a comparison needs
     import xarray as xr
 
     parts = {"log_likelihood": calibration.log_likelihood(), "posterior": calibration.posterior}
     tree = xr.DataTree.from_dict(parts)
-    with warnings.catch_warnings():  # high Pareto k: said in our own words, by model
+    with warnings.catch_warnings():  # high Pareto k: reported as a claim, by model
         warnings.simplefilter("ignore", UserWarning)
-        found: Any = arviz_stats.loo(tree, pointwise=True)  # pyright: ignore[reportPrivateImportUsage]
-    return np.asarray(found.elpd_i).ravel(), float(np.max(np.asarray(found.pareto_k)))
+        elpd: Any = arviz_stats.loo(tree, pointwise=True)  # pyright: ignore[reportPrivateImportUsage]
+    return np.asarray(elpd.elpd_i).ravel(), float(np.max(np.asarray(elpd.pareto_k)))
 
 
 def _error(differences: np.ndarray) -> float:
-    """Standard error of a sum of differences, over what was left out."""
+    """Return the standard error of a sum of differences over the left-out readings or groups."""
     if differences.size < 2:
         return float("nan")
     return float(np.sqrt(differences.size * differences.var(ddof=1)))
 
 
 def _warnings(rows: list[ComparisonRow], by: str, fold: LeaveOneGroupOut | None) -> Iterator[Claim]:
-    """Whether what ranks the models tells the first two apart, and where another measure is not reliable or differs."""
+    """Yield claims where the ranking is undecided, or another measure is unreliable or disagrees."""
     best, second = rows[:2]
     if fold and fold.count < FEWEST_GROUPS:
         yield Claim("compare.few_groups", fold.group, count=fold.count)
@@ -216,7 +216,7 @@ def _warnings(rows: list[ComparisonRow], by: str, fold: LeaveOneGroupOut | None)
 
 
 def _named(calibrations: Sequence[Calibration]) -> dict[str, Calibration]:
-    """Fits by what each adds to the effects that all share; "model 1" … where that is nothing, or the same."""
+    """Name fits by the effects that not all share; "model 1" … where there are none, or the same ones."""
     shared = set.intersection(*(set(c.model.names) for c in calibrations)) if calibrations else ()
     named: dict[str, Calibration] = {}
     for i, c in enumerate(calibrations, start=1):

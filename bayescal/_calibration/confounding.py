@@ -1,4 +1,4 @@
-"""What a model does not hold and coefficients may hide: columns that ran with it, and half a step of a rounded one.
+"""Confounding: recorded columns collinear with a model's terms, and half a step of a rounded column.
 
 A column that is no known cause acts or does not, and nothing is known of it: even odds, and if it acts a line in it,
 plausibly half as large as all that the model's own terms change the output by. Beside the model, linear about its mode,
@@ -36,28 +36,27 @@ SIZE = 0.5  # of a column's effect, in parts of what the model's own terms chang
 
 
 class Confounder(NamedTuple):
-    """A column that may have acted in the place of coefficients, or is off by a part of its step."""
+    """A column that may have acted in place of coefficients, or is off by part of its rounding step."""
 
     column: str
-    coefficients: list[str]  # names of those that stand for themselves and are less certain for it
-    told: float  # part of its squares that the model's own columns leave
-    # The standard uncertainty that it adds to each coefficient, by name and member, reported unit; signed, as they
-    # move together.
+    coefficients: list[str]  # names of the single coefficients that it makes less certain
+    told: float  # share of its sum of squares that the model's columns leave
+    # Standard uncertainty added to each coefficient, by name and member, reported unit; signed: fully correlated.
     shares: dict[str, list[float]]
     step: float = 0.0  # to which it is rounded or cut off, its unit; 0 if it ran with the model
 
     @property
     def claim(self) -> Claim:
-        """What ran with what."""
-        told = {"column": self.column, "told": self.told, "grid": self.step}
-        told |= {"vary": measured_column(self.column)}
+        """Return the claim that names the column and the coefficients."""
+        numbers = {"column": self.column, "told": self.told, "grid": self.step}
+        numbers |= {"vary": measured_column(self.column)}
         combination = f"{' and '.join(self.coefficients)} and {self.of_column}"
         code = "column.rounded" if self.step else "direction.confounded"
-        return Claim(code, *self.coefficients, **told, combination=combination)
+        return Claim(code, *self.coefficients, **numbers, combination=combination)
 
     @property
     def of_column(self) -> str:
-        """What of the column it is, in words."""
+        """Return the column's name, or "half a step of" it."""
         return f"half a step of {self.column}" if self.step else self.column
 
 
@@ -66,15 +65,15 @@ def confounders(
     columns: Mapping[str, Float[np.ndarray, "n"]],
     steps: Mapping[str, tuple[float, Float[np.ndarray, "n"]]],
 ) -> tuple[Confounder, ...]:
-    """Of columns of no known cause, and of rounded ones (step, slope of the output by it), those that add a fifth or
-    more to the standard uncertainty of a coefficient of a model."""
+    """Find columns of no known cause, and rounded ones (step, slope of the output), that add a fifth or more to the
+    standard uncertainty of a coefficient."""
     layout, sd = linear.problem.layout, linear.sd
-    main = np.flatnonzero(stand_alone(layout))
+    main = np.flatnonzero(is_single_coefficient(layout))
     if not len(main):
         return ()
     x = (linear.mode.x - linear.problem.mean_of_x)[main] / np.where(sd > 0, sd, 1.0)[main]
     size = SIZE * float(np.std(linear.nuisance[:, main] @ x))
-    # Something unknown would add to the first slot in the output's unit, of three axes to each axis' own.
+    # An unknown cause would add to the first slot in the output's unit; of three axes to each axis's.
     instrument = layout.model.instrument
     slots = [s.name for s in instrument.slots if s.unit == instrument.unit]
     vector = instrument.vector
@@ -86,27 +85,27 @@ def confounders(
     ]
     acting += [(name, step / math.sqrt(12.0) * by, step) for name, (step, by) in steps.items()]
     parts = {b.name: b.at for b in layout.x_blocks}
-    found = list[Confounder]()
+    confounding = list[Confounder]()
     for name, values, step in acting:
-        # The column at its size, whitened; what the model's columns take of it, P, and leave, K.
+        # The column at its size, whitened; its projection on the model's columns, P, and the rest, K.
         column = linear.whiten(values[:, None])[:, 0]
-        taken = linear.projected(column[:, None])[:, 0]
-        whole = float(column @ column)
-        left = max(whole - float(taken @ taken), 0.0)
+        explained = linear.projected(column[:, None])[:, 0]
+        squares = float(column @ column)
+        remainder = max(squares - float(explained @ explained), 0.0)
         # Of a standard normal coefficient: log Bayes factor ½·u²/(1 + K) − ½·log(1 + K).
-        pull, inner = float(column @ linear.white_settled), 1 + left
-        acts = 1.0 if step else float(expit(0.5 * (pull**2 / inner - math.log(inner))))
-        second_moment = acts * (1 / inner + (pull / inner) ** 2)
-        added = math.sqrt(second_moment) * given_up(linear, column[:, None])[:, 0]
-        if np.any(wider := widened_by(linear, added)):
+        score, inner = float(column @ linear.white_settled), 1 + remainder
+        acts = 1.0 if step else float(expit(0.5 * (score**2 / inner - math.log(inner))))
+        second_moment = acts * (1 / inner + (score / inner) ** 2)
+        added = math.sqrt(second_moment) * shifts(linear, column[:, None])[:, 0]
+        if np.any(wider := is_widened_by(linear, added)):
             shares = {n: added[at].tolist() for n, at in parts.items() if added[at].any()}
             concerned = [n for n, at in parts.items() if wider[at].any()]
-            found.append(Confounder(name, concerned, left / whole, shares, step))
-    return tuple(found)
+            confounding.append(Confounder(name, concerned, remainder / squares, shares, step))
+    return tuple(confounding)
 
 
-def stand_alone(layout: Layout) -> Bool[np.ndarray, "p"]:
-    """Which coefficients are those of a law: no deviation of a group, no part of a curve, nothing of a rig's own."""
+def is_single_coefficient(layout: Layout) -> Bool[np.ndarray, "p"]:
+    """Mask the coefficients that are no group deviation, no part of a curve and not of a rig."""
     vector = layout.model.instrument.vector
     rig = () if vector is None else vector.rig
     alone = [
@@ -116,48 +115,47 @@ def stand_alone(layout: Layout) -> Bool[np.ndarray, "p"]:
     return np.repeat(np.array(alone, dtype=bool), [b.size for b in layout.x_blocks])
 
 
-def given_up(linear: LinearModel, columns: Float[np.ndarray, "n k"]) -> Float[np.ndarray, "p k"]:
-    """By how much a model's coefficients would stand elsewhere beside further ones of one standard deviation each."""
+def shifts(linear: LinearModel, columns: Float[np.ndarray, "n k"]) -> Float[np.ndarray, "p k"]:
+    """Return the shifts of a model's coefficients by further columns of one standard deviation each."""
     p = linear.problem.layout.size
     return -(linear.root[:p] * linear.sd[:p, None]) @ linear.projected(columns)
 
 
-def widened_by(linear: LinearModel, added: Float[np.ndarray, "p"]) -> Bool[np.ndarray, "p"]:
-    """Which coefficients of a law are a fifth or more less certain by so many standard deviations."""
+def is_widened_by(linear: LinearModel, added: Float[np.ndarray, "p"]) -> Bool[np.ndarray, "p"]:
+    """Mask the single coefficients whose standard uncertainty grows by a fifth or more."""
     p = linear.problem.layout.size
-    known = np.linalg.norm(linear.root[:p] * linear.sd[:p, None], axis=1)
-    wider = np.hypot(added, known) > (1 + limit("direction.confounded", "widening")) * known
-    return stand_alone(linear.problem.layout) & wider
+    sd = np.linalg.norm(linear.root[:p] * linear.sd[:p, None], axis=1)
+    wider = np.hypot(added, sd) > (1 + limit("direction.confounded", "widening")) * sd
+    return is_single_coefficient(linear.problem.layout) & wider
 
 
 def unexplained(model: Model, readings: Measurements) -> dict[str, Float[np.ndarray, "n"]]:
-    """Columns that no effect is a function of; not what the instrument declares, nor what measures the same quantity as
-    that does: another thermometer, a set point. Nor time: what drifts or warms up has names, and sizes that are stated,
-    with which a search weighs it."""
+    """Return the columns that no effect depends on, without those that the instrument declares or that measure the same
+    quantity (another thermometer, a set point), and without time, whose effects have names and stated sizes."""
     declared = {c.name for c in model.instrument.columns}
-    known = declared | model.columns | {*IN_TIME}
+    named = declared | model.columns | {*IN_TIME}
     units = [readings.unit(n) for n in declared & {*readings.columns}]
     units = [u for u in units if u not in (None, "1", "s")]
-    found = dict[str, np.ndarray]()
+    columns = dict[str, np.ndarray]()
     for name, values in derived(readings).items():
         column = measured_column(name)
         unit = readings.unit(column) if readings.has(column) else None
-        alike = any(unit and same_dimension(unit, str(u)) for u in units)
-        if np.ptp(values) > 0 and name not in known and column not in known and not alike:
-            found[name] = values
-    return found
+        same = any(unit and same_dimension(unit, str(u)) for u in units)
+        if np.ptp(values) > 0 and name not in named and column not in named and not same:
+            columns[name] = values
+    return columns
 
 
-def widened(
-    x: Float[np.ndarray, "chains draws p"], found: Sequence[Confounder], layout: Layout, seed: int
+def widen_draws(
+    x: Float[np.ndarray, "chains draws p"], shared: Sequence[Confounder], layout: Layout, seed: int
 ) -> Float[np.ndarray, "chains draws p"]:
-    """Draws of the coefficients that hold what columns may have done: of the same mean."""
-    for i, one in enumerate(found):
-        # Quantiles of the normal distribution in a random order: its moments, and not those of the draws' luck.
+    """Widen draws of the coefficients by the confounders' contributions; the mean is unchanged."""
+    for i, confounder in enumerate(shared):
+        # Normal quantiles in random order: exact moments, without sampling noise.
         count = x.shape[0] * x.shape[1]
         normal = ndtri((np.arange(count) + 0.5) / count)
         order = np.random.default_rng([seed, 3, i]).permutation(count)
         normal = (normal / normal.std())[order].reshape(*x.shape[:2], 1)
-        own = [one.shares.get(b.name, [0.0] * b.size) for b in layout.x_blocks]
-        x = x + normal * np.concatenate([np.zeros(0), *own])
+        shares = [confounder.shares.get(b.name, [0.0] * b.size) for b in layout.x_blocks]
+        x = x + normal * np.concatenate([np.zeros(0), *shares])
     return x

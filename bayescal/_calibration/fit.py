@@ -1,4 +1,4 @@
-"""One verb: fit a model to readings by a method."""
+"""Fit a model to readings by a method."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ from bayescal._model.instrument import Instrument
 from bayescal._model.model import Model
 from bayescal._model.parameters import bind
 
-DIGITS = 1e3 * float(np.finfo(float).eps)  # of the largest output, by which it changes at least
+DIGITS = 1e3 * float(np.finfo(float).eps)  # least range of the output over its largest value
 
 
 def fit(
@@ -49,10 +49,10 @@ def fit(
         seed: of every random number; the same seed gives the same draws on the same machine.
         strict: raise if the fit did not converge; False returns it with its verdict.
         reference: constants of the bases, such as {"T0": 0.0}, in place of the data's own.
-        time_limit: seconds, after which what there is is taken: the draws so far, or the Gaussian approximation about
-            the mode, which is found in any case; the verdict says so. Ctrl-C does the same once the mode is found.
+        time_limit: seconds, after which the partial result is taken: the draws so far, or the Laplace approximation at
+            the mode, which is always computed; the verdict says so. Ctrl-C does the same once the mode is found.
         start: values of shapes, noise parameters and between-group standard deviations, by name and in the units of
-            `calibration.samples(name)`, where their mode is looked for beside draws of their priors.
+            `calibration.samples(name)`: a starting point for the mode besides draws of their priors.
 
     Raises:
         InputError: `reference` names what is no constant of these readings.
@@ -69,20 +69,20 @@ def fit(
     method = Marginal() if method is None else method
     model.require(readings)
     model = model.with_nuisances(readings)
-    _refuse_stuck(readings)
-    asked, known = reference or {}, constants_of(readings)
-    if strange := sorted({n for n, v in asked.items() if not isinstance(v, dict)} - known):
+    _refuse_constant_output(readings)
+    requested, constants = reference or {}, constants_of(readings)
+    if unknown := sorted({n for n, v in requested.items() if not isinstance(v, dict)} - constants):
         raise InputError(
-            f"reference: no basis has a constant {', '.join(strange)}; for these readings there are: "
-            f"{', '.join(sorted(known))}"
+            f"reference: no basis has a constant {', '.join(unknown)}; for these readings there are: "
+            f"{', '.join(sorted(constants))}"
         )
-    reference = with_origin(model, readings, {**reference_of(readings), **asked})
+    reference = with_origin(model, readings, {**reference_of(readings), **requested})
     record = record_of(model.instrument, readings, reference)
     record.require_finite(model.effects)
     model = sized(model, readings, record)
     layout, levels = bind(model, readings, reference=reference)
     problem = Problem(layout, record)
-    _refuse_lost(problem, readings)
+    _refuse_lost_digits(problem, readings)
 
     with deadline.until(time_limit):
         outcome = method.run(problem, seed, start)
@@ -102,7 +102,7 @@ def fit(
     )
     if outcome.layout is layout:
         vars(calibration)["problem"] = problem
-    _refuse_nothing(calibration)
+    _refuse_zero_effects(calibration)
     if strict and not calibration.verdict.ok:
         raise NotConverged(
             f"The fit of {', '.join(model.names)} to {readings.file} did not converge: "
@@ -112,11 +112,11 @@ def fit(
     return calibration
 
 
-def _refuse_nothing(calibration: Calibration) -> None:
-    """An effect of the user's own that adds nothing to any reading: its coefficients would stay at their priors."""
-    known, readings = calibration.model.instrument.known, calibration.readings
-    own = (e for e in calibration.model.effects if e.name not in known and not e.is_placeholder)
-    for effect in own:
+def _refuse_zero_effects(calibration: Calibration) -> None:
+    """Raise ModelError if a user's effect is zero in every reading: its posterior would be its prior."""
+    named, readings = calibration.model.instrument.known, calibration.readings
+    users = (e for e in calibration.model.effects if e.name not in named and not e.is_placeholder)
+    for effect in users:
         line = calibration.linear
         at = [i for i in range(line.problem.size) if line.owners[i] == effect.name]
         if at and not np.any(line.nuisance[:, at]):
@@ -127,8 +127,8 @@ def _refuse_nothing(calibration: Calibration) -> None:
             )
 
 
-def _refuse_stuck(readings: Measurements) -> None:
-    """An output that never changes is none; nor is one that changes in its last digits alone."""
+def _refuse_constant_output(readings: Measurements) -> None:
+    """Raise ModelError if the output is constant, or changes in its last digits only."""
     output = readings["output"]
     if len(output) < 3:
         return
@@ -145,8 +145,8 @@ def _refuse_stuck(readings: Measurements) -> None:
         )
 
 
-def _refuse_lost(problem: Problem, readings: Measurements) -> None:
-    """A constant so far from where its prior has it that the square of that has no digits left for the noise."""
+def _refuse_lost_digits(problem: Problem, readings: Measurements) -> None:
+    """Raise ModelError if a constant is so far from its prior mean that squares lose the noise's digits."""
     for b in problem.layout.x_blocks:
         sd = problem.sizes.plain[b.at] * problem.weight_of_x[b.at]
         if not (b.origin and np.all(sd > 0)):

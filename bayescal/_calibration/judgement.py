@@ -1,7 +1,7 @@
-"""Acceptance checks of a fit: what it may not be, and what its own readings say against it.
+"""Acceptance checks of a fit: implausible values, and evidence against it in its own readings.
 
-Each is a function of a fit and what was computed to judge it, its thresholds and words in `claims.toml`. What is
-missing from a model only a search tells; what it gets wrong shows in its residuals.
+Each is a function of a `Subject`; thresholds and words are in `claims.toml`. Which effect is missing only a search
+tells; that one is missing shows in the residuals.
 """
 
 from __future__ import annotations
@@ -34,22 +34,22 @@ from bayescal._model.parameters import bind
 from bayescal._model.terms import ColumnsOf
 
 PRIOR = "prior.contradicted"
-FREE_SIZES = 1e3  # times a plausible size, which is none any more
+FREE_SIZES = 1e3  # factor on a plausible size that makes its prior uninformative
 STARTS_TRIED = 3  # starts of the search for another mode
 
 
 @dataclass(frozen=True)
 class Subject:
-    """A fit, and what was computed to judge it."""
+    """A fit and the computations that its acceptance checks use."""
 
     fit: Fitted
     accepted: Collection[str] = ()  # coefficients or effects that may contradict their priors
     noise_floor: float = math.inf  # noise that no model could remove, output unit
-    check: Any = None  # its `Check`, where it fails; None, as `left_out`, where no check asks
+    check: Any = None  # its `Check`; None, as `left_out`, where no check needs it
     left_out: LeaveOneGroupOut | None = None  # each group predicted from the others
     doubts: tuple[Claim, ...] = ()  # of its mode
-    first: Model | None = None  # that a search began with, whose thermometers count
-    # What may be missing where residuals still depend on something: a cure, and what it names.
+    first: Model | None = None  # the search's first model, whose thermometers are checked
+    # The cure where residuals depend on a covariate, and the names in it.
     missing: Mapping[str, str] = field(default_factory=lambda: {"cure": "search"})
 
     def accepts(self, *names: str) -> bool:
@@ -57,38 +57,38 @@ class Subject:
 
 
 def conflicts(subject: Subject) -> list[Claim]:
-    """Return what may not be, whatever the residuals: readings that contradict the model."""
-    found = [*contradicted(subject), *widened(subject)]
-    return [*found, *too_large(subject), *beyond_the_known(subject)]
+    """Return the contradictions of readings and model that hold whatever the residuals."""
+    claims = [*contradicted_priors(subject), *widened_coefficients(subject)]
+    return [*claims, *too_large(subject), *implausible_curves(subject)]
 
 
 def group_conflicts(subject: Subject) -> list[Claim]:
-    """Return what members of groups may not be."""
-    return [*too_different(subject), *following_members(subject)]
+    """Return the claims against members of groups."""
+    return [*too_different(subject), *members_following_terms(subject)]
 
 
 def wrong_question(
     fit: Fitted, noise_floor: float, accepted: Collection[str] = ()
 ) -> tuple[Claim, ...]:
-    """Return why nothing can be learnt from a model: readings that contradict it, or rounded more than they vary."""
+    """Return why a search is pointless: readings that contradict the model, or rounded coarser than noise."""
     freed = (n for e in fit.model.effects if e.frees for n in (e.name, e.frees))
     subject = Subject(fit, {*accepted, *freed}, noise_floor)
-    found = conflicts(subject) or contradicted_alone(subject)
-    return (*found, *rounded(subject))
+    claims = conflicts(subject) or priors_contradicted_by_data(subject)
+    return (*claims, *rounded(subject))
 
 
 def residual_claims(subject: Subject) -> list[Claim]:
-    """Return what a fit's own residuals say against it; of one that did not converge, or is fixed to it, that alone."""
-    if found := [*not_converged(subject)]:
-        return found
-    found += [*not_finite(subject), *subject.doubts, *describing(subject), *scattered(subject)]
-    return [*found, *depending(subject), *steps_between_runs(subject), *correlated(subject)]
+    """Return the failed residual checks; of a fit that did not converge, or is fixed wrongly, that alone."""
+    if claims := [*not_converged(subject)]:
+        return claims
+    claims += [*not_finite(subject), *subject.doubts, *slow(subject), *scatter(subject)]
+    return [*claims, *dependence(subject), *steps_between_runs(subject), *correlated(subject)]
 
 
-def against(subject: Subject) -> list[Claim]:
-    """Return what stands against a fit that no search judged."""
-    found = [*group_conflicts(subject), *residual_claims(subject)]
-    return [*found, *odd_thermometers(subject), *surprising(subject)]
+def failures(subject: Subject) -> list[Claim]:
+    """Return the failed checks of a fit that no search judged."""
+    claims = [*group_conflicts(subject), *residual_claims(subject)]
+    return [*claims, *odd_thermometers(subject), *unexpected_groups(subject)]
 
 
 def not_converged(subject: Subject) -> Iterator[Claim]:
@@ -100,109 +100,109 @@ def not_converged(subject: Subject) -> Iterator[Claim]:
         yield Claim("fixed.wrong", rms=fixed.rms, unit=unit, times=fixed.rms / fixed.noise)
 
 
-def contradicted(subject: Subject) -> Iterator[Claim]:
-    """Coefficients that stand far from their priors' means."""
+def contradicted_priors(subject: Subject) -> Iterator[Claim]:
+    """Yield coefficients far from their prior means."""
     return _against_priors(subject, {r["name"]: (r["mean"], 0.0) for r in summary(subject.fit)[0]})
 
 
-def contradicted_alone(subject: Subject) -> list[Claim]:
-    """Where the readings by themselves would put the first model's coefficients, if that is far from their priors.
+def priors_contradicted_by_data(subject: Subject) -> list[Claim]:
+    """Return coefficients whose estimates from the readings alone are far from their priors.
 
     A prior that the readings contradict strongly enough wins: the noise takes up what the coefficient may not, and the
     fit shows nothing. So biases and scale factors of the instrument's own effects get a thousand times their widths.
     """
     fit, instrument = subject.fit, subject.fit.model.instrument
     single = (e for e in instrument.effects if len(e.coefficients) == 1)
-    own = {e.name for e in single if instrument.slot(e.slot).unit in (instrument.unit, "1")}
-    problem = Problem(fit.layout, fit.problem.record, dict.fromkeys(own, FREE_SIZES))
+    freed = {e.name for e in single if instrument.slot(e.slot).unit in (instrument.unit, "1")}
+    problem = Problem(fit.layout, fit.problem.record, dict.fromkeys(freed, FREE_SIZES))
     starts = [fit.mode.v, np.zeros_like(fit.mode.v)]
     near = Nearby(fit.mode.v, np.linalg.pinv(fit.mode.covariance))
     mode = find_mode(problem, starts, fit.mode.x, still=0.01, near=near)
-    _, found = Density(problem, mode.x, mode.flat, mode.v).at(mode.v)
-    if found is None:
+    _, posterior = Density(problem, mode.x, mode.flat, mode.v).at(mode.v)
+    if posterior is None:
         return []
-    mean, error = found.mean, limit(PRIOR, "sd") * np.sqrt(np.diag(found.covariance))
-    stands = {
+    mean, error = posterior.mean, limit(PRIOR, "sd") * np.sqrt(np.diag(posterior.covariance))
+    positions = {
         u.name: (u.block.origin + float(mean[u.x]), float(error[u.x]))
         for u in fit.unknowns
-        if u.x is not None and u.block is not None and u.effect in own
+        if u.x is not None and u.block is not None and u.effect in freed
     }
-    return [*_against_priors(subject, stands)]
+    return [*_against_priors(subject, positions)]
 
 
-def _against_priors(subject: Subject, stands: Mapping[str, tuple[float, float]]) -> Iterator[Claim]:
-    """Coefficients that stand far from their priors' means, each (where, by how much it may be off)."""
+def _against_priors(subject: Subject, at: Mapping[str, tuple[float, float]]) -> Iterator[Claim]:
+    """Yield coefficients far from their prior means, of (value, tolerance) each."""
     baseline = {e.name for e in subject.fit.model.instrument.effects}
-    most, far = limit(PRIOR, "coefficients"), limit(PRIOR, "sd")
+    most_coefficients, far_sd = limit(PRIOR, "coefficients"), limit(PRIOR, "sd")
     for u in subject.fit.unknowns:
         if u.block is None or u.prior_sd is None or u.held:
             continue
         effect, c = u.block.effect, u.block.coefficient
-        if len(effect.coefficients) > most or subject.accepts(effect.name, u.name):
+        if len(effect.coefficients) > most_coefficients or subject.accepts(effect.name, u.name):
             continue
-        where, give = stands.get(u.name, (c.mean, 0.0))
-        away = abs(where - c.mean) / c.size
+        value, tolerance = at.get(u.name, (c.mean, 0.0))
+        z = abs(value - c.mean) / c.size
         sizes = 1 if effect.name in baseline else limit(PRIOR, "candidate_sizes")
-        if away - give / c.size > far * sizes:
+        if z - tolerance / c.size > far_sd * sizes:
             cure = "scale" if effect.slot.partition("_")[0] == "scale" else "zero and scale"
-            told = {"where": where, "mean": c.mean, "size": c.size, "unit": c.unit, "away": away}
-            told |= {"fall": 0.5 * away**2, "cure": cure if effect.kind == "constant" else "units"}
-            yield Claim(PRIOR, u.name, effect.name, **told)
+            data = {"where": value, "mean": c.mean, "size": c.size, "unit": c.unit, "away": z}
+            data |= {"fall": 0.5 * z**2, "cure": cure if effect.kind == "constant" else "units"}
+            yield Claim(PRIOR, u.name, effect.name, **data)
 
 
-def widened(subject: Subject) -> Iterator[Claim]:
-    """Coefficients known worse than before, but for what a confounder widens."""
-    keys = {name for one in subject.fit.confounders for name in one.coefficients}
+def widened_coefficients(subject: Subject) -> Iterator[Claim]:
+    """Yield coefficients less certain than before the fit, unless a confounder widens them."""
+    keys = {name for confounder in subject.fit.confounders for name in confounder.coefficients}
     wider = {u.name for u in subject.fit.unknowns if u.key in keys}
-    # Of coefficients alone: what is positive may well be larger than thought, and then wider.
+    # Coefficients only: a positive unknown may be larger than expected, and then wider.
     for row in summary(subject.fit)[0]:
-        name, found = row["name"], row["contraction"]
+        name, contraction = row["name"], row["contraction"]
         accepted = name in wider or subject.accepts(name, row["effect"])
         least = limit("prior.widened", "contraction")
-        if not accepted and found is not None and found < least:
-            yield Claim("prior.widened", name, contraction=found)
+        if not accepted and contraction is not None and contraction < least:
+            yield Claim("prior.widened", name, contraction=contraction)
 
 
 def too_large(subject: Subject) -> Iterator[Claim]:
-    """Standard deviations of the output itself beyond its whole range: no lengths, places, times or relative ones."""
+    """Yield standard deviations in the output's unit that exceed the output's whole range."""
     fit = subject.fit
     sizes = set(fit.model.noise.amplitudes)
     for effect in fit.model.effects:
         for i, c in enumerate(effect.coefficients):
             if fit.model.instrument.slot(c.slot or effect.slot).unit == fit.unit:
                 sizes.add(effect.group_sd_name(i))
-    # An amplitude is a scale of coefficients, hardly told where there is one; what it makes of the output is judged.
+    # An amplitude scales coefficients and is hardly identified by one: its effect on the output is judged.
     sizes -= {e.measure_name for e in fit.model.effects}
-    reach = float(np.ptp(fit.readings["output"]))
+    span = float(np.ptp(fit.readings["output"]))
     for row in summary(fit)[1]:
-        of_output = row["name"] in sizes and row["unit"] == fit.unit and row["mean"] > reach > 0
+        of_output = row["name"] in sizes and row["unit"] == fit.unit and row["mean"] > span > 0
         if of_output and not subject.accepts(row["name"], row["effect"]):
-            told = {"mean": row["mean"], "reach": reach, "unit": fit.unit}
-            yield Claim("size.beyond_output", row["name"], **told)
+            numbers = {"mean": row["mean"], "reach": span, "unit": fit.unit}
+            yield Claim("size.beyond_output", row["name"], **numbers)
 
 
-def beyond_the_known(subject: Subject) -> Iterator[Claim]:
-    """Dependences without a name that are larger than all that is known of the instrument could make together.
+def implausible_curves(subject: Subject) -> Iterator[Claim]:
+    """Yield unnamed dependences larger than all of the instrument's known effects together.
 
-    A wrong sign or unit of an input is no missing effect, though a free curve along that input follows it.
+    A wrong sign or unit of an input is no missing effect, though a free curve along that input fits it.
     """
     fit, instrument, readings = subject.fit, subject.fit.model.instrument, subject.fit.readings
     unnamed = [e for e in fit.model.effects if e.is_placeholder and not subject.accepts(e.name)]
     if not unnamed:
         return
     # How much the instrument's own effects plausibly change the output over these readings, rms, output unit.
-    own = (*instrument.effects, *instrument.candidates)
-    effects = tuple(e for e in own if testable(e, readings) is None)
+    catalogue = (*instrument.effects, *instrument.candidates)
+    effects = tuple(e for e in catalogue if testable(e, readings) is None)
     layout = bind(Model(instrument, effects, fit.model.noise), readings)[0]
     problem = Problem(layout, fit.problem.record)
     hyper = problem.hyper(np.zeros(len(problem.hypers)))
     prior = problem.prior(hyper, np.ones(problem.size))
     slopes = problem.linearise(problem.start, hyper).jacobian * (prior.sd * prior.weight)
-    known = float(np.sqrt(np.sum(np.var(slopes, axis=0))))
+    expected = float(np.sqrt(np.sum(np.var(slopes, axis=0))))
     for effect in unnamed:
-        here = float(np.std(fit.linear.contribution(effect.name)))
-        if known and here > limit("curve.beyond_known", "sizes") * known:
-            yield Claim("curve.beyond_known", effect.name, here=here, known=known, unit=fit.unit)
+        size = float(np.std(fit.linear.contribution(effect.name)))
+        if expected and size > limit("curve.beyond_known", "sizes") * expected:
+            yield Claim("curve.beyond_known", effect.name, here=size, known=expected, unit=fit.unit)
 
 
 def rounded(subject: Subject) -> Iterator[Claim]:
@@ -212,33 +212,33 @@ def rounded(subject: Subject) -> Iterator[Claim]:
 
 
 def too_different(subject: Subject) -> Iterator[Claim]:
-    """Members of a group that differ far more than is plausible: the worst of each group.
+    """Yield each group's member that differs most, if far more than is plausible.
 
-    A spread that is learned takes up any difference, so that a sign or a unit that is another in one of them shows
-    nowhere else. Of a model that lacks an effect it says nothing: members take up what is missing.
+    A learned standard deviation between members absorbs a wrong sign or unit of one of them, which shows nowhere else.
+    Not a test for missing effects: members absorb those too.
     """
     fit = subject.fit
     rows = (r for r in summary(fit)[0] if not subject.accepts(r["name"], r["effect"]))
-    stands = {row["name"]: row["mean"] for row in rows}
+    positions = {row["name"]: row["mean"] for row in rows}
     for b in fit.layout.blocks:
         c = b.coefficient
-        own = [n for n in b.member_names(fit.levels) if n in stands]
-        if c.group_sd is None or b.effect.weights is not None or not own:
+        members = [n for n in b.member_names(fit.levels) if n in positions]
+        if c.group_sd is None or b.effect.weights is not None or not members:
             continue
-        name = max(own, key=lambda n: abs(stands[n] - c.mean))
-        away = abs(stands[name] - c.mean) / c.size
-        if away > limit("group.too_different", "sizes"):
-            told = {"where": stands[name], "mean": c.mean, "size": c.size, "unit": c.unit}
-            whose = {"member": name, "group": c.per, "away": away}
-            yield Claim("group.too_different", b.effect.name, **whose, **told)
+        name = max(members, key=lambda n: abs(positions[n] - c.mean))
+        distance = abs(positions[name] - c.mean) / c.size
+        if distance > limit("group.too_different", "sizes"):
+            numbers = {"where": positions[name], "mean": c.mean, "size": c.size, "unit": c.unit}
+            whose = {"member": name, "group": c.per, "away": distance}
+            yield Claim("group.too_different", b.effect.name, **whose, **numbers)
 
 
-def following_members(subject: Subject) -> Iterator[Claim]:
-    """Deviations of a group's members that follow what a term of the same slot follows.
+def members_following_terms(subject: Subject) -> Iterator[Claim]:
+    """Yield groups whose members' deviations correlate with a term of the same slot.
 
-    A term has one coefficient, within members as between them. Where a thermometer is late or noisy, the readings of
-    a member deny what the members' means show, and their deviations take it up: the coefficient is of within alone,
-    small and with a small uncertainty, and no residual is left. Deviations that are by chance follow nothing.
+    A term has one coefficient, within and between members. Where a thermometer is late or noisy the slope within
+    members is attenuated, and the members' deviations absorb the slope between them: the coefficient is small, its
+    uncertainty too, and no residual is left. Random deviations correlate with nothing.
     Source: Y. Mundlak, Econometrica 46 (1978) 69.
     """
     fit, record = subject.fit, subject.fit.problem.record
@@ -250,48 +250,48 @@ def following_members(subject: Subject) -> Iterator[Claim]:
         plain = b.coefficient.group_sd is not None and b.effect.weights is None
         if not plain or subject.accepts(b.effect.name) or not means.keys() >= {*names}:
             continue
-        own = record.codes[str(b.coefficient.per)]
+        codes = record.codes[str(b.coefficient.per)]
         values = np.array([means[name] for name in names])
         for term in (e for e in single if e.slot == b.effect.slot and not subject.accepts(e.name)):
             column = record.columns(ColumnsOf.of(term), ())[:, 0]
-            count = np.bincount(own[own >= 0], minlength=len(values))
-            total = np.bincount(own[own >= 0], column[own >= 0], minlength=len(values))
-            there = count > 0
-            mean, deviations = total[there] / count[there], values[there]
+            count = np.bincount(codes[codes >= 0], minlength=len(values))
+            total = np.bincount(codes[codes >= 0], column[codes >= 0], minlength=len(values))
+            filled = count > 0
+            mean, deviations = total[filled] / count[filled], values[filled]
             if len(mean) < 3 or not (np.ptp(mean) and np.ptp(deviations)):
                 continue
-            r, chance = correlation(mean, deviations)
-            if chance < limit("group.follows_column", "p"):
-                told = {"term": term.name, "along": term.varies, "group": b.coefficient.per}
-                told |= {"r": r, "p": chance}
+            r, p = correlation(mean, deviations)
+            if p < limit("group.follows_column", "p"):
+                data = {"term": term.name, "along": term.varies, "group": b.coefficient.per}
+                data |= {"r": r, "p": p}
                 names_of = b.effect.name, term.name
-                yield Claim("group.follows_column", *names_of, **told, members=int(there.sum()))
+                yield Claim("group.follows_column", *names_of, **data, members=int(filled.sum()))
 
 
-def correlation(one: np.ndarray, other: np.ndarray) -> tuple[float, float]:
-    """Pearson's correlation of two columns, and its p-value if they are independent."""
-    r, free = float(np.corrcoef(one, other)[0, 1]), len(one) - 2
-    t = np.sqrt(free / np.float64((1 - r) * (1 + r))) if abs(r) < 1 else np.inf
-    return r, float(2 * stdtr(free, -abs(r) * t))
+def correlation(first: np.ndarray, second: np.ndarray) -> tuple[float, float]:
+    """Return Pearson's correlation of two columns and its p-value under independence."""
+    r, freedom = float(np.corrcoef(first, second)[0, 1]), len(first) - 2
+    t = np.sqrt(freedom / np.float64((1 - r) * (1 + r))) if abs(r) < 1 else np.inf
+    return r, float(2 * stdtr(freedom, -abs(r) * t))
 
 
 def too_few(subject: Subject) -> Iterator[Claim]:
-    """Readings too few to tell a noise that nobody stated from the unknowns."""
-    fit, there = subject.fit, subject.fit.inclusion
-    # Of an average over structures as many as there are on average.
+    """Yield a claim if readings are too few to separate an unstated noise from the unknowns."""
+    fit, inclusion = subject.fit, subject.fit.inclusion
+    # In an average over structures, their expected number.
     nuisances = {e.name for e in fit.model.instrument.nuisances}
     names = [b.effect.name for b in fit.layout.blocks if b.place in ("x", "phi")]
-    free = round(sum(there[name] for name in names if name not in nuisances))
+    free = round(sum(inclusion[name] for name in names if name not in nuisances))
     enough = free + limit("readings.too_few", "freedom")
     if len(fit.readings) < enough and fit.layout.positions("noise"):
         yield Claim("readings.too_few", count=len(fit.readings), free=free)
 
 
 def off_scale(effect: Effect, contribution: float, noise: float, unit: str) -> list[Claim]:
-    """Return what to look at where an effect at its plausible size is far too small or large for these readings.
+    """Return a claim where an effect at its plausible size is far too small or large for these readings.
 
-    Its contribution is prior size times basis, the largest over the readings, in the unit of the noise. Nothing is said
-    of an effect without a fixed plausible size or a basis of columns.
+    Its contribution is prior size times basis, the largest over the readings, in the unit of the noise; empty for an
+    effect without a fixed plausible size or a basis of columns.
     """
     first = effect.coefficients[0]
     if not effect.columns or effect.is_placeholder or first.group_sd is not None or first.flat:
@@ -304,11 +304,11 @@ def off_scale(effect: Effect, contribution: float, noise: float, unit: str) -> l
 
 
 @on_one_thread
-def doubts_of_the_mode(fit: Fitted) -> list[Claim]:
-    """Return why the Gaussian fit about a mode, on which the evidence stands, does not describe the posterior.
+def multimodality(fit: Fitted) -> list[Claim]:
+    """Return why the Laplace approximation, on which the evidence rests, does not describe the posterior.
 
-    The curvature is not positive definite; or shapes far from the mode's explain the readings nearly as well, which is
-    looked for from the best of some prior draws, and along shapes whose evidence has many maxima.
+    The Hessian is not positive definite; or another mode of other shapes is nearly as probable, sought from the best of
+    some prior draws and along shapes whose evidence has many maxima.
     """
     problem, mode = fit.problem, fit.mode
     if not math.isfinite(mode.log_evidence):
@@ -323,7 +323,7 @@ def doubts_of_the_mode(fit: Fitted) -> list[Claim]:
 
     density = Density(problem, mode.x, mode.flat, mode.v)
     tried = np.concatenate([prior_draws(problem), *across(problem, mode.v)])
-    # Another hill has other shapes: all else begins where it is.
+    # Another mode has other shapes: all else starts at this mode.
     tried = np.where(np.isin(np.arange(len(sd)), shapes), tried, mode.v)
     starts = [v for v in tried if far(v).any()] if shapes else []
     near = Nearby(mode.v, np.linalg.pinv(mode.covariance), True)
@@ -333,17 +333,17 @@ def doubts_of_the_mode(fit: Fitted) -> list[Claim]:
         behind = mode.log_evidence - other.log_evidence
         if far(other.v).any() and behind < limit("mode.two", "nats"):
             names = [problem.hypers[i].name for i in np.array(shapes)[far(other.v)]]
-            here, there = problem.hyper(mode.v), problem.hyper(other.v)
+            a, b = problem.hyper(mode.v), problem.hyper(other.v)
             units = {h.name: h.unit for h in problem.hypers}
-            values = tuple(f"{n} {number(here[n])} or {number(there[n])} {units[n]}" for n in names)
+            values = tuple(f"{n} {number(a[n])} or {number(b[n])} {units[n]}" for n in names)
             return [Claim("mode.two", *names, behind=behind, values=values)]
     return []
 
 
 def noiseless(fit: Fitted) -> str:
-    """Return that a model explains readings to their last digit, or that no fit is finite; empty for others.
+    """Return the message that a fit has no residual noise, or is not finite; empty for others.
 
-    There is no noise then to tell anything by, nor to check.
+    Without noise nothing can be tested.
     """
     output, variance = fit.readings["output"], fit.linear.variance
     noise, unit = math.sqrt(float(np.median(variance))), unit_label(fit.unit)
@@ -363,16 +363,16 @@ def noiseless(fit: Fitted) -> str:
     )
 
 
-def surprising(subject: Subject) -> Iterator[Claim]:
-    """A group that the others do not expect, although their uncertainty counts: something in it was different.
+def unexpected_groups(subject: Subject) -> Iterator[Claim]:
+    """Yield the group that the others predict worst, if beyond their uncertainty.
 
-    What is missing from a model is missing in every group, and counts as their noise. There is a test for each group.
+    An effect missing from the model is missing in every group, and counts as noise. There is one test per group.
     """
     out = subject.left_out
     if out is None or not np.isfinite(out.by_chance).any():
         return
     worst = int(np.nanargmin(out.by_chance))
-    # The largest of as many tests as there are groups: its p-value counts that often (C. Bonferroni).
+    # Bonferroni correction: one test per group.
     beyond = out.by_chance[worst] * out.count < settings().holdout_p
     if beyond and (times := float(out.surprise[worst])) > limit("group.surprising", "ratio"):
         which = {"group": out.group.capitalize(), "member": out.members[worst]}
@@ -380,30 +380,30 @@ def surprising(subject: Subject) -> Iterator[Claim]:
 
 
 def odd_thermometers(subject: Subject) -> Iterator[Claim]:
-    """What is odd in the column of a thermometer that the coefficients of a model hang on."""
+    """Yield anomalies in the columns of thermometers that the model depends on."""
     readings, model = subject.fit.readings, subject.first or subject.fit.model
-    for one in readings.oddities:
-        if one.column in model.columns and readings.unit(one.column) == "degC":
-            yield Claim("column.odd", one.column, one.code, said=one.description)
+    for anomaly in readings.oddities:
+        if anomaly.column in model.columns and readings.unit(anomaly.column) == "degC":
+            yield Claim("column.odd", anomaly.column, anomaly.code, said=anomaly.description)
 
 
 def describes(noise: Noise, values: Mapping[str, Any]) -> bool:
-    """Return whether correlated noise is so slow and large that it stands for something without a name."""
+    """Return whether correlated noise is so slow and large that it stands in for a missing effect."""
     white = values.get(WHITE, math.inf)
     return noise.lasting_deviation(values) > limit("noise.describes", "sd") * white
 
 
-def describing(subject: Subject) -> Iterator[Claim]:
+def slow(subject: Subject) -> Iterator[Claim]:
     fit = subject.fit
     noise, values = fit.model.noise, fit.problem.hyper(fit.mode.v)
     if not noise.independent and describes(noise, values):
         size = noise.lasting_deviation(values)
-        told = {"size": size, "unit": fit.unit, "times": size / values[WHITE]}
-        yield Claim("noise.describes", noise.name, words=noise.in_words, **told)
+        numbers = {"size": size, "unit": fit.unit, "times": size / values[WHITE]}
+        yield Claim("noise.describes", noise.name, words=noise.in_words, **numbers)
 
 
-def scattered(subject: Subject) -> Iterator[Claim]:
-    """What the leave-one-out tests say against the noise law."""
+def scatter(subject: Subject) -> Iterator[Claim]:
+    """Yield the noise law's failed leave-one-out tests."""
     check, rare = subject.check, limit("group.follows_column", "p")
     if along := [name for name, chance in check.scatter_with.items() if chance < rare]:
         yield Claim("noise.scatter", *along)
@@ -414,52 +414,52 @@ def scattered(subject: Subject) -> Iterator[Claim]:
         yield Claim("noise.tails", p=check.pit_p, outside=outside)
 
 
-def depending(subject: Subject) -> list[Claim]:
-    """What the residuals still depend on; or that readings are too few to tell noise from unknowns."""
+def dependence(subject: Subject) -> list[Claim]:
+    """Return the covariate that residuals depend on; or that readings are too few to separate noise."""
     check = subject.check
     rows = [(e.log_bayes_factor, (e.against,)) for e in check.entries]
     rows += [(p.log_bayes_factor, p.against) for p in check.pairs]
     factor, depended = max(rows, default=(0.0, ()))
-    found = [*too_few(subject)]
-    if not found and factor > limit("residuals.depend", "nats"):
-        found = [Claim("residuals.depend", *depended, factor=factor, **subject.missing)]
-    return found
+    claims = [*too_few(subject)]
+    if not claims and factor > limit("residuals.depend", "nats"):
+        claims = [Claim("residuals.depend", *depended, factor=factor, **subject.missing)]
+    return claims
 
 
 def steps_between_runs(subject: Subject) -> Iterator[Claim]:
-    """A function of time that only tells runs apart: of which of them a new run would be is not known."""
+    """Yield a function of time that only distinguishes runs: it predicts no new run."""
     fit = subject.fit
     for effect in fit.model.effects:
         if effect.kind in ("jump", "cycle") and effect.covariate == "time":
             added = fit.linear.contribution(effect.name)
             means, within = of_runs(fit, added)
             if only_between_runs(added - added.mean(), within):
-                apart = float(np.ptp(means))
-                yield Claim("runs.apart", effect.name, apart=apart, unit=fit.unit)
+                distance = float(np.ptp(means))
+                yield Claim("runs.apart", effect.name, apart=distance, unit=fit.unit)
                 return
 
 
 def of_runs(fit: Fitted, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return the mean of each run, and what a value of each reading is more than its run's."""
+    """Return each run's mean, and each value's deviation from its run's mean."""
     _, codes = fit.readings.groups("run")
     means = np.bincount(codes, values) / np.bincount(codes)
     return means, values - means[codes]
 
 
 def only_between_runs(values: np.ndarray, within: np.ndarray) -> bool:
-    """Return whether values do nothing but tell runs apart: next to none of their squares are those within runs."""
+    """Return whether values only distinguish runs: their sum of squares within runs is negligible."""
     return bool(np.sum(within**2) < limit("runs.apart", "within_share") * np.sum(values**2))
 
 
 def not_finite(subject: Subject) -> Iterator[Claim]:
-    """Evidence that is no number."""
+    """Yield a claim if the evidence is not finite."""
     evidence = subject.fit.log_evidence
     if evidence is not None and not math.isfinite(evidence[0]):
         yield Claim("evidence.not_finite")
 
 
 def correlated(subject: Subject) -> Iterator[Claim]:
-    """Neighbouring residuals that are no independent noise."""
+    """Yield a claim if neighbouring residuals are autocorrelated."""
     coefficient, z = subject.check.autocorrelation
     code = "noise.correlated"
     if abs(z) > limit(code, "z") and abs(coefficient) > limit(code, "coefficient"):

@@ -1,4 +1,4 @@
-"""Leave one group out: the left-out group predicted as new, φ estimated again in each fold, x in closed form.
+"""Leave-one-group-out: each group predicted as new, φ re-estimated in each fold, x in closed form.
 
 The model is linearised once, at the full fit; a fold is the same linear model without the group's readings. Deviations
 of the left-out group then come from their prior, as those of any group not yet seen.
@@ -40,8 +40,8 @@ class LeaveOneGroupOut:
     members: tuple[str, ...]  # names of the groups
     log_score: np.ndarray  # joint log predictive density of each group (g,)
     residual: np.ndarray  # of each reading, predicted from the other groups, output unit
-    # Of each group, rms of its whitened residuals over what the other groups expect of it, their uncertainty of the
-    # model and of a new group's deviations included (g,): about 1 if the model is right, NaN of fewer than 5 readings.
+    # Rms of each group's whitened residuals over its expectation from the other groups, model uncertainty and a new
+    # group's deviations included (g,): about 1 if the model is right, NaN of fewer than 5 readings.
     surprise: np.ndarray
     by_chance: np.ndarray  # probability of so large a surprise, if the model is right (g,)
     variance: np.ndarray  # of each reading: noise, and its expectation as the other groups leave it
@@ -51,7 +51,7 @@ class LeaveOneGroupOut:
         return float(np.sqrt(np.mean(self.residual**2)))
 
     def error(self, variance: np.ndarray) -> float:
-        """Return the rms error, output unit, weighted by the inverse of a variance of each reading."""
+        """Return the rms error, output unit, weighted by each reading's inverse variance."""
         return float(np.sqrt(np.mean(self.residual**2 / variance) / np.mean(1 / variance)))
 
     @property
@@ -60,57 +60,57 @@ class LeaveOneGroupOut:
 
 
 class Part(Record):
-    """Some readings of a record, by their rows; what happened between them stays in their columns."""
+    """A subset of a record's readings, by rows; columns keep what happened between them (lags, rates)."""
 
     def __init__(self, whole: Record, rows: np.ndarray) -> None:
-        # In the order of time, the steps between them those of all readings in between, summed.
+        # In time order; each step is the sum of the steps of the readings in between.
         order, step = whole.in_time
         place = np.full(whole.size, -1)
         place[rows] = np.arange(len(rows))
-        kept = np.flatnonzero(place[order] >= 0)
-        steps = np.diff(np.cumsum(np.maximum(step, 0.0))[kept], prepend=0.0)
-        steps[np.diff(np.cumsum(step < 0)[kept], prepend=-1) != 0] = -1.0
-        frame = whole.frame.reordered(rows, place[order[kept]], steps)
+        in_time = np.flatnonzero(place[order] >= 0)
+        steps = np.diff(np.cumsum(np.maximum(step, 0.0))[in_time], prepend=0.0)
+        steps[np.diff(np.cumsum(step < 0)[in_time], prepend=-1) != 0] = -1.0
+        frame = whole.frame.reordered(rows, place[order[in_time]], steps)
         super().__init__(whole.instrument, frame, whole.y[rows])
         self.whole, self.rows = whole, rows
 
     def _computed(self, effect: ColumnsOf, values: Sequence[np.ndarray], moves) -> Any:
-        return self.whole._computed(effect, values, self._spread(moves))[:, self.rows]
+        return self.whole._computed(effect, values, self._fill(moves))[:, self.rows]
 
     def moved_columns_of_draws(self, effect: ColumnsOf, values: Sequence[Any], moves) -> Any:
-        found, slopes = self.whole.moved_columns_of_draws(effect, values, self._spread(moves))
-        return found[..., self.rows, :], {name: s[..., self.rows, :] for name, s in slopes.items()}
+        rows, slopes = self.whole.moved_columns_of_draws(effect, values, self._fill(moves))
+        return rows[..., self.rows, :], {name: s[..., self.rows, :] for name, s in slopes.items()}
 
     @cached_property
     def affine(self) -> tuple[np.ndarray, dict[str, np.ndarray]] | None:
-        return self.whole.affine and self._kept(self.whole.affine)
+        return self.whole.affine and self._select_rows(self.whole.affine)
 
     def respond(
         self, slots: Mapping[str, np.ndarray], moves: Mapping[str, np.ndarray], sloped: bool = True
     ) -> tuple[Float[np.ndarray, "*b n"], dict[str, Any]]:
-        return self._kept(self.whole.respond(self._spread(slots), self._spread(moves), sloped))
+        return self._select_rows(self.whole.respond(self._fill(slots), self._fill(moves), sloped))
 
-    def _kept(self, of_all: tuple[np.ndarray, Mapping[str, np.ndarray]]):
-        values, slopes = of_all
+    def _select_rows(self, values_and_slopes: tuple[np.ndarray, Mapping[str, np.ndarray]]):
+        values, slopes = values_and_slopes
         return values[..., self.rows], {name: s[..., self.rows] for name, s in slopes.items()}
 
-    def _spread(self, values: Mapping[str, Any]) -> dict[str, np.ndarray]:
-        """The same on the whole record, zero where a reading is not kept."""
-        found = {}
+    def _fill(self, values: Mapping[str, Any]) -> dict[str, np.ndarray]:
+        """Return values on the whole record, zero outside the subset."""
+        scattered = {}
         for name, value in values.items():
-            kept = np.broadcast_to(value, (*np.shape(value)[:-1], self.size))
-            found[name] = np.zeros((*kept.shape[:-1], self.whole.size))
-            found[name][..., self.rows] = kept
-        return found
+            broadcast = np.broadcast_to(value, (*np.shape(value)[:-1], self.size))
+            scattered[name] = np.zeros((*broadcast.shape[:-1], self.whole.size))
+            scattered[name][..., self.rows] = broadcast
+        return scattered
 
 
 def scheme(group: str) -> str:
-    """What the scheme is called where these are the groups: "leave-one-run-out"."""
+    """Return the scheme's name: "leave-one-run-out"."""
     return f"leave-one-{group.replace(' ', '-')}-out"
 
 
 def groups_of(readings: Measurements) -> tuple[str, tuple[str, ...], np.ndarray]:
-    """What to leave out: device if there are two, else run, else cell, else blocks in time or in order."""
+    """Choose the groups to leave out: devices if there are two, else runs, cells, or blocks in time or order."""
     for name in ("device", "run", "cell"):
         levels, codes = readings.groups(name)
         if len(levels) >= 2 and (codes >= 0).all():
@@ -134,76 +134,76 @@ def leave_one_group_out(calibration: Fitted) -> LeaveOneGroupOut | None:
     residual, model = np.full((2, len(codes)), np.nan)
     for i in range(len(members)):
         out = np.flatnonzero(codes == i)
-        found = _fold(whole, mode, np.flatnonzero(codes != i), out)
-        if found is None:
+        fold = _fold(whole, mode, np.flatnonzero(codes != i), out)
+        if fold is None:
             continue
-        scores[i], residual[out], model[out], squares, spectrum = found
+        scores[i], residual[out], model[out], squares, spectrum = fold
         if len(out) >= FEW_IN_GROUP:
-            kept = len(codes) - len(out), len(members) - 1
+            counts = len(codes) - len(out), len(members) - 1
             surprise[i] = math.sqrt(squares / spectrum.sum())
-            by_chance[i] = _by_chance(squares, spectrum, *kept)
+            by_chance[i] = _surprise_p_value(squares, spectrum, *counts)
     variance = calibration.linear.variance + model
     return LeaveOneGroupOut(kind, members, scores, residual, surprise, by_chance, variance)
 
 
-def _by_chance(squares: float, spectrum: np.ndarray, readings: int, groups: int) -> float:
-    """Probability of squares rᵀr as large, if what was learnt of so many readings and groups is right.
+def _surprise_p_value(squares: float, spectrum: np.ndarray, readings: int, groups: int) -> float:
+    """Return the probability of rᵀr as large, under a model estimated from so many readings and groups.
 
     rᵀr/Σλ is about χ²(ν)/ν with ν = (Σλ)²/Σλ² (F. Satterthwaite, Biometrics Bull. 2 (1946) 110); Σλ was itself
     estimated, its part of the noise from the readings kept, the rest at worst from a standard deviation between as
     many groups less one: so an F distribution.
     """
-    # In parts of Σλ, whose square may be no number.
-    whole = float(spectrum.sum())
-    own = 1 / float(np.sum((spectrum / whole) ** 2))
-    noise = len(spectrum) / whole
-    known = 1 / (noise**2 / readings + (1 - noise) ** 2 / max(groups - 1, 1))
-    return float(fdtrc(own, known, squares / whole))
+    # Relative to Σλ, whose square may overflow.
+    trace = float(spectrum.sum())
+    spectrum_freedom = 1 / float(np.sum((spectrum / trace) ** 2))
+    noise = len(spectrum) / trace
+    estimate_freedom = 1 / (noise**2 / readings + (1 - noise) ** 2 / max(groups - 1, 1))
+    return float(fdtrc(spectrum_freedom, estimate_freedom, squares / trace))
 
 
 def _fold(
-    whole: Problem, mode: Mode, kept: np.ndarray, out: np.ndarray
+    whole: Problem, mode: Mode, training: np.ndarray, left_out: np.ndarray
 ) -> tuple[float, np.ndarray, np.ndarray, float, np.ndarray] | None:
-    """Of readings left out, as the kept ones predict them, the joint log predictive density, errors, variance of what
-    is expected, sum of squares of the whitened errors, and the eigenvalues of their covariance; None of nothing."""
-    parts = (Part(whole.record, rows) for rows in (kept, out))
+    """Predict the left-out readings from the others: return joint log predictive density, errors, variance of the
+    expectation, whitened residual sum of squares and the eigenvalues of its covariance; None if either fails."""
+    parts = (Part(whole.record, rows) for rows in (training, left_out))
     problems = (Problem(whole.layout, part, whole.size_factors) for part in parts)
     near = Nearby(mode.v, np.linalg.pinv(mode.covariance), True)
     fitted, predicted = (Density(p, mode.x, mode.flat, mode.v, like=near) for p in problems)
     v = climb(fitted, mode.v, ftol=1e-3)  # φ to 0.05 standard deviations
     kinds = np.array(whole.kinds)
-    # A law that follows a column is that of all readings: where it lies for these, the kept may have none.
+    # A noise law along a column keeps its full fit: the training readings may not cover the left-out range.
     v = np.where((kinds == "noise") & bool(whole.noise.covariates), mode.v, v)
-    given = _given(fitted, predicted, v)
-    # What is expected of a group has the standard deviation between groups of them all: a few that are alike by chance
-    # would say that there is none.
+    predicted_moments = _held_out_moments(fitted, predicted, v)
+    # The expected variance uses the full fit's standard deviation between groups: a few groups alike by chance would
+    # make it zero.
     between = kinds == "group_sd"
-    of_all = _given(fitted, predicted, np.where(between, np.maximum(v, mode.v), v))
-    if given is None or of_all is None:
+    conservative = _held_out_moments(fitted, predicted, np.where(between, np.maximum(v, mode.v), v))
+    if predicted_moments is None or conservative is None:
         return None
     size = len(mode.x)
     unit = Prior(np.zeros(size), np.ones(size), np.ones(size))
-    joint = condition(given[1], len(out), unit, np.zeros(size))
+    joint = condition(predicted_moments[1], len(left_out), unit, np.zeros(size))
     # I + A·C·Aᵀ, A the whitened columns and C = L·Lᵀ the covariance of x: of its n eigenvalues those of Lᵀ·Aᵀ·A·L are
     # what it has above one.
-    spectrum = np.ones(len(out))
-    above = np.sort(np.linalg.eigvalsh(of_all[1].jtj))[::-1][: len(out)]
+    spectrum = np.ones(len(left_out))
+    above = np.sort(np.linalg.eigvalsh(conservative[1].jtj))[::-1][: len(left_out)]
     spectrum[: len(above)] += np.maximum(above, 0.0)
     score = np.nan if joint is None else joint.log_marginal
-    return score, given[0], of_all[2], of_all[1].rtr, spectrum
+    return score, predicted_moments[0], conservative[2], conservative[1].rtr, spectrum
 
 
-def _given(
+def _held_out_moments(
     fitted: Density, predicted: Density, v: np.ndarray
 ) -> tuple[np.ndarray, Gram, np.ndarray] | None:
-    """Errors of the readings left out, output unit, their products with the posterior of x from the kept readings as a
-    prior of unit normals, and the variance of what these expect."""
-    found = fitted.at(v)[1]
-    if found is None:
+    """Return errors of the left-out readings, output unit, their Gram matrix with the training posterior of x as a unit
+    normal prior, and the variance of their expectation; None where the training density fails."""
+    posterior = fitted.at(v)[1]
+    if posterior is None:
         return None
-    centred, table, logdet = predicted.whitened(v, found.mean)
-    turned = table[:, :-1] @ found.root
-    pull = turned.T @ table[:, -1]
-    gram = Gram(turned.T @ turned, pull, float(table[:, -1] @ table[:, -1]), logdet)
+    centred, table, logdet = predicted.whitened(v, posterior.mean)
+    turned = table[:, :-1] @ posterior.root
+    score = turned.T @ table[:, -1]
+    gram = Gram(turned.T @ turned, score, float(table[:, -1] @ table[:, -1]), logdet)
     line = predicted.problem.linearise(predicted.x, predicted.problem.hyper(v))
-    return centred, gram, np.sum((line.jacobian @ found.root) ** 2, axis=1)
+    return centred, gram, np.sum((line.jacobian @ posterior.root) ** 2, axis=1)

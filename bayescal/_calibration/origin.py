@@ -1,4 +1,4 @@
-"""What outputs are counted from: a constant far larger than their noise is taken off before anything is summed.
+"""Origin of outputs: a constant far larger than their noise is subtracted before anything is summed.
 
 Of 10 MHz read to 2 mHz a double holds the noise to six digits, and sums of its squares hold nothing of it. A constant
 of the model moves every reading alike: outputs and constant are counted from the same number, so that a residual keeps
@@ -22,41 +22,41 @@ from bayescal._model.instrument import factor_of
 from bayescal._model.model import Model
 from bayescal._model.terms import ColumnsOf
 
-RANGES = 4  # of the output, to a power of two, that an origin is a multiple of: others lie about zero already
+RANGES = 4  # an origin is a multiple of so many output ranges, to a power of two
 
 
 def with_origin(model: Model, readings: Measurements, reference: Reference) -> Reference:
-    """The reference with what outputs are counted from, where they lie far from zero and the model has a constant.
+    """Add the outputs' origins to a reference, where outputs are far from zero and the model has a constant.
 
     An origin is a multiple of a power of two no finer than the digits of the outputs, so that taking it off rounds
     nothing. Of three axes each has its own.
     """
-    known = origins(reference)
-    plain = {name: v for name, v in reference.items() if name not in known}
-    far = {n: _far(readings[n]) for n in model.instrument.outputs or ("output",)}
+    existing = origins(reference)
+    plain = {name: v for name, v in reference.items() if name not in existing}
+    far = {n: _nearest_origin(readings[n]) for n in model.instrument.outputs or ("output",)}
     if not any(far.values()):
         return plain
-    own = {n: [*known.get(reference_name(n), {}).items()] for n in far}
-    there = {e.coefficient_name(i) for e in model.effects for i in range(len(e.coefficients))}
-    if all(len(o) == 1 and o[0][0] in there and o[0][1] == far[n] for n, o in own.items()):
-        return dict(reference)  # of these readings, as a smaller model was counted from
+    pairs = {n: [*existing.get(reference_name(n), {}).items()] for n in far}
+    names = {e.coefficient_name(i) for e in model.effects for i in range(len(e.coefficients))}
+    if all(len(o) == 1 and o[0][0] in names and o[0][1] == far[n] for n, o in pairs.items()):
+        return dict(reference)  # these readings' origins already, from a smaller model
     record = record_of(model.instrument, readings, plain)
-    constants = [_constant(model, record, i) for i in range(len(far))]
+    constants = [_constant_coefficient(model, record, i) for i in range(len(far))]
     if None in constants:
         return plain
-    own = {reference_name(n): {c: o} for (n, o), c in zip(far.items(), constants, strict=True)}
-    return {**plain, **own}  # pyright: ignore[reportReturnType]
+    pairs = {reference_name(n): {c: o} for (n, o), c in zip(far.items(), constants, strict=True)}
+    return {**plain, **pairs}  # pyright: ignore[reportReturnType]
 
 
-def _far(values: Float[np.ndarray, "n"]) -> float:
-    """The multiple of a few ranges of an output that is nearest to it; zero for most."""
+def _nearest_origin(values: Float[np.ndarray, "n"]) -> float:
+    """Return the multiple of a few ranges nearest to an output; zero for most."""
     step = 2.0 ** math.ceil(math.log2(RANGES * float(np.ptp(values)) or 1.0))
     return step * round(float(np.median(values)) / step)
 
 
-def _constant(model: Model, record: Record, output: int) -> str | None:
-    """The coefficient of the widest prior that moves an output by itself in every reading, whatever all else is."""
-    instrument, found = model.instrument, dict[str, float]()
+def _constant_coefficient(model: Model, record: Record, output: int) -> str | None:
+    """Find the coefficient of widest prior that shifts an output one to one in every reading; None if none."""
+    instrument, sizes = model.instrument, dict[str, float]()
     for effect in model.effects:
         for i, c in enumerate(effect.coefficients):
             slot = c.slot or effect.slot
@@ -64,14 +64,14 @@ def _constant(model: Model, record: Record, output: int) -> str | None:
                 continue
             belong = c.per is None or (record.codes[c.per] >= 0).all()
             column = record.columns(ColumnsOf.of(effect), ())[:, i]
-            if belong and np.all(column == 1.0) and _moves_it_alone(record, slot, output):
+            if belong and np.all(column == 1.0) and _has_unit_slope(record, slot, output):
                 size = math.inf if c.flat else c.size * factor_of(instrument, effect, c)
-                found[effect.coefficient_name(i)] = size
-    return max(found, key=found.__getitem__) if found else None
+                sizes[effect.coefficient_name(i)] = size
+    return max(sizes, key=sizes.__getitem__) if sizes else None
 
 
-def _moves_it_alone(record: Record, slot: str, output: int) -> bool:
-    """Whether an output has the slope one by a slot, and of three axes the others none, at random values of all."""
+def _has_unit_slope(record: Record, slot: str, output: int) -> bool:
+    """Return whether an output's slope by a slot is one, and the other axes' zero, at random values."""
     vector, random = record.instrument.vector, np.random.default_rng(0)
     if slot not in record.slots:
         return False
@@ -82,8 +82,8 @@ def _moves_it_alone(record: Record, slot: str, output: int) -> bool:
         else:
             acting = random.standard_normal((record.size, 3))
 
-            def respond(own: Any, at=at, acting=acting) -> Any:
-                return vector.equation({**at, slot: own}, record.frame)(jnp.asarray(acting))
+            def respond(value: Any, at=at, acting=acting) -> Any:
+                return vector.equation({**at, slot: value}, record.frame)(jnp.asarray(acting))
 
             slopes = np.asarray(jax.jvp(respond, (at[slot],), (np.ones(record.size),))[1])
         if not np.max(np.abs(slopes - np.eye(slopes.shape[1])[output])) <= AFFINE:

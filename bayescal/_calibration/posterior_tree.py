@@ -11,8 +11,8 @@ from bayescal._calibration.storage import draws_group
 from bayescal._core.atomic_file import storable
 from bayescal._model.prior import HalfCauchy, HalfNormal, slope
 
-PRIOR_DRAWS = 1000  # for the groups of ArviZ's tree, as many as a picture of a prior needs
-TINY, FAR_SD = float(np.finfo(float).tiny), 1e150  # that a square of it is a number still
+PRIOR_DRAWS = 1000  # in ArviZ's tree: enough to plot a prior
+TINY, FAR_SD = float(np.finfo(float).tiny), 1e150  # whose square does not overflow
 
 
 def build_tree(c: Fitted) -> xr.DataTree:
@@ -20,12 +20,12 @@ def build_tree(c: Fitted) -> xr.DataTree:
     readings, dims = c.readings, ("chain", "draw", "reading")
     units = {"units": readings.unit("output")}
     thin, chains = c.thinned(CELLS)
-    made = replicate(c.problem, thin, np.random.default_rng([c.seed, 1]))
-    made = made.reshape(chains, -1, len(readings)) + (readings["output"] - c.frame["output"])
+    drawn = replicate(c.problem, thin, np.random.default_rng([c.seed, 1]))
+    drawn = drawn.reshape(chains, -1, len(readings)) + (readings["output"] - c.frame["output"])
     groups = {
         "posterior": c.posterior,
         "log_prior": _log_prior(c),
-        "posterior_predictive": xr.Dataset({"output": (dims, made, units)}),
+        "posterior_predictive": xr.Dataset({"output": (dims, drawn, units)}),
         "sample_stats": xr.Dataset(),
         "observed_data": xr.Dataset({"output": ("reading", readings["output"], units)}),
         "constant_data": readings.to_xarray().drop_vars("output"),
@@ -39,7 +39,7 @@ def build_tree(c: Fitted) -> xr.DataTree:
 
 
 def with_log_likelihood(tree: xr.DataTree, calibration: Fitted) -> xr.DataTree:
-    """A copy of a calibration's tree with the group `log_likelihood`, all groups of the posterior thinned alike."""
+    """Copy a calibration's tree and add `log_likelihood`, with all posterior groups thinned alike."""
     count = calibration.joint.x.shape[1]
     density = _stored(calibration.log_likelihood(), count)
     groups = {name: child.to_dataset() for name, child in tree.children.items()}
@@ -50,7 +50,7 @@ def with_log_likelihood(tree: xr.DataTree, calibration: Fitted) -> xr.DataTree:
 
 
 def _stored(group: xr.Dataset, count: int) -> xr.Dataset:
-    """A group under names that NetCDF can hold; chains and draws by number, thinned ones by theirs among `count`."""
+    """Rename a group for NetCDF, and number its chains and draws; thinned ones by their place in `count`."""
     if "draw" in group.sizes:  # ArviZ's pictures count on the numbers
         step = -(-count // group.sizes["draw"])
         # Indices of pandas: xarray would load Dask to look at arrays.
@@ -61,28 +61,28 @@ def _stored(group: xr.Dataset, count: int) -> xr.Dataset:
 
 
 def _log_prior(c: Fitted) -> xr.Dataset:
-    """Log prior density of each unknown in its own unit, given the hyper-parameters, per draw; no flat ones."""
+    """Return each unknown's log prior density, per its unit, given the hyperparameters; without flat priors."""
     x, v = c.joint.x, c.joint.v
     values, hyper = c.unknowns.values(x, v), c.problem.hyper(flat(v).T)
     sd = c.problem.prior(hyper, np.ones(c.problem.size), (len(flat(v)),)).sd.reshape(x.shape)
     density = np.zeros_like(values)
     for i, u in enumerate(c.unknowns):
         if (b := u.block) is None:
-            prior, own = u.prior, v[..., u.v]
-            density[..., i] = prior.log_density(own) - np.log(slope(prior, own))
+            prior, coordinate = u.prior, v[..., u.v]
+            density[..., i] = prior.log_density(coordinate) - np.log(slope(prior, coordinate))
             continue
         learned = hyper.get(b.group_sd_name) if u.x is None else flat(sd[..., u.x])
         spread = np.maximum(b.coefficient.size if learned is None else learned, TINY)
         z = np.clip((flat(values[..., i]) - b.coefficient.mean) / spread, -FAR_SD, FAR_SD)
-        own = -0.5 * z**2 - np.log(spread) - 0.5 * np.log(2 * np.pi)
-        density[..., i] = own.reshape(v.shape[:-1])
+        coordinate = -0.5 * z**2 - np.log(spread) - 0.5 * np.log(2 * np.pi)
+        density[..., i] = coordinate.reshape(v.shape[:-1])
     keys = {u.key: u for u in c.unknowns if u.block is None}
     keys |= {u.key: u for u in c.unknowns if u.block and not (u.held or u.block.coefficient.flat)}
     return xr.Dataset({n: (c.posterior[n].dims, c.unknowns.select(density, n)) for n in keys})
 
 
 def _prior_draws(c: Fitted) -> tuple[np.ndarray, np.ndarray]:
-    """Joint draws (x, v) from the prior, as one chain."""
+    """Draw (x, v) from the prior, as one chain."""
     random = np.random.default_rng([c.seed, 2])
     v = random.standard_normal((PRIOR_DRAWS, len(c.layout.hypers)))
     for i, h in enumerate(c.layout.hypers):

@@ -1,4 +1,4 @@
-"""How much of what a calibration knows comes from its priors, and how much from the readings; what was not measured.
+"""Prior influence: the shares of a variance from priors and from readings; quantities not measured.
 
 A quantity q of jointly normal unknowns c, each with a prior of variance D, has the variance Σ cov(q, c)²/D from the
 priors, and the rest from the noise of the readings: P·D⁻¹·P and P·JᵀΣ⁻¹J·P of the posterior covariance P. Of one
@@ -27,13 +27,13 @@ from bayescal._model.prior import slope
 def variance_by_origin(
     calibration: Calibration, slopes: Mapping[str, float]
 ) -> tuple[float, dict[str, float]]:
-    """Return the variance of Σ slope·unknown that the readings' noise makes, and that each prior does, by its name.
+    """Split the variance of Σ slope·unknown into that of the readings' noise, and each prior's, by name.
 
     With J the Jacobian of the readings, Σ their noise and D the prior covariance at the fit, the linearised
     posterior covariance P = (JᵀΣ⁻¹J + D⁻¹)⁻¹ splits exactly into P·JᵀΣ⁻¹J·P and P·D⁻¹·P, a sum over priors.
 
-    Slopes are by the names of unknowns, per reported unit; what is no unknown of the fit is passed over. Of directions
-    that readings and priors leave open nothing is said.
+    Slopes are by the names of unknowns, per reported unit; other names are ignored, and so are directions that neither
+    readings nor priors determine.
     """
     layout, linear = calibration.layout, calibration.linear
     moving = layout.moving
@@ -56,12 +56,12 @@ def variance_by_origin(
 
 @dataclass(frozen=True)
 class NotMeasured:
-    """Of what a quantity is made that was not measured."""
+    """The unknowns that make a quantity prior-dominated: not measured."""
 
     names: tuple[str, ...]  # of unknowns, the largest part of its variance first
-    words: str  # what is known of each, and was before the readings
-    cure: str  # what would tell, a sentence without its full stop
-    # Whether it is one by itself, whose draws without its prior are not known.
+    words: str  # posterior and prior of each
+    cure: str  # which readings would measure it, a sentence without its full stop
+    # Whether it is a hyperparameter itself: its draws without the prior are unknown.
     hyperparameter: bool = False
 
     def __str__(self) -> str:
@@ -70,35 +70,35 @@ class NotMeasured:
     def by_readings_alone(
         self, calibration: Calibration, values: Float[np.ndarray, "d g"]
     ) -> Float[np.ndarray, "d g"]:
-        """Draws of the quantity as they would be with priors of these unknowns that say nothing.
+        """Return the quantity's draws under uninformative priors of these unknowns.
 
-        A posterior covariance P and a prior's D leave P⁻¹ − D⁻¹ to the readings. What these hardly tell at all gets a
-        thousand plausible sizes. The quantity follows by its regression on the unknowns.
+        The readings' information is P⁻¹ − D⁻¹, of posterior covariance P and prior covariance D. Directions without
+        information get a thousand plausible sizes. The quantity follows by its regression on the unknowns.
         """
         rows = [(u, c) for u, c, _ in _with_stated_priors(calibration) if u.name in self.names]
         if not rows:
             return values
         draws = [(calibration.samples(u.name) - c.mean) / c.size for u, c in rows]
-        there = [calibration.having[u.effect] for u, _ in rows]
-        every, present, found = np.array(draws).T, np.array(there).T, values.copy()
+        presence = [calibration.having[u.effect] for u, _ in rows]
+        unknowns, present, quantity = np.array(draws).T, np.array(presence).T, values.copy()
         for pattern in np.unique(present, axis=0):  # of an average over structures
-            own = np.all(present == pattern, axis=1)
-            known = every[own][:, pattern]
-            if not pattern.any() or len(known) <= 2 * known.shape[1]:
+            in_pattern = np.all(present == pattern, axis=1)
+            pattern_draws = unknowns[in_pattern][:, pattern]
+            if not pattern.any() or len(pattern_draws) <= 2 * pattern_draws.shape[1]:
                 continue
-            middle = known.mean(axis=0)
-            away, q = known - middle, values[own]
-            weights, axes = np.linalg.eigh(away.T @ away / len(away))
+            middle = pattern_draws.mean(axis=0)
+            centred, q = pattern_draws - middle, values[in_pattern]
+            weights, axes = np.linalg.eigh(centred.T @ centred / len(centred))
             weights = np.maximum(weights, np.finfo(float).tiny)
-            told = 1 / weights - 1
-            told = np.where(told < WEAK_INFORMATION, 0.0, told)
-            wider = 1 / (told + FREE_SIZES**-2)
+            information = 1 / weights - 1
+            information = np.where(information < WEAK_INFORMATION, 0.0, information)
+            wider = 1 / (information + FREE_SIZES**-2)
             along = middle @ axes
-            moved = np.where(told > 0, along * wider / weights, along)
-            freed = moved + (away @ axes) * np.sqrt(wider / weights)
-            slope = axes / weights @ axes.T @ away.T @ (q - q.mean(axis=0)) / len(away)
-            found[own] = q + (freed @ axes.T - known) @ slope
-        return found
+            shifted = np.where(information > 0, along * wider / weights, along)
+            freed = shifted + (centred @ axes) * np.sqrt(wider / weights)
+            slope = axes / weights @ axes.T @ centred.T @ (q - q.mean(axis=0)) / len(centred)
+            quantity[in_pattern] = q + (freed @ axes.T - pattern_draws) @ slope
+        return quantity
 
 
 def not_measured(
@@ -109,40 +109,41 @@ def not_measured(
     scatter: Float[np.ndarray, "g"] | float = 0.0,
     rare: float = 0.0,
 ) -> NotMeasured | None:
-    """What stands against calling a quantity measured: priors say more of it than the readings; None where they do not.
+    """Return the unknowns whose priors determine a quantity more than the readings; None where they do not.
 
-    Counted are coefficients with a stated prior that act in use: what is known beforehand of a rig, or of a
-    thermometer, is no property of the device.
+    Only coefficients with a stated prior that act in use count, not those of a rig or a thermometer.
 
     Args:
-        calibration: a fit, or an average over structures: of an effect the draws that have it are asked.
-        values: of the quantity in each draw, at several places; the worst one counts.
-        of: the unknown that it is, where it is one.
-        scatter: standard deviation of single readings about it, at each place.
+        calibration: a fit, or an average over structures; an effect is judged by the draws that include it.
+        values: of the quantity in each draw, at several points; the worst one counts.
+        of: the unknown's name, if the quantity is one.
+        scatter: standard deviation of single readings about it, at each value.
         rare: probability of an effect up to which it does not count.
     """
     unknown = next((u for u in calibration.unknowns if u.name == of), None)
     if unknown is not None and unknown.prior is not None:
-        # What is positive may be told by its size (a spread near zero) or its logarithm (one far above).
-        own, before = calibration.samples(of), unknown.prior_sd
-        by_size = before is not None and 2 * own.var() <= before**2
+        # A positive unknown may be measured on a linear scale (near zero) or a logarithmic one.
+        samples, before = calibration.samples(of), unknown.prior_sd
+        by_size = before is not None and 2 * samples.var() <= before**2
         v = calibration.draws().v[:, unknown.v]
         if by_size or 2 * np.var(v) <= unknown.prior.coordinate_variance:
             return None
-        known = _known(unknown, own)
-        return NotMeasured((of,), known, "What would tell: more readings", hyperparameter=True)
-    found = list[tuple[Unknown, np.ndarray, float]]()
+        prior_words = _in_words(unknown, samples)
+        return NotMeasured(
+            (of,), prior_words, "What would tell: more readings", hyperparameter=True
+        )
+    candidates = list[tuple[Unknown, np.ndarray, float]]()
     shares, counts = list[np.ndarray](), list[bool]()
     total = values.var(axis=0) + scatter**2
     for u, c, acting in _with_stated_priors(calibration):
-        among = calibration.having[u.effect]
-        if among.mean() <= rare:
+        present = calibration.having[u.effect]
+        if present.mean() <= rare:
             continue
-        own, inside = calibration.samples(u.name)[among], values[among]
-        covariance = (own - own.mean()) @ (inside - inside.mean(axis=0)) / len(own)
-        part = among.mean() * (covariance / c.size) ** 2
+        samples, quantity = calibration.samples(u.name)[present], values[present]
+        covariance = (samples - samples.mean()) @ (quantity - quantity.mean(axis=0)) / len(samples)
+        part = present.mean() * (covariance / c.size) ** 2
         shares.append(part / np.where(total > 0, total, np.inf))
-        found.append((u, own, c.size))
+        candidates.append((u, samples, c.size))
         counts.append(acting or u.name == of)
     if not any(counts):
         return None
@@ -152,31 +153,31 @@ def not_measured(
         return None
     named = np.flatnonzero(worst >= min(CONCERNED_SHARE, worst[counts].max()))
     named = sorted(named, key=lambda i: (not counts[i], -worst[i]))
-    own, told = [found[i] for i in named if counts[i]], "more readings"
-    blocks = (u.block for u, *_ in own)
+    samples, cure = [candidates[i] for i in named if counts[i]], "more readings"
+    blocks = (u.block for u, *_ in samples)
     if columns := dict.fromkeys(c for block in blocks if block for c in block.effect.columns):
-        told = f"readings over more of {' and '.join(columns)}"
+        cure = f"readings over more of {' and '.join(columns)}"
     elif len(named) > 1:
-        told = f"readings that tell {' and '.join(found[i][0].name for i in named)} apart"
-    words = (_known(u, draws, f", ± {number(size)} before them") for u, draws, size in own)
-    names = tuple(u.name for u, *_ in own)
-    return NotMeasured(names, " and ".join(words), f"What would tell: {told}")
+        cure = f"readings that tell {' and '.join(candidates[i][0].name for i in named)} apart"
+    words = (_in_words(u, x, f", ± {number(size)} before them") for u, x, size in samples)
+    names = tuple(u.name for u, *_ in samples)
+    return NotMeasured(names, " and ".join(words), f"What would tell: {cure}")
 
 
-def _known(u: Unknown, draws: Float[np.ndarray, "d"], before: str = "") -> str:
-    """Return what is known of an unknown, in words."""
+def _in_words(u: Unknown, draws: Float[np.ndarray, "d"], before: str = "") -> str:
+    """Return an unknown's name and value, in words."""
     value = f"{with_error(float(draws.mean()), float(draws.std()))} {unit_label(u.unit)}".rstrip()
     return f"{u.name} ({value}{before})"
 
 
 def coefficients_not_measured(calibration: Calibration) -> set[str]:
-    """Names of the coefficients of which priors say more than the readings do."""
+    """Return the names of the coefficients that priors determine more than the readings."""
     names, samples = (u.name for u, *_ in _with_stated_priors(calibration)), calibration.samples
     return {n for n in names if not_measured(calibration, samples(n)[:, None], of=n)}
 
 
 def _with_stated_priors(calibration: Calibration) -> Iterator[tuple[Unknown, Coefficient, bool]]:
-    """Coefficients whose prior is stated, neither flat nor learned, and whether they are of the device in use."""
+    """Yield coefficients of stated prior, neither flat nor learned, and whether the device in use has them."""
     instrument = calibration.model.instrument
     slots = {s.name for s in instrument.slots}
     if instrument.vector is not None:
@@ -184,6 +185,6 @@ def _with_stated_priors(calibration: Calibration) -> Iterator[tuple[Unknown, Coe
     elif instrument.use is not None and instrument.use.slots:
         slots = {*instrument.use.slots}
     for u in calibration.unknowns:
-        # What is held is a body's temperature, which has the coefficient of what depends on it.
+        # A held unknown is a body's temperature, with the coefficient of the dependence on it.
         if u.block is not None and not u.held and u.prior_sd is not None:
             yield u, u.block.coefficient, u.block.slot in slots

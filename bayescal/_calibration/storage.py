@@ -1,7 +1,7 @@
-"""Saved calibrations: one sealed NetCDF file of draws, mode and readings, from which all else is computed.
+"""Saved calibrations: one NetCDF file of draws, mode and readings with a checksum.
 
-The file names its instrument and effects; they are resolved against what is installed. Nothing in it is evaluated. Its
-seal is over its bytes; its identity, over what was fitted, is computed again from what was read.
+The file names its instrument and effects, which are resolved against what is installed; nothing in it is evaluated. The
+checksum is over its bytes; the identity, a hash of the fit's content, is recomputed on loading.
 """
 
 from __future__ import annotations
@@ -45,12 +45,12 @@ IDENTITY = "bayescal_identity"
 SCHEMA = "bayescal.calibration/2"
 SCHEMA_0_2 = "bayescal.calibration/1"  # with all groups of ArviZ's tree, which are computed now
 GROUPS = ("observed_data", "constant_data", "draws", "mode")
-# What a file may raise whose seal is right and whose parts are not as they should be.
+# Errors raised by a file with a valid checksum and inconsistent parts.
 MISMATCHES = (
     *(LookupError, ValueError, TypeError, AttributeError, ArithmeticError),
     *(OSError, RuntimeError, ModelError),
 )
-UNKNOWNS = "unknowns"  # of a noise law of the user's own
+UNKNOWNS = "unknowns"  # of a user-defined noise law
 LAW_FILE = "Give the file that defines the one it was fitted with: --effects my_law.py (in Python: run it before load)"
 EFFECT_FILE = "--effects my_effects.py (in Python: load(path, effects=[…]))"
 _PRIORS = {c.__name__: c for c in KINDS}
@@ -61,7 +61,7 @@ def save(calibration: Fitted, path: Path) -> Path:
     """Write a calibration to NetCDF.
 
     Raises:
-        InputError: the place cannot be written to, or has no room.
+        InputError: the file cannot be written, or the disk is full.
     """
     path = Path(path)
     if path.suffix != ".nc":
@@ -82,7 +82,7 @@ def save(calibration: Fitted, path: Path) -> Path:
 
 
 def draws_group(draws: Draws) -> Group:
-    """Return joint draws as plain vectors, from which everything else is computed."""
+    """Return joint draws as a NetCDF group."""
     return {n: Variable(("chain", "draw", f"{n}_entry"), vars(draws)[n]) for n in "xv"}
 
 
@@ -92,17 +92,17 @@ def load_calibration(
     """Read the fields of a calibration; see `bayescal.load`."""
     if path.is_dir():
         saved = sorted([*path.glob("*.nc"), *path.glob("*/*.nc")])
-        there = " or ".join(map(str, saved[:6])) or "of which there is none"
-        raise InputError(f"{path} is a folder: give the calibration in it, {there}")
+        candidates = " or ".join(map(str, saved[:6])) or "of which there is none"
+        raise InputError(f"{path} is a folder: give the calibration in it, {candidates}")
     if not path.is_file():
         raise InputError(f"There is no file {path}: give a calibration saved by bayescal (…nc)")
     content = io.BytesIO(atomic_file.verified(path, "a saved calibration", AGAIN))
     try:
         return _read(path, content, effects, instruments)
     except MISMATCHES as error:
-        said = f"it lacks {error}" if isinstance(error, KeyError) else str(error)
+        reason = f"it lacks {error}" if isinstance(error, KeyError) else str(error)
         raise InputError(
-            f"{path.name} is damaged, or was changed after it was saved: {said}. {AGAIN}"
+            f"{path.name} is damaged, or was changed after it was saved: {reason}. {AGAIN}"
         ) from None
 
 
@@ -118,7 +118,7 @@ def _read(
         raise InputError(
             f"{path.name} is no calibration of this version: its schema is {schema!r}, expected {SCHEMA!r}"
         )
-    described = of_today(described) if schema == SCHEMA_0_2 else described
+    described = current_description(described) if schema == SCHEMA_0_2 else described
     groups, attributes = netcdf_groups(content, GROUPS)
     readings = _readings_from(groups, described)
     model = model_from(path, described, readings, effects, instruments)
@@ -132,43 +132,45 @@ def _read(
     mode = Mode(**{n: groups["mode"][n].values for n in Mode._fields})
     verdict = Verdict.read(described["verdict"])
     evidence = described["log_evidence"]
-    found = {
+    fields = {
         **{name: described[name] for name in ("method", "seed", "reference")},
         "start": described.get("start", {}),
         "log_evidence": None if evidence is None else tuple(evidence),
         **{"model": model, "readings": readings, "layout": layout, "levels": levels},
         **{"joint": joint, "mode": mode._replace(indefinite=mode.indefinite > 0)},
-        "verdict": replace(verdict, against=_with_codes(verdict.against, described)),
-        "confounded": tuple(Confounder(**one) for one in described.get("confounded", ())),
+        "verdict": replace(verdict, against=_flagged(verdict.against, described)),
+        "confounded": tuple(Confounder(**values) for values in described.get("confounded", ())),
         "form_factor": described.get("form_factor", 1.0),
         "unfound_spreads": described.get("unfound_spreads", {}),
     }
-    if schema == SCHEMA and attributes.get(IDENTITY) != identity(Fitted(**found)):
+    if schema == SCHEMA and attributes.get(IDENTITY) != identity(Fitted(**fields)):
         raise ValueError("its identity is not that of what it holds")
-    return found
+    return fields
 
 
-def _with_codes(said: Sequence[str], described: Mapping[str, Any]) -> tuple[str, ...]:
+def _flagged(messages: Sequence[str], described: Mapping[str, Any]) -> tuple[str, ...]:
     codes = described.get("flag_codes", {})
-    return tuple(Flag(words, *codes[words]) if words in codes else words for words in said)
+    return tuple(Flag(words, *codes[words]) if words in codes else words for words in messages)
 
 
 def _readings_from(groups: Mapping[str, Group], described: Mapping[str, Any]) -> Measurements:
     both = {**groups["constant_data"], **groups["observed_data"]}
-    held = {atomic_file.named_back(n): v for n, v in both.items() if v.dims == (ROW,) and n != ROW}
+    columns = {
+        atomic_file.named_back(n): v for n, v in both.items() if v.dims == (ROW,) and n != ROW
+    }
     sources = tuple(Source(**s) for s in described["sources"])
-    given, flags = described.get("nominal_scale"), _with_codes(described["flags"], described)
-    scale = given and NominalScale(**given)
-    return Measurements.of_variables(held, sources=sources, flags=flags, scale=scale)
+    nominal, flags = (described.get("nominal_scale"), _flagged(described["flags"], described))
+    scale = nominal and NominalScale(**nominal)
+    return Measurements.of_variables(columns, sources=sources, flags=flags, scale=scale)
 
 
-# what a calibration says of itself, and the model that this names --------------------------------------------------
+# description of a calibration, and the model restored from it -------------------------------------------------------
 
 
 def identity(c: Fitted) -> str:
-    """SHA-256 over what was fitted, to which readings, from which seed, and the draws that came of it.
+    """Return the SHA-256 of a fit's model, readings, seed and draws.
 
-    A calibration has the same one before it is saved and after it is loaded; another fit has another.
+    It is the same before saving and after loading.
     """
     digest = hashlib.sha256(json.dumps(description(c), sort_keys=True).encode())
     c.readings.add_to(digest)
@@ -179,7 +181,7 @@ def identity(c: Fitted) -> str:
 
 
 def sources_of(readings: Measurements) -> tuple[Source, ...]:
-    """Where readings came from, as every artefact states it: files and their hashes; of arrays, that of the values."""
+    """Return the readings' sources: files and their hashes; for arrays, the hash of their values."""
     if readings.sources:
         return readings.sources
     digest = hashlib.sha256()
@@ -188,23 +190,23 @@ def sources_of(readings: Measurements) -> tuple[Source, ...]:
 
 
 def description(c: Fitted) -> dict[str, Any]:
-    """All that a calibration is but its numbers, by the names of what is installed."""
+    """Describe a calibration without its arrays; effects and instruments by name."""
     model, readings = c.model, c.readings
     flags = (f for f in (*readings.flags, *c.verdict.against) if isinstance(f, Flag))
-    own = _catalogue(model.instrument)
-    # Left out where they are empty, so that identities stay what they were.
-    further = {
-        # Lines of the effects that were typed, from which they are made again.
+    offered = _catalogue(model.instrument)
+    # Omitted where empty, so that identities of earlier versions are unchanged.
+    optional = {
+        # Formulas of typed effects, from which they are rebuilt.
         "typed": {e.name: e.basis.text for e in model.effects if isinstance(e.basis, Formula)},
-        # Plausible sizes of the instrument's own effects, where these are others than its own.
-        "sizes": {e.name: e.coefficients[0].size for e in model.effects if _is_resized(e, own)},
-        # Effects that some structures of an average have not, if they have no size by which their draws say so.
+        # Plausible sizes of catalogue effects, where changed.
+        "sizes": {e.name: e.coefficients[0].size for e in model.effects if _is_resized(e, offered)},
+        # Averaged effects whose draws do not show which structures include them: they have no coefficients.
         "averaged": [e.name for e in model.effects if e.held and e == e.averaged],
         "start": dict(c.start),
-        "confounded": [one._asdict() for one in c.confounders],
+        "confounded": [confounder._asdict() for confounder in c.confounders],
         "form_factor": c.form_factor if c.form_factor != 1.0 else None,
         "unfound_spreads": c.unfound_spreads,
-        # Of flags that code asks for, code and names, by their words.
+        # Code and names of flags, by their words.
         "flag_codes": {str(flag): [flag.code, *flag.of] for flag in flags},
         "nominal_scale": asdict(scale) if (scale := readings.scale) else None,
     }
@@ -212,12 +214,12 @@ def description(c: Fitted) -> dict[str, Any]:
         "instrument": model.instrument.name,
         "settings": dict(model.instrument.settings),
         "effects": list(model.names),
-        "unknowns": {e.name: stated(e) for e in model.effects},
+        "unknowns": {e.name: unknowns_of(e) for e in model.effects},
         "ranges": {
             e.name: {s.name: [s.low, s.high] for s in e.shapes} for e in model.effects if e.shapes
         },
         "fixed": dict(model.fixed),
-        "noise": _noise_words(model.noise),
+        "noise": _noise_fields(model.noise),
         "promoted": list(c.layout.promoted),
         "counts": {**dict(c.layout.counts), READING: len(readings)},
         "levels": {k: list(v) for k, v in c.levels.items()},
@@ -228,72 +230,72 @@ def description(c: Fitted) -> dict[str, Any]:
         "verdict": asdict(c.verdict),
         "sources": [asdict(s) for s in readings.sources],
         "flags": list(readings.flags),
-        **{key: value for key, value in further.items() if value},
+        **{key: value for key, value in optional.items() if value},
     }
 
 
 def _is_resized(e: Effect, catalogue: Mapping[str, Effect]) -> bool:
-    """Whether an effect differs from the instrument's own by its plausible size alone."""
-    known = catalogue.get(e.name)
-    if known is None or e.coefficients in (known.coefficients, _as_before(known).coefficients):
+    """Return whether an effect differs from the instrument's own in plausible size only."""
+    plain = catalogue.get(e.name)
+    if plain is None or e.coefficients in (plain.coefficients, _unlearned(plain).coefficients):
         return bool(e.frees)
-    return replace(e, coefficients=known.coefficients, shapes=known.shapes) == known
+    return replace(e, coefficients=plain.coefficients, shapes=plain.shapes) == plain
 
 
-def _as_before(effect: Effect) -> Effect:
-    """An effect as it was when states in which runs begin had a size and no learned spread: saved ones may have it."""
-    own = (replace(c, group_sd=None) if c.initial else c for c in effect.coefficients)
-    return replace(effect, coefficients=tuple(own))
+def _unlearned(effect: Effect) -> Effect:
+    """Return an effect as of files whose initial states had a size and no learned standard deviation."""
+    coefficients = (replace(c, group_sd=None) if c.initial else c for c in effect.coefficients)
+    return replace(effect, coefficients=tuple(coefficients))
 
 
 def _catalogue(instrument: Instrument) -> dict[str, Effect]:
-    """Every effect that an instrument offers, by name."""
+    """Return every effect that an instrument offers, by name."""
     structural = [e for _, make in instrument.structures for e in make().effects]
     return {**{e.name: e for e in structural}, **instrument.known}
 
 
-def stated(effect: Effect) -> str:
-    """What an effect says of its unknowns: units, priors, groups, shapes."""
+def unknowns_of(effect: Effect) -> str:
+    """Return the text of an effect's unknowns: units, priors, groups, shapes."""
     return " ".join(" ".join(map(repr, (*effect.coefficients, *effect.shapes))).split())
 
 
-def name_of_today(name: str) -> str:
-    """The name of an unknown that may be one of 0.2.0, where a group's standard deviation was its spread."""
+def current_name(name: str) -> str:
+    """Return an unknown's current name; in 0.2.0 a group's standard deviation was called spread."""
     return f"{name.removesuffix('.spread')}.group_sd" if name.endswith(".spread") else name
 
 
-def of_today(described: dict[str, Any]) -> dict[str, Any]:
-    """Return a description of 0.2 with the names of unknowns that they have now."""
+def current_description(described: dict[str, Any]) -> dict[str, Any]:
+    """Convert a description of version 0.2 to current names of unknowns."""
     words = {n: s.replace("spread=", "group_sd=") for n, s in described["unknowns"].items()}
 
     def prior(match: re.Match[str]) -> str:
-        """Return a prior as it says itself now, its defaults left out."""
+        """Return a prior's current text, without defaults."""
         named = (field.split("=") for field in match[2].split(", ") if field)
         return repr(_PRIORS[match[1]](**{name: float(value) for name, value in named}))
 
     return {
         **described,
-        "unknowns": {name: _PRIOR.sub(prior, told) for name, told in words.items()},
-        "fixed": {name_of_today(name): value for name, value in described["fixed"].items()},
+        "unknowns": {name: _PRIOR.sub(prior, text) for name, text in words.items()},
+        "fixed": {current_name(name): value for name, value in described["fixed"].items()},
         "reference": {n: v for n, v in described["reference"].items() if n != "run_starts"},
     }
 
 
-def _noise_words(noise: Noise) -> dict[str, Any]:
-    """A noise law by the name of its class and its fields; of one that is not bayescal's own, its unknowns too."""
-    found: dict[str, Any] = {"law": type(noise).__name__}
+def _noise_fields(noise: Noise) -> dict[str, Any]:
+    """Return a noise law's class name and fields; for a user-defined law, its unknowns too."""
+    fields: dict[str, Any] = {"law": type(noise).__name__}
     for key, value in vars(noise).items():
-        if value is False:  # files of before there was the choice hold none
+        if value is False:  # absent from earlier files
             continue
         prior = type(value).__name__ in _PRIORS
-        found[key] = [type(value).__name__, vars(value)] if prior else value
+        fields[key] = [type(value).__name__, vars(value)] if prior else value
     if not type(noise).__module__.startswith("bayescal."):
-        found[UNKNOWNS] = {name: repr(prior) for name, prior in noise.parameters().items()}
-    return found
+        fields[UNKNOWNS] = {name: repr(prior) for name, prior in noise.parameters().items()}
+    return fields
 
 
 def _noise_from(path: Path, described: Mapping[str, Any]) -> Noise:
-    """Return the noise law that a description names; raise InputError if it is not loaded, or another one than then."""
+    """Rebuild a described noise law; raise InputError if it is not loaded, or has changed."""
     name, fields = described["law"], dict[str, Any]()
     if name not in Noise.known:
         raise InputError(
@@ -308,7 +310,7 @@ def _noise_from(path: Path, described: Mapping[str, Any]) -> Noise:
     then = described.get(UNKNOWNS)
     try:
         law = Noise.known[name](**{k: v for k, v in fields.items() if k not in ("law", UNKNOWNS)})
-        if (now := _noise_words(law).get(UNKNOWNS)) != then:
+        if (now := _noise_fields(law).get(UNKNOWNS)) != then:
             raise TypeError(f"its unknowns were {then}; now {now}")
     except TypeError as error:
         raise InputError(
@@ -318,14 +320,14 @@ def _noise_from(path: Path, described: Mapping[str, Any]) -> Noise:
 
 
 def _instrument_from(path: Path, described, readings: Measurements, instruments) -> Instrument:
-    """Return the instrument that a description names, tailored as it was; raise InputError if it is not there."""
-    own, name = {i.name: i for i in instruments}, described["instrument"]
-    if name not in (there := list(dict.fromkeys([*installed_names(), *own]))):
+    """Rebuild a described instrument with its settings; raise InputError if it is not installed."""
+    supplied, name = {i.name: i for i in instruments}, described["instrument"]
+    if name not in (available := list(dict.fromkeys([*installed_names(), *supplied]))):
         raise InputError(
             f"{path.name} is a calibration of {name!r}, which is not installed (installed: "
-            f"{', '.join(there)}). Install the package that offers it"
+            f"{', '.join(available)}). Install the package that offers it"
         )
-    instrument = own[name] if name in own else installed_instrument(name)
+    instrument = supplied[name] if name in supplied else installed_instrument(name)
     if not (settings := described["settings"]):
         return instrument
     try:
@@ -340,23 +342,24 @@ def _instrument_from(path: Path, described, readings: Measurements, instruments)
 
 
 def model_from(path: Path, described, readings: Measurements, effects, instruments) -> Model:
-    """The model that the description in a file names, of what is installed and what is given.
+    """Rebuild a file's model from its description, installed instruments and given effects.
 
     Raises:
-        InputError: an instrument, effect or noise law is not there, or is another one than then; names it.
+        InputError: an instrument, effect or noise law is missing, or has changed; names it.
     """
     instrument = _instrument_from(path, described, readings, instruments)
     ranges, then = described["ranges"], described["unknowns"]
-    known, names = _catalogue(instrument), described["effects"]
-    # Of two of one name, the instrument's and one that is given, it is the one that was fitted.
-    given = {
+    offered, names = _catalogue(instrument), described["effects"]
+    # A given effect replaces the instrument's of the same name only if it is the fitted one.
+    given_effects = {
         e.name: e
         for e in effects
-        if e.name not in known or stated(e.ranging(ranges.get(e.name, {}))) == then.get(e.name)
+        if e.name not in offered
+        or unknowns_of(e.ranging(ranges.get(e.name, {}))) == then.get(e.name)
     }
     lines = described.get("typed", {}).items()
     typed = {n: effect(line, readings=readings, instrument=instrument) for n, line in lines}
-    catalogue = {**known, **given, **typed}
+    catalogue = {**offered, **given_effects, **typed}
     for n in names:
         with suppress(ModelError):
             catalogue[n] = instrument.effect(n, catalogue)
@@ -366,17 +369,17 @@ def model_from(path: Path, described, readings: Measurements, effects, instrumen
             f"that defines it: {EFFECT_FILE}"
         )
     chosen = [catalogue[n].ranging(ranges.get(n, {})) for n in names]
-    chosen = [b if stated(b := _as_before(e)) == then.get(e.name) else e for e in chosen]
+    chosen = [b if unknowns_of(b := _unlearned(e)) == then.get(e.name) else e for e in chosen]
     averaged = described.get("averaged", [])
     chosen = [e.averaged if e.name in averaged else e for e in chosen]
     model = Model(instrument, tuple(chosen), _noise_from(path, described["noise"]), ())
     for n, size in described.get("sizes", {}).items():
         model = model.resize(n, size)
-    for one in model.effects:
-        now, own_slot = stated(one), f", slot={one.slot!r}"  # which once stood with some
-        if then[one.name].replace(own_slot, "") != now.replace(own_slot, ""):
+    for used in model.effects:
+        now, own_slot = unknowns_of(used), f", slot={used.slot!r}"  # in some earlier files
+        if then[used.name].replace(own_slot, "") != now.replace(own_slot, ""):
             raise InputError(
-                f"{path.name} was fitted with another effect {one.name!r} than the one given now: then "
-                f"{then[one.name]}; now {now}. Give the one it was fitted with: {EFFECT_FILE}"
+                f"{path.name} was fitted with another effect {used.name!r} than the one given now: then "
+                f"{then[used.name]}; now {now}. Give the one it was fitted with: {EFFECT_FILE}"
             )
     return replace(model, fixed=tuple(described["fixed"].items()))

@@ -14,7 +14,7 @@ import numpy as np
 from bayescal._calibration.calibration import Calibration
 from bayescal._calibration.prior_influence import coefficients_not_measured
 from bayescal._calibration.storage import sources_of
-from bayescal._calibration.summary import curve_extent, if_there, place_of, summary, unknown_rows
+from bayescal._calibration.summary import curve_extent, if_present, place_of, summary, unknown_rows
 from bayescal._core.flag import Flag
 from bayescal._core.formatting import interval, number, probability, with_error
 from bayescal._core.result_table import ResultTable, TableColumn, plain_table
@@ -107,7 +107,7 @@ def coefficients(chapter: Chapter) -> ResultTable:
             value = f"{value} {unit}".rstrip()
             rows.append({"name": name, "unit": "", "value": value, "contraction": None, **none})
             continue
-        mean, sd, likely, given = r["mean"], r["sd"], r["probability"], if_there(r, K)
+        mean, sd, likely, given = r["mean"], r["sd"], r["probability"], if_present(r, K)
         held = not sd > 1e-9 * abs(mean)
         note = " (held)" * held + " (mostly its prior)" * (name in untold)
         note += f" (if it is there {given})" if given else ""

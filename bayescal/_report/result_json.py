@@ -21,7 +21,7 @@ from bayescal._calibration.calibration import Calibration
 from bayescal._calibration.check import Check, check
 from bayescal._calibration.fit import load
 from bayescal._calibration.leave_group_out import groups_of
-from bayescal._calibration.storage import identity, name_of_today
+from bayescal._calibration.storage import current_name, identity
 from bayescal._calibration.summary import directions_data, summary
 from bayescal._core.annex import offered
 from bayescal._core.as_json import as_json
@@ -341,7 +341,7 @@ def _read_result(path: Path) -> dict[str, Any]:
         data = read_json(path)
         schema = data.get("schema")
         if schema == FORMER:
-            rows = [{**r, "name": name_of_today(r["name"])} for r in data.pop("spreads", [])]
+            rows = [{**r, "name": current_name(r["name"])} for r in data.pop("spreads", [])]
             schema, data = SCHEMA, {**data, "hyperparameters": rows}
         if schema != SCHEMA:
             raise ValueError(f"its schema is {schema!r}, not {SCHEMA!r}")

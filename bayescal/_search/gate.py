@@ -17,7 +17,7 @@ from bayescal._calibration.judgement import (
     of_runs,
     only_between_runs,
     residual_claims,
-    surprising,
+    unexpected_groups,
 )
 from bayescal._calibration.leave_group_out import FEW_IN_GROUP, scheme
 from bayescal._core.settings import settings
@@ -54,7 +54,7 @@ def _claims_of_last(steps: Sequence[Step]) -> list[Claim]:
         *(*last.different, *residual_claims(subject)),
         *(*undecided(steps), *equivalent(steps, "doubt")),
         *(*odd_thermometers(subject), *replaced, *worsened(steps)),
-        *(*surprising(subject), *runs_unlike(steps), *contradicted(steps)),
+        *(*unexpected_groups(subject), *runs_unlike(steps), *contradicted(steps)),
     ]
 
 

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 from bayescal._calibration.calibration import Calibration
 from bayescal._calibration.check import Check
 from bayescal._calibration.claim import Claim, limit
-from bayescal._calibration.judgement import doubts_of_the_mode
+from bayescal._calibration.judgement import multimodality
 from bayescal._calibration.leave_group_out import LeaveOneGroupOut, scheme
 from bayescal._calibration.predict import HoldoutTest
 from bayescal._core.formatting import number, probability
@@ -64,7 +64,7 @@ class Step:
     @cached_property
     def doubts(self) -> tuple[Claim, ...]:
         """Why the Gaussian fit about its mode does not describe the posterior; empty for most."""
-        return tuple(doubts_of_the_mode(self.calibration))
+        return tuple(multimodality(self.calibration))
 
     @property
     def title(self) -> str:

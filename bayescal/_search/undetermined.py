@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from bayescal._calibration.summary import null_vectors, untold
+from bayescal._calibration.summary import null_claims, null_vectors
 from bayescal._core.result_table import Printed
 from bayescal._data.measurements import Measurements
 from bayescal._data.pose_rows import ACROSS, AXES, DIRECTION, RATE, TURNED, magnitude
@@ -109,7 +109,7 @@ def undetermined(model: Model, readings: Measurements) -> Undetermined:
     in_moves = readings.has(TURNED[0])  # what it takes is a log with further moves, about any axis
     count = len(readings) // (3 if readings.has(ACROSS[0]) and not in_moves else 1)
     directions = null_vectors(planned, exactly=False)[1] if layout.size else []
-    said = untold(planned, levels, exactly=False)[: len(directions)]  # of a rig's own errors none
+    said = null_claims(planned, levels, exactly=False)[: len(directions)]  # none of a rig's errors
     found = tuple(said)
     if vector is None or not directions or in_moves:
         return Undetermined(count, found)

@@ -205,9 +205,9 @@ def codes(found: Any) -> set[str]:
 
 
 def test_a_fit_without_a_definite_curvature_shuts_the_gate(line) -> None:
-    assert judgement.doubts_of_the_mode(line) == []
+    assert judgement.multimodality(line) == []
     mended = replace(line, mode=line.mode._replace(indefinite=True))
-    (reason,) = judgement.doubts_of_the_mode(mended)
+    (reason,) = judgement.multimodality(mended)
     assert reason.code == "mode.indefinite"
     assert not gate(steps(line, {}, {"doubts": (reason,)})).ok
 
