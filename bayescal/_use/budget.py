@@ -4,9 +4,9 @@ Two tables split the same variance, correlations included:
 
 - *by coefficient*: sensitivity c = ∂value/∂θ, contribution |c|·u(θ), and the share c_i·Σ_j C_ij·c_j/u², which adds up
   to one and may be negative where correlation reduces the variance (JCGM 100, 5.2.2);
-- *by source*: where the posterior's width comes from, linearised at the fit: noise of the calibration's readings and
-  how its runs differ (Type A), priors (Type B), those of nuisance angles among them, which tell how well a bias is
-  known. What sampling between-group standard deviations and shapes adds has a row of its own.
+- *by source*: the origins of the posterior variance, linearised at the fit: noise of the calibration's readings and
+  differences of its runs (Type A), priors (Type B), those of nuisance angles included. The remainder, from sampled
+  between-group standard deviations and shapes, has its own row.
 """
 
 from __future__ import annotations
@@ -33,21 +33,18 @@ from bayescal._data.unit_conversion import (
 )
 from bayescal._use.compensation_program import PAST, clock_note
 from bayescal._use.compensator import Compensator, compensator
-from bayescal._use.operating_equation import (
-    ALL_DRAWS,
-    OperatingEquation,
-)
+from bayescal._use.operating_equation import ALL_DRAWS, OperatingEquation
 
-REST = "between-group sd, shapes, curvature"
+REMAINDER = "between-group sd, shapes, curvature"
 STRUCTURES = "which effects there are (average over structures)"
 FORM = "form of the model: formulas that the search does not have"
-LEAST_VARIANCE_SHARE = 5e-4  # share of the variance below which a coefficient is not printed
+LEAST_VARIANCE_SHARE = 5e-4  # smallest share of the variance that is printed
 READINGS = "noise of the calibration's readings"
 
 
 @dataclass(frozen=True)
 class Contribution:
-    """One coefficient's part."""
+    """One coefficient's contribution to the variance."""
 
     name: str  # name, unit: of the coefficient, as reported
     unit: str
@@ -60,7 +57,7 @@ class Contribution:
 
 @dataclass(frozen=True)
 class SourceShare:
-    """One source's part: kind "A" (readings and their runs), "B" (a prior) or "" (the rest); share of the variance."""
+    """One source's share of the variance: kind "A" (readings, runs), "B" (a prior) or "" (remainder)."""
 
     name: str
     kind: str
@@ -73,7 +70,7 @@ class Budget(Printed):
     """An uncertainty budget.
 
     Attributes:
-        stimulus, unit: what the value is of.
+        stimulus, unit: of the compensated value.
         at: operating point: the stimulus and every covariate, in `at_units`.
         at_units: the fixed units.
         reading: expected there, in `output_unit`.
@@ -83,7 +80,7 @@ class Budget(Printed):
         k: coverage factor.
         coefficients, sources: the two tables.
         covariance: of the coefficients, in their order, reported units.
-        notes: what to know, each a sentence.
+        notes: warnings, one sentence each.
     """
 
     stimulus: str
@@ -102,12 +99,12 @@ class Budget(Printed):
 
     @property
     def expanded(self) -> float:
-        """k times the combined standard uncertainty, without the noise of the reading."""
+        """Return k times the combined standard uncertainty, without the noise of the reading."""
         return self.k * self.uncertainty
 
     @property
     def expanded_reading(self) -> float:
-        """The same with the noise of one reading."""
+        """Return the expanded uncertainty with the noise of one reading."""
         return self.k * float(np.hypot(self.uncertainty, self.noise))
 
     @property
@@ -116,7 +113,7 @@ class Budget(Printed):
         return self.covariance / np.where(sd > 0, np.outer(sd, sd), 1.0)
 
     def shown(self) -> Budget:
-        """The same in the readings' unit where the stimulus is of their kind, angles of the point in degrees."""
+        """Convert to the readings' unit where the dimensions agree, and the point's angles to degrees."""
         to = self.output_unit
         if to == self.unit or not same_dimension(self.unit, to) or needs_gravity(self.unit, to):
             to = self.unit
@@ -138,53 +135,53 @@ class Budget(Printed):
         )
 
     def data(self) -> dict[str, Any]:
-        """As JSON, in fixed units."""
-        more = {"expanded": self.expanded, "expanded_reading": self.expanded_reading}
-        return {**as_json(self), **more}
+        """Return the budget as JSON data, in fixed units."""
+        expanded = {"expanded": self.expanded, "expanded_reading": self.expanded_reading}
+        return {**as_json(self), **expanded}
 
     def _parts(self) -> list[str | ResultTable]:
-        shown = self.shown()
-        unit, (by_coefficient, by_source) = unit_label(shown.unit), shown.tables()
-        seen = [c for c in shown.coefficients if abs(c.share) >= LEAST_VARIANCE_SHARE]
-        left = len(shown.coefficients) - len(seen)
-        rest = f" {left} coefficients below {LEAST_VARIANCE_SHARE:.2%} are not shown." * (left > 0)
-        sizes = shown.uncertainty, shown.noise, shown.expanded_reading / shown.k
+        b = self.shown()
+        unit, (by_coefficient, by_source) = unit_label(b.unit), b.tables()
+        printed = [c for c in b.coefficients if abs(c.share) >= LEAST_VARIANCE_SHARE]
+        omitted = len(b.coefficients) - len(printed)
+        note = f" {omitted} coefficients below {LEAST_VARIANCE_SHARE:.2%} are not shown."
+        sizes = b.uncertainty, b.noise, b.expanded_reading / b.k
         combined, noise, both = (f"{number(size)} {unit}" for size in sizes)
         parts = [
-            f"Uncertainty budget of {shown.stimulus} at {shown.place}",
-            replace(by_coefficient, rows=seen),
+            f"Uncertainty budget of {b.stimulus} at {b.place}",
+            replace(by_coefficient, rows=printed),
             "Shares count correlations and add up to 100 %; a negative share reduces the variance."
-            + rest,
+            + note * (omitted > 0),
             by_source,
             f"Combined standard uncertainty {combined}; with the noise of one reading ({noise}): {both}.",
-            f"Expanded uncertainty (k = {shown.k:g}): {number(shown.expanded)} {unit}; with the noise of one reading: "
-            f"{number(shown.expanded_reading)} {unit}.",
-            folded(" ".join(shown.notes), ""),
+            f"Expanded uncertainty (k = {b.k:g}): {number(b.expanded)} {unit}; with the noise of one reading: "
+            f"{number(b.expanded_reading)} {unit}.",
+            folded(" ".join(b.notes), ""),
         ]
         return [line for part in parts for line in (part, "")][:-1]
 
     def _brief(self) -> str:
-        shown = self.shown()
-        unit = unit_label(shown.unit)
-        return f"{self.stimulus} at {shown.place}: U = {number(shown.expanded)} {unit} (k = {self.k:g})"
+        b = self.shown()
+        unit = unit_label(b.unit)
+        return f"{self.stimulus} at {b.place}: U = {number(b.expanded)} {unit} (k = {self.k:g})"
 
     def _columns(self) -> dict[str, list[Any]]:
-        """A row for each coefficient, in fixed units."""
+        """Return one row per coefficient, in fixed units."""
         names = [f.name for f in fields(Contribution)]
         return {name: [getattr(c, name) for c in self.coefficients] for name in names}
 
     @property
     def place(self) -> str:
-        """The operating point, in words."""
+        """Return the operating point, in words."""
         units = {n: unit_label(unit) for n, unit in self.at_units.items()}
         return ", ".join(f"{n} = {number(v, 4)} {units[n]}".strip() for n, v in self.at.items())
 
     def tables(self) -> tuple[ResultTable, ResultTable]:
-        """By coefficient, and by where it comes from."""
+        """Return the tables by coefficient and by source."""
         size = f"contribution {unit_label(self.unit)}".strip()
         tail = (
-            TableColumn(size, lambda one: number(one.contribution)),
-            TableColumn("share", lambda one: f"{100 * one.share:z.1f} %"),
+            TableColumn(size, lambda row: number(row.contribution)),
+            TableColumn("share", lambda row: f"{100 * row.share:z.1f} %"),
         )
 
         def estimate(c: Contribution) -> str:
@@ -207,16 +204,16 @@ class Budget(Printed):
 def budget(
     calibration: Calibration | Compensator, at: Mapping[str, float] | None = None, *, k: float = 2.0
 ) -> Budget:
-    """The uncertainty budget of a compensated value.
+    """Compute the uncertainty budget of a compensated value.
 
     Args:
         calibration: a fit, or a compensator of one.
-        at: operating point: the stimulus and covariates by name, fixed units. Left out are the middle of the
-            calibrated range; zero for the stimulus where that is not known, and for rates and lags.
+        at: operating point: the stimulus and covariates by name, fixed units. Default: the middle of the calibrated
+            range; zero for a stimulus of unknown range, for rates and for lags.
         k: coverage factor of the expanded uncertainty.
 
     Raises:
-        InputError: a name that the calibration does not know, k is not positive, or the output stands still there.
+        InputError: an unknown name, k is not positive, or the output does not respond to the stimulus there.
         ModelError: the instrument does not say what it measures.
     """
     chosen = compensator(calibration) if isinstance(calibration, Calibration) else calibration
@@ -228,10 +225,10 @@ def budget(
     expected, slope, gradient = _slopes(chosen, point)
     covariance = chosen._moments.covariance
     variance = float(gradient @ covariance @ gradient)
-    every = chosen.equation.moments(ALL_DRAWS)
-    places = {name: np.array([value]) for name, value in point.items()}
-    untold = not_measured(chosen.calibration, (every.draws @ gradient)[:, None])
-    said = [Claim("budget.prior", *u.names, untold=str(u), told=u.cure) for u in (untold,) if u]
+    sample = chosen.equation.moments(ALL_DRAWS)
+    inputs = {name: np.array([value]) for name, value in point.items()}
+    dominant = not_measured(chosen.calibration, (sample.draws @ gradient)[:, None])
+    claims = [Claim("budget.prior", *u.names, untold=str(u), told=u.cure) for u in (dominant,) if u]
     sd = np.sqrt(np.diag(covariance))
     share = gradient * (covariance @ gradient) / (variance or np.inf)
     numbers = (chosen._moments.mean, sd, gradient, np.abs(gradient) * sd, share)
@@ -244,15 +241,15 @@ def budget(
         reading=expected,
         output_unit=chosen.about.output_unit,
         uncertainty=variance**0.5,
-        noise=float(chosen.noise_variance(places)[0]) ** 0.5 / abs(slope),
+        noise=float(chosen.noise_variance(inputs)[0]) ** 0.5 / abs(slope),
         k=float(k),
         coefficients=tuple(
-            Contribution(u.name, u.unit, *map(float, own))
-            for u, *own in zip(unknowns, *numbers, strict=True)
+            Contribution(u.name, u.unit, *map(float, figures))
+            for u, *figures in zip(unknowns, *numbers, strict=True)
         ),
         sources=_by_source(chosen, point, gradient, variance),
         covariance=covariance,
-        notes=(*said, *_beyond(chosen, point), *notes_on(chosen)),
+        notes=(*claims, *_range_claims(chosen, point), *notes_on(chosen)),
     )
 
 
@@ -269,7 +266,7 @@ def _operating_point(chosen: Compensator, at: dict[str, float]) -> dict[str, flo
 
 
 def _slopes(chosen: Compensator, point: Mapping[str, float]) -> tuple[float, float, np.ndarray]:
-    """Expected output and its slope at a point, and ∂value/∂θ there; inputs that are not in it are zero, as unused."""
+    """Return expected output, its slope and ∂value/∂θ at a point; inputs missing from it are zero."""
     places = {name: np.full(1, value) for name, value in point.items()}
     at = chosen._moments.mean, places[chosen.stimulus], places
     expected, slope, gradient = chosen.equation.linearised(*at)
@@ -284,7 +281,7 @@ def _slopes(chosen: Compensator, point: Mapping[str, float]) -> tuple[float, flo
 def _by_source(
     chosen: Compensator, point: Mapping[str, float], gradient: np.ndarray, variance: float
 ) -> tuple[SourceShare, ...]:
-    """The split by what the calibration knew: noise, each prior, each deviation that is new in use."""
+    """Split the variance by source: noise, each prior, each deviation that is new in use."""
     unlikely = {e.name for e in chosen.calibration.model.effects} - chosen.calibration.likeliest
     parts, total = dict[tuple[str, str], float](), variance
     if unlikely:
@@ -304,36 +301,36 @@ def _by_source(
     if readings or priors:
         parts[READINGS, "A"] = readings
         parts |= {(f"prior of {name}", "B"): value for name, value in priors.items()}
-    known = calibration.unknowns
-    for one in calibration.confounders:
-        moved = 0.0  # by a standard deviation of the column's effect
+    index = calibration.unknowns
+    for confounder in calibration.confounders:
+        shift = 0.0  # of the value by one standard deviation of the column's effect
         for slope, u in zip(gradient, unknowns, strict=True):
-            if u.kind == "coefficient" and (own := one.shares.get(u.key)):
-                moved += float(slope) * own[known.index[u.name] - known.by_key[u.key].start]
-        parts[f"{one.of_column}, not told from the model's own", "B"] = moved**2
-    beside = 0.0
+            if u.kind == "coefficient" and (part := confounder.shares.get(u.key)):
+                shift += float(slope) * part[index.index[u.name] - index.by_key[u.key].start]
+        parts[f"{confounder.of_column}, not told from the model's own", "B"] = shift**2
+    not_found = 0.0
     for name, (i, size) in chosen.equation.unfound_spreads.items():
-        parts[f"{name} (new run), not found", "B"] = own = float(gradient[i] * size) ** 2
-        beside += own
-    if (lost := 1 - calibration.form_factor**-2) > 0:
-        own = gradient * [u.kind != "new" for u in unknowns]
-        parts[FORM, "B"] = lost * (float(own @ chosen._moments.covariance @ own) - beside)
+        parts[f"{name} (new run), not found", "B"] = part = float(gradient[i] * size) ** 2
+        not_found += part
+    if (extra := 1 - calibration.form_factor**-2) > 0:
+        part = gradient * [u.kind != "new" for u in unknowns]
+        parts[FORM, "B"] = extra * (float(part @ chosen._moments.covariance @ part) - not_found)
     rows = sorted(parts.items(), key=lambda p: -p[1])
-    rows += [((REST, ""), total - sum(parts.values()))]
+    rows += [((REMAINDER, ""), total - sum(parts.values()))]
     rows += [((STRUCTURES, ""), variance - total)] * bool(unlikely)
     sizes = ((named, value, float(np.sign(value) * abs(value) ** 0.5)) for named, value in rows)
     return tuple(SourceShare(*named, size, v / (variance or np.inf)) for named, v, size in sizes)
 
 
 def _learned_group_sds(equation: OperatingEquation) -> set[str]:
-    """Coefficients of which a new member is drawn in use, from a spread that the readings told."""
-    given, known = dict(equation.members), {None, *dict(equation.layout.model.fixed)}
-    learned = (b for b in equation.blocks if b.group_sd_name not in known)
-    return {b.name for b in learned if b.coefficient.per not in given}
+    """Return coefficients with a new member in use and a learned standard deviation between members."""
+    chosen, fixed = dict(equation.members), {None, *dict(equation.layout.model.fixed)}
+    learned = (b for b in equation.blocks if b.group_sd_name not in fixed)
+    return {b.name for b in learned if b.coefficient.per not in chosen}
 
 
-def _beyond(chosen: Compensator, point: Mapping[str, float]) -> list[Claim]:
-    """Where an operating point, fixed units, is outside the calibrated range."""
+def _range_claims(chosen: Compensator, point: Mapping[str, float]) -> list[Claim]:
+    """Return a claim for each input of an operating point, fixed units, outside its calibrated range."""
     past = {i.name for i in chosen.inputs if i.kind in PAST}
     settled = {i.name for i in chosen.inputs if i.settled}
     return [
@@ -344,7 +341,7 @@ def _beyond(chosen: Compensator, point: Mapping[str, float]) -> list[Claim]:
 
 
 def notes_on(chosen: Compensator, of_correction: bool = True) -> tuple[Claim, ...]:
-    """Which coverage of a budget is short, and what is not counted in it, of a correction or of a slot alone."""
+    """Return claims of a budget's short coverage and omissions, for a correction or a slot alone."""
     notes = clock_note(chosen.equation)
     learned = _learned_group_sds(chosen.equation)
     for block in (b for b in chosen.equation.blocks if b.name in learned):

@@ -1,7 +1,7 @@
-"""Compensate a file: every column and row as they were, and two columns more.
+"""Compensate a file: add two columns to its unchanged columns and rows.
 
-The columns that are needed are held whole, never the file. What cannot be written as it was (Excel, MATLAB) becomes
-CSV. Rows with a missing reading are gaps, and come out empty. The new file is written beside its place and renamed.
+Only the needed columns are in memory, never the whole file. Excel and MATLAB files become CSV. Rows with a missing
+reading are gaps, and come out empty. The new file is written atomically.
 """
 
 from __future__ import annotations
@@ -31,14 +31,14 @@ from bayescal._tables.open_table import MAX_BYTES, TEXT, check_files, open_table
 from bayescal._tables.raw_table import Header, Objections, Table, bytes_text, load_whole
 from bayescal._use.compensator import Compensator, Method
 
-KEPT = (*TEXT, ".parquet", ".nc")  # in which a file can be written as it was
+NATIVE = (*TEXT, ".parquet", ".nc")  # written in the format that was read
 AS_CSV = (".xlsx", ".mat")
-ROWS = 200_000  # written at a time
+ROWS_PER_BATCH = 200_000  # of Parquet
 
 
 @dataclass(frozen=True)
 class CompensationSummary:
-    """What was done."""
+    """Summary of a file's compensation."""
 
     file: Path  # written
     columns: tuple[str, str]  # names of the two columns added
@@ -50,19 +50,19 @@ class CompensationSummary:
 
 
 class AddedColumns(NamedTuple):
-    """The two columns that a file gains."""
+    """The two columns added to a file."""
 
     names: tuple[str, str]
     unit: str
     values: np.ndarray  # value and uncertainty of each row (2, n), NaN where there is none
-    decimal: str  # that the user says the file has; empty for nothing said
+    decimal: str  # decimal sign given by the user, or empty
 
     @property
     def headers(self) -> list[str]:
         return [f"{name} [{self.unit}]" for name in self.names]
 
     def cells(self, decimal: str = ".") -> Iterator[list[str]]:
-        """Row by row, as a file writes numbers; nothing where there is none."""
+        """Yield each row's cells as text; empty for NaN."""
         for row in self.values.T.tolist():
             yield ["" if v != v else repr(v).replace(".", decimal) for v in row]
 
@@ -85,42 +85,42 @@ def compensate_file(
         path: text, .parquet or .nc; Excel or MATLAB.
         out: file to write, of the same format, or .csv for Excel and MATLAB; may be the same file.
         local_gravity: as of `bayescal.read`.
-        missing: "drop" for a gap where a reading is missing: its row stays and comes out empty; or "refuse".
+        missing: "drop": rows with a missing reading stay, with empty results; or "refuse".
         method, noise: as of the compensator.
         how: columns, units, decimal, date_order, nominal_scale, nominal_zero, as of `bayescal.read`; without a nominal
             scale that of the calibration holds.
 
     Raises:
-        InputError: what `bayescal.read` refuses; another format; columns of these names are there already.
+        InputError: as of `bayescal.read`; another format; columns of these names exist already.
     """
     path, out = Path(path), Path(out)
     suffix = path.suffix.lower()
     check_files([path], 1 << 62)
-    if suffix not in (*KEPT, *AS_CSV):
+    if suffix not in (*NATIVE, *AS_CSV):
         raise InputError(
-            f"{path.name!r} cannot be compensated as a file: choose one of {', '.join((*KEPT, *AS_CSV))}. Of a log "
+            f"{path.name!r} cannot be compensated as a file: choose one of {', '.join((*NATIVE, *AS_CSV))}. Of a log "
             "read the channels, and compensate these: bc.compensator(…)(bc.read(…))"
         )
-    wanted = ".csv" if suffix in AS_CSV else suffix
-    if out.suffix.lower() != wanted and not (suffix in TEXT and out.suffix.lower() in TEXT):
-        why = f"every column is kept as it is, so the file to write must be {wanted} like {path.name!r}"
+    output_suffix = ".csv" if suffix in AS_CSV else suffix
+    if out.suffix.lower() != output_suffix and not (suffix in TEXT and out.suffix.lower() in TEXT):
+        why = f"every column is kept as it is, so the file to write must be {output_suffix} like {path.name!r}"
         if suffix in AS_CSV:
             why = f"{path.name!r} can only be written as text: name a file .csv"
         raise InputError(f"{out.name!r}: {why}")
     about = compensator.about
     scale = NominalScale(*about.raw) if about.raw else None
     expected = ExpectedColumns(about.instrument, compensator.columns, scale)
-    # Nothing is left out of the file, and nothing calibrated.
+    # Options of calibration only.
     unused = ("ignore", "local_field")
-    given = {n: value for n, value in how.items() if value is not None and n not in unused}
+    options_given = {n: value for n, value in how.items() if value is not None and n not in unused}
     if not compensator.loaded:
-        given["remembered"] = compensator.calibration.readings.sources
-    given["epoch"] = compensator.about.epoch
+        options_given["remembered"] = compensator.calibration.readings.sources
+    options_given["epoch"] = compensator.about.epoch
     options = ReadOptions.of(
-        expected, local_gravity=local_gravity, missing=missing, only=True, **given
+        expected, local_gravity=local_gravity, missing=missing, only=True, **options_given
     )
     with replacing_for_user(out) as partial:
-        limit = 1 << 62 if suffix == ".parquet" else MAX_BYTES  # only what is needed is held
+        limit = 1 << 62 if suffix == ".parquet" else MAX_BYTES  # Parquet reads needed columns only
         table = open_table(path, path.name, limit, options.decimal, options.headers)
         options = options.of_file(table)
         raw, names = _names(table, expected, options)
@@ -132,17 +132,17 @@ def compensate_file(
             )
         converted = convert_columns(table, expected, options)
         source, flags = Source(table.file, table.sha256, table.rows), tuple(converted.flags)
-        # Where the past of a row counts: of history, counters, times from the first.
+        # Where earlier rows matter: for history, unwrapped counters, times from the first row.
         if compensator.history or options.unwrap or any(c.name == "time" for c in expected.columns):
             problems_of_whole(converted, expected, True).refuse()
             flags = assemble(converted, expected, (source,)).flags
         readings = Measurements(converted.values, converted.units, (source,))
         readings = replace(readings, since=converted.origin)
         _refuse_another_clock(compensator, readings, bool(options.begin))
-        found = compensator(readings, noise=noise, method=method, warn=False)
+        compensated = compensator(readings, noise=noise, method=method, warn=False)
         values = np.full((2, table.rows), np.nan)
-        kept = slice(None) if converted.kept_rows is None else converted.kept_rows
-        values[:, kept] = found.value, found.uncertainty
+        rows = slice(None) if converted.kept_rows is None else converted.kept_rows
+        values[:, rows] = compensated.value, compensated.uncertainty
         writers = {".parquet": _parquet, ".nc": _netcdf, **dict.fromkeys(AS_CSV, _as_csv)}
         added = AddedColumns(names, compensator.unit, values, options.decimal)
         writers.get(suffix, _csv)(added, path, partial, table, raw)
@@ -150,15 +150,15 @@ def compensate_file(
         file=out,
         columns=names,
         rows=table.rows,
-        outside={name: int(mask.sum()) for name, mask in found.outside.items()},
-        unsolved=int(np.isnan(found.value).sum()),
-        missing=table.rows - len(found.value),
+        outside={name: int(mask.sum()) for name, mask in compensated.outside.items()},
+        unsolved=int(np.isnan(compensated.value).sum()),
+        missing=table.rows - len(compensated.value),
         flags=flags,
     )
 
 
 def _refuse_another_clock(used: Compensator, readings: Measurements, begins: bool) -> None:
-    """Refuse times without dates that fall among those of the calibration: no device is read twice at one time."""
+    """Refuse undated times that overlap the calibration's: no device is read twice at one time."""
     sums = {sha for _, sha in used.about.sources}
     undated = readings.since is None and used.about.epoch is None and not begins
     if not (used.dated and undated) or {s.sha256 for s in readings.sources} & sums:
@@ -177,7 +177,7 @@ def _refuse_another_clock(used: Compensator, readings: Measurements, begins: boo
 def _names(
     table: Table, expected: ExpectedColumns, options: ReadOptions
 ) -> tuple[str, tuple[str, str]]:
-    """The output's header in the file, and the names of the columns to add."""
+    """Return the output's header in the file, and the names of the columns to add."""
     problems = Objections(table.problems)
     file = MatchedFile(table, expected, options, problems)
     file.note_missing()
@@ -196,7 +196,7 @@ def _names(
 
 
 def _csv(added: AddedColumns, path: Path, partial: Path, table: Table, raw: str) -> None:
-    """Lines as they stand, with two fields more."""
+    """Copy the lines of a text file and append two fields to each."""
     text = parse_text(path.read_bytes(), table.file, added.decimal)
     rows = added.cells(text.decimal or ".")
     encoding = "utf-8" if text.encoding == "utf-16" else text.encoding
@@ -204,14 +204,14 @@ def _csv(added: AddedColumns, path: Path, partial: Path, table: Table, raw: str)
         head = text.data[: text.offset].splitlines(keepends=True)
         for row, line in enumerate(head, 1):  # comments, the header, a row of units
             fields = added.headers if row == text.named else ["", ""]
-            target.write(line.decode() if row < text.named else _longer(line, fields, text))
+            target.write(line.decode() if row < text.named else _with_fields(line, fields, text))
         for line in text.rows():
             filled = line.strip(text.blank)
-            target.write(_longer(line, next(rows), text) if filled else line.decode())
+            target.write(_with_fields(line, next(rows), text) if filled else line.decode())
 
 
-def _longer(line: bytes, fields: list[str], text: CsvText) -> str:
-    """A line with fields more."""
+def _with_fields(line: bytes, fields: list[str], text: CsvText) -> str:
+    """Append fields to a line."""
     body = line.decode().rstrip("\r\n")
     end = line.decode()[len(body) :] or "\n"
     return body + text.separator + csv_line(fields, text.separator) + end
@@ -219,32 +219,33 @@ def _longer(line: bytes, fields: list[str], text: CsvText) -> str:
 
 def _parquet(added: AddedColumns, path: Path, partial: Path, table: Table, raw: str) -> None:
     with pq.ParquetFile(path) as opened:
-        schema, done = opened.schema_arrow, 0
+        schema, written = opened.schema_arrow, 0
         in_header = raw != raw.partition(" [")[0]  # the unit of the output stands in its name
         for name in added.headers if in_header else added.names:
             schema = schema.append(pa.field(name, pa.float64(), metadata={"units": added.unit}))
         with pq.ParquetWriter(partial, schema) as writer:
-            for batch in opened.iter_batches(batch_size=ROWS):
-                own = added.values[:, done : done + batch.num_rows]
-                columns = [*batch.columns, *map(pa.array, own)]
+            for batch in opened.iter_batches(batch_size=ROWS_PER_BATCH):
+                batch_values = added.values[:, written : written + batch.num_rows]
+                columns = [*batch.columns, *map(pa.array, batch_values)]
                 writer.write_table(pa.Table.from_arrays(columns, schema=schema))
-                done += batch.num_rows
+                written += batch.num_rows
 
 
 def _as_csv(added: AddedColumns, path: Path, partial: Path, table: Table, raw: str) -> None:
-    """A sheet or vectors as CSV: its cells as text, with two columns more."""
-    told = load_whole(table, dict.fromkeys(range(len(table.headers)), False))
+    """Write a sheet or vectors as CSV: its cells as text, and two further columns."""
+    loaded = load_whole(table, dict.fromkeys(range(len(table.headers)), False))
     with partial.open("w", encoding="utf-8", newline="") as target:
         writer = csv.writer(target, lineterminator="\n")
         writer.writerow([*(header.raw for header in table.headers), *added.headers])
-        texts = [told[i].values.tolist() for i in range(len(table.headers))]
-        writer.writerows([*own, *more] for *own, more in zip(*texts, added.cells(), strict=True))
+        texts = [loaded[i].values.tolist() for i in range(len(table.headers))]
+        rows = zip(*texts, added.cells(), strict=True)
+        writer.writerows([*cells, *further] for *cells, further in rows)
 
 
 def _netcdf(added: AddedColumns, path: Path, partial: Path, table: Table, raw: str) -> None:
     import h5netcdf
 
-    # In memory: HDF5 ends the process where it writes to a full disk itself.
+    # In memory: HDF5 aborts the process on a full disk.
     content = io.BytesIO(path.read_bytes())
     with h5netcdf.File(content, "a") as opened:
         dimensions = opened.variables[raw].dimensions

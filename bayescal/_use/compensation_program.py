@@ -1,4 +1,4 @@
-"""What firmware needs of a calibration, as one value that can be run: inputs, equation, covariance, provenance.
+"""Compensation program for firmware: inputs, equation, covariance, provenance, as one value that can be run.
 
 The graph of the equation in use (`expression_graph.py`) is taken at the posterior mean of θ, its derivatives with it:
 
@@ -45,27 +45,27 @@ from bayescal._use.operating_equation import (
 
 
 class CorrectionInUse(ABC):
-    """What turns readings into what acts, with its uncertainty, and leaves as a file (`correction_files.py`)."""
+    """A correction of readings to the stimulus, with its uncertainty, exported as a file (`correction_files.py`)."""
 
     @abstractmethod
     def about_it(self) -> tuple[str, tuple[str, ...], str]:
-        """The instrument's name; what to know, each a sentence; why it is not to be used, empty where it may be."""
+        """Return the instrument's name, the notes, and why the correction must not be used (empty if it may)."""
 
     @abstractmethod
     def data(self) -> dict[str, Any]:
-        """What its JSON file holds."""
+        """Return the content of its JSON file."""
 
     @property
     def why_not(self) -> str:
-        """Why the result is not to be used, in words; empty where it may be."""
+        """Return why the result must not be used, in words; empty if it may."""
         return self.about_it()[2]
 
 
 NOT_RELIABLE = "RESULT NOT RELIABLE: "
-PAST = ("rate", "lag", "lag slope")  # kinds of input that follow from a temperature's past
-# Of the standard uncertainty, that something may still move: half a percent of it, in the root of the sum of squares.
+PAST = ("rate", "lag", "lag slope")  # kinds of input computed from a temperature's history
+# Share of the standard uncertainty by which a settled value may still change: 0.5 % in the root sum of squares.
 SETTLED = 0.1
-MARGIN = 0.01  # of the range of the stimulus: a reading at its end scatters about it
+MARGIN = 0.01  # share of the stimulus range, for noise of readings at its ends
 
 
 class OutsideCalibration(UserWarning):
@@ -76,49 +76,49 @@ class OutsideCalibration(UserWarning):
 class Input:
     """A covariate that compensation needs."""
 
-    name: str  # name, unit, meaning: for people and firmware
+    name: str  # name, unit, meaning: as printed and in firmware
     unit: str
     meaning: str
-    # "column"; or what is made of a record: "rate", "lag", "lag slope" (its change by its time constant, which
-    # carries the uncertainty of that; 0 leaves it out), "elapsed"
+    # "column"; or computed from a record: "rate", "lag", "lag slope" (the lag's derivative by its time constant,
+    # which propagates that constant's uncertainty; 0 omits it), "elapsed"
     kind: str
-    column: str  # the column that it is, or is made of
+    column: str  # its column, or the one that it is computed from
     low: float  # low, high: range in the calibration, in `unit`
     high: float
-    tau: float | None = None  # time constant of a lag, s; of a rate, the time whose slope it is
-    # of a lag, the time without a reading beyond which the column counts as having changed at its beginning, s;
-    # None where it counts as linear always, as exports before 0.3.0 have it
+    tau: float | None = None  # time constant of a lag, s; of a rate, its window
+    # of a lag, the longest gap over which the column is interpolated, s: in a longer one it steps at the start; None:
+    # always interpolated, as in exports before 0.3.0
     silence: float | None = None
-    # of a time, whether what follows it has died out by `high`: later is no extrapolation
+    # of a time, whether its effects have decayed by `high`: later times are no extrapolation
     settled: bool = False
-    held: bool = False  # of a lag, whether the column stands from each reading to the next
+    held: bool = False  # of a lag, whether the column is constant between readings
 
     @property
     def end(self) -> float:
-        """Beyond which a value is flagged."""
+        """Return the upper limit above which a value is flagged."""
         return np.inf if self.settled else self.high
 
     @property
     def middle(self) -> float:
-        """Where an operating point is, where nothing is said of it: the last reading; no rate and no lag."""
+        """Return the default operating point: mid-range; for time the last reading; zero for rates and lags."""
         if self.name == "time":
             return self.high
         return 0.5 * (self.low + self.high) if self.kind in ("column", "elapsed") else 0.0
 
 
 def inputs_in_use(equation: OperatingEquation) -> list[Input]:
-    """Inputs of the equation, as people and firmware are told of them."""
-    found, calibration, values = list[Input](), equation.calibration, equation.at_fit
+    """List the equation's inputs with units, meanings and calibrated ranges."""
+    listed, calibration, values = list[Input](), equation.calibration, equation.at_fit
     frame = calibration.frame
 
     def add(name: str, unit: str, meaning: str, kind: str, column: str, **past: Any) -> None:
         if name in equation.inputs and name in values:
             span = float(values[name].min()), float(values[name].max())
-            found.append(Input(name, unit, meaning, kind, column, *span, **past))
+            listed.append(Input(name, unit, meaning, kind, column, *span, **past))
 
-    own = {c.name: c.meaning for c in calibration.model.instrument.columns}
-    for name in (n for n in equation.known if n != "elapsed"):
-        meaning = clock_words(calibration) if name == "time" else own.get(name, "")
+    meanings = {c.name: c.meaning for c in calibration.model.instrument.columns}
+    for name in (n for n in equation.columns if n != "elapsed"):
+        meaning = clock_words(calibration) if name == "time" else meanings.get(name, "")
         add(name, calibration.readings.unit(name) or "1", meaning, "column", name)
     add("elapsed", "s", "time since the start (of the run, of power)", "elapsed", "time")
     for name, column in equation.rated:
@@ -128,8 +128,9 @@ def inputs_in_use(equation: OperatingEquation) -> list[Input]:
         )
         add(name, "degC/s", meaning, "rate", column, tau=rate_window(np.asarray(frame.step)))
     for lag in equation.lags:  # exports compute a lag and its slope of a record
-        held = bool(calibration.reference.get(held_name(lag.column), 0.0))
-        past = {"tau": lag.tau, "silence": None if held else float(frame.silence), "held": held}
+        is_held = bool(calibration.reference.get(held_name(lag.column), 0.0))
+        silence = None if is_held else float(frame.silence)
+        past = {"tau": lag.tau, "silence": silence, "held": is_held}
         meaning = f"lag of {lag.column} behind the thermometer by {lag.tau!r} s, 0 at the start"
         add(lag.name, "delta_degC", meaning, "lag", lag.column, **past)
         meaning = (
@@ -137,16 +138,16 @@ def inputs_in_use(equation: OperatingEquation) -> list[Input]:
             "throughout leaves it out"
         )
         add(lag.slope or "", "delta_degC/s", meaning, "lag slope", lag.column, **past)
-    return sorted(found, key=lambda i: i.name)
+    return sorted(listed, key=lambda i: i.name)
 
 
-def gathered(
+def gather_inputs(
     inputs: Sequence[Input],
     readings: Measurements | None,
     columns: Mapping[str, ArrayLike],
     epoch: float | None,
 ) -> tuple[dict[str, np.ndarray], Frame | None]:
-    """Output, inputs and known uncertainties, (n,) each; and the record, where its past is needed.
+    """Return output, inputs and known uncertainties, (n,) each; and the record, where its history is needed.
 
     Readings are on the calibration's clock; dates among the columns count from the epoch, seconds since 1970.
 
@@ -166,80 +167,80 @@ def gathered(
         raise InputError("the column 'output' is missing: give the readings to compensate")
     arrays = {n: array.astype(float) for n, array in arrays.items()}
     try:
-        given = dict(zip(arrays, np.broadcast_arrays(*arrays.values()), strict=True))
+        values = dict(zip(arrays, np.broadcast_arrays(*arrays.values()), strict=True))
     except ValueError:
         shapes = ", ".join(f"{n} {a.shape}" for n, a in arrays.items())
         raise InputError(f"columns must be vectors of one length, these are: {shapes}") from None
     lags = {(i.column, i.tau): i.name for i in inputs if i.kind == "lag"}
-    for i in inputs:  # a lag that is given, and not its slope, is taken as it is
-        if i.kind == "lag slope" and lags.get((i.column, i.tau)) in given:
-            given.setdefault(i.name, np.zeros_like(given["output"]))
-    record, needed = None, [i for i in inputs if i.kind != "column" and i.name not in given]
-    if needed:
-        record = _record(needed, readings, given)
-        for i in needed:
+    for i in inputs:  # a lag given without its slope is taken as exact
+        if i.kind == "lag slope" and lags.get((i.column, i.tau)) in values:
+            values.setdefault(i.name, np.zeros_like(values["output"]))
+    record, derived = None, [i for i in inputs if i.kind != "column" and i.name not in values]
+    if derived:
+        record = _record(derived, readings, values)
+        for i in derived:
             if i.kind in ("rate", "elapsed"):
-                given[i.name] = record.rates[i.column] if i.kind == "rate" else record.elapsed
+                values[i.name] = record.rates[i.column] if i.kind == "rate" else record.elapsed
             else:
-                both = lag_and_slope(record, float(i.tau or 0.0), i.column)
-                given[i.name] = both[i.kind == "lag slope"]
+                lag_values = lag_and_slope(record, float(i.tau or 0.0), i.column)
+                values[i.name] = lag_values[i.kind == "lag slope"]
     for i in inputs:
-        if i.name not in given:
+        if i.name not in values:
             raise InputError(
                 f"the column {i.name!r} [{i.unit}] is missing, which this calibration needs (there are: "
                 f"{', '.join(sorted(arrays))}). Record it, or fit a model without the effects that need it"
             )
-    return given, record
+    return values, record
 
 
 def _record(
-    needed: Sequence[Input], readings: Measurements | None, given: Mapping[str, np.ndarray]
+    needed: Sequence[Input], readings: Measurements | None, values: Mapping[str, np.ndarray]
 ) -> Frame:
-    """The record that the inputs `needed` follow from."""
+    """Build the record from which the inputs `needed` are computed."""
     for name in ("time", *(i.column for i in needed)):
-        if name not in given:
+        if name not in values:
             raise InputError(
                 f"the column {name!r} is missing: {needed[0].name!r} follows from the past of a record. "
                 f"Record it, or give {needed[0].name!r} itself"
             )
     if readings is None:
         units = {i.column: "degC" for i in needed if i.kind in PAST} | {"time": "s"}
-        readings = Measurements({n: np.array(given[n]) for n in units}, units)
-    held = {held_name(i.column): float(i.held) for i in needed}
-    return build_frame(readings, held)
+        readings = Measurements({n: np.array(values[n]) for n in units}, units)
+    holds = {held_name(i.column): float(i.held) for i in needed}
+    return build_frame(readings, holds)
 
 
 def limits(span: tuple[float, float]) -> tuple[float, float]:
-    """Beyond which a compensated value is flagged: the calibrated range of the stimulus and its margin."""
+    """Return the limits beyond which a compensated value is flagged: the stimulus range and a margin."""
     low, high = span
     return low - MARGIN * (high - low), high + MARGIN * (high - low)
 
 
 @dataclass(frozen=True)
 class Provenance:
-    """Where an export comes from and what may be done with it."""
+    """Provenance of an export, and notes on its use."""
 
     instrument: str  # its name; title: one line
     title: str
     stimulus: str  # stimulus, unit: what is compensated for; output_unit: of the reading
     unit: str
     output_unit: str
-    effects: tuple[tuple[str, str], ...]  # (name, equation) of those that act
+    effects: tuple[tuple[str, str], ...]  # (name, equation) of each
     reference: dict[str, float]  # constants of the bases, such as T0
     sources: tuple[tuple[str, str], ...]  # (file, sha256) of the readings
     # how a raw output becomes the reading: unit, gain, offset; None if it is the reading
     raw: tuple[str, float, float] | None
-    notes: tuple[str, ...]  # what to know, each a sentence
+    notes: tuple[str, ...]  # warnings, one sentence each
     made_by: str  # program and version
     calibration: str = ""  # its identity; empty in exports that do not state one
-    # why the result is not to be used, which is among the notes too; empty where it may be
+    # why the result must not be used, also among the notes; empty if it may
     why_not: str = ""
     # seconds since 1970 at time zero; None where the calibration's times have no dates
     epoch: float | None = None
 
 
 def provenance_of(equation: OperatingEquation) -> Provenance:
-    """What an export says of itself, but for its notes and what stands against using it."""
+    """Build an export's provenance, without notes and failed checks."""
     calibration = equation.calibration
     instrument, use = calibration.model.instrument, equation.use
     acting = dict.fromkeys(b.effect for b in equation.blocks)
@@ -263,14 +264,14 @@ def provenance_of(equation: OperatingEquation) -> Provenance:
 
 
 def clock_words(calibration: Calibration) -> str:
-    """Say what the calibration's time counts from."""
+    """Return the origin of the calibration's time, in words."""
     if (since := calibration.readings.since) is None:
         return "from the zero of the calibration's column 'time', which has no date"
     return f"from {date_text(since)} UTC, as which dates without a zone count"
 
 
 def clock_note(equation: OperatingEquation) -> list[Claim]:
-    """Say what changes with the date and what time counts from; nothing where no input is the time."""
+    """Return a claim of what depends on the date, and of time's origin; empty if time is no input."""
     if "time" not in equation.inputs:
         return []
     calibration = equation.calibration
@@ -281,28 +282,28 @@ def clock_note(equation: OperatingEquation) -> list[Claim]:
 
 
 def averaged_over(calibration: Calibration) -> list[Claim]:
-    """Say that values are an average over structures, and how probable each effect is; nothing where they are none."""
+    """Return a claim that values average over structures, with inclusion probabilities; empty otherwise."""
     shares = {name: share for name, share in calibration.inclusion.items() if share < 1}
     named = tuple(f"{name} {share:.2f}" for name, share in shares.items())
     return [Claim("use.averaged", *shares, named=named)] if shares else []
 
 
 def notes_on_use(equation: OperatingEquation, has_range: bool) -> tuple[Claim, ...]:
-    """What to know before a reading is compensated."""
+    """Return the notes on a compensation: averaging, dates, new members, held inputs, lags, range."""
     calibration = equation.calibration
     notes = [*averaged_over(calibration), *clock_note(equation)]
     if new := [u.name for u in equation.unknowns if u.kind == "new"]:
         notes.append(Claim("use.new_members", *new))
-    if held := equation.held_inputs:
-        places = tuple(f"{n} = {v:.6g} {unit_label(unit)}".rstrip() for n, v, unit in held)
-        told = {"places": places, "rms": equation.left_out(), "unit": calibration.unit}
-        notes.append(Claim("use.held_inputs", *(name for name, *_ in held), **told))
+    if constants := equation.held_inputs:
+        places = tuple(f"{n} = {v:.6g} {unit_label(unit)}".rstrip() for n, v, unit in constants)
+        numbers = {"places": places, "rms": equation.left_out(), "unit": calibration.unit}
+        notes.append(Claim("use.held_inputs", *(name for name, *_ in constants), **numbers))
     for lag in equation.lags:
         if lag.shape and lag.name in equation.inputs:
             multiple = lag.tau / equation.shapes[lag.shape]
             share = "" if multiple == 1.0 else f"{multiple:.3g} · "
-            told = {"time": f"{share}{lag.shape}", "tau": lag.tau, "slope": lag.slope}
-            notes.append(Claim("use.lag", lag.name, **told))
+            numbers = {"time": f"{share}{lag.shape}", "tau": lag.tau, "slope": lag.slope}
+            notes.append(Claim("use.lag", lag.name, **numbers))
     stimulus = equation.use.stimulus
     if not equation.slope_calibrated:
         notes.append(Claim("use.bias_only", stimulus))
@@ -328,7 +329,7 @@ class ProgramUnknown:
 
 @dataclass(frozen=True)
 class TracedEquation:
-    """The equation as operations, and which of them are its results; as in JSON."""
+    """The equation as operations, and the places of its results; as in JSON."""
 
     operations: list[list[str | bool | int | float]]  # of `Graph`
     expected: int  # the output,
@@ -339,9 +340,9 @@ class TracedEquation:
 
 @dataclass(frozen=True, eq=False)
 class CompensationProgram(CorrectionInUse):
-    """A compensation by mean and covariance, to first order."""
+    """A first-order compensation by posterior mean and covariance."""
 
-    about: Provenance  # what it is
+    about: Provenance
     inputs: tuple[Input, ...]  # covariates needed, beside the reading
     stimulus_range: tuple[float, float] | None  # None where it was not varied or is no column
     unknowns: tuple[ProgramUnknown, ...]
@@ -362,7 +363,7 @@ class CompensationProgram(CorrectionInUse):
 
     @cached_property
     def factor(self) -> np.ndarray:
-        """L of C = LLᵀ, lower triangular; by QR of a symmetric root, so that C may be singular."""
+        """Return L of C = LLᵀ, lower triangular; by QR of a symmetric root, so that C may be singular."""
         covariance = np.array(self.covariance, float).reshape(2 * (len(self.unknowns),))
         sd = np.sqrt(np.diag(covariance))
         scale = np.where(sd > 0, sd, 1.0)
@@ -375,7 +376,7 @@ class CompensationProgram(CorrectionInUse):
     def run(
         self, output: np.ndarray, inputs: Mapping[str, np.ndarray]
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Stimulus, its standard uncertainty without noise, and |d stimulus/d output|, (n,) each."""
+        """Return stimulus, its standard uncertainty without noise, and |d stimulus/d output|, (n,) each."""
         nodes, evaluate = (self.equation.expected, self.equation.slope), self.graph.evaluate
         s, slope = solved(
             lambda s: evaluate(nodes, {**inputs, STIMULUS: s}), np.asarray(output), self.affine
@@ -384,40 +385,40 @@ class CompensationProgram(CorrectionInUse):
         return s, uncertainty / np.abs(slope), np.broadcast_to(1 / np.abs(slope), s.shape)
 
     def _at(self, places: Mapping[str, np.ndarray]) -> tuple[np.ndarray, ...]:
-        """Expected output, its slope, and its standard uncertainty without noise, (n,) each."""
+        """Return expected output, its slope, and its standard uncertainty without noise, (n,) each."""
         outputs = self.equation.expected, self.equation.slope, *self.equation.gradient
-        found = self.graph.evaluate(outputs, places)
-        expected, slope, *gradient = (np.broadcast_to(f, places[STIMULUS].shape) for f in found)
+        nodes = self.graph.evaluate(outputs, places)
+        expected, slope, *gradient = (np.broadcast_to(f, places[STIMULUS].shape) for f in nodes)
         parts = self.factor.T @ np.reshape(gradient, (-1, expected.size))
         return expected, slope, np.sqrt(np.sum(parts**2, axis=0))
 
     def noise_variance(self, stimulus: np.ndarray, inputs: Mapping[str, Any]) -> np.ndarray:
         """Return the variance of one reading's noise, output unit squared, (n,)."""
-        (found,) = self.graph.evaluate([self.equation.noise], {**inputs, STIMULUS: stimulus})
-        return np.broadcast_to(found, stimulus.shape)
+        (variance,) = self.graph.evaluate([self.equation.noise], {**inputs, STIMULUS: stimulus})
+        return np.broadcast_to(variance, stimulus.shape)
 
     def settles(self, time: Input) -> bool:
-        """Whether nothing follows a time any more, from the last quarter of its range on.
+        """Return whether output and uncertainty are constant in a time from the last quarter of its range on.
 
-        At the low ends, middles and high ends of all inputs, output and uncertainty move by less than a tenth of it.
+        At the low ends, middles and high ends of all inputs they change by less than a tenth of the uncertainty.
         """
         late = time.high + (time.high - time.low) * np.r_[0.0, -0.25, 2.0 ** np.arange(-4, 31)]
         low, high = self.stimulus_range or (0.0, 0.0)
         for share in (0.0, 0.5, 1.0):
-            given = {i.name: i.low + share * (i.high - i.low) + 0.0 * late for i in self.inputs}
-            given |= {time.name: late, STIMULUS: low + share * (high - low) + 0.0 * late}
-            expected, _, uncertainty = self._at(given)
-            moves = np.abs(np.array([expected - expected[0], uncertainty - uncertainty[0]]))
-            scatter = np.sqrt(self.noise_variance(given[STIMULUS], given))
-            if np.any(moves > SETTLED * uncertainty[0]) or np.ptp(scatter) > SETTLED * scatter[0]:
+            values = {i.name: i.low + share * (i.high - i.low) + 0.0 * late for i in self.inputs}
+            values |= {time.name: late, STIMULUS: low + share * (high - low) + 0.0 * late}
+            expected, _, uncertainty = self._at(values)
+            changes = np.abs(np.array([expected - expected[0], uncertainty - uncertainty[0]]))
+            scatter = np.sqrt(self.noise_variance(values[STIMULUS], values))
+            if np.any(changes > SETTLED * uncertainty[0]) or np.ptp(scatter) > SETTLED * scatter[0]:
                 return False
         return True
 
     def exportable(self) -> CompensationProgram:
-        """This program, all of which firmware has a form of.
+        """Return this program if every operation can be exported.
 
         Raises:
-            ModelError: an effect, or the noise law, is made of other operations.
+            ModelError: an effect, or the noise law, has an operation that cannot.
         """
         for op, *args in self.equation.operations:
             if op == "call":
@@ -429,12 +430,12 @@ class CompensationProgram(CorrectionInUse):
         return self
 
     def data(self) -> dict[str, Any]:
-        """As JSON, with schema and version."""
+        """Return the program as JSON data, with schema and version."""
         return {"schema": SCHEMA, "version": VERSION, **as_json(self)}
 
 
 def from_data(data: Any, file: str) -> CompensationProgram:
-    """A program from JSON of its schema. Nothing in it is evaluated as code.
+    """Parse a program from JSON of its schema; nothing in it is evaluated as code.
 
     Raises:
         InputError: it is of another version, or damaged.
@@ -448,28 +449,28 @@ def from_data(data: Any, file: str) -> CompensationProgram:
         fields = {k: v for k, v in data.items() if k not in ("schema", "version", "noise")}
         program = as_type(fields, CompensationProgram)
         about, equation = program.about, program.equation
-        if "why_not" not in data["about"]:  # of 0.2, which said it in a note alone
-            said = (n.removeprefix(NOT_RELIABLE) for n in about.notes if n.startswith(NOT_RELIABLE))
-            about = replace(about, why_not=next(said, ""))
+        if "why_not" not in data["about"]:  # version 0.2 had it in a note only
+            note = next((n for n in about.notes if n.startswith(NOT_RELIABLE)), "")
+            about = replace(about, why_not=note.removeprefix(NOT_RELIABLE))
         if data.get("noise") is not None:  # up to version 2, a standard deviation
             variance = as_type(data["noise"], float, "noise") ** 2
             operations = [*equation.operations, ["const", variance]]
             equation = replace(equation, operations=operations, noise=len(operations) - 1)
         program = replace(program, about=about, equation=equation)
-        _refuse_torn(program)
+        _refuse_inconsistent(program)
     except (InputError, ValueError) as error:
         raise InputError(f"{file} is damaged: {error}. {AGAIN}") from None
     return program
 
 
-def _refuse_torn(program: CompensationProgram) -> None:
-    """Refuse parts that are each right and do not go together, by a `ValueError`."""
+def _refuse_inconsistent(program: CompensationProgram) -> None:
+    """Raise ValueError if a program's parts are inconsistent."""
     equation, nodes = program.equation, len(program.graph.nodes)
     for place in (equation.expected, equation.slope, *equation.gradient, equation.noise):
         if type(place) is not int or not 0 <= place < nodes:
             raise ValueError(f"{place!r} is no operation of it")
-    own = program.unknowns, equation.gradient, program.covariance, *program.covariance
-    if len({len(part) for part in own}) > 1:
+    parts = program.unknowns, equation.gradient, program.covariance, *program.covariance
+    if len({len(part) for part in parts}) > 1:
         raise ValueError("its covariance, unknowns and gradient are of different sizes")
     covariance = np.reshape(program.covariance, 2 * (len(program.unknowns),))
     sd = np.sqrt(np.diag(covariance).clip(0))
@@ -478,8 +479,8 @@ def _refuse_torn(program: CompensationProgram) -> None:
     names = {i.name for i in program.inputs}
     if len(names) < len(program.inputs):
         raise ValueError("two of its inputs have one name")
-    if strange := program.graph.inputs(range(nodes)) - {*names, STIMULUS}:
-        raise ValueError(f"its equation needs {sorted(strange)[0]!r}, which is none of its inputs")
+    if unknown := program.graph.inputs(range(nodes)) - {*names, STIMULUS}:
+        raise ValueError(f"its equation needs {sorted(unknown)[0]!r}, which is none of its inputs")
     for i in program.inputs:
         if i.kind not in KINDS or (i.kind.startswith("lag") and not (i.tau or 0) > 0):
             raise ValueError(f"its input {i.name!r} is of the kind {i.kind!r}, tau = {i.tau!r}")
@@ -488,7 +489,7 @@ def _refuse_torn(program: CompensationProgram) -> None:
 
 
 def program_of(equation: OperatingEquation, moments: PosteriorMoments) -> CompensationProgram:
-    """Take an equation in use, its derivatives and the noise of one reading at the mean of its unknowns."""
+    """Build the program of an equation in use at the mean of its unknowns."""
     unknowns, readings, use = equation.unknowns, equation.calibration.readings, equation.use
     law, level = equation.noise_in_use()
     means = {input_name(u.key): float(m) for u, m in zip(unknowns, moments.mean, strict=True)}
@@ -497,21 +498,21 @@ def program_of(equation: OperatingEquation, moments: PosteriorMoments) -> Compen
     graph, (expected, variance, slope, *gradient) = equation.graph.part(places, law | means)
     variance = graph.apply("mul", graph.constant(level), variance)
     acting = [i for i, place in enumerate(gradient) if graph.value(place) != 0]
-    each = ((unknowns[i], float(moments.mean[i])) for i in acting)
+    acting_means = ((unknowns[i], float(moments.mean[i])) for i in acting)
     outputs = [expected, slope, variance, *(gradient[i] for i in acting)]
     small, (expected, slope, variance, *gradient) = graph.part(outputs, {})
     span = None
     if use.equation is None and readings.has(use.stimulus) and np.ptp(readings[use.stimulus]) > 0:
         span = float(readings[use.stimulus].min()), float(readings[use.stimulus].max())
     inputs = inputs_in_use(equation)
-    made = CompensationProgram(
+    program = CompensationProgram(
         about=provenance_of(equation),
         inputs=tuple(inputs),
         stimulus_range=span,
-        unknowns=tuple(ProgramUnknown(u.name, u.unit, mean) for u, mean in each),
+        unknowns=tuple(ProgramUnknown(u.name, u.unit, mean) for u, mean in acting_means),
         covariance=moments.covariance[np.ix_(acting, acting)].tolist(),
         affine=STIMULUS not in small.inputs([slope]),
         equation=TracedEquation(small.data(), expected, slope, tuple(gradient), variance),
     )
-    settled = (replace(i, settled=i.kind == "elapsed" and made.settles(i)) for i in inputs)
-    return replace(made, inputs=tuple(settled))
+    settled = (replace(i, settled=i.kind == "elapsed" and program.settles(i)) for i in inputs)
+    return replace(program, inputs=tuple(settled))

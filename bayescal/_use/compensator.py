@@ -1,4 +1,4 @@
-"""Compensation: from a reading back to the stimulus, by posterior draws or, as firmware does, to first order."""
+"""Compensation: from a reading to the stimulus, by posterior draws or, as in firmware, to first order."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ from bayescal._use.compensation_program import (
     Input,
     OutsideCalibration,
     Provenance,
-    gathered,
+    gather_inputs,
     inputs_in_use,
     notes_on_use,
     program_of,
@@ -37,7 +37,7 @@ from bayescal._use.operating_equation import (
     OperatingEquation,
     PosteriorMoments,
     equation_in_use,
-    solved_over_draws,
+    solve_over_draws,
 )
 
 Method = Literal["draws", "first order"]
@@ -62,16 +62,16 @@ class Compensated:
 
 @dataclass(frozen=True, eq=False)
 class Compensator:
-    """Turns readings back into the stimulus: call it with readings, or export it.
+    """A compensator from readings to the stimulus: call it with readings, or export it.
 
         compensate = bc.compensator(calibration)
         found = compensate(readings)                      # or compensate(output=1.2, temperature=40.0)
         compensate.export("calibration.h")                # or .json, .py
 
     Attributes:
-        calibration, equation: that it is of; None for one loaded from an export, which knows mean and covariance only.
+        calibration, equation: None if loaded from an export, which has mean and covariance only.
         draws: posterior draws to average over, at most.
-        loaded: the program of a loaded one.
+        loaded: the program, if loaded from an export.
     """
 
     calibration: Calibration = None  # pyright: ignore[reportAssignmentType]
@@ -94,12 +94,11 @@ class Compensator:
         Args:
             readings: with the output and the covariates needed, dates read on the calibration's clock; or give these as
                 `columns`.
-            noise: count the noise of each reading in its uncertainty, by the noise law (its correlated part too)
-                and by the column `output_uncertainty` where there is one; False leaves what the calibration itself
-                is uncertain by.
+            noise: include each reading's noise in its uncertainty, by the noise law (its correlated part too) and by
+                the column `output_uncertainty` where there is one; False for the calibration's uncertainty alone.
             method: "draws" solves the equation for every posterior draw; "first order" propagates mean and
                 covariance, as exports do. Default: draws where there are any.
-            warn: give an `OutsideCalibration` warning for what is outside its calibrated range.
+            warn: give an `OutsideCalibration` warning for values outside their calibrated range.
             **columns: one value per reading or one for all, in fixed units; `time` in s since the epoch, or dates
                 (`datetime64`). The past of a record can be given too
                 (`temperature_rate`, `temperature_lag`, `elapsed`), in place of `time`.
@@ -112,32 +111,32 @@ class Compensator:
         epoch = self.about.epoch
         if readings is not None:
             readings = readings.on_clock(epoch, lambda: self.dated)
-        given, record = gathered(self.inputs, readings, columns, epoch)
+        known_values, record = gather_inputs(self.inputs, readings, columns, epoch)
         if method == "first order":
-            value, own, inclination = self.in_use.run(given["output"], given)
-            variance, inclination = own**2, inclination**2
+            value, sd, square_slope = self.in_use.run(known_values["output"], known_values)
+            variance, square_slope = sd**2, square_slope**2
         elif self.loaded:
             raise InputError(
                 "a loaded compensator has no draws: use method='first order', or the calibration itself"
             )
         else:
-            value, variance, inclination = solved_over_draws(
-                self.equation, self._moments.draws, given["output"], given, record
+            value, variance, square_slope = solve_over_draws(
+                self.equation, self._moments.draws, known_values["output"], known_values, record
             )
-        values = {**given, self.stimulus: value}
+        values = {**known_values, self.stimulus: value}
         if noise:
-            own = self.noise_variance(values) + given.get(UNCERTAINTY, np.zeros(1)) ** 2
-            variance = variance + inclination * own
+            sd = self.noise_variance(values) + known_values.get(UNCERTAINTY, np.zeros(1)) ** 2
+            variance = variance + square_slope * sd
         spans = {n: span for n, span in self._ranges.items() if n in values}
         outside = {n: (values[n] < low) | (values[n] > high) for n, (low, high) in spans.items()}
         outside = {name: mask for name, mask in outside.items() if mask.any()}
         if warn and outside:
             ranges = self.calibrated.items()
-            known = {n: " (calibrated: {:.6g} to {:.6g} {})".format(*span) for n, span in ranges}
-            each = ((n, mask.sum(), known.get(n, "")) for n, mask in outside.items())
-            said = (f"{n} in {count} of {len(value)} readings{span}" for n, count, span in each)
+            spans = {n: " (calibrated: {:.6g} to {:.6g} {})".format(*span) for n, span in ranges}
+            rows = ((n, mask.sum(), spans.get(n, "")) for n, mask in outside.items())
+            messages = (f"{n} in {count} of {len(value)} readings{text}" for n, count, text in rows)
             warnings.warn(
-                f"outside the calibrated range: {'; '.join(said)}. There the result is an extrapolation, and its "
+                f"outside the calibrated range: {'; '.join(messages)}. There the result is an extrapolation, and its "
                 "uncertainty does not say by how much the equation itself may fail",
                 OutsideCalibration,
                 stacklevel=2,
@@ -146,14 +145,14 @@ class Compensator:
 
     @cached_property
     def in_use(self) -> CompensationProgram:
-        """Mean, covariance and equation, as they stand: of a fit, without what a check says of it."""
+        """Return the program of mean, covariance and equation, without the fit's residual checks."""
         if self.loaded:
             return self.loaded
         return program_of(self.equation, self._moments)
 
     @cached_property
     def program(self) -> CompensationProgram:
-        """Mean, covariance and equation, as exports hold them.
+        """Return the program as exported, with notes and failed checks.
 
         Raises:
             ModelError: an effect cannot be exported; says which and what to do.
@@ -167,40 +166,40 @@ class Compensator:
 
     @property
     def about(self) -> Provenance:
-        """What it is of; of a fitted one without its notes, and without what stands against using it."""
+        """Return the provenance; for a fit without notes and failed checks."""
         return self.in_use.about
 
     @property
     def stimulus(self) -> str:
-        """Name of what is compensated for."""
+        """Return the stimulus's name."""
         return self.about.stimulus
 
     @property
     def unit(self) -> str:
-        """Its fixed unit."""
+        """Return the stimulus's fixed unit."""
         return self.about.unit
 
     @property
     def inputs(self) -> tuple[Input, ...]:
-        """Covariates that are needed, with their calibrated ranges."""
+        """Return the covariates needed, with their calibrated ranges."""
         return self.in_use.inputs
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """What to know before a reading is compensated, each a sentence."""
-        if self.loaded:  # the last says what stands against using it
+        """Return the notes on the compensation, one sentence each."""
+        if self.loaded:  # the last note repeats `why_not`
             return self.about.notes[: -1 if self.why_not else None]
         has_range = self.in_use.stimulus_range is not None
         return notes_on_use(self.equation, has_range)
 
     @property
     def why_not(self) -> str:
-        """Why the result is not to be used, in words; empty where it may be. A fit that nobody checked is checked."""
+        """Return why the result must not be used; empty if it may. An unchecked fit is checked first."""
         return self.loaded.why_not if self.loaded else why_not(self.calibration)
 
     @property
     def dated(self) -> str:
-        """Names of what changes with the date, for messages; empty for nothing."""
+        """Return names of the effects that depend on the date, for messages; empty if none do."""
         if all(i.name != "time" for i in self.inputs):
             return ""
         return "the correction" if self.loaded else ", ".join(self.calibration.dated) or "it"
@@ -215,7 +214,7 @@ class Compensator:
 
     @property
     def calibrated(self) -> dict[str, tuple[float, float, str]]:
-        """Lowest and highest value and unit of each input, and of the stimulus where it was varied."""
+        """Return the range and unit of each input, and of the stimulus where it was varied."""
         ranges = {i.name: (i.low, i.high, i.unit) for i in self.inputs}
         if (span := self.in_use.stimulus_range) is not None:
             ranges[self.stimulus] = (*span, self.unit)
@@ -223,29 +222,29 @@ class Compensator:
 
     @property
     def middle(self) -> dict[str, float]:
-        """The operating point where nothing is said of it: stimulus and inputs by name, in fixed units."""
+        """Return the default operating point: stimulus and inputs by name, in fixed units."""
         low, high = self.in_use.stimulus_range or (0.0, 0.0)
         return {self.stimulus: 0.5 * (low + high), **{i.name: i.middle for i in self.inputs}}
 
     @property
     def history(self) -> bool:
-        """Whether the past of a record is needed, so that it cannot be taken apart."""
+        """Return whether a reading's compensation needs earlier readings of its record."""
         return any(i.kind != "column" for i in self.inputs)
 
     @property
     def columns(self) -> tuple[Column, ...]:
-        """What a file to compensate must hold, in the form in which an instrument says it."""
+        """Return the columns that a file to compensate must have, declared as by an instrument."""
         needed = dict.fromkeys(i.column for i in self.inputs)
         if self.history:
             needed["time"] = None
         units = {"time": "s", **{i.column: "degC" for i in self.inputs if i.kind in PAST}}
         units |= {i.column: i.unit for i in self.inputs if i.kind == "column"}
-        own = () if self.loaded else self.calibration.model.instrument.columns
-        said = {c.name: replace(c, required=True) for c in own}
+        declared = () if self.loaded else self.calibration.model.instrument.columns
+        by_name = {c.name: replace(c, required=True) for c in declared}
         return (
             Column("output", self.about.output_unit, "reading"),
             Column("run", None, required=False),
-            *(said[name] if name in said else Column(name, units[name]) for name in needed),
+            *(by_name[name] if name in by_name else Column(name, units[name]) for name in needed),
         )
 
     def export(
@@ -260,13 +259,13 @@ class Compensator:
 
         Args:
             path: of the file, by whose suffix it is written.
-            format: "c", "python" or "json", whatever the suffix.
-            name: of the sensor, which all names in the C header begin with; that of the instrument if not given.
+            format: "c", "python" or "json"; overrides the suffix.
+            name: of the sensor, the prefix of all names in the C header; default: the instrument's name.
             uncertainty: False for C and Python that give the value alone, without the covariance of the coefficients.
 
         Raises:
             ModelError: an effect cannot be exported.
-            InputError: another format, a name that is none in C, or a place that cannot be written to.
+            InputError: another format, an invalid C name, or a file that cannot be written.
         """
         chosen = format_of(path, format)
         return write_text(as_text(self.program, chosen, name=name, uncertainty=uncertainty), path)
@@ -277,11 +276,11 @@ class Compensator:
 
     @cached_property
     def _ranges(self) -> dict[str, tuple[float, float]]:
-        """Beyond which a reading is flagged, by input; the stimulus with them where it was varied."""
+        """Return the limits beyond which a reading is flagged, by input, and by stimulus where it was varied."""
         ranges = {i.name: (i.low, i.end) for i in self.inputs}
         if not self.loaded:
-            # What the equation does not use was held in a range too.
-            for name in self.equation.known:
+            # Unused columns had calibrated ranges too.
+            for name in self.equation.columns:
                 values = self.equation.at_fit[name]
                 if name not in ("time", "elapsed") and np.ptp(values) > 0:
                     ranges.setdefault(name, (float(values.min()), float(values.max())))
@@ -293,14 +292,14 @@ class Compensator:
 def compensator(
     calibration: Calibration, *, draws: int = 400, members: Mapping[str, str] | None = None
 ) -> Compensator:
-    """The compensator of a calibrated instrument.
+    """Build the compensator of a calibrated instrument.
 
     Args:
-        calibration: a fit, or an average over structures. Inputs that no probable effect needs are held at the middle
-            of their calibrated range; `notes` say what that leaves out.
+        calibration: a fit, or an average over structures. Inputs that no probable effect needs are fixed at the middle
+            of their calibrated range; `notes` give the rms error of that.
         draws: posterior draws to average over, at most.
-        members: which member of a group is used, such as {"device": "A17"}; every other run, cell or device counts
-            as a new one, whose deviation is drawn from its spread.
+        members: the member of a group in use, such as {"device": "A17"}; any other run, cell or device counts as new,
+            its deviation drawn from the standard deviation between members.
 
     Raises:
         ModelError: the instrument does not say what it measures (`Instrument.use`).
@@ -308,27 +307,27 @@ def compensator(
     """
     if draws < 2:
         raise InputError(f"draws={draws}: an uncertainty needs at least 2")
-    whole = Compensator(calibration, equation_in_use(calibration, members), draws)
+    full = Compensator(calibration, equation_in_use(calibration, members), draws)
     model, read = calibration.model, columns_read(calibration.model.instrument, calibration.frame)
     needed = calibration.usual_columns.union(model.noise.needs, read)
     if all(needed.issuperset(e.columns) for e in model.effects):
-        return whole
-    held = tuple(
+        return full
+    held_inputs = tuple(
         (i.name, float(i.middle), i.unit)
-        for i in inputs_in_use(whole.equation)
+        for i in inputs_in_use(full.equation)
         if not needed.issuperset({i.column} if i.kind == "column" else {i.column, "time"})
     )
-    return replace(whole, equation=replace(whole.equation, held_inputs=held))
+    return replace(full, equation=replace(full.equation, held_inputs=held_inputs))
 
 
 def load_compensator(path: str | Path) -> Compensator:
-    """A compensator from a JSON export. Nothing in the file is evaluated as code.
+    """Load a compensator from a JSON export; nothing in the file is evaluated as code.
 
     Raises:
-        InputError: there is no such file, it is no compensator, of another version, or damaged.
+        InputError: the file is missing, no compensator, of another version, or damaged.
     """
-    found = load_correction(path)
-    if not isinstance(found, CompensationProgram):
-        kind = kind_of(found)
+    correction = load_correction(path)
+    if not isinstance(correction, CompensationProgram):
+        kind = kind_of(correction)
         raise InputError(f"{Path(path).name} is of {kind.axes}: bayescal.{kind.loader} loads it")
-    return Compensator(loaded=found)
+    return Compensator(loaded=correction)

@@ -1,12 +1,11 @@
-"""An equation as a graph of scalar operations: traced, simplified, differentiated, evaluated, written as code.
+"""Expression graphs of scalar operations: traced, simplified, differentiated, evaluated, written as code.
 
-One table says of each operation how NumPy computes it, how C and Python write it, and how a slope passes back through
-it, so that what is computed here and what is exported is one program. Nodes that are equal are one node.
+One table gives each operation's NumPy function, its text in C and Python, and its pullbacks, so that the computed and
+the exported program are the same. Equal nodes are shared.
 
-An equation comes to a graph by being called with `Symbols`, arrays whose elements are nodes in place of numbers:
-NumPy's functions of them make nodes, and what only moves elements about (reshape, stack, take) moves them. So an effect
-of a user's own is exported like any other, as long as it is made of operations that firmware has. What is written for
-JAX alone is traced by it (`jax_equations.py`).
+An equation is traced by calling it with `Symbols`, arrays of nodes instead of numbers: NumPy's functions of them create
+nodes, and functions that only move elements (reshape, stack, take) move them. So a user's effect is exported like any
+other, if firmware has its operations. Functions written for JAX alone are traced by JAX (`jax_equations.py`).
 """
 
 from __future__ import annotations
@@ -25,12 +24,12 @@ from bayescal._core.quoting import c_comment, python_words
 
 
 class NotExportable(ModelError):
-    """An operation that the export does not have."""
+    """An operation that cannot be exported."""
 
 
 @dataclass(frozen=True)
 class Operation:
-    """How NumPy computes an operation, and how C and Python write it, of arguments {0}, {1}, …"""
+    """An operation's NumPy function, and its text in C and Python, with arguments {0}, {1}, …"""
 
     compute: Callable[..., Any]
     c: str
@@ -44,7 +43,7 @@ def _infix(compute: np.ufunc, sign: str, boolean: bool = False) -> Operation:
 
 
 def _function(compute: np.ufunc, name: str) -> Operation:
-    """Called the same in C and Python."""
+    """Build an operation that has the same function name in C and Python."""
     return Operation(compute, f"BAYESCAL_CALL({name}, {{0}})", f"math.{name}({{0}})")
 
 
@@ -80,7 +79,7 @@ OPERATIONS: dict[str, Operation] = {
         lambda x: np.where(x, 1.0, 0.0), "{0} ? (BAYESCAL_REAL)1 : (BAYESCAL_REAL)0", "float({0})"
     ),
 }
-# By operation and argument, what of a slope d passes back to that argument; nothing by those that are not here.
+# Pullbacks of a slope d by operation and argument; zero for operations that are not listed.
 PULLBACKS: dict[str, tuple[Callable[..., Any], ...]] = {
     "add": (lambda d, x, y: d, lambda d, x, y: d),
     "sub": (lambda d, x, y: d, lambda d, x, y: -d),
@@ -114,14 +113,14 @@ PULLBACKS: dict[str, tuple[Callable[..., Any], ...]] = {
 }
 
 
-# ("const", value), ("input", name), ("call", function, *places), or an operation and the places of what it is of,
-# each before its own.
+# ("const", value), ("input", name), ("call", function, *places), or an operation and the places of its arguments, which
+# precede it.
 Node = tuple[Any, ...]
 
 
 @dataclass
 class Graph:
-    """Nodes, each after those that it is made of."""
+    """A list of nodes, each after its arguments."""
 
     nodes: list[Node] = field(default_factory=list)
     places: dict[str, int] = field(default_factory=dict)
@@ -149,17 +148,17 @@ class Graph:
         return op in OPERATIONS and OPERATIONS[op].boolean
 
     def value(self, place: int) -> float | bool | None:
-        """Of a constant; None of anything else."""
+        """Return a constant's value; None for any other node."""
         op, *args = self.nodes[place]
         return args[0] if op == "const" else None
 
     def apply(self, op: str, *args: int) -> int:
-        """An operation, or what it comes to: constants are computed, x + 0, 1·x, 0·x are not written."""
+        """Add an operation, simplified: constants are folded; x + 0, 1·x and 0·x are reduced."""
         values = [self.value(a) for a in args]
         if all(v is not None for v in values):
             with np.errstate(all="ignore"):
-                found = OPERATIONS[op].compute(*values)
-            return self.constant(bool(found) if OPERATIONS[op].boolean else found.item())
+                value = OPERATIONS[op].compute(*values)
+            return self.constant(bool(value) if OPERATIONS[op].boolean else value.item())
         simpler = self._simpler(op, args, values)
         return simpler if simpler is not None else self.put((op, *args))
 
@@ -183,24 +182,24 @@ class Graph:
             return self.constant(0.0 if op == "mul" else False)
         if op == "div" and zero[0]:
             return first
-        for sign in (1, -1):  # as a factor, or what is divided by
+        for sign in (1, -1):  # as a factor or divisor
             if (op in ("mul", "div") and values[1] == sign) or (op == "mul" and values[0] == sign):
                 other = second if op == "mul" and values[0] == sign else first
                 return other if sign == 1 else self.apply("neg", other)
         return None
 
     def needed(self, outputs: Sequence[int]) -> list[int]:
-        """Nodes that these are made of, themselves included, in order."""
-        found, waiting = set(), list(outputs)
+        """Return the nodes that the outputs depend on, themselves included, in order."""
+        places, waiting = set(), list(outputs)
         while waiting:
             place = waiting.pop()
-            if place not in found:
-                found.add(place)
+            if place not in places:
+                places.add(place)
                 waiting += [arg for arg in self.nodes[place][1:] if type(arg) is int]
-        return sorted(found)
+        return sorted(places)
 
     def inputs(self, outputs: Sequence[int]) -> set[str]:
-        """Names of the inputs that these are made of."""
+        """Return the names of the inputs that the outputs depend on."""
         nodes = (self.nodes[place] for place in self.needed(outputs))
         return {name for op, name, *_ in nodes if op == "input"}
 
@@ -224,56 +223,57 @@ class Graph:
         return [values[o] for o in outputs]
 
     def gradient(self, output: int, names: Collection[str]) -> dict[str, int]:
-        """The slopes of a node by those of some inputs that it depends on, by one pass back."""
-        needed, moved = self.needed([output]), set[int]()  # by these inputs
+        """Return the nodes of a node's derivatives by some inputs, by reverse-mode differentiation."""
+        needed, dependent = self.needed([output]), set[int]()  # on these inputs
         for place in needed:
             op, *args = self.nodes[place]
-            acts = args[0] in names if op == "input" else not moved.isdisjoint(args)
+            acts = args[0] in names if op == "input" else not dependent.isdisjoint(args)
             if op != "const" and acts:
-                moved.add(place)
-        slopes, found = dict[int, Any]({output: 1.0}), dict[str, int]()
-        for place in (p for p in reversed(needed) if p in moved and p in slopes):
+                dependent.add(place)
+        slopes, gradients = dict[int, Any]({output: 1.0}), dict[str, int]()
+        for place in (p for p in reversed(needed) if p in dependent and p in slopes):
             op, *args = self.nodes[place]
             slope = slopes.pop(place)
             if op == "input":
-                found[args[0]] = self.place_of(slope)
+                gradients[args[0]] = self.place_of(slope)
                 continue
             pullbacks = args.pop(0).pullbacks if op == "call" else PULLBACKS.get(op, ())
             values = [self.symbols(self._element(a)) for a in args]
             for a, pullback in zip(args, pullbacks, strict=False):
-                if a in moved:
+                if a in dependent:
                     share = pullback(slope, *values)
                     slopes[a] = slopes[a] + share if a in slopes else share
-        return found
+        return gradients
 
     def part(
         self, outputs: Sequence[int], constants: Mapping[str, float]
     ) -> tuple[Graph, list[int]]:
-        """A graph of what these outputs need and no more, some inputs of which are constants."""
-        whole, moved = Graph(), dict[int, int]()
+        """Extract the subgraph that outputs need, with some inputs replaced by constants."""
+        subgraph, places = Graph(), dict[int, int]()
         for place in self.needed(outputs):
             op, *args = self.nodes[place]
             if op in OPERATIONS:
-                moved[place] = whole.apply(op, *(moved[a] for a in args))
+                places[place] = subgraph.apply(op, *(places[a] for a in args))
             elif op == "input" and args[0] in constants:
-                moved[place] = whole.constant(constants[args[0]])
+                places[place] = subgraph.constant(constants[args[0]])
             else:
-                moved[place] = whole.put((op, *(moved[a] if type(a) is int else a for a in args)))
-        return whole, [moved[o] for o in outputs]
+                args = [places[a] if type(a) is int else a for a in args]
+                places[place] = subgraph.put((op, *args))
+        return subgraph, [places[o] for o in outputs]
 
     def symbols(self, elements: Any) -> Symbols:
-        """Symbols and numbers as an array."""
-        found = np.asarray(elements, dtype=object).view(Symbols)
-        found.graph = self
-        return found
+        """Return symbols and numbers as an array."""
+        array = np.asarray(elements, dtype=object).view(Symbols)
+        array.graph = self
+        return array
 
     def elementwise(self, op: str, *arrays: Any) -> Symbols:
-        """An operation on arrays of symbols and numbers, broadcast."""
+        """Apply an operation to arrays of symbols and numbers, broadcast."""
         function = np.frompyfunc(partial(self.applied, op), len(arrays), 1)
         return self.symbols(function(*(np.asarray(a, dtype=object) for a in arrays)))
 
     def place_of(self, element: Any) -> int:
-        """The node of a symbol or a number."""
+        """Return the node of a symbol or a number."""
         element = element.item() if isinstance(element, np.ndarray) else element
         return element.place if isinstance(element, Symbol) else self.constant(element)
 
@@ -282,14 +282,14 @@ class Graph:
         return Symbol(place) if value is None else value
 
     def applied(self, op: str, *elements: Any) -> Symbol | float | bool:
-        """An operation on symbols and numbers; what is true counts as one where a number is asked for."""
+        """Apply an operation to symbols and numbers; booleans become 0 or 1 where a number is needed."""
         places = [self.place_of(element) for element in elements]
         if op not in ("and", "or", "not", "real", "select"):
             places = [self.apply("real", p) if self.boolean(p) else p for p in places]
         return self._element(self.apply(op, *places))
 
     def data(self) -> list[list[Any]]:
-        """As JSON, a list for each node; numbers that are not finite as text."""
+        """Return the nodes as JSON lists; non-finite numbers as text."""
 
         def plain(value: Any) -> Any:
             return str(value) if isinstance(value, float) and not math.isfinite(value) else value
@@ -298,32 +298,32 @@ class Graph:
 
     @classmethod
     def from_data(cls, data: Sequence[Sequence[Any]]) -> Graph:
-        """A graph from JSON; data only, nothing of it is run but the operations of the table above.
+        """Parse a graph from JSON data; only operations of the table above are accepted.
 
         Raises:
-            InputError: it is none.
+            InputError: it is no graph.
         """
         graph = cls()
         for place, row in enumerate(data):
-            op, rest = (row or [None])[0], tuple(row[1:])
-            value = rest[0] if len(rest) == 1 else None
+            op, args = (row or [None])[0], tuple(row[1:])
+            value = args[0] if len(args) == 1 else None
             is_number = isinstance(value, int | float) or value in ("nan", "inf", "-inf")
             if op == "const" and is_number:
-                rest = (value if isinstance(value, bool) else float(value),)
+                args = (value if isinstance(value, bool) else float(value),)
             elif op in OPERATIONS:
                 arity = len(set(re.findall(r"{\d}", OPERATIONS[op].c)))
-                if len(rest) != arity or not all(type(a) is int and 0 <= a < place for a in rest):
-                    raise InputError(f"its operation {place}, {op!r}, cannot take {str(rest)[:60]}")
-            elif op == "call" and hasattr(rest[0], "compute"):
-                pass  # of no file: what JAX computes
+                if len(args) != arity or not all(type(a) is int and 0 <= a < place for a in args):
+                    raise InputError(f"its operation {place}, {op!r}, cannot take {str(args)[:60]}")
+            elif op == "call" and hasattr(args[0], "compute"):
+                pass  # a function computed by JAX; never in a file
             elif op != "input" or not isinstance(value, str):
                 raise InputError(f"its operation {place} is not known here: {str(row)[:60]}")
-            graph.nodes.append((op, *rest))
+            graph.nodes.append((op, *args))
         return graph
 
 
 class Symbol:
-    """A node as an element of an array. It is no number: what asks for its value is refused."""
+    """A node as an element of an array, without a value: branching on it raises NotExportable."""
 
     __slots__ = ("place",)
     __hash__ = None  # pyright: ignore[reportAssignmentType]
@@ -339,7 +339,7 @@ class Symbol:
 
 
 class Symbols(np.ndarray):
-    """An array of symbols and numbers: NumPy's functions make nodes of its graph of them, or move them about."""
+    """An array of symbols and numbers: NumPy's functions of it add nodes to its graph, or move elements."""
 
     graph: Graph
 
@@ -354,7 +354,7 @@ class Symbols(np.ndarray):
         return (self[i] for i in range(len(self)))
 
     def astype(self, dtype: Any, *args: Any, **how: Any) -> Any:
-        """Numbers of what is true; whether a number is not zero."""
+        """Convert between booleans and numbers."""
         if np.dtype(dtype).kind not in "fb":
             raise NotExportable("a covariate turned into a whole number has no form in an export")
         return self != 0 if np.dtype(dtype).kind == "b" else self + 0.0
@@ -367,13 +367,13 @@ class Symbols(np.ndarray):
             raise NotExportable(f"the operation {name!r} has no form in C or plain Python here")
         if method == "__call__":
             return graph.elementwise(BY_FUNCTION[name], *inputs)
-        found, axes = np.asarray(inputs[0]), how.get("axis", 0)
+        reduced, axes = np.asarray(inputs[0]), how.get("axis", 0)
         combine = np.frompyfunc(partial(graph.applied, BY_FUNCTION[name]), 2, 1)
-        axes = range(found.ndim) if axes is None else np.atleast_1d(axes) % found.ndim
+        axes = range(reduced.ndim) if axes is None else np.atleast_1d(axes) % reduced.ndim
         for axis in sorted(axes, reverse=True):
-            found = np.asarray(combine.reduce(found, axis=axis), dtype=object)
-        kept = np.expand_dims(found, tuple(axes)) if how.get("keepdims") is True else found
-        return graph.symbols(kept)
+            reduced = np.asarray(combine.reduce(reduced, axis=axis), dtype=object)
+        shaped = np.expand_dims(reduced, tuple(axes)) if how.get("keepdims") is True else reduced
+        return graph.symbols(shaped)
 
     def __array_function__(self, func: Any, types: Any, args: Any, kwargs: Any) -> Any:
         if func is np.where and len(args) == 3:
@@ -381,11 +381,11 @@ class Symbols(np.ndarray):
         if func is np.dot:
             return np.matmul(*args)
 
-        def symbols(found: Any) -> Any:
-            if isinstance(found, list | tuple):
-                return [*map(symbols, found)]
-            is_object = isinstance(found, np.ndarray) and found.dtype == object
-            return self.graph.symbols(found) if is_object else found
+        def symbols(outputs: Any) -> Any:
+            if isinstance(outputs, list | tuple):
+                return [*map(symbols, outputs)]
+            is_object = isinstance(outputs, np.ndarray) and outputs.dtype == object
+            return self.graph.symbols(outputs) if is_object else outputs
 
         return symbols(super().__array_function__(func, types, args, kwargs))
 
@@ -395,7 +395,7 @@ BY_FUNCTION |= {"bitwise_and": "and", "bitwise_or": "or", "invert": "not"}
 
 
 def _power(x: Symbols, y: Symbols) -> Symbols:
-    """By products where the exponent is a small whole number, else by the operation."""
+    """Raise to a power: by products for a small integer exponent, else by the operation."""
     exponent = y.item() if y.ndim == 0 else None
     if isinstance(exponent, Symbol | None) or exponent % 1 or abs(exponent) > 64:
         return x.graph.elementwise("pow", x, y)
@@ -406,13 +406,13 @@ def _power(x: Symbols, y: Symbols) -> Symbols:
 
 
 def _product(x: Symbols, y: Symbols) -> Symbols:
-    """Of an array and a matrix, or a vector."""
+    """Multiply an array by a matrix or a vector."""
     if y.ndim > 2:
         raise NotExportable("products with batch dimensions have no form in an export")
     return np.sum(x * y, axis=-1) if y.ndim == 1 else np.sum(x[..., None] * y, axis=-2)
 
 
-# NumPy's functions that come to several operations; of others JAX knows how.
+# NumPy functions composed of several operations; others are left to JAX.
 COMPOSED: dict[str, Callable[..., Symbols]] = {
     "power": _power,
     "matmul": _product,
@@ -423,21 +423,21 @@ COMPOSED: dict[str, Callable[..., Symbols]] = {
 
 @dataclass(frozen=True)
 class Language:
-    """A language that exports are written in."""
+    """A language of exports."""
 
-    name: Literal["c", "python"]  # its form in the table of operations
+    name: Literal["c", "python"]  # its field of `Operation`
     cast: str  # before a constant
     nan: str  # nan, infinity: constants of these
     infinity: str
-    truths: tuple[str, str]  # what is false, and what is true
-    statement: str  # of a name and an expression; the same of one that is true or false
+    truths: tuple[str, str]  # false and true
+    statement: str  # assignment of an expression to a name; that of a boolean
     statement_boolean: str
-    input: str = "{}"  # an input as it is written, of its field
-    template: str = ""  # file beside this one that writes the program
-    words: Callable[[Any], str] = str  # text within a comment
+    input: str = "{}"  # format of an input's field
+    template: str = ""  # template file of the program
+    words: Callable[[Any], str] = str  # escapes text for a comment
 
     def number(self, value: float | bool) -> str:
-        """A constant, as an operand."""
+        """Return a constant's text, as an operand."""
         if isinstance(value, bool):
             return self.truths[value]
         if math.isnan(value):
@@ -464,7 +464,7 @@ LANGUAGES = {"c": C, "python": PYTHON}
 def statements(
     graph: Graph, outputs: Sequence[int], names: Mapping[str, str], language: Language
 ) -> tuple[list[str], list[str]]:
-    """Statements, one for each operation, and the expressions of the outputs."""
+    """Return statements, one per operation, and the expressions of the outputs."""
     text, written = dict[int, str](), list[str]()
     for place in graph.needed(outputs):
         op, *args = graph.nodes[place]
@@ -473,8 +473,8 @@ def statements(
         elif op == "input":
             text[place] = names[args[0]]
         else:
-            made = getattr(OPERATIONS[op], language.name).format(*(text[a] for a in args))
+            expression = getattr(OPERATIONS[op], language.name).format(*(text[a] for a in args))
             form = language.statement_boolean if graph.boolean(place) else language.statement
             text[place] = f"t{len(written)}"
-            written.append(form.format(text[place], made))
+            written.append(form.format(text[place], expression))
     return written, [text[o] for o in outputs]

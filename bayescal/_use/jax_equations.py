@@ -1,9 +1,8 @@
-"""Functions that are written for JAX alone, as a basis of a user's own may be: traced by it, to a graph of scalars.
+"""Tracing of functions written for JAX alone, such as a user's basis, to a graph of scalar operations.
 
-A function comes to a graph through its jaxpr, which is run on symbols. What only moves elements about (reshape,
-broadcast, slice, gather, concatenate) is run by JAX itself on the *places* of the elements, so that none of it is left
-in the graph; constants are computed. An operation that has no scalar form stays a call of JAX's, with its derivatives:
-it is computed here, and cannot be exported.
+A function's jaxpr is evaluated on symbols. Primitives that only move elements (reshape, broadcast, slice, gather,
+concatenate) are run by JAX on the *places* of the elements, and leave no operation in the graph; constants are folded.
+An operation without a scalar form stays a JAX call, with its derivatives: it is computed here, and cannot be exported.
 """
 
 from __future__ import annotations
@@ -20,8 +19,8 @@ from bayescal._core.lazy_jax import jax, jnp
 from bayescal._use.expression_graph import OPERATIONS, Graph, NotExportable, Symbol, Symbols
 
 _MOVES = "broadcast_in_dim reshape squeeze expand_dims slice dynamic_slice gather transpose rev copy unstack split"
-TOGETHER = ("concatenate", "stack")  # move elements of all their arguments
-MOVES = (*_MOVES.split(), *TOGETHER)
+JOINING = ("concatenate", "stack")  # move elements of all their arguments
+MOVES = (*_MOVES.split(), *JOINING)
 CALLS = ["pjit", "jit", "closed_call", "custom_jvp_call", "custom_vjp_call", "remat", "checkpoint"]
 
 
@@ -33,19 +32,19 @@ def _elementwise(function: Callable[..., Any]) -> Callable[..., Any]:
     return lambda p, *arrays: function(*arrays)
 
 
-def _dot(p: Any, left: Any, right: Any) -> Any:
-    """A product of matrices or vectors, without batch dimensions."""
-    (of_left, of_right), (batch, _) = p["dimension_numbers"]
+def _dot(p: Any, x: Any, y: Any) -> Any:
+    """Multiply matrices or vectors, without batch dimensions."""
+    (x_axes, y_axes), (batch, _) = p["dimension_numbers"]
     if batch:
         raise NotExportable("products with batch dimensions have no form in an export")
-    axes = range(-len(of_left), 0)
-    a, b = np.moveaxis(left, of_left, axes), np.moveaxis(right, of_right, axes)
-    free = a.ndim - len(of_left)
-    a = a.reshape(*a.shape[:free], *(1,) * (b.ndim - len(of_right)), *a.shape[free:])
+    axes = range(-len(x_axes), 0)
+    a, b = np.moveaxis(x, x_axes, axes), np.moveaxis(y, y_axes, axes)
+    free = a.ndim - len(x_axes)
+    a = a.reshape(*a.shape[:free], *(1,) * (b.ndim - len(y_axes)), *a.shape[free:])
     return np.sum(a * b, axis=tuple(axes))
 
 
-# Primitives as NumPy's functions of symbols, each of its parameters and arrays.
+# Primitives as NumPy functions of symbols, given parameters and arrays.
 RULES: dict[str, Callable[..., Any]] = {
     **{n: _elementwise(o.compute) for n, o in OPERATIONS.items() if n not in ("select", "real")},
     "add_any": _elementwise(np.add),
@@ -65,10 +64,10 @@ RULES: dict[str, Callable[..., Any]] = {
 }
 
 
-def traced_by_jax(
+def trace_jax_function(
     graph: Graph, function: Callable[[Any, Any], Any], frame: Any, values: Mapping[str, Any]
 ) -> Symbols:
-    """What a function, written for JAX's arrays, returns of one reading and values by name, of symbols and numbers."""
+    """Trace a function written for JAX arrays, of one reading and named values, to symbols."""
     parts = {name: getattr(frame, name) for name in ("columns", "rates", "record", "labels")}
     leaves, structure = jax.tree.flatten((parts, dict(values)))
     lag = import_module("jax.extend.core").Primitive("lag")
@@ -83,14 +82,14 @@ def traced_by_jax(
 
     closed = jax.make_jaxpr(of_leaves)(*(np.ones(np.shape(leaf)) for leaf in leaves))
     rules = {**RULES, "lag": lambda p, tau: frame.lagged(p["column"], tau)}
-    (found,) = _run(closed.jaxpr, closed.consts, [graph.symbols(leaf) for leaf in leaves], rules)
-    return graph.symbols(found)
+    (output,) = _run(closed.jaxpr, closed.consts, [graph.symbols(leaf) for leaf in leaves], rules)
+    return graph.symbols(output)
 
 
 def _run(
     jaxpr: Any, constants: Sequence[Any], inputs: Sequence[Any], rules: Mapping[str, Any]
 ) -> list[Any]:
-    """What a jaxpr gives of symbols and numbers."""
+    """Evaluate a jaxpr on symbols and numbers."""
     values: dict[Any, Any] = dict(zip(jaxpr.constvars, map(np.asarray, constants), strict=True))
     values |= dict(zip(jaxpr.invars, inputs, strict=True))
 
@@ -105,32 +104,32 @@ def _run(
         try:
             if name in CALLS:
                 inner = next(p[n] for n in ("jaxpr", "call_jaxpr", "fun_jaxpr") if n in p)
-                own = getattr(inner, "jaxpr", inner), getattr(inner, "consts", ())
-                found = _run(*own, arguments, rules)
+                subprogram = getattr(inner, "jaxpr", inner), getattr(inner, "consts", ())
+                outputs = _run(*subprogram, arguments, rules)
             elif not any(isinstance(a, Symbols) for a in arguments) and name != "lag":
-                found = [*map(np.asarray, _bound(equation, arguments))]
+                outputs = [*map(np.asarray, _evaluate_primitive(equation, arguments))]
             elif name in MOVES:
-                found = _moved(equation, arguments)
+                outputs = _run_on_places(equation, arguments)
             elif name in rules:
-                found = [rules[name](p, *arguments)]
+                outputs = [rules[name](p, *arguments)]
             else:
                 raise NotExportable(f"the operation {name!r} has no form in C or plain Python here")
         except NotExportable as error:
-            found = _called(equation, arguments, str(error))
-        values |= dict(zip(equation.outvars, found, strict=True))
+            outputs = _as_calls(equation, arguments, str(error))
+        values |= dict(zip(equation.outvars, outputs, strict=True))
     return [read(v) for v in jaxpr.outvars]
 
 
-def _bound(equation: Any, arguments: Sequence[Any], **parameters: Any) -> list[Any]:
-    """What JAX makes of numbers."""
-    whole = {**equation.params, **parameters}
-    found = equation.primitive.bind(*map(jnp.asarray, arguments), **whole)
-    return [*found] if equation.primitive.multiple_results else [found]
+def _evaluate_primitive(equation: Any, arguments: Sequence[Any], **parameters: Any) -> list[Any]:
+    """Evaluate a primitive on numbers by JAX."""
+    parameters_all = {**equation.params, **parameters}
+    outputs = equation.primitive.bind(*map(jnp.asarray, arguments), **parameters_all)
+    return [*outputs] if equation.primitive.multiple_results else [outputs]
 
 
-def _moved(equation: Any, arguments: list[Any]) -> list[Symbols]:
-    """What only moves elements, run on the numbers of their places; indices stay what they are."""
-    moving = arguments if equation.primitive.name in TOGETHER else arguments[:1]
+def _run_on_places(equation: Any, arguments: list[Any]) -> list[Symbols]:
+    """Run a primitive that only moves elements on their places; index arguments stay numbers."""
+    moving = arguments if equation.primitive.name in JOINING else arguments[:1]
     if any(isinstance(a, Symbols) for a in arguments[len(moving) :]):
         raise NotExportable(
             "an element whose place depends on a covariate has no form in an export"
@@ -143,12 +142,12 @@ def _moved(equation: Any, arguments: list[Any]) -> list[Symbols]:
     filled = {} if equation.params.get("fill_value") is None else {"fill_value": 0}
     elements = np.empty(len(pool), dtype=object)
     elements[:] = pool
-    found = _bound(equation, [*placed, *arguments[len(moving) :]], **filled)
-    return [graph.symbols(elements[np.asarray(places)]) for places in found]
+    places_out = _evaluate_primitive(equation, [*placed, *arguments[len(moving) :]], **filled)
+    return [graph.symbols(elements[np.asarray(places)]) for places in places_out]
 
 
 class Call:
-    """A function of `count` scalars that JAX computes, as an operation of a graph; why it cannot be exported."""
+    """A JAX function of `count` scalars as a graph operation; `why_not` says why it cannot be exported."""
 
     boolean = False
 
@@ -157,17 +156,17 @@ class Call:
         self._together = jax.jit(jax.vmap(function))
 
     def of(self, graph: Graph, elements: Sequence[Any]) -> Symbol:
-        """This function of some symbols and numbers."""
+        """Add a call of this function on symbols and numbers to a graph."""
         return Symbol(graph.put(("call", self, *map(graph.place_of, elements))))
 
     def compute(self, *values: Any) -> np.ndarray:
-        """Its values, element by element."""
+        """Compute the function elementwise."""
         values = np.broadcast_arrays(*values)
         return np.asarray(self._together(*map(np.ravel, values))).reshape(values[0].shape)
 
     @property
     def pullbacks(self) -> list[Callable[..., Any]]:
-        """By argument, what of a slope d passes back to it."""
+        """Return the pullback of a slope d to each argument."""
 
         def pullback(i: int, d: Any, *values: Symbols) -> Any:
             slope = Call(jax.grad(self.function, i), self.count, self.why_not)
@@ -176,11 +175,11 @@ class Call:
         return [partial(pullback, i) for i in range(self.count)]
 
 
-def _called(equation: Any, arguments: list[Any], why_not: str) -> list[Symbols]:
-    """An operation as calls of JAX, one for each element of its results."""
-    own = [a for a in arguments if isinstance(a, Symbols)]
-    graph, ends = own[0].graph, np.cumsum([a.size for a in own])[:-1]
-    elements = [element for a in own for element in np.asarray(a).flat]
+def _as_calls(equation: Any, arguments: list[Any], why_not: str) -> list[Symbols]:
+    """Replace an operation by JAX calls, one per element of its results."""
+    symbolic = [a for a in arguments if isinstance(a, Symbols)]
+    graph, ends = symbolic[0].graph, np.cumsum([a.size for a in symbolic])[:-1]
+    elements = [element for a in symbolic for element in np.asarray(a).flat]
 
     def of_scalars(result: int, element: int, *scalars: Any) -> Any:
         parts = iter(jnp.split(jnp.stack(scalars), ends))
@@ -188,13 +187,13 @@ def _called(equation: Any, arguments: list[Any], why_not: str) -> list[Symbols]:
             next(parts).reshape(v.aval.shape).astype(v.aval.dtype) if isinstance(a, Symbols) else a
             for a, v in zip(arguments, equation.invars, strict=True)
         ]
-        return jnp.ravel(_bound(equation, whole)[result])[element].astype(float)
+        return jnp.ravel(_evaluate_primitive(equation, whole)[result])[element].astype(float)
 
-    found = list[Symbols]()
+    outputs = list[Symbols]()
     for result, variable in enumerate(equation.outvars):
-        made = np.empty(variable.aval.shape, dtype=object)
-        for i in range(made.size):
-            one = Call(partial(of_scalars, result, i), len(elements), why_not)
-            made.flat[i] = one.of(graph, elements)
-        found.append(graph.symbols(made))
-    return found
+        elements_out = np.empty(variable.aval.shape, dtype=object)
+        for i in range(elements_out.size):
+            call = Call(partial(of_scalars, result, i), len(elements), why_not)
+            elements_out.flat[i] = call.of(graph, elements)
+        outputs.append(graph.symbols(elements_out))
+    return outputs

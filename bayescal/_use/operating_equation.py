@@ -1,7 +1,7 @@
-"""A calibrated instrument in use: the equation of one reading, what the posterior says of it, and its inverse.
+"""The operating equation of a calibrated instrument: one reading's equation, its posterior moments, its inverse.
 
-In use there is no test rig: slots that `Use.slots` leaves out do not act, and every run, cell or (unless it is
-named) device is a new one, whose deviation is drawn from its spread. What is left is one function of numbers,
+In use there is no test rig: slots absent from `Use.slots` do not act, and every run, cell or (unless named) device is
+new, its deviation drawn from the standard deviation between members. This leaves one function of numbers,
 
     output = point(θ, stimulus, inputs),
 
@@ -37,32 +37,32 @@ from bayescal._use.expression_graph import Graph, NotExportable, Symbol, Symbols
 NOT_INPUTS = ("output", "output_uncertainty", "temperature_point")
 ALL_DRAWS = 10**9  # draws: every one there is
 STIMULUS = "(stimulus)"  # its name as an input of the graph
-NUMBERS_AT_ONCE = 60_000  # draws times readings whose operations stay within a cache
+NUMBERS_AT_ONCE = 60_000  # draws times readings per block, so that operations stay in cache
 NOISE_READINGS, NOISE_DRAWS = 200, 2000  # over which the level of the noise is averaged
-SIZE_DRAWS = 200  # and readings, over which the size of what is left out is known well enough
-IMAGINARY_STEP = 1e-30j  # relative: the imaginary part of what is analytic is its slope
-LAGS_AT_ONCE = 4_000_000  # draws times readings of a record whose past is computed together
+SIZE_DRAWS = 200  # draws, and readings, for the error of held inputs
+IMAGINARY_STEP = 1e-30j  # relative complex step of a derivative
+LAGS_AT_ONCE = 4_000_000  # draws times readings whose lags are computed together
 Values = Mapping[str, Any]
 
 
 class Lag(NamedTuple):
-    """One T̃ − T that the equation asks for."""
+    """One lag T̃ − T of the equation."""
 
     column: str  # the temperature that is lagged
     tau: float  # time constant, s, at the posterior mean
     place: int  # node of the time constant
-    shape: str  # name of the unknown that it is a multiple of; empty for a constant
+    shape: str  # unknown of which it is a multiple; empty for a constant
     name: str  # of the input that carries it
 
     @property
     def slope(self) -> str | None:
-        """Name of the input that carries ∂(T̃ − T)/∂τ, °C/s; None where τ is no unknown."""
+        """Return the name of the input ∂(T̃ − T)/∂τ, °C/s; None where τ is no unknown."""
         return f"{self.name}_by_tau" if self.shape else None
 
 
 @dataclass(frozen=True, eq=False)
 class OneReading(Frame):
-    """Readings each of which has no past of its own; lags come from outside, by column and time constant."""
+    """Readings without history; lags are inputs, by column and time constant."""
 
     lagged: Callable[[str, Any], Any] | None = None
 
@@ -74,21 +74,21 @@ class OneReading(Frame):
 
 
 class UnknownInUse(NamedTuple):
-    """One unknown that acts in use."""
+    """One unknown of the equation in use."""
 
-    name: str  # of the coefficient or shape; "(new run)" beside it for a deviation not measured
-    key: str  # under which the equation finds it
+    name: str  # of the coefficient or shape, with "(new run)" for an unmeasured deviation
+    key: str  # in the equation
     unit: str  # in which it is reported
-    kind: str  # "coefficient", "shape", or "new" for one drawn anew in use
+    kind: str  # "coefficient", "shape", or "new" for a new member's deviation
 
 
 def input_name(unknown: str) -> str:
-    """What an unknown, or a parameter of the noise law, is called as an input of the graph."""
+    """Return the graph input's name of an unknown or a noise parameter."""
     return f"({unknown})"
 
 
 class ActingTerms(Traced):
-    """The effects and the instrument in use, of symbols of a graph."""
+    """The effects and the instrument in use, evaluated on symbols of a graph."""
 
     xp = np
 
@@ -100,19 +100,19 @@ class ActingTerms(Traced):
         return self.called(partial(super().matrix, basis), frame, shapes)
 
     def called(self, function: Callable[[Any, Values], Any], frame: Frame, values: Values) -> Any:
-        """A function of a frame and values by name; what is written for JAX alone is traced by it."""
+        """Call a function of a frame and named values on symbols; trace it by JAX if NumPy cannot."""
         try:
             return self.graph.symbols(function(frame, values))
-        except Exception as error:  # of symbols, which JAX does not know
+        except Exception as error:  # JAX functions do not accept symbols
             if isinstance(error, ModelError) and not isinstance(error, NotExportable):
                 raise
-        from bayescal._use.jax_equations import traced_by_jax
+        from bayescal._use.jax_equations import trace_jax_function
 
-        return traced_by_jax(self.graph, function, frame, values)
+        return trace_jax_function(self.graph, function, frame, values)
 
 
 class PosteriorMoments(NamedTuple):
-    """What the posterior says of θ: draws (d, p), mean (p,), covariance (p, p), reported units."""
+    """Posterior draws (d, p), mean (p,) and covariance (p, p) of θ, reported units."""
 
     draws: np.ndarray
     mean: np.ndarray
@@ -121,12 +121,12 @@ class PosteriorMoments(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class OperatingEquation:
-    """The measurement equation of a calibrated model for one reading in use, and its inverse.
+    """The measurement equation of a calibrated model for one reading in use.
 
     Attributes:
         calibration: a fit, or an average over structures.
         members: (group, member) chosen by name, such as ("device", "A17"); others are new.
-        held_inputs: (name, value, unit) of inputs that only improbable effects need: they are held at one place.
+        held_inputs: (name, value, unit) of inputs that only improbable effects need: fixed at one value.
     """
 
     calibration: Calibration
@@ -135,27 +135,27 @@ class OperatingEquation:
 
     @cached_property
     def layout(self) -> Layout:
-        """The model, with one member of every group: that which is in use."""
+        """Return the model's layout with one member of every group: the one in use."""
         whole = self.calibration.layout
         one_each = tuple((group, 1) for group, _ in whole.counts)
         return replace(whole, counts=one_each, origin=())
 
     @cached_property
-    def known(self) -> tuple[str, ...]:
-        """Numeric columns of the readings of the fit."""
+    def columns(self) -> tuple[str, ...]:
+        """Return the numeric columns of the fit's readings."""
         not_inputs = (*NOT_INPUTS, self.use.stimulus)
         return tuple(sorted(n for n in self.calibration.frame.columns if n not in not_inputs))
 
     @cached_property
     def rated(self) -> tuple[tuple[str, str], ...]:
-        """(rate's input, temperature)."""
+        """Return (name of the rate, temperature column) of each rate."""
         return tuple((f"{n}_rate", n) for n in self.calibration.frame.rates)
 
     @cached_property
     def shapes(self) -> dict[str, float]:
-        """Posterior means of its shapes, by name."""
-        own = (u.key for u in self.unknowns if u.kind == "shape")
-        return {name: float(self.calibration.samples(name).mean()) for name in own}
+        """Return posterior means of the shapes, by name."""
+        keys = (u.key for u in self.unknowns if u.kind == "shape")
+        return {name: float(self.calibration.samples(name).mean()) for name in keys}
 
     @property
     def use(self) -> Use:
@@ -165,31 +165,31 @@ class OperatingEquation:
 
     @property
     def blocks(self) -> tuple[CoefficientBlock, ...]:
-        """Coefficients that act in use."""
-        own = [s.name for s in self.layout.model.instrument.slots]
-        acting = self.use.slots or tuple(own)
-        return tuple(b for b in self.layout.blocks if b.slot in acting or b.slot not in own)
+        """Return the coefficients that act in use."""
+        slots = [s.name for s in self.layout.model.instrument.slots]
+        acting = self.use.slots or tuple(slots)
+        return tuple(b for b in self.layout.blocks if b.slot in acting or b.slot not in slots)
 
     @cached_property
     def unknowns(self) -> tuple[UnknownInUse, ...]:
-        """What the equation is a function of beside stimulus and inputs, effect by effect."""
+        """Return the unknowns of the equation, effect by effect."""
         fixed, members = dict(self.layout.model.fixed), dict(self.members)
-        found = dict[str, UnknownInUse]()
+        listed = dict[str, UnknownInUse]()
         for b in self.blocks:
             names = {b.effect.shape_name(shape): shape.unit for shape in b.effect.shapes}
             for name in (n for n in names if n not in fixed):
-                found.setdefault(name, UnknownInUse(name, name, names[name], "shape"))
+                listed.setdefault(name, UnknownInUse(name, name, names[name], "shape"))
             name, kind, per = b.name, "coefficient", b.coefficient.per
             if per is not None:
                 kind = kind if per in members else "new"
                 name = member_name(b.name, members.get(per, f"new {per}"))
             if b.place != "fixed":
-                found[b.name] = UnknownInUse(name, b.name, b.coefficient.unit, kind)
-        return tuple(found.values())
+                listed[b.name] = UnknownInUse(name, b.name, b.coefficient.unit, kind)
+        return tuple(listed.values())
 
     @cached_property
     def graph(self) -> Graph:
-        """Of which `expected`, `gradient`, `noise` and what slots come to are nodes."""
+        """Return the graph of `expected`, `gradient`, `noise` and slot values."""
         return Graph()
 
     def _symbol(self, name: str) -> Symbols:
@@ -197,49 +197,49 @@ class OperatingEquation:
 
     @cached_property
     def _terms(self) -> ActingTerms:
-        """What acts on one reading of symbols; inputs that are held are numbers."""
-        given = {name: self._symbol(name) for name in (*self.known, *dict(self.rated))}
-        given |= {name: self.graph.symbols([value]) for name, value, _ in self.held_inputs}
-        frame = replace(self.frame_of(self._symbol(STIMULUS), given), lagged=self._lagged)
+        """Return the terms of one reading, as symbols; held inputs are numbers."""
+        values = {name: self._symbol(name) for name in (*self.columns, *dict(self.rated))}
+        values |= {name: self.graph.symbols([value]) for name, value, _ in self.held_inputs}
+        frame = replace(self.frame_of(self._symbol(STIMULUS), values), lagged=self._lagged)
         return ActingTerms(self.layout.model.instrument, frame, self.graph)
 
     @cached_property
     def _lags(self) -> dict[tuple[str, float], Lag]:
-        """By column and time constant at the mean of the unknowns."""
+        """Return the lags traced so far, by column and time constant at the mean of the unknowns."""
         return {}
 
     def _lagged(self, column: str, tau: Any) -> Symbols:
-        """A lag as an input at the mean of its time constant, taken at that of the unknowns to first order."""
+        """Return a lag: an input at the mean time constant, plus its first-order change with τ."""
         place, means = self.graph.place_of(tau), {input_name(n): v for n, v in self.shapes.items()}
         (mean,) = self.graph.evaluate([place], means)
         if (column, mean) not in self._lags:
             same = sum(lag.column == column for lag in self._lags.values())
             name = f"{column}_lag" + (f"_{same + 1}" if same else "")
-            of = self.graph.inputs([place])
-            shape = next((n for n in self.shapes if input_name(n) in of), "")
+            inputs = self.graph.inputs([place])
+            shape = next((n for n in self.shapes if input_name(n) in inputs), "")
             self._lags[column, mean] = Lag(column, float(mean), place, shape, name)
         lag = self._lags[column, mean]
-        found = self._symbol(lag.name)
-        return found + self._symbol(lag.slope) * (tau - lag.tau) if lag.slope else found
+        lag_symbol = self._symbol(lag.name)
+        return lag_symbol + self._symbol(lag.slope) * (tau - lag.tau) if lag.slope else lag_symbol
 
     @cached_property
     def _composed(self) -> tuple[Frame, dict[str, Symbols]]:
-        """The corrected reading and the slots; corrections of what does not exist in use are left out."""
-        held = {b.name: b.value for b in self.blocks if b.place == "fixed"}
-        held |= dict(self.layout.model.fixed)
-        known = {name: self.graph.symbols([value]) for name, value in held.items()}
-        known |= {u.key: self._symbol(input_name(u.key)) for u in self.unknowns}
+        """Return the corrected frame and the slots; corrections of rig quantities are omitted."""
+        fixed = {b.name: b.value for b in self.blocks if b.place == "fixed"}
+        fixed |= dict(self.layout.model.fixed)
+        symbols = {name: self.graph.symbols([value]) for name, value in fixed.items()}
+        symbols |= {u.key: self._symbol(input_name(u.key)) for u in self.unknowns}
         terms = self._terms
         acting = [b for b in self.blocks if b.slot in terms.slots or b.slot in terms.frame.columns]
-        values, shapes = [known[b.name] for b in acting], {n: v[0] for n, v in known.items()}
-        made = compose(terms, terms_of(acting)[0], values, shapes)
-        none = self.graph.symbols([0.0])
-        slots = {name: made.slots.get(name, none) for name in terms.slots}
-        return terms.frame.moved(made.moves), slots
+        values, shapes = [symbols[b.name] for b in acting], {n: v[0] for n, v in symbols.items()}
+        composed = compose(terms, terms_of(acting)[0], values, shapes)
+        zero = self.graph.symbols([0.0])
+        slots = {name: composed.slots.get(name, zero) for name in terms.slots}
+        return terms.frame.moved(composed.moves), slots
 
     @cached_property
     def expected(self) -> int:
-        """The node of the expected output, output unit."""
+        """Return the node of the expected output, output unit."""
         equation, response = self.use.equation, self.layout.model.instrument.response
 
         def output(frame: Frame, slots: Values) -> Any:
@@ -250,88 +250,88 @@ class OperatingEquation:
         return self.graph.place_of(self._terms.called(output, *self._composed))
 
     def slot_place(self, slot: str) -> int:
-        """The node of what a slot comes to, in its unit."""
+        """Return the node of a slot's value, in its unit."""
         return self.graph.place_of(self._composed[1][slot])
 
     @cached_property
     def gradient(self) -> dict[str, int]:
-        """Nodes of the slopes of the expected output by the stimulus and the unknowns, by their names as inputs."""
+        """Return nodes of the expected output's derivatives by stimulus and unknowns, by input name."""
         names = (STIMULUS, *(input_name(u.key) for u in self.unknowns))
         zero = self.graph.constant(0.0)
         return dict.fromkeys(names, zero) | self.graph.gradient(self.expected, names)
 
     @cached_property
     def noise(self) -> int:
-        """The node of the variance of a reading's noise by the noise law, without what is known of single readings."""
+        """Return the node of a reading's noise variance by the noise law, without stated uncertainties."""
         law, terms = self.layout.model.noise, self._terms
-        given = {name: self._symbol(input_name(name)) for name in law.parameters()}
-        variance = terms.called(lambda frame, given: law.variance(given, frame), terms.frame, given)
+        parameters = {name: self._symbol(input_name(name)) for name in law.parameters()}
+        variance = terms.called(lambda f, values: law.variance(values, f), terms.frame, parameters)
         return self.graph.place_of(variance)
 
     @property
     def lags(self) -> tuple[Lag, ...]:
-        """What the expected output asks of the past: one state for each column and time constant."""
-        _ = self.expected  # which asks
+        """Return the lags of the expected output, one per column and time constant."""
+        _ = self.expected  # traces them
         return tuple(self._lags.values())
 
     @cached_property
     def names(self) -> tuple[str, ...]:
-        """Every input that there could be."""
+        """Return the names of all possible inputs."""
         lags = (name for lag in self.lags for name in (lag.name, lag.slope) if name)
-        return (*self.known, *dict(self.rated), *lags)
+        return (*self.columns, *dict(self.rated), *lags)
 
     @cached_property
     def inputs(self) -> tuple[str, ...]:
-        """Inputs that the output, or its noise, depends on."""
+        """Return the inputs that the output, or its noise, depends on."""
         needed = self.graph.inputs([self.expected, self.noise])
         return tuple(n for n in sorted(self.names) if n in needed)
 
     @cached_property
     def affine(self) -> bool:
-        """Whether the output is a straight line in the stimulus."""
+        """Return whether the output is affine in the stimulus."""
         return STIMULUS not in self.graph.inputs([self.gradient[STIMULUS]])
 
     @property
     def slope_calibrated(self) -> bool:
-        """Whether an unknown acts on how the output follows the stimulus."""
+        """Return whether the output's slope by the stimulus depends on an unknown."""
         unknowns = {input_name(u.key) for u in self.unknowns}
         return not unknowns.isdisjoint(self.graph.inputs([self.gradient[STIMULUS]]))
 
     def evaluate(
         self, outputs: Sequence[int], theta: np.ndarray, stimulus: Any, inputs: Values
     ) -> list[Any]:
-        """Return nodes at unknowns (p,) or draws of them (d, p), a stimulus and inputs (n,) each: up to (d, n)."""
-        given = {name: inputs.get(name, np.zeros(1)) for name in self.names}
+        """Evaluate nodes at unknowns (p,) or draws (d, p), a stimulus and inputs (n,) each: up to (d, n)."""
+        values = {name: inputs.get(name, np.zeros(1)) for name in self.names}
         for i, u in enumerate(self.unknowns):
-            given[input_name(u.key)] = theta[..., i : i + 1]
-        return self.graph.evaluate(outputs, {**given, STIMULUS: stimulus})
+            values[input_name(u.key)] = theta[..., i : i + 1]
+        return self.graph.evaluate(outputs, {**values, STIMULUS: stimulus})
 
     def points(
         self, theta: np.ndarray, stimulus: Any, inputs: Values, slot: str | None = None
     ) -> Float[np.ndarray, "d n"]:
-        """Return the expected output, output unit, or what a slot comes to, at draws (d, p); the rest as `evaluate`."""
+        """Return the expected output, output unit, or a slot's value, at draws (d, p); as in `evaluate`."""
         place = self.expected if slot is None else self.slot_place(slot)
-        (found,) = self.evaluate([place], theta, stimulus, inputs)
-        return np.broadcast_to(found, (len(theta), len(stimulus)))
+        (values,) = self.evaluate([place], theta, stimulus, inputs)
+        return np.broadcast_to(values, (len(theta), len(stimulus)))
 
     def linearised(
         self, theta: Float[np.ndarray, "p"], stimulus: Float[np.ndarray, "n"], inputs: Values
     ) -> tuple[Float[np.ndarray, "n"], Float[np.ndarray, "n"], Float[np.ndarray, "n p"]]:
         """Return the expected output at each place, its slope by the stimulus, and its gradient by the unknowns."""
         places = [self.expected, *self.gradient.values()]
-        found = self.evaluate(places, theta, stimulus, inputs)
-        expected, slope, *gradient = (np.broadcast_to(f, len(stimulus)) for f in found)
+        values = self.evaluate(places, theta, stimulus, inputs)
+        expected, slope, *gradient = (np.broadcast_to(f, len(stimulus)) for f in values)
         return expected, slope, np.reshape(gradient, (-1, len(stimulus))).T
 
     def solve(self, theta: np.ndarray, output: Float[np.ndarray, "*d n"], inputs: Values):
-        """Return the stimulus that makes an output and the slope of the output there; NaN where there is none."""
+        """Return the stimulus of an output, and the output's slope there; NaN where there is no solution."""
         places = self.expected, self.gradient[STIMULUS]
         return solved(lambda s: self.evaluate(places, theta, s, inputs), output, self.affine)
 
     def frame_of(self, stimulus: Float[Any, "n"], inputs: Values) -> OneReading:
-        """Readings as bases see them, each without a past of its own; (n,) each, in fixed units."""
+        """Build the frame of readings without history; (n,) each, in fixed units."""
         size = len(stimulus)
-        columns = {n: inputs[n] for n in self.known if n in inputs}
+        columns = {n: inputs[n] for n in self.columns if n in inputs}
         columns[self.use.stimulus] = stimulus
         return OneReading(
             columns=columns,
@@ -345,31 +345,31 @@ class OperatingEquation:
             silence=np.inf,  # pyright: ignore[reportArgumentType]
         )
 
-    # what the fit says of it ------------------------------------------------------------------------------------------
+    # posterior of the unknowns, and inputs at the fit ----------------------------------------------------------------
 
     @cached_property
     def at_fit(self) -> dict[str, np.ndarray]:
-        """All inputs at the readings of the fit, (n,) each; lags at the mean of their time constants."""
+        """Return all inputs at the fit's readings, (n,) each; lags at their mean time constants."""
         frame = self.calibration.frame
-        found = {n: np.asarray(frame.columns[n]) for n in self.known}
-        found |= {name: np.asarray(frame.rates[column]) for name, column in self.rated}
+        values = {n: np.asarray(frame.columns[n]) for n in self.columns}
+        values |= {name: np.asarray(frame.rates[column]) for name, column in self.rated}
         for lag in self.lags:
-            found[lag.name], slope = lag_and_slope(frame, lag.tau, lag.column)
+            values[lag.name], slope = lag_and_slope(frame, lag.tau, lag.column)
             if lag.slope:
-                found[lag.slope] = slope
-        return found
+                values[lag.slope] = slope
+        return values
 
     @property
     def stimulus_at_fit(self) -> Float[np.ndarray, "n"]:
-        """The stimulus of each reading of the fit; zero where it is no column."""
+        """Return the stimulus of each of the fit's readings; zero where it is no column."""
         readings, name = self.calibration.readings, self.use.stimulus
         return readings[name] if readings.has(name) else np.zeros(len(readings))
 
     def moments(self, draws: int) -> PosteriorMoments:
-        """Draws of θ, at most `draws` of them evenly thinned; mean and covariance from all that coefficients have.
+        """Return draws of θ, evenly thinned to `draws`; mean and covariance from all draws.
 
-        What was measured is as uncertain as the model's form makes what it expects; a deviation that is new in use is
-        independent of it, and so are its draws: what is computed from draws and from moments agrees.
+        Measured unknowns include the uncertainty of the model's form; deviations that are new in use are independent of
+        them, in the draws too, so that results from draws and from moments agree.
         """
         calibration, unknowns = self.calibration, self.unknowns
         (_, v), problem = calibration.draws(), calibration.problem
@@ -381,53 +381,52 @@ class OperatingEquation:
             values[:, i] = calibration.samples(u.name)
             mean[i] = values[:, i].mean()
         thin = values[::step].copy()
-        moved = calibration.form_factor * (values - mean)
-        covariance = np.atleast_2d(np.cov(moved.T)) if len(unknowns) else np.zeros((0, 0))
+        scaled = calibration.form_factor * (values - mean)
+        covariance = np.atleast_2d(np.cov(scaled.T)) if len(unknowns) else np.zeros((0, 0))
         for i in new:
             term = next(t for t in problem.terms if t.name == unknowns[i].key)
             spread = problem.member_sd(term, problem.hyper(v.T), total)
             spread = spread * calibration.having[term.effect.name]
             mean[i], covariance[i, i] = term.coefficient.mean, float(np.mean(spread**2))
-            drawn = _independent(thin - mean, spread[::step], covariance[i, i], random)
+            drawn = _draw_uncorrelated(thin - mean, spread[::step], covariance[i, i], random)
             thin[:, i] = mean[i] + drawn
         for i, size in self.unfound_spreads.values():
             covariance[i, i] += size**2
-            thin[:, i] += _independent(thin - mean, np.full(len(thin), size), size**2, random)
-        # A shape moved so may leave its range.
+            thin[:, i] += _draw_uncorrelated(thin - mean, np.full(len(thin), size), size**2, random)
+        # A rescaled shape might leave its range.
         linear = [i for i, u in enumerate(unknowns) if u.kind != "shape"]
         if step > 1 or calibration.form_factor != 1.0:
-            own = mean[linear], covariance[np.ix_(linear, linear)]
-            thin[:, linear] = _with_moments(thin[:, linear], *own)
+            target = mean[linear], covariance[np.ix_(linear, linear)]
+            thin[:, linear] = _match_moments(thin[:, linear], *target)
         return PosteriorMoments(thin, mean, covariance)
 
     @property
     def unfound_spreads(self) -> dict[str, tuple[int, float]]:
-        """By effect, deviations of a new run that no draw has, as of a constant: its place in θ, and its unit."""
+        """Return deviations of a new run that no draw has, by effect: index in θ and standard deviation."""
         instrument, members = self.calibration.model.instrument, dict(self.members)
-        places, found = {u.key: i for i, u in enumerate(self.unknowns)}, {}
+        places, spreads = {u.key: i for i, u in enumerate(self.unknowns)}, {}
         for name, size in self.calibration.unfound_spreads.items():
             effect = instrument.known[name]
             c = effect.coefficients[0]
             for b in self.blocks:
                 if b.effect.kind == "constant" and b.slot == effect.slot and c.per not in members:
                     size *= factor_of(instrument, effect, c) / b.factor
-                    found[name] = places[b.name], size
+                    spreads[name] = places[b.name], size
                     break
-        return found
+        return spreads
 
     def left_out(self) -> float:
-        """Return what the output lacks where inputs are held at one place, rms over draws and readings of the fit."""
+        """Return the output's rms error from holding inputs, over draws and readings of the fit."""
         rows = slice(None, None, -(-len(self.calibration.readings) // SIZE_DRAWS))
         places, theta = {n: v[rows] for n, v in self.at_fit.items()}, self.moments(SIZE_DRAWS).draws
         at = theta, self.stimulus_at_fit[rows], places
-        lost = replace(self, held_inputs=()).points(*at) - self.points(*at)
-        return float(np.sqrt(np.mean(lost**2)))
+        difference = replace(self, held_inputs=()).points(*at) - self.points(*at)
+        return float(np.sqrt(np.mean(difference**2)))
 
     def noise_in_use(self) -> tuple[dict[str, float], float]:
-        """Return the noise law in use: its parameters by name, at the mean of their coordinates, and its level.
+        """Return the noise law's parameters, at the mean of their coordinates, and its level in use.
 
-        That is the posterior mean of the variance over the readings of the fit, over the variance by these parameters
-        there.
+        The level is the posterior mean variance over the fit's readings, divided by the variance by these parameters.
         """
         problem, (_, v) = self.calibration.problem, self.calibration.draws(NOISE_DRAWS)
         rows = slice(None, None, -(-len(self.calibration.readings) // NOISE_READINGS))
@@ -435,9 +434,9 @@ class OperatingEquation:
         places[STIMULUS] = self.stimulus_at_fit[rows]
 
         def mean_variance(law: Mapping[str, Any]) -> float:
-            own = {input_name(name): value for name, value in law.items()}
-            (found,) = self.graph.evaluate([self.noise], {**places, **own})
-            return float(np.mean(found + np.zeros_like(places[STIMULUS])))
+            parameters = {input_name(name): value for name, value in law.items()}
+            (variance,) = self.graph.evaluate([self.noise], {**places, **parameters})
+            return float(np.mean(variance + np.zeros_like(places[STIMULUS])))
 
         law = {n: float(x) for n, x in problem.hyper(v.mean(axis=0)).items()}
         at_mean = mean_variance(law)
@@ -449,11 +448,11 @@ class OperatingEquation:
 def equation_in_use(
     calibration: Calibration, members: Mapping[str, str] | None = None
 ) -> OperatingEquation:
-    """A calibrated model in use.
+    """Build the operating equation of a calibrated model.
 
     Raises:
         ModelError: the instrument does not say what it measures.
-        InputError: a member that the fit did not see.
+        InputError: a member that is not in the fit.
     """
     instrument, members = calibration.model.instrument, dict(members or {})
     if instrument.use is None:
@@ -462,93 +461,93 @@ def equation_in_use(
             "reading can be compensated: give it use=bayescal.Use(stimulus, unit)"
         )
     for group, member in members.items():
-        known = calibration.levels.get(group) or (
+        levels = calibration.levels.get(group) or (
             calibration.readings.groups(group)[0] if calibration.readings.has(group) else ()
         )
-        if member not in known:
+        if member not in levels:
             raise InputError(
-                f"{group} {member!r} was not in the calibration; it has: {', '.join(known) or 'none'}"
+                f"{group} {member!r} was not in the calibration; it has: {', '.join(levels) or 'none'}"
             )
     return OperatingEquation(calibration, tuple(sorted(members.items())))
 
 
 def lag_and_slope(frame: Frame, tau: float, column: str) -> tuple[np.ndarray, np.ndarray]:
     """Return T̃ − T of a record, °C, and its derivative by the time constant, °C/s, (n,) each."""
-    found = frame.lag(np.asarray(tau * (1 + IMAGINARY_STEP)), column)
-    return found.real, found.imag / (tau * IMAGINARY_STEP.imag)
+    lag = frame.lag(np.asarray(tau * (1 + IMAGINARY_STEP)), column)
+    return lag.real, lag.imag / (tau * IMAGINARY_STEP.imag)
 
 
-def _independent(
+def _draw_uncorrelated(
     others: Float[np.ndarray, "d p"],
     spread: Float[np.ndarray, "d"],
     variance: float,
     random: np.random.Generator,
 ) -> Float[np.ndarray, "d"]:
-    """Draws of mean zero, of a standard deviation each and a variance of all, that are correlated with no others."""
+    """Draw zero-mean values with given standard deviations and total variance, uncorrelated with `others`."""
     size = others.std(axis=0)
     others = others[:, size > 0] / size[size > 0]
-    others = others[:, : len(spread) // 2]  # of a handful of draws few
-    beside = spread[:, None] * np.column_stack([np.ones(len(spread)), others])
+    others = others[:, : len(spread) // 2]  # fewer for few draws
+    regressors = spread[:, None] * np.column_stack([np.ones(len(spread)), others])
     normal = random.standard_normal(len(spread))
-    drawn = spread * (normal - beside @ np.linalg.lstsq(beside, normal, rcond=None)[0])
+    drawn = spread * (normal - regressors @ np.linalg.lstsq(regressors, normal, rcond=None)[0])
     square = float(drawn @ drawn) / (len(drawn) - 1)
     return drawn * (variance / square) ** 0.5 if square > 0 else drawn
 
 
-def _with_moments(
+def _match_moments(
     draws: Float[np.ndarray, "d p"],
     mean: Float[np.ndarray, "p"],
     covariance: Float[np.ndarray, "p p"],
 ) -> Float[np.ndarray, "d p"]:
-    """Draws moved, linearly and by what thinning has changed, so that mean and covariance are those of all.
+    """Transform thinned draws linearly to the mean and covariance of all draws.
 
-    What is computed from draws and by propagation is then the same where the equation is linear.
+    Results from draws and by propagation then agree where the equation is linear.
     """
     sd = np.sqrt(np.diag(covariance))
     moving = np.flatnonzero(sd > 0)
     if len(draws) <= 2 * len(moving):
         return draws
-    away = (draws - draws.mean(axis=0))[:, moving] / sd[moving]
-    there = covariance[np.ix_(moving, moving)] / np.outer(sd[moving], sd[moving])
+    centred = (draws - draws.mean(axis=0))[:, moving] / sd[moving]
+    target = covariance[np.ix_(moving, moving)] / np.outer(sd[moving], sd[moving])
     roots = []
-    for matrix in (away.T @ away / (len(draws) - 1), there):
+    for matrix in (centred.T @ centred / (len(draws) - 1), target):
         values, vectors = np.linalg.eigh(matrix)
         roots.append((vectors * np.sqrt(np.maximum(values, 0.0))) @ vectors.T)
     moved = np.tile(mean, (len(draws), 1))
-    moved[:, moving] += away @ np.linalg.pinv(roots[0], hermitian=True) @ roots[1] * sd[moving]
+    moved[:, moving] += centred @ np.linalg.pinv(roots[0], hermitian=True) @ roots[1] * sd[moving]
     return moved
 
 
-def solved_over_draws(
+def solve_over_draws(
     equation: OperatingEquation,
     theta: Float[np.ndarray, "d p"],
     output: Float[np.ndarray, "n"],
     inputs: Values,
     record: Frame | None,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Mean and variance of the stimulus over draws of θ, and the mean square of its slope by the output, (n,) each.
+    """Return mean and variance of the stimulus over draws, and its mean square slope by the output, (n,) each.
 
-    Lags follow from the record, at the time constants of each draw; where it is None, they are among the inputs.
+    Lags are computed from the record at each draw's time constants; without a record they are inputs.
     """
     count, size = len(theta), len(output)
     together = count if record is None else min(count, max(1, LAGS_AT_ONCE // size))
     origin, sums = np.zeros(size), np.zeros((3, size))
     for first in range(0, count, together):
         draws = theta[first : first + together]
-        given = dict(inputs)
+        values = dict(inputs)
         for lag in equation.lags if record is not None else ():
             (tau,) = equation.evaluate([lag.place], draws, 0.0, {})
-            given[lag.name] = record.lag(np.reshape(tau, (-1, 1)), lag.column)
+            values[lag.name] = record.lag(np.reshape(tau, (-1, 1)), lag.column)
             if lag.slope:
-                given[lag.slope] = np.zeros(size)  # it is at this τ already
+                values[lag.slope] = np.zeros(size)  # the lag is at this τ already
         length = max(1, NUMBERS_AT_ONCE // len(draws))
         for rows in (slice(start, start + length) for start in range(0, size, length)):
-            own, y = {n: v[..., rows] for n, v in given.items()}, output[rows]
-            found = equation.solve(draws, y, own)
-            s, slope = (np.broadcast_to(one, (len(draws), len(y))) for one in found)
-            if first == 0:  # about which sums of squares keep their digits
+            block_inputs, y = {n: v[..., rows] for n, v in values.items()}, output[rows]
+            solution = equation.solve(draws, y, block_inputs)
+            s, slope = (np.broadcast_to(array, (len(draws), len(y))) for array in solution)
+            if first == 0:  # origin of the sums, to avoid cancellation
                 origin[rows] = s.mean(axis=0)
-            away = s - origin[rows]
-            sums[:, rows] += [part.sum(axis=0) for part in (away, away**2, slope**-2.0)]
+            offset = s - origin[rows]
+            sums[:, rows] += [part.sum(axis=0) for part in (offset, offset**2, slope**-2.0)]
     mean = sums[0] / count
     return origin + mean, (sums[1] - sums[0] * mean) / max(count - 1, 1), sums[2] / count
