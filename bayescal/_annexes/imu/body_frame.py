@@ -25,11 +25,11 @@ import bayescal as bc
 from bayescal._annexes.imu.still_stretches import in_common, logged_runs, per_sample
 from bayescal._annexes.imu.vector_correction import UNKNOWN_DIRECTIONS, VectorCorrection
 
-SWEEPS = 20  # of Gauss–Newton
-SETTLED_RADIANS = 1e-10  # rad, by which the last may move
-UNKNOWNS = 4  # the rotation and the dip
-TURNS = Rotation.create_group("O").as_matrix()  # the 24 that take axes to axes
-SCATTER = 0.2  # of sin(dip) between poses, from which on the axes do not fit or the field is none
+MAX_ITERATIONS = 20  # of Gauss–Newton
+CONVERGENCE_RADIANS = 1e-10  # largest last step
+N_PARAMETERS = 4  # the rotation and the dip
+AXIS_ROTATIONS = Rotation.create_group("O").as_matrix()  # the 24 that take axes to axes
+MAX_DIP_SCATTER = 0.2  # standard deviation of sin(dip) between poses: above it axes are wrong
 
 
 def in_frame_of(
@@ -40,7 +40,7 @@ def in_frame_of(
     *,
     shortest: float | None = None,
 ) -> VectorCorrection:
-    """The correction of magnetometers in the axes of the accelerometers of the same unit.
+    """Rotate a magnetometer correction to the axes of the accelerometers of the same unit.
 
     Args:
         field: correction of the magnetometers, of first order in the field.
@@ -63,32 +63,32 @@ def in_frame_of(
         for log, correction in ((force_log, force), (field_log, field))
     ]
     label = next(iter(runs[0]))
-    pull, drawn = runs[0][label], runs[1].get(label)
-    windows = np.zeros((0, 2)) if drawn is None else in_common(pull.ends(), drawn.ends())
-    if drawn is None or len(windows) <= UNKNOWNS:
+    f_run, m_run = runs[0][label], runs[1].get(label)
+    windows = np.zeros((0, 2)) if m_run is None else in_common(f_run.ends(), m_run.ends())
+    if m_run is None or len(windows) <= N_PARAMETERS:
         raise bc.InputError(
             f"{field_log.file}: {len(windows)} poses in common with {force_log.file}, and five or more are needed: log "
             "both together, at rest for some seconds in each of many poses"
         )
-    f, f_slopes, f_own = force.in_poses(pull, windows)
-    m, m_slopes, m_own = field.in_poses(drawn, windows)
-    f_all = f_slopes @ force.covariance @ f_slopes.T + f_own
-    up, f_size = _split(f)
-    along, m_size = _split(m)
-    starts = [np.std(np.sum(up * (along @ r.T), axis=1)) for r in TURNS]
-    turn = TURNS[int(np.argmin(starts))]
-    dip = float(np.mean(np.sum(up * (along @ turn.T), axis=1)))
+    f, f_slopes, f_cov = force.in_poses(f_run, windows)
+    m, m_slopes, m_cov = field.in_poses(m_run, windows)
+    f_all = f_slopes @ force.covariance @ f_slopes.T + f_cov
+    up, f_size = _directions_and_lengths(f)
+    field_direction, m_size = _directions_and_lengths(m)
+    starts = [np.std(np.sum(up * (field_direction @ r.T), axis=1)) for r in AXIS_ROTATIONS]
+    turn = AXIS_ROTATIONS[int(np.argmin(starts))]
+    dip = float(np.mean(np.sum(up * (field_direction @ turn.T), axis=1)))
     terms = field.covariance
 
-    def linear(turn: np.ndarray, dip: float) -> tuple[np.ndarray, ...]:
-        """What is left, its weight, the estimate's gain; what terms of both move it by; covariance beside."""
-        turned = along @ turn.T
+    def linearise(turn: np.ndarray, dip: float) -> tuple[np.ndarray, ...]:
+        """Return residuals, weight, gain, sensitivities to the terms of field and force, covariance of the poses."""
+        turned = field_direction @ turn.T
         cosine = np.sum(up * turned, axis=1)
         by_force = block_diag(*(turned - cosine[:, None] * up) / f_size)
-        by_field = block_diag(*(up @ turn - cosine[:, None] * along) / m_size)
-        beside = by_force @ f_all @ by_force.T + by_field @ m_own @ by_field.T
+        by_field = block_diag(*(up @ turn - cosine[:, None] * field_direction) / m_size)
+        pose_cov = by_force @ f_all @ by_force.T + by_field @ m_cov @ by_field.T
         shared = by_field @ m_slopes
-        weight = np.linalg.inv(beside + shared @ terms @ shared.T)
+        weight = np.linalg.inv(pose_cov + shared @ terms @ shared.T)
         slopes = np.column_stack([np.cross(turned, up), -np.ones(len(up))])
         information = slopes.T @ weight @ slopes
         if np.linalg.cond(information) > 1 / np.finfo(float).eps:
@@ -97,40 +97,40 @@ def in_frame_of(
                 "other: turn the unit about all three axes"
             )
         gain = np.linalg.solve(information, slopes.T @ weight)
-        return cosine - dip, weight, gain, shared, by_force @ f_slopes, beside
+        return cosine - dip, weight, gain, shared, by_force @ f_slopes, pose_cov
 
-    left, weight, gain, shared, of_force, beside = linear(turn, dip)
-    for _ in range(SWEEPS):
-        step = -gain @ left
+    residuals, weight, gain, shared, by_force_terms, pose_cov = linearise(turn, dip)
+    for _ in range(MAX_ITERATIONS):
+        step = -gain @ residuals
         turn = Rotation.from_rotvec(step[:3]).as_matrix() @ turn
         dip += float(step[3])
-        left, weight, gain, shared, of_force, beside = linear(turn, dip)
-        if np.max(np.abs(step)) < SETTLED_RADIANS:
+        residuals, weight, gain, shared, by_force_terms, pose_cov = linearise(turn, dip)
+        if np.max(np.abs(step)) < CONVERGENCE_RADIANS:
             break
-    if not np.std(left) < SCATTER:
+    if not np.std(residuals) < MAX_DIP_SCATTER:
         raise bc.InputError(
-            f"{field_log.file}: the angle between field and gravity differs by {np.std(left):.2g} rad from pose to "
-            "pose, and one field has one dip. Is iron or a current near, or are two columns exchanged?"
+            f"{field_log.file}: the angle between field and gravity differs by {np.std(residuals):.2g} rad from pose "
+            "to pose, and one field has one dip. Is iron or a current near, or are two columns exchanged?"
         )
-    ratio = max(1.0, float(left @ weight @ left) / (len(left) - UNKNOWNS))
+    ratio = max(1.0, float(residuals @ weight @ residuals) / (len(residuals) - N_PARAMETERS))
     gain = gain[:3]
-    made, by_turn = _rotated(field, turn, gain @ shared, ratio * gain @ beside @ gain.T)
-    with_force = by_turn @ gain @ of_force @ force.covariance
+    moved, by_turn = _rotate(field, turn, gain @ shared, ratio * gain @ pose_cov @ gain.T)
+    with_force = by_turn @ gain @ by_force_terms @ force.covariance
     down = np.rad2deg(np.arcsin(np.clip(-dip, -1.0, 1.0)))
-    said = (
+    note = (
         f"Axes are those of the accelerometers, by a field {abs(down):.1f}° {'below' if down >= 0 else 'above'} the "
         "level. If it points to the other side where you are, an axis of the magnetometers points backwards."
     )
-    return replace(made, notes=(said, *made.notes), axes_of=force.source, shared=with_force)
+    return replace(moved, notes=(note, *moved.notes), axes_of=force.source, shared=with_force)
 
 
-def _rotated(
+def _rotate(
     field: VectorCorrection,
     turn: Float[np.ndarray, "3 3"],
-    by_terms: Float[np.ndarray, "3 q"],
-    beside: Float[np.ndarray, "3 3"],
+    turn_by_terms: Float[np.ndarray, "3 q"],
+    turn_cov: Float[np.ndarray, "3 3"],
 ) -> tuple[VectorCorrection, Float[np.ndarray, "q 3"]]:
-    """In other axes, and what a turn of these moves its terms by."""
+    """Return a rotated correction, and the sensitivities of its terms to a small rotation, 1/rad."""
     k, p = field.terms.shape
     rotate = np.eye(p)
     rotate[3:12, 3:12] = np.kron(np.eye(3), turn)
@@ -140,14 +140,14 @@ def _rotated(
     # (1 + [ρ×])ᵀ on the right of a row is ρ × row.
     by_turn[:, 3:12] = np.stack([np.cross(e, matrix) for e in np.eye(3)], axis=3).reshape(k, 9, 3)
     by_turn = by_turn.reshape(k * p, 3)
-    moved = np.kron(np.eye(k), rotate) + by_turn @ by_terms
-    covariance = moved @ field.covariance @ moved.T + by_turn @ beside @ by_turn.T
+    jacobian = np.kron(np.eye(k), rotate) + by_turn @ turn_by_terms
+    covariance = jacobian @ field.covariance @ jacobian.T + by_turn @ turn_cov @ by_turn.T
     notes = [note for note in field.notes if note != UNKNOWN_DIRECTIONS]
-    made = replace(field, terms=terms, covariance=covariance, notes=tuple(notes))
-    return made, by_turn
+    rotated = replace(field, terms=terms, covariance=covariance, notes=tuple(notes))
+    return rotated, by_turn
 
 
-def _split(vectors: Float[np.ndarray, "n 3"]) -> tuple[np.ndarray, np.ndarray]:
-    """Directions (n, 3) and lengths (n, 1)."""
+def _directions_and_lengths(vectors: Float[np.ndarray, "n 3"]) -> tuple[np.ndarray, np.ndarray]:
+    """Return directions (n, 3) and lengths (n, 1) of vectors."""
     size = np.linalg.norm(vectors, axis=1)[:, None]
     return vectors / size, size

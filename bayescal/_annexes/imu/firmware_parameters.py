@@ -42,7 +42,7 @@ ORDER = 3  # of the temperature, the highest that an autopilot takes
 
 @dataclass(frozen=True)
 class AtRest:
-    """Readings of a calibration as its posterior mean says they would be at rest."""
+    """Posterior mean of the readings at rest, at the conditions of a calibration."""
 
     temperature: np.ndarray  # °C, (n,)
     offset: np.ndarray  # of the reading, in `unit`, (n,)
@@ -63,7 +63,7 @@ class AtRest:
 
 @dataclass(frozen=True)
 class ThermalPolynomial:
-    """One axis as firmware has it; single precision, as firmware stores it."""
+    """The offset of one axis as a cubic of the temperature, in single precision as firmware stores it."""
 
     coefficients: tuple[float, float, float, float]  # c0 … c3, in `unit`/°C^k
     reference: float  # T_ref, °C
@@ -79,18 +79,18 @@ class ThermalPolynomial:
 
     @property
     def expected_error(self) -> float:
-        """Root mean square to expect of a corrected reading like those of the calibration, in `unit`."""
+        """Return the expected rms error of a corrected reading like those of the calibration, in `unit`."""
         return float(np.sqrt(self.of.noise**2 + self.of.uncertainty**2 + self.rms**2))
 
     def __call__(self, temperature: np.ndarray) -> np.ndarray:
-        """The offset at these temperatures, °C, held at its ends beyond the range."""
+        """Evaluate the offset at temperatures in °C, clamped to the range."""
         d = np.clip(temperature, self.low, self.high) - self.reference
         c0, c1, c2, c3 = self.coefficients
         return c0 + d * (c1 + d * (c2 + d * c3))
 
 
 def project(of: AtRest, reference: float, low: float, high: float) -> ThermalPolynomial:
-    """The cubic nearest to a calibration between two temperatures.
+    """Fit a cubic to the offsets of a calibration between two temperatures, by least squares.
 
     Args:
         of: the calibration's readings at rest.
@@ -114,10 +114,10 @@ def project(of: AtRest, reference: float, low: float, high: float) -> ThermalPol
     rounded = np.zeros(ORDER + 1, np.float32)
     rounded[: len(fitted.coef)] = fitted.coef
     c0, c1, c2, c3 = map(float, rounded)
-    made = ThermalPolynomial((c0, c1, c2, c3), reference, low, high, 0.0, 0.0, of)
-    left = offset - made(temperature)
-    rms, largest = float(np.sqrt(np.mean(left**2))), float(np.abs(left).max())
-    return replace(made, rms=rms, largest=largest)
+    polynomial = ThermalPolynomial((c0, c1, c2, c3), reference, low, high, 0.0, 0.0, of)
+    residuals = offset - polynomial(temperature)
+    rms, largest = float(np.sqrt(np.mean(residuals**2))), float(np.abs(residuals).max())
+    return replace(polynomial, rms=rms, largest=largest)
 
 
 AXES = "xyz"
@@ -146,7 +146,7 @@ Values = dict[str, float | int]
 
 
 class Autopilot(NamedTuple):
-    """A firmware."""
+    """Parameters of one autopilot firmware: their names, limits and file format."""
 
     title: str  # of it
     sensors: int  # how many of a kind it has parameters for
@@ -158,62 +158,62 @@ class Autopilot(NamedTuple):
     head: tuple[str, ...]  # its first lines
     afterwards: str  # what to do once it is loaded
 
-    def text(self, said: Iterable[str], values: Values) -> str:
-        """A parameter file, with what is said of it in comments."""
-        lines = [f"# {line}".rstrip() for line in (*said, *self.head)]
+    def text(self, comments: Iterable[str], values: Values) -> str:
+        """Format a parameter file with comments at its head."""
+        lines = [f"# {line}".rstrip() for line in (*comments, *self.head)]
         return "\n".join([*lines, *(self.line(n, v) for n, v in values.items()), ""])
 
 
-def _px4_values(found: Polynomials, devices: Mapping[tuple[str, int], int]) -> Values:
+def _px4_values(polynomials: Polynomials, devices: Mapping[tuple[str, int], int]) -> Values:
     values: Values = {}
     for kind, letter in (("acc", "A"), ("gyro", "G")):
-        sensors = sorted({a.sensor for a in found if a.kind == kind})
+        sensors = sorted({a.sensor for a in polynomials if a.kind == kind})
         if sensors:
             values[f"TC_{letter}_ENABLE"] = 1
         for n in sensors:
-            own = {a.axis: p for a, p in found.items() if (a.kind, a.sensor) == (kind, n)}
+            by_axis = {a.axis: p for a, p in polynomials.items() if (a.kind, a.sensor) == (kind, n)}
             if (kind, n) not in devices:
                 raise bc.InputError(
-                    f"{next(iter(own))} of {kind} {n}: PX4 corrects a sensor whose device_id it is given, and the "
+                    f"{next(iter(by_axis))} of {kind} {n}: PX4 corrects a sensor whose device_id it is given, and the "
                     f"calibration does not say it: --device-id {kind}{f'_{n}' if n else ''}=NUMBER (param show "
                     f"CAL_{'GYRO' if kind == 'gyro' else 'ACC'}{n}_ID on the autopilot)"
                 )
-            some = next(iter(own.values()))
+            first = next(iter(by_axis.values()))
             values[f"TC_{letter}{n}_ID"] = devices[kind, n]
-            values[f"TC_{letter}{n}_TREF"] = some.reference
-            values[f"TC_{letter}{n}_TMIN"], values[f"TC_{letter}{n}_TMAX"] = some.low, some.high
+            values[f"TC_{letter}{n}_TREF"] = first.reference
+            values[f"TC_{letter}{n}_TMIN"], values[f"TC_{letter}{n}_TMAX"] = first.low, first.high
             for order in range(4):
                 for place, axis in enumerate(AXES):
-                    kept = axis in own and not (kind == "acc" and order == 0)
-                    value = own[axis].coefficients[order] if kept else 0.0
+                    has_value = axis in by_axis and not (kind == "acc" and order == 0)
+                    value = by_axis[axis].coefficients[order] if has_value else 0.0
                     values[f"TC_{letter}{n}_X{order}_{place}"] = value
     return values
 
 
-def _ardupilot_values(found: Polynomials, devices: Mapping[tuple[str, int], int]) -> Values:
+def _ardupilot_values(polynomials: Polynomials, devices: Mapping[tuple[str, int], int]) -> Values:
     values: Values = {}
-    for n in sorted({a.sensor for a in found}):
-        own = {(a.kind, a.axis): p for a, p in found.items() if a.sensor == n}
-        some, name = next(iter(own.values())), f"INS_TCAL{n + 1}"
-        values |= {f"{name}_ENABLE": 1, f"{name}_TMIN": some.low, f"{name}_TMAX": some.high}
+    for n in sorted({a.sensor for a in polynomials}):
+        by_axis = {(a.kind, a.axis): p for a, p in polynomials.items() if a.sensor == n}
+        first, name = next(iter(by_axis.values())), f"INS_TCAL{n + 1}"
+        values |= {f"{name}_ENABLE": 1, f"{name}_TMIN": first.low, f"{name}_TMAX": first.high}
         for kind, word in (("acc", "ACC"), ("gyro", "GYR")):
             for order in (1, 2, 3):
                 for axis in AXES:
-                    one = own.get((kind, axis))
-                    value = ARDUPILOT_SCALE * one.coefficients[order] if one else 0.0
+                    polynomial = by_axis.get((kind, axis))
+                    value = ARDUPILOT_SCALE * polynomial.coefficients[order] if polynomial else 0.0
                     values[f"{name}_{word}{order}_{axis.upper()}"] = value
     return values
 
 
-def _written(value: float | int) -> str:
-    """A parameter as text: nine digits are all that a number of single precision has, others have more."""
+def _number_text(value: float | int) -> str:
+    """Format a parameter: nine digits where single precision holds it, else thirteen."""
     if isinstance(value, int):
         return str(value)
     return f"{value:.9g}" if float(np.float32(value)) == value else f"{value:.13g}"
 
 
 def _px4_line(name: str, value: float | int) -> str:
-    return f"1\t1\t{name}\t{_written(value)}\t{INTEGER if isinstance(value, int) else REAL}"
+    return f"1\t1\t{name}\t{_number_text(value)}\t{INTEGER if isinstance(value, int) else REAL}"
 
 
 AUTOPILOTS = {
@@ -234,7 +234,7 @@ AUTOPILOTS = {
         together=lambda a: (a.sensor,),
         reference=lambda low, high: ARDUPILOT_REFERENCE,
         values=_ardupilot_values,
-        line=lambda name, value: f"{name},{_written(value)}",
+        line=lambda name, value: f"{name},{_number_text(value)}",
         head=("Parameters, for Mission Planner, MAVProxy or QGroundControl",),
         afterwards="Restart, then calibrate gyroscopes and accelerometers again: their offsets hold for the "
         "temperature INS_GYR*_CALTEMP and INS_ACC*_CALTEMP at which they were found.",
@@ -242,10 +242,10 @@ AUTOPILOTS = {
 }  # fmt: skip
 
 
-def at_rest(
+def read_at_rest(
     chosen: bc.Compensator, unit: str, name: str, local_gravity: float = ws.STANDARD_GRAVITY
 ) -> AtRest:
-    """What a calibrated instrument reads at rest, over the readings of its calibration.
+    """Evaluate a calibrated instrument at rest, at the conditions of the readings of its calibration.
 
     Args:
         chosen: the instrument in use.
@@ -268,13 +268,13 @@ def at_rest(
             f"{name}: the calibration has no column 'temperature', over which firmware corrects: calibrate "
             "with one"
         )
-    program, rest = chosen.program, np.zeros(len(calibration.readings))
+    program, no_stimulus = chosen.program, np.zeros(len(calibration.readings))
     (expected,) = program.graph.evaluate(
-        (program.equation.expected,), {**inputs, ws.STIMULUS: rest}
+        (program.equation.expected,), {**inputs, ws.STIMULUS: no_stimulus}
     )
-    expected = np.broadcast_to(expected, rest.shape)
-    _, own, slope = program.run(expected, inputs)
-    own = own / np.where(slope > 0, slope, 1.0)  # of the reading, not of the stimulus
+    expected = np.broadcast_to(expected, no_stimulus.shape)
+    _, sd, slope = program.run(expected, inputs)
+    sd = sd / np.where(slope > 0, slope, 1.0)  # of the reading, not of the stimulus
     scale = np.zeros(1)
     if chosen.equation.slope_calibrated:
         like = {"local_gravity": local_gravity, "difference": True}
@@ -296,8 +296,8 @@ def at_rest(
         temperature=np.asarray(inputs["temperature"], float),
         offset=converted(expected),
         unit=unit,
-        noise=rms(chosen.noise_variance({**inputs, chosen.stimulus: rest})),
-        uncertainty=rms(own**2),
+        noise=rms(chosen.noise_variance({**inputs, chosen.stimulus: no_stimulus})),
+        uncertainty=rms(sd**2),
         scale=(float(scale.min()), float(scale.max())),
     )
 
@@ -325,10 +325,10 @@ class FirmwareParameters:
     notes: tuple[str, ...]
 
     def __str__(self) -> str:
-        return "\n".join(self._said(str))
+        return "\n".join(self._table_lines(str))
 
-    def _said(self, spelled: Callable[[str], str]) -> list[str]:
-        """Lines of the table and the notes; `spelled` is done to each cell before columns are laid out."""
+    def _table_lines(self, encode: Callable[[str], str]) -> list[str]:
+        """Return the lines of the table and the notes; `encode` is applied to each cell before the layout."""
         head = ["axis", "unit", "from °C", "to °C", "u(calibration)", "noise"]
         head += ["not in the cubic, rms", "largest", "error to expect, rms"]
         rows = [
@@ -340,24 +340,24 @@ class FirmwareParameters:
             ]
             for name, p in self.axes.items()
         ]
-        laid_out = ws.plain_table([*map(spelled, head)], [[*map(spelled, row)] for row in rows])
-        return [*str(laid_out).splitlines(), *map(spelled, self.notes)]
+        laid_out = ws.plain_table([*map(encode, head)], [[*map(encode, row)] for row in rows])
+        return [*str(laid_out).splitlines(), *map(encode, self.notes)]
 
     def text(self) -> str:
-        """The parameter file, ASCII."""
+        """Return the parameter file, in ASCII."""
         autopilot = AUTOPILOTS[self.format]
-        said = [
+        comments = [
             f"Thermal parameters of {autopilot.title}, made by bayescal {bc.__version__}",
             *(f"{name}: calibration {identity}" for name, identity in self.sources.items()),
             *(
                 line.replace("─", "-")
-                for line in self._said(lambda t: ws.ascii_text(ws.one_line(t)))
+                for line in self._table_lines(lambda t: ws.ascii_text(ws.one_line(t)))
             ),
         ]
-        return autopilot.text(said, self.values)
+        return autopilot.text(comments, self.values)
 
     def write(self, path: str | Path) -> Path:
-        """Write the parameter file, beside and then renamed.
+        """Write the parameter file atomically.
 
         Raises:
             InputError: a place that cannot be written to.
@@ -372,7 +372,7 @@ def firmware_parameters(
     devices: Mapping[str, int] | None = None,
     local_gravity: float = ws.STANDARD_GRAVITY,
 ) -> FirmwareParameters:
-    """The thermal parameters of PX4 or ArduPilot that calibrations at rest come to.
+    """Convert calibrations at rest to thermal parameters of PX4 or ArduPilot.
 
     A model that is no cubic of the temperature is projected on one, by least squares over the readings of
     its calibration; what that leaves out stands in the result and in its file. Formulas and their sources
@@ -399,25 +399,25 @@ def firmware_parameters(
         _axis(name, autopilot): c if isinstance(c, bc.Compensator) else bc.compensator(c)
         for name, c in calibrations.items()
     }
-    rest = {a: at_rest(c, a.unit, str(a), local_gravity) for a, c in sorted(chosen.items())}
-    found: dict[Axis, ThermalPolynomial] = {}
-    for key in dict.fromkeys(map(autopilot.together, rest)):
-        own = {a: r for a, r in rest.items() if autopilot.together(a) == key}
-        low, high = _range(own)
+    bases = {a: read_at_rest(c, a.unit, str(a), local_gravity) for a, c in sorted(chosen.items())}
+    polynomials: dict[Axis, ThermalPolynomial] = {}
+    for key in dict.fromkeys(map(autopilot.together, bases)):
+        group = {a: r for a, r in bases.items() if autopilot.together(a) == key}
+        low, high = _common_range(group)
         reference = float(autopilot.reference(low, high))
-        found |= {a: project(r, reference, low, high) for a, r in own.items()}
-    values = autopilot.values(found, _devices(chosen, devices or {}))
+        polynomials |= {a: project(r, reference, low, high) for a, r in group.items()}
+    values = autopilot.values(polynomials, _device_ids(chosen, devices or {}))
     sources = {
         str(a): ws.identity(c.calibration) for a, c in sorted(chosen.items()) if c.calibration
     }
-    axes = {str(a): p for a, p in found.items()}
+    axes = {str(a): p for a, p in polynomials.items()}
     return FirmwareParameters(
-        format, values, axes, sources, tuple(_notes(found, chosen, autopilot))
+        format, values, axes, sources, tuple(_notes(polynomials, chosen, autopilot))
     )
 
 
 def axis_of(calibration: bc.Calibration) -> str | None:
-    """The axis that a calibration is of, by the label `axis` of its readings or the column read; None if by neither."""
+    """Return the axis of a calibration by the label `axis` of its readings, else by the column read, or None."""
     readings = calibration.readings
     labels = readings.groups("axis")[0] if readings.has("axis") else ()
     named = set(labels) or {source.output for source in readings.sources}
@@ -435,11 +435,11 @@ def _axis(name: str, autopilot: Autopilot) -> Axis:
     return Axis(match[1], match[2], int(match[3] or 0))
 
 
-def _range(own: Mapping[Axis, AtRest]) -> tuple[float, float]:
-    """The temperatures that all axes of a sensor were calibrated at."""
-    low, high = max(r.low for r in own.values()), min(r.high for r in own.values())
+def _common_range(axes: Mapping[Axis, AtRest]) -> tuple[float, float]:
+    """Return the range of temperatures in which all axes of a sensor were calibrated, °C."""
+    low, high = max(r.low for r in axes.values()), min(r.high for r in axes.values())
     if not low < high:
-        ranges = ", ".join(f"{a} {r.low:.4g} to {r.high:.4g} °C" for a, r in own.items())
+        ranges = ", ".join(f"{a} {r.low:.4g} to {r.high:.4g} °C" for a, r in axes.items())
         raise bc.InputError(
             f"one range of temperatures holds for these axes, and they share none: {ranges}. Calibrate them "
             "over one range, or leave one out"
@@ -447,11 +447,11 @@ def _range(own: Mapping[Axis, AtRest]) -> tuple[float, float]:
     return low, high
 
 
-def _devices(
-    chosen: Mapping[Axis, bc.Compensator], said: Mapping[str, int]
+def _device_ids(
+    chosen: Mapping[Axis, bc.Compensator], stated: Mapping[str, int]
 ) -> dict[tuple[str, int], int]:
-    """device_id of each sensor: what is said, else what its log named."""
-    found: dict[tuple[str, int], int] = {}
+    """Return the device_id of each sensor: as stated, else as in its log."""
+    device_ids: dict[tuple[str, int], int] = {}
     for a, c in chosen.items():
         readings = c.calibration.readings if c.calibration else None
         named = readings.groups("device")[0] if readings and readings.has("device") else ()
@@ -461,12 +461,12 @@ def _devices(
             )
         if named and named[0].isdecimal():
             device = int(named[0])
-            if found.setdefault((a.kind, a.sensor), device) != device:
+            if device_ids.setdefault((a.kind, a.sensor), device) != device:
                 raise bc.InputError(
                     f"{a} is of the device {device}, another axis of its sensor of "
-                    f"{found[a.kind, a.sensor]}: give calibrations of one sensor"
+                    f"{device_ids[a.kind, a.sensor]}: give calibrations of one sensor"
                 )
-    for name, device in said.items():
+    for name, device in stated.items():
         match = _SENSOR.fullmatch(name)
         key = (match[1], int(match[2] or 0)) if match else ("", 0)
         if not any((a.kind, a.sensor) == key for a in chosen):
@@ -474,20 +474,20 @@ def _devices(
             raise bc.InputError(
                 f"device {name!r} is none of the sensors given: {', '.join(sensors)}"
             )
-        found[key] = device
-    return found
+        device_ids[key] = device
+    return device_ids
 
 
 def _notes(
-    found: Mapping[Axis, ThermalPolynomial],
+    polynomials: Mapping[Axis, ThermalPolynomial],
     chosen: Mapping[Axis, bc.Compensator],
     autopilot: Autopilot,
 ) -> list[str]:
-    sensors = dict.fromkeys((a.kind, a.sensor) for a in found)
-    every = [Axis(kind, x, sensor) for kind, sensor in sensors for x in AXES]
-    missing = ", ".join(str(a) for a in every if a not in found)
+    sensors = dict.fromkeys((a.kind, a.sensor) for a in polynomials)
+    all_axes = [Axis(kind, x, sensor) for kind, sensor in sensors for x in AXES]
+    missing = ", ".join(str(a) for a in all_axes if a not in polynomials)
     notes = [f"Not calibrated, and written without a correction: {missing}."] * bool(missing)
-    for a, p in found.items():
+    for a, p in polynomials.items():
         narrower = p.low - p.of.low > 1e-3 or p.of.high - p.high > 1e-3
         if narrower:
             notes.append(
@@ -495,7 +495,7 @@ def _notes(
                 f"{p.high:.1f} °C."
             )
         if any(p.of.scale):
-            by = " to ".join(dict.fromkeys(f"{ws.number(100 * one)} %" for one in p.of.scale))
+            by = " to ".join(dict.fromkeys(f"{ws.number(100 * k)} %" for k in p.of.scale))
             notes.append(
                 f"{a}: the scale factor differs from nominal by {by}, has no place here, and is left out."
             )

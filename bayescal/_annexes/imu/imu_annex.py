@@ -1,4 +1,4 @@
-"""What the annex of three axes offers: commands, corrections, formats of exports, parts of results.
+"""Registration of the annex of three axes: commands, corrections, formats of exports, parts of results.
 
 Light: heavy modules load inside.
 """
@@ -13,7 +13,7 @@ from typing import Any
 import bayescal as bc
 from bayescal import workshop as ws
 
-MOST_ADDED = 5  # effects that are added
+MAX_EFFECTS_ADDED = 5  # effects that are added
 SENSORS = {
     "accelerometer_triad": "accelerometers",
     "gyro_triad": "gyroscopes",
@@ -24,7 +24,7 @@ REPORT = "report.html"
 
 
 class TriadOptions(ws.ReadRequest, ws.AsJson, ws.Options):
-    """What is asked of three axes, one triad or all of a unit."""
+    """Options of the commands for three axes, of one triad or of all triads of a unit."""
 
     shortest: float | None = ws.opt("Shortest pose in a log, s; 2, or 1 where many are shorter.")
     baseline: bool = ws.opt("Look for no effect beside bias, scale, misalignment.", False)
@@ -34,7 +34,7 @@ class TriadOptions(ws.ReadRequest, ws.AsJson, ws.Options):
     name: str | None = ws.opt("With which all names in C begin; else that of the instrument.")
 
     def refuse_options(self) -> None:
-        """Refuse a name or a length that cannot be."""
+        """Raise InputError for an invalid name or a pose duration that is not positive."""
         ws.sensor_name(self.name, "")
         if self.shortest is not None and not self.shortest > 0:
             raise bc.InputError(f"--shortest {self.shortest:g}: give a positive number of seconds")
@@ -64,7 +64,7 @@ class TriadCommand(TriadOptions, ws.Command):
         if self.dry_run:
             return ws.Answer(str(bc.undetermined(model, readings)))
         with ws.result_folder(self.out) as folder:
-            trail, correction = _calibrated(model, readings, self)
+            trail, correction = _calibrate(model, readings, self)
             if folder is not None:
                 with ws.whole_folder(folder) as hidden:
                     _write(hidden, trail, correction, readings, self.name)
@@ -86,50 +86,50 @@ class ImuCommand(TriadOptions, ws.Command):
         with ws.result_folder(self.out) as folder:
             logs = self.logs()
             (force, forces), (turns, rates), *others = logs.values()
-            long, left = {"shortest": self.shortest}, len(logs)
-            poses = bc.poses(forces, force, **long)
+            options, count = {"shortest": self.shortest}, len(logs)
+            poses = bc.poses(forces, force, **options)
             ws.print_notes(poses.flags)
             model = force.for_readings(poses).baseline()
-            (trail, first) = _calibrated(model, poses, self, left=left)
-            found = {"accelerometer": (trail, first, poses)}
-            moves = bc.moves(rates, turns, forces, first, **long)
+            (trail, first) = _calibrate(model, poses, self, uncalibrated=count)
+            triads = {"accelerometer": (trail, first, poses)}
+            moves = bc.moves(rates, turns, forces, first, **options)
             ws.print_notes(moves.flags)
             model = dict(turns.structures)["moves"]()
-            found["gyroscope"] = (*_calibrated(model, moves, self, left=left - 1), moves)
+            triads["gyroscope"] = (*_calibrate(model, moves, self, uncalibrated=count - 1), moves)
             for field, log in others:
 
-                def turned(own: Any, log: Any = log) -> Any:
-                    return bc.in_frame_of(own, log, first, forces, **long)
+                def rotate(correction: Any, log: Any = log) -> Any:
+                    return bc.in_frame_of(correction, log, first, forces, **options)
 
-                its = bc.poses(log, field, **long)
-                ws.print_notes(its.flags)
-                model = field.for_readings(its).baseline()
-                found["magnetometer"] = (*_calibrated(model, its, self, turned), its)
+                at_rest = bc.poses(log, field, **options)
+                ws.print_notes(at_rest.flags)
+                model = field.for_readings(at_rest).baseline()
+                triads["magnetometer"] = (*_calibrate(model, at_rest, self, rotate), at_rest)
             if folder is not None:
-                each = [correction for _, correction, _ in found.values()]
-                named = ws.names_in_unit(self.name, each)
+                vectors = [correction for _, correction, _ in triads.values()]
+                c_names = ws.names_in_unit(self.name, vectors)
                 with ws.whole_folder(folder) as hidden:
-                    for (name, one), own in zip(found.items(), named, strict=True):
-                        _write(hidden / name, *one, own)
+                    for (name, triad), c_name in zip(triads.items(), c_names, strict=True):
+                        _write(hidden / name, *triad, c_name)
                     for file in ("imu.h", "imu.py"):
-                        bc.export_vector(first, hidden / file, others=each[1:], name=self.name)
-                    bc.export_vector(first, hidden / "imu.yaml", others=each[1:2])
-            data = {name: correction.data() for name, (_, correction, _) in found.items()}
+                        bc.export_vector(first, hidden / file, others=vectors[1:], name=self.name)
+                    bc.export_vector(first, hidden / "imu.yaml", others=vectors[1:2])
+            data = {name: correction.data() for name, (_, correction, _) in triads.items()}
             return _answer(
-                {name: trail for name, (trail, _, _) in found.items()}, data, folder, self
+                {name: trail for name, (trail, _, _) in triads.items()}, data, folder, self
             )
 
     def logs(self) -> dict[str, tuple[Any, Any]]:
-        """Read each sensor's columns of the log; refuse with all that is wrong, of all sensors."""
+        """Read each sensor's columns of the log; raise InputError with the objections of all sensors."""
         from bayescal._annexes.imu.logs import LOG_FORMATS
 
-        how, needed = self.for_read(), bool(self.magnetometers or self.local_field)
-        given = {name: _three(sensors, getattr(self, sensors)) for name, sensors in SENSORS.items()}
+        read_options, needed = self.for_read(), bool(self.magnetometers or self.local_field)
+        names = {name: _three_names(s, getattr(self, s)) for name, s in SENSORS.items()}
         if not (needed or all(path.suffix.lower() in LOG_FORMATS for path in self.files)):
-            given.popitem()
+            names.popitem()
         logs, problems = dict[str, tuple[Any, Any]](), ws.Objections()
-        for name, three in given.items():
-            named = {**how, "columns": three | how["columns"]}
+        for name, three in names.items():
+            named = {**read_options, "columns": three | read_options["columns"]}
             instrument, sensors = ws.instrument_named(name), SENSORS[name]
             if sensors != "magnetometers":
                 named.pop("local_field", None)
@@ -138,50 +138,50 @@ class ImuCommand(TriadOptions, ws.Command):
             except bc.InputError as error:
                 if not error.problems:
                     raise
-                if sensors == "magnetometers" and not needed and _lacks_outputs(error.problems):
+                if sensors == "magnetometers" and not needed and _missing_outputs(error.problems):
                     continue
-                problems += _of_sensor(sensors, instrument, error.problems)
+                problems += _summarise_missing_columns(sensors, instrument, error.problems)
         problems.refuse()
         self.keep()
         return logs
 
 
 def _answer(
-    trails: Mapping[str, Any], data: Any, folder: Path | None, asked: TriadOptions
+    trails: Mapping[str, Any], data: Any, folder: Path | None, options: TriadOptions
 ) -> ws.Answer:
-    """What was found of three axes, by the folder in this one: its words are printed already."""
-    made = folder is None or _draw(trails, folder)
-    for place in dict.fromkeys((*trails, "")) if folder is not None and not asked.json_ else ():
+    """Draw and list the results of triads, whose summaries are printed already, as the answer of a command."""
+    made = folder is None or _draw_triads(trails, folder)
+    for place in dict.fromkeys((*trails, "")) if folder is not None and not options.json_ else ():
         names = (*ws.files_of(folder / place), ws.MANIFEST)
         print(f"written: {folder / place}/{', '.join(names)}")
     why = [trail.gate.reason for trail in trails.values() if not trail.ok]
-    shown = data if asked.json_ else None
-    return ws.Answer(shown, ok=not why, why="; ".join(why[:1]), made=made)
+    json_data = data if options.json_ else None
+    return ws.Answer(json_data, ok=not why, why="; ".join(why[:1]), made=made)
 
 
-def _three(sensors: str, given: str | None) -> dict[str, str]:
+def _three_names(sensors: str, text: str | None) -> dict[str, str]:
     """Return the columns of three outputs in a file, as the option of these sensors names them."""
-    names = ws.names_in(given)
+    names = ws.names_in(text)
     if len(names) not in (0, 3):
-        raise bc.InputError(f"--{sensors} {given!r}: give three, as ax,ay,az, not {len(names)}")
+        raise bc.InputError(f"--{sensors} {text!r}: give three, as ax,ay,az, not {len(names)}")
     return dict(zip((f"output_{a}" for a in "xyz"), names, strict=False))
 
 
-def _lacks_outputs(problems: Sequence[ws.Objection]) -> list[ws.Objection]:
+def _missing_outputs(problems: Sequence[ws.Objection]) -> list[ws.Objection]:
     """Return the objections to three outputs, where a file has none of them."""
-    found = [p for p in problems if p.column in {f"output_{axis}" for axis in "xyz"}]
-    return found if len(found) == 3 else []
+    missing = [p for p in problems if p.column in {f"output_{axis}" for axis in "xyz"}]
+    return missing if len(missing) == 3 else []
 
 
-def _of_sensor(
+def _summarise_missing_columns(
     sensors: str, instrument: Any, problems: Sequence[ws.Objection]
 ) -> Sequence[ws.Objection]:
-    """Objections of a log, with one sentence in place of three where it has none of a sensor's three columns."""
-    if not (missing := _lacks_outputs(problems)):
+    """Replace the objections to a sensor's three columns by one where the log has none of them."""
+    if not (missing := _missing_outputs(problems)):
         return problems
     words = (word for p in missing for word in shlex.split(p.option.strip("()")))
-    own = dict.fromkeys(w.partition("=")[2] for w in words if w.startswith("output_"))
-    three = ",".join(own if len(own) == 3 else (f"{sensors[0]}{axis}" for axis in "xyz"))
+    names = dict.fromkeys(w.partition("=")[2] for w in words if w.startswith("output_"))
+    three = ",".join(names if len(names) == 3 else (f"{sensors[0]}{axis}" for axis in "xyz"))
     return [
         ws.Objection(
             missing[0].file,
@@ -191,47 +191,47 @@ def _of_sensor(
     ]
 
 
-def _calibrated(
+def _calibrate(
     model: Any,
     readings: Any,
-    asked: TriadOptions,
-    turned: Callable[[Any], Any] = lambda correction: correction,
-    left: int = 1,
+    options: TriadOptions,
+    to_axes: Callable[[Any], Any] = lambda correction: correction,
+    uncalibrated: int = 1,
 ) -> tuple[Any, Any]:
-    """Search and correction, printed or to be printed as JSON.
+    """Search for the effects of a triad and compute its correction; print both unless JSON is asked for.
 
     Args:
-        model: to begin with.
+        model: start of the search.
         readings: of poses or moves.
-        asked: what is.
-        turned: takes the correction to other axes.
-        left: sensors of the unit that are not calibrated yet, and share the time.
+        options: of the command.
+        to_axes: rotates the correction to other axes.
+        uncalibrated: number of sensors of the unit that are not calibrated yet, and share the time.
     """
-    untold = bc.undetermined(model, readings)
-    if untold.add:
-        ws.print_notes([str(untold)])
+    undetermined = bc.undetermined(model, readings)
+    if undetermined.add:
+        ws.print_notes([str(undetermined)])
     # Where poses leave directions open, chains would go through the priors of these for minutes; where they leave
     # nothing to tell the noise by, so would draws.
-    few = len(readings) <= sum(len(e.coefficients) for e in model.effects)
-    method = bc.LeastSquares() if few else bc.Marginal(chains=not untold.add)
-    most = 0 if asked.baseline or few else MOST_ADDED
-    with ws.deadline.sooner(1 / left):
-        trail = bc.calibrate(model, readings, method=method, seed=asked.seed, max_effects=most)
+    is_open = len(readings) <= sum(len(e.coefficients) for e in model.effects)
+    method = bc.LeastSquares() if is_open else bc.Marginal(chains=not undetermined.add)
+    limit = 0 if options.baseline or is_open else MAX_EFFECTS_ADDED
+    with ws.deadline.sooner(1 / uncalibrated):
+        trail = bc.calibrate(model, readings, method=method, seed=options.seed, max_effects=limit)
     correction = bc.vector_correction(trail.calibration)  # averaged over the structures
-    correction = turned(correction)
+    correction = to_axes(correction)
     ws.print_notes(correction.notes)
-    if not asked.json_:
+    if not options.json_:
         print(triad_text(trail, correction))
     return trail, correction
 
 
 def triad_text(trail: bc.SearchPath, correction: bc.VectorCorrection) -> str:
-    """What is found of three axes: the errors, the coefficients, and offset and matrix as exports have them."""
+    """Format the result of a triad: the search, the coefficients, and offset and matrix as exports have them."""
     return f"{trail}\n\n{ws.coefficients_text(trail)}\n\n{correction}"
 
 
 def _write(folder: Path, trail: Any, correction: Any, readings: Any, sensor: str | None) -> None:
-    """All that there is of three axes but what is drawn, to a folder that is not seen yet."""
+    """Write the search, the corrections and the poses of a triad to a staging folder, without pictures."""
     from bayescal._annexes.imu.vector_parameters import left_out
 
     ws.write_search(trail, folder)
@@ -242,65 +242,65 @@ def _write(folder: Path, trail: Any, correction: Any, readings: Any, sensor: str
     readings.write(folder / "poses.csv")
 
 
-def _draw(trails: Mapping[str, Any], folder: Path) -> bool:
-    """Pictures and reports of three axes, in the folders of their results in this one, and a report of all."""
-    made = [ws.drawn(ws.draw_search, trails, folder)]
+def _draw_triads(trails: Mapping[str, Any], folder: Path) -> bool:
+    """Draw pictures and reports of each triad in its subfolder, and one report of all."""
+    outcomes = [ws.drawn(ws.draw_search, trails, folder)]
 
     def reports() -> None:
         with ws.drawing(REPORT), ws.whole_folder(folder, more=True) as hidden:
             for place, trail in trails.items():
                 (hidden / place).mkdir(exist_ok=True)
-                made.append(ws.drawn(bc.report, trail, hidden / place / REPORT))
+                outcomes.append(ws.drawn(bc.report, trail, hidden / place / REPORT))
             if len(trails) > 1:
-                made.append(ws.drawn(bc.report, [*trails.values()], hidden / REPORT))
+                outcomes.append(ws.drawn(bc.report, [*trails.values()], hidden / REPORT))
 
-    return all((ws.drawn(reports), *made))
+    return all((ws.drawn(reports), *outcomes))
 
 
-def parameters(asked: ws.ExportCommand) -> ws.Answer:
-    """`bayescal export` to parameters of an autopilot: of calibrations by axis, or of a triad."""
-    several = ws.of_units(asked.calibrations, ws.CALIBRATION)
-    loaded = asked.loaded(several)
+def parameters(cmd: ws.ExportCommand) -> ws.Answer:
+    """Export parameters of an autopilot, from calibrations of single axes or of a triad."""
+    several = ws.of_units(cmd.calibrations, ws.CALIBRATION)
+    loaded = cmd.loaded(several)
     if loaded and not isinstance(loaded[0][1], bc.Compensator):
-        return asked.written([one for _, one in loaded])
-    given, numbers = by_axis(loaded, asked.axis, asked), device_numbers(asked.device_id)
-    how = {"devices": numbers, "local_gravity": asked.gravity}
-    found = bc.firmware_parameters(given, str(asked.format_), **how)
-    text = found.text() if asked.out is None else f"{found}\n\nwritten: {found.write(asked.out)}"
-    return ws.Answer(text.removesuffix("\n"), **ws.reliable(given))
+        return cmd.written([compensator for _, compensator in loaded])
+    compensators, numbers = by_axis(loaded, cmd.axis, cmd), parse_device_ids(cmd.device_id)
+    options = {"devices": numbers, "local_gravity": cmd.gravity}
+    file = bc.firmware_parameters(compensators, str(cmd.format_), **options)
+    text = file.text() if cmd.out is None else f"{file}\n\nwritten: {file.write(cmd.out)}"
+    return ws.Answer(text.removesuffix("\n"), **ws.reliable(compensators))
 
 
 def by_axis(
-    given: Sequence[tuple[Path, bc.Compensator]], named: list[str] | None, own: ws.InUse
+    loaded: Sequence[tuple[Path, bc.Compensator]], axes: list[str] | None, options: ws.InUse
 ) -> dict[str, bc.Compensator]:
-    """Calibrations by their axis: as their readings name it, or as the user does."""
+    """Return calibrations by axis, as their readings or the user name it."""
     from bayescal._annexes.imu.firmware_parameters import axis_of
 
-    found, files = dict[str, bc.Compensator](), dict[str, Path]()
-    every = [(axis_of(c.calibration) if c.calibration else None, p, c) for p, c in given]
-    pairs = (pair for one in named or [] for pair in ws.named_values([one], "--axis").items())
-    every += [(name, Path(p), ws.compensator_from(Path(p), own)) for name, p in pairs]
-    for name, path, chosen in every:
+    compensators, files = dict[str, bc.Compensator](), dict[str, Path]()
+    candidates = [(axis_of(c.calibration) if c.calibration else None, p, c) for p, c in loaded]
+    pairs = (pair for text in axes or [] for pair in ws.named_values([text], "--axis").items())
+    candidates += [(name, Path(p), ws.compensator_from(Path(p), options)) for name, p in pairs]
+    for name, path, chosen in candidates:
         if name is None:
             raise bc.InputError(
                 f"{path}: its readings do not say of which axis it is: --axis gyro_x={path} in its place"
             )
-        if name in found:
+        if name in compensators:
             raise bc.InputError(
                 f"{path} and {files[name]} are both of {name}: give one, or say of which axis each is "
                 f"(--axis gyro_y={path})"
             )
-        found[name], files[name] = chosen, path
-    return found
+        compensators[name], files[name] = chosen, path
+    return compensators
 
 
-def device_numbers(given: list[str] | None) -> dict[str, int]:
-    """--device-id as `firmware_parameters` takes it."""
-    said = ws.named_values(given, "--device-id")
-    for name, value in said.items():
+def parse_device_ids(options: list[str] | None) -> dict[str, int]:
+    """Parse the values of --device-id to numbers by sensor."""
+    values_by_sensor = ws.named_values(options, "--device-id")
+    for name, value in values_by_sensor.items():
         if not value.isdecimal():
             raise bc.InputError(f"--device-id {name}={value}: {value!r} is not a whole number")
-    return {name: int(value) for name, value in said.items()}
+    return {name: int(value) for name, value in values_by_sensor.items()}
 
 
 def _exports() -> dict[str, Callable[[ws.ExportCommand], ws.Answer]]:
@@ -317,16 +317,16 @@ def _result(calibration: bc.Calibration, average: bc.Calibration | None) -> dict
     return {"vector": vector_data(calibration, average)}
 
 
-HERE = "bayescal._annexes.imu"
+ROOM = "bayescal._annexes.imu"
 ANNEX = {
     "commands": (TriadCommand, ImuCommand),
     "exports": _exports,
-    "corrections": f"{HERE}.vector_files:KINDS",
+    "corrections": f"{ROOM}.vector_files:KINDS",
     "corrected": "bayescal:vector_correction",
     "noise_file": "bayescal:kalibr_yaml",
     "result": _result,
-    "coefficient_tables": f"{HERE}.vector_files:coefficient_tables",
-    "pictures": f"{HERE}.sphere:pictures",
-    "log": f"{HERE}.logs:open_log",
-    "scalar_readings": f"{HERE}.scalar_readings:scalar_readings",
+    "coefficient_tables": f"{ROOM}.vector_files:coefficient_tables",
+    "pictures": f"{ROOM}.sphere:pictures",
+    "log": f"{ROOM}.logs:open_log",
+    "scalar_readings": f"{ROOM}.scalar_readings:scalar_readings",
 }

@@ -1,4 +1,4 @@
-"""The noise of an inertial unit as a file that Kalibr reads (imu.yaml), from channels at rest.
+"""The noise of an inertial unit as a file for Kalibr (imu.yaml), from channels at rest.
 
 Kalibr's noise model has two terms, in continuous time: a noise density (N of IEEE 952) and the random walk of the bias
 (K). Source: https://github.com/ethz-asl/kalibr/wiki/IMU-Noise-Model.
@@ -14,18 +14,16 @@ from bayescal import workshop as ws
 from bayescal._annexes.imu.vector_parameters import si_of
 
 KINDS = {"accelerometer": "m/s^2", "gyroscope": "rad/s"}
-BRIEF = {
-    "quantisation": "quantisation",
-    "averaging": "what the sensor has averaged",
-}  # terms of neighbouring readings alone
+# Terms that correlate neighbouring readings only.
+SHORT_TERMS = {"quantisation": "quantisation", "averaging": "what the sensor has averaged"}
 TOPIC = re.compile(r"[~/]?[A-Za-z][A-Za-z0-9_/]*")  # http://wiki.ros.org/Names
-EVEN = 0.05  # of the step, by which those of channels of one unit may differ
+STEP_TOLERANCE = 0.05  # relative difference of the sampling steps of one unit's channels
 
 
 def kalibr_yaml(
     channels: Mapping[str, bc.SensorNoise], topic: str = "/imu0", quantile: float | None = None
 ) -> str:
-    """Text of an imu.yaml; of several axes the noisiest.
+    """Format an imu.yaml from the noise of channels; of several axes the noisiest counts.
 
     Args:
         channels: noise of each channel, by its name, of an accelerometer, a gyroscope, or both.
@@ -43,7 +41,7 @@ def kalibr_yaml(
             f"the topic {topic!r} is no name of ROS: letters, digits, _ and /, such as /imu0"
         )
     steps = {name: noise.step for name, noise in channels.items()}
-    if max(steps.values()) > (1 + EVEN) * min(steps.values()):
+    if max(steps.values()) > (1 + STEP_TOLERANCE) * min(steps.values()):
         raise bc.InputError(f"channels of one unit have one rate, not steps of {steps} s")
     kinds = {name: _kind(name, noise.unit) for name, noise in channels.items()}
     lines = [
@@ -54,15 +52,15 @@ def kalibr_yaml(
         lines.append(f"# {ws.c_comment(name)}: {noise.law}. {_left_out(noise)}")
         for n in (figure for figure in noise.figures if figure.symbol == "N"):
             middle, low, high = (f"{value:.4e}" for value in n.si)
-            seen = "not seen" if n.bound else f"{middle} {n.si_unit} ({low} to {high})"
-            lines.append(f"#   N: {seen}")
+            density_text = "not seen" if n.bound else f"{middle} {n.si_unit} ({low} to {high})"
+            lines.append(f"#   N: {density_text}")
     for kind, unit in KINDS.items():
-        own = [noise for name, noise in channels.items() if kinds[name] == kind]
+        group = [noise for name, noise in channels.items() if kinds[name] == kind]
         lines.append(f"# {kind}, {unit}")
-        if not own:
+        if not group:
             lines.append(f"#   no {kind} was given: its two numbers are missing")
             continue
-        pairs = [[v * si_of(one.unit)[0] for v in one.for_filter(quantile)] for one in own]
+        pairs = [[v * si_of(c.unit)[0] for v in c.for_filter(quantile)] for c in group]
         density, walk = (max(column) for column in zip(*pairs, strict=True))
         lines.append(f"{kind}_noise_density: {density:.4e}")
         lines.append(f"{kind}_random_walk: {walk:.4e}")
@@ -71,13 +69,13 @@ def kalibr_yaml(
 
 
 def _left_out(noise: bc.SensorNoise) -> str:
-    horizon, lasting = f"{noise.horizon:.3g} s", {*noise.terms} - BRIEF.keys()
+    horizon, lasting = f"{noise.horizon:.3g} s", {*noise.terms} - SHORT_TERMS.keys()
     brief = "".join(
-        f"White noise stands for {said} too. " for t, said in BRIEF.items() if t in noise.terms
+        f"White noise stands for {w} too. " for t, w in SHORT_TERMS.items() if t in noise.terms
     )
     if not lasting:
-        said = f"No random walk is seen in averages up to {horizon}: the one given is a bound."
-        return brief + said
+        term = f"No random walk is seen in averages up to {horizon}: the one given is a bound."
+        return brief + term
     if lasting == {"walk"}:
         return brief.strip() or "Nothing is left out."
     return (

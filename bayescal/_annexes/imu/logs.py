@@ -1,4 +1,4 @@
-"""What a log holds, whatever its format: sensors with channels, each sampled at times of its own.
+"""Logs of inertial sensors in their formats: sensors with channels, each sampled at its own times.
 
 ArduPilot's .bin (DataFlash), by pymavlink's DFReader: the messages IMU, with the temperature T. Fields and units:
 ardupilot, libraries/AP_InertialSensor/LogStructure.h (TimeUS in µs since start, I the instance, GyrX…Z in rad/s,
@@ -55,15 +55,15 @@ def triad(
     """Return the channels of three axes, of the `instance`-th sensor of its kind ("gyro", "acc" or "mag"), from 0."""
     number = f"_{instance}" if instance else ""
     return {
-        f"{kind}_{axis}{number}": (np.asarray(own, float), unit)
-        for axis, own in zip(AXES, values, strict=True)
+        f"{kind}_{axis}{number}": (np.asarray(samples, float), unit)
+        for axis, samples in zip(AXES, values, strict=True)
     }
 
 
 def columns_of(
     sensors: Collection[Sensor], chosen: Collection[str], file: str
 ) -> tuple[dict[str, np.ndarray], list[str]]:
-    """Return the chosen channels as columns, with time, temperature and what they are of, and what was done to it.
+    """Return the chosen channels as columns on one time base with temperature and labels, and notes on the conversion.
 
     The rows are the samples of the chosen sensor that is sampled most slowly. Other sensors give their sample nearest
     in time, so that noise stays as it is; the temperature, where it was sampled at other times, is interpolated between
@@ -75,49 +75,49 @@ def columns_of(
     holder = {name: sensor for sensor in sensors for name in sensor.channels}
     if not holder:
         raise bc.InputError(f"{file!r} is a log without messages of a sensor that is read")
-    headers = {f"{name} [{one.channels[name][1]}]": name for name, one in holder.items()}
-    wanted = [headers.get(name, name) for name in dict.fromkeys(chosen)]
-    wanted = [name for name in dict.fromkeys(wanted) if name in holder] or list(holder)
-    used = list({id(holder[name]): holder[name] for name in wanted}.values())
-    base = max(used, key=lambda sensor: _step(sensor.time))
+    headers = {f"{name} [{source.channels[name][1]}]": name for name, source in holder.items()}
+    names = [headers.get(name, name) for name in dict.fromkeys(chosen)]
+    names = [name for name in dict.fromkeys(names) if name in holder] or list(holder)
+    used = list({id(holder[name]): holder[name] for name in names}.values())
+    base = max(used, key=lambda sensor: _median_step(sensor.time))
     spans = [sensor.time for sensor in used]
     spans += [] if base.temperature_time is None else [base.temperature_time]
     low = max(t.min(initial=np.inf) for t in spans)
     high = min(t.max(initial=-np.inf) for t in spans)
-    kept, notes = np.flatnonzero((base.time >= low) & (base.time <= high)), list[str]()
-    if not len(kept):
+    rows, notes = np.flatnonzero((base.time >= low) & (base.time <= high)), list[str]()
+    if not len(rows):
         raise bc.InputError(
             f"{file!r}: the channels chosen and their temperature were not logged at one time: choose others, or log "
             "them together"
         )
-    time = base.time[kept]
+    time = base.time[rows]
     columns: dict[str, np.ndarray] = {"time [s]": time}
-    if base.temperature is not None and (known := base.temperature_time) is not None:
-        columns["temperature [degC]"] = np.interp(time, known, base.temperature)
+    if base.temperature is not None and (sampled_at := base.temperature_time) is not None:
+        columns["temperature [degC]"] = np.interp(time, sampled_at, base.temperature)
         notes.append(
-            f"{file}: the temperature was sampled every {_step(known):.3g} s, and is "
-            f"interpolated to the times of {wanted[0]} (every {_step(base.time):.3g} s)"
+            f"{file}: the temperature was sampled every {_median_step(sampled_at):.3g} s, and is "
+            f"interpolated to the times of {names[0]} (every {_median_step(base.time):.3g} s)"
         )
     elif base.temperature is not None:
-        columns["temperature [degC]"] = base.temperature[kept]
+        columns["temperature [degC]"] = base.temperature[rows]
     if lost := len(base.time) - len(time):
         notes.append(f"{file}: {lost} samples left out: not all that was asked for was logged then")
-    for name in wanted:
+    for name in names:
         sensor = holder[name]
         halfway = 0.5 * (sensor.time[1:] + sensor.time[:-1])  # from one sample to the next
-        at = kept if sensor is base else np.searchsorted(halfway, time)
+        at = rows if sensor is base else np.searchsorted(halfway, time)
         values, unit = sensor.channels[name]
         columns[f"{name} [{unit}]"] = values[at]
     if len(used) > 1:
-        notes.append(f"{file}: rows at the times of {next(n for n in wanted if holder[n] is base)}")
-    if len(wanted) == 1:
-        labels = {"axis": wanted[0], "device": base.device}
+        notes.append(f"{file}: rows at the times of {next(n for n in names if holder[n] is base)}")
+    if len(names) == 1:
+        labels = {"axis": names[0], "device": base.device}
         columns |= {k: np.full(len(time), v, object) for k, v in labels.items() if v is not None}
     return columns, notes
 
 
-def _step(time: np.ndarray) -> float:
-    """The usual time between samples, s."""
+def _median_step(time: np.ndarray) -> float:
+    """Return the median time between samples, s."""
     return float(np.median(np.diff(time))) if len(time) > 1 else np.inf
 
 
@@ -126,18 +126,18 @@ MESSAGES = ("IMU", "IMU2", "IMU3")
 
 
 def read_dataflash(path: Path) -> tuple[list[Sensor], list[str]]:
-    """Read the sensors of a DataFlash log, and what is odd about it; raises ValueError, and whatever pymavlink does."""
+    """Read the sensors of a DataFlash log, and notes on it; raises ValueError and any exception of pymavlink."""
     from pymavlink.DFReader import DFReader_binary
 
     class WithoutClock(DFReader_binary):
         def init_clock(self) -> None:
-            """Leave the time of day, for which a log without GPS is read to its end; TimeUS is enough here."""
+            """Skip the time of day, for which a log without GPS is read to its end; TimeUS suffices."""
 
     with path.open("rb") as file:
         if file.read(2) != HEAD:
             raise ValueError("it does not begin with the bytes A3 95 of a DataFlash log")
     with WithoutClock(str(path)) as log:
-        sensors = [s for place, name in enumerate(MESSAGES) for s in _of(log, name, place)]
+        sensors = [s for place, name in enumerate(MESSAGES) for s in _of_message(log, name, place)]
         while log.recv_match(type=["PARM"], strict=True) is not None:
             pass  # the reader keeps the parameters
         corrected = [n for n in range(1, 4) if log.params.get(f"INS_TCAL{n}_ENABLE") == 1]
@@ -148,24 +148,24 @@ def read_dataflash(path: Path) -> tuple[list[Sensor], list[str]]:
     ]
 
 
-def _of(log: Any, name: str, place: int) -> list[Sensor]:
-    """Return the sensors that one kind of message holds, one for each instance."""
+def _of_message(log: Any, name: str, place: int) -> list[Sensor]:
+    """Return the sensors in messages of one kind, one for each instance."""
     if not log.counts[log.name_to_id.get(name, 0)]:
         return []
-    fields, sensors = _fields(log, log.name_to_id[name]), []
+    fields, sensors = _read_fields(log, log.name_to_id[name]), []
     instance = fields.get("I", np.full(len(fields["TimeUS"]), place))
     for i in np.unique(instance):
-        own = instance == i
+        rows = instance == i
         channels = {}
         for kind, prefix, unit in (("gyro", "Gyr", RATE), ("acc", "Acc", ACCELERATION)):
-            channels |= triad(kind, unit, (fields[prefix + axis][own] for axis in "XYZ"), int(i))
-        temperature = fields["T"][own].astype(float) if "T" in fields else None
-        sensors.append(Sensor(fields["TimeUS"][own] * 1e-6, channels, temperature))
+            channels |= triad(kind, unit, (fields[prefix + axis][rows] for axis in "XYZ"), int(i))
+        temperature = fields["T"][rows].astype(float) if "T" in fields else None
+        sensors.append(Sensor(fields["TimeUS"][rows] * 1e-6, channels, temperature))
     return sensors
 
 
-def _fields(log: Any, kind: int) -> dict[str, np.ndarray]:
-    """All messages of a kind as arrays, (n,) each: taken from the file at once, not one by one."""
+def _read_fields(log: Any, kind: int) -> dict[str, np.ndarray]:
+    """Read all messages of a kind at once, as one array (n,) for each field."""
     layout = log.formats[kind]
     places = np.asarray(log.offsets[kind], np.int64)
     places = places[places + layout.len <= log.data_len]  # the last may be cut short
@@ -175,9 +175,9 @@ def _fields(log: Any, kind: int) -> dict[str, np.ndarray]:
     row = np.dtype(list(zip(layout.columns, kinds, strict=True)))
     content = np.frombuffer(log.data_map, np.uint8)
     begin = len(HEAD) + 1
-    taken = content[places[:, None] + np.arange(begin, begin + row.itemsize)]
+    raw_bytes = content[places[:, None] + np.arange(begin, begin + row.itemsize)]
     del content  # else the map of the file cannot be closed
-    messages = taken.view(row)[:, 0]
+    messages = raw_bytes.view(row)[:, 0]
     return {name: messages[name] for name in layout.columns}
 
 
@@ -191,21 +191,21 @@ IN_MBAR = 2000.0  # a median pressure below this is one in mbar: in Pa, it would
 
 
 def read_ulog(path: Path) -> tuple[list[Sensor], list[str]]:
-    """Read the sensors of a ULog, and what is odd about the log; raises whatever pyulog does."""
+    """Read the sensors of a ULog, and notes on it; raises any exception of pyulog."""
     from pyulog import ULog
 
     with path.open("rb") as file:
         log = ULog(file, list(TOPICS))
     topics = sorted(log.data_list, key=lambda d: (list(TOPICS).index(d.name), d.multi_id))
-    found = [(topic, *_topic_sensor(topic)) for topic in topics if len(topic.data["timestamp"])]
+    sensors = [(topic, *_topic_sensor(topic)) for topic in topics if len(topic.data["timestamp"])]
     notes = ["parts of it are damaged and were skipped"] * bool(log.file_corruption)
     if lost := [dropout.duration / 1000 for dropout in log.dropouts]:
         notes.append(f"{len(lost)} dropouts while it was logged, the longest of {max(lost):g} s")
-    return [_with_temperature(t, s, d, found, notes) for t, s, d in found], notes
+    return [_with_temperature(t, s, d, sensors, notes) for t, s, d in sensors], notes
 
 
 def _topic_sensor(topic: Any) -> tuple[Sensor, int]:
-    """A topic's instance as a sensor with its own temperature, and the number of its device."""
+    """Return an instance of a topic as a sensor with its own temperature, and its device_id."""
     kind, unit = TOPICS[topic.name]
     if topic.name == "sensor_baro":
         pressure = np.asarray(topic.data["pressure"], float)
@@ -224,21 +224,21 @@ def _topic_sensor(topic: Any) -> tuple[Sensor, int]:
 
 
 def _with_temperature(
-    topic: Any, sensor: Sensor, device: int, all_of_them: list, notes: list[str]
+    topic: Any, sensor: Sensor, device: int, sensors: list, notes: list[str]
 ) -> Sensor:
-    """A sensor that logs no temperature takes that of the other sensor in its device."""
+    """Return a sensor with the temperature of another sensor in its device where it logs none."""
     if sensor.temperature is not None:
         return sensor
-    for other_topic, other, other_device in all_of_them:
+    for other_topic, other, other_device in sensors:
         same = device == other_device if device else topic.multi_id == other_topic.multi_id
         if same and other.temperature is not None:
-            known = np.isfinite(other.temperature)
+            is_finite = np.isfinite(other.temperature)
             notes.append(
                 f"{topic.name} {topic.multi_id} logs no temperature; that of {other_topic.name} "
                 f"{other_topic.multi_id}, of the same device, stands for it"
             )
-            taken, at = other.temperature[known], other.time[known]
-            return replace(sensor, temperature=taken, temperature_time=at)
+            values, at = other.temperature[is_finite], other.time[is_finite]
+            return replace(sensor, temperature=values, temperature_time=at)
     return sensor
 
 
@@ -246,7 +246,7 @@ IMU, TEMPERATURE = "sensor_msgs/msg/Imu", "sensor_msgs/msg/Temperature"
 
 
 def read_bag(path: Path) -> tuple[list[Sensor], list[str]]:
-    """Sensors of a bag, one for each topic of IMU messages; raises whatever rosbags does."""
+    """Read the sensors of a bag, one for each topic of IMU messages; raises any exception of rosbags."""
     from rosbags.highlevel import AnyReader
     from rosbags.typesys import Stores, get_typestore
 
@@ -258,13 +258,14 @@ def read_bag(path: Path) -> tuple[list[Sensor], list[str]]:
         units = sorted(t for t, kind in topics.items() if kind == IMU)
         thermometers = sorted(t for t, kind in topics.items() if kind == TEMPERATURE)
         rows: dict[str, list[tuple[float, ...]]] = {t: [] for t in (*units, *thermometers)}
-        wanted = [c for c in bag.connections if c.topic in rows]
-        for connection, at, raw in bag.messages(wanted) if wanted else ():
+        connections = [c for c in bag.connections if c.topic in rows]
+        for connection, at, raw in bag.messages(connections) if connections else ():
             message: Any = bag.deserialize(raw, connection.msgtype)
-            rows[connection.topic].append(_row(message, connection.msgtype, at))
+            rows[connection.topic].append(_message_row(message, connection.msgtype, at))
     sensors, notes = [], []
     for number, topic in enumerate(t for t in units if rows[t]):
-        near = max((t for t in thermometers if rows[t]), key=partial(_shared, topic), default=None)
+        logged = (t for t in thermometers if rows[t])
+        near = max(logged, key=partial(_in_common, topic), default=None)
         sensors.append(_bag_sensor(np.array(rows[topic]), number, rows.get(near or "")))
         name = f"gyro_x{f'_{number}' if number else ''} and its like"
         notes.append(f"{name} are of the topic {topic}" + (f", temperature of {near}" * bool(near)))
@@ -272,7 +273,7 @@ def read_bag(path: Path) -> tuple[list[Sensor], list[str]]:
 
 
 def _refuse_views(path: Path) -> None:
-    """Refuse a data base in which something else than a table stands where messages do: a view may never end."""
+    """Raise ValueError for a database with views or triggers: a query of a view may never end."""
     uri = f"{path.resolve().as_uri()}?mode=ro&immutable=1"
     views = "SELECT name FROM sqlite_master WHERE type IN ('view', 'trigger') OR sql LIKE 'CREATE VIRTUAL%'"
     with closing(sqlite3.connect(uri, uri=True)) as base:
@@ -281,13 +282,13 @@ def _refuse_views(path: Path) -> None:
             raise ValueError(f"{first} in it is no table of messages, as a recorder writes")
 
 
-def _shared(topic: str, other: str) -> int:
-    """How many parts of their names two topics share."""
+def _in_common(topic: str, other: str) -> int:
+    """Count the parts that the names of two topics share."""
     return sum(a == b for a, b in zip(topic.split("/"), other.split("/"), strict=False))
 
 
-def _row(message: Any, kind: str, at: int) -> tuple[float, ...]:
-    """Time and values of one message; where its header has no time, the time at which it was logged."""
+def _message_row(message: Any, kind: str, at: int) -> tuple[float, ...]:
+    """Return time and values of one message; the time of logging where its header has none."""
     stamp = message.header.stamp
     time = stamp.sec + stamp.nanosec * 1e-9 or at * 1e-9
     if kind == TEMPERATURE:
@@ -303,11 +304,11 @@ def _bag_sensor(
     time, *values = rows.T
     channels = triad("gyro", RATE, values[:3], number)
     channels |= triad("acc", ACCELERATION, values[3:], number)
-    known = np.array(sorted(temperature)).T[::-1] if temperature else ()
-    return Sensor(time, channels, *known)
+    thermometer = np.array(sorted(temperature)).T[::-1] if temperature else ()
+    return Sensor(time, channels, *thermometer)
 
 
-# Suffix → what people call the format, the package that reads it, and how.
+# Suffix → title of the format, the package that reads it, the reader.
 LOG_FORMATS = {
     ".ulg": ("PX4 ULog", "pyulog", read_ulog),
     ".bin": ("ArduPilot log", "pymavlink", read_dataflash),
@@ -327,13 +328,13 @@ def open_log(path: Path, file: str, chosen: Collection[str]) -> ws.Table:
     try:
         importlib.import_module(package)
     except ModuleNotFoundError:
-        came = f"is a {title}, which the package {package} reads, and that is not installed"
-        raise ws.unusable(file, came, "pip install 'bayescal[logs]'") from None
+        reason = f"is a {title}, which the package {package} reads, and that is not installed"
+        raise ws.unusable(file, reason, "pip install 'bayescal[logs]'") from None
     printed = io.StringIO()  # libraries print; standard output is the command's own
     with ws.as_format(file, title), redirect_stdout(printed), redirect_stderr(printed):
         sensors, notes = read(path)
     lines = [x for x in printed.getvalue().splitlines() if "dfindexer" not in x.lower()]
     notes += [f"{package} says: {line[:200]}" for line in lines[:1]]
-    columns, more = columns_of(sensors, chosen, file)
-    notes = (*(f"{file}: {note}" for note in notes), *more)
+    columns, column_notes = columns_of(sensors, chosen, file)
+    notes = (*(f"{file}: {note}" for note in notes), *column_notes)
     return ws.Table.of_columns(file, columns, place=lambda i: f"sample {i + 1}", notes=notes)

@@ -1,8 +1,8 @@
 """Gyroscopes by moves between poses, in which accelerometers of the same unit say which way is up: no rate table.
 
 Between two poses at rest the up direction u moves in the body's axes, u_B = Cᵀ·u_A with dC/dt = C·[ω×]. The outputs
-y = M·ω + b + … are integrated with a matrix M₀ and a bias b₀, and what is left over of u_B, on two axes q across it, is
-linear in what M and b are off by. With P(t) the rotation from the body at t to the body at the end, and T the duration:
+y = M·ω + b + … are integrated with a matrix M₀ and a bias b₀; the closing error of u_B, on two axes q across it, is
+linear in the errors of M₀ and b₀. With P(t) the rotation from the body at t to the body at the end, and T the duration:
 
     qᵀ(u_B − C₀ᵀ·u_A) = ∫ aᵀ(δM·ω + δb + Γ·f + K2·ω² + ω_E)·dt,     a(t) = −M₀⁻ᵀ·P(t)ᵀ·(q × u_B)
 
@@ -12,11 +12,10 @@ about it need not be known.
 
 M₀ and b₀ are iterated, in damped steps, to the least-squares estimate, where the linear form is exact to the square of
 the uncertainty. Each pose ends one move and begins another, and all of them share the errors of the accelerometers'
-calibration. What is not known beforehand is estimated with the rest, from what is left over, by its marginal
-likelihood: how far the bias wanders from pose to pose, and by which angle a move does not close (a unit that creeps in
-its pose, samples at other times than stated, aliases, a scale that bends). Readings are the innovations of the moves
-one after the other: what each says beside those before it, with a known standard uncertainty beside that of the
-surest. A move or a pose that disagrees with all others is set aside, and named.
+calibration. Two variances are estimated from the residuals by their marginal likelihood: of the bias from pose to pose,
+and of the closing angle of a move (a unit that creeps in its pose, samples at other times than stated, aliases, a
+nonlinear scale). Readings are the innovations of the moves in order, given those before, each with a known standard
+uncertainty in excess of the smallest. A move or a pose that is an outlier is set aside, and named.
 
 The Earth's rotation is three unknowns, along the axes that the body had in the first pose of a run.
 
@@ -27,7 +26,7 @@ rates between samples, coning among them: J. E. Bortz, IEEE Trans. AES 7 (1971) 
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import NamedTuple
+from typing import NamedTuple, Self
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -52,30 +51,30 @@ from bayescal._annexes.imu.vector_correction import VectorCorrection
 PULLED = tuple(f"pulled_{a}{j}" for a in ws.AXES for j in ws.AXES)
 SQUARED = tuple(f"squared_{a}" for a in ws.AXES)
 AROUND = tuple(f"around_{k}" for k in "123")
-SWEEPS = 60  # of integrating anew; four suffice for a matrix that is off by a tenth
-HALVINGS = 10  # of a step that leaves more over than was,
-LARGER_RATIO = 1.01  # times as much: slopes are exact to the first order in the angles left over
-FARTHEST = 0.5  # of an entry of the matrix from nominal: a wrong unit or axis, no gyroscope
-SETTLED = 0.01  # of a standard uncertainty, by which a further sweep may move an estimate
-DISAGREES = 0.01  # probability that of moves and poses that agree any is set aside
-MOST_LEFT_OUT = 0.2  # of the moves that may be
+MAX_ITERATIONS = 60  # integrations; four suffice for a matrix that is off by a tenth
+MAX_HALVINGS = 10  # of a step that raises the residual sum of squares,
+LARGER_RATIO = 1.01  # by more than this: slopes are exact to the first order
+MAX_MATRIX_DEVIATION = 0.5  # of an entry from nominal: above it a wrong unit or axis
+CONVERGENCE_SD = 0.01  # largest last step, in standard uncertainties
+OUTLIER_PROBABILITY = 0.01  # that any of the moves and poses is set aside where all agree
+MAX_SET_ASIDE_SHARE = 0.2  # of the moves
 # Prior standard deviations of bias (rad/s), matrix, sensitivity to specific force (rad/s/g) and to the rate squared
-# (s/rad) and the Earth's rotation (rad/s) while that estimate is sought: they decide nothing but what moves leave open.
-PRIOR = np.repeat(
+# (s/rad) and the Earth's rotation (rad/s) in that estimate: they matter only where moves leave parameters unidentified.
+PRIOR_SD = np.repeat(
     [1.0, 0.1, np.deg2rad(0.1), np.rad2deg(1e-5), np.deg2rad(15.04) / 3600], [3, 9, 9, 3, 3]
 )
-OWN = 12  # of these what the outputs are integrated with: bias and matrix
-# Of a bias from pose to pose, rad/s, and of the angle that a move leaves over, rad: consumer parts, by hand.
-PLAUSIBLE = np.deg2rad(0.1)
-SPREADS = np.geomspace(0.1, 1000.0, 17)  # times what is known, at which these are weighed
-AT_ONCE = 20_000  # samples whose forces are corrected
+N_RATE = 12  # of these parameters those of the integration: bias and matrix
+# Prior scale of the bias from pose to pose, rad/s, and of the closing angle of a move, rad: consumer parts, by hand.
+PLAUSIBLE_SPREAD = np.deg2rad(0.1)
+SPREAD_RATIOS = np.geomspace(0.1, 1000.0, 17)  # times the known deviation
+SAMPLES_PER_BLOCK = 20_000  # whose forces are corrected at once
 
 
-class _Rows(NamedTuple):
-    """Readings of one run, in rad/s and g: outputs, their levers and standard uncertainties."""
+class _Readings(NamedTuple):
+    """Readings of one run, in rad/s and g: outputs, design matrix and standard uncertainties."""
 
     output: Float[np.ndarray, "r"]
-    levers: Float[np.ndarray, "r 27"]  # across, turned, pulled, squared, around
+    design: Float[np.ndarray, "r 27"]  # across, turned, pulled, squared, around
     uncertainty: Float[np.ndarray, "r"]
     windows: Float[np.ndarray, "r 2"]  # s
     force: Float[np.ndarray, "r 3"]  # g, its mean
@@ -90,7 +89,7 @@ def moves(
     *,
     shortest: float | None = None,
 ) -> bc.Measurements:
-    """Readings of gyroscopes: of each pose three outputs at rest, of each move between two poses two.
+    """Convert a log of gyroscopes to readings: three outputs at rest for each pose, two for each move between poses.
 
     The unit is at rest where both logs are; a slow turn about the vertical is seen by neither and counts as a bias.
 
@@ -116,20 +115,20 @@ def moves(
         )
     unit = float(np.asarray(ws.convert(np.ones(1), instrument.unit, "rad/s"))[0])
     log, forces = per_sample(log), per_sample(forces)
-    pulls = logged_runs(forces, correction.outputs, shortest)
+    f_runs = logged_runs(forces, correction.outputs, shortest)
     rates = logged_runs(log, instrument.vector.outputs, shortest)
-    if lacking := sorted(rates.keys() - pulls.keys()):
+    if lacking := sorted(rates.keys() - f_runs.keys()):
         raise bc.InputError(
             f"{forces.file}: run {lacking[0]!r} of {log.file} is not in it: log gyroscopes and accelerometers together"
         )
-    made: dict[str, list[np.ndarray]] = {}
-    poses, odd = 0, list[str]()
-    for run, own in rates.items():
-        own = own._replace(
-            outputs=unit * own.outputs,
-            still=own.still._replace(of_second=unit * own.still.of_second),
+    column_parts: dict[str, list[np.ndarray]] = {}
+    poses, outliers = 0, list[str]()
+    for run, gyro in rates.items():
+        gyro = gyro._replace(
+            outputs=unit * gyro.outputs,
+            at_rest=gyro.at_rest._replace(of_second=unit * gyro.at_rest.of_second),
         )
-        windows = in_common(own.ends(), pulls[run].ends())
+        windows = in_common(gyro.ends(), f_runs[run].ends())
         if len(windows) < 2:
             raise bc.InputError(
                 f"{log.file}, run {run!r}: {len(windows)} poses in which gyroscopes and accelerometers are at rest "
@@ -137,31 +136,32 @@ def moves(
             )
         poses += len(windows)
         try:
-            rows, disagreeing = _readings(own, pulls[run], windows, correction, len(rates))
+            rows, disagreeing = _fit_run(gyro, f_runs[run], windows, correction, len(rates))
         except bc.InputError as error:
             raise bc.InputError(f"{log.file}, run {run!r}: {error}") from None
-        odd += disagreeing
+        outliers += disagreeing
         labels, codes = log.groups("run")
         samples = log.select(codes == labels.index(run))
-        for name, values in _columns(rows, samples, own, instrument.vector.beside, unit).items():
-            made.setdefault(name, []).append(values)
-    columns = {name: np.concatenate(parts) for name, parts in made.items()}
-    # As of means of unequal numbers: the noise law's own is that of the surest reading, others have more beside it. A
-    # noise beside known ones that suffice would have its mode at zero.
+        gravity = instrument.vector.beside
+        for name, values in _as_columns(rows, samples, gyro, gravity, unit).items():
+            column_parts.setdefault(name, []).append(values)
+    columns = {name: np.concatenate(parts) for name, parts in column_parts.items()}
+    # The noise law has the variance of the surest reading, the column the excess of the others: a noise in addition to
+    # known ones that suffice would have its mode at zero.
     squares = columns[ws.UNCERTAINTY] ** 2
     surest = float(np.sqrt(squares.min()))
     columns[ws.UNCERTAINTY] = np.sqrt(squares - squares.min())
-    found = as_readings(columns, instrument, log)
-    said = (
-        f"{len(found)} readings of {poses} poses and the moves between them, found in {log.file}; by their scatter the "
-        f"surest is uncertain by {surest:.2g} {instrument.unit}, which noise.white is of"
+    readings = as_readings(columns, instrument, log)
+    summary = (
+        f"{len(readings)} readings of {poses} poses and the moves between them, found in {log.file}; by their scatter "
+        f"the surest is uncertain by {surest:.2g} {instrument.unit}, which noise.white is of"
     )
-    aside = [f"{log.file}: set aside, as it disagrees with all others: {one}" for one in odd]
-    return replace(found, sources=log.sources, flags=(said, *aside))  # of the log
+    notes = [f"{log.file}: set aside, as it disagrees with all others: {o}" for o in outliers]
+    return replace(readings, sources=log.sources, flags=(summary, *notes))  # of the log
 
 
 class _Moves(NamedTuple):
-    """Samples of m moves, padded with the last one to one length; weights of a trapezoidal integral, 0 there."""
+    """Samples of m moves, padded with the last sample to one length; trapezoidal weights, 0 in the padding."""
 
     rate: Float[np.ndarray, "m n 3"]  # as measured, rad/s
     slope: Float[np.ndarray, "m n 3"]  # of it in time, rad/s²
@@ -174,138 +174,138 @@ class _Moves(NamedTuple):
         return self.step.sum(axis=1)
 
 
-def _forces(pull: LoggedRun, correction: VectorCorrection) -> Float[np.ndarray, "n 3"]:
-    """Of every sample, some at once: covariances of all, which nobody asks for, would fill the memory."""
+def _correct_forces(f_run: LoggedRun, correction: VectorCorrection) -> Float[np.ndarray, "n 3"]:
+    """Correct the specific force of every sample, in blocks: the covariances of all would fill the memory."""
     parts = []
-    for start in range(0, len(pull.time), AT_ONCE):
-        some = slice(start, start + AT_ONCE)
-        warm = None if pull.temperature is None else pull.temperature[some]
-        parts.append(correction(pull.outputs[some], warm, noise=0.0).vector)
+    for start in range(0, len(f_run.time), SAMPLES_PER_BLOCK):
+        block = slice(start, start + SAMPLES_PER_BLOCK)
+        warm = None if f_run.temperature is None else f_run.temperature[block]
+        parts.append(correction(f_run.outputs[block], warm, noise=0.0).vector)
     return np.concatenate(parts)
 
 
-def _between(
+def _paths(
     log: LoggedRun,
     windows: Float[np.ndarray, "k 2"],
-    pull: LoggedRun,
+    f_run: LoggedRun,
     force: Float[np.ndarray, "s 3"],
 ) -> _Moves:
-    """The samples from the end of each pose to the begin of the next."""
-    own = [log.inside(a, b) for a, b in zip(windows[:-1, 1], windows[1:, 0], strict=True)]
-    longest = max(s.stop - s.start for s in own)
-    at = np.array([np.minimum(np.arange(s.start, s.start + longest), s.stop - 1) for s in own])
+    """Return the samples from the end of each pose to the begin of the next."""
+    slices = [log.inside(a, b) for a, b in zip(windows[:-1, 1], windows[1:, 0], strict=True)]
+    longest = max(s.stop - s.start for s in slices)
+    at = np.array([np.minimum(np.arange(s.start, s.start + longest), s.stop - 1) for s in slices])
     step = np.diff(log.time[at], axis=1)
     weight = 0.5 * (np.pad(step, ((0, 0), (1, 0))) + np.pad(step, ((0, 0), (0, 1))))
-    felt = np.stack([np.interp(log.time[at], pull.time, force[:, j]) for j in range(3)], axis=2)
+    forces = np.stack([np.interp(log.time[at], f_run.time, force[:, j]) for j in range(3)], axis=2)
     slope = np.gradient(log.outputs, log.time, axis=0)
-    return _Moves(log.outputs[at], slope[at], felt, step, weight)
+    return _Moves(log.outputs[at], slope[at], forces, step, weight)
 
 
-def _turned(moved: _Moves, matrix: np.ndarray, bias: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Rates (m, n, 3), and rotations from the body at each sample to the body at the begin (m, n, 3, 3)."""
-    back = np.linalg.inv(matrix).T
-    rate, h = (moved.rate - bias) @ back, moved.step[..., None]
-    # To the fourth order in the step: what a trapezoid leaves over, and coning.
-    vectors = 0.5 * (rate[:, :-1] + rate[:, 1:]) - np.diff(moved.slope @ back, axis=1) * h / 12
+def _attitude(path: _Moves, matrix: np.ndarray, bias: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return rates (m, n, 3), and rotations from the body at each sample to the body at the begin (m, n, 3, 3)."""
+    inverse = np.linalg.inv(matrix).T
+    rate, h = (path.rate - bias) @ inverse, path.step[..., None]
+    # To the fourth order in the step: the error of the trapezoidal rule, and coning.
+    vectors = 0.5 * (rate[:, :-1] + rate[:, 1:]) - np.diff(path.slope @ inverse, axis=1) * h / 12
     vectors = vectors * h + np.cross(rate[:, :-1], rate[:, 1:]) * h**2 / 12
     steps = Rotation.from_rotvec(vectors.reshape(-1, 3)).as_matrix().reshape(*vectors.shape, 3)
-    turned = np.empty((*rate.shape, 3))
-    turned[:, 0] = np.eye(3)
+    rotation = np.empty((*rate.shape, 3))
+    rotation[:, 0] = np.eye(3)
     for k in range(steps.shape[1]):
-        turned[:, k + 1] = turned[:, k] @ steps[:, k]
-    return rate, turned
+        rotation[:, k + 1] = rotation[:, k] @ steps[:, k]
+    return rate, rotation
 
 
 @ws.on_one_thread
-def _readings(
+def _fit_run(
     log: LoggedRun,
-    pull: LoggedRun,
+    f_run: LoggedRun,
     windows: Float[np.ndarray, "k 2"],
     correction: VectorCorrection,
     shared: int,
-) -> tuple[_Rows, list[str]]:
-    """Of one run, and what was set aside of it, in words.
+) -> tuple[_Readings, list[str]]:
+    """Fit bias and matrix to the moves of one run; return its readings, and descriptions of what was set aside.
 
     Args:
         log: of the gyroscopes.
-        pull: of the accelerometers.
+        f_run: of the accelerometers.
         windows: of the poses, s.
         correction: of the accelerometers.
-        shared: by how many runs, in which its errors are the same and do not average out.
+        shared: number of runs that share its errors, which do not average out.
 
     Raises:
         InputError: as of `moves`.
     """
-    felt, slopes, own = correction.in_poses(pull, windows)
-    forces = shared * slopes @ correction.covariance @ slopes.T + own
-    at_rest, white = log.means(windows), log.still.of_second**2
+    force, slopes, pose_cov = correction.in_poses(f_run, windows)
+    forces = shared * slopes @ correction.covariance @ slopes.T + pose_cov
+    at_rest, white = log.means(windows), log.at_rest.of_second**2
     nominal = np.concatenate([at_rest.mean(axis=0), np.eye(3).ravel(), np.zeros(15)])
-    session = _Session(at_rest, windows, felt, forces, white, nominal)
-    moved = _between(log, windows, pull, _forces(pull, correction))
-    most = max(1, int(MOST_LEFT_OUT * len(moved.rate)))
-    here, aside = session.nominal[:OWN], _Aside((), ())
-    at = _closure(moved, felt, here)
-    for _ in range(SWEEPS):
-        line = _Line.of(session, at, here, aside)
-        found = line.spread()
-        change = found.mean[:OWN] - here
-        size = float(np.max(np.abs(change) / found.sd[:OWN]))
-        before, there = line.left_over(at, here, found), None
-        for _ in range(HALVINGS if size >= SETTLED else 0):
-            tried = _closure(moved, felt, here + change)
-            if line.left_over(tried, here + change, found) < LARGER_RATIO * before:
-                there = tried
+    session = _Session(at_rest, windows, force, forces, white, nominal)
+    path = _paths(log, windows, f_run, _correct_forces(f_run, correction))
+    max_set_aside = max(1, int(MAX_SET_ASIDE_SHARE * len(path.rate)))
+    origin, aside = session.nominal[:N_RATE], _Outliers((), ())
+    at = _integrate_moves(path, force, origin)
+    for _ in range(MAX_ITERATIONS):
+        line = _LinearModel.of(session, at, origin, aside)
+        fit = line.estimate_variances()
+        step = fit.mean[:N_RATE] - origin
+        size = float(np.max(np.abs(step) / fit.sd[:N_RATE]))
+        rss, accepted = line.weighted_rss(at, origin, fit), None
+        for _ in range(MAX_HALVINGS if size >= CONVERGENCE_SD else 0):
+            candidate = _integrate_moves(path, force, origin + step)
+            if line.weighted_rss(candidate, origin + step, fit) < LARGER_RATIO * rss:
+                accepted = candidate
                 break
-            change = 0.5 * change
-        if there is not None:
-            here, at = here + change, there
+            step = 0.5 * step
+        if accepted is not None:
+            origin, at = origin + step, accepted
             continue
-        # Settled; or what one move leaves over is too large for a linear form.
-        further = line.odd(found, aside)
-        if further == aside:
+        # Converged; or the closing error of one move is too large for a linear form.
+        extended = line.find_outlier(fit, aside)
+        if extended == aside:
             break
-        aside = further
-        if len(aside.moves) > most:
+        aside = extended
+        if len(aside.moves) > max_set_aside:
             raise bc.InputError(
-                f"more than {most} of {len(moved.rate)} moves disagree with each other by more than they scatter. Were "
-                "samples lost, is a rate beyond the gyroscopes' range, or did accelerometers and gyroscopes not turn "
-                "together?"
+                f"more than {max_set_aside} of {len(path.rate)} moves disagree with each other by more than they "
+                "scatter. Were samples lost, is a rate beyond the gyroscopes' range, or did accelerometers and "
+                "gyroscopes not turn together?"
             )
-    if not np.max(np.abs(here - session.nominal[:OWN])[3:]) < FARTHEST:
+    if not np.max(np.abs(origin - session.nominal[:N_RATE])[3:]) < MAX_MATRIX_DEVIATION:
         raise bc.InputError(
             "the outputs integrated over a move do not lead from one pose to the next. Check the unit of the "
             "gyroscopes, that their axes are those of the accelerometers, and that no rate is beyond their range"
         )
-    if size >= SETTLED:
+    if size >= CONVERGENCE_SD:
         raise bc.InputError(
             f"the integration over the moves did not settle: a further sweep would move an estimate by {size:.2g} "
             "standard uncertainties. Turn the unit less between two poses, about all three axes, and hold it still for "
             "longer; see that no rate is beyond the gyroscopes' range"
         )
-    return line.rows(found), line.words(found, aside)
+    return line.rows(fit), line.describe_set_aside(fit, aside)
 
 
 class _Session(NamedTuple):
-    """What is known of a run's poses."""
+    """Data of a run's poses."""
 
     at_rest: Float[np.ndarray, "k 3"]  # outputs, rad/s
     windows: Float[np.ndarray, "k 2"]  # s
-    felt: Float[np.ndarray, "k 3"]  # g
+    force: Float[np.ndarray, "k 3"]  # g
     of_forces: Float[np.ndarray, "3k 3k"]  # covariance of these, g²
     white: float  # variance of a mean output over a second, (rad/s)²
-    # What has levers, where nothing is known: the bias as at rest, the matrix one.
+    # Prior mean of the parameters: the bias as at rest, the matrix one.
     nominal: Float[np.ndarray, "27"]
 
 
-class _Aside(NamedTuple):
-    """Poses whose outputs at rest, and moves that disagree with the others, by number."""
+class _Outliers(NamedTuple):
+    """Outlying poses and moves, by number."""
 
     poses: tuple[int, ...]
     moves: tuple[int, ...]
 
 
-class _Found(NamedTuple):
-    """An estimate of what has levers, given how far the bias wanders (rad/s)² and how far moves do not close, rad²."""
+class _Estimate(NamedTuple):
+    """An estimate of the parameters, given the variances of bias between poses (rad/s)² and of closing angles, rad²."""
 
     mean: Float[np.ndarray, "27"]
     covariance: Float[np.ndarray, "27 27"]
@@ -318,14 +318,14 @@ class _Found(NamedTuple):
         return np.sqrt(np.diag(self.covariance))
 
 
-class _Line(NamedTuple):
-    """Outputs at rest and over moves of a run, rad/s, linear in what has levers; without those set aside."""
+class _LinearModel(NamedTuple):
+    """Outputs at rest and over moves of a run, rad/s, linear in the parameters; without those set aside."""
 
     session: _Session
     closure: _Closure
-    here: Float[np.ndarray, "12"]
+    origin: Float[np.ndarray, "12"]
     output: Float[np.ndarray, "r"]
-    levers: Float[np.ndarray, "r 27"]
+    design: Float[np.ndarray, "r 27"]
     pose: Int[np.ndarray, "p"]  # of each output at rest, which come first
     move: Int[np.ndarray, "q"]  # of each over a move
     at_rest: Float[np.ndarray, "p"]  # known variance
@@ -333,136 +333,136 @@ class _Line(NamedTuple):
     duration: Float[np.ndarray, "q"]  # s
 
     @classmethod
-    def of(cls, session: _Session, closure: _Closure, here: np.ndarray, aside: _Aside) -> _Line:
+    def of(cls, session: _Session, closure: _Closure, origin: np.ndarray, aside: _Outliers) -> Self:
         poses, count = len(session.windows), len(closure.duration)
         pose, move = np.repeat(np.arange(poses), 3), np.repeat(np.arange(count), 2)
-        rest, over = ~np.isin(pose, aside.poses), ~np.isin(move, aside.moves)
+        keep_pose, keep_move = ~np.isin(pose, aside.poses), ~np.isin(move, aside.moves)
         covariance = closure.of_forces @ session.of_forces @ closure.of_forces.T
         covariance += session.white * block_diag(*closure.of_noise)
-        output = closure.left + closure.levers[:, :OWN] @ here
-        at_rest = _at_rest(here[3:].reshape(3, 3), session.felt, closure.world)
+        output = closure.residual + closure.design[:, :N_RATE] @ origin
+        at_rest = _rest_design(origin[3:].reshape(3, 3), session.force, closure.world)
         length = session.windows[:, 1] - session.windows[:, 0]
         return cls(
             session,
             closure,
-            here,
-            output=np.concatenate([session.at_rest.ravel()[rest], output[over]]),
-            levers=np.concatenate([at_rest[rest], closure.levers[over]]),
-            pose=pose[rest],
-            move=move[over],
-            at_rest=(session.white / length)[pose[rest]],
-            moving=covariance[np.ix_(over, over)],
-            duration=closure.duration[move[over]],
+            origin,
+            output=np.concatenate([session.at_rest.ravel()[keep_pose], output[keep_move]]),
+            design=np.concatenate([at_rest[keep_pose], closure.design[keep_move]]),
+            pose=pose[keep_pose],
+            move=move[keep_move],
+            at_rest=(session.white / length)[pose[keep_pose]],
+            moving=covariance[np.ix_(keep_move, keep_move)],
+            duration=closure.duration[move[keep_move]],
         )
 
     def variances(self, wander: float, closing: float) -> tuple[np.ndarray, np.ndarray]:
-        """Variances at rest (p,), covariance over moves (q, q)."""
+        """Return variances at rest (p,) and the covariance over moves (q, q), (rad/s)²."""
         return self.at_rest + wander, self.moving + np.diag(wander + closing / self.duration**2)
 
-    def estimate(self, wander: float, closing: float) -> _Found:
-        rest, moving = self.variances(wander, closing)
-        root, count = np.linalg.cholesky(moving), len(rest)
-        table = np.column_stack([self.levers, self.output - self.levers @ self.session.nominal])
-        still, over = table[:count] / np.sqrt(rest)[:, None], table[count:]
+    def estimate(self, wander: float, closing: float) -> _Estimate:
+        rest_var, move_cov = self.variances(wander, closing)
+        root, count = np.linalg.cholesky(move_cov), len(rest_var)
+        table = np.column_stack([self.design, self.output - self.design @ self.session.nominal])
+        white_rest, over = table[:count] / np.sqrt(rest_var)[:, None], table[count:]
         # With a row for each prior, and no normal equations: outputs may be almost without noise.
-        prior = np.column_stack([np.diag(1 / PRIOR), np.zeros(len(PRIOR))])
-        white = np.concatenate([still, solve_triangular(root, over, lower=True), prior])
+        prior = np.column_stack([np.diag(1 / PRIOR_SD), np.zeros(len(PRIOR_SD))])
+        white = np.concatenate([white_rest, solve_triangular(root, over, lower=True), prior])
         upper = np.linalg.qr(white, mode="r")
-        own, left = upper[:-1, :-1], upper[-1, -1]
-        inverse = solve_triangular(own, np.eye(len(own)))
-        log_density = -0.5 * left**2 - 0.5 * np.sum(np.log(rest)) - np.sum(np.log(np.diag(root)))
-        log_density -= np.sum(np.log(np.abs(np.diag(own))))
+        factor, rss = upper[:-1, :-1], upper[-1, -1]
+        inverse = solve_triangular(factor, np.eye(len(factor)))
+        log_density = -0.5 * rss**2 - 0.5 * np.sum(np.log(rest_var)) - np.sum(np.log(np.diag(root)))
+        log_density -= np.sum(np.log(np.abs(np.diag(factor))))
         mean = self.session.nominal + inverse @ upper[:-1, -1]
-        return _Found(mean, inverse @ inverse.T, wander, closing, float(log_density))
+        return _Estimate(mean, inverse @ inverse.T, wander, closing, float(log_density))
 
-    def spread(self) -> _Found:
-        """The estimate with both variances at their means: half-normal in the deviations, one after the other."""
-        known = np.median(self.at_rest), np.median(np.diag(self.moving) * self.duration**2)
-        found = list(map(float, known))
+    def estimate_variances(self) -> _Estimate:
+        """Estimate with both variances at their posterior means in turn; half-normal priors of the deviations."""
+        known_var = np.median(self.at_rest), np.median(np.diag(self.moving) * self.duration**2)
+        best = list(map(float, known_var))
         for i in (0, 1, 0, 1):
-            tried = known[i] * SPREADS**2
-            each = [self.estimate(*((v, found[1]) if i == 0 else (found[0], v))) for v in tried]
-            density = np.array([one.log_density for one in each])
-            density += 0.5 * np.log(tried) - 0.5 * tried / PLAUSIBLE**2
-            found[i] = float(tried @ np.exp(density - logsumexp(density)))
-        return self.estimate(found[0], found[1])
+            candidates = known_var[i] * SPREAD_RATIOS**2
+            fits = [self.estimate(*((v, best[1]) if i == 0 else (best[0], v))) for v in candidates]
+            density = np.array([fit.log_density for fit in fits])
+            density += 0.5 * np.log(candidates) - 0.5 * candidates / PLAUSIBLE_SPREAD**2
+            best[i] = float(candidates @ np.exp(density - logsumexp(density)))
+        return self.estimate(best[0], best[1])
 
-    def left_over(self, at: _Closure, own: Float[np.ndarray, "12"], found: _Found) -> float:
-        """Squares of what an integration with these leaves over, weighted, all else as found."""
-        values = np.concatenate([own, found.mean[OWN:]])
+    def weighted_rss(self, at: _Closure, phi: Float[np.ndarray, "12"], fit: _Estimate) -> float:
+        """Return the weighted residual sum of squares of an integration with parameters phi, others as estimated."""
+        values = np.concatenate([phi, fit.mean[N_RATE:]])
         count = len(self.pose)
-        still = self.output[:count] - self.levers[:count] @ values
-        over = np.isin(np.repeat(np.arange(len(at.duration)), 2), self.move)
-        moving = (at.left - at.levers[:, OWN:] @ found.mean[OWN:])[over]
-        rest, covariance = self.variances(found.wander, found.closing)
-        squares = np.sum(still**2 / rest) + moving @ np.linalg.solve(covariance, moving)
-        return float(squares + np.sum(((values - self.session.nominal) / PRIOR) ** 2))
+        at_rest = self.output[:count] - self.design[:count] @ values
+        is_kept = np.isin(np.repeat(np.arange(len(at.duration)), 2), self.move)
+        moving = (at.residual - at.design[:, N_RATE:] @ fit.mean[N_RATE:])[is_kept]
+        rest_var, covariance = self.variances(fit.wander, fit.closing)
+        squares = np.sum(at_rest**2 / rest_var) + moving @ np.linalg.solve(covariance, moving)
+        return float(squares + np.sum(((values - self.session.nominal) / PRIOR_SD) ** 2))
 
-    def odd(self, found: _Found, aside: _Aside) -> _Aside:
-        """With the pose or the move that disagrees most, if one does."""
-        left, count = self.output - self.levers @ found.mean, len(self.pose)
-        rest, moving = self.variances(found.wander, found.closing)
-        least, worst = DISAGREES / (len({*self.pose}) + len({*self.move})), aside
+    def find_outlier(self, fit: _Estimate, aside: _Outliers) -> _Outliers:
+        """Add the pose or the move that is the most significant outlier, if there is one."""
+        residuals, count = self.output - self.design @ fit.mean, len(self.pose)
+        rest_var, move_cov = self.variances(fit.wander, fit.closing)
+        least, worst = OUTLIER_PROBABILITY / (len({*self.pose}) + len({*self.move})), aside
         for field, of in (("poses", self.pose), ("moves", self.move)):
-            own, begin = (np.diag(rest), 0) if field == "poses" else (moving, count)
-            free = max(1, len(of) - (3 if field == "poses" else OWN))
+            cov, begin = (np.diag(rest_var), 0) if field == "poses" else (move_cov, count)
+            free = max(1, len(of) - (3 if field == "poses" else N_RATE))
             for k in dict.fromkeys(of.tolist()):
                 at = np.flatnonzero(of == k)
-                levers, gone = self.levers[begin + at], left[begin + at]
-                covariance = own[np.ix_(at, at)] - levers @ found.covariance @ levers.T
-                square = float(gone @ np.linalg.solve(covariance, gone))
+                design, outlying = self.design[begin + at], residuals[begin + at]
+                covariance = cov[np.ix_(at, at)] - design @ fit.covariance @ design.T
+                square = float(outlying @ np.linalg.solve(covariance, outlying))
                 chance = float(fdtrc(len(at), free, square / len(at)))
                 if chance < least:
                     least, worst = chance, aside._replace(**{field: (*getattr(aside, field), k)})
         return worst
 
-    def words(self, found: _Found, aside: _Aside) -> list[str]:
-        """What was set aside, each with what it leaves over."""
-        at, windows = self.closure, self.session.windows
-        left = (at.left - at.levers[:, OWN:] @ found.mean[OWN:]).reshape(-1, 2)
-        angle = np.rad2deg(np.linalg.norm(left, axis=1) * at.duration)
-        usual = float(np.median(np.delete(angle, aside.moves)))
-        rates = self.session.at_rest - found.mean[:3]
+    def describe_set_aside(self, fit: _Estimate, aside: _Outliers) -> list[str]:
+        """Describe each pose or move that was set aside with its residual."""
+        closure, windows = self.closure, self.session.windows
+        closing = (closure.residual - closure.design[:, N_RATE:] @ fit.mean[N_RATE:]).reshape(-1, 2)
+        angle = np.rad2deg(np.linalg.norm(closing, axis=1) * closure.duration)
+        usual_angle = float(np.median(np.delete(angle, aside.moves)))
+        rates = self.session.at_rest - fit.mean[:3]
         rate = np.rad2deg(np.linalg.norm(rates - rates.mean(axis=0), axis=1))
-        still = float(np.median(np.delete(rate, aside.poses)))
+        usual_rate = float(np.median(np.delete(rate, aside.poses)))
         poses = (
             f"the pose from {ws.number(windows[k, 0], 5)} to {ws.number(windows[k, 1], 5)} s, in which the outputs "
-            f"stand {ws.number(rate[k], 2)} deg/s off (others {ws.number(still, 2)})"
+            f"stand {ws.number(rate[k], 2)} deg/s off (others {ws.number(usual_rate, 2)})"
             for k in sorted(aside.poses)
         )
         moves = (
             f"the move from {ws.number(windows[k, 1], 5)} to {ws.number(windows[k + 1, 0], 5)} s, which leaves "
-            f"{ws.number(angle[k], 2)} deg over (others {ws.number(usual, 2)})"
+            f"{ws.number(angle[k], 2)} deg over (others {ws.number(usual_angle, 2)})"
             for k in sorted(aside.moves)
         )
         return [*poses, *moves]
 
-    def rows(self, found: _Found) -> _Rows:
-        """Innovations, one after the other."""
-        rest, moving = self.variances(found.wander, found.closing)
-        windows, count = self.session.windows, len(rest)
-        factor = np.linalg.cholesky(moving)
-        own = np.diag(factor)
-        # Lower with a diagonal of ones: what a move says beside those before it.
-        table = np.column_stack([self.output, self.levers])[count:]
-        table = solve_triangular(factor / own, table, lower=True, unit_diagonal=True)
+    def rows(self, fit: _Estimate) -> _Readings:
+        """Return the innovations of poses and moves in order, as readings."""
+        rest_var, move_cov = self.variances(fit.wander, fit.closing)
+        windows, count = self.session.windows, len(rest_var)
+        factor = np.linalg.cholesky(move_cov)
+        innovation_sd = np.diag(factor)
+        # Lower with a diagonal of ones: each move given those before it.
+        table = np.column_stack([self.output, self.design])[count:]
+        table = solve_triangular(factor / innovation_sd, table, lower=True, unit_diagonal=True)
         between = np.stack([windows[:-1, 1], windows[1:, 0]], axis=1)
         axis = np.arange(3 * len(windows)).reshape(-1, 3)[self.pose[::3]].ravel() % 3
-        return _Rows(
+        return _Readings(
             output=np.concatenate([self.output[:count], table[:, 0]]),
-            levers=np.concatenate([self.levers[:count], table[:, 1:]]),
-            uncertainty=np.concatenate([np.sqrt(rest), own]),
+            design=np.concatenate([self.design[:count], table[:, 1:]]),
+            uncertainty=np.concatenate([np.sqrt(rest_var), innovation_sd]),
             windows=np.concatenate([windows[self.pose], between[self.move]]),
-            force=np.concatenate([self.session.felt[self.pose], self.closure.force[self.move]]),
+            force=np.concatenate([self.session.force[self.pose], self.closure.force[self.move]]),
             kinds=(*(ws.AXES[i] for i in axis), *("move", "move too") * (len(self.move) // 2)),
         )
 
 
 class _Closure(NamedTuple):
-    """What moves leave over, two readings each, as mean rates; what acts on the way."""
+    """Closing errors of moves, two readings each, as mean rates; their sensitivities."""
 
-    left: Float[np.ndarray, "2m"]  # rad/s
-    levers: Float[np.ndarray, "2m 27"]
+    residual: Float[np.ndarray, "2m"]  # rad/s
+    design: Float[np.ndarray, "2m 27"]
     of_forces: Float[np.ndarray, "2m 3k"]  # slopes by the specific forces in the poses
     of_noise: Float[np.ndarray, "m 2 2"]  # covariance by white noise of one rad/s over a second
     duration: Float[np.ndarray, "m"]  # s
@@ -470,70 +470,70 @@ class _Closure(NamedTuple):
     world: Float[np.ndarray, "k 3 3"]  # from the body in each pose to the body in the first
 
 
-def _closure(
-    moved: _Moves, felt: Float[np.ndarray, "k 3"], own: Float[np.ndarray, "12"]
+def _integrate_moves(
+    path: _Moves, force: Float[np.ndarray, "k 3"], parameters: Float[np.ndarray, "12"]
 ) -> _Closure:
-    """Of the outputs integrated with a bias and a matrix."""
-    bias, matrix = own[:3], own[3:].reshape(3, 3)
-    rate, turned = _turned(moved, matrix, bias)
-    size, m, back = np.linalg.norm(felt, axis=1), len(rate), turned[:, -1]
+    """Integrate the outputs of moves with a bias and a matrix; return closing errors and their sensitivities."""
+    bias, matrix = parameters[:3], parameters[3:].reshape(3, 3)
+    rate, turns = _attitude(path, matrix, bias)
+    size, m, to_begin = np.linalg.norm(force, axis=1), len(rate), turns[:, -1]
     world = [np.eye(3)]
-    for one in back:
-        world.append(world[-1] @ one)
-    up = felt / size[:, None]
+    for rotation in to_begin:
+        world.append(world[-1] @ rotation)
+    up = force / size[:, None]
     q = np.stack(tangents(up[1:]), axis=1)  # (m, 2, 3)
-    before = np.einsum("mij,mkj->mki", back, q)  # q in the axes of the pose before
-    left = np.einsum("mkj,mj->mk", q, up[1:]) - np.einsum("mkj,mj->mk", before, up[:-1])
+    before = np.einsum("mij,mkj->mki", to_begin, q)  # q in the axes of the pose before
+    residual = np.einsum("mkj,mj->mk", q, up[1:]) - np.einsum("mkj,mj->mk", before, up[:-1])
     normal = np.cross(q, up[1:, None, :])
-    at_begin = np.einsum("mij,mkj->mki", back, normal)
-    duration = moved.duration[:, None, None]
-    a = -np.einsum("mnji,mkj->mkni", turned, at_begin) @ np.linalg.inv(matrix) / duration[..., None]
-    summed = a * moved.weight[:, None, :, None]
-    levers = [
+    at_begin = np.einsum("mij,mkj->mki", to_begin, normal)
+    duration = path.duration[:, None, None]
+    a = -np.einsum("mnji,mkj->mkni", turns, at_begin) @ np.linalg.inv(matrix) / duration[..., None]
+    summed = a * path.weight[:, None, :, None]
+    design = [
         summed.sum(axis=2),
         np.einsum("mkna,mnj->mkaj", summed, rate).reshape(m, 2, 9),
-        np.einsum("mkna,mnj->mkaj", summed, moved.force).reshape(m, 2, 9),
+        np.einsum("mkna,mnj->mkaj", summed, path.force).reshape(m, 2, 9),
         np.einsum("mkna,mna->mka", summed, rate**2),
         -np.einsum("mij,mkj->mki", np.array(world[1:]), normal),
     ]
-    slopes = np.zeros((m, 2, len(felt), 3))
-    each = np.arange(m)
-    slopes[each, :, each + 1] = q / size[1:, None, None] / duration
-    slopes[each, :, each] = -before / size[:-1, None, None] / duration
+    slopes = np.zeros((m, 2, len(force), 3))
+    move = np.arange(m)
+    slopes[move, :, move + 1] = q / size[1:, None, None] / duration
+    slopes[move, :, move] = -before / size[:-1, None, None] / duration
     return _Closure(
-        (left / duration[..., 0]).ravel(),
-        np.concatenate(levers, axis=2).reshape(2 * m, -1),
+        (residual / duration[..., 0]).ravel(),
+        np.concatenate(design, axis=2).reshape(2 * m, -1),
         slopes.reshape(2 * m, -1),
         np.einsum("mkna,mlna->mkl", summed, a),
-        moved.duration,
-        np.einsum("mn,mnj->mj", moved.weight, moved.force) / moved.duration[:, None],
+        path.duration,
+        np.einsum("mn,mnj->mj", path.weight, path.force) / path.duration[:, None],
         np.array(world),
     )
 
 
-def _at_rest(
+def _rest_design(
     matrix: Float[np.ndarray, "3 3"],
-    felt: Float[np.ndarray, "k 3"],
+    force: Float[np.ndarray, "k 3"],
     world: Float[np.ndarray, "k 3 3"],
 ) -> Float[np.ndarray, "3k 27"]:
-    """Levers of the three outputs in each pose: the Earth alone turns the body."""
-    k, each = len(felt), np.eye(3)
-    pulled = np.einsum("ab,kj->kabj", each, felt).reshape(k, 3, 9)
+    """Return the design rows of the three outputs in each pose: only the Earth turns the body."""
+    k, identity = len(force), np.eye(3)
+    pulled = np.einsum("ab,kj->kabj", identity, force).reshape(k, 3, 9)
     around = matrix @ world.transpose(0, 2, 1)
     none = np.zeros((k, 3, 9))
-    levers = [np.broadcast_to(each, (k, 3, 3)), none, pulled, none[..., :3], around]
-    return np.concatenate(levers, axis=2).reshape(3 * k, -1)
+    design = [np.broadcast_to(identity, (k, 3, 3)), none, pulled, none[..., :3], around]
+    return np.concatenate(design, axis=2).reshape(3 * k, -1)
 
 
-def _columns(
-    rows: _Rows, samples: bc.Measurements, log: LoggedRun, beside: tuple[str, ...], unit: float
+def _as_columns(
+    rows: _Readings, samples: bc.Measurements, log: LoggedRun, forces: tuple[str, ...], unit: float
 ) -> dict[str, np.ndarray]:
-    """Of readings, rates in the unit of the output; what else was recorded averaged over each."""
+    """Return the columns of readings, rates in the unit of the output; other recorded columns averaged over each."""
     powers = np.repeat([0.0, 1.0, 0.0, 2.0, 0.0], [3, 9, 9, 3, 3])
     names = (*ws.ACROSS, *ws.TURNED, *PULLED, *SQUARED, *AROUND)
-    made = dict(zip(names, (rows.levers / unit**powers).T, strict=True))
-    made |= {"output": rows.output / unit, ws.UNCERTAINTY: rows.uncertainty / unit}
-    made |= {ws.OF: np.array(rows.kinds)}
-    made |= {name: rows.force[:, j] for j, name in enumerate(beside)}
-    rest = [n for n in samples.columns if n not in (*made, *ws.DIRECTION, MOUNTING)]
-    return made | averaged(samples, rest, (log.inside(*w) for w in rows.windows))
+    columns = dict(zip(names, (rows.design / unit**powers).T, strict=True))
+    columns |= {"output": rows.output / unit, ws.UNCERTAINTY: rows.uncertainty / unit}
+    columns |= {ws.OF: np.array(rows.kinds)}
+    columns |= {name: rows.force[:, j] for j, name in enumerate(forces)}
+    others = [n for n in samples.columns if n not in (*columns, *ws.DIRECTION, MOUNTING)]
+    return columns | averaged(samples, others, (log.inside(*w) for w in rows.windows))

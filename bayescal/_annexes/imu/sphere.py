@@ -22,7 +22,7 @@ COLOUR_END_SD = 3.0  # standard deviations, at which the colour ends
 
 
 def sphere(calibration: bc.Calibration) -> Figure:
-    """Residuals of the magnitudes of poses, in standard deviations, where on the sphere each pose is.
+    """Plot the residuals of the magnitudes of poses on the sphere, in standard deviations.
 
     Raises:
         ModelError: an instrument of one output, or one of which the magnitude is not what is read.
@@ -32,12 +32,12 @@ def sphere(calibration: bc.Calibration) -> Figure:
     panels = figure.subplots(1, 2, sharex=True, sharey=True)
     points: Any = None
     for ax, up in zip(panels, (1, -1), strict=True):
-        own = direction[:, 2] * up >= 0
-        x, y, z = direction[own].T
+        on_hemisphere = direction[:, 2] * up >= 0
+        x, y, z = direction[on_hemisphere].T
         away = np.sqrt(1 / (1 + np.abs(z)))  # √(2(1 − |z|)) / √(2(1 − z²)), with 1 at the rim
         points = ax.scatter(
             *(np.stack([x, y]) * away),
-            c=residual[own],
+            c=residual[on_hemisphere],
             cmap="RdBu_r",
             vmin=-COLOUR_END_SD,
             vmax=COLOUR_END_SD,
@@ -47,7 +47,7 @@ def sphere(calibration: bc.Calibration) -> Figure:
         )
         turn = np.linspace(0, 2 * np.pi, 200)
         ax.plot(np.cos(turn), np.sin(turn), color=ws.plot_colours.GREY, lw=0.8)
-        ax.set_title(f"z {'up' if up > 0 else 'down'}: {int(own.sum())} poses")
+        ax.set_title(f"z {'up' if up > 0 else 'down'}: {int(on_hemisphere.sum())} poses")
         ax.set_xlabel("x")
         ax.set_aspect("equal")
         ax.set_xticks([])
@@ -67,7 +67,7 @@ def pictures(calibration: bc.Calibration) -> list[tuple[str, Callable[[], Figure
 def residuals_on_sphere(
     calibration: bc.Calibration,
 ) -> tuple[Float[np.ndarray, "n 3"], Float[np.ndarray, "n"]]:
-    """Directions of poses, by their outputs, and the residuals of their magnitudes in standard deviations."""
+    """Return directions of poses, by their outputs, and residuals of their magnitudes in standard deviations."""
     vector, readings = calibration.model.instrument.vector, calibration.readings
     if vector is None or vector.acting is not None:
         raise bc.ModelError(
@@ -75,9 +75,9 @@ def residuals_on_sphere(
             "bayescal.plot.residuals draws its residuals"
         )
     outputs = np.stack([readings[name] for name in vector.outputs], axis=1)
-    own = np.ones(len(readings), dtype=bool)
+    mask = np.ones(len(readings), dtype=bool)
     if readings.has(ws.ACROSS[0]):
-        own = ~np.any([readings[name] != 0 for name in ws.ACROSS], axis=0)
+        mask = ~np.any([readings[name] != 0 for name in ws.ACROSS], axis=0)
     linear = calibration.linear
     residual = linear.settled / np.sqrt(linear.variance)
-    return outputs[own] / np.linalg.norm(outputs[own], axis=1)[:, None], residual[own]
+    return outputs[mask] / np.linalg.norm(outputs[mask], axis=1)[:, None], residual[mask]

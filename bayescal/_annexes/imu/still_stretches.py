@@ -67,33 +67,33 @@ def still_stretches(
     count = len(time) // size
     blocks = outputs[: count * size].reshape(count, size, -1)
     mean, scatter = blocks.mean(axis=1), blocks.std(axis=1, ddof=1)
-    rest = np.quantile(scatter, QUIET_QUANTILE, axis=0)
-    rest = np.maximum(rest, np.finfo(float).tiny)
-    still = np.all(scatter <= STILL_RATIO * rest, axis=1)
-    moved = np.any(np.abs(np.diff(mean, axis=0)) > STILL_RATIO * rest, axis=1)
-    label = np.cumsum(np.concatenate([[True], moved | (still[1:] != still[:-1])]))
+    rest_scatter = np.quantile(scatter, QUIET_QUANTILE, axis=0)
+    rest_scatter = np.maximum(rest_scatter, np.finfo(float).tiny)
+    is_still = np.all(scatter <= STILL_RATIO * rest_scatter, axis=1)
+    has_moved = np.any(np.abs(np.diff(mean, axis=0)) > STILL_RATIO * rest_scatter, axis=1)
+    label = np.cumsum(np.concatenate([[True], has_moved | (is_still[1:] != is_still[:-1])]))
     begins, counts = ws.equal_runs(label)
-    inner = still[begins] & (counts > 2)
+    inner = is_still[begins] & (counts > 2)
     first, last = begins[inner] + 1, (begins + counts)[inner] - 1  # a move may reach into the ends
     # A block counts as a quarter of a second, which a step of 1/20 s makes 0.2499999 of.
     lengths = np.round((last - first) * size * step, 6)
     if shortest is None:
         brief = np.mean(lengths[lengths >= BRIEF_SECONDS] < SHORTEST_SECONDS) > BRIEF_SHARE
         shortest = BRIEF_SECONDS if brief else SHORTEST_SECONDS
-    kept = lengths >= shortest
-    shorter = tuple(map(float, lengths[(lengths >= BRIEF_SECONDS) & ~kept]))
-    if not kept.any():
+    long_enough = lengths >= shortest
+    shorter = tuple(map(float, lengths[(lengths >= BRIEF_SECONDS) & ~long_enough]))
+    if not long_enough.any():
         raise bc.InputError(
             f"no stretch of the log is still for {shortest:g} s: hold the unit still in each pose for longer, or say a "
-            "shorter time" + (f": {said_of(shorter)}" if shorter else "")
+            "shorter time" + (f": {shorter_stretches_note(shorter)}" if shorter else "")
         )
-    first, last = first[kept], last[kept]
+    first, last = first[long_enough], last[long_enough]
     ends = list(zip(first.tolist(), last.tolist(), strict=True))
     # Beside much noise a move begins unseen, in the outer blocks: their means tell of it rather than of the noise.
     middle = [(a + 1, b - 1) for a, b in ends if b - a >= INNER_BLOCKS + 2] or ends
-    own = [mean[a:b] for a, b in middle]
-    spent = sum(len(o) - 1 for o in own) * mean.shape[1]
-    between = sum(float(np.sum((o - o.mean(axis=0)) ** 2)) for o in own) / spent
+    block_means = [mean[a:b] for a, b in middle]
+    spent = sum(len(o) - 1 for o in block_means) * mean.shape[1]
+    between = sum(float(np.sum((o - o.mean(axis=0)) ** 2)) for o in block_means) / spent
     within = float(np.mean([np.mean(scatter[a:b] ** 2) for a, b in middle]))
     return StillStretches(
         first=first * size,
@@ -107,22 +107,22 @@ def still_stretches(
     )
 
 
-def said_of(left_out: Sequence[float]) -> str:
-    """Of still stretches that are too short, and with what they are taken."""
+def shorter_stretches_note(left_out: Sequence[float]) -> str:
+    """State how many still stretches are too short, and the option that includes them."""
     least = min(left_out)
     return f"{len(left_out)} shorter still stretches are left out; --shortest {least:g} (shortest={least:g}) takes them"
 
 
 class LoggedRun(NamedTuple):
-    """One run of a log: what was recorded in it, and its still stretches."""
+    """One run of a log: its samples and still stretches."""
 
     time: Float[np.ndarray, "n"]
     outputs: Float[np.ndarray, "n 3"]
     temperature: Float[np.ndarray, "n"] | None
-    still: StillStretches
+    at_rest: StillStretches
 
     def ends(self) -> Float[np.ndarray, "k 2"]:
-        return np.stack([self.time[self.still.first], self.time[self.still.last - 1]], axis=1)
+        return np.stack([self.time[self.at_rest.first], self.time[self.at_rest.last - 1]], axis=1)
 
     def means(self, windows: Float[np.ndarray, "m 2"]) -> Float[np.ndarray, "m 3"]:
         return np.stack([self.outputs[self.inside(*w)].mean(axis=0) for w in windows])
@@ -142,32 +142,32 @@ def per_sample(log: bc.Measurements) -> bc.Measurements:
 def logged_runs(
     log: bc.Measurements, names: tuple[str, ...], shortest: float | None
 ) -> dict[str, LoggedRun]:
-    """Of each run its samples and still stretches."""
+    """Return the samples and still stretches of each run, by its label."""
     labels, codes = log.groups("run")
-    found = {}
+    runs = {}
     for k, label in enumerate(labels):
-        own = np.flatnonzero(codes == k)
-        outputs = np.stack([log[name][own] for name in names], axis=1)
-        warm = log["temperature"][own] if log.has("temperature") else None
-        still = still_stretches(log["time"][own], outputs, shortest)
-        found[label] = LoggedRun(log["time"][own], outputs, warm, still)
-    return found
+        rows = np.flatnonzero(codes == k)
+        outputs = np.stack([log[name][rows] for name in names], axis=1)
+        warm = log["temperature"][rows] if log.has("temperature") else None
+        stretches = still_stretches(log["time"][rows], outputs, shortest)
+        runs[label] = LoggedRun(log["time"][rows], outputs, warm, stretches)
+    return runs
 
 
 def as_readings(
     columns: dict[str, np.ndarray], instrument: bc.Instrument, log: bc.Measurements
 ) -> bc.Measurements:
-    """What was made of a log as readings of an instrument; columns that it does not know have the log's units."""
-    known = {c.name for c in instrument.columns} | {ws.UNCERTAINTY}
-    units = {n: str(log.unit(n)) for n in columns if n not in known and log.unit(n)}
-    given: dict[str, Any] = {"units": units, "allow_one_temperature": True, **columns}
-    return bc.Measurements.from_arrays(instrument, **given)
+    """Return columns made of a log as readings of an instrument; undeclared columns keep the log's units."""
+    declared = {c.name for c in instrument.columns} | {ws.UNCERTAINTY}
+    units = {n: str(log.unit(n)) for n in columns if n not in declared and log.unit(n)}
+    arguments: dict[str, Any] = {"units": units, "allow_one_temperature": True, **columns}
+    return bc.Measurements.from_arrays(instrument, **arguments)
 
 
 def averaged(
     log: bc.Measurements, names: Iterable[str], stretches: Iterable[slice]
 ) -> dict[str, np.ndarray]:
-    """Columns averaged over stretches of a run; labels do not average: the one at the beginning holds."""
+    """Average columns over stretches of a run; of labels the first in each stretch holds."""
     stretches = [*stretches]
     return {
         n: np.array([v[s].mean() if v.dtype.kind == "f" else v[s.start] for s in stretches])
@@ -175,20 +175,20 @@ def averaged(
     }
 
 
-def in_common(one: Float[np.ndarray, "k 2"], other: Float[np.ndarray, "l 2"]) -> np.ndarray:
-    """Windows in which both are still, at least half as long as the shortest stretch of either (m, 2)."""
-    begin = np.maximum(one[:, None, 0], other[None, :, 0])
-    end = np.minimum(one[:, None, 1], other[None, :, 1])
-    least = 0.5 * min(np.min(one[:, 1] - one[:, 0]), np.min(other[:, 1] - other[:, 0]))
-    kept = end - begin >= least
-    windows = np.stack([begin[kept], end[kept]], axis=1)
+def in_common(first: Float[np.ndarray, "k 2"], second: Float[np.ndarray, "l 2"]) -> np.ndarray:
+    """Return the windows in which both are still, at least half as long as the shortest stretch of either (m, 2)."""
+    begin = np.maximum(first[:, None, 0], second[None, :, 0])
+    end = np.minimum(first[:, None, 1], second[None, :, 1])
+    least = 0.5 * min(np.min(first[:, 1] - first[:, 0]), np.min(second[:, 1] - second[:, 0]))
+    long_enough = end - begin >= least
+    windows = np.stack([begin[long_enough], end[long_enough]], axis=1)
     return windows[np.argsort(windows[:, 0])]
 
 
 def poses(
     log: bc.Measurements, instrument: bc.Instrument, *, shortest: float | None = None
 ) -> bc.Measurements:
-    """Average the still stretches of a log, a row each; other numeric columns are averaged beside them.
+    """Average the still stretches of a log, a row each; other numeric columns are averaged too.
 
     Of gyroscopes on a rate table they are stretches of a steady rate.
 
@@ -206,20 +206,20 @@ def poses(
         )
     log = per_sample(log)
     codes = log.groups("run")[1]
-    found = [run.still for run in logged_runs(log, instrument.vector.outputs, shortest).values()]
+    runs = [run.at_rest for run in logged_runs(log, instrument.vector.outputs, shortest).values()]
     names = [n for n in log.columns if n not in ("output", ws.UNCERTAINTY, ws.OF, *ws.ACROSS)]
     parts = [
-        averaged(log.select(codes == code), names, map(slice, still.first, still.last))
-        for code, still in enumerate(found)
+        averaged(log.select(codes == code), names, map(slice, stretches.first, stretches.last))
+        for code, stretches in enumerate(runs)
     ]
-    columns = {ws.UNCERTAINTY: np.concatenate([still.uncertainty for still in found])}
+    columns = {ws.UNCERTAINTY: np.concatenate([stretches.uncertainty for stretches in runs])}
     columns |= {name: np.concatenate([part[name] for part in parts]) for name in names}
-    made = as_readings(columns, instrument, log)
-    ratio = np.mean([still.ratio for still in found])
-    said = (
-        f"{len(made['output'])} readings of {len(columns[ws.UNCERTAINTY])} poses found in {log.file}; means of blocks "
-        f"scatter {ratio:.1f} times as much as those of independent samples would"
+    readings = as_readings(columns, instrument, log)
+    ratio = np.mean([stretches.ratio for stretches in runs])
+    note = (
+        f"{len(readings['output'])} readings of {len(columns[ws.UNCERTAINTY])} poses found in {log.file}; means of "
+        f"blocks scatter {ratio:.1f} times as much as those of independent samples would"
     )
-    left_out = [seconds for still in found for seconds in still.left_out]
-    short = (f"{log.file}: {said_of(left_out)}",) if left_out else ()
-    return replace(made, sources=log.sources, flags=(*log.flags, *made.flags, said, *short))
+    left_out = [seconds for stretches in runs for seconds in stretches.left_out]
+    short = (f"{log.file}: {shorter_stretches_note(left_out)}",) if left_out else ()
+    return replace(readings, sources=log.sources, flags=(*log.flags, *readings.flags, note, *short))

@@ -1,4 +1,4 @@
-"""Three axes in use: from three outputs back to what acts, with its covariance, over temperature.
+"""The correction of three axes in use: from three outputs to the input vector, with its covariance, over temperature.
 
     y = h(f̂),    Cov f̂ = H⁻¹·(B·C·Bᵀ + S)·H⁻ᵀ,    B = ∂h/∂p,  C = Cov p,  S = σ²·1
 
@@ -31,7 +31,7 @@ UNKNOWN_DIRECTIONS = (
     "Directions were unknown: a rotation of the triad is a convention (body z is sensor z, body y in the plane of "
     "sensors y and z), and its uncertainty is none."
 )
-STEP = 1e-6  # of a vector's length, for central differences: 1e-10 of a slope
+RELATIVE_STEP = 1e-6  # of a vector's length, for central differences: 1e-10 of a slope
 NEWTON_STEPS = 4  # steps of the inverse: each squares the error
 SAVED_AS = {  # keys of the JSON of a correction, and its attributes
     **{"calibration": "source", "instrument": "instrument", "outputs": "outputs", "unit": "unit"},
@@ -42,24 +42,24 @@ SAVED_AS = {  # keys of the JSON of a correction, and its attributes
 
 
 class TermSlopes(NamedTuple):
-    """What corrected vectors fall by where a term of their correction rises: `powers` times `each`."""
+    """Negative derivatives of corrected vectors by the terms of their correction: `powers` times `by_term`."""
 
     correction: VectorCorrection  # whose terms
     powers: Float[np.ndarray, "n k"]  # of T − T0 (n, k)
-    each: Float[np.ndarray, "n 3 p"]  # by the terms at its temperature (n, 3, p)
+    by_term: Float[np.ndarray, "n 3 p"]  # by the terms at its temperature (n, 3, p)
 
     def along(self, slope: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n q"]:
-        """Of a quantity with this slope by the vector."""
-        found = np.einsum("nk,nip,ni->nkp", self.powers, self.each, slope)
-        return found.reshape(len(slope), -1)
+        """Return the derivatives by the terms of a quantity with this slope by the vector."""
+        gradient = np.einsum("nk,nip,ni->nkp", self.powers, self.by_term, slope)
+        return gradient.reshape(len(slope), -1)
 
 
-Known = tuple[np.ndarray, np.ndarray]  # a quantity and its standard uncertainty, (n,) each
+Uncertain = tuple[np.ndarray, np.ndarray]  # a quantity and its standard uncertainty, (n,) each
 
 
 @dataclass(frozen=True)
 class CorrectedVector:
-    """What acts, by three outputs. Of tilt and heading z is up and y to the left of x.
+    """Input vectors estimated from three outputs. Of tilt and heading z is up and y to the left of x.
 
     Attributes:
         vector: f̂ in the body's axes (n, 3), `unit`.
@@ -76,28 +76,28 @@ class CorrectedVector:
     slopes: TermSlopes | None = None
 
     @property
-    def magnitude(self) -> Known:
-        """|f̂| and its standard uncertainty, `unit`."""
-        return _known(lambda v: np.linalg.norm(v, axis=1), self)
+    def magnitude(self) -> Uncertain:
+        """Return |f̂| and its standard uncertainty, `unit`."""
+        return _propagate(lambda v: np.linalg.norm(v, axis=1), self)
 
     @property
-    def tilt(self) -> dict[str, Known]:
-        """Roll and pitch of a body at rest by its specific force, rad, with standard uncertainties.
+    def tilt(self) -> dict[str, Uncertain]:
+        """Return roll and pitch of a body at rest by its specific force, rad, with standard uncertainties.
 
         Roll is atan2(f_y, f_z), pitch atan2(−f_x, √(f_y² + f_z²)). Roll is not determined where x is vertical.
         """
         return {
-            "roll": _known(lambda v: np.arctan2(v[:, 1], v[:, 2]), self),
-            "pitch": _known(lambda v: np.arctan2(-v[:, 0], np.hypot(v[:, 1], v[:, 2])), self),
+            "roll": _propagate(lambda v: np.arctan2(v[:, 1], v[:, 2]), self),
+            "pitch": _propagate(lambda v: np.arctan2(-v[:, 0], np.hypot(v[:, 1], v[:, 2])), self),
         }
 
     @property
-    def heading(self) -> Known:
-        """Heading of a level body by the magnetic field, of x clockwise from magnetic north, rad: atan2(m_y, m_x)."""
-        return _known(lambda field: np.arctan2(field[:, 1], field[:, 0]), self)
+    def heading(self) -> Uncertain:
+        """Return the heading of a level body, of x clockwise from magnetic north, rad: atan2(m_y, m_x)."""
+        return _propagate(lambda field: np.arctan2(field[:, 1], field[:, 0]), self)
 
-    def heading_over(self, force: CorrectedVector) -> Known:
-        """Heading of the x axis by a magnetic field, of a body at rest in any attitude.
+    def heading_over(self, force: CorrectedVector) -> Uncertain:
+        """Return the heading of the x axis by a magnetic field, of a body at rest in any attitude.
 
         Args:
             force: specific force of the same moments in the same axes, which says where up is. Where `in_frame_of` took
@@ -115,31 +115,31 @@ class CorrectedVector:
             north = field - np.sum(field * up, axis=1)[:, None] * up
             return np.arctan2(east[:, 0], north[:, 0])
 
-        return _known(heading, self, force)
+        return _propagate(heading, self, force)
 
 
-def _known(quantity: Callable[..., np.ndarray], *of: CorrectedVector) -> Known:
-    """A length or an angle of vectors, by its slopes; of two, with the errors that the first shares with the second."""
-    vectors, slopes = [one.vector for one in of], []
-    for moved, vector in enumerate(vectors):
-        step, by_axis = STEP * np.linalg.norm(vector, axis=1)[:, None], []
+def _propagate(quantity: Callable[..., np.ndarray], *of: CorrectedVector) -> Uncertain:
+    """Propagate the covariance of vectors, and the errors that two share, to a length or an angle, by its slopes."""
+    vectors, slopes = [corrected.vector for corrected in of], []
+    for index, vector in enumerate(vectors):
+        step, by_axis = RELATIVE_STEP * np.linalg.norm(vector, axis=1)[:, None], []
         for axis in np.eye(3):
-            there, back = (
-                quantity(*vectors[:moved], vector + step * end, *vectors[moved + 1 :])
+            forward, backward = (
+                quantity(*vectors[:index], vector + step * end, *vectors[index + 1 :])
                 for end in (axis, -axis)
             )
             # An angle's across ±π.
-            by_axis.append(np.angle(np.exp(1j * (there - back))) / (2 * step[:, 0]))
+            by_axis.append(np.angle(np.exp(1j * (forward - backward))) / (2 * step[:, 0]))
         slopes.append(np.stack(by_axis, axis=1))
     variance = sum(
-        np.einsum("ni,nij,nj->n", slope, one.covariance, slope)
-        for one, slope in zip(of, slopes, strict=True)
+        np.einsum("ni,nij,nj->n", slope, corrected.covariance, slope)
+        for corrected, slope in zip(of, slopes, strict=True)
     )
-    own, others = of[0].slopes, of[-1].slopes
-    if len(of) == 2 and own is not None and others is not None:
-        shared = own.correction.shared_with(others.correction)
+    first_slopes, second_slopes = of[0].slopes, of[-1].slopes
+    if len(of) == 2 and first_slopes is not None and second_slopes is not None:
+        shared = first_slopes.correction.shared_with(second_slopes.correction)
         if shared is not None:
-            by_terms = own.along(slopes[0]) @ shared * others.along(slopes[1])
+            by_terms = first_slopes.along(slopes[0]) @ shared * second_slopes.along(slopes[1])
             variance = variance + 2 * np.sum(by_terms, axis=1)
     return quantity(*vectors), np.sqrt(np.maximum(variance, 0.0))
 
@@ -189,31 +189,31 @@ class VectorCorrection(ws.CorrectionInUse):
     against: str = ""
 
     def shared_with(self, other: VectorCorrection) -> Float[np.ndarray, "q r"] | None:
-        """Covariance of the terms with those of the correction whose axes these are; None of another."""
-        known = self.axes_of != "" and self.axes_of == other.source
-        return self.shared if known else None
+        """Return the covariance of the terms with those of the correction whose axes these are; None for another."""
+        is_same_frame = self.axes_of != "" and self.axes_of == other.source
+        return self.shared if is_same_frame else None
 
     @property
     def order(self) -> int:
-        """Of the equation in what acts, 1, 2 or 3."""
+        """Return the order of the equation in the input, 1, 2 or 3."""
         return 1 + SIZES.index(self.terms.shape[1] - 9 * bool(self.beside))
 
     def at(self, temperature: ArrayLike) -> tuple[np.ndarray, np.ndarray]:
-        """Terms (n, p) at temperatures in °C, and their covariance (n, p, p)."""
+        """Return terms (n, p) at temperatures in °C, and their covariance (n, p, p)."""
         k, p = self.terms.shape
         powers = self.powers(np.atleast_1d(np.asarray(temperature, float)))
         blocks = self.covariance.reshape(k, p, k, p)
         return powers @ self.terms, np.einsum("nk,kplq,nl->npq", powers, blocks, powers)
 
     def powers(self, temperature: Float[np.ndarray, "n"]) -> Float[np.ndarray, "n k"]:
-        """Of T − T0, of temperatures in °C."""
+        """Return the powers of T − T0 for temperatures in °C."""
         return (temperature - self.reference)[:, None] ** np.arange(len(self.terms))
 
     def about_it(self) -> tuple[str, tuple[str, ...], str]:
         return self.instrument, self.notes, self.against
 
     def data(self) -> dict[str, Any]:
-        said = {
+        head = {
             "made_by": f"bayescal {bc.__version__}",
             "equation": "outputs = offset + matrix·f (+ higher orders) (+ beside·g), each a polynomial of T − "
             "reference",
@@ -222,11 +222,11 @@ class VectorCorrection(ws.CorrectionInUse):
             "temperatures_degC": None if self.low is None else [self.low, self.high],
         }
         shared = {} if self.shared is None else {"covariance_with_axes_of": self.shared.tolist()}
-        return said | {key: ws.as_json(getattr(self, of)) for key, of in SAVED_AS.items()} | shared
+        return head | {key: ws.as_json(getattr(self, of)) for key, of in SAVED_AS.items()} | shared
 
     @property
     def calibrated_at(self) -> str:
-        """The temperatures of the calibration, in words."""
+        """State the temperatures of the calibration in words."""
         if self.low is None or self.high is None:
             return "temperature not recorded"
         several = f"{self.low:.4g} to " if self.high > self.low else ""
@@ -234,39 +234,39 @@ class VectorCorrection(ws.CorrectionInUse):
 
     @property
     def assumed(self) -> float:
-        """Temperature where none is given, °C: T0, which is rounded and may be none of the calibration's."""
+        """Return the temperature where none is given, °C: T0 clamped to the calibrated range."""
         if self.low is None or self.high is None:
             return self.reference
         return min(max(self.reference, self.low), self.high)
 
     def is_outside(self, temperature: Float[np.ndarray, "n"]) -> np.ndarray:
-        """Where a temperature, °C, is none of the calibration; nowhere where none was recorded."""
+        """Mark temperatures, °C, outside the calibrated range; none where none was recorded."""
         if self.low is None or self.high is None:
             return np.zeros(len(temperature), bool)
         return (temperature < self.low) | (temperature > self.high)
 
     @cached_property
     def offset(self) -> np.ndarray:
-        """At T0 (3,)."""
+        """Return the offset at T0 (3,)."""
         return self.terms[0, :3]
 
     @cached_property
     def matrix(self) -> np.ndarray:
-        """At T0 (3, 3): outputs = matrix·f + offset."""
+        """Return the matrix at T0 (3, 3): outputs = matrix·f + offset."""
         return self.terms[0, 3:12].reshape(3, 3)
 
     @property
     def uncertainty(self) -> np.ndarray:
-        """Standard uncertainty of each term, as `terms` (k, p)."""
+        """Return the standard uncertainty of each term, as `terms` (k, p)."""
         return np.sqrt(np.diag(self.covariance)).reshape(self.terms.shape)
 
     @property
     def rows(self) -> list[TermRow]:
-        """Every term that is not nothing, with its standard uncertainty."""
+        """Return the non-zero terms with their standard uncertainties."""
         return term_rows(self.terms, self.uncertainty, self.unit, self.beside)
 
     def __str__(self) -> str:
-        """Offset, matrix and what else there is, as exports have them."""
+        """Format offset, matrix and the other terms, as exports have them."""
         return str(terms_table(self.rows))
 
     def __call__(
@@ -278,7 +278,7 @@ class VectorCorrection(ws.CorrectionInUse):
         noise: float | None = None,
         beside: ArrayLike | None = None,
     ) -> CorrectedVector:
-        """What acts, by three outputs.
+        """Correct three outputs to the input vector.
 
         Args:
             outputs: readings of the instrument, or (n, 3) in `unit`.
@@ -290,54 +290,54 @@ class VectorCorrection(ws.CorrectionInUse):
         Raises:
             InputError: not three outputs, or a temperature or what acts beside is missing where the model needs it.
         """
-        force, inverse, slope, warm = self._solved(outputs, temperature, beside)
-        own = self.at(warm)[1]
+        force, inverse, slope, temperatures = self._invert(outputs, temperature, beside)
+        cov = self.at(temperatures)[1]
         sd = self.noise if noise is None else noise
-        covariance = slope @ own @ slope.transpose(0, 2, 1) + sd**2 * inverse @ inverse.transpose(
+        covariance = slope @ cov @ slope.transpose(0, 2, 1) + sd**2 * inverse @ inverse.transpose(
             0, 2, 1
         )
-        slopes = TermSlopes(self, self.powers(warm), slope)
-        return CorrectedVector(force, covariance, self.unit, self.is_outside(warm), slopes)
+        slopes = TermSlopes(self, self.powers(temperatures), slope)
+        return CorrectedVector(force, covariance, self.unit, self.is_outside(temperatures), slopes)
 
     def in_poses(
         self, run: LoggedRun, windows: Float[np.ndarray, "n 2"]
     ) -> tuple[Float[np.ndarray, "n 3"], Float[np.ndarray, "3n q"], Float[np.ndarray, "3n 3n"]]:
-        """What acts in several poses, which share the calibration's errors.
+        """Correct the mean outputs of several poses, which share the calibration's errors.
 
         Args:
             run: of a log of the three outputs.
             windows: begin and end of each pose, s.
 
         Returns:
-            f̂; what it falls by where a term rises, so that slopes·covariance·slopesᵀ is what poses share; and its
-            covariance by what each has of its own.
+            f̂; its negative derivatives by the terms, so that slopes·covariance·slopesᵀ is the covariance that poses
+            share; and the covariance of independent errors.
 
         Raises:
             InputError: no temperature was logged, and the correction depends on it.
         """
-        warm = None
+        temperatures = None
         if run.temperature is not None:
-            warm = np.array([np.mean(run.temperature[run.inside(*w)]) for w in windows])
-        force, inverse, slope, warm = self._solved(run.means(windows), warm, None)
-        shared = np.einsum("nk,nip->nikp", self.powers(warm), slope)
+            temperatures = np.array([np.mean(run.temperature[run.inside(*w)]) for w in windows])
+        force, inverse, slope, temperatures = self._invert(run.means(windows), temperatures, None)
+        shared = np.einsum("nk,nip->nikp", self.powers(temperatures), slope)
         # What poses of the calibration scatter by beyond their means' noise (creep, hysteresis, a model not exact) each
         # pose of a log has too.
-        noise = run.still.of_second**2 / (windows[:, 1] - windows[:, 0])
+        noise = run.at_rest.of_second**2 / (windows[:, 1] - windows[:, 0])
         noise = noise + max(0.0, self.noise**2 - float(np.min(noise)))
-        own = noise[:, None, None] * inverse @ inverse.transpose(0, 2, 1)
-        return force, shared.reshape(3 * len(force), -1), np.asarray(block_diag(*own))
+        pose_covs = noise[:, None, None] * inverse @ inverse.transpose(0, 2, 1)
+        return force, shared.reshape(3 * len(force), -1), np.asarray(block_diag(*pose_covs))
 
-    def _solved(
+    def _invert(
         self,
         outputs: bc.Measurements | ArrayLike,
         temperature: ArrayLike | None,
-        beside: ArrayLike | None,
+        secondary: ArrayLike | None,
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-        """f̂ (n, 3), H⁻¹ (n, 3, 3), slopes of f̂ by the terms at its temperature (n, 3, p), temperatures (n,)."""
+        """Return f̂ (n, 3), H⁻¹ (n, 3, 3), slopes of f̂ by the terms at its temperature (n, 3, p), temperatures (n,)."""
         if isinstance(outputs, bc.Measurements):
             readings = outputs
-            if self.beside and beside is None and readings.has(self.beside[0]):
-                beside = np.stack([readings[name] for name in self.beside], axis=1)
+            if self.beside and secondary is None and readings.has(self.beside[0]):
+                secondary = np.stack([readings[name] for name in self.beside], axis=1)
             if temperature is None and readings.has("temperature"):
                 temperature = readings["temperature"]
             outputs = np.stack([readings[name] for name in self.outputs], axis=1)
@@ -350,19 +350,19 @@ class VectorCorrection(ws.CorrectionInUse):
             raise bc.InputError(
                 "the correction depends on the temperature: give temperature=… in °C"
             )
-        given = self.assumed if temperature is None else np.asarray(temperature, float)
-        warm = np.broadcast_to(given, len(y))
-        if self.beside and beside is None:
+        degrees = self.assumed if temperature is None else np.asarray(temperature, float)
+        warm = np.broadcast_to(degrees, len(y))
+        if self.beside and secondary is None:
             raise bc.InputError(
                 f"the correction depends on {', '.join(self.beside)}: give beside=… (n, 3), as calibrated"
             )
-        acts = np.broadcast_to(np.asarray(beside, float), y.shape) if self.beside else None
+        acts = np.broadcast_to(np.asarray(secondary, float), y.shape) if self.beside else None
         terms = self.powers(warm) @ self.terms
 
         def equation(force: np.ndarray) -> tuple[np.ndarray, Callable[[np.ndarray], np.ndarray]]:
-            there = slopes_by_terms(force, self.order, acts) @ terms[..., None]
+            predicted = slopes_by_terms(force, self.order, acts) @ terms[..., None]
             slopes = _slopes_by_force(terms, force, self.order)
-            return there[..., 0], lambda miss: np.linalg.solve(slopes, miss[..., None])[..., 0]
+            return predicted[..., 0], lambda miss: np.linalg.solve(slopes, miss[..., None])[..., 0]
 
         force = ws.stepped(equation, y, y, NEWTON_STEPS)
         inverse = np.linalg.inv(_slopes_by_force(terms, force, self.order))
@@ -383,7 +383,7 @@ class TermRow(NamedTuple):
 
 
 def terms_table(rows: Sequence[TermRow]) -> ws.ResultTable:
-    """Terms of a correction with their standard uncertainties."""
+    """Tabulate the terms of a correction with their standard uncertainties."""
     columns = (
         ws.TableColumn("correction", str),
         ws.TableColumn(
@@ -395,19 +395,19 @@ def terms_table(rows: Sequence[TermRow]) -> ws.ResultTable:
 
 
 def term_rows(
-    terms: ArrayLike, uncertainty: ArrayLike, unit: str, beside: Sequence[str]
+    terms: ArrayLike, uncertainty: ArrayLike, unit: str, secondary: Sequence[str]
 ) -> list[TermRow]:
-    """The terms that are not nothing."""
+    """Return the non-zero terms of a correction as rows."""
     axes, terms = "xyz", np.asarray(terms, float)
     names = [(f"offset {a}", unit) for a in axes]
     names += [(f"matrix {a}{b}", "1") for a in axes for b in axes]
-    own = terms.shape[1] - 9 * bool(beside)
-    if own > 12:
+    size = terms.shape[1] - 9 * bool(secondary)
+    if size > 12:
         pairs = [axes[i] + axes[j] for i, j in PAIRS]
         names += [(f"second order {a}·{p}", f"1/({unit})") for a in axes for p in pairs]
-    if own > 30:
+    if size > 30:
         names += [(f"cube {a}", f"1/({unit})^2") for a in axes]
-    names += [(f"{g} on {a}", unit) for a in axes for g in beside]
+    names += [(f"{g} on {a}", unit) for a in axes for g in secondary]
     rows = zip(range(4), terms, np.asarray(uncertainty, float), strict=False)
     return [
         TermRow(name, power, float(value), float(sd), f"{its}{PER_DEGREE[power]}")
@@ -421,25 +421,25 @@ PER_DEGREE = ("", "/degC", "/degC^2", "/degC^3")
 
 
 def slopes_by_terms(
-    force: Float[np.ndarray, "n 3"], order: int, beside: Float[np.ndarray, "n 3"] | None
+    force: Float[np.ndarray, "n 3"], order: int, secondary: Float[np.ndarray, "n 3"] | None
 ) -> Float[np.ndarray, "n 3 p"]:
-    """Slopes of the three outputs by the terms of a correction up to an order in what acts."""
+    """Return the slopes of the three outputs by the terms of a correction up to an order in the input."""
 
     def by_rows(values: Float[np.ndarray, "n m"]) -> Float[np.ndarray, "n 3 m3"]:
-        """By a matrix's entries, row by row, that multiply these values."""
+        """Return the slopes by a matrix's entries, row by row, that multiply these values."""
         return np.einsum("ij,nm->nijm", np.eye(3), values).reshape(len(values), 3, -1)
 
-    found = [np.broadcast_to(np.eye(3), (len(force), 3, 3)), by_rows(force)]
-    found += [by_rows(force[:, FIRST] * force[:, SECOND])] if order > 1 else []
-    found += [force[:, :, None] ** 3 * np.eye(3)] if order > 2 else []
-    found += [] if beside is None else [by_rows(beside)]
-    return np.concatenate(found, axis=2)
+    blocks = [np.broadcast_to(np.eye(3), (len(force), 3, 3)), by_rows(force)]
+    blocks += [by_rows(force[:, FIRST] * force[:, SECOND])] if order > 1 else []
+    blocks += [force[:, :, None] ** 3 * np.eye(3)] if order > 2 else []
+    blocks += [] if secondary is None else [by_rows(secondary)]
+    return np.concatenate(blocks, axis=2)
 
 
 def _slopes_by_force(
     terms: Float[np.ndarray, "n p"], force: Float[np.ndarray, "n 3"], order: int
 ) -> Float[np.ndarray, "n 3 3"]:
-    """H, the slopes of the three outputs by what acts."""
+    """Return H, the slopes of the three outputs by the input vector."""
     slopes = terms[:, 3:12].reshape(-1, 3, 3)
     if order > 1:
         second = terms[:, 12:30].reshape(-1, 3, 6)

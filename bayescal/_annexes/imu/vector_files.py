@@ -1,4 +1,4 @@
-"""Corrections of three axes: their JSON, which is read back, C99 and Python by templates, files, tables of a result."""
+"""Files of corrections of three axes: JSON, which is read back, C99 and Python by templates; tables of a result."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ PACKAGE = "bayescal._annexes.imu"  # whose templates these are
 
 @dataclass(frozen=True)
 class SavedCorrection:
-    """What the JSON of a correction of three axes holds."""
+    """Fields of the JSON of a correction of three axes."""
 
     made_by: str
     calibration: str
@@ -49,13 +49,13 @@ class SavedCorrection:
     covariance_with_axes_of: list[list[float]] | None = None
 
 
-def vector_from_data(found: Any, file: str) -> VectorCorrection:
-    """A correction of three axes from JSON."""
+def vector_from_data(data: Any, file: str) -> VectorCorrection:
+    """Build a correction of three axes from JSON data; raise InputError where it is damaged."""
     try:
-        saved = ws.as_type(found, SavedCorrection)
-        given = {of: getattr(saved, key) for key, of in SAVED_AS.items()}
-        given |= {of: np.array(given[of], float) for of in ("terms", "covariance")}
-        terms, covariance = given["terms"], given["covariance"]
+        saved = ws.as_type(data, SavedCorrection)
+        fields = {of: getattr(saved, key) for key, of in SAVED_AS.items()}
+        fields |= {of: np.array(fields[of], float) for of in ("terms", "covariance")}
+        terms, covariance = fields["terms"], fields["covariance"]
         shared = saved.covariance_with_axes_of
         fits = terms.ndim == 2 and terms.shape[1] - 9 * bool(saved.beside) in SIZES
         if not fits or covariance.shape != 2 * (terms.size,):
@@ -65,19 +65,19 @@ def vector_from_data(found: Any, file: str) -> VectorCorrection:
     except ValueError as error:
         raise bc.InputError(f"{file} is damaged: {error}. Export it again") from None
     low, high = saved.temperatures_degC or (None, None)
-    return VectorCorrection(**given, low=low, high=high, shared=shared)
+    return VectorCorrection(**fields, low=low, high=high, shared=shared)
 
 
 def headers(named: Mapping[str, VectorCorrection], uncertainty: bool) -> str:
-    """Corrections as C99, one after the other."""
+    """Generate corrections as C99, one after the other."""
     layout = ws.template(PACKAGE, "vector.h.jinja", {"comment": ws.c_comment})
 
     def header(name: str, c: VectorCorrection) -> str:
-        held = (c.terms.tolist(), c.covariance.tolist(), c.reference, c.low, c.high, uncertainty)
+        guarded = (c.terms.tolist(), c.covariance.tolist(), c.reference, c.low, c.high, uncertainty)
         return layout.render(
             c=c,
             name=name,
-            guard=ws.include_guard(name, *held),
+            guard=ws.include_guard(name, *guarded),
             uncertainty=uncertainty,
             recorded=c.low is not None,
             thermal=len(c.terms) > 1,
@@ -91,14 +91,14 @@ def headers(named: Mapping[str, VectorCorrection], uncertainty: bool) -> str:
 
 
 def module(named: Mapping[str, VectorCorrection], uncertainty: bool) -> str:
-    """Corrections as one Python module."""
-    held = {n: c.data() for n, c in named.items()}
-    for one in () if uncertainty else held.values():
-        del one["covariance"]
-        one.pop("covariance_with_axes_of", None)
+    """Generate corrections as one Python module."""
+    data_by_name = {n: c.data() for n, c in named.items()}
+    for data in () if uncertainty else data_by_name.values():
+        del data["covariance"]
+        data.pop("covariance_with_axes_of", None)
     return ws.template(PACKAGE, "vector.py.jinja", {"comment": ws.python_words}).render(
         named=named,
-        data={n: repr(one) for n, one in held.items()},
+        data={n: repr(data) for n, data in data_by_name.items()},
         uncertainty=uncertainty,
         newton=NEWTON_STEPS,
     )
@@ -110,7 +110,7 @@ CAPTION = "Three axes: outputs = offset + matrix · what acts, each a polynomial
 def vector_data(
     calibration: bc.Calibration, average: bc.Calibration | None = None
 ) -> dict[str, Any] | None:
-    """Offset and 3 × 3 matrix over temperature, with standard uncertainties, of three axes; None of one output."""
+    """Return offset and 3 × 3 matrix over temperature with standard uncertainties; None for one output."""
     if calibration.model.instrument.vector is None:
         return None
     from bayescal._annexes.imu.vector_series import vector_correction  # loads JAX
@@ -125,13 +125,13 @@ def vector_data(
 
 
 def coefficient_tables(data: Mapping[str, Any]) -> list[tuple[str, ws.ResultTable]]:
-    """Return terms of the correction of three axes, at T0 and by temperature, each ± u; nothing of one output."""
+    """Tabulate the terms of a correction of three axes, at T0 and by temperature, each ± u; none for one output."""
     last = data.get("vector") or {}
     averaged = last.get("averaged") or {}
-    found = averaged if "terms" in averaged else last
-    if "terms" not in found:
+    terms = averaged if "terms" in averaged else last
+    if "terms" not in terms:
         return []
-    rows = term_rows(found["terms"], found["uncertainty"], found["unit"], found["beside"])
+    rows = term_rows(terms["terms"], terms["uncertainty"], terms["unit"], terms["beside"])
     return [(CAPTION, terms_table(rows))]
 
 
@@ -166,7 +166,7 @@ def export_vector(
     name: str | None = None,
     uncertainty: bool = True,
 ) -> Path:
-    """Write by the suffix of the path (.h, .py, .json, .yaml) or in a `format`.
+    """Write a correction in the format of the path's suffix (.h, .py, .json, .yaml) or in `format`.
 
     Args:
         correction: to write.
@@ -188,14 +188,14 @@ def export_vector(
 
 
 def load_vector_correction(path: str | Path) -> VectorCorrection:
-    """A correction of three axes from its JSON file.
+    """Load a correction of three axes from its JSON file.
 
     Raises:
         InputError: there is no such file, it is none, or damaged.
     """
-    found = ws.load_correction(path)
-    if not isinstance(found, VectorCorrection):
+    terms = ws.load_correction(path)
+    if not isinstance(terms, VectorCorrection):
         raise bc.InputError(
             f"{Path(path).name} is of one output: bayescal.load_compensator loads it"
         )
-    return found
+    return terms

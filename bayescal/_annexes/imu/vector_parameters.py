@@ -1,6 +1,6 @@
-"""A correction of three axes in forms that hold less: files for Kalibr, OpenVINS, RealSense, ROS, and autopilots.
+"""A correction of three axes in reduced forms: files for Kalibr, OpenVINS, RealSense, ROS, and autopilots.
 
-Equations of what reads them, and their sources:
+Equations of these readers, and their sources:
 
 * Kalibr (imu_models, scale-misalignment): a_measured = M·a + b + n, M lower triangular, the body's x axis that of the
   sensor x; https://github.com/ethz-asl/kalibr/wiki/Multi-IMU-and-IMU-intrinsic-calibration. A rotation takes ours
@@ -16,7 +16,7 @@ Equations of what reads them, and their sources:
 * ArduPilot (AP_InertialSensor_Backend, AP_Compass_Backend): (raw − INS_ACCOFFS)·INS_ACCSCAL in m/s², raw − INS_GYROFFS
   in rad/s; for a compass DIA/ODI·(raw + OFS), symmetric, in mG.
 
-Each gets the nearest of its form, and says what that leaves out.
+Each gets the least-squares projection on its form, with a note of what that leaves out.
 """
 
 from __future__ import annotations
@@ -34,54 +34,54 @@ from bayescal._annexes.imu.firmware_parameters import AUTOPILOTS
 from bayescal._annexes.imu.plain_correction import PlainCorrection, plain_correction
 from bayescal._annexes.imu.vector_correction import VectorCorrection
 
-NOTHING = "Nothing is left out."
+NONE_LEFT = "Nothing is left out."
 KINDS = {"rad/s": "gyroscope", "m/s^2": "accelerometer"}
 
 
 def kalibr_yaml_of(correction: VectorCorrection, *others: VectorCorrection) -> str:
-    """The intrinsics as Kalibr and OpenVINS state them, in m/s² or rad/s where the unit is one of these.
+    """Format the intrinsics as Kalibr and OpenVINS define them, in m/s² or rad/s where the unit converts to these.
 
     Others are in the same body axes, such as gyroscopes by moves between poses of these accelerometers: Kalibr's axes
     are then those of the first.
     """
-    every = (correction, *others)
+    corrections = (correction, *others)
     frames = np.eye(3), *[_split(_in_kalibr(correction).matrix)[1]] * len(others)
-    triads = [_intrinsics(c, frame) for c, frame in zip(every, frames, strict=True)]
+    triads = [_intrinsics(c, frame) for c, frame in zip(corrections, frames, strict=True)]
     filters = {"row": _list, "rows": _rows, "comment": ws.c_comment}
     layout = ws.template("bayescal._annexes.imu", "intrinsics.yaml.jinja", filters)
-    notes = dict.fromkeys(note for c in every for note in c.notes)
+    notes = dict.fromkeys(note for c in corrections for note in c.notes)
     return _head("Intrinsics of three axes, made", notes) + layout.render(triads=triads)
 
 
 def openvins_yaml_of(correction: VectorCorrection, *others: VectorCorrection) -> str:
-    """kalibr_imu_chain.yaml of OpenVINS, without its noise: the lines that `bayescal noise --yaml` writes go below it.
+    """Format kalibr_imu_chain.yaml of OpenVINS without noise: the lines of `bayescal noise --yaml` go below it.
 
     Raises:
         InputError: a correction is neither of accelerometers nor of gyroscopes.
     """
-    every = _inertial("openvins", (correction, *others))
-    notes = [f"{kind}: {c.calibrated_at} {c.notes}" for kind, c in every.items()]
-    held = {name: np.eye(3) for name in ("Tw", "R_IMUtoGYRO", "Ta", "R_IMUtoACC")}
-    held["Tg"] = np.zeros((3, 3))
-    for kind, one in every.items():
-        held |= _openvins(one)
-        plain, (factor, unit) = _in_kalibr(one), si_of(one.unit)
+    triads = _by_kind("openvins", (correction, *others))
+    notes = [f"{kind}: {c.calibrated_at} {c.notes}" for kind, c in triads.items()]
+    matrices = {name: np.eye(3) for name in ("Tw", "R_IMUtoGYRO", "Ta", "R_IMUtoACC")}
+    matrices["Tg"] = np.zeros((3, 3))
+    for kind, triad in triads.items():
+        matrices |= _openvins(triad)
+        plain, (factor, unit) = _in_kalibr(triad), si_of(triad.unit)
         bias = _list(plain.offset * factor)
-        notes += [f"{kind}: {plain.said or NOTHING}"]
+        notes += [f"{kind}: {plain.omitted or NONE_LEFT}"]
         notes += [f"bias of the {kind}, which OpenVINS estimates: {bias} {unit}"]
     lines = ["imu0:", "  T_i_b:", _rows(np.eye(4)), "  time_offset: 0.0", '  model: "kalibr"']
-    lines += [f"  {name}:\n{_rows(matrix)}" for name, matrix in held.items()]
+    lines += [f"  {name}:\n{_rows(matrix)}" for name, matrix in matrices.items()]
     head = _head("Intrinsics of an inertial unit, made", notes)
     return "\n".join(["%YAML:1.0", head + lines[0], *lines[1:], ""])
 
 
 def _head(title: str, notes: Iterable[str]) -> str:
-    said = (f"# {ws.c_comment(note)}" for note in notes)
-    return "\n".join([f"# {title} by bayescal {bc.__version__}", *said, ""])
+    comments = (f"# {ws.c_comment(note)}" for note in notes)
+    return "\n".join([f"# {title} by bayescal {bc.__version__}", *comments, ""])
 
 
 def _openvins(correction: VectorCorrection) -> dict[str, np.ndarray]:
-    """Matrices of one triad by OpenVINS' names."""
+    """Return the matrices of one triad by OpenVINS' names."""
     factor, unit = si_of(correction.unit)
     plain = _in_kalibr(correction)
     lower, turn = _split(plain.matrix)
@@ -94,74 +94,75 @@ def _openvins(correction: VectorCorrection) -> dict[str, np.ndarray]:
 
 
 def realsense_json_of(correction: VectorCorrection, *others: VectorCorrection) -> str:
-    """calibration.json of librealsense; what is not given is left as it is measured."""
-    every = _inertial("realsense", (correction, *others))
+    """Format calibration.json of librealsense; a triad that is not given gets the identity."""
+    triads = _by_kind("realsense", (correction, *others))
     as_measured = {"scale_and_alignment": np.eye(3).ravel().tolist(), "bias": [0.0, 0.0, 0.0]}
     imu: dict[str, Any] = dict.fromkeys(("accelerometer", "gyroscope"), as_measured)
-    said = [f"Made by bayescal {bc.__version__}"]
-    for kind, one in every.items():
-        back, bias = _after(one)
+    notes = [f"Made by bayescal {bc.__version__}"]
+    for kind, triad in triads.items():
+        back, bias = _inverse_correction(triad)
         imu[kind] = {"scale_and_alignment": back.T.ravel().tolist(), "bias": bias.tolist()}
-        said += [one.calibrated_at, *one.notes, f"{kind}: {_plain(one).said or NOTHING}"]
-    return ws.json_text({"imus": [imu], "said": said}, indent=1)
+        notes += [triad.calibrated_at, *triad.notes]
+        notes += [f"{kind}: {_plain(triad).omitted or NONE_LEFT}"]
+    return ws.json_text({"imus": [imu], "said": notes}, indent=1)
 
 
 def ros_yaml_of(correction: VectorCorrection) -> str:
-    """imu_calib.yaml of ROS' imu_calib, of accelerometers."""
-    if "accelerometer" not in _inertial("ros", (correction,)):
+    """Format imu_calib.yaml of ROS' imu_calib, of accelerometers."""
+    if "accelerometer" not in _by_kind("ros", (correction,)):
         raise bc.InputError("ros: imu_calib corrects accelerometers, and these are gyroscopes")
-    back, bias = _after(correction)
-    notes = (correction.calibrated_at, *correction.notes, _plain(correction).said or NOTHING)
+    back, bias = _inverse_correction(correction)
+    notes = (correction.calibrated_at, *correction.notes, _plain(correction).omitted or NONE_LEFT)
     return _head("Made", notes) + f"SM: {_list(back.ravel())}\nbias: {_list(bias)}\n"
 
 
 def _plain(correction: VectorCorrection) -> PlainCorrection:
-    return plain_correction(correction, beside=False)
+    return plain_correction(correction, with_secondary=False)
 
 
-def _after(correction: VectorCorrection) -> tuple[np.ndarray, np.ndarray]:
-    """Matrix, and what is taken off behind it, m/s² or rad/s: what acts = matrix·y − bias."""
+def _inverse_correction(correction: VectorCorrection) -> tuple[np.ndarray, np.ndarray]:
+    """Return matrix and bias of the inverse, input = matrix·y − bias, in m/s² or rad/s."""
     plain = _plain(correction)
     back = np.linalg.inv(plain.matrix)
     return back, back @ plain.offset * si_of(correction.unit)[0]
 
 
-def _inertial(format: str, every: Sequence[VectorCorrection]) -> dict[str, VectorCorrection]:
-    """Triads by what they are of, "accelerometer" or "gyroscope"."""
-    found = {KINDS.get(si_of(c.unit)[1], ""): c for c in every}
-    if "" in found:
+def _by_kind(format: str, corrections: Sequence[VectorCorrection]) -> dict[str, VectorCorrection]:
+    """Return triads by kind, "accelerometer" or "gyroscope"; raise InputError for another quantity."""
+    triads = {KINDS.get(si_of(c.unit)[1], ""): c for c in corrections}
+    if "" in triads:
         raise bc.InputError(
-            f"{format} holds accelerometers and gyroscopes, and these outputs are in [{found[''].unit}]"
+            f"{format} holds accelerometers and gyroscopes, and these outputs are in [{triads[''].unit}]"
         )
-    return found
+    return triads
 
 
 def _in_kalibr(correction: VectorCorrection) -> PlainCorrection:
-    return plain_correction(correction, beside=si_of(correction.unit)[1] == "rad/s")
+    return plain_correction(correction, with_secondary=si_of(correction.unit)[1] == "rad/s")
 
 
 def _split(matrix: Float[np.ndarray, "3 3"]) -> tuple[np.ndarray, np.ndarray]:
-    """A matrix as a lower triangle times a rotation."""
+    """Factor a matrix into a lower triangle times a rotation."""
     lower = np.linalg.cholesky(matrix @ matrix.T)
     return lower, np.linalg.solve(lower, matrix)
 
 
 def _intrinsics(correction: VectorCorrection, frame: np.ndarray) -> dict[str, Any]:
-    """What the template states of one triad; `frame` rotates the body axes of the calibration to Kalibr's."""
+    """Return the template's values of one triad; `frame` rotates the body axes of the calibration to Kalibr's."""
     factor, unit = si_of(correction.unit)
     plain, kind = _in_kalibr(correction), KINDS.get(unit)
     lower, turn = _split(plain.matrix)
-    held = _openvins(correction) if kind else {}
-    by_force = held["Tg"] @ turn.T if kind == "gyroscope" and correction.beside else None
+    openvins = _openvins(correction) if kind else {}
+    by_force = openvins["Tg"] @ turn.T if kind == "gyroscope" and correction.beside else None
     return {
         "name": f"{kind}s" if kind else ws.identifier(correction.instrument),
         "calibrated_at": correction.calibrated_at,
-        "left_out": plain.said or NOTHING,
+        "left_out": plain.omitted or NONE_LEFT,
         **{"kind": kind, "unit": unit, "lower": lower, "turn": turn @ frame.T},
         **{"bias": plain.offset * factor, "bias_uncertainty": plain.uncertainty[:3] * factor},
         "matrix": plain.matrix,
         "matrix_uncertainty": plain.uncertainty[3:12].reshape(3, 3),
-        **{"by_force": by_force, "openvins": held},
+        **{"by_force": by_force, "openvins": openvins},
     }
 
 
@@ -183,62 +184,62 @@ PARAMETERS = {
 def autopilot_parameters(
     correction: VectorCorrection, autopilot: str
 ) -> tuple[dict[str, float], str]:
-    """Return parameters of an autopilot by name, of its first sensor, and what they leave out, in a sentence."""
+    """Return parameters of an autopilot's first sensor by name, and a sentence on what they leave out."""
     if autopilot not in PARAMETERS:
         raise bc.InputError(f"format {autopilot!r} is not one of {', '.join(PARAMETERS)}")
     factor, unit = si_of(correction.unit)
     kind = "magnetometer" if ws.same_dimension(unit, "uT") else KINDS.get(unit, "")
     if kind == "accelerometer":
-        plain = plain_correction(correction, "diagonal", beside=False)
-        values, said = (plain.offset * factor, 1 / np.diag(plain.matrix)), plain.said
+        plain = plain_correction(correction, "diagonal", with_secondary=False)
+        values, omission = (plain.offset * factor, 1 / np.diag(plain.matrix)), plain.omitted
     elif kind == "gyroscope":
-        plain = plain_correction(correction, "none", beside=False)
-        values, said = (plain.offset * factor,), plain.said
+        plain = plain_correction(correction, "none", with_secondary=False)
+        values, omission = (plain.offset * factor,), plain.omitted
     elif kind:
-        values, said = _symmetric(correction, -1e3 if autopilot == "ardupilot-params" else 1.0)
+        values, omission = _symmetric(correction, -1e3 if autopilot == "ardupilot-params" else 1.0)
     else:
         raise bc.InputError(
             f"{autopilot}: there are parameters for accelerometers, gyroscopes and magnetometers, and these outputs "
             f"are in [{correction.unit}]"
         )
     named = zip(PARAMETERS[autopilot][kind], values, strict=True)
-    return {n.format(a): v for n, own in named for a, v in zip("XYZ", own, strict=True)}, said
+    return {n.format(a): v for n, axes in named for a, v in zip("XYZ", axes, strict=True)}, omission
 
 
 def _symmetric(
     correction: VectorCorrection, per_gauss: float
 ) -> tuple[tuple[np.ndarray, np.ndarray, np.ndarray], str]:
-    """Offset, diagonal of the symmetric matrix of magnetometers and what stands beside it; what that leaves out."""
+    """Return offset, diagonal and off-diagonal of the symmetric matrix of magnetometers; what that leaves out."""
     from scipy.spatial.transform import Rotation  # loads a tenth of a second of SciPy
 
-    plain = plain_correction(correction, beside=False)
+    plain = plain_correction(correction, with_secondary=False)
     back = np.linalg.inv(plain.matrix)
     values, vectors = np.linalg.eigh(back.T @ back)
     symmetric = (vectors * np.sqrt(values)) @ vectors.T
     turn = back @ np.linalg.inv(symmetric)
     hand = np.sign(np.linalg.det(turn))
     angle = np.degrees(Rotation.from_matrix(hand * turn).magnitude())
-    kept = f"{'' if hand > 0 else 'a reflection and '}a rotation of {angle:.2g}°"
-    said = f"{plain.said} The axes keep {kept} to those of this calibration.".lstrip()
+    turned = f"{'' if hand > 0 else 'a reflection and '}a rotation of {angle:.2g}°"
+    omission = f"{plain.omitted} The axes keep {turned} to those of this calibration.".lstrip()
     offset = per_gauss * np.asarray(ws.convert(plain.offset, correction.unit, "gauss"))
-    return (offset, np.diag(symmetric), symmetric[[0, 0, 1], [1, 2, 2]]), said
+    return (offset, np.diag(symmetric), symmetric[[0, 0, 1], [1, 2, 2]]), omission
 
 
 def left_out(correction: VectorCorrection, format: str) -> str:
-    """What a format has no place for and how large it is, in a sentence; empty where it holds all of the correction."""
+    """State what a format cannot hold and how large it is, in a sentence; empty where it holds the whole correction."""
     if format in AUTOPILOTS:
         return autopilot_parameters(correction, format)[1]
     if format in ("realsense", "ros"):
-        return _plain(correction).said
-    return _in_kalibr(correction).said if format in READ_BY_OTHERS else ""
+        return _plain(correction).omitted
+    return _in_kalibr(correction).omitted if format in READ_BY_OTHERS else ""
 
 
 def parameter_file(correction: VectorCorrection, format: str) -> str:
-    """Parameters of an autopilot, as it loads them."""
-    values, left = autopilot_parameters(correction, format)
-    said = f"Made by bayescal {bc.__version__}, {correction.calibrated_at}", *correction.notes
-    every = map(ws.c_comment, (*said, left or NOTHING))
-    return AUTOPILOTS[format].text(every, {name: float(v) for name, v in values.items()})
+    """Format the parameter file of an autopilot."""
+    values, omission = autopilot_parameters(correction, format)
+    head = f"Made by bayescal {bc.__version__}, {correction.calibrated_at}", *correction.notes
+    comments = map(ws.c_comment, (*head, omission or NONE_LEFT))
+    return AUTOPILOTS[format].text(comments, {name: float(v) for name, v in values.items()})
 
 
 def si_of(unit: str) -> tuple[float, str]:
@@ -250,7 +251,7 @@ def si_of(unit: str) -> tuple[float, str]:
 
 
 def _list(values: np.ndarray) -> str:
-    """Numbers as YAML 1.1 takes them for such: a power of ten has a point before it."""
+    """Format numbers for YAML 1.1, which needs a decimal point before an exponent."""
     written = (f"{v:.15g}" for v in values)
     pointed = (re.sub(r"^(-?[0-9]+)e", r"\1.0e", v) for v in written)
     return f"[{', '.join(pointed)}]"

@@ -1,12 +1,11 @@
-"""The correction of three axes that a calibration comes to: its equation as a series, draw by draw.
+"""The correction of three axes from a calibration: its equation as a Taylor series, draw by draw.
 
-The calibrated equation h is taken as its Taylor series in what acts: offset, 3 × 3 matrix and, where the model has
-them, terms of second order and each axis' own cube, each a polynomial of T − T0. That is exact for terms that are
-polynomials of both; what depends on the temperature otherwise is left to the uncertainty.
+The calibrated equation h is expanded in the input: offset, 3 × 3 matrix and, where the model has them, terms of second
+order and each axis' own cube, each a polynomial of T − T0. That is exact for terms that are polynomials of both; other
+dependence on the temperature is added to the uncertainty.
 
-What belongs to the test and is not known in use is integrated out, draw by draw, and widens C: the deviation of a run
-is that of a new one, and what depends on time (a drift, a lag) or on a further column is as at a reading of the test
-taken at random.
+Effects that are specific to the test and unknown in use are integrated out, draw by draw, and widen C: a run deviates
+as a new one, and effects of time (a drift, a lag) or of a further column are as at a random reading of the test.
 """
 
 from __future__ import annotations
@@ -32,17 +31,17 @@ from bayescal._annexes.imu.vector_correction import (
 # Share of the largest term up to which a polynomial of the temperature is the model's own.
 EXACT_SHARE = 1e-9
 ORDERS = 3  # of the temperature
-TEMPERATURE = "temperature"  # known in use, as is what acts beside
-SHARED_SIZES = 3.0  # plausible sizes of a factor that three scale factors share, beyond which what acts is in question
-MENTIONED_SHARE = 0.1  # of a standard uncertainty: what of the test is larger is said
-OfTest = dict[str, dict[str, float]]  # of effects, the standard deviation of what they add to slots
+TEMPERATURE = "temperature"  # known in use, as is the secondary input
+SHARED_SIZES = 3.0  # plausible sizes of a common scale factor, above which input is doubtful
+MENTIONED_SHARE = 0.1  # of a standard uncertainty: larger effects of the test are noted
+OfTest = dict[str, dict[str, float]]  # effect → slot → standard deviation of its contribution
 
 
 def vector_correction(calibration: bc.Calibration) -> VectorCorrection:
-    """The correction of a calibrated instrument of three axes.
+    """Compute the correction of a calibrated instrument of three axes.
 
-    What leaves is for a run to come: the deviation of a run, a drift and what else belongs to the test are in the
-    uncertainty, and the notes say so. Mean and covariance are of all draws, as in every table.
+    It is for a run to come: the deviation of a run, a drift and other effects of the test are in the uncertainty, and
+    the notes say so. Mean and covariance are of all draws, as in every table.
 
     Args:
         calibration: of an instrument with `vector`, or an average over structures: over those that need no further
@@ -60,20 +59,20 @@ def vector_correction(calibration: bc.Calibration) -> VectorCorrection:
     further = {TEMPERATURE, *vector.beside} - calibration.usual_columns
     calibration = calibration.with_columns(set().union(*(e.columns for e in effects)) - further)
     model, readings = calibration.model, calibration.readings
-    beside = vector.beside if any(set(e.columns) & {*vector.beside} for e in model.effects) else ()
+    gravity = vector.beside if any(set(e.columns) & {*vector.beside} for e in model.effects) else ()
     recorded = readings.has("temperature")
     warm = readings["temperature"] if recorded else np.zeros(1)
     low, high, reference = float(np.min(warm)), float(np.max(warm)), float(np.round(np.mean(warm)))
     reference = float(calibration.reference.get("T0", reference))  # pyright: ignore[reportArgumentType]
     grid = np.linspace(low, high, 2 * ORDERS + 1) if high > low else np.array([low])
-    taylor, of_test = _taylor(calibration, grid, beside)  # (draws, grid, p)
+    taylor, of_test = _taylor(calibration, grid, gravity)  # (draws, grid, p)
     powers = (grid - reference)[:, None] ** np.arange(ORDERS + 1)
-    each = np.moveaxis(taylor, 1, 0).reshape(len(grid), -1)
+    samples = np.moveaxis(taylor, 1, 0).reshape(len(grid), -1)
     for order in range(min(ORDERS, len(grid) - 1) + 1):
-        own = powers[:, : order + 1]
-        q, r = np.linalg.qr(own)  # least squares of all draws at once
-        fitted = np.linalg.solve(r, q.T @ each)
-        beyond = each - own @ fitted  # what no polynomial of this order holds
+        basis = powers[:, : order + 1]
+        q, r = np.linalg.qr(basis)  # least squares of all draws at once
+        fitted = np.linalg.solve(r, q.T @ samples)
+        beyond = samples - basis @ fitted  # what no polynomial of this order holds
         if np.max(np.abs(beyond)) <= EXACT_SHARE * np.max(np.abs(taylor)):
             beyond = np.zeros_like(beyond)
             break
@@ -88,40 +87,40 @@ def vector_correction(calibration: bc.Calibration) -> VectorCorrection:
     spread = terms.reshape(len(terms), -1)
     covariance, mean = np.atleast_2d(np.cov(spread.T)), np.mean(terms, axis=0)
     covariance[: mean.shape[1], : mean.shape[1]] += beyond.T @ beyond / len(beyond)
-    relative, said = _common_scale(calibration, mean[0, 3:12].reshape(3, 3))
-    size = mean.shape[1] - 9 * bool(beside)
+    relative, scale_notes = _common_scale(calibration, mean[0, 3:12].reshape(3, 3))
+    size = mean.shape[1] - 9 * bool(gravity)
     powers = np.zeros(mean.shape[1])  # of what acts, in each term
     powers[:size] = np.repeat(range(4), [3, 9, 18, 3])[:size]
-    moved = relative * (mean * powers).ravel()
-    made = VectorCorrection(
+    shift = relative * (mean * powers).ravel()
+    correction = VectorCorrection(
         outputs=vector.outputs,
         unit=instrument.unit,
         reference=reference,
         low=low if recorded else None,
         high=high if recorded else None,
         terms=mean,
-        covariance=covariance + np.outer(moved, moved),
+        covariance=covariance + np.outer(shift, shift),
         noise=float(np.sqrt(np.min(calibration.linear.variance))),
         source=ws.identity(calibration),
-        beside=beside,
+        beside=gravity,
         instrument=instrument.name,
     )
     if np.any(beyond):
         rms = np.sqrt(np.mean(beyond[:, :3] ** 2, axis=0))
-        said = (
-            *said,
+        scale_notes = (
+            *scale_notes,
             f"What depends on the temperature by more than its power {ORDERS} is not corrected, and is in the "
             f"uncertainty (of offsets, rms, {ws.number(float(rms.max()), 2)} {ws.unit_label(instrument.unit)} at "
             "most).",
         )
     against = ws.why_not(calibration)
     notes = (f"{ws.NOT_RELIABLE}{against}",) * bool(against)
-    notes = (*said, *notes, *_notes(calibration, made, of_test))
-    return replace(made, reach=_reach(made, readings), notes=notes, against=against)
+    notes = (*scale_notes, *notes, *_notes(calibration, correction, of_test))
+    return replace(correction, reach=_reach(correction, readings), notes=notes, against=against)
 
 
 def _reach(correction: VectorCorrection, readings: bc.Measurements) -> float:
-    """Largest magnitude of what acted in the readings: of rates between poses, of their means."""
+    """Return the largest magnitude of the input in the readings; for moves, of mean rates."""
     if readings.has(ws.TURNED[0]):
         acted = np.stack([readings[name] for name in ws.TURNED], axis=1)
     else:
@@ -132,9 +131,9 @@ def _reach(correction: VectorCorrection, readings: bc.Measurements) -> float:
 def _common_scale(
     calibration: bc.Calibration, matrix: Float[np.ndarray, "3 3"]
 ) -> tuple[float, tuple[str, ...]]:
-    """Relative uncertainty of what all three scale factors share, beyond that of each, and what is to be said of it.
+    """Return the relative uncertainty of the common scale factor in excess of that of each, and notes on it.
 
-    It is that of data sheets where the magnitude of what acts is not known, and none where it is.
+    It is that of data sheets where the magnitude of the input is unknown, and zero where it is known.
     """
     instrument, readings = calibration.model.instrument, calibration.readings
     vector, unit = instrument.vector, ws.unit_label(instrument.unit)
@@ -160,22 +159,24 @@ def _common_scale(
     )
 
 
-def _notes(calibration: bc.Calibration, made: VectorCorrection, of_test: OfTest) -> tuple[str, ...]:
-    notes, at = [], made.calibrated_at
+def _notes(
+    calibration: bc.Calibration, result: VectorCorrection, of_test: OfTest
+) -> tuple[str, ...]:
+    notes, at = [], result.calibrated_at
     if calibration.readings.has(ws.TURNED[0]):
         notes.append("Axes are those of the accelerometers that the moves were closed by.")
     elif not calibration.readings.has(ws.ACROSS[0]):
         notes.append(UNKNOWN_DIRECTIONS)
-    if len(made.terms) > 1:
-        notes.append(f"Valid from {made.low:.4g} to {made.high:.4g} °C.")
+    if len(result.terms) > 1:
+        notes.append(f"Valid from {result.low:.4g} to {result.high:.4g} °C.")
     else:
         notes.append(
             f"No dependence on temperature is in the model ({at}): valid where it was calibrated."
         )
     model = calibration.model
-    for name, moved in of_test.items():
-        each = (
-            f"{s} {ws.number(sd, 2)} {model.instrument.slot(s).unit}" for s, sd in moved.items()
+    for name, slot_sds in of_test.items():
+        deviations = (
+            f"{s} {ws.number(sd, 2)} {model.instrument.slot(s).unit}" for s, sd in slot_sds.items()
         )
         of = {c.per for c in model.effect(name).coefficients if c.per}
         what = (
@@ -184,7 +185,7 @@ def _notes(calibration: bc.Calibration, made: VectorCorrection, of_test: OfTest)
             else "it belongs to the test and is not corrected; what it moves from one moment of the test to another"
         )
         notes.append(
-            f"{name}: {what} is in the uncertainty (standard deviation of {', '.join(each)})."
+            f"{name}: {what} is in the uncertainty (standard deviation of {', '.join(deviations)})."
         )
     if len(calibration.readings.groups("run")[0]) < 2:
         notes.append(
@@ -195,32 +196,32 @@ def _notes(calibration: bc.Calibration, made: VectorCorrection, of_test: OfTest)
 
 
 def _taylor(
-    calibration: bc.Calibration, grid: np.ndarray, beside: tuple[str, ...]
+    calibration: bc.Calibration, grid: np.ndarray, gravity: tuple[str, ...]
 ) -> tuple[Float[np.ndarray, "s g p"], OfTest]:
-    """Offset, matrix, second order and what acts beside at temperatures, of draws; and what of it is of the test."""
-    each, grid = len(grid), np.tile(grid, 1 + len(beside))  # at none, then at one of each
+    """Return the series of each draw at temperatures, secondary input included; and the contributions of the test."""
+    size, grid = len(grid), np.tile(grid, 1 + len(gravity))  # at none, then at one of each
     readings, vector = calibration.readings, calibration.model.instrument.vector
     assert vector is not None
     like = readings.select(np.zeros(len(grid), dtype=int))
     if readings.has("temperature"):
         like = like.with_column("temperature", grid)
-    for i, name in enumerate(beside):
-        like = like.with_column(name, 1.0 * (np.arange(len(grid)) // each == 1 + i))
+    for i, name in enumerate(gravity):
+        like = like.with_column(name, 1.0 * (np.arange(len(grid)) // size == 1 + i))
     problem = calibration.problem_on(calibration.frame_of(like))
     slots, of_test = _slots(calibration, problem)
     count = len(next(iter(slots.values())))
 
-    found = np.asarray(_series(vector, slots, problem.record.frame))
-    none, others = found[:, :each], found[:, each:, :3].reshape(count, len(beside), each, 3)
-    further = np.moveaxis(others - none[:, None, :, :3], 1, 3).reshape(count, each, -1)
-    return np.concatenate([none, further], axis=2), of_test
+    series = np.asarray(_series(vector, slots, problem.record.frame))
+    zero, others = series[:, :size], series[:, size:, :3].reshape(count, len(gravity), size, 3)
+    further = np.moveaxis(others - zero[:, None, :, :3], 1, 3).reshape(count, size, -1)
+    return np.concatenate([zero, further], axis=2), of_test
 
 
 @ws.compiled
 def _series(
     vector: bc.Vector, slots: Mapping[str, Float[Array, "s g"]], frame: bc.Frame
 ) -> Float[Array, "s g p"]:
-    """Offset, matrix, second order and own cubes of the equation, for draws of its slots at each reading of a frame."""
+    """Expand the equation: offset, matrix, second order and own cubes, for draws of its slots at each reading."""
     zero = jnp.zeros((frame.size, 3))
     unit = jnp.eye(3)[:, None, :] * jnp.ones((frame.size, 1))
 
@@ -234,9 +235,9 @@ def _series(
             return jnp.stack([jax.jvp(slope, (at,), (e,))[1][:, i, i] for i, e in enumerate(unit)])
 
         second = jnp.stack([jax.jvp(slope, (zero,), (e,))[1] for e in unit], axis=3)
-        own = jnp.stack([second[:, :, i, j] * (0.5 if i == j else 1.0) for i, j in PAIRS], axis=2)
+        pairs = jnp.stack([second[:, :, i, j] * (0.5 if i == j else 1.0) for i, j in PAIRS], axis=2)
         cubes = [jax.jvp(bend, (zero,), (e,))[1][i] / 6 for i, e in enumerate(unit)]
-        parts = h(zero), slope(zero).reshape(-1, 9), own.reshape(-1, 18), jnp.stack(cubes, axis=1)
+        parts = h(zero), slope(zero).reshape(-1, 9), pairs.reshape(-1, 18), jnp.stack(cubes, axis=1)
         return jnp.concatenate(parts, axis=1)
 
     return jax.vmap(terms)(slots)
@@ -245,17 +246,16 @@ def _series(
 def _slots(
     calibration: bc.Calibration, at: ws.Problem
 ) -> tuple[dict[str, Float[np.ndarray, "s g"]], OfTest]:
-    """What the effects come to in use, of draws, and what those of the test have in it.
+    """Sum the effects in each slot as in use, draw by draw; return them and the contributions of the test.
 
-    A member of a group is a new one. An effect of columns that are not known in use acts as at a reading of the test
-    taken at random; where it depends on what is known too (a lag, on the temperature's past), its sign is random:
-    how the known one went in the test says nothing of how it goes in use.
+    A member of a group is a new one. An effect of columns that are unknown in use acts as at a random reading of the
+    test; where it depends on known columns too (a lag, on the temperature's past), its sign is random.
     """
     vector = calibration.model.instrument.vector
     assert vector is not None
     x, v = calibration.draws()
     x = x + at.layout.origin_of_x
-    count, known = len(x), {TEMPERATURE, *vector.beside}
+    count, known_columns = len(x), {TEMPERATURE, *vector.beside}
     random = np.random.default_rng(0)  # of a new run, and of a moment of the test
     # In even shares, so that no mean moves by the chance of a draw.
     picked = random.permutation(count) * len(calibration.readings) // count
@@ -275,12 +275,12 @@ def _slots(
             value = at.value(t, x, hyper)
         shapes = [hyper[name] for name in t.shape_names]
         effect = t.effect
-        unknown = {*effect.columns} - known - {c.per for c in effect.coefficients}
+        unknown = {*effect.columns} - known_columns - {c.per for c in effect.coefficients}
         record = calibration.problem.record if unknown else at.record
         column = record.columns_of_draws(t.columns, shapes, {})[..., t.index] * t.factor
         if unknown:
             column = np.broadcast_to(column, (count, record.size))[np.arange(count), picked]
-            column = (column * (sign if known & {*effect.columns} else 1.0))[:, None]
+            column = (column * (sign if known_columns & {*effect.columns} else 1.0))[:, None]
         slots[t.slot] += value * column
         if new or unknown:
             sums = of_test.setdefault(t.effect.name, {})
@@ -288,5 +288,5 @@ def _slots(
     sds = {name: {s: float(np.std(v)) for s, v in sums.items()} for name, sums in of_test.items()}
     whole = {name: MENTIONED_SHARE * np.std(values[:, 0]) for name, values in slots.items()}
     return slots, {
-        n: each for n, each in sds.items() if any(sd > whole[s] for s, sd in each.items())
+        n: sizes for n, sizes in sds.items() if any(sd > whole[s] for s, sd in sizes.items())
     }
