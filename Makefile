@@ -62,19 +62,22 @@ clean:  ## remove what these targets made
 	rm -rf $(VENV) build dist demo_output site .cache .pytest_cache .hypothesis .ruff_cache
 	find . -name __pycache__ -type d -prune -exec rm -rf {} +
 
-# One stamp per interpreter and set of extras: .ready-3.11.7, .ready-3.11.7-test, .ready-3.11.7-test-lint.
+# One stamp per interpreter and its groups: .ready-3.11.7, .ready-3.11.7-test, .ready-3.11.7-test-lint.
 $(READY) $(READY)-workbench $(READY)-test $(READY)-test-nightly $(READY)-test-lint $(READY)-test-bench $(READY)-docs: \
   pyproject.toml
-	@$(PYTHON) -c 'import sys; sys.exit(not (3, 11) <= sys.version_info[:2] < (3, 14))' 2>/dev/null || { \
-	  echo "bayescal needs Python 3.11, 3.12 or 3.13; '$(PYTHON)' is $(or $(VERSION),not a command here)." >&2; \
+	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' 2>/dev/null || { \
+	  echo "bayescal needs Python 3.11 or later; '$(PYTHON)' is $(or $(VERSION),not a command here)." >&2; \
 	  echo "Name another one: make $(MAKECMDGOALS) PYTHON=python3.13" >&2; exit 1; }
 	@[ "$$($(IN_VENV)/python -c 'import platform; print(platform.python_version())' 2>/dev/null)" = "$(VERSION)" ] \
 	  || { echo "making $(VENV) with Python $(VERSION)"; $(PYTHON) -m venv --clear $(VENV); }
-	$(IN_VENV)/python -m pip install --quiet --no-compile -e '.$(if $(findstring -test,$@),[test$(if $(findstring -nightly,$@),$(comma)nightly)$(if $(findstring -lint,$@),$(comma)lint)$(if $(findstring -bench,$@),$(comma)bench)])$(if $(findstring -docs,$@),[docs])$(if $(findstring -workbench,$@),[workbench])'
+	@# Groups of pyproject.toml are read by pip 25.1, which no venv of Python 3.11 to 3.13 begins with.
+	$(IN_VENV)/python -m pip install --quiet --no-compile --upgrade 'pip>=25.1'
+	$(IN_VENV)/python -m pip install --quiet --no-compile \
+	  -e '.$(if $(findstring -workbench,$(notdir $@)),[workbench])' $(foreach group,$(GROUPS_OF_STAMP),--group $(group))
 	@# pip would compile to bytecode on one core, and what nothing here imports too: half of an installation. What is of
 	@# another Python, as templates are, does not compile and need not.
 	@$(IN_VENV)/python -m compileall -qq -j 0 -x '/site-packages/(.*/tests?|$(UNUSED))/' $(VENV)/lib || true
 	@touch $@
 
-comma := ,
+GROUPS_OF_STAMP = $(foreach group,test nightly lint bench docs,$(if $(findstring -$(group),$(notdir $@)),$(group)))
 UNUSED := pymavlink/dialects|setuptools|pip|debugpy|IPython|jedi|playwright

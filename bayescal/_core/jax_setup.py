@@ -1,10 +1,9 @@
-"""What must happen before JAX starts: worker threads, double precision, a cache of programs.
+"""What must happen before JAX starts: double precision, a cache of programs.
 
 Importing this module is cheap and does not import JAX. `bayescal/__init__.py` imports it first; `lazy_jax.py` has
 `configure_jax()` called once JAX is imported, by whoever imports it.
 
 Environment variables:
-    NPROC: worker threads of JAX on the CPU; respected where set.
     BAYESCAL_CACHE: folder for what bayescal keeps between runs, at most 512 MiB of it from one start to the
         next; empty for nothing kept.
     JAX_COMPILATION_CACHE_DIR: JAX's own; where set (or configured from Python), bayescal leaves the
@@ -21,27 +20,8 @@ from functools import cache
 from importlib import import_module
 from pathlib import Path
 
-MIN_WORKERS = 16  # with 8 JAX sometimes hung, with 16 never: see `enough_workers`
-
 MOST_KEPT = 512 * 1024**2  # bytes of programs on disk; a first calibration leaves some 5 MB
-
 MOST_MAPS = 30_000  # of 65,530 that Linux allows a process by default
-
-
-def enough_workers() -> None:
-    """Give JAX at least `MIN_WORKERS` worker threads, unless the user has set `NPROC`.
-
-    JAX before 0.12, which Python 3.11 gets, runs independent operations of a program side by side, each on a worker; a
-    batched Cholesky or triangular solve then shares its batch out to the same workers and waits for them. When every
-    worker waits, in a loop over independent factorisations, the program hangs for ever, at random: with 2 or 4 workers
-    nearly always, with 8 sometimes, with 16 never. More of them than cores cost a little.
-    """
-    if sys.version_info >= (3, 12) or "NPROC" in os.environ:
-        return
-    affinity = getattr(os, "sched_getaffinity", None)  # not on macOS and Windows
-    cores = len(affinity(0)) if affinity else os.cpu_count() or 1
-    if cores < MIN_WORKERS:
-        os.environ["NPROC"] = str(MIN_WORKERS)
 
 
 def cache_folder() -> Path | None:
@@ -120,9 +100,6 @@ def spare_memory_maps() -> None:
         import jax
 
         jax.clear_caches()
-
-
-enough_workers()
 
 
 # Two libraries look in the current folder when they are loaded, before anywhere else: file → what obeys it.

@@ -24,10 +24,9 @@ from bayescal._model.prior import Flat, HalfCauchy, HalfNormal, Known, LogNormal
 from bayescal._model.static import set_once, static
 
 Kind = Literal[
-    *("", "constant", "linear", "quadratic", "cubic", "quartic"),
-    *("rate", "lag", "warm-up", "drift", "hysteresis"),
-    *("curve", "line", "jump", "kink", "peak", "cycle"),  # placeholders
-]
+    "", "constant", "linear", "quadratic", "cubic", "quartic", "rate", "lag", "warm-up", "drift", "hysteresis",
+    "curve", "line", "jump", "kink", "peak", "cycle",  # placeholders
+]  # fmt: skip
 Role = Literal["named", "unnamed", "freed"]
 Group = str  # "run", "cell", "axis", "device", "reading", or a column of labels that the instrument declares
 READING = "reading"  # the group of which each reading is a member by itself

@@ -16,6 +16,7 @@ from typing import NamedTuple
 import pytest
 
 import bayescal
+from bayescal_models import INSTRUMENTS
 
 ROOT = Path(__file__).resolve().parents[2]
 PACKAGE = ROOT / "bayescal"
@@ -224,15 +225,16 @@ def test_the_framework_knows_no_instrument() -> None:
 
 
 def test_one_version() -> None:
-    project = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))["project"]
-    assert project["version"] == bayescal.__version__
     cited = re.search(r"^version: (.*)$", (ROOT / "CITATION.cff").read_text("utf-8"), re.MULTILINE)
     assert cited is not None and cited[1] == bayescal.__version__
 
 
-def test_every_instrument_is_offered_to_the_command_line() -> None:
-    from bayescal_models import INSTRUMENTS
+def test_what_python_311_needs_stands_in_one_file() -> None:
+    asking = {name for name, file in MODULES.items() if "version_info" in file.read_text("utf-8")}
+    assert asking == {"_core.python311"}
 
+
+def test_every_instrument_is_offered_to_the_command_line() -> None:
     project = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))["project"]
     offered = project["entry-points"]["bayescal.instruments"]
     assert offered == {name: f"bayescal_models.{name}:INSTRUMENT" for name in INSTRUMENTS}
@@ -240,8 +242,6 @@ def test_every_instrument_is_offered_to_the_command_line() -> None:
 
 @pytest.mark.parametrize("group", ["bayescal.pair_selections"])
 def test_what_is_offered_beside_an_instrument_is_there(group: str) -> None:
-    from bayescal_models import INSTRUMENTS
-
     project = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))["project"]
     for name, place in project["entry-points"][group].items():
         module, _, attribute = place.partition(":")

@@ -200,7 +200,7 @@ def test_independent_batched_factorisations_in_a_loop_finish(tmp_path: Path) -> 
     try:
         printed = run_python(INDEPENDENT_FACTORISATIONS, variables, seconds=120)
     except subprocess.TimeoutExpired:
-        pytest.fail("JAX hung: its workers wait for each other (see bayescal/_core/jax_setup.py)")
+        pytest.fail("JAX hung: its workers wait for each other (see bayescal/_core/python311.py)")
     assert printed.strip() == "finished"
 
 
