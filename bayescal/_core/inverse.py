@@ -13,7 +13,7 @@ MOST_ROUNDING_ERRORS = 1e4  # of the output, by which a solution may miss
 
 def stepped(
     equation: Callable[[Any], tuple[Any, Callable[[Any], Any]]], y: Any, s: Any, steps: int
-):
+) -> Any:
     """s where an equation gives y, by so many steps of Newton from s, each of which squares the error; in JAX too.
 
     Args:

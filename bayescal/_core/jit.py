@@ -25,14 +25,13 @@ R = TypeVar("R", covariant=True)
 class compiled(Generic[P, R]):
     """`equinox.filter_jit`, with options of the compiler after the number of numbers it is called with.
 
-    Inside another compiled function it is the plain function: that one's options hold.
-
-    Attributes:
-        many: numbers in its arguments, from which on it is well optimised.
+    Inside another compiled function it is the plain function: that one's options hold. `many` are the numbers in its
+    arguments from which on it is well optimised.
     """
 
     def __init__(self, function: Callable[P, R], many: int = MANY_NUMBERS):
-        self.function, self.many = function, many
+        self.function = function
+        self.many = many
         self._jitted = cache(self._compiler)
         update_wrapper(self, function)
 

@@ -71,8 +71,6 @@ class Density(ByValues):
         """Where x is counted from in `grams`."""
         return self.x if self.tabulated is None else self.tabulated.at
 
-    # from the readings ------------------------------------------------------------------------------------------
-
     def _line(self, v: np.ndarray, hyper: Values) -> Linearised:
         key = self._key(v)
         if key not in self._lines:
@@ -263,8 +261,6 @@ class Density(ByValues):
         line = self.problem.linearise(self.x, hyper)
         left = record.y - line.mean
         return density_terms(noise, hyper, record, left, self._extra(line)).squares
-
-    # the density ------------------------------------------------------------------------------------------------
 
     def evaluate(self, v: np.ndarray, exact: bool = False) -> Any:
         """Return log density, gradient and curvature, an `exact` one or about right; None where there is none."""

@@ -12,6 +12,7 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Callable
+from dataclasses import dataclass, field
 from functools import cache
 from typing import NamedTuple
 
@@ -48,6 +49,7 @@ class Shares(NamedTuple):
     second: Float[np.ndarray, "d d r"]
 
 
+@dataclass(eq=False)
 class Expansion:
     """Columns J(v) = Σᵣ sᵣ(v)·columns[:, :, r] near a coordinate of the shapes.
 
@@ -59,15 +61,14 @@ class Expansion:
         number: its own, by which a table knows its columns without holding them.
     """
 
-    def __init__(
-        self,
-        columns: Float[np.ndarray, "n k r"],
-        middle: Float[np.ndarray, "d"],
-        half: float = 0.0,
-        orders: np.ndarray = _ORDERS[:0],
-    ) -> None:
-        self.columns, self.middle, self.half, self.orders = columns, middle, half, orders
-        self.rank, self.number = columns.shape[2], next(_NUMBERS)
+    columns: Float[np.ndarray, "n k r"]
+    middle: Float[np.ndarray, "d"]
+    half: float = 0.0
+    orders: np.ndarray = field(default_factory=_ORDERS[:0].copy)
+
+    def __post_init__(self) -> None:
+        self.rank: int = self.columns.shape[2]
+        self.number: int = next(_NUMBERS)
 
     def distance(self, v: Float[np.ndarray, "d"]) -> float:
         """Return how far a coordinate is from the middle, in half widths."""
@@ -107,10 +108,12 @@ class Polynomials:
     """
 
     def __init__(self, draws: Float[np.ndarray, "s m"], degree: int) -> None:
-        self.centre = draws.mean(axis=0)
+        self.centre: np.ndarray = draws.mean(axis=0)
         covariance = np.atleast_2d(np.cov(draws.T))
-        self.root = BOX_SD * np.linalg.cholesky(covariance + 1e-12 * np.diag(np.diag(covariance)))
-        self.degree, self.dim = degree, len(self.centre)
+        ridge = 1e-12 * np.diag(np.diag(covariance))
+        self.root: np.ndarray = BOX_SD * np.linalg.cholesky(covariance + ridge)
+        self.degree = degree
+        self.dim: int = len(self.centre)
         powers = list(itertools.combinations_with_replacement(range(self.dim + 1), degree))
         self._powers = np.array([[c.count(j + 1) for j in range(self.dim)] for c in powers])
         # Twice as many points as terms, and a few: with points of the density 1/√(1 − t²), which the cosine below
@@ -119,7 +122,7 @@ class Polynomials:
         # A Kronecker sequence: multiples of irrational steps, modulo one, leave no gaps whatever their number.
         ratio = brentq(lambda x: x ** (self.dim + 1) - x - 1, 1, 2, xtol=1e-15)
         steps = (np.arange(1, count + 1)[:, None] * ratio ** -np.arange(1, self.dim + 1) + 0.5) % 1
-        self.points = self.centre + np.cos(np.pi * steps) @ self.root.T
+        self.points: np.ndarray = self.centre + np.cos(np.pi * steps) @ self.root.T
 
     def _round(self, coordinates: Float[np.ndarray, "*b m"]) -> Float[np.ndarray, "*b m"]:
         return np.linalg.solve(self.root, (coordinates - self.centre)[..., None])[..., 0]
@@ -145,7 +148,8 @@ class PolynomialColumns(Expansion):
         share: Float[np.ndarray, "t r"],
     ) -> None:
         super().__init__(columns, polynomials.centre)
-        self.polynomials, self.share = polynomials, share
+        self.polynomials: Polynomials = polynomials
+        self.share: np.ndarray = share
 
     def values(self, v: Float[np.ndarray, "b d"]) -> Float[np.ndarray, "b r"]:
         return self.polynomials.terms(v) @ self.share
@@ -161,7 +165,8 @@ class Expansions:
     def __init__(
         self, columns: Callable[[Float[np.ndarray, "s d"]], Float[np.ndarray, "s n k"]], dim: int
     ) -> None:
-        self._columns, self.dim = columns, dim
+        self._columns = columns
+        self.dim = dim
         self._boxes, self._places = list[Expansion](), list[Expansion]()
         self._halvings, self._failures = 0, 0 if dim == 1 else FAILURES
 

@@ -55,7 +55,7 @@ class LeastSquares(Method):
     draws: int = 4000
     name: ClassVar[str] = "least-squares"
 
-    def run(self, problem, seed, start=NOTHING_KNOWN):
+    def run(self, problem: Problem, seed: int, start: Any = NOTHING_KNOWN) -> Outcome:
         with stage("least squares"):
             mode = find_mode(problem, start=start)
             # From where the mode is known to be, the last digits are a few steps of Gauss–Newton away.

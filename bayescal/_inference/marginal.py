@@ -6,7 +6,7 @@ import math
 from collections.abc import Iterator
 from dataclasses import replace
 from functools import partial
-from typing import ClassVar, Literal, NamedTuple
+from typing import Any, ClassVar, Literal, NamedTuple
 
 import numpy as np
 from jaxtyping import Float
@@ -63,7 +63,7 @@ class Marginal(Method):
     chains: bool = True
     name: ClassVar[str] = "marginal"
 
-    def run(self, problem, seed, start=NOTHING_KNOWN):
+    def run(self, problem: Problem, seed: int, start: Any = NOTHING_KNOWN) -> Outcome:
         with stage("finding the mode"), deadline.finishing():
             problem, notes, mode = sampled_products.choose(problem, self.promote, start)
             mode = find_mode(problem, start=start) if mode is None else mode

@@ -145,7 +145,8 @@ class ByValues:
     """
 
     def __init__(self, values: Values, scale: Float[np.ndarray, "d"] | float = 1.0) -> None:
-        self.values, self.scale = values, scale
+        self.values = values
+        self.scale = scale
         self._begin()
 
     def _begin(self, like: Nearby | None = None) -> None:

@@ -52,7 +52,7 @@ class NUTS(Method):
     dense: bool = True
     name: ClassVar[str] = "nuts"
 
-    def run(self, problem, seed, start=NOTHING_KNOWN):
+    def run(self, problem: Problem, seed: int, start: Any = NOTHING_KNOWN) -> Outcome:
         layout = replace(problem.layout, promoted=())
         problem = Problem(layout, problem.record)
         frame, y = problem.record.frame, problem.record.y

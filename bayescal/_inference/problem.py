@@ -23,11 +23,13 @@ from bayescal._model.composition import (
     variance_of_inputs,
 )
 from bayescal._model.composition import expected as expected_of
-from bayescal._model.parameters import MOVING, Layout
+from bayescal._model.noise_law import Noise
+from bayescal._model.parameters import MOVING, Layout, Unknown
 from bayescal._model.prior import slope
 from bayescal._model.terms import Sizes, Term, terms_of
 
 Values = dict[str, float]
+Moves = Mapping[str, Any]
 ABSENT = -30.0  # coordinate of a standard deviation that is not there (1e-13 of its scale)
 
 
@@ -38,10 +40,11 @@ class Host:
 
     def __init__(self, record: Record) -> None:
         self.record = record
-        self.size, self.slots = record.size, record.slots
+        self.size: int = record.size
+        self.slots: tuple[str, ...] = record.slots
         self.codes: Mapping[str, Any] = record.codes
 
-    def columns(self, term: Term, shapes: Sequence[Any], moves: dict, sloped: bool) -> tuple:
+    def columns(self, term: Term, shapes: Sequence[Any], moves: Moves, sloped: bool) -> Any:
         of, record = term.columns, self.record
         if any(np.ndim(s) for s in shapes) or any(m.ndim > 1 for m in moves.values()):
             if sloped:
@@ -53,10 +56,10 @@ class Host:
         found, slopes = record.moved_columns_of_draws(of, *one)
         return found[0], {n: slope[0] for n, slope in slopes.items()}
 
-    def response(self, slots: dict, moves: dict) -> np.ndarray:
+    def response(self, slots: Moves, moves: Moves) -> np.ndarray:
         return self.record.respond(slots, moves, sloped=False)[0]
 
-    def slopes(self, slots: dict, moves: dict) -> tuple[np.ndarray, Mapping[str, np.ndarray]]:
+    def slopes(self, slots: Moves, moves: Moves) -> tuple[np.ndarray, Mapping[str, np.ndarray]]:
         return self.record.respond(slots, moves)
 
 
@@ -70,20 +73,21 @@ class Problem:
 
     def __post_init__(self) -> None:
         layout = self.layout
-        self.terms, self.corrected = terms_of(layout.blocks, self.record, self.size_factors)
-        self.host = Host(self.record)
-        self.hypers = layout.hypers
-        self.size = sum(t.size for t in self.terms if t.place == "x")
-        self.noisy = any(t.place == "input" for t in self.terms)  # an input
-        self.noise = layout.model.noise
-        self.fixed_values = dict(layout.model.fixed)
+        terms = terms_of(layout.blocks, self.record, self.size_factors)
+        self.terms: tuple[Term, ...] = terms[0]
+        self.corrected: tuple[str, ...] = terms[1]
+        self.host: Host = Host(self.record)
+        self.hypers: tuple[Unknown, ...] = layout.hypers
+        self.size: int = sum(t.size for t in self.terms if t.place == "x")
+        self.noisy: bool = any(t.place == "input" for t in self.terms)  # an input
+        self.noise: Noise = layout.model.noise
+        self.fixed_values: dict[str, float] = dict(layout.model.fixed)
         # A promoted coefficient in units of a learned spread moves with that spread too.
         scaled = {t.group_sd_name for t in self.terms if t.place == "phi"}
-        self.kinds = [h.kind for h in self.hypers]
-        self.moving = [i for i, h in enumerate(self.hypers) if h.kind in MOVING or h.name in scaled]
+        self.kinds: list[str] = [h.kind for h in self.hypers]
+        moving = (h.kind in MOVING or h.name in scaled for h in self.hypers)
+        self.moving: list[int] = [i for i, moves in enumerate(moving) if moves]
         self._coordinates = [(h.name, h.prior.value, h.prior.log_density) for h in self.hypers]
-
-    # φ and the priors -------------------------------------------------------------------------------------------
 
     def hyper(self, v: Sequence[float] | np.ndarray) -> Values:
         """The entries of φ at coordinate v, by name; fixed ones included."""
@@ -176,14 +180,12 @@ class Problem:
                 found[t.at] = x[at]
         return found
 
-    # the expected output ----------------------------------------------------------------------------------------
-
     def value(self, t: Term, x: np.ndarray, hyper: Mapping[str, Any]) -> np.ndarray:
         """A term's coefficient at each reading (…, n), or one for all (…, 1)."""
         return value(self.host, t, x, hyper)
 
     def composed(
-        self, terms: Sequence[Term], x, hyper: Mapping[str, Any], sloped: bool = False
+        self, terms: Sequence[Term], x: Any, hyper: Mapping[str, Any], sloped: bool = False
     ) -> Composed:
         """Some of its terms at an x, or at those of several draws."""
         values = [self.value(t, x, hyper) for t in terms]
@@ -250,7 +252,7 @@ class Problem:
 
     # joint draws: x (b, p), φ by name, one value a draw or one for all -----------------------------
 
-    def expected(self, x, hyper: Mapping[str, Any]) -> Float[np.ndarray, "b n"]:
+    def expected(self, x: Any, hyper: Mapping[str, Any]) -> Float[np.ndarray, "b n"]:
         """Expected output of joint draws, output unit."""
         found = expected_of(self.host, self.composed(self._acting, x, hyper))
         if self.affine:
@@ -258,7 +260,7 @@ class Problem:
         return np.broadcast_to(found, (len(x), self.record.size))  # of no term it is one for all
 
     def expected_with_slopes(
-        self, x, hyper: Mapping[str, Any], terms: Sequence[Term]
+        self, x: Any, hyper: Mapping[str, Any], terms: Sequence[Term]
     ) -> tuple[Float[np.ndarray, "b n"], list[np.ndarray]]:
         """Expected output of joint draws, and its slopes by some terms, (n,) or (b, n) each, as if all readings
         belonged to one member of a term's group."""
@@ -270,7 +272,7 @@ class Problem:
         return mean, [by_slot[t.slot] * column for t, column in each if id(t) in wanted]
 
     def expected_and_extra(
-        self, x, hyper: Mapping[str, Any]
+        self, x: Any, hyper: Mapping[str, Any]
     ) -> tuple[Float[np.ndarray, "b n"], Any]:
         """Expected output of joint draws, and the variance that noise on inputs adds to it, (b, n) or a single zero."""
         if not self.noisy:

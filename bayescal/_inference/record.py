@@ -342,7 +342,7 @@ class Record:
             found[c.column + PATH] = found.get(c.column + PATH, 0.0) + shift
         return found
 
-    def moved_columns_of_draws(self, effect: ColumnsOf, values: Sequence[Any], moves) -> Any:
+    def moved_columns_of_draws(self, effect: ColumnsOf, values: Sequence[Any], moves: Any) -> Any:
         """Columns as `columns_of_draws`, and by differences their slopes by the moves, (b, n, k) each."""
         slopes = {}
         for name, shift in moves.items():

@@ -189,8 +189,6 @@ class Tabulated:
                 at[own] = np.where(np.abs(amounts - at[own]) < FAR_SD * sd[own], amounts, at[own])
         return at
 
-    # rows -------------------------------------------------------------------------------------------------------
-
     def rows(self, expansions: tuple[Expansion, ...]) -> _StructureRows:
         """Return the structure's rows in some boxes; the latest are kept."""
         if expansions not in self._tables:
@@ -198,8 +196,6 @@ class Tabulated:
                 del self._tables[next(iter(self._tables))]
             self._tables[expansions] = _StructureRows(self, expansions)
         return self._tables[expansions]
-
-    # the density ------------------------------------------------------------------------------------------------
 
     def weights(self, coordinates: Float[np.ndarray, "s q"]) -> Weights:
         """Return the noise at several settings."""

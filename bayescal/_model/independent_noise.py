@@ -44,20 +44,20 @@ class White(Noise):
     def amplitudes(self) -> tuple[str, ...]:
         return (WHITE,)
 
-    def even(self, frame) -> bool:
+    def even(self, frame: Frame) -> bool:
         return UNCERTAINTY not in frame.columns
 
-    def shared_variance(self, values):
+    def shared_variance(self, values: Parameters) -> Any:
         return values[WHITE] ** 2
 
-    def variance_place(self, frame):
+    def variance_place(self, frame: Frame) -> np.ndarray | None:
         known = frame.columns.get(UNCERTAINTY)
         return None if known is None or not np.all(known > 0) else np.log(np.asarray(known))
 
-    def variance_along(self, values, place):
+    def variance_along(self, values: Parameters, place: np.ndarray) -> Any:
         return values[WHITE] ** 2 + np.exp(2 * place)
 
-    def variance(self, parameters, frame):
+    def variance(self, parameters: Parameters, frame: Frame) -> Array:
         return own_variance(parameters, frame)
 
 
@@ -122,19 +122,19 @@ class Heteroscedastic(Noise):
         ends = (xp.abs(frame.reference[f"{self.column}_{end}"]) for end in ("low", "high"))
         return xp.abs(frame.columns[self.column]) / xp.maximum(*ends)
 
-    def variance_place(self, frame):
+    def variance_place(self, frame: Frame) -> np.ndarray | None:
         place = None if UNCERTAINTY in frame.columns else np.asarray(self._place(frame))
         if place is None or not self.proportional:
             return place
         # Along the share itself the precision has a pole near zero, which a series does not follow.
         return np.log(place) if np.all(place > 0) else None
 
-    def variance_along(self, values, place):
+    def variance_along(self, values: Parameters, place: np.ndarray) -> Any:
         if self.proportional:
             return values[WHITE] ** 2 + (values[PROPORTIONAL] * np.exp(place)) ** 2
         return (values[WHITE] * scatter(values, place)) ** 2
 
-    def variance(self, parameters, frame):
+    def variance(self, parameters: Parameters, frame: Frame) -> Array:
         if not self.proportional:
             return scattered_variance(parameters, frame, self.column)
         own = own_variance(parameters, frame)
@@ -208,24 +208,24 @@ class StudentT(Noise):
     def unit(self, name: str, output: str) -> str:
         return "1" if name == FREEDOM else output
 
-    def variance(self, parameters, frame):
+    def variance(self, parameters: Parameters, frame: Frame) -> Array:
         # Student-t of scale s and ν degrees of freedom has the variance s²·ν/(ν − 2).
         freedom = xp.maximum(parameters[FREEDOM], LEAST_FREEDOM)
         return own_variance(parameters, frame) * freedom / (freedom - 2)
 
-    def log_density(self, y, mean, parameters, frame):
+    def log_density(self, y: Array, mean: Array, parameters: Parameters, frame: Frame) -> Array:
         freedom, squared = parameters[FREEDOM], own_variance(parameters, frame)
         half, gammaln = 0.5 * (freedom + 1), special_of((freedom, mean)).gammaln
         norm = gammaln(half) - gammaln(0.5 * freedom) - 0.5 * xp.log(xp.pi * freedom * squared)
         return norm - half * xp.log1p((y - mean) ** 2 / (freedom * squared))
 
-    def by_residual(self, left, parameters, frame):
+    def by_residual(self, left: Any, parameters: Parameters, frame: Frame) -> tuple[Any, Any]:
         freedom = parameters[FREEDOM]
         scale, square = freedom * own_variance(parameters, frame), left**2
         whole = scale + square
         return (freedom + 1) * left / whole, (freedom + 1) * (scale - square) / whole**2
 
-    def normal_scores(self, left, parameters, frame):
+    def normal_scores(self, left: Array, parameters: Parameters, frame: Frame) -> Array:
         # P(T < −t) = ½·I_{ν/(ν + t²)}(ν/2, ½)
         freedom = parameters[FREEDOM]
         squares = left**2 / own_variance(parameters, frame)
@@ -234,7 +234,7 @@ class StudentT(Noise):
         # Φ⁻¹ of the smaller tail keeps its digits far out, where one minus it would be one.
         return -xp.sign(left) * special.ndtri(xp.maximum(tail, NEVER))
 
-    def sample(self, key, mean, parameters, frame):
+    def sample(self, key: Array, mean: Array, parameters: Parameters, frame: Frame) -> Array:
         draws = jax.random.t(key, parameters[FREEDOM], mean.shape)
         return mean + jnp.sqrt(own_variance(parameters, frame)) * draws
 
@@ -267,18 +267,18 @@ class Quantised(Noise):
     def parameters(self) -> dict[str, Positive]:
         return {WHITE: self.scale}
 
-    def why_not(self, output):
+    def why_not(self, output: np.ndarray) -> str:
         span = float(np.ptp(output))
         if not 0 < span < self.step:
             return ""
         return f"outputs {span:.3g} apart were not rounded in steps of {self.step:.3g}"
 
-    def variance(self, parameters, frame):
+    def variance(self, parameters: Parameters, frame: Frame) -> Array:
         # A rounding error is about uniform over a step, of variance step²/12 (B. Widrow and I. Kollár, Quantization
         # Noise, 2008).
         return own_variance(parameters, frame) + self.step**2 / 12
 
-    def log_density(self, y, mean, parameters, frame):
+    def log_density(self, y: Array, mean: Array, parameters: Parameters, frame: Frame) -> Array:
         sd = xp.sqrt(own_variance(parameters, frame))
         # On the side of the mean where both tails are small, so that the difference keeps its digits.
         centre, half = -xp.abs(y - mean) / sd, 0.5 * self.step / sd
@@ -289,7 +289,7 @@ class Quantised(Noise):
         inside = xp.log(-xp.expm1(xp.minimum(lower - upper, -1e-300)))
         return upper + inside - math.log(self.step)
 
-    def sample(self, key, mean, parameters, frame):
+    def sample(self, key: Array, mean: Array, parameters: Parameters, frame: Frame) -> Array:
         sd = jnp.sqrt(own_variance(parameters, frame))
         exact = mean + sd * jax.random.normal(key, mean.shape)
         return jnp.round(exact / self.step) * self.step

@@ -61,8 +61,6 @@ class SumOfTerms(Noise, interface=True):
                 f"correlation times must be positive and in order, not {low} and {high}"
             )
 
-    # what it is made of -----------------------------------------------------------------------------------------
-
     @property
     def parts(self) -> tuple[NoiseTerm, ...]:
         """Its terms."""
@@ -82,10 +80,10 @@ class SumOfTerms(Noise, interface=True):
     def covariates(self) -> tuple[str, ...]:
         return tuple(name for name in (self.column, self.scatter) if name)
 
-    def followed(self, frame):
+    def followed(self, frame: Frame) -> Array | None:
         return 2 * frame.position(self.column) - 1 if self.column else None
 
-    def starts(self, frame, left):
+    def starts(self, frame: Frame, left: np.ndarray) -> list[dict[str, float]]:
         z = self.followed(frame)
         z = None if z is None else np.asarray(z)
         found = [part.starts(np.asarray(frame.step), left, z) for part in self.parts]
@@ -137,14 +135,12 @@ class SumOfTerms(Noise, interface=True):
             return output
         return part.unit(name, output)
 
-    def derived(self, values):
+    def derived(self, values: Parameters) -> dict[str, Any]:
         host = {n: np.asarray(v, float) for n, v in values.items() if n in self.parameters()}
         found: dict[str, Any] = {}
         for part in self.parts:
             found |= part.derived(host, self.bounds)
         return found
-
-    # what it computes -------------------------------------------------------------------------------------------
 
     def slow_variance(self, values: Parameters) -> Any:
         """Of all terms but the white one, output unit squared."""
@@ -155,11 +151,11 @@ class SumOfTerms(Noise, interface=True):
             return scattered_variance(parameters, frame, self.scatter)
         return own_variance(parameters, frame)
 
-    def variance(self, parameters, frame):
+    def variance(self, parameters: Parameters, frame: Frame) -> Array:
         return self._own_variance(parameters, frame) + self.slow_variance(parameters)
 
     @property
-    def several_states(self):  # pyright: ignore[reportIncompatibleVariableOverride]
+    def several_states(self) -> bool:  # pyright: ignore[reportIncompatibleVariableOverride]
         return len(self.parts) > 1
 
     def states(self, parameters: Parameters, step: Float[Array, "n"], z: Any = None) -> States:
@@ -169,32 +165,34 @@ class SumOfTerms(Noise, interface=True):
         blocks = [part.block(parameters, self.bounds, h) for part in self.parts]
         return states_of(blocks, step)
 
-    def whiten(self, columns, extra, parameters, frame):
+    def whiten(self, columns: Array, extra: Any, parameters: Parameters, frame: Frame) -> Any:
         states = self.states(parameters, frame.step, self.followed(frame))
         return filtered(states, self._own_variance(parameters, frame) + extra, columns)
 
-    def sample(self, key: Array, mean, parameters, frame):
+    def sample(self, key: Array, mean: Array, parameters: Parameters, frame: Frame) -> Array:
         of_white, of_states = jax.random.split(key)
         slow = drawn(of_states, self.states(parameters, frame.step, self.followed(frame)))
         own = jnp.sqrt(self._own_variance(parameters, frame))
         return mean + own * jax.random.normal(of_white, mean.shape) + slow
 
-    # what it says of a record -----------------------------------------------------------------------------------
-
-    def allan_variance(self, values, variance, factors, step):
+    def allan_variance(
+        self, values: Parameters, variance: Any, factors: np.ndarray, step: float
+    ) -> np.ndarray:
         """σ²/m of white noise, and what each term has."""
         own = {n: np.asarray(values[n], float)[..., None] for n in self.parameters() if n in values}
         slow = np.asarray(self.slow_variance(own), float)
         white = np.maximum(np.asarray(variance)[..., None] - slow, 0.0)
         return white / factors + sum(p.allan(own, self.bounds, factors, step) for p in self.parts)
 
-    def lasting_deviation(self, values):
+    def lasting_deviation(self, values: Parameters) -> float:
         factors = self.longest / self.shortest * LASTING
         own = {n: np.float64(v) for n, v in values.items() if n in self.parameters()}
         slow = np.asarray(self.slow_variance(own))
         return float(np.sqrt(np.max(self.allan_variance(own, slow, factors, self.shortest))))
 
-    def slow_part(self, values, time, left, white, at, along=None):
+    def slow_part(
+        self, values: Parameters, time: Any, left: Any, white: Any, at: Any, along: Any = None
+    ) -> tuple[np.ndarray, np.ndarray]:
         """By the Kalman smoother over all these times."""
         grid, first = np.unique(np.concatenate([time, at]), return_index=True)
         place = np.searchsorted(grid, time)

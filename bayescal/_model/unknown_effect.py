@@ -45,6 +45,7 @@ FEWEST_TIMES = 30  # different times, twice the most cycles: fewer leave a perio
 
 SOURCE = "ours: not in the catalogue; find out what it is, and name it"
 FREED = ".freed"  # after the name of an effect: its own, once more, with a wide prior
+Form = Callable[..., Effect]
 _NAME = re.compile(r"unknown\((.+)\)", re.DOTALL)
 
 
@@ -142,7 +143,7 @@ def process_sizes(terms: int, length: Any, amplitude: Any) -> Any:
     return amplitude * process_weights(length, terms)
 
 
-def _form(kind: Kind, words: str, basis: Callable[..., Any], says: str) -> Callable[..., Effect]:
+def _form(kind: Kind, words: str, basis: Callable[..., Any], says: str) -> Form:
     """Return the maker of a form along a column; the last of its shapes is the amplitude of its coefficients."""
 
     @functools.cache
@@ -233,15 +234,16 @@ def _too_few(covariate: str, readings: Measurements) -> str | None:
 
 
 _X = "x the position in the range of {covariate}"
+_LINES = "A slot's value is proportional to a column."
 _STEPS = "A slot's value steps by a at one moment, or about one value of a column, and stays."
 _BENDS = "A slot's slope along a column changes about one value of it, by a over its range."
 _PEAKS = "A slot's value has a peak of height a at one value of a column, as of a resonance."
 _TURNS = "A slot's value goes up and down evenly in time."
-line = _form("line", f"a·(x − ½),  {_X}", _straight, "A slot's value is proportional to a column.")
-jump = _form("jump", "−a/2 {}, a/2 {} it", _step, _STEPS)
-kink = _form("kink", f"a·max(0, x − p),  {_X}", _hinge, _BENDS)
-peak = _form("peak", f"a/(1 + ((x − p)/w)²),  {_X}", _lorentzian, _PEAKS)
-cycle = _form("cycle", "a·sin(2π·cycles·t + φ)", _waves, _TURNS)
+line: Form = _form("line", f"a·(x − ½),  {_X}", _straight, _LINES)
+jump: Form = _form("jump", "−a/2 {}, a/2 {} it", _step, _STEPS)
+kink: Form = _form("kink", f"a·max(0, x − p),  {_X}", _hinge, _BENDS)
+peak: Form = _form("peak", f"a/(1 + ((x − p)/w)²),  {_X}", _lorentzian, _PEAKS)
+cycle: Form = _form("cycle", "a·sin(2π·cycles·t + φ)", _waves, _TURNS)
 
 IN_TIME = ("time, jump", "time, cycle")
 FORMS = {"line": line, "jump": jump, "kink": kink, "peak": peak}  # along a column

@@ -66,10 +66,10 @@ class OneReading(Frame):
 
     lagged: Callable[[str, Any], Any] | None = None
 
-    def behind(self, tau, name="temperature"):
+    def behind(self, tau: Any, name: str = "temperature") -> Any:
         return np.zeros(self.size) if self.lagged is None else self.lagged(name, tau)
 
-    def direction(self, width, name="temperature"):
+    def direction(self, width: Any, name: str = "temperature") -> tuple[Any, Any]:
         return np.zeros(self.size), np.ones(self.size)  # as at the first reading of a run
 
 
@@ -323,7 +323,7 @@ class OperatingEquation:
         expected, slope, *gradient = (np.broadcast_to(f, len(stimulus)) for f in values)
         return expected, slope, np.reshape(gradient, (-1, len(stimulus))).T
 
-    def solve(self, theta: np.ndarray, output: Float[np.ndarray, "*d n"], inputs: Values):
+    def solve(self, theta: np.ndarray, output: np.ndarray, inputs: Values) -> tuple[Any, Any]:
         """Return the stimulus of an output, and the output's slope there; NaN where there is no solution."""
         places = self.expected, self.gradient[STIMULUS]
         return solved(lambda s: self.evaluate(places, theta, s, inputs), output, self.affine)

@@ -3,21 +3,16 @@
 from __future__ import annotations
 
 from functools import partial
-from typing import Any
+from typing import Any, Protocol
 
 from bayescal._model.effect import Coefficient, Effect, Kind
 from bayescal._model.frame import Frame, reference_name
 from bayescal._model.prior import Normal
 
 
-def _powered(column: str, order: int, r: Frame) -> Any:
-    return r.centred(column) ** order
-
-
-def _power(called: Kind, order: int, said: str, suffix: str, sign: str, per: str):
-    """A maker of effects, in its own words; its type is that of `made`."""
-
-    def made(
+class Power(Protocol):  # a maker of effects, in its own words
+    def __call__(
+        self,
         slot: str,
         size: float,
         unit: str,
@@ -25,7 +20,18 @@ def _power(called: Kind, order: int, said: str, suffix: str, sign: str, per: str
         source: str,
         column: str = "temperature",
         name: str | None = None,
-    ) -> Effect:
+    ) -> Effect: ...
+
+
+def _powered(column: str, order: int, r: Frame) -> Any:
+    return r.centred(column) ** order
+
+
+def _power(called: Kind, order: int, said: str) -> Power:
+    suffix, sign = ("", "") if order == 1 else (f"_{called}", "²³⁴"[order - 2])
+    per = "degC" if order == 1 else f"degC^{order}"
+
+    def made(slot, size, unit, *, source, column="temperature", name=None):
         there = "T − T0" if column == "temperature" else f"{column} − {reference_name(column)}"
         return Effect(
             f"{slot}.{name or column}{suffix}",
@@ -58,7 +64,7 @@ def _power(called: Kind, order: int, said: str, suffix: str, sign: str, per: str
     return made
 
 
-linear = _power("linear", 1, "a straight line, in practice the tempco", "", "", "degC")
-quadratic = _power("quadratic", 2, "curvature, symmetric about T0", "_quadratic", "²", "degC^2")
-cubic = _power("cubic", 3, "curvature, antisymmetric about T0", "_cubic", "³", "degC^3")
-quartic = _power("quartic", 4, "curvature that grows towards both ends", "_quartic", "⁴", "degC^4")
+linear: Power = _power("linear", 1, "a straight line, in practice the tempco")
+quadratic: Power = _power("quadratic", 2, "curvature, symmetric about T0")
+cubic: Power = _power("cubic", 3, "curvature, antisymmetric about T0")
+quartic: Power = _power("quartic", 4, "curvature that grows towards both ends")
