@@ -6,8 +6,8 @@ it. A page holds a comment where the code writes a part, so that nothing is writ
     <!-- data sheet: mems_gyro -->      the docstring of that instrument's model.py, and the table of its effects
     <!-- in NumPyro: mems_gyro -->      that instrument's as_numpyro.py
     <!-- tour: 3 -->                the third step of tour.py: its comments as prose, its code as code
-    <!-- commands -->                   every command and option, from the command line itself
-    <!-- names: fit fit_batch load -->  public names, for mkdocstrings to document
+    <!-- commands: fit check -->        commands with their options, from the command line itself
+    <!-- names: fit load | White -->   public names, for mkdocstrings to document
 
 Docstrings are read from the source, and `bayescal --help` is light; of the instruments the effects alone are loaded.
 """
@@ -158,14 +158,14 @@ def _code(text: str) -> str:
 # Commands.
 
 
-def commands(_: str = "") -> str:
-    """Every command with its arguments and options, as its own `--help` has them."""
+def commands(listed: str) -> str:
+    """Return commands with their arguments and options, as their own `--help` has them."""
     import typer
 
     from bayescal._cli.main import application
 
     group: Any = typer.main.get_command(application())
-    return "\n\n".join(_command(name, command) for name, command in group.commands.items())
+    return "\n\n".join(_command(name, group.commands[name]) for name in listed.split())
 
 
 def _command(name: str, command: Any) -> str:
@@ -213,8 +213,12 @@ def _default(option: Any) -> str:
 
 
 def names(listed: str) -> str:
-    """Return what mkdocstrings replaces by the documentation of each name."""
-    return "\n\n".join(f"::: bayescal.{name}" for name in listed.split())
+    """Return what mkdocstrings replaces by the documentation of each name; of those behind "|" without what they
+    inherit from one that stands before."""
+    whole, _, own = listed.partition("|")
+    alone = "\n    options:\n      inherited_members: false"
+    parts = [f"::: bayescal.{name}" for name in whole.split()]
+    return "\n\n".join([*parts, *(f"::: bayescal.{name}{alone}" for name in own.split())])
 
 
 PARTS: dict[str, Callable[[str], str]] = {

@@ -60,8 +60,10 @@ def test_a_data_sheet_ends_with_the_effects_their_sizes_and_sources() -> None:
 
 
 def test_every_command_and_option_is_listed() -> None:
-    page = SITE.commands()
-    for command in re.findall(r"^│ ([a-z]+) ", run("--help").out, re.MULTILINE):
+    listed = " ".join(re.findall(r"<!-- commands: (.*?) -->", "".join(PAGES.values())))
+    page, commands = SITE.commands(listed), re.findall(r"^  ([a-z]+)  ", run("--help").out, re.M)
+    assert sorted(listed.split()) == sorted(commands)
+    for command in commands:
         part = page.split(f"## {command}\n")[1].split("\n## ")[0]
         options = set(re.findall(r"(?<!\S)--[a-z][a-z-]+", run(command, "--help").out)) - {"--help"}
         assert options
@@ -70,8 +72,8 @@ def test_every_command_and_option_is_listed() -> None:
 
 
 def test_every_public_name_is_documented_once() -> None:
-    listed = re.findall(r"<!-- names: (.*?) -->", PAGES["python.md"])
-    names = [n for part in listed for n in part.split()]
+    listed = re.findall(r"<!-- names: (.*?) -->", "".join(PAGES.values()))
+    names = [n for part in listed for n in part.replace("|", "").split()]
     public = [n for n in names if not n.startswith(("effects.", "plot."))]
     assert sorted(public) == sorted(set(bc.__all__) - {"plot"})
     drawn = (ROOT / "bayescal" / "plot.pyi").read_text("utf-8")
