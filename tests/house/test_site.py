@@ -49,11 +49,8 @@ def test_a_data_sheet_ends_with_the_effects_their_sizes_and_sources() -> None:
         [c.strip() for c in re.split(r"(?<!\\)\|", line.strip("|"))] for line in page.splitlines()
     ]
     table = {row[0].strip("`"): row[1:] for row in rows if len(row) == 5}
-    assert table["bias.reference_voltage"][:3] == [
-        "candidate",
-        "c·(T_board − T_board,0)",
-        "0.02 °/s/°C",
-    ]
+    voltage = " | ".join(table["bias.reference_voltage"][:3])
+    assert voltage == "candidate | c·(T_board − T_board,0) | 0.02 °/s/°C"
     assert "(../sources.md)" in table["bias.run"][3]
     own = (*mems_gyro.INSTRUMENT.effects, *mems_gyro.INSTRUMENT.candidates)
     assert {e.name for e in own} | {"bias.resonance"} <= {*table}
