@@ -135,7 +135,7 @@ def test_a_typed_formula_is_drawn_before_it_is_added_and_goes_on_with_the_sessio
 ) -> None:
     line = "square: a*(temperature - 40)^2; a = 1e-3 deg/s/degC^2"
     before, drawn = session.current, session.preview(session.typed(line))
-    assert session.current is before and not session.own and np.ptp(drawn.curve) > 0
+    assert session.current is before and not session.effects and np.ptp(drawn.curve) > 0
     added = session.add_typed(line)
     assert added.title == "+ bias.square" and added.step.rmse == pytest.approx(drawn.rms, rel=0.02)
     later = again(session)

@@ -1,4 +1,4 @@
-"""The page: its panes, laid out on one screen, and what happens when something on it is pressed."""
+"""The page of the workbench: layout of its panes, and the actions of its buttons."""
 
 from __future__ import annotations
 
@@ -10,33 +10,33 @@ import panel as pn
 import param
 from panel.custom import JSComponent
 
-from bayescal._annexes.workbench.panes.fails import Fails
-from bayescal._annexes.workbench.panes.missing import Missing
+from bayescal._annexes.workbench.panes.candidates_pane import CandidatesPane
 from bayescal._annexes.workbench.panes.model_pane import ModelPane
+from bayescal._annexes.workbench.panes.residual_pane import ResidualPane
 from bayescal._annexes.workbench.panes.tabs import ErrorPane, Tabs
-from bayescal._annexes.workbench.parts.pieces import CSS, DARK, INSIDE, LIGHT, choice, row, words
-from bayescal._annexes.workbench.parts.work import Work
+from bayescal._annexes.workbench.parts.page_worker import PageWorker
+from bayescal._annexes.workbench.parts.widgets import CSS, DARK, INSIDE, LIGHT, choice, row, words
 
-HERE = Path(__file__).parent
+FOLDER = Path(__file__).parent
 
 
 class Browser(JSComponent):
-    """What the browser prefers and sees: its ground, a server that is gone.
+    """State shared with the browser: its colour scheme, and the message for a lost server.
 
     Attributes:
-        stale: whether what is shown is of a model that is being left; it is dimmed until the next one stands there.
-        dark, seen: whether it prefers a dark ground, and has said so.
-        kept: folder in which everything is, for the words when the server is gone.
+        stale: whether the page shows a model that is being replaced; it is dimmed meanwhile.
+        dark, ready: whether it prefers a dark scheme, and has reported that.
+        folder: of the session, for the message when the server is lost.
         undone: how often Ctrl-Z was pressed outside a field.
     """
 
     stale = param.Boolean(default=False)
     dark = param.Boolean(default=False)
-    seen = param.Boolean(default=False)
-    kept = param.String(default="")
+    ready = param.Boolean(default=False)
+    folder = param.String(default="")
     undone = param.Integer(default=0)
 
-    _esm = HERE / "parts" / "browser.js"
+    _esm = FOLDER / "parts" / "browser.js"
 
 
 class Workbench:
@@ -50,40 +50,40 @@ class Workbench:
 
     def __init__(self, session: Any, *, framed: bool = False, others: Any = None) -> None:
         """Args:
-        session: what it is over.
+        session: to show.
         framed: part of another page, such as a notebook; else it takes the whole screen.
-        others: what else stands at the top, such as the way to other sessions.
+        others: further widget at the top, such as links to other sessions.
         """
         self.session, self.palette = session, LIGHT
-        self.work = Work(self._tell, self._set_busy)
-        self.beside: int | None = None  # the step that is compared with; None: the one before
-        self._found, self._ending = "", False  # of the last search; whether it was stopped
-        self.model, self.fails = ModelPane(self), Fails(self)
-        self.missing, self.error = Missing(self), ErrorPane(self)
+        self.work = PageWorker(self._report, self._set_busy)
+        self.other: int | None = None  # the step that is compared with; None: the one before
+        self._progress, self._ending = "", False  # of the last search; whether it was stopped
+        self.model, self.fails = ModelPane(self), ResidualPane(self)
+        self.missing, self.error = CandidatesPane(self), ErrorPane(self)
         self.tabs = Tabs(self)
         self._panes = (self.model, self.fails, self.missing, self.error, self.tabs)
         self.view = self._page(framed, others)
         session.on_change.append(self._changed)
         self.refresh()
-        self._wear(False)
+        self._set_theme(False)
         pn.state.onload(self._opened)
         document = pn.state.curdoc
         if document is not None and document.session_context is not None:
             document.on_session_destroyed(lambda _: self._close())
 
     def _page(self, framed: bool, others: Any) -> pn.Column:
-        self.told = words(readings_in_words(self.session), "small", "about")
+        self.about = words(readings_in_words(self.session), "small", "about")
         self.status = words("", "small", "status")
-        kept = str(self.session.folder.parent)
-        self.browser = Browser(margin=0, width=0, height=0, kept=kept)
+        folder = str(self.session.folder.parent)
+        self.browser = Browser(margin=0, width=0, height=0, folder=folder)
         self.light = choice(["light", "dark"], "light", "Ground")
-        self.light.param.watch(lambda event: self._wear(event.new == "dark"), "value")
+        self.light.param.watch(lambda event: self._set_theme(event.new == "dark"), "value")
         self.browser.param.watch(lambda _: self._prefer(), "seen")
         self.browser.param.watch(lambda _: self.undo(), "undone")
         title = pn.pane.HTML("<h1>bayescal workbench</h1>", stylesheets=[INSIDE], margin=0)
-        beside = [self.status, *([] if others is None else [others]), self.light, self.browser]
+        right = [self.status, *([] if others is None else [others]), self.light, self.browser]
         return pn.Column(
-            row(title, self.told, *beside, kinds=("top",)),
+            row(title, self.about, *right, kinds=("top",)),
             *(self.model.view, self.fails.view, self.missing.view, self.tabs.view),
             css_classes=["unsaid", *(["framed"] if framed else [])],
             stylesheets=[CSS],
@@ -96,24 +96,24 @@ class Workbench:
         self.work.close()
 
     def _changed(self) -> None:
-        """A state was made or gone to, here or by another page: what is done here is shown when it is done."""
+        """Refresh after a change of state by another page; an action of this page refreshes when it ends."""
 
         def show() -> None:
-            shown = self.session.current.number, len(self.session.states)
-            if not self.work.busy and shown != self._shown:
+            state = self.session.current.number, len(self.session.states)
+            if not self.work.busy and state != self._shown:
                 self.done()
 
         self.work.on_page(show)
 
     def compare(self, number: int) -> None:
-        """Compare another step with this one: in the panels, and in numbers."""
-        self.beside = number
+        """Compare another step with this one, in the panels and in numbers."""
+        self.other = number
         self.refresh()
         self.fails.when.value = "both"
         self.tabs.open("Side by side")
 
     def undo(self) -> None:
-        """Go back to the state before, if there is one and nothing is under way."""
+        """Go back to the previous state, if there is one and no job is running."""
         if self.session.before is not None and not self.work.busy:
             self.act("undo")
 
@@ -121,51 +121,51 @@ class Workbench:
         """Show the session's current state."""
         states, state = self.session.states, self.session.current
         self._shown = (state.number, len(states))
-        if self.beside == state.number:
-            self.beside = None
-        other = states.get(state.parent if self.beside is None else self.beside)
+        if self.other == state.number:
+            self.other = None
+        other = states.get(state.parent if self.other is None else self.other)
         self.fails.show(state, other)
-        self.tabs.compare.beside(None if other is None else other.number)
+        self.tabs.compare.set_other(None if other is None else other.number)
         for pane in (self.model, self.missing, self.error, self.tabs):
             pane.show(state)
 
     def act(self, name: str, *arguments: Any) -> None:
-        """Do something to the session beside the page, then show the state that it led to."""
+        """Run an action of the session in a worker thread, then show the resulting state."""
         self.work.forget_preview()
         self.error.searching(False)  # what the last search found is of another path
-        told = f"{name.replace('_', ' ')} {' '.join(map(str, arguments))} …"
+        status = f"{name.replace('_', ' ')} {' '.join(map(str, arguments))} …"
         self.browser.stale = True
         job = lambda: getattr(self.session, name)(*arguments)  # noqa: E731
-        self.work.begin(told, job, self.done, failed=self._fresh)
+        self.work.begin(status, job, self.done, failed=self._fresh)
 
     def _fresh(self) -> None:
         self.browser.stale = False
 
     def run(
-        self, told: str, job: Callable[[], Any], then: Callable[[Any], None], reads: bool = False
+        self, words: str, job: Callable[[], Any], then: Callable[[Any], None], reads: bool = False
     ) -> None:
-        """Other work beside the page; `then(result)` follows on it. What only `reads` waits for no search."""
-        self.work.begin(told, job, then, reads=reads)
+        """Run a job in a worker thread, then `then(result)` on the page; one that only `reads` waits for no search."""
+        self.work.begin(words, job, then, reads=reads)
 
     def ask(self, done: Callable[[Any], None], *action: Any) -> None:
-        """What an action would do."""
+        """Compute the consequences of an action, then call `done` with the preview."""
         self.work.preview(lambda: self.session.consequences(*action), done)
 
     def _opened(self) -> None:
-        """The browser has answered: what it is told before may be lost, and another page may have looked meanwhile."""
+        """Start after the browser has connected: earlier updates may be lost, and another page may have searched."""
         if self.session.current.discovery is not None:
-            self._looked()
+            self._show_missing()
         self.look()
 
-    def _looked(self) -> None:
-        """Show what is missing from the current state."""
+    def _show_missing(self) -> None:
+        """Show the candidates missing from the current state."""
         now = self.session.current
         for pane in (self.missing, self.model, self.error):
             pane.show(now)
-        self.tabs.looked(now)
+        self.tabs.show_missing(now)
 
     def look(self) -> None:
-        """Look for what is missing from the current state, unless that is known."""
+        """Search for effects missing from the current state, unless that was done."""
         state = self.session.current
         if state.discovery is not None:
             return
@@ -174,59 +174,59 @@ class Workbench:
             self.missing.show(state, reason)
             return
 
-        def found(_: Any) -> None:
+        def show(_: Any) -> None:
             if self.session.current.number == state.number:
-                self._looked()
+                self._show_missing()
 
-        self.work.look(self.session.look, found)
+        self.work.look(self.session.look, show)
 
     def done(self, _: Any = None) -> None:
-        """Something was done: show the state that it led to, and look for what is missing from it."""
+        """Show the state after an action, and search for effects missing from it."""
         self._fresh()
         self.refresh()
         self.look()
 
     def point(self, effect: str) -> None:
-        """Lay a candidate's curve over the residuals; none if it is no candidate."""
+        """Draw a candidate's curve over the residuals; none if it is no candidate."""
         if effect not in {
             row["id"] for row in self.missing.rows.rows
         }:  # none, or of a state before
             self.work.forget_preview()
             self.fails.preview(None)
             return
-        shown = self.session.current.number
+        number = self.session.current.number
 
-        def drawn(found: Any) -> None:
-            if self.missing.rows.pointed == effect and self.session.current.number == shown:
-                self.fails.preview(found.curve)
-                self.missing.preview(found.in_words)
+        def draw(preview: Any) -> None:
+            if self.missing.rows.pointed == effect and self.session.current.number == number:
+                self.fails.preview(preview.curve)
+                self.missing.preview(preview.in_words)
 
-        self.work.preview(lambda: self.session.preview(effect), drawn)
+        self.work.preview(lambda: self.session.preview(effect), draw)
 
     def find_all(self) -> None:
-        """Search from the current state on, each step on the way a state."""
-        self.beside, self._found, self._ending = None, "", False
+        """Search from the current state on; each step becomes a state."""
+        self.other, self._progress, self._ending = None, "", False
         self.error.searching(True, "searching …")
 
         def follow(trail: Any) -> None:
             self.work.on_page(lambda: self._searched(trail))
 
         def ended(_: Any) -> None:
-            self.error.searching(False, self._found)
+            self.error.searching(False, self._progress)
             self.done()
 
         search, failed = lambda: self.session.find_all(follow), lambda: self.error.searching(False)
         self.work.begin("Finding all …", search, ended, failed=failed)
 
     def _searched(self, trail: Any) -> None:
-        self._found = trail.progress
+        self._progress = trail.progress
         if not self._ending:
-            self.error.searching(True, self._found)
+            self.error.searching(True, self._progress)
         if len(self.session.states) > len(self.error.rows.rows):
             self.error.show(self.session.current)
 
     def stop(self) -> None:
-        """End the search with the best so far."""
+        """Stop the search with the best model so far."""
         self.session.stop()
         self._ending = True
         self.error.searching(True, "stopping …")
@@ -235,29 +235,29 @@ class Workbench:
         for pane in self._panes:
             pane.busy(busy)
 
-    def _tell(self, told: str, refused: bool) -> None:
-        self.status.object = told
+    def _report(self, text: str, refused: bool) -> None:
+        self.status.object = text
         self.status.css_classes = ["small", "status", *(["refused"] if refused else [])]
 
     def _prefer(self) -> None:
-        if self.browser.seen and self.browser.dark:
+        if self.browser.ready and self.browser.dark:
             self.light.value = "dark"
-        elif self.browser.seen:
-            self._wear(False)
+        elif self.browser.ready:
+            self._set_theme(False)
 
-    def _wear(self, dark: bool) -> None:
-        """Take a light or a dark ground."""
-        seen = self.browser.seen or dark
-        kept = [c for c in self.view.css_classes if c not in ("dark", "light", "unsaid")]
-        self.view.css_classes = [*kept, ("dark" if dark else "light") if seen else "unsaid"]
+    def _set_theme(self, dark: bool) -> None:
+        """Apply the light or the dark colour scheme."""
+        ready = self.browser.ready or dark
+        classes = [c for c in self.view.css_classes if c not in ("dark", "light", "unsaid")]
+        self.view.css_classes = [*classes, ("dark" if dark else "light") if ready else "unsaid"]
         self.palette = DARK if dark else LIGHT
         for pane in self._panes:
             pane.wear(self.palette)
 
 
 def readings_in_words(session: Any) -> str:
-    """What a session is about."""
-    readings, kept = session.readings, session.holdout
-    told = f"{len(readings):,} readings of {readings.file}"
-    told += f"; hold-out data: {len(kept):,} of {kept.file}" if kept is not None else ""
-    return told
+    """Describe the readings of a session in words."""
+    readings, held_out = session.readings, session.holdout
+    text = f"{len(readings):,} readings of {readings.file}"
+    text += f"; hold-out data: {len(held_out):,} of {held_out.file}" if held_out is not None else ""
+    return text

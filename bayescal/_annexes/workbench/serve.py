@@ -23,8 +23,8 @@ from tornado.web import ErrorHandler
 
 from bayescal import workshop as ws
 from bayescal._annexes.workbench.app import Workbench
-from bayescal._annexes.workbench.parts.pieces import INSIDE, words
-from bayescal._annexes.workbench.parts.work import in_words
+from bayescal._annexes.workbench.parts.page_worker import in_words
+from bayescal._annexes.workbench.parts.widgets import INSIDE, words
 from bayescal._annexes.workbench.session import Session
 from bayescal._annexes.workbench.start import Address, opened_in_browser
 
@@ -32,33 +32,33 @@ from bayescal._annexes.workbench.start import Address, opened_in_browser
 LARGEST_MESSAGE = 64 * 2**20
 MOST_ASKED = 2**16  # bytes of a request beside its messages: the page asks without a body
 
-HERE = Path(__file__).parent
+FOLDER = Path(__file__).parent
 # Scripts come last: what stands before them is seen while they load.
 PAGE = Template(
     "{% from macros import embed %}"
-    + (HERE / "parts" / "skeleton.html").read_text("utf-8")
+    + (FOLDER / "parts" / "skeleton.html").read_text("utf-8")
     + "{{ bokeh_css }}{{ bokeh_js }}{% for root in docs[0].roots %}{{ embed(root) }}{% endfor %}"
     + "{{ plot_script }}</body></html>"
 )
 
 
 class Opened:
-    """A session that is opened once, when its page is first looked at.
+    """A session that is opened lazily, at the first request of its page.
 
     Attributes:
         session: None until then.
     """
 
     def __init__(self, make: Callable[[], Session]) -> None:
-        """`make()` begins a session, or goes on with one."""
+        """Store `make`, which begins or resumes a session."""
         self._make, self._lock = make, threading.Lock()
         self.session: Session | None = None
 
     def open(self) -> Session:
-        """The session.
+        """Open the session at the first call; return it.
 
         Raises:
-            InputError: it cannot be begun, or gone on with.
+            InputError: it can be neither begun nor resumed.
         """
         with self._lock:
             self.session = self.session or self._make()
@@ -66,7 +66,7 @@ class Opened:
 
 
 def application(channels: Mapping[str, Opened]) -> Callable[[], Any]:
-    """What a tab is given: the page of a session, or a word until that is ready.
+    """Return the factory of a tab's content: the page of a session, or a message until it is ready.
 
     Args:
         channels: the session of each channel of a unit, by its name; of a single one, by "".
@@ -75,28 +75,28 @@ def application(channels: Mapping[str, Opened]) -> Callable[[], Any]:
     def tab() -> Any:
         document = pn.state.curdoc
         assert document is not None
-        asked = pn.state.session_args.get("channel", [b""])[0].decode("utf-8", "replace")
-        channel = asked if asked in channels else next(iter(channels))
+        name = pn.state.session_args.get("channel", [b""])[0].decode("utf-8", "replace")
+        channel = name if name in channels else next(iter(channels))
         opened = channels[channel]
         place = pn.Column(sizing_mode="stretch_both", margin=0)
         document.title, document.template = "bayescal workbench", PAGE
 
         def show(session: Session) -> None:
-            each = (_link(n, n == channel) for n in channels if n)
-            html = " ".join(each)
+            tags = (_link(n, n == channel) for n in channels if n)
+            html = " ".join(tags)
             links = pn.pane.HTML(html, css_classes=["links"], stylesheets=[INSIDE], margin=0)
             with set_curdoc(document):
                 place[:] = [Workbench(session, others=links).view]
 
-        def refused(told: str) -> None:
+        def refuse(text: str) -> None:
             with set_curdoc(document):
-                place[:] = [words(told, margin=20)]
+                place[:] = [words(text, margin=20)]
 
         def open_beside() -> None:
             try:
                 session = opened.open()
             except Exception as error:
-                document.add_next_tick_callback(partial(refused, in_words(error)))
+                document.add_next_tick_callback(partial(refuse, in_words(error)))
             else:
                 document.add_next_tick_callback(partial(show, session))
 
@@ -111,10 +111,10 @@ def application(channels: Mapping[str, Opened]) -> Callable[[], Any]:
     return tab
 
 
-def _link(channel: str, shown: bool) -> str:
-    """The way to another channel."""
-    name = ws.html_text(channel)
-    return f"<b>{name}</b>" if shown else f'<a href="?{urlencode({"channel": channel})}">{name}</a>'
+def _link(channel: str, active: bool) -> str:
+    """Return the link to a channel's page; bold text for the active one."""
+    name, query = ws.html_text(channel), urlencode({"channel": channel})
+    return f"<b>{name}</b>" if active else f'<a href="?{query}">{name}</a>'
 
 
 UNUSED = "/autoload.js"  # of Bokeh, by which pages from elsewhere would show the workbench: it answers any of them
@@ -122,24 +122,24 @@ UNUSED = "/autoload.js"  # of Bokeh, by which pages from elsewhere would show th
 
 def answer_only(application: Any, names: Collection[str]) -> None:
     """Have an application of Tornado answer requests whose Host is one of these, and refuse others (403)."""
-    known = application.find_handler
+    find_handler = application.find_handler
 
-    def find(request: Any, **more: Any) -> Any:
+    def find(request: Any, **keywords: Any) -> Any:
         status = 404 if request.path.endswith(UNUSED) else 403
         if request.host.lower() in names and status != 404:
-            return known(request, **more)
+            return find_handler(request, **keywords)
         return application.get_handler_delegate(request, ErrorHandler, {"status_code": status})
 
     application.find_handler = find
 
 
-def serve(channels: Mapping[str, Opened], address: Address, told: str, folder: Path | None) -> None:
+def serve(channels: Mapping[str, Opened], address: Address, text: str, folder: Path | None) -> None:
     """Serve the workbench until Ctrl-C.
 
     Args:
         channels: as of `application`.
         address: where.
-        told: that is printed once it can be reached.
+        text: printed once it can be reached.
         folder: of the file that opens it in a browser; None opens none.
     """
     server = pn.io.server.get_server(
@@ -156,12 +156,12 @@ def serve(channels: Mapping[str, Opened], address: Address, told: str, folder: P
     )
     answer_only(server._tornado, address.names)
     server.start()
-    print(told, flush=True)
+    print(text, flush=True)
     try:
         with nullcontext() if folder is None else opened_in_browser(address.url, folder):
             server.io_loop.start()
     finally:
-        for one in channels.values():
-            if one.session is not None:
-                one.session.stop()
+        for opened in channels.values():
+            if opened.session is not None:
+                opened.session.stop()
         server.stop()

@@ -1,7 +1,6 @@
-"""A session: what one person does to one set of readings. It knows no browser.
+"""The session: one person's work on one set of readings, independent of the browser.
 
-What may be done to a model, each change by its name, in words; and what leaves a session, the report and exports, as
-the command line makes them.
+Changes of a model by name; and the outputs of a session, report and exports, as the command line makes them.
 """
 
 from __future__ import annotations
@@ -22,59 +21,59 @@ import numpy as np
 import bayescal as bc
 from bayescal import workshop as ws
 from bayescal._annexes.imu.firmware_parameters import AUTOPILOTS, axis_of
-from bayescal._annexes.workbench import kept
-from bayescal._annexes.workbench.kept import Origin, SearchOptions, State, path_to, script
+from bayescal._annexes.workbench import session_store as store
+from bayescal._annexes.workbench.session_store import Origin, SearchOptions, State, path_to, script
 
 
 class Preview:
-    """What a model would do, compared with a step that is there.
+    """The result of a model, compared with an existing step.
 
     Attributes:
-        curve: by how much it changes the expected output of each reading, all coefficients estimated again, output
-            unit, (n,). Residuals less this curve are the residuals that would be left.
+        curve: change of the expected output of each reading, all coefficients estimated again, output unit, (n,).
+            Residuals less this curve are the residuals of the new model.
         rms: of these, output unit.
-        in_words: that, with the size of the effect that is added.
+        in_words: summary, with the size of the effect that is added.
     """
 
     def __init__(self, before: ws.Step, after: bc.Calibration, added: str | None) -> None:
-        left = bc.check(after).residuals
-        self.curve, self.rms = before.check.residuals - left, float(np.sqrt(np.mean(left**2)))
-        said = f"residuals from {ws.number(before.rmse_fitted)} to {ws.number(self.rms)}"
-        said += f" {ws.unit_label(after.unit)} rms"
-        known, evidence = before.calibration.log_evidence, after.log_evidence
-        if known is not None and evidence is not None:
-            said += f", log Bayes factor {evidence[0] - known[0]:z.1f}"
+        fitted = bc.check(after).residuals
+        self.curve, self.rms = before.check.residuals - fitted, float(np.sqrt(np.mean(fitted**2)))
+        text = f"residuals from {ws.number(before.rmse_fitted)} to {ws.number(self.rms)}"
+        text += f" {ws.unit_label(after.unit)} rms"
+        evidence_before, evidence = before.calibration.log_evidence, after.log_evidence
+        if evidence_before is not None and evidence is not None:
+            text += f", log Bayes factor {evidence[0] - evidence_before[0]:z.1f}"
         if added is not None:
             effect = after.model.effect(added)
             grouped = effect.coefficients[0].group_sd is not None
-            own = effect.group_sd_name(0) if grouped else effect.coefficient_name(0)
-            draws = after.samples(effect.measure_name or own)
+            name = effect.group_sd_name(0) if grouped else effect.coefficient_name(0)
+            draws = after.samples(effect.measure_name or name)
             draws = draws if draws.ndim == 1 else np.sqrt(np.mean(draws**2, axis=1))
             size = ws.with_error(float(draws.mean()), float(draws.std()))
             unit = ws.unit_label(effect.coefficients[0].unit)
-            said = f"{added} would be {f'{size} {unit}'.rstrip()}: {said}"
-        self.in_words = said
+            text = f"{added} would be {f'{size} {unit}'.rstrip()}: {text}"
+        self.in_words = text
 
 
 @dataclass(frozen=True)
 class Change:
-    """A model, and how it differs from the one before."""
+    """A model, and its difference from the former one."""
 
     model: bc.Model  # what comes of it
     added: str | None = None  # effect that was added; None where something else was done
     in_words: str = ""  # that, in words; empty where an effect was added
 
 
-SEARCHES = 4  # the latest ones, that are kept
+SEARCHES = 4  # number of the latest searches in the cache
 
 
 def _structure_of(model: bc.Model, search: ws.Loop) -> ws.Structure | None:
-    """Return which structure of a search a model is, of those that are part of what it chooses; None if none is."""
+    """Return the structure of a search that equals a model, among the subsets of its choice; else None."""
     structures, goal = search.structures, search.goal
     base, candidates = structures.base, structures.candidates
     names = frozenset(model.names) - {*base.names}
     laws = {n: structures.noise(ws.Structure(noise=n)) for n in ("", goal.noise)}
-    law = next((n for n, one in laws.items() if one == model.noise), None)
+    law = next((n for n, noise in laws.items() if noise == model.noise), None)
     if law is None or not names <= goal.effects or model.fixed != base.fixed:
         return None
     if any(e != model.effect(e.name) for e in base.effects if e.name in model.names):
@@ -82,30 +81,30 @@ def _structure_of(model: bc.Model, search: ws.Loop) -> ws.Structure | None:
     if not {*base.names} <= {*model.names} or not search.steps[0].calibration.verdict.ok:
         return None
     added = (model.effect(n) for n in names)
-    alike = all(_as_searched(e, candidates[e.name]) for e in added)
-    return ws.Structure(names, law) if alike else None
+    matches = all(_as_searched(e, candidates[e.name]) for e in added)
+    return ws.Structure(names, law) if matches else None
 
 
-def _as_searched(effect: bc.Effect, known: bc.Effect) -> bool:
+def _as_searched(effect: bc.Effect, form: bc.Effect) -> bool:
     """Return whether an effect is as known, or has one of the sizes that its evidence is averaged over."""
-    first = known.coefficients[0]
+    first = form.coefficients[0]
     factor = 1.0 if first.flat else effect.coefficients[0].size / first.size
-    return effect.is_placeholder or effect == known or round(factor, 9) in ws.SIZE_FACTORS
+    return effect.is_placeholder or effect == form or round(factor, 9) in ws.SIZE_FACTORS
 
 
 @dataclass(eq=False)
 class Session:
     """One person's work on one set of readings: a tree of states in a folder, one of which is current.
 
-    Its methods may be called from any thread. What makes a state takes one caller at a time; previews and looks go on
-    beside it. Every state is on the disk before it is the current one.
+    Its methods may be called from any thread. Methods that make a state are serialised; previews and searches run in
+    parallel. Every state is on the disk before it is the current one.
 
     Attributes:
         readings, holdout: what is fitted, and the hold-out data; spikes set aside.
         folder: that keeps the states.
         settings: as of `calibrate`.
         origin: where readings and effects come from.
-        own: effects of the user's own, by name.
+        effects: of the user's own, by name.
         on_change: called when a state is made or gone to, by whichever page, from whatever thread.
     """
 
@@ -114,7 +113,7 @@ class Session:
     folder: Path
     settings: SearchOptions
     origin: Origin
-    own: dict[str, bc.Effect]
+    effects: dict[str, bc.Effect]
     on_change: list[Callable[[], None]] = field(default_factory=list)
     _states: dict[int, State] = field(default_factory=dict)
     _at: int = 0
@@ -139,9 +138,9 @@ class Session:
         origin: Origin | None = None,
         **settings: Any,
     ) -> Session:
-        """A session whose first state is a model fitted to readings; or that which its folder holds, as it was left.
+        """Open a session: its first state is a model fitted to readings, or it resumes that in its folder.
 
-        Nothing in a folder is run: what it needs beside its own data is given here.
+        No code in a folder is run: instruments and effects are given here.
 
         Args:
             model, readings, holdout, effects: as of `calibrate`.
@@ -154,45 +153,45 @@ class Session:
             InputError: the folder cannot be written to, holds a session of other readings or an effect that is not
                 given, or something in it was changed.
         """
-        asked = SearchOptions(**settings)
-        spikes, apart = asked.keep_spikes, None
+        options = SearchOptions(**settings)
+        spikes, held_out = options.keep_spikes, None
         model.require(readings)
         if holdout is not None:
             model.require(holdout)
-            apart = bc.set_aside(holdout, spikes)
-        folder = kept.own_folder(folder)
-        origin = origin or Origin.kept(model.instrument, readings, holdout, folder, spikes)
-        own = {e.name: e for e in effects}
-        session = cls(bc.set_aside(readings, spikes), apart, folder, asked, origin, own)
-        if (folder / kept.SESSION).is_file():
+            held_out = bc.set_aside(holdout, spikes)
+        folder = store.make_folder(folder)
+        origin = origin or Origin.write(model.instrument, readings, holdout, folder, spikes)
+        by_name = {e.name: e for e in effects}
+        session = cls(bc.set_aside(readings, spikes), held_out, folder, options, origin, by_name)
+        if (folder / store.SESSION).is_file():
             session._go_on(model)
         else:
             session._become(Change(model), None)
         return session
 
     def _go_on(self, model: bc.Model) -> None:
-        """Take every state that the folder holds, whatever ended what made it."""
-        told = kept.session_in(self.folder)
-        for line in told.typed:
-            made = bc.effect(line, readings=self.readings, instrument=model.instrument)
-            self.own[made.name] = made
-        effects, accepted = tuple(self.own.values()), self.settings.accept_conflicts
-        kept_states = kept.states_in(self.folder, told, effects, model.instrument)
-        for n, (said, calibration) in enumerate(kept_states):
+        """Resume from the states in the folder, even after a crash."""
+        saved = store.load_session(self.folder)
+        for line in saved.typed:
+            effect = bc.effect(line, readings=self.readings, instrument=model.instrument)
+            self.effects[effect.name] = effect
+        effects, accepted = tuple(self.effects.values()), self.settings.accept_conflicts
+        states = store.load_states(self.folder, saved, effects, model.instrument)
+        for n, (entry, calibration) in enumerate(states):
             if not calibration.readings.same_as(self.readings):
                 raise bc.InputError(
                     f"{self.folder} holds a session of other readings, {calibration.readings.file}: give another "
                     "folder (--out), or remove it"
                 )
             step = ws.step_of(calibration, self.holdout, accepted)
-            step = replace(step, added=said.added, changed=said.changed)
-            self._states[n] = State(n, said.parent, step, datetime.fromisoformat(said.at))
-        self._at = told.current
-        kept.fit_of(self.folder, len(self._states)).unlink(missing_ok=True)  # of a state cut short
+            step = replace(step, added=entry.added, changed=entry.changed)
+            self._states[n] = State(n, entry.parent, step, datetime.fromisoformat(entry.at))
+        self._at = saved.current
+        store.fit_path(self.folder, len(self._states)).unlink(missing_ok=True)  # a torn state
 
     @property
     def states(self) -> Mapping[int, State]:
-        """All states, by number."""
+        """Return all states, by number."""
         with self._lock:
             return MappingProxyType(dict(self._states))
 
@@ -201,7 +200,7 @@ class Session:
         return self._states[self._at]
 
     def path(self, number: int | None = None) -> list[State]:
-        """The states from the first to one, the current one if none is named."""
+        """Return the states from the first to one, by default the current one."""
         return [
             self._states[n] for n in path_to(self._states, self._at if number is None else number)
         ]
@@ -222,7 +221,7 @@ class Session:
 
     @property
     def before(self) -> int | None:
-        """The state that `undo` goes back to: the one current before, else the parent; None where nothing was done."""
+        """Return the state that `undo` goes back to: the previously current one, else the parent, else None."""
         return self._been[-1] if self._been else self.current.parent
 
     def undo(self) -> State:
@@ -239,18 +238,18 @@ class Session:
 
     @property
     def laws(self) -> Mapping[str, bc.Noise]:
-        """Noise laws that the readings can tell, by name, that of the first model among them."""
+        """Return the noise laws that the readings identify, by name, that of the first model among them."""
         first = self.states[0].calibration
         return {first.model.noise.name: first.model.noise, **ws.laws_over(first.model, first.frame)}
 
-    def preview(self, wanted: str | bc.Effect) -> Preview:
-        """Return what adding an effect to the current state would do."""
-        if isinstance(wanted, str):
-            wanted = self._named().get(wanted) or self.current.model.instrument.effect(wanted)
-        return self._previewed(Change(self.current.model + wanted, added=wanted.name))
+    def preview(self, effect: str | bc.Effect) -> Preview:
+        """Return a preview of adding an effect to the current state."""
+        if isinstance(effect, str):
+            effect = self._named().get(effect) or self.current.model.instrument.effect(effect)
+        return self._previewed(Change(self.current.model + effect, added=effect.name))
 
     def consequences(self, kind: str, *arguments: Any) -> Preview:
-        """Return what `act` would do, before it is done."""
+        """Return a preview of `act`."""
         return self._previewed(self._changed(kind, *arguments))
 
     def _changed(self, kind: str, *arguments: Any) -> Change:
@@ -271,28 +270,28 @@ class Session:
                     )
                 return Change(model.with_noise(law), in_words=f"noise: {law.in_words}")
             case ("fix", str(name), value):
-                said = f"{name} = {ws.number(float(value), 6)} fixed"
-                return Change(model.fix({name: float(value)}), in_words=said)
+                text = f"{name} = {ws.number(float(value), 6)} fixed"
+                return Change(model.fix({name: float(value)}), in_words=text)
             case ("resize", str(name), value):
                 unit = ws.unit_label(model.effect(name).coefficients[0].unit)
-                said = f"{name} of plausible size {ws.number(float(value))} {unit}".rstrip()
-                return Change(model.resize(name, float(value)), in_words=said)
+                text = f"{name} of plausible size {ws.number(float(value))} {unit}".rstrip()
+                return Change(model.resize(name, float(value)), in_words=text)
         raise bc.InputError(f"{kind!r} with {len(arguments)} argument(s) is no change of a model")
 
-    def _previewed(self, wanted: Change) -> Preview:
+    def _previewed(self, change: Change) -> Preview:
         """Fit a model that is not made a state."""
         loop, before = self._loop, self.current.step
-        known = before.calibration
-        start = {n: float(v) for n, v in known.problem.hyper(known.mode.v).items()}
+        fit = before.calibration
+        start = {n: float(v) for n, v in fit.problem.hyper(fit.mode.v).items()}
         how: dict[str, Any] = {"seed": loop.seed, "reference": loop.reference, "start": start}
-        method = loop.quick(wanted.model)
-        after = bc.fit(wanted.model, self.readings, method, strict=False, **how)
-        return Preview(before, after, wanted.added)
+        method = loop.quick(change.model)
+        after = bc.fit(change.model, self.readings, method, strict=False, **how)
+        return Preview(before, after, change.added)
 
     def act(self, kind: str, *arguments: Any) -> State:
-        """Change the current model, and fit it; the state that comes of it is the current one.
+        """Change the current model, and fit it as the new current state.
 
-        What a look found is added in the form and at the size that it found likeliest.
+        An effect of a discovery is added in its likeliest form and size.
 
         Raises:
             ModelError, InputError: the model cannot be changed so.
@@ -300,16 +299,16 @@ class Session:
         return self._become(self._changed(kind, *arguments), self.current.number)
 
     def _named(self) -> dict[str, bc.Effect]:
-        """Return effects that are not as the instrument states them, by the name by which they are asked for.
+        """Return the effects that differ from the instrument's, by the name in requests.
 
-        The user's own; of what a look reports the likeliest form, at its likeliest size where it was found.
+        They are the user's own, and those of a discovery in their likeliest form and size.
         """
-        own = {e.name: e for e in ws.with_forms(self.own.values())}
-        if (found := self.current.discovery) is None:
-            return own
-        known, best = self.current.model.instrument.effect, [e for e in found.best if not e.open]
-        forms = {c.effect: own.get(c.form) or known(c.form) for c in found.candidates if c.form}
-        return {**own, **forms, **{e.reported: e for e in best}, **{e.name: e for e in best}}
+        named = {e.name: e for e in ws.with_forms(self.effects.values())}
+        if (look := self.current.discovery) is None:
+            return named
+        library, best = self.current.model.instrument.effect, [e for e in look.best if not e.open]
+        forms = {c.effect: named.get(c.form) or library(c.form) for c in look.candidates if c.form}
+        return {**named, **forms, **{e.reported: e for e in best}, **{e.name: e for e in best}}
 
     add = partialmethod(act, "add")  # (effect)
     take_out = partialmethod(act, "take_out")  # (effect)
@@ -319,17 +318,17 @@ class Session:
     noise = partialmethod(act, "noise")  # (name, of `laws`)
 
     def look(self) -> bc.Discovery:
-        """Return what is missing from the current state, by the structures that were weighed; kept in the state."""
+        """Search for effects missing from the current state; the discovery is cached in the state."""
         number = self.current.number
         with self._in_time():  # another page may look for the same
-            if (found := self.states[number].discovery) is None:
+            if (discovery := self.states[number].discovery) is None:
                 loop, at = self._weighed(self.states[number])
-                found = loop.missing(at)
-                self._keep_found(number, found)
-        return found
+                discovery = loop.missing(at)
+                self._keep_found(number, discovery)
+        return discovery
 
     def find_all(self, follow: Callable[[bc.SearchPath], None] = lambda _: None) -> None:
-        """Search from the current state on, as `calibrate` does; each step on the way becomes a state.
+        """Search from the current state on, as `calibrate` does; each step becomes a state.
 
         It returns at the end, or soon after `stop`; `follow` is called with the trail so far, as by `calibrate`.
 
@@ -342,92 +341,91 @@ class Session:
         with self._in_time():
             loop, at = self._weighed(begin, follow)
             steps, number = [begin.step], begin.number
-            for before, to, found in loop.way(loop.goal, at):
+            for before, to, discovery in loop.way(loop.goal, at):
                 if before is None:
-                    self._keep_found(number, found)
+                    self._keep_found(number, discovery)
                     continue
                 steps.append(loop.fitted(to, before))
-                number = self._append(steps[-1], number, found).number
+                number = self._append(steps[-1], number, discovery).number
                 follow(loop.trail(steps=steps))
 
     @contextmanager
     def _in_time(self) -> Iterator[None]:
-        """Look at structures, one caller at a time, in the time that there is."""
+        """Hold the lock of the search, within the time limit."""
         with self._looking, ws.deadline.until(self.settings.time_limit) as self._end:
             yield
 
     def _weighed(
         self, state: State, follow: Callable[[bc.SearchPath], None] | None = None
     ) -> tuple[ws.Loop, ws.Structure]:
-        """Return the search that says what is missing from a state, and which of its structures that state is.
+        """Return the search for effects missing from a state, and the state's structure in it.
 
-        It is that of `calibrate` over the first model, so that states on the way to what it chooses share one posterior
-        with it. Where a state has what this search does not choose, or has otherwise, it is one over the state's model.
+        It is that of `calibrate` over the first model, so that states towards its choice share one posterior with it.
+        For a state with other effects, or other forms of them, it is a search over the state's model.
 
         Args:
             state: which.
             follow: told how it goes on; a search that was stopped goes on only where somebody follows.
         """
         first, loop = self.states[0], self._loop
-        given = [e for e in first.model.effects if loop.weighs(e, first.model)]
-        found = self._searched(reduce(sub, given, first.model), given, follow)
-        if (at := _structure_of(state.model, found)) is None:
-            found, at = self._searched(state.model, (), follow), ws.Structure()
-        return found, at
+        effects = [e for e in first.model.effects if loop.weighs(e, first.model)]
+        search = self._searched(reduce(sub, effects, first.model), effects, follow)
+        if (at := _structure_of(state.model, search)) is None:
+            search, at = self._searched(state.model, (), follow), ws.Structure()
+        return search, at
 
     def _searched(
         self,
         core: bc.Model,
-        given: Sequence[bc.Effect],
+        effects: Sequence[bc.Effect],
         follow: Callable[[bc.SearchPath], None] | None,
     ) -> ws.Loop:
-        """Weigh structures over a model, those with given effects among them; kept."""
-        found = next((s for s in self._loops if s.steps[0].calibration.model == core), None)
-        if begun := found is None:
+        """Evaluate structures over a model, those with given effects among them; cached."""
+        search = next((s for s in self._loops if s.steps[0].calibration.model == core), None)
+        if is_new := search is None:
             same = (s.step for s in self.states.values() if s.model == core)
-            found = replace(self._loop, given=tuple(given), stopped="not begun")
-            first = next(same, None) or found.step(core, found.quick(core))
-            more = (*self.own.values(), *found.freed(self.states[0].step))
-            found.open(first, more, self.settings.widen_noise)
-        if found.stopped and (begun or follow is not None):
+            search = replace(self._loop, given=tuple(effects), stopped="not begun")
+            first = next(same, None) or search.step(core, search.quick(core))
+            extra = (*self.effects.values(), *search.freed(self.states[0].step))
+            search.open(first, extra, self.settings.widen_noise)
+        if search.stopped and (is_new or follow is not None):
             with ws.deadline.sooner(ws.SEARCH):
-                found.look(lambda: None if follow is None else follow(found.trail()))
-            self._loops = [*(one for one in self._loops if one is not found), found][-SEARCHES:]
-        return found
+                search.look(lambda: None if follow is None else follow(search.trail()))
+            self._loops = [*(s for s in self._loops if s is not search), search][-SEARCHES:]
+        return search
 
     def stop(self) -> None:
-        """End a search with the best so far."""
+        """Stop a search with the best model so far."""
         if self._end is not None:
             self._end.interrupt.requested = True
 
     def typed(self, line: str) -> bc.Effect:
-        """The effect of a typed formula, as `bc.effect` takes it.
+        """Return the effect of a typed formula, as `bc.effect` takes it.
 
         Raises:
-            InputError: it is none; the place is marked.
+            InputError: it is invalid; the position is marked.
         """
         return bc.effect(line, readings=self.readings, instrument=self.current.model.instrument)
 
     def add_typed(self, line: str) -> State:
-        """Have the effect of a typed formula among the candidates, and add it; what is missing is to be looked for
-        again."""
-        made = self.typed(line)
-        _ = self.current.model + made  # its slot and groups are there
-        self.own[made.name] = made
+        """Add the effect of a typed formula to the candidates and to the model; drop cached searches."""
+        effect = self.typed(line)
+        _ = self.current.model + effect  # its slot and groups are there
+        self.effects[effect.name] = effect
         self._loops.clear()
         self._trails.clear()
         with self._lock:
             self._be(self._at, {n: replace(s, discovery=None) for n, s in self._states.items()})
-        return self.add(made.name)
+        return self.add(effect.name)
 
     def script(self) -> str:
-        """Python that does what was clicked on the way to the current state, with equal numbers."""
+        """Return Python that reproduces the current state, with equal numbers."""
         return self._script(self.path())
 
     def trail(self) -> bc.SearchPath:
-        """Return the way to the current state as `calibrate` leaves one, its last model by the method asked for; kept.
+        """Return the path to the current state as `calibrate` does, its last model by the requested method; cached.
 
-        Where nothing more is to be added, what is used of it is averaged over the structures weighed.
+        Where the search is complete, the result in use is averaged over the evaluated structures.
         """
         state = self.current
         with self._fitting:
@@ -453,46 +451,46 @@ class Session:
             return weighed[0].averaged(steps, weighed[1])
 
     def verdict(self) -> str:
-        """Whether the current model may be used as it is, and how its fit went."""
+        """State whether the current model may be used, and the verdict of its fit."""
         trail = self.trail()
-        said = "This result may be used." if trail.ok else "Not to be used as it is."
-        told = (said, trail.gate.reason, str(trail.final.calibration.verdict))
-        return "\n\n".join([*(ws.folded(t, "") for t in told if t), str(trail)])
+        use = "This result may be used." if trail.ok else "Not to be used as it is."
+        texts = (use, trail.gate.reason, str(trail.final.calibration.verdict))
+        return "\n\n".join([*(ws.folded(t, "") for t in texts if t), str(trail)])
 
     def compare(self, number: int) -> str:
-        """The current model beside another step's: `bc.compare`, then coefficients, noise and shapes ± u.
+        """Compare the current model with another step's: `bc.compare`, then coefficients, noise and shapes ± u.
 
         Raises:
             InputError: they were fitted to other readings.
         """
         both = self.current, self.states[number]
         fits = {f"{s.number} {s.title}": s.calibration for s in both}
-        told = [ws.unknown_rows(c) for c in fits.values()]
-        units = {name: row[2] for own in told for name, row in own.items()}
+        tables = [ws.unknown_rows(c) for c in fits.values()]
+        units = {name: row[2] for table in tables for name, row in table.items()}
         rows = [
-            [name, *(own[name][1] if name in own else "–" for own in told), unit]
+            [name, *(table[name][1] if name in table else "–" for table in tables), unit]
             for name, unit in units.items()
         ]
         return f"{bc.compare(fits)}\n\n{ws.plain_table(['', *fits, 'unit'], rows)}"
 
     def budget(self, at: Mapping[str, float]) -> bc.Budget:
-        """`bc.budget` of the current model."""
+        """Compute `bc.budget` of the current model."""
         return bc.budget(self.trail().calibration, at)
 
     def decide(self, limits: Sequence[str], **how: Any) -> bc.Decisions:
-        """`bc.decide` about the current model; its report begins with it."""
-        number, found = self.current.number, bc.decide(self.trail().calibration, limits, **how)
-        self._decisions[number] = found
-        return found
+        """Run `bc.decide` on the current model; its report begins with it."""
+        number, decisions = self.current.number, bc.decide(self.trail().calibration, limits, **how)
+        self._decisions[number] = decisions
+        return decisions
 
     def report(self) -> Path:
-        """The report for sign-off, in the folder: what `bayescal report` writes of it, with what was decided."""
+        """Write the report for sign-off to the folder, as `bayescal report` does, with the decisions."""
         (folder, trail), decided = self._result(), self._decisions.get(self.current.number)
-        own = tuple(self.own.values())
-        return bc.report([trail], folder / "report.html", effects=own, decisions=decided)
+        effects = tuple(self.effects.values())
+        return bc.report([trail], folder / "report.html", effects=effects, decisions=decided)
 
     def export(self, file: str) -> Path:
-        """An export of the current model, in the folder: what `bayescal export` writes.
+        """Export the current model to the folder, as `bayescal export` does.
 
         Args:
             file: its name, by the suffix a correction, or that of an autopilot.
@@ -501,37 +499,37 @@ class Session:
             InputError, ModelError: there is no such format, or the model cannot be exported so.
         """
         folder, trail = self._result()
-        made, autopilot = bc.compensator(trail.calibration), Path(file).stem
+        compensator, autopilot = bc.compensator(trail.calibration), Path(file).stem
         if autopilot not in AUTOPILOTS:
-            return made.export(folder / file)
+            return compensator.export(folder / file)
         axis = axis_of(trail.final.calibration)
         if axis is None:
             raise bc.InputError(
                 "these readings do not say of which axis they are, and an autopilot's parameters need it: export the "
                 f"calibration with bayescal export --format {autopilot} --axis gyro_x=FILE"
             )
-        return bc.firmware_parameters({axis: made}, autopilot).write(folder / file)
+        return bc.firmware_parameters({axis: compensator}, autopilot).write(folder / file)
 
     @property
     def _loop(self) -> ws.Loop:
         s = self.settings
-        asked = (self.readings, self.holdout, s.method, s.seed, s.reference, s.max_effects)
-        return ws.Loop(*asked, accepted=frozenset(s.accept_conflicts))
+        options = (self.readings, self.holdout, s.method, s.seed, s.reference, s.max_effects)
+        return ws.Loop(*options, accepted=frozenset(s.accept_conflicts))
 
-    def _become(self, wanted: Change, parent: int | None) -> State:
+    def _become(self, change: Change, parent: int | None) -> State:
         """Fit a model as a child of a state, and make it the current one."""
         loop = self._loop
-        step = loop.step(wanted.model, loop.quick(wanted.model))
-        return self._append(replace(step, added=wanted.added, changed=wanted.in_words), parent)
+        step = loop.step(change.model, loop.quick(change.model))
+        return self._append(replace(step, added=change.added, changed=change.in_words), parent)
 
     def _append(
         self, step: ws.Step, parent: int | None, discovery: bc.Discovery | None = None
     ) -> State:
-        """A step as a child of a state: kept, and then the current one."""
+        """Save a step as a child of a state, and make it the current one."""
         with self._lock:
             number = len(self._states)
             state = State(number, parent, step, datetime.now(UTC), discovery)
-            if (file := kept.fit_of(self.folder, number)).exists():
+            if (file := store.fit_path(self.folder, number)).exists():
                 raise bc.InputError(
                     f"{file} was made meanwhile: another workbench goes on here. End one"
                 )
@@ -548,9 +546,9 @@ class Session:
     def _be(self, number: int, states: dict[int, State] | None = None) -> State:
         """Make a state the current one, of these states if they are others."""
         states = self._states if states is None else states
-        texts = [e.basis.text for e in self.own.values() if isinstance(e.basis, ws.Formula)]
+        texts = [e.basis.text for e in self.effects.values() if isinstance(e.basis, ws.Formula)]
         way = [states[n] for n in path_to(states, number)]
-        kept.keep_session(self.folder, states, number, texts, self._script(way))
+        store.save_session(self.folder, states, number, texts, self._script(way))
         self._states, self._at = states, number
         for call in tuple(self.on_change):
             call()
@@ -564,7 +562,7 @@ class Session:
         return script(way, self.origin, self.settings, self.folder.resolve())
 
     def _result(self) -> tuple[Path, bc.SearchPath]:
-        """The current state's folder of results as `bayescal calibrate --out` leaves it, made anew; the trail in it."""
+        """Write the current state's folder of results as `bayescal calibrate --out` does; return it and the trail."""
         trail, number = self.trail(), self.current.number
         folder = self.folder / f"result_{number:03d}"
         folder.mkdir(exist_ok=True)

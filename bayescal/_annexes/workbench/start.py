@@ -22,7 +22,7 @@ LOOPBACK = "127.0.0.1"
 
 @dataclass(frozen=True)
 class Address:
-    """Where the workbench stands: on one interface, the loopback's unless told otherwise, under a path nobody guesses.
+    """Address of the workbench: one interface, by default the loopback's, and a secret path.
 
     Attributes:
         port: that nothing used when it was chosen.
@@ -36,7 +36,7 @@ class Address:
 
     @classmethod
     def new(cls, host: str = LOOPBACK) -> Address:
-        """A free port, and 256 random bits.
+        """Choose a free port, and a path of 256 random bits.
 
         Raises:
             InputError: this computer has no such address, or all are meant.
@@ -44,9 +44,9 @@ class Address:
         try:
             if ipaddress.IPv4Address(host).is_unspecified:
                 raise ValueError("that is every address")
-            with socket.socket() as one:
-                one.bind((host, 0))
-                return cls(one.getsockname()[1], f"/{secrets.token_urlsafe(32)}", host)
+            with socket.socket() as probe:
+                probe.bind((host, 0))
+                return cls(probe.getsockname()[1], f"/{secrets.token_urlsafe(32)}", host)
         except (OSError, ValueError) as error:
             raise bc.InputError(
                 f"--address {host}: give one IPv4 address of this computer, such as {LOOPBACK} ({error})"
@@ -54,13 +54,13 @@ class Address:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Hosts, as a browser names them, under which it answers."""
+        """Return the Host headers that it answers."""
         loopback = ("localhost",) if self.host == LOOPBACK else ()
         return tuple(f"{name}:{self.port}" for name in (self.host, *loopback))
 
     @property
     def exposed(self) -> str:
-        """What others can do, in words; empty where none but this computer's users reach it."""
+        """Warn of access by other computers, in words; empty on the loopback."""
         if ipaddress.IPv4Address(self.host).is_loopback:
             return ""
         return (
@@ -70,7 +70,7 @@ class Address:
 
     @property
     def url(self) -> str:
-        """For a browser."""
+        """Return the URL for a browser."""
         return f"http://{self.host}:{self.port}{self.path}/"
 
 
@@ -93,10 +93,10 @@ def opened_in_browser(url: str, folder: Path) -> Iterator[None]:
 
 
 def refuse_without_panel() -> None:
-    """Refuse to go on where Panel is not installed.
+    """Require Panel.
 
     Raises:
-        InputError: it is not.
+        InputError: it is not installed.
     """
     if importlib.util.find_spec("panel") is None:
         raise bc.InputError(
@@ -113,7 +113,7 @@ def workbench(
     folder: str | Path | None = None,
     **settings: Any,
 ) -> Any:
-    """The workbench in a notebook; in a browser it is the command `bayescal workbench`.
+    """Open the workbench in a notebook; in a browser it is the command `bayescal workbench`.
 
     Args:
         readings: to calibrate with.
@@ -137,8 +137,8 @@ def workbench(
     from bayescal._annexes.workbench.session import Session
 
     panel.extension(inline=True)
-    given = instrument
-    model = given if isinstance(given, bc.Model) else given.for_readings(readings).baseline()
-    asked = {"holdout": holdout, "effects": effects, "folder": folder, **settings}
-    session = Session.open(model, readings, **asked)
+    start = instrument
+    model = start if isinstance(start, bc.Model) else start.for_readings(readings).baseline()
+    options = {"holdout": holdout, "effects": effects, "folder": folder, **settings}
+    session = Session.open(model, readings, **options)
     return Workbench(session, framed=True).view

@@ -1,4 +1,4 @@
-"""What the workbench offers: its command. Heavy modules load inside it."""
+"""Registration of the workbench's command; heavy modules load inside it."""
 
 from __future__ import annotations
 
@@ -44,13 +44,13 @@ class WorkbenchCommand(ws.SearchRequest, ws.Command):
             folders = {n: folder / inner for n, inner in ws.folders_of(names).items()} or {
                 "": folder
             }
-            told = ", ".join(p.name for p in self.files)
+            files = ", ".join(p.name for p in self.files)
             ws.tell("loading the workbench and fitting the first model …")
-            said = f"bayescal workbench of {told}: {at.url}\n(Ctrl-C ends it; kept in {folder})"
+            text = f"bayescal workbench of {files}: {at.url}\n(Ctrl-C ends it; kept in {folder})"
             sessions = _sessions(self, opened, folders)
             from bayescal._annexes.workbench.serve import serve
 
-            serve(sessions, at, said, None if self.no_open else folder)
+            serve(sessions, at, text, None if self.no_open else folder)
         print("bayescal workbench: ended", flush=True)
         return 0
 
@@ -59,31 +59,31 @@ ANNEX = {"commands": (WorkbenchCommand,)}
 
 
 def _sessions(
-    asked: ws.SearchRequest,
+    command: ws.SearchRequest,
     opened: tuple[Mapping[str, Any], Mapping[str, Any], Mapping[str, Any]],
     folders: Mapping[str, Path],
 ) -> dict[str, Opened]:
-    """The sessions of a server, by channel ("" where there is one output); the first of them is open."""
-    names, (models, readings, kept) = [n for n in folders if n], opened
-    from bayescal._annexes.workbench.kept import FIRST, Origin
+    """Return the sessions of a server, by channel ("" for one output), the first of them open."""
+    names, (models, readings, held_out) = [n for n in folders if n], opened
     from bayescal._annexes.workbench.serve import Opened
     from bayescal._annexes.workbench.session import Session
+    from bayescal._annexes.workbench.session_store import FIRST, Origin
 
-    method = None if asked.method == "marginal" else ws.method_named(asked.method)
-    settings = {**asked.settings(), "method": method, "time_limit": asked.time_limit}
+    method = None if command.method == "marginal" else ws.method_named(command.method)
+    settings = {**command.settings(), "method": method, "time_limit": command.time_limit}
 
     def of_channel(channel: str, folder: Path) -> Opened:
-        own_files = [] if asked.effects_file is None else [asked.effects_file]
-        own = ws.own_effects(asked, models[channel].instrument, readings[channel])
-        reference = {**ws.named_numbers(asked.reference, "--reference")} or None
-        how = asked.for_read() | ({"outputs": names} if channel else {})
-        averaged = {"average": asked.average, "keep_spikes": asked.keep_spikes}
-        files = (asked.files, asked.holdout, how, own_files)
-        origin = Origin.of(asked.instrument, *files, channel=channel, **averaged)
-        given = {"holdout": kept.get(channel), "effects": own, "reference": reference, **settings}
-        given |= {"folder": folder / FIRST, "origin": origin}
-        return Opened(partial(Session.open, models[channel], readings[channel], **given))
+        own_files = [] if command.effects_file is None else [command.effects_file]
+        effects = ws.own_effects(command, models[channel].instrument, readings[channel])
+        reference = {**ws.named_numbers(command.reference, "--reference")} or None
+        how = command.for_read() | ({"outputs": names} if channel else {})
+        averaged = {"average": command.average, "keep_spikes": command.keep_spikes}
+        files = (command.files, command.holdout, how, own_files)
+        origin = Origin.of(command.instrument, *files, channel=channel, **averaged)
+        call = {"holdout": held_out.get(channel), "effects": effects, **settings}
+        call |= {"reference": reference, "folder": folder / FIRST, "origin": origin}
+        return Opened(partial(Session.open, models[channel], readings[channel], **call))
 
-    found = {channel: of_channel(channel, folder) for channel, folder in folders.items()}
-    next(iter(found.values())).open()
-    return found
+    sessions = {channel: of_channel(channel, folder) for channel, folder in folders.items()}
+    next(iter(sessions.values())).open()
+    return sessions

@@ -1,4 +1,4 @@
-"""The model: its equation in words, its effects with their coefficients, what may be changed, with what follows."""
+"""The model pane: the equation in words, effects with coefficients, and actions with previews of their results."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from typing import Any
 import panel as pn
 
 from bayescal import workshop as ws
-from bayescal._annexes.workbench.parts.pieces import Pane, Rows, button, column, field, row, words
+from bayescal._annexes.workbench.parts.widgets import Pane, Rows, button, column, field, row, words
 
 COEFFICIENTS_IN_A_ROW = 6  # coefficients of one effect that stand in its row
 LEAST_PROBABILITY = 0.005  # probability of a noise law that is shown
@@ -15,13 +15,13 @@ NUMBER = {"kind": "value number"}
 
 
 class ModelPane(Pane):
-    """The left of the page: what is believed, and what may be done to it."""
+    """The left of the page: the model and the actions that change it."""
 
     def __init__(self, bench: Any) -> None:
         super().__init__(bench)
         self._calibration: Any = None
         self._chosen, self._shut = "", False
-        wide: dict[str, Any] = {"sizing_mode": "stretch_width", "min_width": 90}
+        room: dict[str, Any] = {"sizing_mode": "stretch_width", "min_width": 90}
         high: dict[str, Any] = {"sizing_mode": "stretch_width", "styles": {}}  # as all their rows
         choose = lambda effect, _: self._open(effect)  # noqa: E731
         take = lambda law, _: bench.act("noise", law)  # noqa: E731
@@ -29,9 +29,9 @@ class ModelPane(Pane):
         self.noise = Rows(take, kind="pair", label="Noise law", **high)
         self.equation, self.verdict = words("", "small"), words("", "small")
         self.title, self.consequences = words("", "title"), words("", "small")
-        self.coefficient = field(pn.widgets.Select, "unknown", **wide)
-        self.value = field(pn.widgets.FloatInput, "held at", **wide)
-        self.size = field(pn.widgets.FloatInput, "plausible size", start=0.0, **wide)
+        self.coefficient = field(pn.widgets.Select, "unknown", **room)
+        self.value = field(pn.widgets.FloatInput, "held at", **room)
+        self.size = field(pn.widgets.FloatInput, "plausible size", start=0.0, **room)
         self.buttons = out, fix, free, resize = (
             button("Take out", lambda _: self._do("take_out", self._chosen)),
             button("Fix", lambda _: self._do("fix", self.coefficient.value, self.value.value)),
@@ -66,9 +66,9 @@ class ModelPane(Pane):
         self.equation.object = equation_in_words(calibration.model)
         self.effects.rows = effect_rows(calibration)
         self.noise.rows = noise_rows(state)
-        said = [f"not measured: {w}" for w in ws.null_directions(calibration)]
-        said += [f"conflict: {w}" for w in calibration.conflicts]
-        self.verdict.object = "\n".join([*said, str(calibration.verdict)])
+        notes = [f"not measured: {w}" for w in ws.null_directions(calibration)]
+        notes += [f"conflict: {w}" for w in calibration.conflicts]
+        self.verdict.object = "\n".join([*notes, str(calibration.verdict)])
         if self._chosen not in calibration.model.names:
             self._open("")
         self._open_buttons()
@@ -78,30 +78,30 @@ class ModelPane(Pane):
         self._open_buttons()
 
     def _open_buttons(self) -> None:
-        """*Free* is open where the chosen unknown is held."""
+        """Enable the buttons; *Free* only where the chosen unknown is fixed."""
         model = self._calibration and self._calibration.model
-        held = model is not None and self.coefficient.value in dict(model.fixed)
-        for one in self.buttons:
-            one.disabled = self._shut or (one.label == "Free" and not held)
+        is_fixed = model is not None and self.coefficient.value in dict(model.fixed)
+        for press in self.buttons:
+            press.disabled = self._shut or (press.label == "Free" and not is_fixed)
 
     def _open(self, effect: str) -> None:
         self._chosen, self.form.visible = effect, bool(effect)
         if not effect:
             return
-        own = self._calibration.model.effect(effect)
+        chosen = self._calibration.model.effect(effect)
         self.title.object = effect
         self.consequences.object = "What taking it out would do is being computed …"
-        names = [own.coefficient_name(i) for i in range(len(own.coefficients))]
-        names += [own.shape_name(s) for s in own.shapes]
+        names = [chosen.coefficient_name(i) for i in range(len(chosen.coefficients))]
+        names += [chosen.shape_name(s) for s in chosen.shapes]
         self.coefficient.options, self.coefficient.value = names, names[0]
-        first = own.coefficients[0]
+        first = chosen.coefficients[0]
         self.size.label = f"plausible size [{ws.unit_label(first.unit) or '1'}]"
         self.size.value = None if first.flat else float(first.size)
         self._other_coefficient()
         self.bench.ask(self._say_consequences, "take_out", effect)
 
-    def _say_consequences(self, said: Any) -> None:
-        self.consequences.object = f"Without it: {said.in_words}"
+    def _say_consequences(self, preview: Any) -> None:
+        self.consequences.object = f"Without it: {preview.in_words}"
 
     def _other_coefficient(self) -> None:
         coefficients, others = ws.summary(self._calibration)
@@ -118,7 +118,7 @@ class ModelPane(Pane):
 
 
 def equation_in_words(model: Any) -> str:
-    """A model as a sum: what the output is made of, slot by slot."""
+    """Format a model as sums of terms, slot by slot."""
     lines = [model.instrument.title]
     for slot in model.instrument.slots:
         terms = [
@@ -134,39 +134,38 @@ def equation_in_words(model: Any) -> str:
 
 
 def effect_rows(calibration: Any) -> list[dict[str, Any]]:
-    """A row an effect: each coefficient ± standard uncertainty, its contraction as a bar; a curve by its size."""
+    """Return a row for each effect: coefficients ± standard uncertainty, contraction as a bar; a curve by its size."""
     model, rows = calibration.model, []
-    told, curves = [t for own in ws.summary(calibration) for t in own], ws.unknown_rows(calibration)
+    unknowns, curves = [t for r in ws.summary(calibration) for t in r], ws.unknown_rows(calibration)
     for effect in model.effects:
-        own = [t for t in told if t["effect"] == effect.name]
+        terms = [t for t in unknowns if t["effect"] == effect.name]
         cells: list[dict[str, Any]] = [
             {"text": effect.name, "kind": "name", "title": effect.equation}
         ]
         if effect.is_placeholder:
             _, value, unit, *_ = curves[effect.name]
-            own = []
+            terms = []
             cells.append({"text": f"{value} [{unit}]", **NUMBER})
-        for t in own[:COEFFICIENTS_IN_A_ROW]:
+        for t in terms[:COEFFICIENTS_IN_A_ROW]:
             short = t["name"].removeprefix(effect.name).lstrip(".:[").replace("]", "")
-            value = f"{short if len(own) > 1 else ''} {_value(t)}".strip()
+            value = f"{short if len(terms) > 1 else ''} {_value(t)}".strip()
             cells.append({"text": value, **NUMBER, **_contraction(t["contraction"])})
-        if len(own) > COEFFICIENTS_IN_A_ROW:
-            cells.append(
-                {"text": f"… and {len(own) - COEFFICIENTS_IN_A_ROW} more", "kind": "value"}
-            )
-        held = [f"{n} = {v:g}" for n, v in model.fixed if n in effect.unknown_names]
-        cells += [{"text": f"held: {', '.join(held)}", **NUMBER}] if held else []
+        if len(terms) > COEFFICIENTS_IN_A_ROW:
+            number = len(terms) - COEFFICIENTS_IN_A_ROW
+            cells.append({"text": f"… and {number} more", "kind": "value"})
+        fixed = [f"{n} = {v:g}" for n, v in model.fixed if n in effect.unknown_names]
+        cells += [{"text": f"held: {', '.join(fixed)}", **NUMBER}] if fixed else []
         change = {"id": "change", "label": "Change …", "title": "take out, fix or resize"}
         rows.append({"id": effect.name, "cells": cells, "actions": [change]})
     return rows
 
 
-def _value(told: dict[str, Any]) -> str:
-    return f"{ws.with_error(told['mean'], told['sd'])} {ws.unit_label(told['unit'])}".rstrip()
+def _value(row: dict[str, Any]) -> str:
+    return f"{ws.with_error(row['mean'], row['sd'])} {ws.unit_label(row['unit'])}".rstrip()
 
 
 def _contraction(share: float | None) -> dict[str, Any]:
-    """By how much the posterior is narrower than the prior, as a bar."""
+    """Return the bar for the contraction from prior to posterior."""
     if share is None:
         return {"bar": None, "title": "no contraction: flat or learned prior"}
     title = f"contraction {share:.3f}: how much narrower than the prior"
@@ -174,25 +173,25 @@ def _contraction(share: float | None) -> dict[str, Any]:
 
 
 def noise_rows(state: Any) -> list[dict[str, Any]]:
-    """The noise law in use with its parameters, and the probability of each law, where it was looked for."""
-    calibration, found = state.calibration, state.discovery
+    """Return the noise law in use with its parameters, and the probability of each law after a search."""
+    calibration, discovery = state.calibration, state.discovery
     used, (_, others) = calibration.model.noise, ws.summary(calibration)
-    own = [t for t in others if t["effect"] == "noise"]
-    values = [f"{t['name'].removeprefix('noise.')} {_value(t)}" for t in own]
-    told = {} if found is None else {law.law: law for law in found.noise}
+    noise = [t for t in others if t["effect"] == "noise"]
+    values = [f"{t['name'].removeprefix('noise.')} {_value(t)}" for t in noise]
+    laws = {} if discovery is None else {law.law: law for law in discovery.noise}
     rows = []
-    for name in dict.fromkeys((used.law, *told)):
-        law, here = told.get(name), name == used.law
-        if law is not None and not here and law.probability < LEAST_PROBABILITY:
+    for name in dict.fromkeys((used.law, *laws)):
+        law, in_use = laws.get(name), name == used.law
+        if law is not None and not in_use and law.probability < LEAST_PROBABILITY:
             continue
         cells: list[dict[str, Any]] = [
             {"text": used.in_words if law is None else law.in_words, "kind": "name"}
         ]
         if law is not None:
-            said = f"probability {ws.probability(law.probability)}"
-            cells.append({"text": said, "bar": law.probability, **NUMBER})
-        cells += [{"text": value, **NUMBER} for value in values if here]
+            text = f"probability {ws.probability(law.probability)}"
+            cells.append({"text": text, "bar": law.probability, **NUMBER})
+        cells += [{"text": value, **NUMBER} for value in values if in_use]
         use = {"id": "use", "label": "Use", "title": "fit with this noise law"}
-        actions = [] if here else [use]
-        rows.append({"id": name, "cells": cells, "actions": actions, "current": here})
+        actions = [] if in_use else [use]
+        rows.append({"id": name, "cells": cells, "actions": actions, "current": in_use})
     return rows

@@ -17,8 +17,7 @@ import panel as pn
 import bayescal as bc
 from bayescal import workshop as ws
 from bayescal._annexes.metrology.decide import CONFORMITY, FALSE_ACCEPT, Rule
-from bayescal._annexes.workbench.kept import path_to
-from bayescal._annexes.workbench.parts.pieces import (
+from bayescal._annexes.workbench.parts.widgets import (
     INSIDE,
     Palette,
     Pane,
@@ -33,6 +32,7 @@ from bayescal._annexes.workbench.parts.pieces import (
     row,
     words,
 )
+from bayescal._annexes.workbench.session_store import path_to
 
 WHOLE = (
     # A picture in its room and its colours, with no ground of its own.
@@ -42,7 +42,7 @@ WHOLE = (
 
 
 def picture_room() -> pn.pane.HTML:
-    """A place for a picture of the report's, which takes the colours of the ground."""
+    """Make a container for a picture of the report, in the colours of the palette."""
     room: dict[str, Any] = {"sizing_mode": "stretch_both", "margin": 0, "min_height": 0}
     return pn.pane.HTML("", stylesheets=[INSIDE, WHOLE], **room)
 
@@ -74,55 +74,55 @@ class ErrorPane(Pane):
     def busy(self, busy: bool) -> None:
         self.rows.busy = self.find.disabled = busy
 
-    def searching(self, on: bool, told: str = "") -> None:
-        """Whether the whole search is under way, and how far it is."""
+    def searching(self, on: bool, text: str = "") -> None:
+        """Show whether the whole search is running, and its progress."""
         self.halt.disabled = not on
-        self.progress.object = told
+        self.progress.object = text
 
 
 def in_order(states: Mapping[int, Any]) -> list[tuple[int, str]]:
-    """(number, the lines of the tree before it), each state after its parent.
+    """Return (number, tree lines before it) of the states, each after its parent.
 
     A first child stands in its parent's column; every other begins a branch, drawn between the two.
     """
     children: dict[int | None, list[int]] = {}
     for n in sorted(states):
         children.setdefault(states[n].parent, []).append(n)
-    found: list[tuple[int, str]] = []
+    order: list[tuple[int, str]] = []
     waiting = [(n, "", "") for n in reversed(children.get(None, []))]
     while waiting:
         n, before, below = waiting.pop()
-        found.append((n, before))
+        order.append((n, before))
         first, others = children.get(n, [])[:1], children.get(n, [])[1:]
         waiting += [(c, below, below) for c in first]
         waiting += [(c, f"{below}├ ", f"{below}│ ") for c in reversed(others)]
-    return found
+    return order
 
 
-SHOWN = ("step", "as fitted", "new run", "held-out", "floor", "P(complete)")
+COLUMNS = ("step", "as fitted", "new run", "held-out", "floor", "P(complete)")
 TITLES = {"P(complete)": "probability that the model is complete"}
 
 
 def step_rows(states: Mapping[int, Any], current: int) -> tuple[list[str], list[dict[str, Any]]]:
-    """The head, and a row a state: its errors as `SearchPath` prints them, and the way back to it."""
-    told = []
+    """Return the head, and a row for each state: its errors as `SearchPath` prints them, and its actions."""
+    steps = []
     for n, lines in in_order(states):
         state, before = states[n], states.get(states[n].parent)
         row = state.step.row(before and before.step)
         complete = state.discovery and state.discovery.nothing_missing
         title = {"number": f"{lines}{n} ", "title": state.title}
-        told.append({**row, **title, "nothing_missing": complete, "state": n})
-    table = ws.steps_table(told)
-    table = table.only(*(c.head for c in table.shown if c.head in SHOWN))
+        steps.append({**row, **title, "nothing_missing": complete, "state": n})
+    table = ws.steps_table(steps)
+    table = table.only(*(c.head for c in table.shown if c.head in COLUMNS))
     heads, rows = [c.head for c in table.columns], []
     rises = {"held-out": "more than a twentieth above the step before"}
-    for row, (step, *cells) in zip(told, table.cells, strict=True):
+    for row, (step, *cells) in zip(steps, table.cells, strict=True):
         titles = TITLES | (rises if row["rises"] else {})
         numbers = [
             {"text": text, "kind": "number", "title": titles.get(head, "")}
             for head, text in zip(heads[1:], cells, strict=True)
         ]
-        here = [
+        buttons = [
             {
                 **{"id": "compare", "label": "Compare", "reads": True},
                 "title": "with the step that is shown",
@@ -130,19 +130,19 @@ def step_rows(states: Mapping[int, Any], current: int) -> tuple[list[str], list[
             {"id": "go", "label": "Go back", "title": "what is done next branches off here"},
         ]
         now = row["state"] == current
-        shown = {"cells": [{"text": step}, *numbers], "actions": [] if now else here}
-        rows.append({"id": str(row["state"]), **shown, "current": now})
+        texts = {"cells": [{"text": step}, *numbers], "actions": [] if now else buttons}
+        rows.append({"id": str(row["state"]), **texts, "current": now})
     return [*table.head, ""], rows
 
 
 class AskPane(Pane):
-    """A question with its fields, and the answer, which is marked when the model is no longer the one it is of.
+    """A query with its fields, and the answer, which is marked as stale when the model changes.
 
-    A question has its words, the rows of its fields, and `question`, which reads them on the page and returns the job.
+    `question` reads the fields on the page and returns the job.
     """
 
     LABEL = ""  # of the button
-    TOLD = ""  # what is asked, in words
+    INTRO = ""  # what is asked, in words
     BY_ITSELF = False  # whether it is asked when it is looked at
     READS = False  # whether it fits nothing, and waits for no search
     KINDS: tuple[str, ...] = ("bare",)  # classes of the style of the answer's room
@@ -156,46 +156,46 @@ class AskPane(Pane):
         self.answer = words("", "table", styles={"overflow": "auto"}, sizing_mode="stretch_both")
         self.right = column(self.answer, kinds=self.KINDS)
         buttons = row(self.begin, self.age)
-        left = column(words(self.TOLD, "small"), above, buttons, kinds=("bare", "scrolls"))
-        self.view = halves(left, self.right)
+        inputs = column(words(self.INTRO, "small"), above, buttons, kinds=("bare", "scrolls"))
+        self.view = halves(inputs, self.right)
 
     def question(self) -> Callable[[], Any]:
         raise NotImplementedError
 
-    def answered(self, found: Any) -> None:
-        """Show more of an answer than its text."""
+    def answered(self, answer: Any) -> None:
+        """Show parts of an answer apart from its text."""
 
     def show(self, state: Any) -> None:
-        """Another state: an answer that is of the one before stays, and says so."""
+        """Show another state; an answer of a former state stays, marked as stale."""
         self._now = state.number
         self._say_age()
         if self.BY_ITSELF and self._of != self._now:
             self.put()
 
     def put(self) -> None:
-        """Ask."""
-        of = self._now
+        """Run the query in a worker thread."""
+        number = self._now
 
-        def came(found: Any) -> None:
-            self._of, self.answer.object = of, str(found)
-            self.answered(found)
+        def show(answer: Any) -> None:
+            self._of, self.answer.object = number, str(answer)
+            self.answered(answer)
             self._say_age()
 
-        told = "Comparing …" if self.READS else "Computing …"
-        self.bench.run(told, self.question(), came, reads=self.READS)
+        status = "Comparing …" if self.READS else "Computing …"
+        self.bench.run(status, self.question(), show, reads=self.READS)
 
     def _say_age(self) -> None:
         stale = self._of not in (-1, self._now)
-        told = f"This answer is of step {self._of}; step {self._now} is shown." if stale else ""
-        self.age.object = told or (f"Of step {self._of}." if self._of >= 0 else "")
+        age = f"This answer is of step {self._of}; step {self._now} is shown." if stale else ""
+        self.age.object = age or (f"Of step {self._of}." if self._of >= 0 else "")
         self.right.css_classes = [*self.KINDS, *["stale"] * stale]
 
 
 class VerdictPane(AskPane):
-    """Whether the result may be used, and why not."""
+    """The verdict: whether the result may be used, and why not."""
 
     LABEL, BY_ITSELF = "Judge it", True
-    TOLD = "Whether this model may be used as it is, fitted as bayescal calibrate fits it."
+    INTRO = "Whether this model may be used as it is, fitted as bayescal calibrate fits it."
 
     def question(self) -> Callable[[], Any]:
         return self.session.verdict
@@ -205,7 +205,7 @@ class ComparePane(AskPane):
     """Two steps side by side."""
 
     LABEL, BY_ITSELF, READS = "Compare", True, True
-    TOLD = "The step that is shown beside another one; its residuals stand in the panels, hollow."
+    INTRO = "The step that is shown beside another one; its residuals stand in the panels, hollow."
 
     def __init__(self, bench: Any) -> None:
         self._showing = False
@@ -217,8 +217,8 @@ class ComparePane(AskPane):
         other = self.which.value
         return lambda: "" if other is None else self.session.compare(other)
 
-    def beside(self, number: int | None) -> None:
-        """Which step is the other."""
+    def set_other(self, number: int | None) -> None:
+        """Set the step to compare with."""
         states, now = self.session.states, self.session.current.number
         options = {f"{n} {s.title}": n for n, s in states.items() if n != now}
         value = number if number in options.values() else None
@@ -240,7 +240,7 @@ class BudgetPane(AskPane):
     """The uncertainty budget at an operating point."""
 
     LABEL, BY_ITSELF = "Make the budget", True
-    TOLD = "Uncertainty of a corrected reading by its sources, at an operating point."
+    INTRO = "Uncertainty of a corrected reading by its sources, at an operating point."
 
     def __init__(self, bench: Any) -> None:
         self._at: dict[str, Any] = {}
@@ -251,25 +251,25 @@ class BudgetPane(AskPane):
         at = {n: f.value for n, f in self._at.items() if f.value is not None}
         return lambda: self.session.budget(at)
 
-    def answered(self, found: bc.Budget) -> None:
-        """A field a quantity of the operating point."""
-        if list(self._at) == list(found.at):
+    def answered(self, budget: bc.Budget) -> None:
+        """Make a field for each quantity of the operating point."""
+        if list(self._at) == list(budget.at):
             return
         self._at = {}
-        for name, value in found.at.items():
-            label, shown = (
-                f"{name} [{ws.pretty(found.at_units[name] or '1')}]",
+        for name, value in budget.at.items():
+            label, start = (
+                f"{name} [{ws.pretty(budget.at_units[name] or '1')}]",
                 float(f"{value:.6g}"),
             )
-            self._at[name] = field(pn.widgets.FloatInput, label, value=shown, width=150)
+            self._at[name] = field(pn.widgets.FloatInput, label, value=start, width=150)
         self.room[:] = list(self._at.values())
 
 
 class DecisionPane(AskPane):
-    """Whether it conforms to limits."""
+    """The decision on conformity to limits."""
 
     LABEL = "Decide"
-    TOLD = (
+    INTRO = (
         "Does it meet its specification, and until when? Limits such as “bias: ±0.5 °/s”, “corrected reading: "
         "±0.1 °/s over -20..60 °C”. What is decided stands first in the report."
     )
@@ -288,28 +288,28 @@ class DecisionPane(AskPane):
 
     def question(self) -> Callable[[], Any]:
         limits = [line.strip() for line in self.limits.value.splitlines() if line.strip()]
-        asked = {
+        options = {
             "rule": self.rule.value,
             "false_accept": self.risk.value or 0.0,
             "conformity": self.until.value or 0.0,
             "population": self.devices.value.strip() or None,
         }
-        return lambda: self.session.decide(limits, **asked)
+        return lambda: self.session.decide(limits, **options)
 
 
 class ExperimentPane(AskPane):
-    """Next experiment: which test would tell apart what these readings cannot."""
+    """The next experiment: tests that discriminate the effects that these readings confound."""
 
     LABEL = "Rank the experiments"
-    TOLD = "Feasible experiments, the most telling first: what each could say of effects that are confounded here."
+    INTRO = "Feasible experiments, the most telling first: what each could say of effects that are confounded here."
 
     def __init__(self, bench: Any) -> None:
         self.rivals = words("", "small")
         super().__init__(bench, self.rivals)
 
     def show(self, state: Any) -> None:
-        self._calibration, found = state.calibration, state.discovery
-        self._rivals = () if found is None else found.rivals
+        self._calibration, discovery = state.calibration, state.discovery
+        self._rivals = () if discovery is None else discovery.rivals
         self.begin.disabled = len(self._rivals) < 2
         names = ", ".join(e.name for e in self._rivals)
         self.rivals.object = f"To tell apart: {names or 'nothing that was found'}"
@@ -333,7 +333,7 @@ class Written:
     """A button that writes a file beside the page, and then a link to it."""
 
     def __init__(self, bench: Any, label: str, doing: str, write: Callable[[], Path]) -> None:
-        """`write` is called beside the page while `doing` is said."""
+        """Make a button whose press runs `write` in a worker thread while `doing` is shown."""
         self.make = button(label, lambda _: bench.run(doing, write, self._done))
         self.link = download("", filename="none", file=BytesIO(), visible=False, color="primary")
 
@@ -342,7 +342,7 @@ class Written:
         self.link.label, self.link.visible = f"Download {path.name}", True
 
     def forget(self) -> None:
-        """The state is another: the file is not its."""
+        """Hide the link when the state changes."""
         self.link.visible = False
 
 
@@ -353,12 +353,12 @@ class ReportPane(Pane):
         super().__init__(bench)
         write = lambda: self.session.report()  # noqa: E731
         self.written = Written(bench, "Write the report", "Writing the report …", write)
-        told = words(
+        note = words(
             "One HTML file that needs nothing else: a one-page summary for sign-off, with appendices. The last "
             "model is fitted as bayescal calibrate fits it, which takes a few seconds.",
             "small",
         )
-        self.view = column(told, row(self.written.make, self.written.link))
+        self.view = column(note, row(self.written.make, self.written.link))
 
     def show(self, state: Any) -> None:
         self.written.forget()
@@ -370,26 +370,26 @@ class ExportPane(Pane):
     def __init__(self, bench: Any) -> None:
         super().__init__(bench)
         self.written, lines = [], []
-        for label, (file, told) in EXPORTS.items():
+        for label, (file, note) in EXPORTS.items():
             write = lambda file=file: self.session.export(file)  # noqa: E731
-            one = Written(bench, label, f"Writing {label} …", write)
-            one.make.min_width = 170
-            self.written.append(one)
-            lines.append(row(one.make, words(told, "small"), one.link))
+            entry = Written(bench, label, f"Writing {label} …", write)
+            entry.make.min_width = 170
+            self.written.append(entry)
+            lines.append(row(entry.make, words(note, "small"), entry.link))
         self.view = column(*lines, kinds=("bare", "scrolls"))
 
     def show(self, state: Any) -> None:
-        for one in self.written:
-            one.forget()
+        for entry in self.written:
+            entry.forget()
 
 
 class PythonPane(Pane):
-    """The script that does what was clicked on the way to this state."""
+    """The script that reproduces the actions up to this state."""
 
     def __init__(self, bench: Any) -> None:
         super().__init__(bench)
-        said = "What was clicked, in Python: the same numbers"
-        self.code = code_field(said, disabled=True, max_length=10**6)
+        label = "What was clicked, in Python: the same numbers"
+        self.code = code_field(label, disabled=True, max_length=10**6)
         self.link = download(
             "Download workbench.py",
             callback=lambda: BytesIO(self.code.value.encode()),
@@ -407,7 +407,7 @@ ERROR = "The error"
 
 
 class Tabs(Pane):
-    """Which of them is seen; each is brought up to date when it is looked at, not before."""
+    """The choice of the lower pane; each is updated when it is opened, not before."""
 
     def __init__(self, bench: Any) -> None:
         super().__init__(bench)
@@ -433,8 +433,8 @@ class Tabs(Pane):
         self._state, self._stale = state, set(self._panes)
         self._freshen()
 
-    def looked(self, state: Any) -> None:
-        """What is missing from the state is known now."""
+    def show_missing(self, state: Any) -> None:
+        """Update after a search for effects missing from the state."""
         self._state = state
         self._stale.add("Next experiment")
         self._freshen()

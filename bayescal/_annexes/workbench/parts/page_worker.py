@@ -1,6 +1,6 @@
-"""Work beside the page: what takes longer than a frame runs in a thread, and the page goes on.
+"""Worker threads of the page: long jobs run in a thread while the page stays responsive.
 
-What is under way is told with the time that it has taken.
+Running jobs are shown with their elapsed time.
 """
 
 from __future__ import annotations
@@ -20,23 +20,22 @@ import bayescal as bc
 Then = Callable[[Any], None]
 
 
-def nothing() -> None:
-    """What follows where nothing does."""
+def do_nothing() -> None:
+    """Do nothing."""
 
 
 def in_words(error: Exception) -> str:
-    """An error of a thread, which would be lost: for the page, and in the log if it is none of a user's making."""
+    """Return a thread's error in words for the page; log it if it is not a BayescalError."""
     if isinstance(error, bc.BayescalError):
         return str(error)
     logging.getLogger("bayescal").error("in the workbench", exc_info=error)
     return f"{type(error).__name__}: {error}"
 
 
-class Work:
-    """One page's work: jobs one after the other, beside them questions that only read, a look, and at most one preview,
-    the one asked for last.
+class PageWorker:
+    """Worker pools of one page: jobs in sequence; in parallel, read-only questions, a search, and the latest preview.
 
-    Results, and refusals in words, come back to the page's own thread.
+    Results, and errors in words, are delivered in the page's own thread.
     """
 
     def __init__(self, tell: Callable[[str, bool], None], busy: Callable[[bool], None]) -> None:
@@ -56,11 +55,11 @@ class Work:
 
     @property
     def busy(self) -> bool:
-        """Whether a job is under way that may change something."""
+        """Return whether a job that may change the session is running."""
         return not all(reads for _, _, reads in self._under_way)
 
     def on_page(self, call: Callable[[], Any]) -> None:
-        """Call something in the page's own thread, soon; from any thread."""
+        """Schedule a call in the page's own thread; from any thread."""
         if self._served:
             self._document.add_next_tick_callback(call)
         else:
@@ -75,11 +74,11 @@ class Work:
         words: str,
         job: Callable[[], Any],
         then: Then,
-        failed: Callable[[], None] = nothing,
+        failed: Callable[[], None] = do_nothing,
         *,
         reads: bool = False,
     ) -> None:
-        """Begin a job, after those that are under way; `then(result)`, or `failed()`, follows on the page.
+        """Queue a job; `then(result)`, or `failed()`, follows on the page.
 
         Args:
             words: what is said of it.
@@ -97,20 +96,20 @@ class Work:
         self._submit("question" if reads else "job", job, then, failed, ended)
 
     def look(self, job: Callable[[], Any], then: Then) -> None:
-        """Look for something beside everything else; what is pressed meanwhile is not refused."""
+        """Run a search in parallel to all other jobs."""
         self._submit("look", job, then)
 
     def preview(self, job: Callable[[], Any], then: Then) -> None:
-        """Compute a preview; one that another has overtaken is dropped."""
-        own = self._previewed = object()
-        self._submit("preview", job, then, wanted=lambda: own is self._previewed)
+        """Compute a preview, which a later one replaces."""
+        token = self._previewed = object()
+        self._submit("preview", job, then, current=lambda: token is self._previewed)
 
     def forget_preview(self) -> None:
-        """Drop the preview that is under way."""
+        """Drop the running preview."""
         self._previewed = object()
 
     def close(self) -> None:
-        """Take no further work; what has not begun is dropped."""
+        """Shut the pools down; jobs that have not begun are dropped."""
         for pool in self._pools.values():
             pool.shutdown(wait=False, cancel_futures=True)
 
@@ -119,20 +118,20 @@ class Work:
         kind: str,
         job: Callable[[], Any],
         then: Then,
-        failed: Callable[[], None] = nothing,
-        ended: Callable[[], None] = nothing,
-        wanted: Callable[[], bool] = lambda: True,
+        failed: Callable[[], None] = do_nothing,
+        ended: Callable[[], None] = do_nothing,
+        current: Callable[[], bool] = lambda: True,
     ) -> None:
-        """Do a job in a thread, and on the page what follows, while it is wanted."""
+        """Run a job in a thread, then its continuation on the page, unless it is superseded."""
 
         def run() -> None:
-            if not wanted():
+            if not current():
                 return
             try:
                 follow = partial(then, job())
             except Exception as error:
                 follow = partial(self._refused, in_words(error), failed)
-            if wanted():
+            if current():
                 self.on_page(lambda: (ended(), follow()))
 
         self._pools[kind].submit(self._context.copy().run, run)
@@ -142,7 +141,7 @@ class Work:
         failed()
 
     def _follow(self) -> None:
-        """Work began or ended: shut or open what changes the model, and tell of the time while there is some."""
+        """Disable or enable changes of the model, and show elapsed times while jobs run."""
         self._busy(self.busy)
         self._say()
         if self._served and self._under_way and self._ticking is None:
@@ -153,5 +152,5 @@ class Work:
 
     def _say(self) -> None:
         now = time.monotonic()
-        taken = [(words, now - begun) for words, begun, _ in self._under_way]
-        self._tell("; ".join(f"{w} {s:.0f} s" if s >= 1 else w for w, s in taken), False)
+        times = [(words, now - start) for words, start, _ in self._under_way]
+        self._tell("; ".join(f"{w} {s:.0f} s" if s >= 1 else w for w, s in times), False)

@@ -1,4 +1,4 @@
-"""A session's folder: each state as a saved calibration, whole or not at all, so that a killed server goes on.
+"""The checkpoint of a session: each state as a saved calibration, written atomically, so that a killed server resumes.
 
 session.json               the tree of states, which one is current, formulas that were typed
 state_000.nc               the fit of the first state, and so on, as `bayescal calibrate` saves one
@@ -27,7 +27,7 @@ from bayescal import workshop as ws
 
 @dataclass(frozen=True)
 class Origin:
-    """What was opened, for scripts, in which names of files are quoted."""
+    """Sources of a session for its script: instrument, files and options of reading."""
 
     instrument: str  # name of an installed one, or my.py:INSTRUMENT; empty where made in Python
     files: tuple[str, ...]  # files, holdout: of readings, in full
@@ -47,20 +47,20 @@ class Origin:
         holdout: Sequence[Path | str] | None = None,
         read: Mapping[str, Any] | None = None,
         effect_files: Sequence[Path | str] = (),
-        **more: Any,
+        **settings: Any,
     ) -> Origin:
-        """With paths in full, and no argument that is the usual one."""
+        """Build with absolute paths, without arguments that equal their defaults."""
         if ws.in_a_file(instrument):
             file, _, name = instrument.rpartition(":")
             instrument = f"{Path(file).resolve()}:{name}"
         full = [tuple(str(Path(p).resolve()) for p in some) for some in (files, holdout or ())]
         usual = vars(ws.ReadOptions())
-        given = {k: v for k, v in (read or {}).items() if v != usual.get(k)}
-        own = tuple(str(Path(p).resolve()) for p in effect_files)
-        return cls(instrument, *full, read=given, effect_files=own, **more)
+        changed = {k: v for k, v in (read or {}).items() if v != usual.get(k)}
+        effects = tuple(str(Path(p).resolve()) for p in effect_files)
+        return cls(instrument, *full, read=changed, effect_files=effects, **settings)
 
     @classmethod
-    def kept(
+    def write(
         cls,
         instrument: bc.Instrument,
         readings: bc.Measurements,
@@ -68,20 +68,20 @@ class Origin:
         folder: Path,
         keep_spikes: bool,
     ) -> Origin:
-        """Of readings in memory, which are written to a folder.
+        """Write readings in memory to a folder, and return them as sources.
 
         Raises:
             InputError: it cannot be written to.
         """
         files = [readings.write(folder / "readings.nc")]
-        apart = [] if holdout is None else [holdout.write(folder / "holdout.nc")]
+        held_out = [] if holdout is None else [holdout.write(folder / "holdout.nc")]
         name = instrument.name if instrument.name in ws.installed_names() else ""
-        return cls.of(name, files, apart, keep_spikes=keep_spikes)
+        return cls.of(name, files, held_out, keep_spikes=keep_spikes)
 
 
 @dataclass(frozen=True)
 class SearchOptions:
-    """What `calibrate` is asked with, apart from model and readings; see there."""
+    """Options of `calibrate` apart from model and readings; see there."""
 
     method: bc.LeastSquares | bc.Marginal | bc.NUTS | None = None
     max_effects: int = 5
@@ -95,7 +95,7 @@ class SearchOptions:
 
 @dataclass(frozen=True, eq=False)
 class State:
-    """One model of the tree. Nothing in it changes; a look gives the same state with its discovery."""
+    """One model of the tree, immutable; a search returns the same state with its discovery."""
 
     number: int  # of the state, from 0
     parent: int | None  # number of the state that it was made from; None for the first
@@ -105,7 +105,7 @@ class State:
 
     @property
     def title(self) -> str:
-        """What was done, in a few words: "baseline", "+ bias.thermal_lag"."""
+        """Return the change of the model in short: "baseline", "+ bias.thermal_lag"."""
         return self.step.title
 
     @property
@@ -118,7 +118,7 @@ class State:
 
 
 def path_to(states: Mapping[int, Any], number: int) -> list[int]:
-    """Numbers of the states from the first to one."""
+    """Return the numbers of the states from the first to one."""
     path = [number]
     while (parent := states[path[0]].parent) is not None:
         path.insert(0, parent)
@@ -132,7 +132,7 @@ FIRST = "session_1"  # the folder of a session, in that of --out
 
 @dataclass(frozen=True)
 class SavedState:
-    """What session.json holds of a state, beside its calibration; its number is its place."""
+    """One state in session.json, whose index is its number; its calibration is a file of its own."""
 
     parent: int | None
     at: str
@@ -143,13 +143,13 @@ class SavedState:
     @classmethod
     def of(cls, state: State) -> SavedState:
         step = state.step
-        own = state.at.isoformat(), step.added, step.changed, ws.identity(state.calibration)
-        return cls(state.parent, *own)
+        fields = state.at.isoformat(), step.added, step.changed, ws.identity(state.calibration)
+        return cls(state.parent, *fields)
 
 
 @dataclass(frozen=True)
 class SavedSession:
-    """What session.json holds; ValueError where it can be none."""
+    """Content of session.json; raises ValueError where it is invalid."""
 
     schema: str
     states: list[SavedState]
@@ -167,8 +167,8 @@ class SavedSession:
             raise ValueError(f"there is no step {self.current}")
 
 
-def own_folder(folder: str | Path | None) -> Path:
-    """The folder of a session, made if need be; None: a temporary one.
+def make_folder(folder: str | Path | None) -> Path:
+    """Create the folder of a session if need be, a temporary one for None.
 
     Raises:
         InputError: it cannot be made.
@@ -181,30 +181,30 @@ def own_folder(folder: str | Path | None) -> Path:
     return folder
 
 
-def fit_of(folder: Path, number: int) -> Path:
-    """The file of a state's calibration."""
+def fit_path(folder: Path, number: int) -> Path:
+    """Return the path of a state's calibration."""
     return folder / f"state_{number:03d}.nc"
 
 
-def keep_session(
+def save_session(
     folder: Path, states: Mapping[int, State], current: int, typed: Sequence[str], script: str
 ) -> None:
-    """Keep all but the calibrations of the states; when this returns, it is on the disk.
+    """Write session.json and the script to disk; calibrations are saved apart.
 
     Raises:
         InputError: it cannot be written.
     """
-    told = [SavedState.of(s) for _, s in sorted(states.items())]
-    session = SavedSession(SCHEMA, told, current, [*typed])
+    saved = [SavedState.of(s) for _, s in sorted(states.items())]
+    session = SavedSession(SCHEMA, saved, current, [*typed])
     ws.write_json(ws.as_json(session), folder / SESSION)
     ws.write_text(script, folder / SCRIPT)
 
 
-def session_in(folder: Path) -> SavedSession:
-    """What session.json says.
+def load_session(folder: Path) -> SavedSession:
+    """Load session.json.
 
     Raises:
-        InputError: there is none, or none that can be read.
+        InputError: there is none, or it cannot be read.
     """
     try:
         return ws.read_json(folder / SESSION, SavedSession)
@@ -214,18 +214,18 @@ def session_in(folder: Path) -> SavedSession:
         ) from None
 
 
-def states_in(
-    folder: Path, told: SavedSession, effects: Sequence[bc.Effect], instrument: bc.Instrument
+def load_states(
+    folder: Path, saved: SavedSession, effects: Sequence[bc.Effect], instrument: bc.Instrument
 ) -> Iterator[tuple[SavedState, bc.Calibration]]:
-    """The states that session.json tells of, with their calibrations.
+    """Load the states in session.json with their calibrations.
 
     Raises:
-        InputError: a calibration is not there, or is another one.
+        InputError: a calibration is missing or was changed.
     """
-    given = () if instrument.name in ws.installed_names() else (instrument,)
-    for number, state in enumerate(told.states):
-        file = fit_of(folder, number)
-        calibration = bc.load(file, effects=effects, instruments=given)
+    extra = () if instrument.name in ws.installed_names() else (instrument,)
+    for number, state in enumerate(saved.states):
+        file = fit_path(folder, number)
+        calibration = bc.load(file, effects=effects, instruments=extra)
         if ws.identity(calibration) != state.identity:
             raise bc.InputError(
                 f"{file} is not the one that {SESSION} tells of: begin in another folder"
@@ -234,7 +234,7 @@ def states_in(
 
 
 def script(path: Sequence[State], origin: Origin, settings: SearchOptions, folder: Path) -> str:
-    """The script that leads from the first state of a path to its last.
+    """Generate the script that leads from the first state of a path to its last.
 
     Args:
         path: states, each the parent of the next.
@@ -250,7 +250,7 @@ def script(path: Sequence[State], origin: Origin, settings: SearchOptions, folde
         step = {
             **{"number": state.number, "title": ws.one_line(state.title)},
             "name": f"{state.number} {state.title}",
-            "lines": [_loaded(state, origin, folder)] if edits is None else edits,
+            "lines": [_load_line(state, origin, folder)] if edits is None else edits,
             "method": method_code(ws.QUICK if quick else settings.method),
             "how": {"seed": c.seed} | ({"start": c.start} if c.start else {}),
         }
@@ -279,60 +279,60 @@ def script(path: Sequence[State], origin: Origin, settings: SearchOptions, folde
     )
 
 
-def _arguments(given: Mapping[str, Any]) -> str:
-    return "".join(f", {name}={value!r}" for name, value in given.items())
+def _arguments(values: Mapping[str, Any]) -> str:
+    return "".join(f", {name}={value!r}" for name, value in values.items())
 
 
 def _beginning(model: bc.Model) -> tuple[str, bc.Model]:
-    """The baseline, or the instrument's structure that a model is, or was made of."""
+    """Return the instrument's structure that needs the fewest edits to make a model, as code and model."""
     instrument = model.instrument
     ways = [("model = instrument.baseline()", instrument.baseline())]
     for name, make in instrument.structures:
         ways.append((f"model = dict(instrument.structures)[{name!r}]()", make()))
     able = [(way, edits) for way in ways if (edits := code_of(way[1], model)) is not None]
-    return min(able, key=lambda one: len(one[1]), default=(ways[0], []))[0]
+    return min(able, key=lambda pair: len(pair[1]), default=(ways[0], []))[0]
 
 
 def method_code(method: Any) -> str:
     return "bc.Marginal()" if method is None else f"bc.{method!r}"
 
 
-def _loaded(state: State, origin: Origin, folder: Path) -> str:
-    own = ", effects=tuple(own.values())" if origin.effect_files else ""
-    return f"model = bc.load({str(fit_of(folder, state.number))!r}{own}).model"
+def _load_line(state: State, origin: Origin, folder: Path) -> str:
+    effects = ", effects=tuple(own.values())" if origin.effect_files else ""
+    return f"model = bc.load({str(fit_path(folder, state.number))!r}{effects}).model"
 
 
 def code_of(before: bc.Model, after: bc.Model) -> list[str] | None:
-    """Lines of Python that make one model of another; None where no public function does.
+    """Generate lines of Python that change one model to another; None where no public function does.
 
-    Each line is tried on the model itself: what comes of them all must be the other model.
+    Each line is applied to the model itself: the result must equal the other model.
     """
     edits = [("", before), *_edits(before, after)]
     return [line for line, _ in edits[1:]] if edits[-1][1] == after else None
 
 
 def _edits(model: bc.Model, after: bc.Model) -> Iterator[tuple[str, bc.Model]]:
-    """Each change with what it makes."""
-    for name in reversed(model.names[_shared(model, after) :]):
+    """Yield the code of each edit with the edited model."""
+    for name in reversed(model.names[_n_common(model, after) :]):
         model = model - name
         yield f"model = model - {name!r}", model
     for effect in after.effects[len(model.effects) :]:
-        said, made = _effect_code(effect, after)
-        if made is None:
+        code, added = _effect_code(effect, after)
+        if added is None:
             return
-        model = model + made
-        yield f"model = model + {said}", model
+        model = model + added
+        yield f"model = model + {code}", model
     for now in after.effects:
         size = now.coefficients[0].size
         if model.effect(now.name) != now and not (now.is_placeholder or now.coefficients[0].flat):
             model = model.resize(now.name, size)
             yield f"model = model.resize({now.name!r}, {size!r})", model
     if model.noise != after.noise:
-        said = noise_code(after.noise, after)
-        if said is None:
+        code = noise_code(after.noise, after)
+        if code is None:
             return
         model = model.with_noise(after.noise)
-        yield f"model = model.with_noise({said})", model
+        yield f"model = model.with_noise({code})", model
     if model.fixed != after.fixed:
         if model.fixed:
             model = model.free()
@@ -342,44 +342,44 @@ def _edits(model: bc.Model, after: bc.Model) -> Iterator[tuple[str, bc.Model]]:
             yield f"model = model.fix({dict(after.fixed)!r})", model
 
 
-def _shared(before: bc.Model, after: bc.Model) -> int:
-    """How many effects at the beginning the two have in common; of other plausible sizes, they still are."""
+def _n_common(before: bc.Model, after: bc.Model) -> int:
+    """Count the leading effects that two models share, whatever their plausible sizes."""
 
-    def alike(both: tuple[bc.Effect, bc.Effect]) -> bool:
-        one, other = both
-        return one == other or (one.name == other.name and not one.is_placeholder)
+    def is_same(both: tuple[bc.Effect, bc.Effect]) -> bool:
+        first, second = both
+        return first == second or (first.name == second.name and not first.is_placeholder)
 
-    return len(list(takewhile(alike, zip(before.effects, after.effects, strict=False))))
+    return len(list(takewhile(is_same, zip(before.effects, after.effects, strict=False))))
 
 
 def _effect_code(effect: bc.Effect, model: bc.Model) -> tuple[str, bc.Effect | None]:
-    """An effect as it is added, at its own plausible size."""
+    """Return the code that adds an effect, and the effect at its own plausible size."""
     name, instrument = effect.name, model.instrument
-    known = instrument.known
+    library = instrument.known
     if isinstance(effect.basis, ws.Formula):
         return f"bc.effect({effect.basis.text!r}, readings=readings, instrument=instrument)", effect
-    if name in known:
-        return repr(name), known[name]
-    made = None
+    if name in library:
+        return repr(name), library[name]
+    base = None
     if effect.is_placeholder:
         with suppress(bc.ModelError):  # one under a name of its own is the user's
-            made = instrument.effect(name)
-    if made is None:
+            base = instrument.effect(name)
+    if base is None:
         return f"own[{name!r}]", effect
     ranges = {
         s.name: (s.low, s.high)
-        for s, open_ in zip(effect.shapes, made.shapes, strict=True)
+        for s, open_ in zip(effect.shapes, base.shapes, strict=True)
         if open_ != s
     }
     if not ranges:
-        return repr(name), made
-    return f"instrument.effect({name!r}).ranging({ranges!r})", made.ranging(ranges)
+        return repr(name), base
+    return f"instrument.effect({name!r}).ranging({ranges!r})", base.ranging(ranges)
 
 
 def noise_code(noise: bc.Noise, model: bc.Model) -> str | None:
-    """A noise law as Python; None where the public names do not make it."""
+    """Return a noise law as Python; None where the public names do not make it."""
     if noise == model.instrument.noise:
         return "instrument.noise"
-    said = re.sub(r"\b(?=[A-Z]\w*\()", "bc.", repr(noise))
-    names = set(re.findall(r"bc\.(\w+)", said))
-    return said if names <= set(bc.__all__) else None
+    code = re.sub(r"\b(?=[A-Z]\w*\()", "bc.", repr(noise))
+    names = set(re.findall(r"bc\.(\w+)", code))
+    return code if names <= set(bc.__all__) else None

@@ -1,4 +1,4 @@
-"""What is missing: the candidates, how probable each is, what it would explain; *Add* adds it."""
+"""The candidates pane ("What is missing"): each candidate effect with its probability; *Add* adds it."""
 
 from __future__ import annotations
 
@@ -8,20 +8,20 @@ import panel as pn
 
 import bayescal as bc
 from bayescal import workshop as ws
-from bayescal._annexes.workbench.parts.pieces import Pane, Rows, button, column, field, row, words
+from bayescal._annexes.workbench.parts.widgets import Pane, Rows, button, column, field, row, words
 
 NOT_VISIBLE = "Not detectable in this experiment"
 NOT_TESTABLE = "Not testable with these readings"
 HINT = "Point at a candidate, with the pointer or with Tab and the arrows, to see its curve over the residuals."
 
 
-class Missing(Pane):
+class CandidatesPane(Pane):
     """The right of the page."""
 
     def __init__(self, bench: Any) -> None:
         super().__init__(bench)
         self.complete = words("")
-        self.told = words(HINT, "small", min_height=36)
+        self.hint = words(HINT, "small", min_height=36)
         add = lambda effect, _: bench.act("add", effect)  # noqa: E731
         self.rows = Rows(add, kind="pair", pointing=True, label="Candidates")
         self.rows.param.watch(lambda event: bench.point(event.new), "pointed")
@@ -35,89 +35,89 @@ class Missing(Pane):
         title = row(words("What is missing", "title"))
         typed = row(self.formula, self.add_typed, kinds=("spread",))
         self.view = column(
-            *(title, self.complete, self.told, self.rows, typed), kinds=("pane", "missing")
+            *(title, self.complete, self.hint, self.rows, typed), kinds=("pane", "missing")
         )
 
     def show(self, state: Any, reason: str = "Looking for what is missing …") -> None:
-        """Show what was found; where nothing was yet, or cannot be, the reason."""
-        found: bc.Discovery | None = state.discovery
+        """Show the discovery of a state; without one, the reason."""
+        discovery: bc.Discovery | None = state.discovery
         self.rows.pointed = ""
-        self.told.object = HINT if found is not None else ""
-        if found is None:
+        self.hint.object = HINT if discovery is not None else ""
+        if discovery is None:
             self.complete.object, self.rows.rows = reason, []
             return
-        said = f"Probability that the model is complete: {found.complete_in_words}"
-        self.complete.object = f"{said}\n{found.stopped}" if found.stopped else said
-        self.rows.rows = candidate_rows(found)
+        text = f"Probability that the model is complete: {discovery.complete_in_words}"
+        self.complete.object = f"{text}\n{discovery.stopped}" if discovery.stopped else text
+        self.rows.rows = candidate_rows(discovery)
 
     def _draw(self) -> None:
-        """Draw the curve of the typed formula over the residuals, and say what it would do; or why it is none."""
+        """Draw the curve of the typed formula over the residuals with its preview, or report its error."""
         line, bench = self.formula.value.strip(), self.bench
         self.add_typed.disabled = True
         if not line:
             return
 
-        def drawn(found: Any) -> None:
+        def draw(preview: Any) -> None:
             if line == self.formula.value.strip():
-                bench.fails.preview(found.curve)
-                self.preview(found.in_words)
+                bench.fails.preview(preview.curve)
+                self.preview(preview.in_words)
                 self.add_typed.disabled = self.rows.busy
 
-        bench.work.preview(lambda: bench.session.preview(bench.session.typed(line)), drawn)
+        bench.work.preview(lambda: bench.session.preview(bench.session.typed(line)), draw)
 
     def _add_typed(self) -> None:
         self.bench.act("add_typed", self.formula.value.strip())
         self.formula.value = ""
 
-    def preview(self, told: str) -> None:
-        """Say what the candidate that is pointed at would do."""
-        self.told.object = told or HINT
+    def preview(self, text: str) -> None:
+        """Show the preview of the candidate that is pointed at."""
+        self.hint.object = text or HINT
 
     def busy(self, busy: bool) -> None:
         self.rows.busy = busy
         self.add_typed.disabled = self.add_typed.disabled or busy
 
 
-def candidate_rows(found: bc.Discovery) -> list[dict[str, Any]]:
-    """Findings first, substitutes as "one of these"; then the others; what cannot be seen or tested in grey."""
-    by_name = {c.effect: c for c in found.candidates}
+def candidate_rows(discovery: bc.Discovery) -> list[dict[str, Any]]:
+    """Return rows: findings, substitutes as "one of these", then the others; undetectable and untestable in grey."""
+    by_name = {c.effect: c for c in discovery.candidates}
     rows, placed = [], set()
-    for i, one in enumerate(found.sets):
+    for i, alternatives in enumerate(discovery.sets):
         which = "Missing" if i == 0 else "Also missing"
-        if len(one.effects) > 1:
+        if len(alternatives.effects) > 1:
             which = "One of these; these readings cannot tell which"
-        group = f"{which}: probability {ws.probability(one.probability)}"
-        names = [n for n in one.effects if n in by_name and n not in placed]
+        group = f"{which}: probability {ws.probability(alternatives.probability)}"
+        names = [n for n in alternatives.effects if n in by_name and n not in placed]
         rows += [_row(by_name[name], group, "found") for name in names]
-        placed |= set(one.effects)
-    rest = [c for c in found.candidates if c.effect not in placed]
-    any_found = rows or any(c.kind == "lead" for c in rest)
-    shown = {
+        placed |= set(alternatives.effects)
+    others = [c for c in discovery.candidates if c.effect not in placed]
+    any_found = rows or any(c.kind == "lead" for c in others)
+    kinds = {
         "lead": ("Leads", "lead"),
         None: ("The others" if any_found else "Nothing is found; the candidates", ""),
         "not visible": (NOT_VISIBLE, "quiet"),
         "not testable": (NOT_TESTABLE, "quiet"),
     }
-    for kind, how in shown.items():
-        rows += [_row(c, *how) for c in rest if (c.kind if c.kind in shown else None) == kind]
+    for kind, how in kinds.items():
+        rows += [_row(c, *how) for c in others if (c.kind if c.kind in kinds else None) == kind]
     return rows
 
 
 def _row(c: Any, group: str, kind: str) -> dict[str, Any]:
     cells: list[dict[str, Any]] = [{"text": c.effect, "kind": "name"}]
     if c.probability is not None:
-        said = ws.probability(c.probability)
+        text = ws.probability(c.probability)
         factor = f"log Bayes factor {ws.number(c.log_bayes_factor)} by {c.source}"
-        told = {"bar": c.probability, "kind": "value number"}
+        bar = {"bar": c.probability, "kind": "value number"}
         if c.size is not None:
             size = f"{ws.with_error(c.size, c.size_sd or 0.0)} {ws.unit_label(c.unit)}"
-            told["text"] = f"{said} · {size}"
-        cells.append({"text": said, "title": f"probability {said}; {factor}", **told})
+            bar["text"] = f"{text} · {size}"
+        cells.append({"text": text, "title": f"probability {text}; {factor}", **bar})
     add = {"id": "add", "label": "Add", "title": f"fit the model with {c.form or c.effect}"}
-    note, alike = c.reason, c.indistinguishable_from
-    if c.kind in ("finding", "lead") and alike:
-        more = f" and {len(alike) - 3} more" if len(alike) > 3 else ""
-        note = f"confounded with {', '.join(alike[:3])}{more}"
+    note, rivals = c.reason, c.indistinguishable_from
+    if c.kind in ("finding", "lead") and rivals:
+        further = f" and {len(rivals) - 3} more" if len(rivals) > 3 else ""
+        note = f"confounded with {', '.join(rivals[:3])}{further}"
     actions = [] if c.kind == "not testable" else [add]
-    shown = {"group": group, "cells": cells, "note": note, "kind": kind}
-    return {"id": c.effect, **shown, "actions": actions}
+    row = {"group": group, "cells": cells, "note": note, "kind": kind}
+    return {"id": c.effect, **row, "actions": actions}

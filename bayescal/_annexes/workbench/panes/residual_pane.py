@@ -1,8 +1,8 @@
-"""Where it fails: output with the fit, and residuals, over columns side by side, brushed together.
+"""The residual pane ("Where it fails"): output with the fit, and residuals, over columns side by side, linked brushing.
 
-What is drawn are plain arrays, one source of rows for all panels, by WebGL where the browser has it. Of very many
-readings some are drawn; an axis of time leaves out the long gaps between runs. A panel has, over one column, the output
-with the fit, and residuals with the noise, the worst region, the curve of a preview.
+All panels draw one source of rows, by WebGL where the browser has it. Very many readings are decimated; an axis of time
+leaves out the long gaps between runs. A panel has, over one column, the output with the fit, and residuals with the
+noise, the worst region, the curve of a preview.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from bokeh.models import (
 
 import bayescal as bc
 from bayescal import workshop as ws
-from bayescal._annexes.workbench.parts.pieces import (
+from bayescal._annexes.workbench.parts.widgets import (
     MARKERS,
     Palette,
     Pane,
@@ -56,39 +56,39 @@ return tick > ends[k] ? "" : String(Number((tick + taken[k]).toPrecision(10)));
 
 @dataclass(frozen=True)
 class CutAxis:
-    """Stretches of a column, one after the other."""
+    """A broken axis: the intervals of a column without its long gaps."""
 
     starts: np.ndarray  # starts, ends: values at which each begins and ends, (k,), rising
     ends: np.ndarray
-    taken: np.ndarray  # what is left out of the axis before each, (k,), a round number each
+    cuts: np.ndarray  # what is left out of the axis before each, (k,), a round number each
 
     @classmethod
     def of(cls, values: np.ndarray) -> CutAxis:
-        """Of values (n,) in any order; a single stretch where no gap is long."""
+        """Build from values (n,) in any order; one interval where no gap is long."""
         at = np.unique(values)
         steps = np.diff(at)
         rising = np.sort(steps)
         usual, shorter = np.append(rising, 0.0)[rising.size // 2], np.cumsum(rising) - rising
         long = (rising > STEPS * usual) & (rising > SHARE * shorter)
         gaps = np.flatnonzero(steps >= rising[np.argmax(long)]) if long.any() else np.array([], int)
-        unit = _round(WASTED * np.delete(steps, gaps).sum() / gaps.size) if gaps.size else np.inf
-        taken = np.floor(steps[gaps] / unit - 1 / 3) * unit
-        gaps, taken = gaps[taken > 0], taken[taken > 0]
+        unit = _floor(WASTED * np.delete(steps, gaps).sum() / gaps.size) if gaps.size else np.inf
+        cuts = np.floor(steps[gaps] / unit - 1 / 3) * unit
+        gaps, cuts = gaps[cuts > 0], cuts[cuts > 0]
         edges = np.r_[0, gaps + 1]
         ends = np.r_[gaps, at.size - 1]
-        return cls(at[edges], at[ends], np.r_[0.0, np.cumsum(taken)])
+        return cls(at[edges], at[ends], np.r_[0.0, np.cumsum(cuts)])
 
     def place(self, values: np.ndarray) -> np.ndarray:
-        """Where values stand on the axis."""
+        """Return the positions of values on the axis."""
         k = np.searchsorted(self.starts, values, side="right") - 1
-        return np.asarray(values, float) - self.taken[np.maximum(k, 0)]
+        return np.asarray(values, float) - self.cuts[np.maximum(k, 0)]
 
     def label(self, figure: Any, colour: str) -> None:
-        """Label a figure's axis with the values themselves, and draw where something is left out."""
+        """Label a figure's axis with the values themselves, and mark the gaps."""
         if self.starts.size == 1:
             return
         starts, ends = self.place(self.starts), self.place(self.ends)
-        args = {"starts": starts.tolist(), "ends": ends.tolist(), "taken": self.taken.tolist()}
+        args = {"starts": starts.tolist(), "ends": ends.tolist(), "taken": self.cuts.tolist()}
         figure.xaxis.formatter = CustomJSTickFormatter(args=args, code=LABEL)
         for middle in 0.5 * (ends[:-1] + starts[1:]):
             cut: dict[str, Any] = {
@@ -99,8 +99,8 @@ class CutAxis:
             figure.add_layout(Span(location=float(middle), line_width=2, **cut))
 
 
-def _round(value: float) -> float:
-    """The largest of 1, 2, 5 times a power of ten that is not above a value."""
+def _floor(value: float) -> float:
+    """Round a value down to 1, 2 or 5 times a power of ten."""
     power = 10.0 ** np.floor(np.log10(value))
     return float(max(power * m for m in (1, 2, 5) if power * m <= value * (1 + 1e-12)))
 
@@ -123,13 +123,13 @@ def drawn_rows(*drawn: np.ndarray) -> np.ndarray:
     chosen = np.zeros(size, bool)
     for values in drawn:
         for begin, end in itertools.pairwise(ends):
-            own = values[begin:end]
-            chosen[[begin + own.argmin(), begin + own.argmax()]] = True
+            block = values[begin:end]
+            chosen[[begin + block.argmin(), begin + block.argmax()]] = True
     return np.flatnonzero(chosen)
 
 
 def sentence(drawn: int, of: int) -> str:
-    """What is drawn, where it is not all; else empty."""
+    """State how many readings are drawn where not all are; else empty."""
     return "" if drawn == of else f"{drawn:,} of {of:,} readings drawn: extremes, evenly spread"
 
 
@@ -138,7 +138,7 @@ TIME = "time"  # the column whose long gaps are left out
 
 
 class ResidualsOfState:
-    """A state's residuals with everything that they can be laid against."""
+    """A state's residuals with the covariates to plot them against."""
 
     def __init__(self, step: Any, before: np.ndarray | None) -> None:
         """Args:
@@ -163,7 +163,7 @@ class ResidualsOfState:
             self.places[TIME] = self.cut.place(self.covariates[TIME])
 
     def worst(self, name: str) -> tuple[float, float] | None:
-        """Where the worst region over a covariate begins and ends on its axis; None without evidence of one."""
+        """Return the ends of the worst region over a covariate on its axis; None without evidence of one."""
         entry = next((e for e in self.check.entries if e.against == name), None)
         if entry is None or entry.log_bayes_factor <= 0:
             return None
@@ -172,26 +172,26 @@ class ResidualsOfState:
             low = high = float(self.levels[name].index(str(entry.worst.group)))
         if name == TIME and self.cut is not None:
             low, high = map(float, self.cut.place(np.array([low, high])))
-        wide = 0.02 * float(np.ptp(self.places[name])) if low == high else 0.0
-        return low - wide, high + wide
+        half = 0.02 * float(np.ptp(self.places[name])) if low == high else 0.0
+        return low - half, high + half
 
     def colours(self, palette: Palette) -> np.ndarray:
-        """A colour a reading, by run."""
+        """Return the colour of each reading, by run."""
         cycle = np.array(palette.cycle)
         return cycle[self.runs[1] % len(cycle)]
 
     def markers(self) -> np.ndarray:
-        """A shape a reading, by run: colour is never the only thing that tells them apart."""
+        """Return the marker of each reading, by run, so that colour is never the only distinction."""
         return np.array(MARKERS)[self.runs[1] % len(MARKERS)]
 
     def start(self) -> list[str]:
-        """What is shown first: the two continuous covariates with the strongest evidence, in the columns' order."""
+        """Return the initial columns: the two continuous covariates with the strongest evidence, in order."""
         ranked = [e.against for e in self.check.entries if not e.by_group]
         chosen = ranked[:2] or [n for n in self.covariates if n != AGAINST][:2]
         return [n for n in self.covariates if n in chosen] or [AGAINST]
 
     def sentence(self) -> str:
-        """The worst region of the strongest covariate, in a sentence."""
+        """Describe the worst region of the strongest covariate in a sentence."""
         worst = max(self.check.entries, key=lambda e: e.log_bayes_factor, default=None)
         if worst is None:
             return "No column varies: there is nothing to lay the residuals against."
@@ -216,39 +216,39 @@ OUTPUT, RESIDUALS = WHAT = ["output", "residuals"]
 class ColumnPanel:
     """One column's output and residuals, one above the other, zoomed together.
 
-    It is made once for the readings: of another state, only what is drawn in it changes. A new figure would cost the
-    browser a new layout of the whole page.
+    It is made once for the readings; another state only replaces its data, since a new figure would cost the browser a
+    new layout of the whole page.
 
     Attributes:
         figures: of output and residuals.
         x_range: of both.
-        room: what the page shows.
+        room: its container on the page.
     """
 
     def __init__(
         self,
-        shown: ResidualsOfState,
+        state: ResidualsOfState,
         name: str,
         source: ColumnDataSource,
         curves: ColumnDataSource,
         y_range: Range1d,
     ) -> None:
         """Args:
-        shown: the state.
+        state: whose residuals are drawn.
         name: of the column.
         source: of all panels, whose readings are so brushed together; the column stands in it as `AT` and its name.
         curves: the same of a preview's curve.
         y_range: of the residuals, the same in all panels.
         """
         self._name, x = name, AT + name
-        self.x_range = range_over(shown.places[name])
-        measured = range_over(shown.measured)
-        output = _figure(shown, name, f"output [{shown.unit}]", self.x_range, measured)
+        self.x_range = range_over(state.places[name])
+        measured = range_over(state.measured)
+        output = _figure(state, name, f"output [{state.unit}]", self.x_range, measured)
         output.xaxis.axis_label, output.xaxis.major_label_text_font_size = None, "0px"
-        _points(output, x, "measured", source)
-        _other(output, x, "fit before", source)
-        _dots(output, x, FIT, source)
-        made = _figure(shown, name, f"residual [{shown.unit}]", self.x_range, y_range)
+        _draw_points(output, x, "measured", source)
+        _draw_compared(output, x, "fit before", source)
+        _draw_curve(output, x, FIT, source)
+        figure = _figure(state, name, f"residual [{state.unit}]", self.x_range, y_range)
         plain: dict[str, Any] = {"level": "underlay", "fill_alpha": 0.16}
         self._noise = BoxAnnotation(fill_color=NOISE, line_alpha=0.0, **plain)
         self._worst = BoxAnnotation(
@@ -256,44 +256,44 @@ class ColumnPanel:
         )
         zero = Span(location=0, dimension="width", line_color=NOISE, line_width=1)
         for ground in (self._noise, zero, self._worst):
-            made.add_layout(ground)
-        _other(made, x, "before", source)
-        _points(made, x, "residual", source)
-        _dots(made, x, CURVE, curves)
-        self.figures = {OUTPUT: output, RESIDUALS: made}
+            figure.add_layout(ground)
+        _draw_compared(figure, x, "before", source)
+        _draw_points(figure, x, "residual", source)
+        _draw_curve(figure, x, CURVE, curves)
+        self.figures = {OUTPUT: output, RESIDUALS: figure}
         self.room: Any = column(kinds=("stack",))
-        self.show(shown)
+        self.show(state)
 
-    def show(self, shown: ResidualsOfState) -> None:
-        """Show another state of the same readings; a view of a part stays where its column does."""
-        range_over(shown.places[self._name], view=self.x_range)
-        self._noise.update(bottom=-shown.check.noise, top=shown.check.noise)
-        region = shown.worst(self._name)
+    def show(self, state: ResidualsOfState) -> None:
+        """Show another state of the same readings; a zoomed view stays."""
+        range_over(state.places[self._name], view=self.x_range)
+        self._noise.update(bottom=-state.check.noise, top=state.check.noise)
+        region = state.worst(self._name)
         self._worst.visible = region is not None
         if region is not None:
             self._worst.update(left=region[0], right=region[1])
 
     def place(self, what: list[str]) -> None:
-        """Have output, residuals or both in the room; residuals where neither is asked for."""
-        wanted = [self.figures[w] for w in WHAT if w in (what or [RESIDUALS])]
-        if [pane.object for pane in self.room] != wanted:
-            self.room[:] = [plot(one) for one in wanted]
+        """Show output, residuals or both; residuals where neither is chosen."""
+        figures = [self.figures[w] for w in WHAT if w in (what or [RESIDUALS])]
+        if [pane.object for pane in self.room] != figures:
+            self.room[:] = [plot(figure) for figure in figures]
 
     def wear(self, palette: Palette) -> None:
-        """Take the colours of a ground."""
-        for made in self.figures.values():
-            dress(made, palette)
-            for renderer in made.renderers:
+        """Apply the colours of a palette."""
+        for figure in self.figures.values():
+            dress(figure, palette)
+            for renderer in figure.renderers:
                 if renderer.name in (CURVE, FIT):
                     renderer.glyph.fill_color = renderer.nonselection_glyph.fill_color = palette.ink
 
 
 def _figure(
-    shown: ResidualsOfState, name: str, label: str, x_range: Range1d, y_range: Range1d
+    state: ResidualsOfState, name: str, label: str, x_range: Range1d, y_range: Range1d
 ) -> Any:
-    unit = shown.units[name]
-    made = new_figure(
-        name[:LABEL_LETTERS] if name in shown.levels else f"{name[:LABEL_LETTERS]} [{unit or '1'}]",
+    unit = state.units[name]
+    figure = new_figure(
+        name[:LABEL_LETTERS] if name in state.levels else f"{name[:LABEL_LETTERS]} [{unit or '1'}]",
         label,
         tools=TOOLS,
         active_drag="box_select",
@@ -305,50 +305,51 @@ def _figure(
         min_width=0,
         min_height=0,
     )
-    made.name = f"panel {name}"
-    if name == TIME and shown.cut is not None:
-        shown.cut.label(made, NOISE)
-    if levels := shown.levels.get(name):
-        made.xaxis.ticker = list(range(len(levels)))
-        made.xaxis.major_label_overrides = {k: PlainText(text=v[:12]) for k, v in enumerate(levels)}
-    return made
+    figure.name = f"panel {name}"
+    if name == TIME and state.cut is not None:
+        state.cut.label(figure, NOISE)
+    if levels := state.levels.get(name):
+        figure.xaxis.ticker = list(range(len(levels)))
+        texts = {k: PlainText(text=v[:12]) for k, v in enumerate(levels)}
+        figure.xaxis.major_label_overrides = texts
+    return figure
 
 
-def _other(made: Any, x: str, y: str, source: ColumnDataSource) -> None:
-    """Of the step that this one is compared with."""
+def _draw_compared(figure: Any, x: str, y: str, source: ColumnDataSource) -> None:
+    """Draw the points of the step that this one is compared with."""
     hollow = {"fill_color": None, "line_color": NOISE, "line_alpha": 0.7, "size": 4}
-    _scatter(made, source, {"x": x, "y": y, **hollow}, {"line_alpha": 0.2})
+    _add_glyphs(figure, source, {"x": x, "y": y, **hollow}, {"line_alpha": 0.2})
 
 
-def _dots(made: Any, x: str, name: str, source: ColumnDataSource) -> None:
-    """A curve, a dot a reading."""
+def _draw_curve(figure: Any, x: str, name: str, source: ColumnDataSource) -> None:
+    """Draw a curve, a dot a reading."""
     dot = {"size": 3.5 if name == CURVE else 2.5, "line_color": None}
-    _scatter(made, source, {"x": x, "y": name, **dot}, {"fill_alpha": 0.9}).name = name
+    _add_glyphs(figure, source, {"x": x, "y": name, **dot}, {"fill_alpha": 0.9}).name = name
 
 
-def _points(made: Any, x: str, y: str, source: ColumnDataSource) -> None:
+def _draw_points(figure: Any, x: str, y: str, source: ColumnDataSource) -> None:
     size = 5 if len(source.data["row"]) <= LARGE_POINT_READINGS else 3.5
     plain = {"marker": "marker", "fill_color": "colour", "line_color": None, "fill_alpha": 0.75}
     drawn = {"x": x, "y": y, "size": size, **plain}
-    points = _scatter(made, source, drawn, {"fill_alpha": 0.12}, {"fill_alpha": 1.0})
-    told = [("reading", "@reading"), ("run", "@run"), (y, f"@{y}{{0.0000 a}}")]
-    made.add_tools(
-        HoverTool(renderers=[points], tooltips=told, point_policy="follow_mouse", limit=1)
+    points = _add_glyphs(figure, source, drawn, {"fill_alpha": 0.12}, {"fill_alpha": 1.0})
+    fields = [("reading", "@reading"), ("run", "@run"), (y, f"@{y}{{0.0000 a}}")]
+    figure.add_tools(
+        HoverTool(renderers=[points], tooltips=fields, point_policy="follow_mouse", limit=1)
     )
 
 
-def _scatter(
-    made: Any,
+def _add_glyphs(
+    figure: Any,
     source: ColumnDataSource,
     drawn: dict[str, Any],
-    beside: dict[str, Any],
+    muted: dict[str, Any],
     selected: dict[str, Any] | None = None,
 ) -> Any:
-    """Points, what differs of those beside a selection and in it; `figure.scatter` makes twice as many models."""
-    glyphs = {"nonselection_glyph": Scatter(**{**drawn, **beside})}
+    """Add points with their style outside and in a selection; `figure.scatter` makes twice as many models."""
+    glyphs = {"nonselection_glyph": Scatter(**{**drawn, **muted})}
     if selected:
         glyphs["selection_glyph"] = Scatter(**{**drawn, **selected})
-    return made.add_glyph(source, Scatter(**drawn), **glyphs)
+    return figure.add_glyph(source, Scatter(**drawn), **glyphs)
 
 
 AFTER, BEFORE, BOTH = "after", "before", "both"  # this step, the one beside it
@@ -358,15 +359,15 @@ SIGNS = "●■▲◆▼⬢"  # as MARKERS
 HINT = "Drag over a panel to select readings; they light up in the others."
 
 
-class Fails(Pane):
-    """The middle of the page; a state is shown before anything else is asked of it.
+class ResidualPane(Pane):
+    """The middle of the page; `show` is called before any other method.
 
     Attributes:
-        shown: the state's residuals.
-        selected: rows that are brushed, of all readings.
+        state: its residuals.
+        selected: brushed rows, of all readings.
     """
 
-    shown: Any = None  # `ResidualsOfState`, from the first `show` on
+    state: Any = None  # `ResidualsOfState`, from the first `show` on
 
     def __init__(self, bench: Any) -> None:
         super().__init__(bench)
@@ -375,13 +376,13 @@ class Fails(Pane):
         self.when = choice([AFTER, BEFORE, BOTH], AFTER, "Of which step")
         self.what = several(WHAT, WHAT, "What is drawn")
         self.what.css_classes = ["short"]
-        self.said, self.drawn, self.brushed = words(), words("", "small"), words("", "small")
+        self.finding, self.drawn, self.brushed = words(), words("", "small"), words("", "small")
         self.legend = row(kinds=("tight",))
         self.panels = column(kinds=("panels",))
         self.view = column(
             row(words("Where it fails", "title"), self.what, self.when, kinds=("spread",)),
             self.choice,
-            self.said,
+            self.finding,
             self.panels,
             row(self.legend, self.brushed, self.drawn),
             kinds=("pane", "fails"),
@@ -395,36 +396,36 @@ class Fails(Pane):
         residual = state.step.check.residuals
         earlier = None if other is None else np.asarray(other.step.check.residuals, float)
         same = earlier is not None and earlier.size == len(residual)
-        before = self.shown
-        self.shown = ResidualsOfState(state.step, earlier if same else None)
+        before = self.state
+        self.state = ResidualsOfState(state.step, earlier if same else None)
         self._curve: np.ndarray | None = None
-        self.said.object = self.shown.sentence()
-        columns = list(self.shown.covariates)
-        kept = [n for n in self.choice.value if n in columns]
+        self.finding.object = self.state.sentence()
+        columns = list(self.state.covariates)
+        names_left = [n for n in self.choice.value if n in columns]
         names = (f"step {state.number}", "none" if other is None else f"step {other.number}", BOTH)
         options = dict(zip(names, (AFTER, BEFORE, BOTH), strict=True))
         value = self.when.value if same else AFTER
         self._showing = True
         self.when.param.update(options=options, disabled=not same, value=value)
-        self.choice.param.update(options=columns, value=kept or self.shown.start())
+        self.choice.param.update(options=columns, value=names_left or self.state.start())
         self._showing = False
         if before is None or [*before.covariates] != columns:
             self._begin()
-        for made in self._made.values():
-            made.show(self.shown)
+        for panel in self._made.values():
+            panel.show(self.state)
         self._lay_out()
         self._say_selected()
 
     def preview(self, curve: np.ndarray | None) -> None:
-        """Lay an effect's curve over the residuals, output unit, (n,); None takes it away."""
+        """Draw an effect's curve over the residuals, output unit, (n,); None removes it."""
         self._curve = None if curve is None else np.asarray(curve, float)
         self._curves.data = self._of_curve()
 
     def wear(self, palette: Palette) -> None:
-        self.source.data["colour"] = self.shown.colours(palette)[self.source.data["row"]]
+        self.source.data["colour"] = self.state.colours(palette)[self.source.data["row"]]
         self._say_runs()
-        for made in self._made.values():
-            made.wear(palette)
+        for panel in self._made.values():
+            panel.wear(palette)
 
     def select(self, rows: np.ndarray) -> None:
         """Brush rows, of all readings; in the panels those that are drawn light up."""
@@ -436,29 +437,29 @@ class Fails(Pane):
         self.source.selected.indices = np.flatnonzero(np.isin(drawn, self.selected)).tolist()
 
     def _chosen(self, event: Any) -> None:
-        """Other columns; of too many, those chosen first go."""
+        """Lay out other columns; of too many, those chosen first are dropped."""
         if self._showing:
             return
         new = [n for n in event.new if n not in event.old]
-        kept = [n for n in event.old if n in event.new][-(PANELS_IN_A_ROW - len(new)) :]
+        stays = [n for n in event.old if n in event.new][-(PANELS_IN_A_ROW - len(new)) :]
         if len(event.new) > PANELS_IN_A_ROW:
-            self.choice.value = [*kept, *new]
+            self.choice.value = [*stays, *new]
         else:
             self._lay_out()
 
     def _begin(self) -> None:
-        """Other readings: no panel over those before is of use."""
+        """Reset sources and panels for other readings."""
         self._made: dict[str, ColumnPanel] = {}  # of each column that was ever ticked
         self.selected = np.array([], int)
-        self._y = range_over(self.shown.residual)
+        self._y = range_over(self.state.residual)
         self.source: Any = ColumnDataSource({})
         self._curves: Any = ColumnDataSource({})  # of the preview: only what has it is drawn anew
         self.source.selected.on_change("indices", self._brushed_in_source)
         self._say_runs()
 
     def _lay_out(self) -> None:
-        """A panel for each column chosen; those that stay are left as they are."""
-        names = [n for n in self.choice.value if n in self.shown.covariates]
+        """Make a panel for each column chosen; existing ones are reused."""
+        names = [n for n in self.choice.value if n in self.state.covariates]
         self._fill_source(names)
         for name in names:
             if name not in self._made:
@@ -470,34 +471,34 @@ class Fails(Pane):
             self.panels[:] = rooms
 
     def _now(self) -> np.ndarray:
-        before = self.shown.before if self.when.value == BEFORE else None
-        return self.shown.residual if before is None else before
+        before = self.state.before if self.when.value == BEFORE else None
+        return self.state.residual if before is None else before
 
-    def _other(self) -> np.ndarray | None:
-        """Residuals of the other step, where both are drawn."""
-        return self.shown.before if self.when.value == BOTH else None
+    def _compared(self) -> np.ndarray | None:
+        """Return the residuals of the other step, where both are drawn."""
+        return self.state.before if self.when.value == BOTH else None
 
     def _place(self) -> None:
-        for made in self._made.values():
-            made.place(self.what.value)
+        for panel in self._made.values():
+            panel.place(self.what.value)
 
     def _fill_source(self, coming: Sequence[str] = ()) -> None:
-        """The readings that are drawn, for the panels that were made and those that come."""
-        shown, residual, before = self.shown, self._now(), self._other()
-        rows = drawn_rows(residual, shown.measured)
-        at: dict[str, Any] = {AT + n: shown.places[n][rows] for n in {*coming, *self._made}}
+        """Fill the source with the drawn readings, for present panels and those to come."""
+        now, residual, before = self.state, self._now(), self._compared()
+        rows = drawn_rows(residual, now.measured)
+        at: dict[str, Any] = {AT + n: now.places[n][rows] for n in {*coming, *self._made}}
         other = np.full(rows.size, np.nan) if before is None else before[rows]
         self.source.data = at | {
             "row": rows,
             "reading": rows + 1,
-            "run": [shown.runs[0][k] for k in shown.runs[1][rows]],
+            "run": [now.runs[0][k] for k in now.runs[1][rows]],
             "residual": residual[rows],
-            "measured": shown.measured[rows],
-            FIT: (shown.measured - residual)[rows],
+            "measured": now.measured[rows],
+            FIT: (now.measured - residual)[rows],
             "before": other,
-            "fit before": shown.measured[rows] - other,
-            "colour": shown.colours(self.bench.palette)[rows],
-            "marker": shown.markers()[rows],
+            "fit before": now.measured[rows] - other,
+            "colour": now.colours(self.bench.palette)[rows],
+            "marker": now.markers()[rows],
         }
         self._curves.data = self._of_curve()
         self._light_up(rows)
@@ -505,41 +506,41 @@ class Fails(Pane):
         range_over(residual, *([] if before is None else [before]), view=self._y)
 
     def _of_curve(self) -> dict[str, np.ndarray]:
-        """What is drawn of a preview: nothing without one."""
+        """Return the data of a preview's curve, empty without one."""
         at = {n: v for n, v in self.source.data.items() if n.startswith(AT)}
         if self._curve is None:
             return dict.fromkeys([*at, CURVE], np.array([]))
         return {**at, CURVE: self._curve[self.source.data["row"]]}
 
     def _panel(self, name: str) -> ColumnPanel:
-        made = ColumnPanel(self.shown, name, self.source, self._curves, self._y)
-        made.wear(self.bench.palette)
-        for figure in made.figures.values():
+        panel = ColumnPanel(self.state, name, self.source, self._curves, self._y)
+        panel.wear(self.bench.palette)
+        for figure in panel.figures.values():
             figure.on_event(Reset, lambda _: self.select(np.array([], int)))
-        return made
+        return panel
 
     def _brushed_in_source(self, _: str, __: Any, indices: list[int]) -> None:
         self.selected = np.asarray(self.source.data["row"])[np.asarray(indices, int)]
         self._say_selected()
 
     def _say_runs(self) -> None:
-        """Which colour and shape is which run."""
-        levels, palette = self.shown.runs[0], self.bench.palette
-        told = [("•", palette.ink, "fit")]
+        """Fill the legend of runs by colour and marker."""
+        levels, palette = self.state.runs[0], self.bench.palette
+        legend = [("•", palette.ink, "fit")]
         for k, level in enumerate(levels if 1 < len(levels) <= LEGEND else ()):
             colour = palette.cycle[k % len(palette.cycle)]
-            told.append((SIGNS[k % len(SIGNS)], colour, f"run {level[:16]}"))
+            legend.append((SIGNS[k % len(SIGNS)], colour, f"run {level[:16]}"))
         parts: list[Any] = [
             row(words(sign, styles={"color": colour}), words(text, "small"), kinds=("tight",))
-            for sign, colour, text in told
+            for sign, colour, text in legend
         ]
         if len(levels) > LEGEND:
             parts.append(words(f"{len(levels)} runs; colours and shapes repeat", "small"))
         self.legend[:] = parts
 
     def _say_selected(self) -> None:
-        rows, said = self.selected, HINT
+        rows, text = self.selected, HINT
         if rows.size:
-            mean = f"{self._now()[rows].mean():+.3g} {self.shown.unit}".replace("-", "−")
-            said = f"{rows.size:,} readings selected, mean residual {mean}"
-        self.brushed.object = said
+            mean = f"{self._now()[rows].mean():+.3g} {self.state.unit}".replace("-", "−")
+            text = f"{rows.size:,} readings selected, mean residual {mean}"
+        self.brushed.object = text
