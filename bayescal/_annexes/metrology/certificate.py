@@ -1,7 +1,7 @@
-"""What a certificate states beside the numbers, from a TOML file; and the PTB's digital certificate (DCC).
+"""Certificate data from a TOML file, and the PTB's digital calibration certificate (DCC).
 
 Device, place, people, conditions, standards, dates: ISO/IEC 17025:2017, 7.8.2 and 7.8.4, say what belongs on a
-calibration certificate. Nothing of it is asked for by anyone who wants none: a report without such a file is as it was.
+calibration certificate. The file is optional: a report without it lacks only these data.
 
 The DCC is XML, schema 3.2.1, numbers and units in D-SI. Units of D-SI are coherent SI: an acceleration in local g is in
 m/s². Schema and meaning: Physikalisch-Technische Bundesanstalt, https://www.ptb.de/dcc (dcc.xsd 3.2.1) and
@@ -31,10 +31,10 @@ from bayescal._annexes.metrology.decide import Decisions, statement_lines
 
 # Section → key → what a person reads. A section in lists may stand several times.
 _PLACE = {"street": "street", "city": "city", "postcode": "postcode", "country": "country"}
-_MADE = {"manufacturer": "manufacturer", "model": "type", "serial": "serial number"}
+_ITEM = {"manufacturer": "manufacturer", "model": "type", "serial": "serial number"}
 SECTIONS: dict[str, dict[str, str]] = {
     "certificate": {"number": "certificate", "issued": "issued", "remarks": "remarks"},
-    "device": {"name": "device", **_MADE, "owner_number": "owner's number"},
+    "device": {"name": "device", **_ITEM, "owner_number": "owner's number"},
     "calibration": {
         **{"begin": "calibrated from", "end": "calibrated to", "place": "place"},
         **{"operator": "operator", "procedure": "procedure"},
@@ -45,13 +45,13 @@ SECTIONS: dict[str, dict[str, str]] = {
     },
     "customer": {"name": "customer", **_PLACE, "email": "e-mail"},
     "standards": {
-        **{"name": "standard", **_MADE, "certificate": "its certificate"},
+        **{"name": "standard", **_ITEM, "certificate": "its certificate"},
         **{"traceable_to": "traceable to", "valid_until": "valid until"},
     },
 }
 DATES = ("issued", "begin", "end", "valid_until")
 LISTS = ("standards",)
-# What is written as a number (a serial number) is taken as it stands.
+# Numbers such as a serial number are taken verbatim.
 _TEXT = str | int | float
 _KEYS = {
     s: TypedDict(s, {k: date if k in DATES else _TEXT for k in keys}, total=False)
@@ -68,8 +68,7 @@ CURE = "It has sections such as [device], and [[standards]], once for each; text
 
 @dataclass(frozen=True)
 class Certificate:
-    """What a certificate states.
-
+    """Data that a certificate states.
     Attributes:
         stated: section → key → value; `standards` is a list of such; `conditions`: ambient condition → its value, with
             unit and uncertainty.
@@ -80,16 +79,16 @@ class Certificate:
     file: str = "the certificate"
 
     def get(self, section: str, key: str) -> str:
-        """What is stated, as text; "" if nothing is."""
+        """Return a stated value as text; "" if there is none."""
         return str(self.stated.get(section, {}).get(key, "")).strip()
 
     @property
     def conditions(self) -> dict[str, str]:
-        """Ambient condition → its value, as text."""
+        """Return ambient condition → its value, as text."""
         return {name: str(value) for name, value in self.stated.get("conditions", {}).items()}
 
     def require(self, *needed: str) -> None:
-        """Refuse a certificate that does not state all that is needed, such as "device.serial".
+        """Require keys such as "device.serial".
 
         Raises:
             InputError: something is missing; all of it is named.
@@ -102,7 +101,7 @@ class Certificate:
             )
 
     def foreword(self, chapters: Sequence[ws.Chapter]) -> ws.Foreword:
-        """What is stated, before a report."""
+        """Return the certificate data as the foreword of a report."""
         return ws.Foreword(
             "certificate",
             "Certificate data",
@@ -111,21 +110,21 @@ class Certificate:
         )
 
     def rows(self) -> list[tuple[str, list[tuple[str, str]]]]:
-        """Section → (label, text) of what is stated, for people."""
-        found = []
+        """Return section → (label, text) of the stated data, for people."""
+        rows = []
         for section, keys in SECTIONS.items():
-            given = self.stated.get(section, {})
-            for one in given if section in LISTS else [given]:
-                texts = {label: str(one.get(key, "")).strip() for key, label in keys.items()}
-                said = [(label, text) for label, text in texts.items() if text]
-                found += [(section, said)] * bool(said)
+            fields = self.stated.get(section, {})
+            for entry in fields if section in LISTS else [fields]:
+                texts = {label: str(entry.get(key, "")).strip() for key, label in keys.items()}
+                filled = [(label, text) for label, text in texts.items() if text]
+                rows += [(section, filled)] * bool(filled)
             if section == "calibration" and self.conditions:
-                found.append(("ambient conditions", list(self.conditions.items())))
-        return found
+                rows.append(("ambient conditions", list(self.conditions.items())))
+        return rows
 
 
 def read_certificate(path: str | Path) -> Certificate:
-    """What a certificate states, from a TOML file.
+    """Read certificate data from a TOML file.
 
     Raises:
         InputError: there is no such file, it is not TOML, it states nothing, or something in it is not known, no
@@ -153,7 +152,7 @@ K, PROBABILITY = 2.0, 0.9545  # coverage of k = 2 for a normal distribution (JCG
 
 
 class Real(NamedTuple):
-    """A number as D-SI writes it: value, unit, and the elements of its uncertainty, which is in the form `form`."""
+    """A number in D-SI: value, unit, and the elements of its uncertainty in the form `form`."""
 
     value: str
     unit: str
@@ -165,8 +164,8 @@ _NOT_XML = "[^\t\n\r\u0020-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]"  # XML 1.0
 
 
 def _xml_text(value: Any) -> str:
-    """Return text without the characters that no XML may hold, even escaped; they become <U+0000>."""
-    return re.sub(_NOT_XML, lambda found: f"<U+{ord(found[0]):04X}>", str(value))
+    """Return text with characters that XML forbids, even escaped, replaced by <U+0000>."""
+    return re.sub(_NOT_XML, lambda match: f"<U+{ord(match[0]):04X}>", str(value))
 
 
 def dcc_text(
@@ -175,7 +174,7 @@ def dcc_text(
     local_gravity: float = ws.STANDARD_GRAVITY,
     decisions: Decisions | None = None,
 ) -> str:
-    """The certificate as XML.
+    """Generate the certificate as XML.
 
     Args:
         calibration: a reliable fit.
@@ -195,8 +194,8 @@ def dcc_text(
                 f"{stated.file}, [{section}] country = {country!r}: two capital letters of ISO 3166-1 were expected, "
                 "such as DE"
             )
-    if said := ws.why_not(calibration):
-        raise bc.InputError(f"no certificate is written of a result that is not reliable: {said}")
+    if reason := ws.why_not(calibration):
+        raise bc.InputError(f"no certificate is written of a result that is not reliable: {reason}")
     conditions = {**stated.conditions, "place": stated.get("calibration", "place")}
     layout = ws.template(
         "bayescal._annexes.metrology",
@@ -212,11 +211,11 @@ def dcc_text(
         version=bc.__version__,
         stated=stated,
         standards=[
-            {key: one.get(key, "") for key in SECTIONS["standards"]}
-            for one in stated.stated.get("standards", [])
-            if "name" in one
+            {key: entry.get(key, "") for key in SECTIONS["standards"]}
+            for entry in stated.stated.get("standards", [])
+            if "name" in entry
         ],
-        conditions={name: said for name, said in conditions.items() if said},
+        conditions={name: reason for name, reason in conditions.items() if reason},
         hashes=[("other", "calibration, SHA-256", ws.identity(calibration)), *files],
         model=calibration.model,
         description="Coefficients of the measurement equation, with U = k*u, k = "
@@ -237,7 +236,7 @@ def dcc_text(
 
 
 def _covered(calibration: bc.Calibration, local_gravity: float) -> Iterator[tuple[str, Real, Real]]:
-    """Column, lowest and highest value of what the readings cover."""
+    """Yield the range of each column of the readings: name, lowest and highest value."""
     readings = calibration.readings
     for name in readings.columns:
         unit = readings.unit(name)
@@ -266,7 +265,7 @@ def real(
     sd: float = 0.0,
     ends: tuple[float, float] | None = None,
 ) -> Real:
-    """A number with its unit, and its expanded uncertainty where it has one, or the ends of its 95 % interval.
+    """Return a number with its unit, and its expanded uncertainty or the ends of its 95 % interval, if it has one.
 
     The uncertainty has two significant digits, and the value as many decimals (JCGM 100, 7.2.6).
     """
@@ -307,7 +306,7 @@ _D_SI = {
 
 
 def d_si(unit: str | None, local_gravity: float = ws.STANDARD_GRAVITY) -> tuple[float, str]:
-    """A unit in D-SI: the factor from the one to the other, and its text, such as \\radian\\second\\tothe{-1}.
+    """Convert a unit to D-SI: return the factor and the D-SI text, such as \\radian\\second\\tothe{-1}.
 
     Args:
         unit: ours; a temperature in degC stays one.
@@ -320,9 +319,9 @@ def d_si(unit: str | None, local_gravity: float = ws.STANDARD_GRAVITY) -> tuple[
         return 1.0, "\\one"
     if unit == "degC":
         return 1.0, "\\degreecelsius"
-    found = ws.parse(unit)
-    factor, powers = found.factor, dict[str, float]()
-    for base, power in found.powers.items():
+    parsed = ws.parse(unit)
+    factor, powers = parsed.factor, dict[str, float]()
+    for base, power in parsed.powers.items():
         if base == "ug":
             factor *= (1e-6 * local_gravity) ** power
             parts = {"metre": power, "second": -2 * power}
@@ -338,7 +337,7 @@ def d_si(unit: str | None, local_gravity: float = ws.STANDARD_GRAVITY) -> tuple[
 
 
 def _rounded(value: float, uncertainty: float) -> str:
-    """A number to the second significant digit of an uncertainty; as it is where that is zero."""
+    """Round a number to the second significant digit of its uncertainty; not at all where that is zero."""
     if not uncertainty > 0:
         return repr(value)
     place = Decimal(1).scaleb(math.floor(math.log10(uncertainty)) - 1)

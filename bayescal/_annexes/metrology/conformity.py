@@ -1,4 +1,4 @@
-"""A limit as a person writes it, the quantity that it is on, and the probability that this conforms.
+"""Limits as text, the limited quantity, and its probability of conformity.
 
 A limit ("bias: ±0.5 °/s", "corrected reading: ±0.1 °/s over -20..60 °C") is on one of three:
 
@@ -79,7 +79,7 @@ class StatedLimit:
 
 
 def stated_limit(text: str) -> StatedLimit:
-    """Understand a limit.
+    """Parse a limit.
 
     A quantity, a colon, limits (±A, C ± A, ≤ B, ≥ A, A..B) and their unit; then, if need be, "over" a range of a
     column, "at" a value of one, and more of these after "and": "over temperature -20..60 °C and rate_input
@@ -88,16 +88,16 @@ def stated_limit(text: str) -> StatedLimit:
     Raises:
         InputError: the text is none; says what is wrong with it.
     """
-    quantity, colon, rest = text.rpartition(":")
-    if not (colon and quantity.strip() and rest.strip()):
+    quantity, colon, terms = text.rpartition(":")
+    if not (colon and quantity.strip() and terms.strip()):
         raise bc.InputError(f"limit {text!r} names no quantity: {FORM}")
     for written, sign in _WRITTEN.items():
-        rest = rest.replace(written, sign)
-    said, *places = re.split(r"\b(over|at)\b", rest)
-    low, high, unit = _tolerance(said.strip(), text)
+        terms = terms.replace(written, sign)
+    interval, *places = re.split(r"\b(over|at)\b", terms)
+    low, high, unit = _tolerance(interval.strip(), text)
     over: list[LimitedRange] = []
     for kind, place in zip(places[::2], places[1::2], strict=True):
-        over += [_span(kind, one.strip(), text) for one in re.split(r"\band\b", place)]
+        over += [_span(kind, part.strip(), text) for part in re.split(r"\band\b", place)]
     if not low < high or (math.isinf(low) and math.isinf(high)):
         raise bc.InputError(
             f"limit {text!r}: the lower limit {low:g} is not below the upper {high:g}"
@@ -105,31 +105,31 @@ def stated_limit(text: str) -> StatedLimit:
     return StatedLimit(quantity.strip(), low, high, unit, tuple(over), text.strip())
 
 
-def _tolerance(said: str, text: str) -> tuple[float, float, str]:
-    found = _TOLERANCE.fullmatch(said)
-    if found is None:
-        raise bc.InputError(f"limit {text!r}: {said!r} are no limits: {FORM}")
-    unit = _unit(found["unit"], text)
-    if found["half"]:
-        centre, half = float(found["centre"] or 0.0), float(found["half"])
+def _tolerance(interval: str, text: str) -> tuple[float, float, str]:
+    match = _TOLERANCE.fullmatch(interval)
+    if match is None:
+        raise bc.InputError(f"limit {text!r}: {interval!r} are no limits: {FORM}")
+    unit = _unit(match["unit"], text)
+    if match["half"]:
+        centre, half = float(match["centre"] or 0.0), float(match["half"])
         return centre - half, centre + half, unit
-    low, high = found["low"] or found["least"], found["high"] or found["most"]
+    low, high = match["low"] or match["least"], match["high"] or match["most"]
     return float(low or -math.inf), float(high or math.inf), unit
 
 
 def _span(kind: str, place: str, text: str) -> LimitedRange:
-    found = (_AT if kind == "at" else _OVER).fullmatch(place)
-    if found is None:
+    match = (_AT if kind == "at" else _OVER).fullmatch(place)
+    if match is None:
         form = "at temperature = 25 °C" if kind == "at" else "over temperature -20..60 °C"
         raise bc.InputError(f"limit {text!r}: {place!r} is no place: write {form}")
-    low, high = (float(found[end]) for end in (("value",) * 2 if kind == "at" else ("low", "high")))
+    low, high = (float(match[end]) for end in (("value",) * 2 if kind == "at" else ("low", "high")))
     if kind == "over" and not -math.inf < low < high < math.inf:
         raise bc.InputError(f"limit {text!r}: {place!r} is no range from a number to a larger one")
-    return LimitedRange(found["name"], low, high, _unit(found["unit"], text))
+    return LimitedRange(match["name"], low, high, _unit(match["unit"], text))
 
 
-def _unit(said: str, text: str) -> str:
-    unit = said.strip().strip("[]").strip()
+def _unit(written: str, text: str) -> str:
+    unit = written.strip().strip("[]").strip()
     if not unit:
         return ""
     try:
@@ -156,22 +156,22 @@ _DEVICES = re.compile(
 
 
 def spread_of_devices(text: str) -> SpreadOfDevices:
-    """Understand a population as it is written: "sd 0.2 °/s", "mean 0.1 sd 0.2 °/s", "bias: sd 0.2 °/s".
+    """Parse a population: "sd 0.2 °/s", "mean 0.1 sd 0.2 °/s", "bias: sd 0.2 °/s".
 
     Raises:
         InputError: the text is none, or its standard deviation is not positive.
     """
-    found = _DEVICES.fullmatch(text.strip().replace("−", "-"))
-    if found is None:
+    match = _DEVICES.fullmatch(text.strip().replace("−", "-"))
+    if match is None:
         raise bc.InputError(
             f'population {text!r}: write "sd 0.2 °/s", "mean 0.1 sd 0.2 °/s" or "bias: sd 0.2 °/s"'
         )
-    sd = float(found["sd"])
+    sd = float(match["sd"])
     if not 0 < sd < math.inf:
         raise bc.InputError(f"population {text!r}: a standard deviation is positive and finite")
-    mean = float(found["mean"]) if found["mean"] else None
+    mean = float(match["mean"]) if match["mean"] else None
     return SpreadOfDevices(
-        (found["quantity"] or "").strip(), mean, sd, _unit(found["unit"], text), text
+        (match["quantity"] or "").strip(), mean, sd, _unit(match["unit"], text), text
     )
 
 
@@ -200,13 +200,13 @@ class Limits(NamedTuple):
     high: float
 
     def hold(self, low: float, high: float) -> bool:
-        """Whether the values from `low` to `high` are inside."""
+        """Return whether the interval from `low` to `high` is inside."""
         return self.low <= low and high <= self.high
 
 
 @dataclass(frozen=True)
 class DrawnQuantity:
-    """What the posterior says of a quantity that is limited."""
+    """Posterior draws of a limited quantity."""
 
     values: Float[np.ndarray, "d g"]  # in each draw at each place of the range that the limit names
     # standard deviation of single readings about it at each place; zeros where it does not scatter
@@ -217,19 +217,19 @@ class DrawnQuantity:
 
     @property
     def estimate(self) -> tuple[float, float]:
-        """Lowest and highest posterior mean over the range."""
+        """Return the lowest and highest posterior mean over the range."""
         middle = self.values.mean(axis=0)
         return float(middle.min()), float(middle.max())
 
     @property
     def uncertainty(self) -> float:
-        """Standard uncertainty; over a range, the larger of its two ends."""
+        """Return the standard uncertainty; over a range, the larger of its two ends."""
         low, high = self.values.min(axis=1), self.values.max(axis=1)
         return float(max(np.std(low, ddof=1), np.std(high, ddof=1)))
 
     @cached_property
     def ends(self) -> DrawnQuantity:
-        """The same at its lowest and highest values alone, where readings scatter alike at all places."""
+        """Return the draws at their lowest and highest values only, where the scatter is the same at all places."""
         if np.ptp(self.scatter) > 0:
             return self
         ends = np.column_stack([self.values.min(axis=1), self.values.max(axis=1)])
@@ -237,7 +237,7 @@ class DrawnQuantity:
         return DrawnQuantity(ends, np.tile(self.scatter[0], 2), scores)
 
     def probability(self, limits: Limits, shift: float = 0.0) -> float:
-        """Probability of conformity, had the posterior stood higher by `shift`."""
+        """Return the probability of conformity of the posterior shifted up by `shift`."""
         values, scatter, scores = self.ends.values + shift, self.ends.scatter, self.ends.scores
         if not scatter.any():
             return float(np.mean(np.all((values >= limits.low) & (values <= limits.high), axis=1)))
@@ -245,19 +245,19 @@ class DrawnQuantity:
         # at one of the two ends.
         z = (limits.low - values) / scatter, (limits.high - values) / scatter
         if scores is not None:
-            each = list(enumerate(scores))
-            z = (np.transpose([np.interp(e[:, i], DEVIATIONS, s) for i, s in each]) for e in z)
+            by_place = list(enumerate(scores))
+            z = (np.transpose([np.interp(e[:, i], DEVIATIONS, s) for i, s in by_place]) for e in z)
         below, above = map(ndtr, z)
         return float(np.mean(np.min(above - below, axis=1)))
 
     def probability_error(self, p: float) -> float:
-        """Monte-Carlo standard error of a probability from so many draws; at most that where readings scatter."""
+        """Return the Monte-Carlo standard error of a probability; an upper bound where readings scatter."""
         count = len(self.values)
         return float(np.sqrt(max(p * (1 - p), 1 / count) / count))
 
 
 def acceptance(drawn: DrawnQuantity, limits: Limits, false_accept: float) -> Limits | None:
-    """The acceptance interval of a stated probability of false acceptance; None where no estimate has so small a one.
+    """Return the acceptance interval of a stated probability of false acceptance; None where no estimate reaches it.
 
     Args:
         drawn: whose posterior, with its form, is moved along.
@@ -282,7 +282,7 @@ def acceptance(drawn: DrawnQuantity, limits: Limits, false_accept: float) -> Lim
 
 
 def _most_favourable(drawn: DrawnQuantity, limits: Limits, first: float, last: float) -> float:
-    """The shift with the largest p_c."""
+    """Return the shift with the largest p_c."""
     if np.isinf(first) and np.isinf(last):
         return 0.0
     reach = FAR_SD * float(drawn.scatter.max())
@@ -299,7 +299,7 @@ def _most_favourable(drawn: DrawnQuantity, limits: Limits, first: float, last: f
 
 @dataclass(frozen=True)
 class GlobalRisks:
-    """Of a population of items: how many conform, how many are accepted, and how many of each wrongly.
+    """Global risks of a population of items: probabilities of conformity, acceptance and wrong decisions.
 
     Attributes:
         conforming: probability that an item conforms.
@@ -317,7 +317,7 @@ class GlobalRisks:
 def global_risks(
     mean: float, sd: float, uncertainty: float, limits: Limits, accepted: Limits
 ) -> GlobalRisks:
-    """Risks over items N(mean, sd²), each measured with a normal error of a standard uncertainty.
+    """Compute the global risks over items N(mean, sd²), each measured with a normal error.
 
     Args:
         mean, sd: of the population.
@@ -332,15 +332,15 @@ def global_risks(
     covariance = np.full((2, 2), sd**2) + np.diag([0.0, uncertainty**2])
 
     def share(items: Limits, read: Limits) -> float:
-        """Probability that an item is among these, and what is read of it among those."""
+        """Return the probability that an item is in `items` and its estimate in `read`."""
         ends = np.transpose([items, read])
         both = multivariate_normal(np.full(2, mean), covariance, allow_singular=True)  # pyright: ignore[reportArgumentType]
         return float(both.cdf(ends[1], lower_limit=ends[0]))
 
-    taken, conforming = share(limits, accepted), share(limits, Limits(-np.inf, np.inf))
+    right, conforming = share(limits, accepted), share(limits, Limits(-np.inf, np.inf))
     below, above = Limits(-np.inf, limits.low), Limits(limits.high, np.inf)
     wrongly = share(below, accepted) + share(above, accepted)
-    return GlobalRisks(conforming, taken + wrongly, wrongly, conforming - taken)
+    return GlobalRisks(conforming, right + wrongly, wrongly, conforming - right)
 
 
 READING, MEAN = "corrected reading", "corrected mean"
@@ -348,12 +348,12 @@ READING, MEAN = "corrected reading", "corrected mean"
 # ((1/32)²); with two and three ranges 81 and 125 places keep the draws in memory.
 PLACES = {1: 33, 2: 9, 3: 5}
 
-HELD = "{} was held at its estimate, so that its uncertainty is not known: fit with --method marginal or nuts"
+FIXED_NOTE = "{} was held at its estimate, so that its uncertainty is not known: fit with --method marginal or nuts"
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class LimitedQuantity:
-    """A quantity that is limited: an unknown of the model; or a slot, or the error of a corrected reading, at places.
+    """A limited quantity: an unknown of the model; or a slot, or the error of a corrected reading, at places.
 
     Attributes:
         limit: that it is of.
@@ -377,41 +377,41 @@ class LimitedQuantity:
 
     @property
     def place(self) -> dict[str, tuple[float, float, str]]:
-        """Where it is evaluated: name → lowest value, highest value, unit; nothing for an unknown."""
+        """Return the operating point: name → lowest value, highest value, unit; empty for an unknown."""
         if (chosen := self.chosen) is None:
             return {}
         units = {chosen.stimulus: chosen.unit}
         units |= {i.name: i.unit for i in chosen.inputs if i.kind != "lag slope"}
-        shown = self._acting | ({chosen.stimulus} if self.is_error else set())
+        names = self._acting | ({chosen.stimulus} if self.is_error else set())
         return {
             n: (float(self.places[n].min()), float(self.places[n].max()), unit)
             for n, unit in units.items()
-            if n in shown
+            if n in names
         }
 
     @cached_property
     def _acting(self) -> set[str]:
-        """Inputs, and the stimulus, that it depends on."""
+        """Return the inputs, and the stimulus, that it depends on."""
         if (chosen := self.chosen) is None:
             return set()
         equation = chosen.equation
         if self.is_error:
             return set(equation.inputs)
-        found = equation.graph.inputs([equation.slot_place(self.limit.quantity)])
-        return {chosen.stimulus if name == ws.STIMULUS else name for name in found}
+        inputs = equation.graph.inputs([equation.slot_place(self.limit.quantity)])
+        return {chosen.stimulus if name == ws.STIMULUS else name for name in inputs}
 
     @property
     def follows_time(self) -> bool:
-        """Whether it changes with the time of the record."""
+        """Return whether it depends on the time of the record."""
         return "time" in self._acting
 
     @property
     def is_error(self) -> bool:
-        """Whether it is what a correction leaves: then it is estimated as zero, whichever the device."""
+        """Return whether it is the error of a correction, whose estimate is zero for each device."""
         return self.limit.quantity in (READING, MEAN)
 
     def drawn(self, later: float = 0.0) -> DrawnQuantity:
-        """What the posterior says of it, s after the last reading of the calibration; draws in the order of that."""
+        """Evaluate its posterior draws `later` s after the last reading of the calibration, in order of the draws."""
         if (chosen := self.chosen) is None:
             return DrawnQuantity(np.asarray(self.draws)[:, None], np.zeros(1))
         places = dict(self.places)
@@ -419,15 +419,15 @@ class LimitedQuantity:
         if "time" in places:
             places["time"] = places["time"] + later
         stimulus, slot = places[chosen.stimulus], None if self.is_error else self.limit.quantity
-        found = equation.points(moments.draws, stimulus, places, slot)
+        values = equation.points(moments.draws, stimulus, places, slot)
         if self.is_error:  # where θ is what a draw says, and the correction is made with its mean
-            found = equation.solve(moments.mean, found, places)[0] - stimulus
+            values = equation.solve(moments.mean, values, places)[0] - stimulus
         if self.limit.quantity != READING:
-            return DrawnQuantity(found, np.zeros(len(stimulus)))
+            return DrawnQuantity(values, np.zeros(len(stimulus)))
         noise = np.sqrt(chosen.noise_variance(places))
         _, slope, _ = equation.linearised(moments.mean, stimulus, places)
         scores = _noise_scores(chosen, places, np.outer(noise, DEVIATIONS))
-        return DrawnQuantity(found, noise / np.abs(slope), scores)
+        return DrawnQuantity(values, noise / np.abs(slope), scores)
 
 
 def _noise_scores(
@@ -435,8 +435,8 @@ def _noise_scores(
 ) -> Float[np.ndarray, "n m"]:
     """Return standard normal scores of the predictive probability that one reading's noise is below a deviation."""
     calibration, noise = chosen.calibration, chosen.calibration.model.noise
-    each = {n: np.repeat(x, deviations.shape[1]) for n, x in places.items()}
-    frame = chosen.equation.frame_of(each[chosen.stimulus], each)
+    tiled = {n: np.repeat(x, deviations.shape[1]) for n, x in places.items()}
+    frame = chosen.equation.frame_of(tiled[chosen.stimulus], tiled)
     laws = (calibration.problem.hyper(v) for v in calibration.draws(SCORE_DRAWS).v)
     scores = [np.asarray(noise.normal_scores(deviations.ravel(), law, frame)) for law in laws]
     tails = ndtr(-np.abs(scores)).mean(axis=0).reshape(deviations.shape)  # the smaller keep digits
@@ -450,7 +450,7 @@ def limited_quantity(
     members: Mapping[str, str] | None = None,
     local_gravity: float = ws.STANDARD_GRAVITY,
 ) -> LimitedQuantity:
-    """The quantity that a limit is on.
+    """Resolve the quantity of a limit in a calibration.
 
     Args:
         calibration: a fit, or an average over structures.
@@ -478,8 +478,8 @@ def limited_quantity(
     point = chosen.middle
     spans, not_covered, notes = [], [], []
     for span in limit.over:
-        name, low, high = _resolved(chosen, span, limit, local_gravity)
-        not_covered += _beyond(chosen, name, low, high)
+        name, low, high = _resolve_range(chosen, span, limit, local_gravity)
+        not_covered += _uncalibrated(chosen, name, low, high)
         if name not in point:
             notes.append(f"{limit.quantity} does not depend on {name}.")
         spans.append((name, low, high))
@@ -513,7 +513,7 @@ def limited_quantity(
 
 
 def _limits(limit: StatedLimit, unit: str, local_gravity: float) -> Limits:
-    """The tolerance limits in the unit of the quantity."""
+    """Return the tolerance limits in the unit of the quantity."""
     if not limit.unit and ws.unit_label(unit):
         raise bc.InputError(
             f"limit {limit.text!r} has no unit: {limit.quantity} is in {ws.unit_label(unit)}"
@@ -523,9 +523,9 @@ def _limits(limit: StatedLimit, unit: str, local_gravity: float) -> Limits:
             f"limit {limit.text!r}: {limit.quantity} is in {ws.unit_label(unit) or 'plain numbers'}, not in "
             f"{ws.unit_label(limit.unit) or 'plain numbers'}"
         )
-    ends, own = np.array([limit.low, limit.high]), unit or "1"
-    found = ws.convert(ends, limit.unit or "1", own, local_gravity=local_gravity, difference=True)
-    return Limits(*found.tolist())
+    ends, to = np.array([limit.low, limit.high]), unit or "1"
+    values = ws.convert(ends, limit.unit or "1", to, local_gravity=local_gravity, difference=True)
+    return Limits(*values.tolist())
 
 
 def _unknown(
@@ -545,29 +545,29 @@ def _unknown(
         )
     values = calibration.samples(limit.quantity)
     unit = unknowns.rows[unknowns.index[limit.quantity]].unit
-    not_covered = () if np.ptp(values) > 0 else (HELD.format(limit.quantity),)
+    not_covered = () if np.ptp(values) > 0 else (FIXED_NOTE.format(limit.quantity),)
     limits = _limits(limit, unit, local_gravity)
     return LimitedQuantity(
         limit=limit, limits=limits, unit=unit, not_covered=not_covered, draws=values
     )
 
 
-def _resolved(
+def _resolve_range(
     chosen: bc.Compensator, span: LimitedRange, limit: StatedLimit, local_gravity: float
 ) -> tuple[str, float, float]:
-    """The column of a range, and its ends in that column's unit."""
+    """Return the column of a range, and its ends in that column's unit."""
     readings = chosen.calibration.readings
     inputs = {i.name: i.unit for i in chosen.inputs if i.kind != "lag slope"}
     acting = {chosen.stimulus: chosen.unit, **inputs}
-    known = acting | {n: u for n in readings.columns if (u := readings.unit(n)) and n not in acting}
-    known.pop("output", None)
-    if span.name and span.name not in known:
+    units = acting | {n: u for n in readings.columns if (u := readings.unit(n)) and n not in acting}
+    units.pop("output", None)
+    if span.name and span.name not in units:
         raise bc.InputError(
-            f"limit {limit.text!r}: {span.name!r} is no column of this calibration; there is: {', '.join(known)}"
+            f"limit {limit.text!r}: {span.name!r} is no column of this calibration; there is: {', '.join(units)}"
         )
     past = {i.name for i in chosen.inputs if i.kind in ws.PAST}
-    alike = {n for n, u in known.items() if ws.same_dimension(u, span.unit or "1")}
-    meant = [span.name] if span.name else [n for n in acting if n in alike - past] or sorted(alike)
+    fits = {n for n, u in units.items() if ws.same_dimension(u, span.unit or "1")}
+    meant = [span.name] if span.name else [n for n in acting if n in fits - past] or sorted(fits)
     if len(meant) != 1:
         several = f"several could be meant: {', '.join(meant)}"
         raise bc.InputError(
@@ -575,7 +575,7 @@ def _resolved(
             f"{several if meant else 'no column is in that unit'}. Name it: over temperature -20..60 °C"
         )
     (name,) = meant
-    unit = known[name]
+    unit = units[name]
     if not ws.same_dimension(span.unit or "1", unit):
         raise bc.InputError(
             f"limit {limit.text!r}: {name} is in {ws.unit_label(unit)}, not in "
@@ -586,8 +586,8 @@ def _resolved(
     return name, low, high
 
 
-def _beyond(chosen: bc.Compensator, name: str, low: float, high: float) -> list[str]:
-    """What of a range was not calibrated, in words."""
+def _uncalibrated(chosen: bc.Compensator, name: str, low: float, high: float) -> list[str]:
+    """State the part of a range outside the calibration, in words; empty if there is none."""
     readings = chosen.calibration.readings
     if name in chosen.calibrated:
         span = chosen.calibrated[name]
@@ -600,25 +600,25 @@ def _beyond(chosen: bc.Compensator, name: str, low: float, high: float) -> list[
     settled = {i.name for i in chosen.inputs if i.settled}
     if first <= low and (high <= last or name in settled):
         return []
-    asked = f"{low:.6g}" if low == high else f"{low:.6g} to {high:.6g}"
+    request = f"{low:.6g}" if low == high else f"{low:.6g} to {high:.6g}"
     return [
-        f"{name} was calibrated from {span[0]:.6g} to {span[1]:.6g} {ws.unit_label(span[2])}, not at {asked}"
+        f"{name} was calibrated from {span[0]:.6g} to {span[1]:.6g} {ws.unit_label(span[2])}, not at {request}"
     ]
 
 
 def with_population(
-    quantity: LimitedQuantity, given: SpreadOfDevices
+    quantity: LimitedQuantity, devices: SpreadOfDevices
 ) -> tuple[float, float] | None:
-    """Mean and standard deviation of the quantity over devices, in its unit; None where the population says nothing."""
+    """Return mean and standard deviation of the quantity over devices, in its unit; None for another population."""
     limit = quantity.limit
     if quantity.is_error or any(r.high > r.low for r in limit.over):
         return None
-    unit, own = given.unit or "1", quantity.unit or "1"
-    if given.quantity not in ("", limit.quantity) or not ws.same_dimension(unit, own):
+    unit, target = devices.unit or "1", quantity.unit or "1"
+    if devices.quantity not in ("", limit.quantity) or not ws.same_dimension(unit, target):
         return None
-    sd = float(ws.convert(given.sd, unit, own, difference=True))
-    if given.mean is not None:
-        return float(ws.convert(given.mean, unit, own, difference=True)), sd
+    sd = float(ws.convert(devices.sd, unit, target, difference=True))
+    if devices.mean is not None:
+        return float(ws.convert(devices.mean, unit, target, difference=True)), sd
     low, high = quantity.limits
     ends = [end for end in (low, high) if np.isfinite(end)]
     return (float(np.mean(ends)), sd) if len(ends) == 2 else None

@@ -1,4 +1,4 @@
-"""Does it conform? Decisions about limits, with the rule, guard band and risks of each; when to calibrate again.
+"""Decisions on conformity to limits, with the rule, guard band and risks of each; recalibration intervals.
 
 Three rules, one of which the laboratory and its customer agree on beforehand (ISO/IEC 17025:2017, 7.1.3 and 7.8.6):
 
@@ -93,7 +93,7 @@ class Recalibration:
 def recalibration(
     quantity: LimitedQuantity, limits: Limits, calibration: bc.Calibration, stated: float
 ) -> Recalibration:
-    """When the probability of conformity falls below a stated one, by the drift in the model.
+    """Compute when the probability of conformity falls below a stated one, by the drift in the model.
 
     Args:
         quantity: that is limited.
@@ -113,11 +113,11 @@ def recalibration(
     if untold := ws.not_measured(calibration, changed, rare=1 - stated):
 
         def alone(later: float) -> float:
-            return _alone(untold, quantity, calibration, later).probability(limits)
+            return _likelihood_only(untold, quantity, calibration, later).probability(limits)
 
         if after is not None or first_below(alone, stated) is not None:
-            said = f"{CANNOT}: {untold}. {untold.cure}"
-            return Recalibration(stated, None, why_not=said, notes=(ADVICE,))
+            why = f"{CANNOT}: {untold}. {untold.cure}"
+            return Recalibration(stated, None, why_not=why, notes=(ADVICE,))
     if after is None:
         years = HORIZON / YEAR
         return Recalibration(
@@ -138,21 +138,21 @@ def recalibration(
     return Recalibration(stated, after, date, notes=tuple(notes))
 
 
-def _alone(
+def _likelihood_only(
     untold: ws.NotMeasured,
     quantity: LimitedQuantity,
     calibration: bc.Calibration,
     later: float = 0.0,
 ) -> DrawnQuantity:
-    """What the readings alone say of a quantity, without the priors of what they did not measure."""
+    """Return the draws of a quantity by the likelihood alone, without the priors of unidentified unknowns."""
     drawn = quantity.drawn(later)
     return replace(drawn, values=untold.by_readings_alone(calibration, drawn.values))
 
 
 def first_below(probability: Callable[[float], float], stated: float) -> float | None:
-    """The first time, s, from which a probability is below a stated one; None where it is so nowhere up to the horizon.
+    """Return the first time, s, at which a probability is below a stated one; None up to the horizon.
 
-    A fall and rise between two of the times looked at, each 1.13 times the one before, is not seen.
+    A fall and rise between two times of the grid, of ratio 1.13, is not detected.
     """
     before = 0.0
     for time in (0.0, *np.geomspace(FIRST_SECONDS, HORIZON, TIMES).tolist()):
@@ -163,7 +163,7 @@ def first_below(probability: Callable[[float], float], stated: float) -> float |
 
 
 def _no_answer(quantity: LimitedQuantity, calibration: bc.Calibration, stated: float) -> str:
-    """Why the model says nothing of the future; empty where it does."""
+    """State why the model does not predict the future; empty where it does."""
     name = quantity.limit.quantity
     if not quantity.place:
         return f"{name} is one number of the model, which holds no change of it in time"
@@ -179,7 +179,7 @@ def _no_answer(quantity: LimitedQuantity, calibration: bc.Calibration, stated: f
 
 
 def in_words(seconds: float) -> str:
-    """A duration in the unit in which people say it."""
+    """Format a duration in a suitable unit."""
     for size, name in ((YEAR, "years"), (DAY, "days"), (3600.0, "h"), (60.0, "min")):
         if seconds >= 2 * size:
             return f"{seconds / size:.3g} {name}"
@@ -192,7 +192,7 @@ NOT_RELIABLE = "the calibration is not reliable: {}"
 
 @dataclass(frozen=True)
 class Decision:
-    """What is decided about one limit.
+    """The decision on one limit.
 
     Attributes:
         limit: as it was written.
@@ -258,27 +258,27 @@ class Decisions(ws.Printed):
     notes: tuple[str, ...] = ()
 
     def withheld(self, why: str) -> Decisions:
-        """The same with nothing decided, as the calibration is not reliable, and why that is."""
-        said = NOT_RELIABLE.format(why.rstrip("."))
-        open_ = (replace(d, decision=UNDECIDED, why=said, risk=None) for d in self.decisions)
+        """Return these with all decisions undecided, with the reason why the calibration is not reliable."""
+        reason = NOT_RELIABLE.format(why.rstrip("."))
+        open_ = (replace(d, decision=UNDECIDED, why=reason, risk=None) for d in self.decisions)
         return replace(self, decisions=tuple(open_))
 
     @property
     def conforms(self) -> bool:
-        """Whether every limit is met, by the rule."""
+        """Return whether every limit is met, by the rule."""
         return all(d.decision == ACCEPT for d in self.decisions)
 
     @property
     def doubt(self) -> str:
-        """Which limits are not met, or undecided; empty where none is."""
+        """List the limits that are not met, or undecided; empty if none is."""
         open_ = [f"{d.limit} ({d.decision})" for d in self.decisions if d.decision != ACCEPT]
         return f"not shown to conform: {', '.join(open_)}" * bool(open_)
 
     def foreword(self, chapters: Sequence[ws.Chapter]) -> ws.Foreword:
-        """What is decided, before a report: nothing about a result that its search has more against than its check."""
-        for one in chapters:
-            if not one.data["verdict"]["ok"] and self.calibration == ws.identity(one.used):
-                return self.withheld(" ".join(one.data["verdict"]["reasons"])).foreword(())
+        """Return the decisions as the foreword of a report; withheld where a chapter's verdict is negative."""
+        for chapter in chapters:
+            if not chapter.data["verdict"]["ok"] and self.calibration == ws.identity(chapter.used):
+                return self.withheld(" ".join(chapter.data["verdict"]["reasons"])).foreword(())
         table = self.table()
         why = ws.TableColumn("why; next calibration", lambda d: f"{d.why}; {d.recalibration}")
         met = "Every limit is met, by the rule below."
@@ -293,15 +293,15 @@ class Decisions(ws.Printed):
         )
 
     def data(self) -> dict[str, Any]:
-        """As JSON."""
+        """Return the decisions as JSON data."""
         return {"schema": "bayescal.decisions/1", "conforms": self.conforms} | ws.as_json(self)
 
     def _brief(self) -> str:
-        said = ", ".join(f"{d.quantity} {d.decision}" for d in self.decisions)
-        return f"{'conforms' if self.conforms else 'not shown to conform'}: {said}"
+        text = ", ".join(f"{d.quantity} {d.decision}" for d in self.decisions)
+        return f"{'conforms' if self.conforms else 'not shown to conform'}: {text}"
 
     def table(self) -> ws.ResultTable:
-        """Each limit: estimate, probability of conformity, accepted estimates, decision."""
+        """Tabulate each limit: estimate, probability of conformity, accepted estimates, decision."""
 
         def estimate(d: Decision) -> str:
             return f"{ws.with_error(worst(d), d.uncertainty)} {ws.unit_label(d.unit)}".strip()
@@ -322,15 +322,15 @@ class Decisions(ws.Printed):
         return ws.ResultTable(columns, self.decisions)
 
     def _parts(self) -> list[str | ws.ResultTable]:
-        said = ["\n".join(_fill(line) for line in statement_lines(d)) for d in self.decisions]
+        parts = ["\n".join(_fill(line) for line in statement_lines(d)) for d in self.decisions]
         of_each = (note for d in self.decisions for note in (*d.recalibration.notes, *d.notes))
-        said += [_fill(note) for note in dict.fromkeys((*of_each, *self.notes))]
+        parts += [_fill(note) for note in dict.fromkeys((*of_each, *self.notes))]
         rule = _fill(f"Decision rule: {self.rule_in_words}.")
-        return [rule, "", self.table(), *(f"\n{one}" for one in said)]
+        return [rule, "", self.table(), *(f"\n{part}" for part in parts)]
 
 
 def worst(d: Decision) -> float:
-    """The end of the estimate that is nearer to its limit."""
+    """Return the end of the estimate that is nearer to its limit."""
     low, high = d.estimate
     return high if d.tolerance.high - high <= low - d.tolerance.low else low
 
@@ -353,20 +353,20 @@ def _accepted(d: Decision) -> str:
 
 
 def statement_lines(d: Decision) -> list[str]:
-    """Each in a line: the decision and its risk, where it holds, the population's risks, when to calibrate again."""
-    said = [f"{d.limit}: {d.decision}; {d.why}."]
+    """Return lines: the decision and its risk, the operating point, the population's risks, the next calibration."""
+    lines = [f"{d.limit}: {d.decision}; {d.why}."]
     if d.at:
         scatter = f"; single readings scatter by {ws.number(d.scatter)} {ws.unit_label(d.unit)}"
         places = ", ".join(_place(name, *place) for name, place in d.at.items())
-        said.append(f"  at {places}{scatter * (d.scatter > 0)}")
+        lines.append(f"  at {places}{scatter * (d.scatter > 0)}")
     if (g := d.global_risks) is not None:
         which = f" {ws.with_error(*d.population)} {ws.unit_label(d.unit)}" if d.population else ""
-        said.append(
+        lines.append(
             f"  of devices{which or ' calibrated so'}: {percent(g.conforming)} conform, "
             f"{percent(g.accepted)} would be accepted; consumer's risk (accepted, does not conform) "
             f"{percent(g.consumer)}, producer's risk (conforms, not accepted) {percent(g.producer)}"
         )
-    return [*said, f"  next calibration: {d.recalibration}"]
+    return [*lines, f"  next calibration: {d.recalibration}"]
 
 
 def _place(name: str, low: float, high: float, unit: str) -> str:
@@ -377,7 +377,7 @@ def _place(name: str, low: float, high: float, unit: str) -> str:
 
 
 def percent(p: float, error: float = 0.0) -> str:
-    """A probability as people read it; no finer than its Monte-Carlo error, nor than a hundredth of a per cent."""
+    """Format a probability in per cent, no finer than its Monte-Carlo error, nor than a hundredth of a per cent."""
     least = max(3 * error if p in (0.0, 1.0) else 0.0, 1e-4)
     if p < least:
         return f"< {100 * least:.2g} %"
@@ -430,29 +430,29 @@ def decide(
     if not stated:
         raise bc.InputError('nothing to decide: give a limit, such as "bias: ±0.5 °/s"')
     several = [population] if isinstance(population, str) else population or []
-    devices = [spread_of_devices(one) for one in several]
-    found, used = [], set[int]()
-    for one in stated:
+    devices = [spread_of_devices(text) for text in several]
+    decisions, used = [], set[int]()
+    for text in stated:
         quantity = limited_quantity(
-            calibration, stated_limit(one), members=members, local_gravity=local_gravity
+            calibration, stated_limit(text), members=members, local_gravity=local_gravity
         )
         spread = None
-        for i, given in enumerate(devices):
-            if (spread := with_population(quantity, given)) is not None or quantity.is_error:
+        for i, group in enumerate(devices):
+            if (spread := with_population(quantity, group)) is not None or quantity.is_error:
                 used.add(i)
                 break
-        found.append(_decision(calibration, quantity, how, spread, bool(devices)))
-    for i, given in enumerate(devices):
+        decisions.append(_decision_on(calibration, quantity, how, spread, bool(devices)))
+    for i, group in enumerate(devices):
         if i not in used:
             raise bc.InputError(
-                f"population {given.text!r} is of no limit that is given: global risks are stated for a slot or an "
+                f"population {group.text!r} is of no limit that is given: global risks are stated for a slot or an "
                 "unknown at one point, in its unit, with a mean where there is one limit only"
             )
     return Decisions(
         rule=rule,
         rule_in_words=how.in_words,
         false_accept=false_accept,
-        decisions=tuple(found),
+        decisions=tuple(decisions),
         calibration=ws.identity(calibration),
         notes=tuple(ws.averaged_over(calibration)),
     )
@@ -471,17 +471,17 @@ class _How:
         if self.rule not in get_args(Rule):
             raise bc.InputError(f"rule {self.rule!r} is none: choose {', '.join(get_args(Rule))}")
         small, usual = 0 < self.false_accept < 0.5, 0.5 <= self.conformity < 1
-        for name, right, wanted in (
+        for name, right, expected in (
             ("false_accept", small, "a probability above 0 and below 0.5, such as 0.025"),
             ("conformity", usual, "a probability from 0.5 and below 1, such as 0.95"),
             ("capability", 0 < self.capability < math.inf, "a positive ratio, such as 3"),
         ):
             if not right:
-                raise bc.InputError(f"{name} = {getattr(self, name):g}: expected {wanted}")
+                raise bc.InputError(f"{name} = {getattr(self, name):g}: expected {expected}")
 
     @property
     def in_words(self) -> str:
-        """As a certificate states it."""
+        """State the rule as on a certificate."""
         if self.rule == "guarded":
             return (
                 f"guarded acceptance, probability of false acceptance at most {100 * self.false_accept:g} %, undecided "
@@ -495,29 +495,29 @@ class _How:
         )
 
 
-def _decision(
+def _decision_on(
     calibration: bc.Calibration,
     quantity: LimitedQuantity,
     how: _How,
     devices: tuple[float, float] | None,
-    asked: bool,
+    has_devices: bool,
 ) -> Decision:
     drawn, limits = quantity.drawn(), quantity.limits
     p = drawn.probability(limits)
     guarded = acceptance(drawn, limits, how.false_accept)
     accepted = guarded if how.rule == "guarded" else limits
-    decision, why = _decided(calibration, quantity, drawn, p, how)
+    decision, why = _decide_limit(calibration, quantity, drawn, p, how)
     uncertainty = drawn.uncertainty
     notes = list(quantity.notes)
     within = accepted or Limits(math.inf, math.inf)  # where no estimate is accepted
     risks = None
     if devices is not None:
         risks = global_risks(*devices, uncertainty, limits, within)
-    elif asked and quantity.is_error:
+    elif has_devices and quantity.is_error:
         # Each device is corrected by what was found of it: its error is estimated as zero, and the decision the same.
         took = decision == ACCEPT
         risks = GlobalRisks(p, float(took), (1 - p) * took, p * (not took))
-    elif asked:
+    elif has_devices:
         notes.append(
             "No global risk is stated: the population is of another quantity, or the limit holds over a range, of "
             "which one standard deviation says nothing."
@@ -545,23 +545,23 @@ def _decision(
     )
 
 
-def _decided(
+def _decide_limit(
     calibration: bc.Calibration,
     quantity: LimitedQuantity,
     drawn: DrawnQuantity,
     p: float,
     how: _How,
 ) -> tuple[str, str]:
-    """The decision, and why."""
+    """Return the decision on a limit, and the reason in words."""
     limits, error = quantity.limits, drawn.probability_error(p)
-    if said := ws.why_not(calibration):
-        return UNDECIDED, NOT_RELIABLE.format(said.rstrip("."))
+    if reason := ws.why_not(calibration):
+        return UNDECIDED, NOT_RELIABLE.format(reason.rstrip("."))
     if quantity.not_covered:
         return UNDECIDED, "; ".join(quantity.not_covered)
-    asked = {"of": quantity.limit.quantity, "scatter": drawn.scatter, "rare": how.false_accept}
-    if untold := ws.not_measured(calibration, drawn.values, **asked):
-        alone = _alone(untold, quantity, calibration).probability(limits)
-        if untold.hyperparameter or not _alike(p, alone, how.false_accept):
+    options = {"of": quantity.limit.quantity, "scatter": drawn.scatter, "rare": how.false_accept}
+    if untold := ws.not_measured(calibration, drawn.values, **options):
+        alone = _likelihood_only(untold, quantity, calibration).probability(limits)
+        if untold.hyperparameter or not _same_decision(p, alone, how.false_accept):
             return UNDECIDED, f"{CANNOT}: {untold}. {untold.cure}"
     conforms, fails = percent(p, error), percent(1 - p, error)
     if how.rule == "guarded":
@@ -590,14 +590,14 @@ def _decided(
     return decided, f"the estimate is {where} the limits; specific risk of false {risk}"
 
 
-def _alike(p: float, other: float, risk: float) -> bool:
-    """Whether two probabilities of conformity are one to a decision that may be wrong with some probability."""
+def _same_decision(p: float, other: float, risk: float) -> bool:
+    """Return whether two probabilities of conformity lead to the same decision at a tolerated risk."""
     same = (p >= 1 - risk) == (other >= 1 - risk) and (p <= risk) == (other <= risk)
     return same and abs(p - other) <= risk
 
 
 def capability_index(drawn: DrawnQuantity, limits: Limits) -> float | None:
-    """Width of the tolerance over 4u (JCGM 106, 7.6); None with a single limit."""
+    """Return the width of the tolerance over 4u (JCGM 106, 7.6); None with a single limit."""
     width = limits.high - limits.low
     u = math.hypot(drawn.uncertainty, float(drawn.scatter.max()))
     if math.isinf(width):

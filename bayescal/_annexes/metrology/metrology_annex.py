@@ -1,4 +1,4 @@
-"""What the annex of metrology offers: decisions about limits, certificates, and their parts of reports.
+"""Registration of the annex of metrology: decisions about limits, certificates, and their parts of reports.
 
 Light: heavy modules load inside.
 """
@@ -31,7 +31,7 @@ class DecideCommand(ws.InUse, ws.DecisionRule, ws.AsJson, ws.Command):
     local_gravity: float | None = ws.Shared.local_gravity
 
     def answer(self) -> ws.Answer:
-        found = bc.decide(
+        decisions = bc.decide(
             ws.load_saved(self.calibration, self),
             self.limit,
             **self.deciding(),
@@ -42,33 +42,33 @@ class DecideCommand(ws.InUse, ws.DecisionRule, ws.AsJson, ws.Command):
             local_gravity=self.local_gravity or ws.STANDARD_GRAVITY,
         )
         if self.out is not None:
-            ws.write_json(found.data(), self.out, indent=1)
-        return ws.Answer(found, doubt=found.doubt)
+            ws.write_json(decisions.data(), self.out, indent=1)
+        return ws.Answer(decisions, doubt=decisions.doubt)
 
 
-def certified(asked: ws.ExportCommand) -> ws.Answer:
-    """`bayescal export` to a digital calibration certificate, with what is decided about limits, if any.
+def certified(command: ws.ExportCommand) -> ws.Answer:
+    """Export a digital calibration certificate, with the decisions about limits, if any.
 
     Raises:
         InputError: no certificate is given, an export, or what `dcc_text` refuses.
     """
     from bayescal._annexes.metrology.certificate import dcc_text
 
-    asked.refuse_several()
-    (path,), gravity, decided = asked.calibrations, asked.gravity, None
-    if asked.certificate is None:
+    command.refuse_several()
+    (path,), gravity, decided = command.calibrations, command.gravity, None
+    if command.certificate is None:
         raise bc.InputError(
             "a digital calibration certificate states device, laboratory and customer: --certificate FILE.toml"
         )
     if path.suffix.lower() == ".json":
         raise bc.InputError("an export is no calibration: give the saved calibration (.nc)")
-    calibration = ws.load_saved(path, asked)
-    if asked.limit:
-        how = {"members": asked.members, "local_gravity": gravity, **asked.deciding()}
-        decided = bc.decide(calibration, asked.limit, **how)
-    text = dcc_text(calibration, asked.certificate, gravity, decided)
-    if asked.out is not None:
-        text = f"written: {ws.write_text(text, asked.out)}"
+    calibration = ws.load_saved(path, command)
+    if command.limit:
+        how = {"members": command.members, "local_gravity": gravity, **command.deciding()}
+        decided = bc.decide(calibration, command.limit, **how)
+    text = dcc_text(calibration, command.certificate, gravity, decided)
+    if command.out is not None:
+        text = f"written: {ws.write_text(text, command.out)}"
     return ws.Answer(text.removesuffix("\n"))
 
 
