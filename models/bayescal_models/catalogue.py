@@ -60,36 +60,38 @@ class EffectTable:
         candidates: Iterable[Row] = (),
         others: Iterable[Row] = (),
     ) -> EffectTable:
-        """The effects of these rows; `source` is that of rows which name none. Of a name the first row counts."""
-        taken: set[str] = set()
+        """Build a table from rows; `source` is the default source. Of rows with one name the first counts."""
+        used_names: set[str] = set()
 
-        def made(rows: Iterable[Row]) -> tuple[bc.Effect, ...]:
-            own: dict[str, bc.Effect] = {}
+        def make(rows: Iterable[Row]) -> tuple[bc.Effect, ...]:
+            by_name: dict[str, bc.Effect] = {}
             for row in rows:
-                e = row if isinstance(row, bc.Effect) else _made(source, *row)
-                own.setdefault(e.name, e)
-            found = tuple(e for name, e in own.items() if name not in taken)
-            taken.update(own)
-            return found
+                e = row if isinstance(row, bc.Effect) else _effect(source, *row)
+                by_name.setdefault(e.name, e)
+            effects = tuple(e for name, e in by_name.items() if name not in used_names)
+            used_names.update(by_name)
+            return effects
 
-        return cls(made(baseline), made(candidates), made(others))
+        return cls(make(baseline), make(candidates), make(others))
 
     def __getitem__(self, name: str) -> bc.Effect:
         return next(e for e in (*self.baseline, *self.candidates, *self.others) if e.name == name)
 
 
-def _made(source: str, name: str, maker: Maker, size: Any, unit: str, *own: str) -> bc.Effect:
-    return maker(name, size, unit, *(own or (source,)))
+def _effect(
+    source: str, name: str, maker: Maker, size: Any, unit: str, *source_of_row: str
+) -> bc.Effect:
+    return maker(name, size, unit, *(source_of_row or (source,)))
 
 
 # The families of `bayescal.effects`.
 
 
-def _general(maker: Callable[..., bc.Effect], **more: Any) -> Maker:
-    def made(name: str, size: Any, unit: str, source: str) -> bc.Effect:
-        return maker(name.partition(".")[0], size, unit, source=source, **more)
+def _general(maker: Callable[..., bc.Effect], **options: Any) -> Maker:
+    def make(name: str, size: Any, unit: str, source: str) -> bc.Effect:
+        return maker(name.partition(".")[0], size, unit, source=source, **options)
 
-    return made
+    return make
 
 
 constant = _general(effects.constant)
@@ -99,18 +101,18 @@ hysteresis, drift = _general(effects.hysteresis), _general(effects.drift)
 
 
 def deviation(name: str, size: float, unit: str, source: str) -> bc.Effect:
-    """One for each member of the group that the name says, such as `bias.run`; their spread is learned."""
+    """Build a deviation for each member of a group, such as `bias.run`, with a learned standard deviation."""
     slot, _, per = name.partition(".")
     return effects.deviation(slot, per, size, unit, source=source)
 
 
 def warm_up(low: float, high: float) -> Maker:
-    """Within a run, in a time between these, s."""
+    """Build the maker of a warm-up within a run, of time constant `low` to `high`, s."""
     return _general(effects.warm_up, low=low, high=high)
 
 
 def temperature_x_lag(low: float, high: float, column: str = "temperature") -> Maker:
-    """A lag that grows with the temperature, of a time between these, s."""
+    """Build the maker of a lag proportional to temperature, of time constant `low` to `high`, s."""
     return _general(effects.temperature_x_lag, low=low, high=high, column=column)
 
 
@@ -120,9 +122,9 @@ def thermal_lag(
     start: float,
     start_unit: str,
     rate: tuple[Any, ...] = (),
-    **more: Any,
+    **further: Any,
 ) -> Maker:
-    """A body that lags by a time between `low` and `high`, s.
+    """Build the maker of a thermal lag of time constant `low` to `high`, s.
 
     Args:
         start, start_unit: plausible size of what its state at the start of a run adds.
@@ -130,14 +132,14 @@ def thermal_lag(
         more: of `effects.thermal_lag`.
     """
 
-    def made(name: str, size: float, unit: str, source: str) -> bc.Effect:
+    def make(name: str, size: float, unit: str, source: str) -> bc.Effect:
         slot, _, cause = name.partition(".")
-        own = {"name": cause, "low": low, "high": high, "start": start, "start_unit": start_unit}
+        body = {"name": cause, "low": low, "high": high, "start": start, "start_unit": start_unit}
         if rate:
-            own["short"] = effects.rate(slot, *rate[:2], source=(*rate, source)[2])
-        return effects.thermal_lag(slot, size, unit, source=source, **own, **more)
+            body["short"] = effects.rate(slot, *rate[:2], source=(*rate, source)[2])
+        return effects.thermal_lag(slot, size, unit, source=source, **body, **further)
 
-    return made
+    return make
 
 
 # What every test records: its families, for a slot of any instrument.
@@ -159,7 +161,7 @@ def recorded(
     per: str | None = None,
     source: str = "",
 ) -> tuple[bc.Effect, ...]:
-    """The families of a thermometer, a clock and a supply's voltage, sized by what the slot plausibly does.
+    """Build the families of a thermometer, a clock and a supply's voltage, sized by the slot's plausible change.
 
     Args:
         slot: that they add to.
@@ -204,8 +206,8 @@ def recorded(
         ("temperature_x_supply", product, half / span, f"{of}/V", 0.5, f" at 1 V{at_end}"),
     )
     return tuple(
-        _of_each(maker(f"{slot}.{cause}", own, its, source.format(share, where)), per)
-        for cause, maker, own, its, share, where in rows
+        _per_member(maker(f"{slot}.{cause}", size_of_row, its, source.format(share, where)), per)
+        for cause, maker, size_of_row, its, share, where in rows
         if not causes or cause in causes
     )
 
@@ -219,13 +221,13 @@ def _by_supply(column: str, r: bc.Frame) -> Any:
     return r.centred(column) * _supply(r)
 
 
-def _of_each(made: bc.Effect, group: str | None) -> bc.Effect:
-    """The effect, and its forms, with a coefficient for each member of a group in place of one in all."""
+def _per_member(base: bc.Effect, group: str | None) -> bc.Effect:
+    """Give an effect and its short forms one coefficient per member of a group."""
     if group is None:
-        return made
-    own = (c if c.per or c.known else replace(c, per=group) for c in made.coefficients)
-    forms = tuple(_of_each(form, group) for form in made.forms)
-    return replace(made, coefficients=tuple(own), forms=forms)
+        return base
+    coefficients = (c if c.per or c.known else replace(c, per=group) for c in base.coefficients)
+    forms = tuple(_per_member(form, group) for form in base.forms)
+    return replace(base, coefficients=tuple(coefficients), forms=forms)
 
 
 # What one instrument has.
@@ -241,9 +243,9 @@ def effect(
     per: str | None = None,
     learned: Any = None,
     varies: tuple[str, ...] | None = None,
-    **more: Any,
+    **fields: Any,
 ) -> Maker:
-    """An effect whose coefficients, one for each part, are all of one size.
+    """Build the maker of an effect whose coefficients, one for each part, have one size.
 
     Args:
         basis: of as many columns as there are parts.
@@ -258,39 +260,39 @@ def effect(
         more: further fields of the effect.
     """
 
-    def made(name: str, size: float, unit: str, source: str) -> bc.Effect:
+    def make(name: str, size: float, unit: str, source: str) -> bc.Effect:
         spread = None if learned is None else learned(size)
         return bc.Effect(
             name,
             slot or (slots[0] if slots else name.partition(".")[0]),
             basis,
             coefficients=tuple(
-                bc.Coefficient(unit, bc.Normal(0.0, size), part, own, per, spread)
-                for part, own in zip(parts, slots or [None] * len(parts), strict=True)
+                bc.Coefficient(unit, bc.Normal(0.0, size), part, slot_of_part, per, spread)
+                for part, slot_of_part in zip(parts, slots or [None] * len(parts), strict=True)
             ),
             columns=columns,
             varies=tuple(c for c in columns if c != "time") if varies is None else varies,
             equation=equation,
             source=source,
-            **more,
+            **fields,
         )
 
-    return made
+    return make
 
 
 def family(
-    slots: Sequence[str], basis: Callable[..., Any], equation: str, *columns: str, **more: Any
+    slots: Sequence[str], basis: Callable[..., Any], equation: str, *columns: str, **fields: Any
 ) -> Maker:
-    """One effect on several slots: a coefficient for each of them, found or dropped together.
+    """Build the maker of one effect on several slots, one coefficient each, included or excluded together.
 
     Args:
         slots: a coefficient's part is what stands after the first underscore, unless `parts` says.
         basis: of one column, the same for all.
         equation, columns, more: as of `effect`.
     """
-    parts = more.pop("parts", None) or [s.partition("_")[2] for s in slots]
+    parts = fields.pop("parts", None) or [s.partition("_")[2] for s in slots]
     shared = partial(_in_each, basis, len(slots))
-    return effect(shared, equation, *columns, parts=parts, slots=slots, **more)
+    return effect(shared, equation, *columns, parts=parts, slots=slots, **fields)
 
 
 def _in_each(basis: Callable[..., Any], count: int, r: bc.Frame) -> Any:
@@ -302,10 +304,10 @@ def _in_each(basis: Callable[..., Any], count: int, r: bc.Frame) -> Any:
 
 
 def progress(r: bc.Frame) -> Any:
-    """(t − t̄)/(tmax − tmin)."""
+    """Return (t − t̄)/(tmax − tmin)."""
     return r.progress
 
 
 def centred(r: bc.Frame) -> Any:
-    """T − T0, °C."""
+    """Return T − T0, °C."""
     return r.centred()

@@ -45,5 +45,5 @@ def _where_assumed(r: bc.Frame) -> Any:
 
 
 def _stated(readings: bc.Measurements) -> str | None:
-    known = not readings.has(ASSUMED.name) or not readings[ASSUMED.name].any()
-    return "needs outputs in m/s² and an unknown local gravity" if known else None
+    measured = not readings.has(ASSUMED.name) or not readings[ASSUMED.name].any()
+    return "needs outputs in m/s² and an unknown local gravity" if measured else None

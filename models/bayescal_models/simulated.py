@@ -1,4 +1,4 @@
-"""What simulators share: random numbers by what they are for, a clock, bodies of first order, noise, refusals."""
+"""Common parts of simulators: named random generators, a clock, first-order bodies, noise, refusals."""
 
 from __future__ import annotations
 
@@ -20,12 +20,12 @@ P = ParamSpec("P")
 
 
 def generators(names: Sequence[str], seed: int) -> dict[str, np.random.Generator]:
-    """A generator for each use, so that what one draws changes nothing for the others."""
+    """Return an independent generator for each use."""
     seeds = np.random.SeedSequence(seed).spawn(len(names))
     return {name: np.random.default_rng(s) for name, s in zip(names, seeds, strict=True)}
 
 
-def refuse_effects(effects: Mapping[str, float], known: Collection[str], where: str) -> None:
+def refuse_effects(effects: Mapping[str, float], names: Collection[str], where: str) -> None:
     """Refuse effects that no law hides.
 
     Args:
@@ -37,8 +37,8 @@ def refuse_effects(effects: Mapping[str, float], known: Collection[str], where: 
         ValueError: an unknown name, or a size that is not finite, or so large that what it makes may not be.
     """
     for name, size in effects.items():
-        choices = f"choose among {', '.join(known)}"
-        refuse(name not in known, f"no effect {name!r} can be hidden in {where}: {choices}")
+        choices = f"choose among {', '.join(names)}"
+        refuse(name not in names, f"no effect {name!r} can be hidden in {where}: {choices}")
         refuse(not abs(size) < 1e100, f"the size of {name!r} is {size!r}: give one below 1e100")
 
 
@@ -71,23 +71,23 @@ def refuse_options(
         ValueError: an option is something else.
     """
 
-    def refuse_all(names: Iterable[str], right: Callable[[Any], bool], wanted: str) -> None:
+    def refuse_all(names: Iterable[str], right: Callable[[Any], bool], requirement: str) -> None:
         for name in names:
             value = getattr(plan, name)
-            said = f"{type(plan).__name__}({name}={value!r})"
-            refuse(not right(value), f"{said}: give {wanted}.")
+            option = f"{type(plan).__name__}({name}={value!r})"
+            refuse(not right(value), f"{option}: give {requirement}.")
 
     refuse_all(positive, lambda v: v > 0, "a number above 0")
     refuse_all(not_negative, lambda v: v >= 0, "0 or more")
     refuse_all(counts, lambda v: v >= 1 and v == int(v), "a whole number, at least 1")
     refuse_all(filled, lambda v: len(v) > 0, "at least one value")
-    for name, known in choices.items():
-        right = partial(_among, known)
-        refuse_all([name], right, f"one of {', '.join(known)}")
+    for name, allowed in choices.items():
+        right = partial(_is_among, allowed)
+        refuse_all([name], right, f"one of {', '.join(allowed)}")
 
 
-def _among(known: Collection[str], value: str | Sequence[str]) -> bool:
-    return {*([value] if isinstance(value, str) else value)} <= {*known}
+def _is_among(allowed: Collection[str], value: str | Sequence[str]) -> bool:
+    return {*([value] if isinstance(value, str) else value)} <= {*allowed}
 
 
 class Clock:
@@ -104,18 +104,18 @@ class Clock:
     samples: NDArray[np.intp]
 
     def average(self, values: Array) -> Array:
-        """Mean of a quantity over the samples of each reading, (n,), in its own unit."""
+        """Average a quantity over the samples of each reading, (n,), in its unit."""
         return values[self.samples].mean(axis=1)
 
     def body(self, drive: Array, time_constant: float, start: float | None = None) -> Array:
-        """A body of first order that follows `drive` in `time_constant`, s."""
+        """Return the response of a first-order body to `drive`, of time constant `time_constant`, s."""
         return first_order_body(drive, time_constant, self.step, start)
 
 
 def first_order_body(
     drive: Array, time_constant: float, step: float, start: float | None = None
 ) -> Array:
-    """A body of first order, τ·dT/dt = drive − T, exact for a drive that is linear between grid points.
+    """Return the response of a first-order body, τ·dT/dt = drive − T, exact for a piecewise linear drive.
 
     Args:
         drive: what it follows, any unit.
@@ -129,14 +129,14 @@ def first_order_body(
     decay = np.exp(-step / time_constant)
     now = 1.0 - (1.0 - decay) * time_constant / step
     push = drive - start
-    made, _ = lfilter([now, 1.0 - decay - now], [1.0, -decay], push, zi=[-now * push[0]])
-    return start + made
+    response, _ = lfilter([now, 1.0 - decay - now], [1.0, -decay], push, zi=[-now * push[0]])
+    return start + response
 
 
 def correlated(
     generator: np.random.Generator, shape: int | tuple[int, int], time_constant: float, step: float
 ) -> Array:
-    """Stationary Ornstein–Uhlenbeck records of unit variance along the last axis.
+    """Simulate stationary Ornstein–Uhlenbeck records of unit variance along the last axis.
 
     Args:
         generator: of random numbers.
@@ -157,19 +157,19 @@ SUPPLY, SUPPLY_WANDER, SUPPLY_TIME = 5.0, 0.1, 1200.0  # V, V and s, of a supply
 
 
 def sticking(temperature: Array) -> Array:
-    """Joints stick, each up to its own strain, then slip along: plays of several widths (Prandtl, Ishlinskii)."""
+    """Return the strain of joints that stick and slip: plays of several widths (Prandtl, Ishlinskii)."""
     total = np.zeros(temperature.size)
     for width in SLIPS:
         seat, strain = float(temperature[0]), np.empty(temperature.size)
-        for i, here in enumerate(temperature.tolist()):
-            seat = min(max(seat, here - width), here + width)
-            strain[i] = (here - seat) / width
+        for i, value in enumerate(temperature.tolist()):
+            seat = min(max(seat, value - width), value + width)
+            strain[i] = (value - seat) / width
         total += strain / len(SLIPS)
     return total
 
 
 def wandering_supply(generator: np.random.Generator, time: Array) -> Array:
-    """Voltage, V, of a supply that wanders about 5 V, at these times, s."""
+    """Simulate the voltage, V, of a supply that wanders about 5 V, at these times, s."""
     knots = np.arange(time.min(), time.max() + 2 * SUPPLY_TIME, SUPPLY_TIME)
     return np.interp(time, knots, SUPPLY + SUPPLY_WANDER * generator.standard_normal(knots.size))
 
@@ -178,24 +178,24 @@ OF_SUPPLY = {f"{s}.{e}" for s in ("bias", "zero") for e in ("supply", "temperatu
 
 
 def supplied(effects: Collection[str]) -> bool:
-    """Whether the supply's voltage has to be recorded, for one of these effects is hidden."""
+    """Return whether one of these effects needs the supply's voltage recorded."""
     return not OF_SUPPLY.isdisjoint(effects)
 
 
 def experiments(
     columns: Callable[..., dict[str, Any]], campaigns: Mapping[str, Any]
 ) -> tuple[tuple[str, Callable[[], dict[str, Any]]], ...]:
-    """What can be done next: feasible changes of a campaign, in words, and the columns that each would record.
+    """List feasible campaigns, by description, with the columns that each would record.
 
     Args:
         columns: of a simulated campaign.
         campaigns: by what each is in words.
     """
-    return tuple((n, partial(columns, seed=0, campaign=made)) for n, made in campaigns.items())
+    return tuple((n, partial(columns, seed=0, campaign=c)) for n, c in campaigns.items())
 
 
 class Simulated(NamedTuple):
-    """Readings of a simulated test, and everything that made them.
+    """Readings of a simulated test, and the truth behind them.
 
     Attributes:
         columns: of the readings, by name.
@@ -211,7 +211,7 @@ class Simulated(NamedTuple):
 
 
 def columns_of(simulator: Callable[P, Simulated]) -> Callable[P, dict[str, NDArray[Any]]]:
-    """The columns alone of what a simulator makes: a function of the same arguments."""
+    """Wrap a simulator to return its columns only."""
 
     @wraps(simulator)
     def simulated_columns(*args: P.args, **options: P.kwargs) -> dict[str, NDArray[Any]]:
@@ -221,7 +221,7 @@ def columns_of(simulator: Callable[P, Simulated]) -> Callable[P, dict[str, NDArr
 
 
 def readings_of(instrument: bc.Instrument) -> Callable[..., bc.Measurements]:
-    """An instrument's simulator as a function of the same arguments that gives readings."""
+    """Wrap an instrument's simulator to return readings."""
     assert instrument.simulator is not None
 
     @wraps(instrument.simulator)

@@ -26,7 +26,7 @@ G = 1e6  # µg
 
 
 def model(temperature, angle, T0, output=None) -> None:
-    """Temperatures °C and angles rad (n,); T0 °C; output µg (n,), or None to simulate."""
+    """Define the model of temperatures °C and angles rad (n,), T0 °C; output µg (n,), or None to simulate."""
     change = temperature - T0
     k0 = numpyro.sample("bias.constant", Normal(0.0, 4000.0))  # µg
     k0 += numpyro.sample("bias.temperature", Normal(0.0, 30.0)) * change
@@ -39,14 +39,14 @@ def model(temperature, angle, T0, output=None) -> None:
 
 
 def data(readings: bc.Measurements) -> dict[str, Any]:
-    """The readings as arguments of `model`."""
-    taken = {n: readings[n] for n in ("temperature", "output")}
-    return taken | {
+    """Return the readings as arguments of `model`."""
+    columns = {n: readings[n] for n in ("temperature", "output")}
+    return columns | {
         "angle": readings["position_angle"],
-        "T0": np.round(taken["temperature"].mean()),
+        "T0": np.round(columns["temperature"].mean()),
     }
 
 
 def equal() -> bc.Model:
-    """The same model as a sum of named effects."""
+    """Return the same model as a sum of named effects."""
     return reference_problem.model()

@@ -49,7 +49,7 @@ def _along(a, slots):
 
 
 def _in_use(acceleration, slots, r):
-    """Off the head: what acts along the input axis is asked for, and across it nothing is known."""
+    """Return the output off the head, by the acceleration along the input axis alone."""
     return _along(acceleration / G, slots)
 
 

@@ -28,7 +28,7 @@ WARM_UP_TIME = 20 * MINUTE
 
 
 class World:
-    """What is true at each reading (n,).
+    """True quantities at each reading (n,).
 
     Attributes:
         angle: θ as set, rad.
@@ -40,12 +40,12 @@ class World:
 
     def __init__(self, campaign: Campaign, random: Mapping[str, np.random.Generator]) -> None:
         c, count = campaign, len(campaign.temperatures)
-        each = c.soak + c.positions * c.dwell
+        duration = c.soak + c.positions * c.dwell
         place, self.run = np.meshgrid(np.arange(count * c.positions), np.arange(c.runs))
         self.run, place = self.run.ravel(), place.ravel()
         soak, position = place // c.positions, place % c.positions
-        self.since = soak * each + c.soak + position * c.dwell
-        self.time = self.run * (count * each + 24 * 3600.0) + self.since
+        self.since = soak * duration + c.soak + position * c.dwell
+        self.time = self.run * (count * duration + 24 * 3600.0) + self.since
         self.angle = 2 * np.pi * position / c.positions
         set_points = np.array(c.temperatures)
         wander = c.thermometer_noise * random["temperature"].standard_normal(len(place))
@@ -89,7 +89,7 @@ LAWS: dict[str, Law] = {
 def simulated(
     effects: Mapping[str, float] | None = None, *, seed: int, campaign: Campaign | None = None
 ) -> Simulated:
-    """A tumble with these effects hidden in it.
+    """Simulate a tumble with hidden effects.
 
     Args:
         effects: canonical name → true size in the unit of its coefficient; of a deviation the standard deviation. The

@@ -26,14 +26,14 @@ from bayescal_models.accelerometer_triad.model import INSTRUMENT
 
 
 def model(poses, output=None) -> None:
-    """How many poses; output g (poses, 3), or None to simulate."""
+    """Define the model of so many poses; output g (poses, 3), or None to simulate."""
 
-    def each(name: str, parts: tuple[str, ...], size: float) -> Any:
+    def sample_each(name: str, parts: tuple[str, ...], size: float) -> Any:
         return jnp.stack([numpyro.sample(f"{name}[{part}]", Normal(0.0, size)) for part in parts])
 
-    bias = 1e-3 * each("bias.constant", ("x", "y", "z"), 50.0)  # from mg
-    kappa = 1e-6 * each("scale.constant", ("x", "y", "z"), 30_000.0)  # from ppm
-    xy, xz, yz = 1e-3 * each("misalignment.constant", ("xy", "xz", "yz"), 20.0)  # from mrad
+    bias = 1e-3 * sample_each("bias.constant", ("x", "y", "z"), 50.0)  # from mg
+    kappa = 1e-6 * sample_each("scale.constant", ("x", "y", "z"), 30_000.0)  # from ppm
+    xy, xz, yz = 1e-3 * sample_each("misalignment.constant", ("xy", "xz", "yz"), 20.0)  # from mrad
     with numpyro.plate("poses", poses):
         # its direction is uniform
         arrow = numpyro.sample("arrow", Normal(jnp.zeros(3), 1.0).to_event(1))
@@ -45,11 +45,11 @@ def model(poses, output=None) -> None:
 
 
 def data(readings: bc.Measurements) -> dict[str, Any]:
-    """The readings as arguments of `model`."""
+    """Return the readings as arguments of `model`."""
     output = np.stack([readings[name] for name in INSTRUMENT.vector.outputs], axis=1)
     return {"poses": len(output), "output": output}
 
 
 def equal() -> bc.Model:
-    """The same model as a sum of named effects."""
+    """Return the same model as a sum of named effects."""
     return INSTRUMENT.baseline()

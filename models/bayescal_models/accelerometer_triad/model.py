@@ -95,7 +95,7 @@ EFFECTS = EffectTable.of(
 
 
 def tailored(readings: bc.Measurements | None, **settings: Any) -> bc.Instrument:
-    """The instrument for poses that state their uncertainties: about as much scatter again is believed of them."""
+    """Return the instrument with a noise prior from the poses' stated uncertainties."""
     return with_scatter(INSTRUMENT, readings, **settings)
 
 

@@ -37,7 +37,7 @@ FALLING = 0.6**ORDERS  # of the orders of u
 
 
 def model(acceleration, sign, device, devices, orders, output=None) -> None:
-    """Acceleration µg, +1 or −1, and the device of each reading from 0, (n,); P_n (n, 6); output µg, or None."""
+    """Define the model of acceleration µg, sign and device index (n,), P_n (n, 6); output µg, or None to simulate."""
     spread = {
         name: numpyro.sample(f"{name}.group_sd", HalfNormal(size))
         for name, size in (("scale.device", 5000.0), (SENSITIVITY, 0.2))
@@ -51,29 +51,29 @@ def model(acceleration, sign, device, devices, orders, output=None) -> None:
     with numpyro.plate("devices", devices):
         kappa = 1e-6 * numpyro.sample("scale.device", Normal(0.0, spread["scale.device"]))
         sensitivity = numpyro.sample(SENSITIVITY, Normal(1.0, spread[SENSITIVITY]))
-        own = DISTURBANCE * share * powers / jnp.sqrt(jnp.sum(powers**2))
-        w = numpyro.sample("w", Normal(sensitivity[:, None] * u, own).to_event(1))
+        departure_sd = DISTURBANCE * share * powers / jnp.sqrt(jnp.sum(powers**2))
+        w = numpyro.sample("w", Normal(sensitivity[:, None] * u, departure_sd).to_event(1))
     noise = numpyro.sample("noise.white", HalfNormal(50.0))  # µg
     mean = sign * (1 + kappa[device]) * acceleration + jnp.sum(orders * w[device], axis=1)
     numpyro.sample("output", Normal(mean, noise), obs=output)
 
 
 def data(readings: bc.Measurements) -> dict[str, Any]:
-    """The readings as arguments of `model`."""
+    """Return the readings as arguments of `model`."""
     (devices, device), (groups, group) = readings.groups("device"), readings.groups("group")
     time = readings["time"]
     progress = 2 * (time - time.mean()) / np.ptp(time)
     orders = np.stack([np.sqrt(2 * n + 1) * eval_legendre(n, progress) for n in ORDERS], axis=1)
     sign = np.where(np.array(groups)[group] == "outer", 1.0, -1.0)
-    each = {
+    columns = {
         "acceleration": readings["acceleration"],
         "sign": sign,
         "device": device,
         "devices": len(devices),
     }
-    return {**each, "orders": orders, "output": readings["output"]}
+    return {**columns, "orders": orders, "output": readings["output"]}
 
 
 def equal() -> bc.Model:
-    """The same model as a sum of named effects."""
+    """Return the same model as a sum of named effects."""
     return reference_problem.model()

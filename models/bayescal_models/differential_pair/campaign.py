@@ -67,5 +67,5 @@ class Campaign:
 
     @property
     def time(self) -> Array:
-        """Middles of the readings, s."""
+        """Return the mid-times of the readings, s."""
         return (np.arange(self.samples) + 0.5) * self.duration / self.samples

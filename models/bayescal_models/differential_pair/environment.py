@@ -30,26 +30,26 @@ DEPARTURE_SHARE = "departure.device.share"
 
 
 def order_sizes() -> NDArray[np.float64]:
-    """Prior standard deviations of the orders of u, µg; their squares add up to 1 mg²."""
+    """Return prior standard deviations of the orders of u, µg; their squares add up to 1 mg²."""
     falling = RATIO ** np.arange(ORDERS)
     return DISTURBANCE * falling / np.sqrt(np.sum(falling**2))
 
 
 def polynomials(progress: Any) -> list[Any]:
-    """Legendre polynomials of unit rms over the record, orders 0 to 5.
+    """Return Legendre polynomials of unit rms over the record, orders 0 to 5.
 
     Args:
         progress: (t − t̄)/(tmax − tmin), −½ … ½ on an even record; NumPy or JAX.
     """
     z = 2.0 * progress
-    found = [1.0 + 0.0 * z, z]
+    legendre = [1.0 + 0.0 * z, z]
     for n in range(1, ORDERS - 1):
-        found.append(((2 * n + 1) * z * found[n] - n * found[n - 1]) / (n + 1))
-    return [np.sqrt(2 * n + 1) * p for n, p in enumerate(found)]
+        legendre.append(((2 * n + 1) * z * legendre[n] - n * legendre[n - 1]) / (n + 1))
+    return [np.sqrt(2 * n + 1) * p for n, p in enumerate(legendre)]
 
 
 def order_names(effect: str) -> list[str]:
-    """Names of an effect's orders."""
+    """Return names of an effect's orders."""
     return [f"{effect}[order {n}]" for n in range(ORDERS)]
 
 
@@ -63,7 +63,7 @@ def _departure(r: bc.Frame) -> Any:
 
 
 def _departure_sizes(share: Any, falling: Any) -> Any:
-    """Standard deviations of the orders of v, in parts of u's rms: (6,), or (…, 6) of values (…, 1)."""
+    """Return standard deviations of the orders of v, relative to u's rms: (6,), or (…, 6) of values (…, 1)."""
     powers = falling ** np.arange(ORDERS)
     return share * powers / (powers**2).sum(axis=-1, keepdims=True) ** 0.5
 

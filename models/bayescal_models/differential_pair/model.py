@@ -34,32 +34,28 @@ from bayescal_models.differential_pair import COLUMNS, NOMINAL_SCALE
 from bayescal_models.differential_pair.campaign import GRAVITY, RADIUS, Campaign, G
 from bayescal_models.differential_pair.environment import DEPARTURE, SHARED
 from bayescal_models.differential_pair.noise import NoiseWhileChanging, ends, slope
-from bayescal_models.differential_pair.simulator import (
-    Truth,
-    columns_and_truth,
-    simulated_columns,
-)
+from bayescal_models.differential_pair.simulator import Truth, columns_and_truth, simulated_columns
 from bayescal_models.simulated import readings_of
 
 SOURCE = "source 3; size ours"
 
 
 def direction(r: bc.Frame) -> Any:
-    """+1 for the outer group, −1 for the inner."""
+    """Return +1 for the outer group, −1 for the inner."""
     return r.has_label("group", "outer") - r.has_label("group", "inner")
 
 
 def tangential(r: bc.Frame) -> Any:
-    """r·dΩ/dt from the commanded acceleration, µg."""
+    """Return r·dΩ/dt from the commanded acceleration, µg."""
     speed = xp.sqrt(xp.maximum(r["acceleration"], 1e-6) * (RADIUS * G / GRAVITY))
     return slope(r, speed)  # r·Ω in units such that its derivative is in µg
 
 
 def _response(slots, r):
     a, sign = r["acceleration"], direction(r)
-    seen = a * (1.0 + slots["input"]) - slots["timing"] * slope(r, a)
+    input_acceleration = a * (1.0 + slots["input"]) - slots["timing"] * slope(r, a)
     return (
-        sign * (1.0 + slots["scale"]) * seen
+        sign * (1.0 + slots["scale"]) * input_acceleration
         + slots["bias"]
         + slots["misalignment"] * (G + tangential(r))
         + slots["sensitivity"] * slots["environment"]
@@ -68,7 +64,7 @@ def _response(slots, r):
 
 
 def _softening(r: bc.Frame) -> Any:
-    """What a spring that softens with its deflection adds to a scale: x/(1 − kx) = x + kx² + k²x³ + …"""
+    """Return columns of a softening spring's change of scale: x/(1 − kx) = x + kx² + k²x³ + …"""
     outward = direction(r) * r["acceleration"]
     # Of a reading, which is a mean, k·⟨a²⟩ = k·(⟨a⟩² + var a). Between its ends a parabola of that mean has the
     # variance (a₁ − a₀)²/12 + (3·(a₁ + a₀) − 6·⟨a⟩)²/180; how long a reading is of its step is a share of it.
@@ -86,10 +82,10 @@ def _as_scale(readings: bc.Measurements) -> str:
     )
 
 
-def _device(equation: str, *columns: str, basis: Any = one, **more: Any) -> Maker:
-    """One coefficient for each device, their spread learned; the acceleration must vary unless it is said otherwise."""
-    own = {"per": "device", "learned": bc.HalfNormal, "varies": ("acceleration",)}
-    return effect(basis, equation, "device", *columns, **{**own, **more})
+def _device(equation: str, *columns: str, basis: Any = one, **fields: Any) -> Maker:
+    """Build an effect with one coefficient per device and learned standard deviation; `acceleration` must vary."""
+    defaults = {"per": "device", "learned": bc.HalfNormal, "varies": ("acceleration",)}
+    return effect(basis, equation, "device", *columns, **{**defaults, **fields})
 
 
 # Third order beside second: at 10 g that of 650 ppm/g is 40 ppm of the scale factor, four times its uncertainty, and
@@ -177,7 +173,7 @@ class SimulatedBatch(Truth):
 def simulate_batch(
     effects: Mapping[str, float] | None = None, *, seed: int, campaign: Campaign | None = None
 ) -> SimulatedBatch:
-    """A batch with these effects hidden in it, and the truth; arguments as of `simulate`.
+    """Simulate a batch with hidden effects; return readings and truth. Arguments as of `simulate`.
 
     Raises:
         ValueError: an unknown effect, or a size that is not finite.

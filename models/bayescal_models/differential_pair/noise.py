@@ -1,4 +1,4 @@
-"""What happens within a reading, a mean over some time: a column at its ends, its slope, and noise while it changes.
+"""Averaging within a reading: a column at the reading's ends, its slope, and noise while it changes.
 
 What is of second order in the acceleration has there another mean than the mean
 acceleration says, by the variance of the acceleration within the reading: so what such a reading says of a scale
@@ -20,7 +20,7 @@ SHARE = "noise.while_changing"
 
 
 def slope(r: bc.Frame, values: Any) -> Any:
-    """Mean time derivative of a column within each reading, unit/s: its change over the reading, by how long that is.
+    """Return the mean time derivative of a column within each reading, unit/s: its change over the duration.
 
     A reading lasts from half way to the one before it to half way to the next.
     """
@@ -33,7 +33,7 @@ def slope(r: bc.Frame, values: Any) -> Any:
 
 
 def ends(r: bc.Frame, values: Any) -> tuple[Any, Any]:
-    """A column at the beginning and at the end of each reading, where a reading is its mean over the time between.
+    """Return a column at the beginning and the end of each reading, given its means over the readings.
 
     These are the slopes e of the cubic spline through the integral of the column, which the means give exactly: of a
     record of even steps eₖ₋₁ + 4·eₖ + eₖ₊₁ = 3·(mean before + mean after), so that e is a mean of neighbours' means

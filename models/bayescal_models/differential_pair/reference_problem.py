@@ -11,10 +11,10 @@ CAMPAIGN = Campaign(outer=2, inner=2, samples=16, thermometer=None)
 
 
 def model() -> bc.Model:
-    """The baseline: every prior is proper; the noise has a half-normal one, so that no draw of it is enormous."""
+    """Return the baseline with proper priors; the noise has a half-normal one, so that no draw is enormous."""
     return INSTRUMENT.baseline().with_noise(bc.White(bc.HalfNormal(50.0)))
 
 
 def readings(seed: int = 0) -> bc.Measurements:
-    """64 readings, µg, of four devices on an arm that goes through six plateaus."""
+    """Simulate 64 readings, µg, of four devices on an arm that goes through six plateaus."""
     return INSTRUMENT.simulate(seed=seed, campaign=CAMPAIGN)

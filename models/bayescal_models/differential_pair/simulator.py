@@ -49,7 +49,7 @@ HIDDEN = (
 
 @dataclass(frozen=True)
 class Truth:
-    """What is true of a simulated batch; devices in the order outer, inner.
+    """Truth of a simulated batch; devices in the order outer, inner.
 
     Attributes:
         names: of the devices.
@@ -77,7 +77,7 @@ def simulated_columns(
     campaign: Campaign | None = None,
     noise_law: str = "white",
 ) -> dict[str, Any]:
-    """The columns alone; as `columns_and_truth`, and no other noise law than "white" is accepted."""
+    """Return the columns of `columns_and_truth`; raise ValueError for noise laws other than "white"."""
     if noise_law != "white":
         raise ValueError(f"noise law {noise_law!r} is not simulated for these devices: take white")
     return columns_and_truth(effects, seed=seed, campaign=campaign)[0]
@@ -86,7 +86,7 @@ def simulated_columns(
 def columns_and_truth(
     effects: Mapping[str, float] | None = None, *, seed: int, campaign: Campaign | None = None
 ) -> tuple[dict[str, Any], Truth]:
-    """A batch with these effects hidden in it: its columns, by name, in the instrument's units, and the truth.
+    """Simulate a batch with hidden effects; return its columns, by name, in the instrument's units, and the truth.
 
     Args:
         effects: canonical name → true size in the coefficient's unit: for effects with one coefficient a device
@@ -102,26 +102,27 @@ def columns_and_truth(
     refuse_effects(sizes, HIDDEN, "a batch")
     count = plan.outer + plan.inner
     uses = ("devices", "environment", "own", "hidden", "noise", "thermometer", "supply")
-    devices, environment, own, hidden, noise, thermometer, power = generators(uses, seed).values()
+    random = generators(uses, seed)
+    devices, environment, departure, hidden, noise, thermometer, power = random.values()
     fine = (np.arange(plan.samples * FINE) + 0.5) * plan.duration / (plan.samples * FINE)
 
     sensitivity = 1.0 + SENSITIVITY_SPREAD * devices.standard_normal(count)
     scale = 1.0 + 1e-6 * SCALE_SPREAD * devices.standard_normal(count)
     u = DISTURBANCE * shared(environment, fine / plan.duration)
-    v = DEPARTURE * DISTURBANCE * departures(own, fine / plan.duration, count)
+    v = DEPARTURE * DISTURBANCE * departures(departure, fine / plan.duration, count)
     if plan.alike:
         sensitivity, scale, v = np.ones(count), np.ones(count), 0.0 * v
     temperature = 25.0 + plan.warming * warming(fine / plan.duration)
     u = u + sizes.get("environment.temperature", 0.0) * (temperature - temperature.mean())
     env = sensitivity[:, None] * u + v
     sign = np.repeat([1.0, -1.0], [plan.outer, plan.inner])
-    own_sizes = {name: hidden.standard_normal(count) for name in HIDDEN}
-    drawn = {name: sizes.get(name, 0.0) * z for name, z in own_sizes.items()}
+    deviates = {name: hidden.standard_normal(count) for name in HIDDEN}
+    drawn = {name: sizes.get(name, 0.0) * z for name, z in deviates.items()}
     supply = wandering_supply(power, fine)
-    made = _outputs(plan, fine, sign, scale, drawn) + env
-    made = made + drawn["bias.supply"][:, None] * (supply - SUPPLY)
+    outputs = _outputs(plan, fine, sign, scale, drawn) + env
+    outputs = outputs + drawn["bias.supply"][:, None] * (supply - SUPPLY)
     scatter = plan.noise / np.sqrt(plan.duration / plan.samples)
-    readings = average(made) + scatter * noise.standard_normal((count, plan.samples))
+    readings = average(outputs) + scatter * noise.standard_normal((count, plan.samples))
     groups = np.repeat(["outer", "inner"], [plan.outer, plan.inner])
     places = (*range(1, plan.outer + 1), *range(1, plan.inner + 1))
     names = tuple(f"{group} {place}" for group, place in zip(groups, places, strict=True))
@@ -144,7 +145,7 @@ def columns_and_truth(
 
 
 def acceleration(plan: Campaign, time: Array) -> Array:
-    """Acceleration at the devices' radius, µg: the arm's speed goes smoothly from plateau to plateau."""
+    """Return the acceleration at the devices' radius, µg; the arm's speed is smooth between plateaus."""
     if plan.profile == "plateau":
         return np.full(np.shape(time), LEVEL * G)
     speeds = np.sqrt(np.asarray(plan.levels))
@@ -157,20 +158,20 @@ def acceleration(plan: Campaign, time: Array) -> Array:
 
 
 def average(values: Array) -> Array:
-    """Readings from the fine grid, along the last axis."""
+    """Average the fine grid to readings, along the last axis."""
     return values.reshape(*values.shape[:-1], -1, FINE).mean(axis=-1)
 
 
 def _outputs(
     plan: Campaign, fine: Array, sign: Array, scale: Array, drawn: Mapping[str, Array]
 ) -> Array:
-    """What the devices read without environment and noise, µg, (K, fine)."""
+    """Return the devices' outputs without environment and noise, µg, (K, fine)."""
     late = fine[None, :] - 1e-3 * drawn["timing.skew"][:, None]
-    seen = acceleration(plan, late) * (1.0 + 1e-6 * drawn["input.radius"][:, None])
-    seen = sign[:, None] * seen
+    felt = acceleration(plan, late) * (1.0 + 1e-6 * drawn["input.radius"][:, None])
+    felt = sign[:, None] * felt
     # A spring that softens with its deflection: K2 and, far below it, a third order.
-    softening = 1e-6 * drawn["scale.second_order"][:, None] * seen / G
-    output = scale[:, None] * seen / (1.0 - softening)
+    softening = 1e-6 * drawn["scale.second_order"][:, None] * felt / G
+    output = scale[:, None] * felt / (1.0 - softening)
     step = 1e-3  # s, of the derivative of the arm's speed
     ends = [np.sqrt(acceleration(plan, fine + d) / G * GRAVITY / RADIUS) for d in (-step, step)]
     tangential = RADIUS * (ends[1] - ends[0]) / (2 * step) / GRAVITY * G
@@ -181,37 +182,37 @@ def _outputs(
 
 
 def _transient(random: np.random.Generator, time: Array) -> Array:
-    """A body that is heated from the start on, of unit rise in the long run."""
+    """Return the response of a body heated from the start, with asymptote 1."""
     return 1.0 - np.exp(-time / random.uniform(0.2, 0.7))
 
 
 def _wave(random: np.random.Generator, time: Array) -> Array:
-    """A slow oscillation, such as of the room's air, of period 1 to 2.5 records."""
+    """Return a slow oscillation, such as of the room's air, of period 1 to 2.5 records."""
     return np.sin(2 * np.pi * (time / random.uniform(1.0, 2.5) + random.uniform()))
 
 
 def shared(random: np.random.Generator, time: Array) -> Array:
-    """The shared disturbance, of unit rms over the record."""
+    """Simulate the shared disturbance, of unit rms over the record."""
     transient = random.choice([-1.0, 1.0]) * random.uniform(0.8, 1.6) * _transient(random, time)
     waves = [random.uniform(0.2, 0.7) * _wave(random, time) for _ in range(2)]
-    made = transient + waves[0] + waves[1]
-    return made / np.sqrt(np.mean(made**2))
+    disturbance = transient + waves[0] + waves[1]
+    return disturbance / np.sqrt(np.mean(disturbance**2))
 
 
 def departures(random: np.random.Generator, time: Array, count: int) -> Array:
-    """Each device's own disturbance, (count, time): an offset, a transient and a wave, together of rms about 1."""
-    made = []
+    """Simulate each device's disturbance, (count, time): offset, transient and wave, together of rms about 1."""
+    records = []
     for _ in range(count):
         offset, heat, slow = random.standard_normal(3) / np.sqrt(3.0)
         transient = _transient(random, time)
-        made.append(
+        records.append(
             offset
             + heat * transient / np.sqrt(np.mean(transient**2))
             + slow * np.sqrt(2.0) * _wave(random, time)
         )
-    return np.array(made)
+    return np.array(records)
 
 
 def warming(time: Array) -> Array:
-    """Temperature of the fixture, of unit rise in the long run, with a slow wave of the room."""
+    """Return the fixture's temperature, with asymptote 1 and a slow wave of the room."""
     return 1.0 - np.exp(-time / WARMING) + 0.1 * np.sin(2 * np.pi * time / 0.6)

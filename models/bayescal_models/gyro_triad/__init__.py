@@ -4,7 +4,7 @@ import lazy_loader
 
 import bayescal as bc
 from bayescal_models.triad.columns import OUTPUTS as OUTPUTS
-from bayescal_models.triad.columns import SESSION, made, made_in_moves, three
+from bayescal_models.triad.columns import SESSION, derived, made_in_moves, three
 
 COLUMNS = (
     *SESSION,
@@ -29,7 +29,7 @@ COLUMNS = (
         "gravity", "g", "specific force at rest (up), along axis {axis} of the body", required=False
     ),
     *three("earth", "deg/s", "rotation of the Earth, along axis {axis}", required=False),
-    *made(
+    *derived(
         "deg/s",
         "which output a reading is of",
         "which output a reading is of",

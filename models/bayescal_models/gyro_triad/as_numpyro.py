@@ -27,18 +27,18 @@ from bayescal_models.gyro_triad.model import INSTRUMENT
 
 
 def model(rate, direction, across, uncertainty, mounting, mountings, output=None) -> None:
-    """Ω °/s (n,); u and the axis a of each reading, unit vectors (n, 3); u(θ) rad; mountings; output °/s, or None."""
+    """Define the model of Ω °/s (n,), u and axis a (n, 3), u(θ) rad, mountings; output °/s, or None to simulate."""
 
-    def each(name: str, parts: tuple[str, ...], size: float) -> Any:
+    def sample_each(name: str, parts: tuple[str, ...], size: float) -> Any:
         return jnp.stack([numpyro.sample(f"{name}[{part}]", Normal(0.0, size)) for part in parts])
 
-    bias = each("bias.constant", ("x", "y", "z"), 3.0)  # °/s
-    scale = 1e-6 * each("scale.constant", ("x", "y", "z"), 20_000.0)  # from ppm
+    bias = sample_each("bias.constant", ("x", "y", "z"), 3.0)  # °/s
+    scale = 1e-6 * sample_each("scale.constant", ("x", "y", "z"), 20_000.0)  # from ppm
     pairs = ("xy", "xz", "yz", "yx", "zx", "zy")
-    xy, xz, yz, yx, zx, zy = 1e-3 * each("misalignment.constant", pairs, 20.0)  # from mrad
+    xy, xz, yz, yx, zx, zy = 1e-3 * sample_each("misalignment.constant", pairs, 20.0)  # from mrad
     G = jnp.diag(scale) + jnp.array([[0.0, xy, xz], [yx, 0.0, yz], [zx, zy, 0.0]])
     with numpyro.plate("mountings", mountings):
-        off = each("turn.mounting", ("x", "y", "z"), 1.0)  # in parts of u(θ)
+        off = sample_each("turn.mounting", ("x", "y", "z"), 1.0)  # in parts of u(θ)
     theta = uncertainty[:, None] * off.T[mounting]
     omega = rate[:, None] * direction
     y = omega + bias + omega @ G.T + rate[:, None] * jnp.cross(theta, direction)
@@ -47,7 +47,7 @@ def model(rate, direction, across, uncertainty, mounting, mountings, output=None
 
 
 def data(readings: bc.Measurements) -> dict[str, Any]:
-    """The readings as arguments of `model`."""
+    """Return the readings as arguments of `model`."""
     direction, across = (
         np.stack([readings[f"{name}_{a}"] for a in "xyz"], axis=1)
         for name in ("direction", "across")
@@ -55,10 +55,10 @@ def data(readings: bc.Measurements) -> dict[str, Any]:
     mountings, mounting = readings.groups("mounting")
     arms = {"rate": readings["rate"], "direction": direction, "across": across}
     groups = {"mounting": mounting, "mountings": len(mountings)}
-    known = {"uncertainty": readings["pose_uncertainty"], "output": readings["output"]}
-    return arms | groups | known
+    columns = {"uncertainty": readings["pose_uncertainty"], "output": readings["output"]}
+    return arms | groups | columns
 
 
 def equal() -> bc.Model:
-    """The same model as a sum of named effects."""
+    """Return the same model as a sum of named effects."""
     return INSTRUMENT.baseline()

@@ -38,7 +38,7 @@ LAWS = (
 def simulate_log(
     effects: Mapping[str, Any] | None = None, *, seed: int, campaign: MovesByHand | None = None
 ) -> dict[str, np.ndarray]:
-    """Columns of a log: time (s), gyro_x, … (°/s), accel_x, … (g), mag_x, … (µT).
+    """Simulate a log: columns time (s), gyro_x, … (°/s), accel_x, … (g), mag_x, … (µT).
 
     Args:
         effects: of the gyroscopes: canonical name → true size, in the unit of the effect's coefficients, or one for
@@ -63,29 +63,29 @@ def simulate_log(
     sensitivity = sizes["bias.g_sensitivity"].reshape(3, 3)
     gyro = rate @ matrix.T + sizes["bias.constant"] + force @ sensitivity.T
     gyro = gyro + 1e-6 * sizes["square.constant"] * rate**2
-    own = _matrix(ACCELEROMETERS)
-    accel = force @ own.T + 1e-3 * np.array(ACCELEROMETERS["bias.constant"])
-    each = math.sqrt(plan.rate)
-    gyro = gyro + plan.gyro_noise * each * rng.standard_normal(gyro.shape)
-    accel = accel + plan.force_noise * each * rng.standard_normal(accel.shape)
-    made = {"time": np.arange(len(gyro)) / plan.rate}
-    made |= {f"gyro_{a}": gyro[:, i] for i, a in enumerate("xyz")}
-    made |= {f"accel_{a}": accel[:, i] for i, a in enumerate("xyz")}
+    cross_axis = _matrix(ACCELEROMETERS)
+    accel = force @ cross_axis.T + 1e-3 * np.array(ACCELEROMETERS["bias.constant"])
+    root_rate = math.sqrt(plan.rate)
+    gyro = gyro + plan.gyro_noise * root_rate * rng.standard_normal(gyro.shape)
+    accel = accel + plan.force_noise * root_rate * rng.standard_normal(accel.shape)
+    columns = {"time": np.arange(len(gyro)) / plan.rate}
+    columns |= {f"gyro_{a}": gyro[:, i] for i, a in enumerate("xyz")}
+    columns |= {f"accel_{a}": accel[:, i] for i, a in enumerate("xyz")}
     # Its own generator: a log with and without magnetometers has the same noise.
     mag = _magnetometers(plan, up, np.random.default_rng([seed, 1]))
-    return made | {f"mag_{a}": mag[:, i] for i, a in enumerate("xyz")}
+    return columns | {f"mag_{a}": mag[:, i] for i, a in enumerate("xyz")}
 
 
 def _magnetometers(plan: MovesByHand, attitude: np.ndarray, rng: np.random.Generator) -> np.ndarray:
-    """Outputs (n, 3), µT, of a triad whose axes stand beside the body's, in a field of 50 µT."""
+    """Return outputs (n, 3), µT, of a triad with axes off the body's, in a field of 50 µT."""
     heading, dip = rng.uniform(0, 2 * np.pi), np.deg2rad(DIP)
     level = [np.cos(dip) * np.cos(heading), np.cos(dip) * np.sin(heading), -np.sin(dip)]
     field = np.einsum("nij,i->nj", attitude, 50.0 * np.array(level))
     matrix = _matrix(MAGNETOMETERS)
-    own = field @ _rotation(np.array(MOUNTED)).T
-    each = FIELD_NOISE * math.sqrt(plan.rate)
+    in_axes = field @ _rotation(np.array(MOUNTED)).T
+    noise = FIELD_NOISE * math.sqrt(plan.rate)
     bias = np.array(MAGNETOMETERS["bias.constant"])
-    return own @ matrix.T + bias + each * rng.standard_normal(own.shape)
+    return in_axes @ matrix.T + bias + noise * rng.standard_normal(in_axes.shape)
 
 
 def _matrix(of: Mapping[str, Any]) -> np.ndarray:
@@ -94,7 +94,7 @@ def _matrix(of: Mapping[str, Any]) -> np.ndarray:
 
 
 def _path(plan: MovesByHand, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Rates against the ground (n, 3) in °/s, specific force (n, 3) in g, and attitudes, body to level (n, 3, 3)."""
+    """Return rates against the ground (n, 3) in °/s, specific force (n, 3) in g, attitudes, body to level (n, 3, 3)."""
     fine = SUBSTEPS
     at_rest, moving = round(plan.still * plan.rate), round(plan.move * plan.rate)
     rates, forces, attitudes = [], [], []
@@ -110,28 +110,28 @@ def _path(plan: MovesByHand, rng: np.random.Generator) -> tuple[np.ndarray, np.n
         aside, pushed = rng.standard_normal((2, 3))
 
         def turning(s: np.ndarray, mean: np.ndarray = mean, aside: np.ndarray = aside) -> Any:
-            """Of the part of the move that is done, rad/s."""
+            """Return the rate at fraction s of the move, rad/s."""
             swell = np.sin(np.pi * s)[:, None] ** 2
             return swell * (2 * mean + 0.5 * aside * np.sin(2 * np.pi * s)[:, None])
 
         whole = np.arange(moving) / moving
         rates.append(np.rad2deg(turning(whole)))
-        there = np.empty((moving, 3, 3))
+        orientation = np.empty((moving, 3, 3))
         middles = (np.arange(moving * fine) + 0.5) / (moving * fine)
         steps = turning(middles) / (plan.rate * fine)
         for k in range(moving * fine):
             if k % fine == 0:
-                there[k // fine] = attitude
+                orientation[k // fine] = attitude
             attitude = attitude @ _rotation(steps[k])
-        attitudes.append(there)
+        attitudes.append(orientation)
         swing = SHAKE * np.sin(np.pi * whole) ** 2 * np.sin(6 * np.pi * whole)
         felt = np.array([0.0, 0.0, 1.0]) + swing[:, None] * pushed
-        forces.append(np.einsum("nij,ni->nj", there, felt))
+        forces.append(np.einsum("nij,ni->nj", orientation, felt))
     return np.concatenate(rates), np.concatenate(forces), np.concatenate(attitudes)
 
 
 def _rotation(vector: np.ndarray) -> np.ndarray:
-    """Rodrigues' rotation matrix of a rotation vector, rad."""
+    """Return Rodrigues' rotation matrix of a rotation vector, rad."""
     x, y, z = vector
     angle = math.sqrt(x * x + y * y + z * z)
     cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])

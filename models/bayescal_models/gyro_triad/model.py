@@ -77,8 +77,8 @@ def _equation(slots, r):
     outputs = equation(slots, r)
     if GRAVITY[0] not in r.columns:
         return outputs
-    each = _stacked(slots, SENSITIVITY).reshape(r.size, 3, 3)
-    by_gravity = xp.sum(each * _stacked(r, GRAVITY)[:, None, :], axis=-1)
+    matrices = _stacked(slots, SENSITIVITY).reshape(r.size, 3, 3)
+    by_gravity = xp.sum(matrices * _stacked(r, GRAVITY)[:, None, :], axis=-1)
     return lambda rate: outputs(rate) + by_gravity
 
 
@@ -93,7 +93,7 @@ VECTOR = bc.Vector(
 
 
 def _in_moves(slots, r):
-    """Means along directions that turn with the unit, as moves between poses give them: linear in all slots."""
+    """Return means along directions that turn with the unit, as of moves between poses: linear in all slots."""
     identity = xp.eye(3).ravel()
     levers = (
         (ACROSS, BIAS),
@@ -103,8 +103,8 @@ def _in_moves(slots, r):
         (AROUND, AROUND),
     )
     total = xp.sum(_stacked(r, TURNED) * identity, axis=-1)
-    for columns, own in levers:
-        total = total + xp.sum(_stacked(r, columns) * _stacked(slots, own), axis=-1)
+    for columns, lever in levers:
+        total = total + xp.sum(_stacked(r, columns) * _stacked(slots, lever), axis=-1)
     return total
 
 
@@ -112,8 +112,8 @@ def _response(slots, r):
     if TURNED[0] in r.columns:
         return _in_moves(slots, r)
     aside = xp.cross(_stacked(slots, TURN), _stacked(r, DIRECTION))
-    beside = r["rate"][..., None] * aside
-    return VECTOR.response(slots, r) + xp.sum(_stacked(r, ACROSS) * beside, axis=-1)
+    error = r["rate"][..., None] * aside
+    return VECTOR.response(slots, r) + xp.sum(_stacked(r, ACROSS) * error, axis=-1)
 
 
 def _at_each_mounting(r):
@@ -171,7 +171,7 @@ EFFECTS = EffectTable.of(
 
 
 def moved() -> bc.Model:
-    """The baseline of moves between poses: no mounting on a table, and the Earth's rotation is unknown."""
+    """Return the baseline of moves between poses: no table mounting, and the Earth's rotation is unknown."""
     return INSTRUMENT.baseline() - "turn.mounting" + EFFECTS["earth.rotation"]
 
 

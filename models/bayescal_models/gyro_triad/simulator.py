@@ -40,7 +40,7 @@ COUNTS = {
 def simulated_columns(
     effects: Mapping[str, Any] | None = None, *, seed: int, campaign: Campaign | None = None
 ) -> dict[str, Any]:
-    """Columns of readings with these effects hidden in them, by name.
+    """Simulate columns of readings with hidden effects, by name.
 
     Args:
         effects: canonical name → true size, in the unit of the effect's coefficients, whose members come at their own
@@ -89,9 +89,9 @@ def simulated_columns(
         output[i] = matrix @ omega + bias + 1e-6 * sizes["square.constant"] * omega**2
     output += plan.noise * noise
     names = ("run", "time", "temperature", "rate", "mounting")
-    made: dict[str, Any] = {name: np.array([row[name] for row in rows]) for name in names}
-    made["pose_uncertainty"] = np.full(len(rows), plan.mounting_uncertainty)
+    cols: dict[str, Any] = {name: np.array([row[name] for row in rows]) for name in names}
+    cols["pose_uncertainty"] = np.full(len(rows), plan.mounting_uncertainty)
     for i, a in enumerate("xyz"):
-        made[f"output_{a}"] = output[:, i]
-        made[f"direction_{a}"] = made[f"gravity_{a}"] = np.array([row["up"][i] for row in rows])
-    return made
+        cols[f"output_{a}"] = output[:, i]
+        cols[f"direction_{a}"] = cols[f"gravity_{a}"] = np.array([row["up"][i] for row in rows])
+    return cols

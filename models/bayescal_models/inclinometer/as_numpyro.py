@@ -23,7 +23,7 @@ from bayescal_models.inclinometer.model import INSTRUMENT
 
 
 def model(placement, axis, axes, run, runs, output=None) -> None:
-    """Placement angles in degrees (n,); axis and run of each, from 0; output in arcsec (n,), or None to simulate."""
+    """Define the model of placement angles ° (n,), axis and run from 0; output arcsec (n,), or None to simulate."""
     with numpyro.plate("axes", axes):
         a = numpyro.sample("zero.constant", Normal(0.0, 1000.0))  # arcsec
         b = numpyro.sample("zero.placement", Normal(0.0, 2.0))  # arcsec/deg
@@ -35,7 +35,7 @@ def model(placement, axis, axes, run, runs, output=None) -> None:
 
 
 def data(readings: bc.Measurements) -> dict[str, Any]:
-    """The readings as arguments of `model`."""
+    """Return the readings as arguments of `model`."""
     (axes, axis), (runs, run) = readings.groups("axis"), readings.groups("run")
     groups = {"axis": axis, "axes": len(axes), "run": run, "runs": len(runs)}
     return {
@@ -46,5 +46,5 @@ def data(readings: bc.Measurements) -> dict[str, Any]:
 
 
 def equal() -> bc.Model:
-    """The same model as a sum of named effects."""
+    """Return the same model as a sum of named effects."""
     return INSTRUMENT.baseline()

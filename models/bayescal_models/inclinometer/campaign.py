@@ -33,7 +33,7 @@ class Accelerometer:
     share: float = 1.0
 
     def mechanical(self, angle: np.ndarray) -> np.ndarray:
-        """Zero that is an angle of the axis, at a placement angle in rad, arcsec."""
+        """Return the mechanical zero at a placement angle in rad, arcsec."""
         line = self.constant + self.slope * np.rad2deg(angle)
         return line + self.pendulum * np.cos(angle) + self.door * np.sin(angle)
 
@@ -102,7 +102,7 @@ class Campaign:
             refuse(not abs(angle) <= 90, f"Campaign: an angle of {angle!r}°: from −90 to 90.")
 
     def pairs(self) -> np.ndarray:
-        """Tilts (x, y) of a verification in the order of the test, rad, (points, 2)."""
+        """Return the tilts (x, y) of a verification in test order, rad, (points, 2)."""
         points = np.deg2rad(list(product(self.grid, self.grid)))
         return points[possible(points[:, 0], points[:, 1])]
 

@@ -62,29 +62,29 @@ class _Axis:
     covariates: dict[str, Any]  # what effects need beside the tilts, by name
 
     def tilt(self, reading: np.ndarray, cross: np.ndarray, **how: Any) -> Any:
-        """Compensate readings at these tilts of the other axis, rad."""
+        """Compensate readings at given tilts of the other axis, rad."""
         at = {"output": reading / ARCSEC, "placement_angle": cross, **self.covariates}
-        found = self.used(**at, method="first order", warn=False, **how)
-        if np.any(wrong := ~np.isfinite(found.value)):
+        compensated = self.used(**at, method="first order", warn=False, **how)
+        if np.any(wrong := ~np.isfinite(compensated.value)):
             row = int(np.argmax(wrong))
             raise bc.InputError(
                 f"reading {row + 1}, {np.rad2deg(reading[row]):.6g}°: no tilt gives it with this calibration. Check "
                 "the unit (rad) of the readings"
             )
-        return found
+        return compensated
 
     def zero(self, cross: np.ndarray, **how: Any) -> Any:
-        """Compensate a reading of zero: the tilt is −S, whatever the scale factor."""
+        """Compensate a reading at zero: the tilt is −S, whatever the scale factor."""
         return self.tilt(0.0 * cross, cross, **how)
 
 
 def _axis(
-    calibration: bc.Calibration, axis: str, device: str | None, given: dict[str, Any]
+    calibration: bc.Calibration, axis: str, device: str | None, covariates: dict[str, Any]
 ) -> _Axis:
     members = {"axis": axis}
     if device in calibration.levels.get("device", ()):
         members["device"] = str(device)
-    return _Axis(bc.compensator(calibration, members=members), given)
+    return _Axis(bc.compensator(calibration, members=members), covariates)
 
 
 def compensate(
@@ -175,5 +175,5 @@ def zero_of(
         InputError: unknown axis, or a covariate that an effect needs is not given.
     """
     angle = np.atleast_1d(np.asarray(placement_angle, float))
-    found = _axis(calibration, axis, device, covariates).zero(angle, noise=False)
-    return -found.value / ARCSEC, found.uncertainty / ARCSEC
+    compensated = _axis(calibration, axis, device, covariates).zero(angle, noise=False)
+    return -compensated.value / ARCSEC, compensated.uncertainty / ARCSEC

@@ -32,7 +32,7 @@ def read(
 
 
 def negated(readings: bc.Measurements) -> bc.Measurements:
-    """Corrections as zero offsets, or the reverse.
+    """Negate corrections to zero offsets, or the reverse.
 
     Raises:
         InputError: the readings are of a verification: readings of tilts are no corrections.
@@ -48,7 +48,7 @@ def negated(readings: bc.Measurements) -> bc.Measurements:
 
 
 def accelerometers(readings: bc.Measurements) -> bc.Measurements:
-    """The same readings with labels that tell every accelerometer, and each of its mountings, apart.
+    """Label readings so that every accelerometer, and each of its mountings, is distinct.
 
     Axis x of device 7 becomes axis "7 x", its run 1 becomes "7 x 1". Without this, devices share an axis' own
     coefficients, and axes share a run's deviation where their runs are called alike.
@@ -59,7 +59,7 @@ def accelerometers(readings: bc.Measurements) -> bc.Measurements:
 
 
 def _joined(readings: bc.Measurements, names: tuple[str, ...]) -> np.ndarray:
-    """Labels put together from those columns that the readings have."""
+    """Join the labels of those columns that the readings have."""
     parts = [readings[name].astype(str) for name in names if readings.has(name)]
     if not parts:
         return np.full(len(readings), "1")

@@ -17,8 +17,8 @@ ARCSEC = 3.14159265358979323846 / 648000  # rad
 DEGREE = 3600.0  # arcsec
 
 
-def exact_placement(own: Any, cross: Any, xp: ModuleType) -> Any:
-    """Placement angle of an accelerometer whose own tilt and whose neighbour's are these, rad.
+def exact_placement(tilt: Any, cross: Any, xp: ModuleType) -> Any:
+    """Return the placement angle of an accelerometer from its tilt and its neighbour's, rad.
 
     ω = atan2(sin y, √(1 − sin²x − sin²y)); source 4 takes ω = y. At x = y = 30° it is 35.3°.
 
@@ -27,19 +27,19 @@ def exact_placement(own: Any, cross: Any, xp: ModuleType) -> Any:
         cross: tilt along the other axis, rad.
         xp: `numpy` or `jax.numpy`.
     """
-    upright = 1 - xp.sin(own) ** 2 - xp.sin(cross) ** 2
+    upright = 1 - xp.sin(tilt) ** 2 - xp.sin(cross) ** 2
     return xp.arctan2(xp.sin(cross), xp.sqrt(xp.maximum(upright, 1e-12)))
 
 
-def possible(own: Any, cross: Any) -> Any:
-    """Whether a body can be tilted so: sin²x + sin²y is at most 1."""
+def possible(tilt: Any, cross: Any) -> Any:
+    """Return whether two tilts are compatible: sin²x + sin²y is at most 1."""
     import numpy as np
 
-    return np.sin(own) ** 2 + np.sin(cross) ** 2 <= 1.0
+    return np.sin(tilt) ** 2 + np.sin(cross) ** 2 <= 1.0
 
 
 def sensed(sine: Any, zero: Any, cosine: Any, electrical: Any, scale: Any, leak: Any) -> Any:
-    """Sine of the reading: (1 + κ)·[sin x + cos x·zero + S_e + m·sin y], all angles in rad.
+    """Return the sine of the reading: (1 + κ)·[sin x + cos x·zero + S_e + m·sin y], all angles in rad.
 
     Args:
         sine, cosine: of the true tilt.

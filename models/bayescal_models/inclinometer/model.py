@@ -103,7 +103,7 @@ def _exact_waves(r: bc.Frame) -> Any:
 
 
 def _spline(r: bc.Frame) -> Any:
-    """Values of the natural cubic splines that are 1 at one knot and 0 at the others; straight lines beyond."""
+    """Return the natural cubic splines that are 1 at one knot and 0 at the others; linear beyond."""
     spline = CubicSpline(KNOTS, np.eye(KNOTS.size), bc_type="natural")
     # A line from below the first knot, bent at each knot by the step of its third derivative.
     steps = np.diff(spline.c[0], axis=0, prepend=0.0, append=0.0)
@@ -113,34 +113,34 @@ def _spline(r: bc.Frame) -> Any:
 
 
 def _one_way(readings: bc.Measurements) -> str | None:
-    """Why the directions of these readings show no hysteresis, if so."""
-    found = set(readings.groups("direction")[0])
-    if {"forward", "backward"} <= found:
+    """Return why the directions of these readings identify no hysteresis; None if they do."""
+    directions = set(readings.groups("direction")[0])
+    if {"forward", "backward"} <= directions:
         return None
-    return f"needs sweeps forward and backward; these readings have {', '.join(sorted(found))} only"
+    return f"needs sweeps forward and backward; these readings have {', '.join(sorted(directions))} only"
 
 
 # Families of this instrument: one coefficient for each accelerometer, for the table one in all, or drawn from a
 # population of accelerometers ("axis"), devices or mountings ("run") whose spread is learned.
 
 
-def _each(basis: Any, equation: str, *columns: str, **more: Any) -> Maker:
-    return effect(basis, equation, *columns, **{"per": "axis", **more})
+def _per_axis(basis: Any, equation: str, *columns: str, **fields: Any) -> Maker:
+    return effect(basis, equation, *columns, **{"per": "axis", **fields})
 
 
 def _drawn(per: str, equation: str = "", basis: Any = one, *columns: str) -> Maker:
-    """Deviations of the members of a group from what all have; a constant unless a basis is given."""
+    """Build deviations of a group's members from the common value; a constant unless a basis is given."""
     needed, varies = (columns, None) if columns else ((per,), ())
-    said = equation or f"d[{per}]" + ("" if per == "device" else ",  d ~ N(0, s²)")
-    return effect(basis, said, *needed, per=per, learned=bc.HalfNormal, varies=varies)
+    text = equation or f"d[{per}]" + ("" if per == "device" else ",  d ~ N(0, s²)")
+    return effect(basis, text, *needed, per=per, learned=bc.HalfNormal, varies=varies)
 
 
 def _of_placement(power: int) -> tuple[Any, ...]:
     return partial(_angle_to, power), f"c·ω{('', '²', '³')[power - 1]}", "placement_angle"
 
 
-CURVED = _each(*_of_placement(2), kind="quadratic")
-FORWARD = _each(
+CURVED = _per_axis(*_of_placement(2), kind="quadratic")
+FORWARD = _per_axis(
     _sweep,
     "+c in forward sweeps, −c in backward ones",
     "direction",
@@ -148,24 +148,21 @@ FORWARD = _each(
     untestable=_one_way,
     kind="hysteresis",
 )
-PROJECTED = _each(
-    partial(_waves, (1,)),
-    "S_p·cos ω + S_d·sin ω",
-    "placement_angle",
-    parts=("pendulum", "door"),
+PROJECTED = _per_axis(
+    partial(_waves, (1,)), "S_p·cos ω + S_d·sin ω", "placement_angle", parts=("pendulum", "door")
 )
-PROJECTED_EXACTLY = _each(
+PROJECTED_EXACTLY = _per_axis(
     _exact_waves,
     "S_p·cos ω + S_d·sin ω,  ω = atan2(sin y, √(1 − sin²x − sin²y))",
     *("true_angle", "placement_angle"),
     parts=("pendulum", "door"),
 )
-EXACT_LESS_Y = _each(
+EXACT_LESS_Y = _per_axis(
     _exact_less_linear,
     "c·(atan2(sin y, √(1 − sin²x − sin²y)) − y)",
     *("true_angle", "placement_angle"),
 )
-SPLINE = _each(
+SPLINE = _per_axis(
     _spline,
     "natural cubic spline through departures from the line at −45°, −30° … 45°",
     "placement_angle",
@@ -177,11 +174,11 @@ SPINDLE = effect(
     "placement_angle",
     parts=("cos1", "sin1", "cos2", "sin2"),
 )
-LEAK = _each(one, "m·sin ω", "placement_angle", slot="cross_axis")
-S_E_TILT = _each(_of_tilt_from_level, "S_e·(1/cos x − 1)", "true_angle")
-S_E = _each(_of_tilt, "S_e/cos x", "true_angle", varies=())
-SETTLING = _each(progress, "c·(t − t̄)/(tmax − tmin)", "time", kind="drift")
-WARM = _each(centred, "c·(T − T0)", "temperature", kind="linear")
+LEAK = _per_axis(one, "m·sin ω", "placement_angle", slot="cross_axis")
+S_E_TILT = _per_axis(_of_tilt_from_level, "S_e·(1/cos x − 1)", "true_angle")
+S_E = _per_axis(_of_tilt, "S_e/cos x", "true_angle", varies=())
+SETTLING = _per_axis(progress, "c·(t − t̄)/(tmax − tmin)", "time", kind="drift")
+WARM = _per_axis(centred, "c·(T − T0)", "temperature", kind="linear")
 AXIS_LINE, DEVICE_LINE = (
     _drawn(per, _of_placement(1)[1], _of_placement(1)[0], "placement_angle")
     for per in ("axis", "device")
@@ -192,8 +189,8 @@ TWO_LINES = "source 4: its two lines have 0.72 and 0.07″/deg"
 EFFECTS = EffectTable.of(
     "source 4; size ours",
     baseline=(
-        ("zero.constant", _each(one, "c[axis]", kind="constant"), 1000.0, "arcsec", ZERO),
-        ("zero.placement", _each(*_of_placement(1)), 2.0, "arcsec/deg", TWO_LINES),
+        ("zero.constant", _per_axis(one, "c[axis]", kind="constant"), 1000.0, "arcsec", ZERO),
+        ("zero.placement", _per_axis(*_of_placement(1)), 2.0, "arcsec/deg", TWO_LINES),
         ("zero.run", _drawn("run"), 2.0, "arcsec"),
     ),
     candidates=(
@@ -204,7 +201,7 @@ EFFECTS = EffectTable.of(
         ("zero.cross_axis", LEAK, 100.0, "arcsec"),
         ("zero.electrical_tilt", S_E_TILT, 100.0, "arcsec"),
         ("zero.exact_placement", EXACT_LESS_Y, 2.0, "arcsec/deg"),
-        ("scale.constant", _each(one, "κ", "true_angle", kind="constant"), 100.0, "ppm"),
+        ("scale.constant", _per_axis(one, "κ", "true_angle", kind="constant"), 100.0, "ppm"),
         ("dividing.wobble", SPINDLE, 2.0, "arcsec", FACE),
         ("dividing.face", effect(one, "c"), 2.0, "arcsec", FACE),
         ("base_tilt.drift", SETTLING, 2.0, "arcsec"),
@@ -220,7 +217,7 @@ EFFECTS = EffectTable.of(
         ),
     ),
     others=(
-        ("zero.placement_cubic", _each(*_of_placement(3), kind="cubic"), 1e-4, "arcsec/deg^3"),
+        ("zero.placement_cubic", _per_axis(*_of_placement(3), kind="cubic"), 1e-4, "arcsec/deg^3"),
         ("zero.table", SPLINE, 20.0, "arcsec"),
         ("zero.electrical", S_E, 1000.0, "arcsec"),
         ("zero.projection_exact", PROJECTED_EXACTLY, 100.0, "arcsec"),
@@ -240,11 +237,11 @@ AXES = ("zero.mean", "zero.placement_mean", "zero.axis", "zero.placement_axis")
 EXACT = ("zero.electrical", "zero.projection_exact", "scale.constant")
 
 
-def _with(*more: str, without: tuple[str, ...] = ()) -> bc.Model:
-    made = INSTRUMENT.baseline()
+def _with(*added: str, without: tuple[str, ...] = ()) -> bc.Model:
+    model = INSTRUMENT.baseline()
     for name in without:
-        made = made - name
-    return made + tuple(EFFECTS[name] for name in more)
+        model = model - name
+    return model + tuple(EFFECTS[name] for name in added)
 
 
 INSTRUMENT = bc.Instrument(

@@ -12,7 +12,7 @@ ON_TILT = ("zero.electrical_tilt", "zero.exact_placement", "scale.constant")
 
 
 def _fuller(effects) -> Campaign:
-    """A zero test; a verification where effects are on tilt."""
+    """Choose a zero test; a verification where effects are on tilt."""
     return replace(VERIFICATION, runs=2) if {*effects} & {*ON_TILT} else Campaign()
 
 

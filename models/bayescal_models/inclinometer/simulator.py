@@ -60,10 +60,10 @@ class World:
                 time = clock + plan.interval * step
                 clock = float(time.max()) + plan.pause
                 rows.append(([str(device + 1)] * count, *labels, *columns, time))
-        self.device, self.axis, self.run, self.placement_set, self.tilt, *rest = map(
+        self.device, self.axis, self.run, self.placement_set, self.tilt, *motion = map(
             np.concatenate, zip(*rows, strict=True)
         )
-        self.forward, turned, self.time = rest
+        self.forward, turned, self.time = motion
         phase = 2 * np.pi * self.time / plan.period + PHASES[0]
         turn = 2 * np.pi * plan.lag_time / plan.period  # of a body of first order, in its swing
         noise = 0.01 * random["thermometer"].standard_normal(self.time.size)
@@ -87,23 +87,23 @@ class World:
         self.mounted = plan.repeatability * drawn[codes]
 
     def _accelerometers(self, random: np.random.Generator) -> Accelerometer:
-        known = dict(self.plan.axes)
-        own = [known[axis] for axis in self.axis]
-        made = {
-            f: np.array([getattr(one, f) for one in own])
+        by_axis = dict(self.plan.axes)
+        parameters = [by_axis[axis] for axis in self.axis]
+        fields = {
+            f: np.array([getattr(parameter, f) for parameter in parameters])
             for f in Accelerometer.__dataclass_fields__
         }
         for device in np.unique(self.device)[1:]:
-            for axis in known:
+            for axis in by_axis:
                 shift, slope = random.standard_normal(2)
                 chosen = (self.device == device) & (self.axis == axis)
-                made["constant"][chosen] += DEVICE_SPREAD * shift
-                made["slope"][chosen] += DEVICE_SLOPE * slope
-        return Accelerometer(**made)  # pyright: ignore[reportArgumentType]
+                fields["constant"][chosen] += DEVICE_SPREAD * shift
+                fields["slope"][chosen] += DEVICE_SLOPE * slope
+        return Accelerometer(**fields)  # pyright: ignore[reportArgumentType]
 
 
 def _zero_test(plan: Campaign, prefix: str):
-    """Of each mounting: labels (axis, run), and columns (placement, tilt, forward, angle since it turned, deg)."""
+    """Yield each mounting's labels (axis, run) and columns (placement, tilt, forward, angle since reversal, deg)."""
     sweep = np.asarray(plan.angles, dtype=float)
     angles, forward, turned = sweep, np.ones(sweep.size), np.full(sweep.size, np.inf)
     if plan.backward:
@@ -118,16 +118,16 @@ def _zero_test(plan: Campaign, prefix: str):
 
 def _verification(plan: Campaign, prefix: str):
     points = plan.pairs()
-    one, ever = np.ones(2 * len(points)), np.full(2 * len(points), np.inf)
+    ones, infinite = np.ones(2 * len(points)), np.full(2 * len(points), np.inf)
     for run in range(1, plan.runs + 1):
         axis = ["x"] * len(points) + ["y"] * len(points)
         labels = axis, [f"{prefix}{a}{run}" for a in axis]
-        own, cross = points.T.ravel(), points[:, ::-1].T.ravel()
-        yield labels, (cross, own, one, ever)
+        tilt, cross = points.T.ravel(), points[:, ::-1].T.ravel()
+        yield labels, (cross, tilt, ones, infinite)
 
 
 class _Sum(NamedTuple):
-    """What effects add up to: angles in arcsec, κ in ppm."""
+    """Sums of effects: angles in arcsec, κ in ppm."""
 
     zero: Any = 0.0
     electrical: Any = 0.0
@@ -141,12 +141,12 @@ def _zero(law: Callable[[World], Any]) -> Callable[[World, float], _Sum]:
 
 
 def _electrical(w: World, size: float) -> _Sum:
-    """As much of the zero as `size` is electrical: it does not tilt with the axis."""
+    """Return the electrical share of the zero: it does not tilt with the axis."""
     return _Sum(zero=-w.share * size, electrical=w.share * size)
 
 
 def _wobble(w: World) -> np.ndarray:
-    """The spindle's axis goes round a cone, once and twice a turn; every sine and cosine of size 1."""
+    """Return the spindle axis's cone, once and twice a turn; every sine and cosine of size 1."""
     return np.sqrt(2.0) * (np.cos(w.cross - np.pi / 4) + np.cos(2 * w.cross - np.pi / 4))
 
 
@@ -172,12 +172,9 @@ _LAWS: dict[str, Callable[[World, float], _Sum]] = {
 
 
 def simulated_columns(
-    effects: Mapping[str, float] | None = None,
-    *,
-    seed: int,
-    campaign: Campaign | None = None,
+    effects: Mapping[str, float] | None = None, *, seed: int, campaign: Campaign | None = None
 ) -> dict[str, Any]:
-    """A campaign with these effects hidden in it: its columns, by name, in the instrument's units.
+    """Simulate a campaign with hidden effects: columns by name, in the instrument's units.
 
     The same seed gives the same noise whatever the effects.
 
@@ -216,10 +213,10 @@ def simulated_columns(
 
 
 def _reading(world: World, effects: Mapping[str, float]) -> np.ndarray:
-    """Readings without noise, arcsec."""
-    one = world.accelerometer
-    mechanical = one.mechanical(world.placement) + world.mounted
-    total = _Sum(mechanical, one.electrical, one.scale)
+    """Return readings without noise, arcsec."""
+    accelerometer = world.accelerometer
+    mechanical = accelerometer.mechanical(world.placement) + world.mounted
+    total = _Sum(mechanical, accelerometer.electrical, accelerometer.scale)
     for name, size in effects.items():
         parts = zip(total, _LAWS[name](world, size), strict=True)
         total = _Sum(*(whole + part for whole, part in parts))

@@ -86,11 +86,11 @@ class Verification:
 
     @property
     def errors(self) -> tuple[np.ndarray, np.ndarray]:
-        """Readings of x and of y less the truth, rad."""
+        """Return readings of x and of y minus the truth, rad."""
         return self.reading_x - self.true_x, self.reading_y - self.true_y
 
     def readings(self) -> bc.Measurements:
-        """As readings of the instrument, those of x above those of y; runs get the axis before their label."""
+        """Return readings of the instrument, x above y; runs get the axis before their label."""
         columns: dict[str, Any] = {n: np.concatenate([c, c]) for n, c in self.others.items()}
         axis = np.repeat(["x", "y"], len(self))
         run = columns.get("run", np.full(2 * len(self), "1"))
@@ -106,7 +106,7 @@ class Verification:
 
     @classmethod
     def of(cls, readings: bc.Measurements) -> Verification:
-        """The table behind readings that hold every set-up twice, x above y, as `readings()` gives them.
+        """Build the table from readings that hold every set-up twice, x above y, as `readings()` returns them.
 
         Raises:
             InputError: they hold something else.
@@ -126,16 +126,13 @@ class Verification:
                 f"{readings.file}: verification data have a reading of y for each of x, in the same order, each "
                 "at the other's true tilt"
             )
-        kept = [n for n in ("device", "temperature", "time") if readings.has(n)]
+        names = [n for n in ("device", "temperature", "time") if readings.has(n)]
         return cls(
             x["true_angle"],
             y["true_angle"],
             ARCSEC * x["output"],
             ARCSEC * y["output"],
-            {
-                **{n: x[n] for n in kept},
-                "run": np.array([r.removeprefix("x") for r in x["run"]]),
-            },
+            {**{n: x[n] for n in names}, "run": np.array([r.removeprefix("x") for r in x["run"]])},
         )
 
 
@@ -149,6 +146,6 @@ def read_verification(path_or_paths: Any, **options: Any) -> Verification:
     Raises:
         InputError: what `bayescal.read` refuses, and tilts that no body has.
     """
-    found = bc.read(path_or_paths, FILE_OF_TILTS, **options)
-    others = {n: found[n] for n in OTHERS if found.has(n)}
-    return Verification(*(found[n] for n in TILTS), others)
+    table = bc.read(path_or_paths, FILE_OF_TILTS, **options)
+    others = {n: table[n] for n in OTHERS if table.has(n)}
+    return Verification(*(table[n] for n in TILTS), others)

@@ -10,6 +10,6 @@ BASELINE = {
     "misalignment.constant": (30.0, -20.0, 40.0),
 }
 NOT_OF_FIELDS = ("square.constant", "cross.constant", "cube.constant", "bias.thermal_lag")
-KNOWN = tuple(name for name in COUNTS if name not in NOT_OF_FIELDS)
+EFFECTS = tuple(name for name in COUNTS if name not in NOT_OF_FIELDS)
 
-simulated_columns = simulator_of(BASELINE, KNOWN, 1.0, Campaign)
+simulated_columns = simulator_of(BASELINE, EFFECTS, 1.0, Campaign)

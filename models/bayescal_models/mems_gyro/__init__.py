@@ -14,21 +14,11 @@ THERMOMETER_SD = 0.5 / math.sqrt(3)  # °C; good to 0.5 °C, taken as uniform; s
 COLUMNS = (
     bc.Column("run", None, "label of the run", required=False),
     bc.Column("time", "s", "one origin over all runs", required=False),
-    bc.Column(
-        "temperature",
-        "degC",
-        "ambient thermometer",
-        low=-273.15,
-        high=250.0,
-    ),
+    bc.Column("temperature", "degC", "ambient thermometer", low=-273.15, high=250.0),
     SUPPLY,
     bc.Column("board_temperature", "degC", "electronics", required=False, low=-273.15, high=250.0),
     bc.Column("rate_input", "deg/s", "rate of the table about the input axis", required=False),
-    bc.Column(
-        "output",
-        "deg/s",
-        "output, or V with the nominal scale",
-    ),
+    bc.Column("output", "deg/s", "output, or V with the nominal scale"),
 )
 NOMINAL_SCALE = bc.NominalScale("V", gain=SENSITIVITY, offset=1.2)
 

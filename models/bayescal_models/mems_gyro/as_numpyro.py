@@ -23,7 +23,7 @@ from bayescal_models.mems_gyro.model import INSTRUMENT
 
 
 def model(temperature, run, runs, T0, output=None) -> None:
-    """Temperatures °C (n,); the run of each, 0 to runs − 1; T0 °C; output °/s (n,), or None to simulate."""
+    """Define the model of temperatures °C (n,), runs 0 to runs − 1, T0 °C; output °/s (n,), or None to simulate."""
     c0 = numpyro.sample("bias.constant", Normal(0.0, 50.0))  # °/s
     c1 = numpyro.sample("bias.temperature", Normal(0.0, 0.05))  # °/s/°C
     s = numpyro.sample("bias.run.group_sd", HalfNormal(0.05))  # °/s, learned from the runs
@@ -34,7 +34,7 @@ def model(temperature, run, runs, T0, output=None) -> None:
 
 
 def data(readings: bc.Measurements) -> dict[str, Any]:
-    """The readings as arguments of `model`."""
+    """Return the readings as arguments of `model`."""
     runs, run = readings.groups("run")
     temperature = readings["temperature"]
     T0 = np.round(temperature.mean())
@@ -48,5 +48,5 @@ def data(readings: bc.Measurements) -> dict[str, Any]:
 
 
 def equal() -> bc.Model:
-    """The same model as a sum of named effects."""
+    """Return the same model as a sum of named effects."""
     return INSTRUMENT.baseline() + "bias.run"

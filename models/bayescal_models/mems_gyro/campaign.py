@@ -100,17 +100,17 @@ class Campaign:
 
     @property
     def run_duration(self) -> float:
-        """Logged time of one run, s."""
+        """Return the logged time of one run, s."""
         return self.dwell * len(self.temperatures)
 
     @property
     def run_starts(self) -> Array:
-        """Power-on of each run, s from the first."""
+        """Return the power-on time of each run, s from the first."""
         return np.arange(self.runs) * (self.run_duration + self.pause)
 
     @property
     def readings(self) -> int:
-        """How many readings the campaign gives."""
+        """Return the number of readings of the campaign."""
         return round(self.runs * self.run_duration / self.average)
 
     def set_points(self, run: int) -> tuple[float, ...]:

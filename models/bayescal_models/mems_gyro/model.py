@@ -45,8 +45,8 @@ def _board(r):
 
 def _held_amplitude(r, k_drive, k_sense, ratio, quality):
     change = r.centred()
-    here = resonance_denominator(change, k_drive, k_sense, ratio, quality)
-    return resonance_denominator(0.0, k_drive, k_sense, ratio, quality) / here - 1
+    denominator = resonance_denominator(change, k_drive, k_sense, ratio, quality)
+    return resonance_denominator(0.0, k_drive, k_sense, ratio, quality) / denominator - 1
 
 
 def _held_force(r, k_drive, k_sense, ratio, quality):
@@ -105,7 +105,7 @@ THERMOMETER = effects.thermometer(THERMOMETER_SD, source="source 1: thermometer 
 
 
 def _curved(*orders: str, error: bool = False) -> bc.Model:
-    """The line and further powers of the temperature, with the thermometer's error in each reading or without."""
+    """Build a polynomial model of temperature, with or without thermometer error in each reading."""
     model = INSTRUMENT.baseline()
     for order in orders:
         model = model + f"bias.temperature_{order}"

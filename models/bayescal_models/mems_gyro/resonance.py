@@ -63,7 +63,7 @@ class Resonance:
         refuse_options(self, held=("amplitude", "force"))
 
     def zero_rate(self, temperature: ArrayLike, T0: float, constant: float) -> NDArray[np.float64]:
-        """Zero-rate output, °/s: `constant + q·(D(T0)/D(T)·f − 1)`, so `constant` at T0.
+        """Return the zero-rate output, °/s: `constant + q·(D(T0)/D(T)·f − 1)`, so `constant` at T0.
 
         `f` is (1−ε_d)^−½ where the drive force is held (its amplitude then grows), else 1.
 

@@ -67,26 +67,26 @@ class World(Clock):
         self.supply = simulated.wandering_supply(generators["supply"], self.time)
         moist = 45.0 + 5.0 * correlated(generators["humidity"], length, 2400.0, GRID)
         self.humidity = np.clip(moist, 2.0, 98.0)
-        taken = round(plan.run_duration / plan.logging_interval)
-        taken_at = starts[:, None] + plan.logging_interval * np.arange(1, taken + 1)
+        samples = round(plan.run_duration / plan.logging_interval)
+        taken_at = starts[:, None] + plan.logging_interval * np.arange(1, samples + 1)
         points = np.rint(taken_at / GRID).astype(np.intp)
         self.samples = points.reshape(-1, round(plan.average / plan.logging_interval))
         self.run = self._run[self.samples[:, 0]]
 
     @cached_property
     def package(self) -> Array:
-        """Of the package, through which heat flows, °C."""
+        """Return the package temperature, °C."""
         return self.body(self.ambient, PACKAGE_TIME)
 
     @cached_property
     def board(self) -> Array:
-        """Of the electronics board, °C."""
+        """Return the electronics board temperature, °C."""
         around = self.ambient + BOARD_HEATING * self.powered
         return self.body(around, BOARD_TIME, start=self.ambient[0])
 
     @cached_property
     def rate(self) -> Array:
-        """Of the turntable, °/s, cycled over the steps of all runs; 0 without one."""
+        """Return the turntable rate, °/s, cycled over the steps of all runs; 0 without a table."""
         rates = np.asarray(self.plan.rate_input or (0.0,), dtype=float)
         at = np.ceil(self.since / self.plan.dwell).astype(int) - 1
         turning = rates[(self._run * len(self.plan.temperatures) + at) % len(rates)]
@@ -94,7 +94,7 @@ class World(Clock):
 
 
 def _set_point(plan: Campaign, time: Array) -> Array:
-    """What the chamber is led to, °C: from goal to goal, the first held from the beginning, no faster than the ramp."""
+    """Return the chamber's set point, °C: ramp-limited steps, the first held from the beginning."""
     starts: list[float] = []
     goals: list[float] = []
     for k, start in enumerate(plan.run_starts):
@@ -109,7 +109,7 @@ def _set_point(plan: Campaign, time: Array) -> Array:
 def ramp_limited(
     time: Array, starts: Sequence[float], goals: Sequence[float], ramp: float
 ) -> Array:
-    """A set point, °C, that goes from goal to goal, each set at its start, s, no faster than a ramp, °C/min."""
+    """Return a ramp-limited set point, °C: goals set at their starts, s, with a ramp in °C/min."""
     knots, values = [float(starts[0])], [float(goals[0])]
     per_second = ramp / 60.0
     for start, end, goal in zip(starts, [*starts[1:], float(time[-1])], goals, strict=True):
@@ -125,7 +125,7 @@ def ramp_limited(
 
 
 def _quadratic(w: World) -> Array:
-    """Modulus after Varshni, `E = E0 − s/(e^(Θ/T)−1)`, less its tangent at T0: about ΔT².
+    """Return the modulus after Varshni, `E = E0 − s/(e^(Θ/T)−1)`, less its tangent at T0: about ΔT².
 
     Source: Y. P. Varshni, Phys. Rev. B 2 (1970) 3952.
     """
@@ -140,25 +140,25 @@ def _quadratic(w: World) -> Array:
 
 
 def _cubic(w: World) -> Array:
-    """What a compensation saturating as tanh leaves of a line: ΔT³ and a little less."""
+    """Return the remainder of a line after a tanh compensation: slightly less than ΔT³."""
     change = w.ambient - w.plan.T0
-    left = 3.0 * SATURATION**3 * (change / SATURATION - np.tanh(change / SATURATION))
-    return _mixed(w, change**3, left)
+    remainder = 3.0 * SATURATION**3 * (change / SATURATION - np.tanh(change / SATURATION))
+    return _mixed(w, change**3, remainder)
 
 
 def _drift(w: World) -> Array:
-    """Ageing, logarithmic in time, one over the whole test: mildly curved."""
+    """Return an ageing logarithmic in time, 1 over the whole test: mildly curved."""
     share = w.time / w.time[-1]
     return _mixed(w, share, np.log2(1.0 + share))
 
 
 def _mixed(w: World, leading: Array, law: Array) -> Array:
-    """The leading term of a law, plus a share of what the law has beyond it."""
+    """Return the leading term of a law, plus a share of its higher terms."""
     return leading + w.plan.nonlinearity * (law - leading)
 
 
 def _step(w: World) -> Array:
-    """A step at a share of the logged time (so never within a pause)."""
+    """Return a step at a fraction of the logged time (never within a pause)."""
     plan = w.plan
     run, within = divmod(STEP_SHARE * plan.runs, 1.0)
     at = run * (plan.run_duration + plan.pause) + within * plan.run_duration
@@ -210,7 +210,7 @@ def simulate_arrays(
     campaign: Campaign | None = None,
     noise_law: str = "white",
 ) -> Simulated:
-    """A stepped-chamber campaign with effects hidden in it.
+    """Simulate a stepped-chamber campaign with hidden effects.
 
     The same seed gives the same noise, the same turn-on offsets and the same humidity whatever the effects, so two
     simulations differ by the effects alone. The number of rows depends on the campaign only. Contributions are in °/s
@@ -269,14 +269,14 @@ simulated_columns = simulated.columns_of(simulate_arrays)
 
 
 def _baseline(campaign: Campaign, world: World) -> Array:
-    """Zero-rate output on the grid, °/s: the line, or the two resonances."""
+    """Return the zero-rate output on the grid, °/s: the line, or the two resonances."""
     if campaign.law == "resonance":
         return campaign.resonance.zero_rate(world.ambient, campaign.T0, campaign.constant)
     return campaign.constant + campaign.slope * (world.ambient - campaign.T0)
 
 
 def _noise(world: World, generators: Mapping[str, np.random.Generator], noise_law: str) -> Array:
-    """Noise of each averaged reading, °/s."""
+    """Return the noise of each averaged reading, °/s."""
     campaign, generator, readings = world.plan, generators["noise"], len(world.run)
     if noise_law == "student_t":
         unit_variance = np.sqrt((NOISE_DEGREES - 2.0) / NOISE_DEGREES)
@@ -292,7 +292,7 @@ def _noise(world: World, generators: Mapping[str, np.random.Generator], noise_la
 
 
 def _rounded(output: Array, campaign: Campaign) -> Array:
-    """Output in °/s after its voltage was rounded to the converter's step, where there is one."""
+    """Round the output, °/s, to the converter's voltage step, where there is one."""
     if campaign.converter_step is None:
         return output
     gain, offset = NOMINAL_SCALE.gain, NOMINAL_SCALE.offset

@@ -41,7 +41,7 @@ TIDES = {  # period, h; prior standard deviation of each cosine and sine, nrad
 
 
 def model(temperature, time, tilt, angle, cell, cells, T0, output=None) -> None:
-    """Temperatures °C, times s, γ and θ rad, the cell of each reading from 0, (n,); T0 °C; output µg, or None."""
+    """Define the model of temperatures °C, times s, γ, θ rad, cells from 0 (n,), T0 °C; output µg, or None."""
 
     def constant(name: str, mean: float, size: float) -> Any:
         return numpyro.sample(name, Normal(mean, size))
@@ -93,13 +93,13 @@ def model(temperature, time, tilt, angle, cell, cells, T0, output=None) -> None:
 
 
 def data(readings: bc.Measurements) -> dict[str, Any]:
-    """The readings as arguments of `model`."""
+    """Return the readings as arguments of `model`."""
     cells, cell = readings.groups("cell")
-    taken = {n: readings[n] for n in ("temperature", "time", "tilt", "output")}
-    taken |= {"angle": readings["position_angle"], "cell": cell, "cells": len(cells)}
-    return taken | {"T0": np.round(readings["temperature"].mean())}
+    columns = {n: readings[n] for n in ("temperature", "time", "tilt", "output")}
+    columns |= {"angle": readings["position_angle"], "cell": cell, "cells": len(cells)}
+    return columns | {"T0": np.round(readings["temperature"].mean())}
 
 
 def equal() -> bc.Model:
-    """The same model as a sum of named effects."""
+    """Return the same model as a sum of named effects."""
     return reference_problem.model() + INSTRUMENT.effect("base_tilt.tide")

@@ -121,16 +121,16 @@ class Campaign:
             self, positive=("ramp",), not_negative=times, counts=counts, filled=("tilts",)
         )
         for tilt, position in self.set_ups or [(tilt, math.pi / 2) for tilt in self.tilts]:
-            asked = abs(1e6 * math.sin(tilt) * math.sin(position))
+            needed = abs(1e6 * math.sin(tilt) * math.sin(position))
             refuse(
-                asked > FULL_SCALE,
-                f"Campaign: a tilt of {tilt / DEGREE:g}° gives {asked / 1e3:.3g} mg, beyond the full scale of "
+                needed > FULL_SCALE,
+                f"Campaign: a tilt of {tilt / DEGREE:g}° gives {needed / 1e3:.3g} mg, beyond the full scale of "
                 f"{FULL_SCALE / 1e3:g} mg: tilt less",
             )
 
     @property
     def T0(self) -> float:
-        """Mean set point rounded to 1 °C, about which the true polynomials are, °C."""
+        """Return the mean set point rounded to 1 °C, about which the true polynomials are, °C."""
         return float(round(sum(self.temperatures) / len(self.temperatures)))
 
 
@@ -139,7 +139,7 @@ INSTRUMENT_A = Campaign()
 
 
 def fixed_point_heating(campaign: Campaign = INSTRUMENT_A, readings: int = 12) -> Campaign:
-    """The older method: zero input, near + and near − full scale, one position a run while the temperature steps.
+    """Plan the older method: zero, near + and near − full scale, one position a run in temperature steps.
 
     Args:
         campaign: whose tilt (the first), temperatures and truth are taken.

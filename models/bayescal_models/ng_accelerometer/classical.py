@@ -63,7 +63,7 @@ class ClassicalEstimates:
 def classical_estimates(
     readings: bc.Measurements, positions: int | None = None
 ) -> ClassicalEstimates:
-    """Bias and scale factor of every cell, and their slopes over temperature by least squares.
+    """Estimate bias and scale factor of every cell, and their slopes over temperature, by least squares.
 
     With four positions K0 = (E0 + E2)/2 and K1 = (E1 − E3)/(2·g·sin γ); with n positions equally spaced over a turn,
     K0 is the mean and K1 the first harmonic, 2/n·Σ E·sin θ/(g·sin γ).
@@ -85,13 +85,13 @@ def classical_estimates(
         )
     turned = np.mod(readings["position_angle"], 2 * np.pi)
     turned[turned > 2 * np.pi - SAME] = 0.0
-    found = []
+    cells = []
     for k, name in enumerate(names):
-        own = cell == k
+        at = cell == k
         if positions == 4:
-            own &= (np.abs(turned[:, None] - QUARTERS) < SAME).any(axis=1)
-        found.append(_cell(name, turned[own], readings["tilt"][own], readings["output"][own]))
-    bias, scale, used = (np.array(values) for values in zip(*found, strict=True))
+            at &= (np.abs(turned[:, None] - QUARTERS) < SAME).any(axis=1)
+        cells.append(_cell(name, turned[at], readings["tilt"][at], readings["output"][at]))
+    bias, scale, used = (np.array(values) for values in zip(*cells, strict=True))
     temperature = np.array([readings["temperature"][cell == k].mean() for k in range(len(names))])
     return ClassicalEstimates(
         int(used[0]),
@@ -105,7 +105,7 @@ def classical_estimates(
 
 
 def _cell(name: str, angle: Array, tilt: Array, output: Array) -> tuple[float, float, int]:
-    """K0, µg, κ, ppm, and the number of positions of one cell."""
+    """Return K0, µg, κ, ppm, and the number of positions of one cell."""
     if not tilt.size or np.ptp(tilt) > SAME:
         raise ValueError(
             f"classical_estimates: cell {name!r} has {'several tilts' if tilt.size else 'no such position'}; "
@@ -127,7 +127,7 @@ def _cell(name: str, angle: Array, tilt: Array, output: Array) -> tuple[float, f
 
 
 def _slope(temperature: Array, values: Array) -> Tempco:
-    """Straight line by least squares."""
+    """Fit a straight line by least squares."""
     line: Any = stats.linregress(temperature, values)
     freedom = temperature.size - 2
     quantile = stats.t.ppf(0.975, freedom) if freedom > 0 else np.nan
@@ -154,7 +154,7 @@ class FixedPointTempcos:
 def fixed_point_tempcos(
     readings: bc.Measurements, bias_tempco: float | None = None
 ) -> FixedPointTempcos:
-    """What fixed-point heating makes of readings at zero input and near both ends.
+    """Estimate temperature coefficients by fixed-point heating: readings at zero input and near both ends.
 
     Args:
         readings: with positions at 0 (or zero tilt), and with sin γ·sin θ of both signs.
@@ -180,8 +180,8 @@ def fixed_point_tempcos(
         slopes[name] = line.slope
         inputs[name] = nominal[chosen].mean()
 
-    def relative(known: float) -> tuple[float, float]:
-        plus, minus = (1e6 * (slopes[p] - known) / inputs[p] for p in ("plus", "minus"))
+    def relative(reference: float) -> tuple[float, float]:
+        plus, minus = (1e6 * (slopes[p] - reference) / inputs[p] for p in ("plus", "minus"))
         return float(plus), float(minus)
 
     return FixedPointTempcos(

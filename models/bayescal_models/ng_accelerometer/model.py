@@ -88,7 +88,7 @@ def accelerations(
     parallel: Float[Any, "n"],
     perp: Float[Any, "n"],
 ) -> Accelerations:
-    """Gravity in the axes of the accelerometer. All angles in rad.
+    """Return gravity in the axes of the accelerometer. All angles in rad.
 
     Args:
         tilt: γ, of the table's face.
@@ -123,7 +123,7 @@ def _response(slots, r):
 
 
 def _in_use(a, slots, r):
-    """Without the table: the acceleration along the input axis is what is asked for, none across it is known."""
+    """Return the output without the table, by the acceleration along the input axis alone."""
     mg = a / 1e3
     bent = slots["second_order"] * mg**2 + slots["third_order"] * mg**3
     return slots["bias"] + (1 + slots["scale"]) * a + bent
@@ -133,21 +133,21 @@ def _in_use(a, slots, r):
 
 
 def turned(r: bc.Frame, share: Float[Any, "n"] | float = 1.0) -> Float[Any, "n 4"]:
-    """cos mθ and sin mθ, m = 2 and 3, times `share`."""
+    """Return cos mθ and sin mθ, m = 2 and 3, times `share`."""
     angle = r["position_angle"]
     waves = [wave(m * angle) for m in HARMONICS for wave in (xp.cos, xp.sin)]
     return xp.stack(waves, axis=-1) * xp.reshape(xp.asarray(share), (-1, 1))
 
 
 def tides(r: bc.Frame) -> Float[Any, "n 20"]:
-    """cos and sin of every constituent, for one component of the base tilt and then for the other."""
+    """Return cos and sin of every constituent, for one component of the base tilt and then for the other."""
     phase = [2 * xp.pi * r["time"] / (hours * HOUR) for hours, _ in TIDE.values()]
     waves = [wave(p) for p in phase for wave in (xp.cos, xp.sin)]
     return xp.stack([*waves, *waves], axis=-1)
 
 
 def direction(r: bc.Frame) -> Float[Any, "n"]:
-    """Sign of the last change of temperature within the run, 0 before the first.
+    """Return the sign of the last change of temperature within the run, 0 before the first.
 
     A change is one by more than the dead band from where the temperature last stood: between readings at soaked
     temperature points this is the sign of (this cell − previous cell).
@@ -166,7 +166,7 @@ def direction(r: bc.Frame) -> Float[Any, "n"]:
 
 
 def one_direction(readings: bc.Measurements) -> str | None:
-    """Why readings do not show hysteresis: their temperature never rises, or never falls."""
+    """Return why readings show no hysteresis: their temperature never rises, or never falls."""
     rises = falls = False
     _, run = readings.groups("run")
     for k in np.unique(run):
@@ -178,8 +178,8 @@ def one_direction(readings: bc.Measurements) -> str | None:
                 stood = now
     if rises and falls:
         return None
-    seen = "only rises" if rises else "only falls" if falls else "stands still"
-    return f"needs temperature to rise and to fall within runs, by over {DEAD_BAND:g} °C; it {seen}"
+    way = "only rises" if rises else "only falls" if falls else "stands still"
+    return f"needs temperature to rise and to fall within runs, by over {DEAD_BAND:g} °C; it {way}"
 
 
 def _laboratory(r: bc.Frame) -> Float[Any, "n"]:
@@ -199,14 +199,14 @@ def _once_round(r: bc.Frame) -> Float[Any, "n 2"]:
 SIDES = ("parallel", "perp")
 
 
-def _base(basis: Any, equation: str, *columns: str, **more: Any) -> Maker:
-    """An effect on both components of the base tilt, found or dropped together."""
+def _base(basis: Any, equation: str, *columns: str, **fields: Any) -> Maker:
+    """Build an effect on both components of the base tilt, included or excluded together."""
     slots = [f"base_tilt_{side}" for side in SIDES]
-    return family(slots, basis, equation, *columns, parts=SIDES, **more)
+    return family(slots, basis, equation, *columns, parts=SIDES, **fields)
 
 
 def _tide(name: str, size: float, unit: str, source: str) -> bc.Effect:
-    """Of each constituent a cosine and a sine for each component, in parts of the size of M2's."""
+    """Return a cosine and a sine of each constituent and component, relative to the size of M2's."""
     return bc.Effect(
         name,
         "base_tilt_parallel",

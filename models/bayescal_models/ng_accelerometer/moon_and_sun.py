@@ -26,7 +26,7 @@ MONTH = 30.0  # days over which the peak of a tide is taken
 
 
 def plumb_line(days: ArrayLike, latitude: float, longitude: float) -> tuple[Array, Array]:
-    """Tilt of the plumb line towards east and north, rad, for a rigid Earth.
+    """Return the tilt of the plumb line towards east and north, rad, for a rigid Earth.
 
     Args:
         days: since 2000-01-01 12:00 UT, any shape.
@@ -53,7 +53,7 @@ def plumb_line(days: ArrayLike, latitude: float, longitude: float) -> tuple[Arra
 
 
 def tide(time: ArrayLike, begin: float, latitude: float, longitude: float) -> tuple[Array, Array]:
-    """The same, each component in parts of its own largest value in the month from `begin`.
+    """Return the tilt of the plumb line, each component relative to its maximum in the month from `begin`.
 
     Args:
         time: since `begin`, s, any shape.
@@ -74,7 +74,7 @@ def _peak(begin: float, latitude: float, longitude: float) -> tuple[float, float
 
 
 def _moon(days: Array) -> tuple[Array, Array, Array]:
-    """Ecliptic longitude and latitude, rad, and distance, m."""
+    """Return ecliptic longitude and latitude, rad, and distance, m."""
     mean = np.radians(218.316 + 13.17639648 * days)
     anomaly = np.radians(134.963 + 13.06499295 * days)
     elongation = np.radians(297.850 + 12.19074912 * days)
@@ -94,7 +94,7 @@ def _moon(days: Array) -> tuple[Array, Array, Array]:
 
 
 def _sun(days: Array) -> tuple[Array, Array, Array]:
-    """Ecliptic longitude and latitude, rad, and distance, m."""
+    """Return ecliptic longitude and latitude, rad, and distance, m."""
     anomaly = np.radians(357.529 + 0.98560028 * days)
     ecliptic = 280.459 + 0.98564736 * days + 1.915 * np.sin(anomaly) + 0.020 * np.sin(2 * anomaly)
     distance = ASTRONOMICAL_UNIT * (1.00014 - 0.01671 * np.cos(anomaly))

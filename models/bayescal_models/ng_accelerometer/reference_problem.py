@@ -28,12 +28,12 @@ CAMPAIGN = replace(INSTRUMENT_A, temperatures=(20.0, 30.0, 40.0), runs=2, pause=
 
 
 def model() -> bc.Model:
-    """The baseline, each prior proper and as narrow as a recalibration's."""
+    """Return the baseline, each prior proper and as narrow as a recalibration's."""
     return bc.Model(INSTRUMENT, tuple(_narrowed(e) for e in INSTRUMENT.effects), NOISE)
 
 
 def readings(seed: int = 0) -> bc.Measurements:
-    """72 readings: 12 positions, three temperatures, two runs."""
+    """Simulate 72 readings: 12 positions, three temperatures, two runs."""
     return INSTRUMENT.simulate(seed=seed, campaign=CAMPAIGN)
 
 

@@ -46,7 +46,7 @@ class Law(NamedTuple):
     curve: Callable[[World], Array]
 
     def contribution(self, size: float, world: World) -> Array:
-        """In the slot's own unit, (n, m)."""
+        """Return the contribution in the slot's unit, (n, m)."""
         return size * UNITS[self.unit] * self.curve(world)
 
 
@@ -55,42 +55,42 @@ def _warmer(w: World) -> Array:
 
 
 def _square(w: World) -> Array:
-    """2w²(cosh(ΔT/w) − 1): ΔT² and a little more."""
+    """Return 2w²(cosh(ΔT/w) − 1): slightly more than ΔT²."""
     return 2 * SATURATION**2 * (np.cosh(_warmer(w) / SATURATION) - 1)
 
 
 def _cube(w: World) -> Array:
-    """6w³(sinh(ΔT/w) − ΔT/w): ΔT³ and a little more."""
+    """Return 6w³(sinh(ΔT/w) − ΔT/w): slightly more than ΔT³."""
     ratio = _warmer(w) / SATURATION
     return 6 * SATURATION**3 * (np.sinh(ratio) - ratio)
 
 
 def _fixture(w: World) -> Array:
-    """Expansion of the fixture, whose coefficient itself grows a little with temperature, °C."""
+    """Return the expansion of the fixture, whose coefficient grows slightly with temperature, °C."""
     change = w.fixture - w.plan.T0
     return change + UNEVEN * change**2
 
 
 def _lobed(w: World) -> Array:
-    """Two and three lobes around a turn, and higher ones."""
+    """Return two and three lobes around a turn, and higher ones."""
     waves = [wave(m * w.angle) for m in (2, 3) for wave in (np.cos, np.sin)]
     return sum(waves) + HIGHER * (np.cos(4 * w.angle) + np.sin(5 * w.angle))
 
 
 def _settled(w: World) -> Array:
-    """A foundation that settles: fast first, then slower; 1 over the test."""
+    """Return a foundation's settlement: fast first, then slower; 1 over the test."""
     return np.expm1(-2 * w.share) / np.expm1(-2.0)
 
 
 def _eccentric(w: World) -> Array:
-    """Circle of the table mounted off its centre, seen by its reading head, in parts of the error."""
+    """Return the reading error of an eccentrically mounted circle, relative to its amplitude."""
     small = np.sqrt(2) * ARCSEC
     angle = w.angle + np.pi / 4
     return np.arctan2(small * np.sin(angle), 1 + small * np.cos(angle)) / ARCSEC
 
 
 def _surplus(w: World) -> Array:
-    """Of the supply over its nominal voltage, V."""
+    """Return the supply's excess over its nominal voltage, V."""
     return w.supply - simulated.SUPPLY
 
 
@@ -101,7 +101,7 @@ def _ones(w: World) -> Array:
 def _scatter(
     what: str, group: str, along: Callable[[World], Array] = _ones
 ) -> Callable[[World], Array]:
-    """One deviation for each cell or run; the size is their standard deviation."""
+    """Return one deviation for each cell or run; the size is their standard deviation."""
 
     def curve(w: World) -> Array:
         return (w.by_cell[what] if group == "cell" else w.by_run[what]) * along(w)
@@ -179,12 +179,9 @@ LAWS: Mapping[str, tuple[Law, ...]] = MappingProxyType(_all())
 
 
 def simulate_arrays(
-    effects: Mapping[str, float] | None = None,
-    *,
-    seed: int,
-    campaign: Campaign = INSTRUMENT_A,
+    effects: Mapping[str, float] | None = None, *, seed: int, campaign: Campaign = INSTRUMENT_A
 ) -> Simulated:
-    """A test with these effects hidden in it.
+    """Simulate a test with hidden effects.
 
     The same seed gives the same noise, the same weather and the same scatter whatever the effects, so two simulations
     differ by the effects alone. Contributions are those of every effect to its slot, in the slot's unit, (slot, (n, m))
@@ -230,7 +227,7 @@ simulated_columns = simulated.columns_of(simulate_arrays)
 
 
 def respond(world: World, contributions: Mapping[str, tuple[tuple[str, Array], ...]]) -> Array:
-    """Output without noise, moment by moment, µg."""
+    """Return the output without noise at each moment, µg."""
     slots: dict[str, Array] = {}
     for name in contributions:
         for slot, part in contributions[name]:
@@ -252,7 +249,7 @@ def respond(world: World, contributions: Mapping[str, tuple[tuple[str, Array], .
 
 
 def gravity(tilt: Array, parallel: Array, angle: Array, fixture: Array) -> tuple[Array, Array]:
-    """Acceleration along the input axis, µg, and along the table's normal, g, by turning vectors one after another.
+    """Return the acceleration along the input axis, µg, and the table's normal, g, by successive rotations.
 
     Up, (0, 0, 1) in the laboratory, is turned into the face by the tilt about e0 and by the base about e90; the
     input axis is lifted by the fixture and then turned with the table.
@@ -270,7 +267,7 @@ def gravity(tilt: Array, parallel: Array, angle: Array, fixture: Array) -> tuple
 
 
 def _turn(vector: tuple[Array, ...], about: int, by: Array) -> tuple[Array, ...]:
-    """A vector turned about an axis of the frame, counter-clockwise."""
+    """Rotate a vector about an axis of the frame, counter-clockwise."""
     first, second = (about + 1) % 3, (about + 2) % 3
     turned = list(vector)
     turned[first] = np.cos(by) * vector[first] - np.sin(by) * vector[second]

@@ -130,7 +130,7 @@ class _CarriedOut:
 
 
 def _set_point(grid: Array, goals: list[tuple[float, float]], ramp: float) -> Array:
-    """A set point that goes from goal to goal at `ramp`, °C/min; °C."""
+    """Return a ramp-limited set point, °C, at `ramp`, °C/min."""
     times, values = [0.0], [goals[0][1]]
     for start, goal in goals[1:]:
         times += [start, start + abs(goal - values[-1]) / ramp * 60.0]
@@ -139,17 +139,17 @@ def _set_point(grid: Array, goals: list[tuple[float, float]], ramp: float) -> Ar
 
 
 def _hysteresis(grid: Array, temperature: Array, power: list[tuple[float, float]]) -> Array:
-    """dh = (sign(dT) − h)·|dT|/REVERSAL, as friction at a joint, starting afresh at every power-on.
+    """Integrate dh = (sign(dT) − h)·|dT|/REVERSAL, as friction at a joint, reset at every power-on.
 
     `temperature` is that without the chamber's wander, which is too small to move a joint.
     """
     on = np.zeros(grid.size, dtype=bool)
     for first, off in power:
         on |= (grid >= first) & (grid <= off)
-    state, made = 0.0, np.zeros(grid.size)
+    state, states = 0.0, np.zeros(grid.size)
     for k, step in enumerate(np.diff(temperature, prepend=temperature[0])):
         share = -np.expm1(-abs(step) / REVERSAL)
         state += (np.sign(step) - state) * share
         state *= 1.0 if on[k] else np.exp(-GRID / FORGETTING)
-        made[k] = state
-    return made
+        states[k] = state
+    return states

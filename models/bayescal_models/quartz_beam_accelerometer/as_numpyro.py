@@ -46,7 +46,7 @@ CONSTANT = {"bias": 2e4, "scale": 5e3}
 
 
 def model(columns, acceleration, output=None) -> None:
-    """The fifteen columns (n, 15) in the order of `SIZES`, the acceleration µg (n,), the output µg or None."""
+    """Define the model of fifteen columns (n, 15) in the order of `SIZES`, acceleration µg (n,), output µg or None."""
 
     def polynomial(slot: str) -> Any:
         total = 0.0
@@ -64,12 +64,12 @@ def model(columns, acceleration, output=None) -> None:
 
 
 def data(readings: bc.Measurements) -> dict[str, Any]:
-    """The readings as arguments of `model`."""
+    """Return the readings as arguments of `model`."""
     raw = [readings[f"temperature_{place}"] for place in ("circuit", "head")]
     T0 = np.round(raw[1].mean())
     (t1, t2), (rate1, rate2) = (t - T0 for t in raw), (_per_minute(readings, t) for t in raw)
-    one, d = np.ones_like(t1), t1 - t2
-    columns = (one, one, d, d**2, t1, t1**2, t1**3, t2, t2**2, t2**3, d**3, rate1, rate2)
+    ones, d = np.ones_like(t1), t1 - t2
+    columns = (ones, ones, d, d**2, t1, t1**2, t1**3, t2, t2**2, t2**3, d**3, rate1, rate2)
     return {
         "columns": np.stack([*columns, t2 * rate2, t2 * d], axis=1),
         "acceleration": readings["acceleration"],
@@ -78,7 +78,7 @@ def data(readings: bc.Measurements) -> dict[str, Any]:
 
 
 def _per_minute(readings: bc.Measurements, values: np.ndarray) -> np.ndarray:
-    """Slope from the reading before, of one run and one sweep; 0 in the first, °C/min."""
+    """Return the slope from the preceding reading of a run and sweep; 0 in the first, °C/min."""
     time, run = readings["time"], readings.groups("run")[1]
     order = np.lexsort((time, run))
     step, change = np.diff(time[order], prepend=np.nan), np.diff(values[order], prepend=np.nan)
@@ -88,5 +88,5 @@ def _per_minute(readings: bc.Measurements, values: np.ndarray) -> np.ndarray:
 
 
 def equal() -> bc.Model:
-    """The same model as a sum of named effects."""
+    """Return the same model as a sum of named effects."""
     return two_thermometers()

@@ -98,8 +98,8 @@ class Campaign:
             "Campaign: neither a tumble run nor a ramp is left; plan at least one.",
         )
         refuse(not all(v > 0 for v in self.ramp_speeds), "Campaign: ramp_speeds are above 0.")
-        own = f"Campaign(average={self.average!r})"
+        option = f"Campaign(average={self.average!r})"
         for name in ("interval", "position_time"):
             most = getattr(self, name)
-            refuse(self.average > most, f"{own}: longer than {name} ({most:g} s); change one.")
-        refuse(self.average < GRID, f"{own}: give at least {GRID:g} s.")
+            refuse(self.average > most, f"{option}: longer than {name} ({most:g} s); change one.")
+        refuse(self.average < GRID, f"{option}: give at least {GRID:g} s.")

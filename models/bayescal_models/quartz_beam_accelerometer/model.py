@@ -46,7 +46,7 @@ from bayescal_models.simulated import experiments, readings_of
 FREQUENCY_SUM = 80_000.0  # Hz at 15 °C, nominal; ours
 FREQUENCY_TEMPCO = -1.6  # Hz/°C, nominal; ours: turns the sum into an apparent temperature
 SLIP = 1.0  # °C, width of the play
-SEEN = 0.02  # share of the readings that a direction must have to count as one
+MIN_SHARE = 0.02  # share of the readings that a direction must have to count as one
 
 
 def _response(slots, r):
@@ -58,22 +58,22 @@ def _response(slots, r):
 
 
 def circuit(r: bc.Frame) -> Any:
-    """t1 − T0, °C."""
+    """Return t1 − T0, °C."""
     return r["temperature_circuit"] - r.reference["temperature_head_0"]
 
 
 def head(r: bc.Frame) -> Any:
-    """t2 − T0, °C."""
+    """Return t2 − T0, °C."""
     return r.centred("temperature_head")
 
 
 def gradient(r: bc.Frame) -> Any:
-    """δt = t1 − t2, °C."""
+    """Return δt = t1 − t2, °C."""
     return r["temperature_circuit"] - r["temperature_head"]
 
 
-def _shown(r: bc.Frame) -> Any:
-    """The temperature that the frequency sum shows, °C from where it is nominal."""
+def _indicated(r: bc.Frame) -> Any:
+    """Return the temperature indicated by the frequency sum, °C from nominal."""
     return (r["frequency_sum"] - FREQUENCY_SUM) / FREQUENCY_TEMPCO
 
 
@@ -94,8 +94,8 @@ def _times_gradient(of: Callable[[bc.Frame], Any], r: bc.Frame) -> Any:
 
 
 def _slipped(r: bc.Frame) -> Any:
-    """(t2 − seat)/width, the seat dragged along within ±width, anew in each run: from −1 to 1."""
-    here = r["temperature_head"][r.order]
+    """Return (t2 − seat)/width, the seat dragged along within ±width, reset in each run: from −1 to 1."""
+    temperature = r["temperature_head"][r.order]
     begins = r.step < 0
 
     def advance(seat, row):
@@ -103,11 +103,11 @@ def _slipped(r: bc.Frame) -> Any:
         seat = xp.where(begin, now, xp.clip(seat, now - SLIP, now + SLIP))
         return seat, (now - seat) / SLIP
 
-    return xp.placed(r.order, xp.scan(advance, here[0], (here, begins)))
+    return xp.placed(r.order, xp.scan(advance, temperature[0], (temperature, begins)))
 
 
 def _one_way(readings: bc.Measurements) -> str | None:
-    """Why readings cannot show hysteresis: the head's temperature goes one way only."""
+    """Return why readings show no hysteresis: the head's temperature goes one way only."""
     _, run = readings.groups("run")
     rises = falls = 0
     for k in np.unique(run):
@@ -115,7 +115,7 @@ def _one_way(readings: bc.Measurements) -> str | None:
         order = chosen[np.argsort(readings["time"][chosen], kind="stable")]
         change = np.diff(readings["temperature_head"][order])
         rises, falls = rises + (change > 0.05).sum(), falls + (change < -0.05).sum()
-    if min(rises, falls) >= SEEN * len(readings):
+    if min(rises, falls) >= MIN_SHARE * len(readings):
         return None
     return "needs temperature_head to rise and to fall within runs; it goes one way only"
 
@@ -127,10 +127,10 @@ T1, T2 = BOTH = ("temperature_circuit", "temperature_head")
 BySlot = dict[str, Maker]
 
 
-def _either(basis: Callable[..., Any], equation: str, *columns: str, **more: Any) -> BySlot:
+def _either(basis: Callable[..., Any], equation: str, *columns: str, **fields: Any) -> BySlot:
     """Return the makers of an effect on the bias and on the scale factor, which only an acceleration shows."""
     needed = {"bias": columns, "scale": (*columns, "acceleration")}
-    return {s: effect(basis, equation, *n, **{"along": "", **more}) for s, n in needed.items()}
+    return {s: effect(basis, equation, *n, **{"along": "", **fields}) for s, n in needed.items()}
 
 
 def _t1(n: int) -> BySlot:
@@ -154,7 +154,7 @@ def _of_sum(n: int) -> BySlot:
     nominal = f"F0 = {FREQUENCY_SUM:g} Hz, F' = {FREQUENCY_TEMPCO:g} Hz/°C"
     equation = f"c·((F − F0)/F'){SIGNS[n - 1]},  {nominal}"
     return _either(
-        partial(_power, _shown, n), equation, "frequency_sum", along=None, kind=POWERS[n]
+        partial(_power, _indicated, n), equation, "frequency_sum", along=None, kind=POWERS[n]
     )
 
 
@@ -172,8 +172,8 @@ def _by_gradient(of: Callable[[bc.Frame], Any], sign: str) -> BySlot:
     return _either(partial(_times_gradient, of), f"c·({sign} − T0)·(t1 − t2)", *BOTH)
 
 
-def _lagging(start: float, unit: str, **more: Any) -> Maker:
-    return catalogue.thermal_lag(MINUTE, 60 * MINUTE, start, unit, column=T2, **more)
+def _lagging(start: float, unit: str, **fields: Any) -> Maker:
+    return catalogue.thermal_lag(MINUTE, 60 * MINUTE, start, unit, column=T2, **fields)
 
 
 CONSTANT = _either(one, "c", along=None)
@@ -238,9 +238,9 @@ K2 = effect(one, "K2·a²", "acceleration")
 def _both(*rows: tuple[Any, ...]) -> Iterator[tuple[Any, ...]]:
     for slot, unit, share in (("bias", "ug", 1.0), ("scale", "ppm", SHARE)):
         for cause, maker, size, per, *source in rows:
-            own = size[slot] if isinstance(size, dict) else size * share
+            slot_size = size[slot] if isinstance(size, dict) else size * share
             of_slot = maker[slot] if isinstance(maker, dict) else maker
-            yield f"{slot}.{cause}", of_slot, own, unit + per, *source
+            yield f"{slot}.{cause}", of_slot, slot_size, unit + per, *source
 
 
 EFFECTS = EffectTable.of(
@@ -269,32 +269,32 @@ EFFECTS = EffectTable.of(
 # Named models: the document's own, and its three prior methods.
 
 
-def _model(*causes: Any, beside: bc.Model | None = None) -> bc.Model:
-    """Of these causes or rows, for the bias and then for the scale factor; beside the effects of another model."""
+def _model(*causes: Any, base: bc.Model | None = None) -> bc.Model:
+    """Build a model of these causes or rows, for bias and scale factor, added to a base model."""
     names = [cause if isinstance(cause, str) else cause[0] for cause in causes]
-    made = beside or bc.Model(INSTRUMENT, (), INSTRUMENT.noise)
+    model = base or bc.Model(INSTRUMENT, (), INSTRUMENT.noise)
     for slot in ("bias", "scale"):
-        made = made + tuple(EFFECTS[f"{slot}.{name}"] for name in names)
-    return made
+        model = model + tuple(EFFECTS[f"{slot}.{name}"] for name in names)
+    return model
 
 
 def of_circuit(order: int) -> bc.Model:
-    """Bias and scale factor as polynomials of t1: the document's first prior method."""
+    """Return bias and scale factor as polynomials of t1: the document's first prior method."""
     return _model("constant_circuit", *OF_CIRCUIT[:order])
 
 
 def with_rate() -> bc.Model:
-    """A cubic of t1, its rate and their product: the document's second prior method."""
-    return _model("rate_circuit", "temperature_x_rate_circuit", beside=of_circuit(3))
+    """Return a cubic of t1, its rate and their product: the document's second prior method."""
+    return _model("rate_circuit", "temperature_x_rate_circuit", base=of_circuit(3))
 
 
 def of_frequency_sum(order: int = 3) -> bc.Model:
-    """Polynomials of the temperature that the beams' frequency sum shows: the document's third prior method."""
+    """Return polynomials of the temperature indicated by the frequency sum: the document's third prior method."""
     return _model("constant_head", *OF_SUM[:order])
 
 
 def two_thermometers(crossed_by: str = "head") -> bc.Model:
-    """The document's own model, 15 columns each for bias and scale factor, in its order; together of rank 12.
+    """Return the document's model, 15 columns each for bias and scale factor, in its order; rank 12 in total.
 
     Args:
         crossed_by: which thermometer is t in t·dt/dt and t·δt, "head" or "circuit".

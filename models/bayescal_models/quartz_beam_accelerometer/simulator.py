@@ -64,7 +64,7 @@ class Truth:
 
 
 def truth(world: World, coefficients: Mapping[str, float]) -> Truth:
-    """Bias, scale factor and frequency sum of the test's device.
+    """Return bias, scale factor and frequency sum of the test's device.
 
     Args:
         coefficients: of the cubic device; the beams have none of these.
@@ -81,14 +81,14 @@ def truth(world: World, coefficients: Mapping[str, float]) -> Truth:
 
 
 def _relative(change: Array, tempco: float, curvature: float, cubic: float) -> Array:
-    """Relative change of a beam's frequency."""
+    """Return the relative change of a beam's frequency."""
     return change * (tempco + change * (curvature + change * cubic))
 
 
 def _sum_of_frequencies(first: Array, second: Array) -> Array:
     curvature = -0.02e-6  # 1/°C²: about quartz's
-    one, other = (_relative(beam, BEAM_TEMPCO, curvature, 0.0) for beam in (first, second))
-    return BEAM_FREQUENCY * (2.0 + (one + other))
+    low, high = (_relative(beam, BEAM_TEMPCO, curvature, 0.0) for beam in (first, second))
+    return BEAM_FREQUENCY * (2.0 + (low + high))
 
 
 def _beams(world: World) -> Truth:
@@ -115,7 +115,7 @@ def _beams(world: World) -> Truth:
 
 
 def _energy(change: Array, T0: float) -> Array:
-    """Energy of an Einstein oscillator less its tangent at T0, curvature one: about ½·2·ΔT² = ΔT²."""
+    """Return an Einstein oscillator's energy less its tangent at T0, curvature one: about ½·2·ΔT² = ΔT²."""
 
     def level(kelvin):
         return 1.0 / np.expm1(EINSTEIN / kelvin)
@@ -127,7 +127,7 @@ def _energy(change: Array, T0: float) -> Array:
 
 
 def _leakages(world: World) -> Array:
-    """Two leakages, one growing with heat and one with cold, less what is linear in them."""
+    """Return two leakages, one growing with heat and one with cold, less their linear part."""
     part = (world.circuit - world.plan.T0) / LEAKAGE
     return 6.0 * LEAKAGE**3 * (np.sinh(part) - part)
 
@@ -182,7 +182,7 @@ CHANCE: Mapping[str, Callable[[World, Mapping[str, Array]], Array]] = MappingPro
 def simulated_columns(
     effects: Mapping[str, float] | None = None, *, seed: int, campaign: Campaign | None = None
 ) -> dict[str, Any]:
-    """A campaign with these effects hidden in it: its columns, by name, in the instrument's units.
+    """Simulate a campaign with hidden effects: columns by name, in the instrument's units.
 
     The same seed gives the same noise and the same turn-on offsets whatever the effects.
 
@@ -223,7 +223,7 @@ def simulated_columns(
 def true_values(
     campaign: Campaign, effects: Mapping[str, float] | None = None, *, seed: int = 0
 ) -> Truth:
-    """True bias, scale factor and frequency sum at each reading of `simulate`, without noise.
+    """Return true bias, scale factor and frequency sum at each reading of `simulate`, without noise.
 
     Args:
         campaign, effects, seed: as given to `simulate`.
@@ -236,8 +236,8 @@ def true_values(
 
 def _true(world: World, effects: Mapping[str, float], seed: int) -> tuple[World, Truth]:
     places = {f"{s}.{cause}": (s, cause) for s in ("bias", "scale") for cause in (*LAWS, *CHANCE)}
-    known = [*places, "second_order", *OF_BIAS, *(CUBIC if world.plan.device == "cubic" else ())]
-    simulated.refuse_effects(effects, known, f"a {world.plan.device!r} device")
+    names = [*places, "second_order", *OF_BIAS, *(CUBIC if world.plan.device == "cubic" else ())]
+    simulated.refuse_effects(effects, names, f"a {world.plan.device!r} device")
     generators = simulated.generators(CHANCES, seed)
     world.supply = simulated.wandering_supply(generators["supply"], world.time)
     device = truth(world, {n: effects.get(n, v) for n, v in CUBIC.items()})
@@ -255,13 +255,13 @@ def _true(world: World, effects: Mapping[str, float], seed: int) -> tuple[World,
 
 
 def _chance(generator: np.random.Generator, world: World) -> dict[str, Array]:
-    """Standard normal numbers of one slot: one per run, one per cell, held through it."""
+    """Draw standard normal numbers of one slot: one per run, one per cell, constant through it."""
     runs, cells = int(world.run.max()) + 1, int(world.cell.max()) + 1
     return {n: generator.standard_normal(k) for n, k in (("run", runs), ("cell", max(cells, 1)))}
 
 
 def _noise(world: World, generators: Mapping[str, np.random.Generator]) -> Array:
-    """Noise of each reading, µg."""
+    """Draw the noise of each reading, µg."""
     white = world.plan.noise * generators["noise"].standard_normal(world.run.size)
     if world.plan.noise_law == "white":
         return white

@@ -87,7 +87,7 @@ class _CarriedOut:
         self.knots.append((self.now, self.here))
 
     def _go(self, goal: float, speed: float) -> None:
-        """Lead the set point to `goal`, °C, at `speed`, °C/min."""
+        """Move the set point to `goal`, °C, at `speed`, °C/min."""
         self.now += 60.0 * abs(goal - self.here) / speed
         self.here = goal
         self.knots.append((self.now, self.here))

@@ -23,7 +23,7 @@ from bayescal_models.still_sensor import reference_problem
 
 
 def model(temperature, T0, output=None) -> None:
-    """Temperatures °C (n,); T0 °C; output µg (n,), or None to simulate."""
+    """Define the model of temperatures °C (n,), T0 °C; output µg (n,), or None to simulate."""
     c0 = numpyro.sample("bias.constant", Normal(0.0, 5000.0))  # µg
     c1 = numpyro.sample("bias.temperature", Normal(0.0, 25.0))  # µg/°C
     noise = numpyro.sample("noise.white", HalfCauchy(100.0))  # µg
@@ -31,12 +31,12 @@ def model(temperature, T0, output=None) -> None:
 
 
 def data(readings: bc.Measurements) -> dict[str, Any]:
-    """The readings as arguments of `model`."""
+    """Return the readings as arguments of `model`."""
     temperature = readings["temperature"]
     T0 = np.round(temperature.mean())
     return {"temperature": temperature, "T0": T0, "output": readings["output"]}
 
 
 def equal() -> bc.Model:
-    """The same model as a sum of named effects."""
+    """Return the same model as a sum of named effects."""
     return reference_problem.model()

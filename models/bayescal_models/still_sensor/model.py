@@ -63,7 +63,7 @@ def instrument(
     span: float = 1.0,
     pace: float = 1.0,
 ) -> bc.Instrument:
-    """A sensor at rest with these plausible sizes.
+    """Build a sensor at rest with these plausible sizes.
 
     Args:
         unit: of the output, such as "ug", "deg/s" or "V".
@@ -83,31 +83,31 @@ def instrument(
     line, *candidates = catalogue.recorded(
         "bias", unit, size=size, span=span or 1.0, pace=pace, order=4, source=OF_RANGE
     )
-    own = catalogue.constant("bias.constant", constant, unit, OF_RECORD)
-    made = bc.Instrument(
+    constant_effect = catalogue.constant("bias.constant", constant, unit, OF_RECORD)
+    sensor = bc.Instrument(
         name="still_sensor",
         title="any sensor at rest: its output over temperature and time",
         columns=tuple(replace(c, unit=unit) if c.name == "output" else c for c in COLUMNS),
         slots=(bc.Slot("bias", unit, "output at rest"),),
         response=_at_rest,
-        effects=(own, line) if span else (own,),
+        effects=(constant_effect, line) if span else (constant_effect,),
         candidates=(*([] if span else [line]), *candidates),
         noise=bc.White(bc.HalfCauchy(0.1 * size)),
         structures=(
-            ("line", lambda: made.baseline()),
-            ("quadratic", lambda: made.baseline() + candidates[:1]),
-            ("cubic", lambda: made.baseline() + candidates[:2]),
+            ("line", lambda: sensor.baseline()),
+            ("quadratic", lambda: sensor.baseline() + candidates[:1]),
+            ("cubic", lambda: sensor.baseline() + candidates[:2]),
         ),
         simulator=simulated_columns,
         use=bc.Use("input", unit, equation=_in_use),
         source="ours",
         settings=(("unit", unit), *settings.items()),
     )
-    return made
+    return sensor
 
 
 def tailored(readings: bc.Measurements, **settings: Any) -> bc.Instrument:
-    """A sensor at rest in the unit of these readings, its plausible sizes taken from them.
+    """Build a sensor at rest in the unit of these readings, with plausible sizes from them.
 
     Args:
         readings: of any channel.
@@ -125,21 +125,21 @@ def tailored(readings: bc.Measurements, **settings: Any) -> bc.Instrument:
     if not 1e-150 < size < 1e150:  # whose squares are numbers
         column = next((s.output for s in readings.sources if s.output), "output")
         about = f"{middle:g} within ±{size:.3g}" if size > 0 else f"{middle:g} throughout"
-        said = f"{readings.file}, column {column!r}: reads {about}, so no size can be taken from it"
-        raise bc.InputError(f"{said}: choose another channel")
+        text = f"{readings.file}, column {column!r}: reads {about}, so no size can be taken from it"
+        raise bc.InputError(f"{text}: choose another channel")
     span = 0.5 * float(np.ptp(readings["temperature"])) if readings.has("temperature") else 0.0
-    found = {
+    sizes = {
         "unit": readings.unit("output"),
         "size": size,
         "constant": float(np.hypot(middle, 10 * size)),
         "span": span if span >= 0.5 * LEAST_TEMPERATURE_RANGE else 0.0,
         "pace": _pace(readings) if span else 1.0,
     }
-    return instrument(**{**found, **settings})
+    return instrument(**{**sizes, **settings})
 
 
 def _pace(readings: bc.Measurements) -> float:
-    """Mean of |dT/dt| from minute to minute within runs, °C/min."""
+    """Return the mean of |dT/dt| from minute to minute within runs, °C/min."""
     _, codes = readings.groups("run")
     moved, minutes = 0.0, 0
     for run in np.unique(codes):

@@ -11,10 +11,10 @@ SENSOR = instrument("ug", size=1000.0, constant=5000.0, span=40.0, pace=3.0)
 
 
 def model() -> bc.Model:
-    """The baseline, a line over temperature, of a sensor whose output is in µg."""
+    """Return the baseline, a line over temperature, of a sensor whose output is in µg."""
     return SENSOR.baseline()
 
 
 def readings(seed: int = 0) -> bc.Measurements:
-    """82 readings, µg: two runs of ramps, one reading a minute; a line and nothing else in them."""
+    """Simulate 82 readings, µg: two runs of ramps, one reading a minute, with a line only."""
     return simulate(seed=seed, runs=2, interval=60)

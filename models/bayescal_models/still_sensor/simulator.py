@@ -62,17 +62,17 @@ class World:
 
     @property
     def rate(self) -> np.ndarray:
-        """dT/dt, °C/min."""
+        """Return dT/dt, °C/min."""
         return 60 * np.gradient(self.ambient)
 
     @property
     def behind(self) -> np.ndarray:
-        """T̃ − T of a body of first order, °C."""
+        """Return T̃ − T of a first-order body, °C."""
         return self.body(self.ambient, LAG_TIME) - self.ambient
 
     @property
     def progress(self) -> np.ndarray:
-        """(t − t̄)/(tmax − tmin) over all runs, (runs, m)."""
+        """Return (t − t̄)/(tmax − tmin) over all runs, (runs, m)."""
         elapsed = self.start + self.second
         return (elapsed - elapsed.mean()) / np.ptp(elapsed)
 
@@ -106,7 +106,7 @@ def simulated_columns(
     interval: int = 10,
     noise_law: str = "white",
 ) -> dict[str, Any]:
-    """Columns of ramps, 25 → −15 → 65 → 25 °C in 40 minutes, with these effects hidden in them, by name.
+    """Simulate ramps, 25 → −15 → 65 → 25 °C in 40 minutes, with hidden effects; return columns by name.
 
     Args:
         effects: canonical name → true size, in the unit of the effect's coefficient. The line is
@@ -134,9 +134,9 @@ def simulated_columns(
     if noise_law == "ornstein_uhlenbeck":
         scatter += NOISE * correlated(rng, shape, WANDER_TIME, 1.0)
     logged = slice(0, None, interval)
-    taken = world.second[logged].size
+    count = world.second[logged].size
     columns = {
-        "run": np.repeat(np.arange(1, runs + 1), taken).astype(str),
+        "run": np.repeat(np.arange(1, runs + 1), count).astype(str),
         "time": (world.start + world.second)[:, logged].ravel(),
         "temperature": np.tile(world.ambient[logged], runs),
         f"output [{unit}]": (true + scatter)[:, logged].ravel(),

@@ -20,9 +20,9 @@ SESSION = (
 
 
 def three(
-    name: str, unit: str, words: str, also: tuple[str, ...] = (), **more: Any
+    name: str, unit: str, words: str, also: tuple[str, ...] = (), **options: Any
 ) -> tuple[bc.Column, ...]:
-    """A column for each component.
+    """Declare a column for each component.
 
     Args:
         name: before the axis, as in `output_x`.
@@ -37,14 +37,14 @@ def three(
             unit,
             words.format(axis=a),
             also=tuple(other.format(axis=a) for other in also),
-            **more,
+            **options,
         )
         for a in AXES
     )
 
 
-def made(unit: str, across: str, axis: str, output: str) -> tuple[bc.Column, ...]:
-    """Columns of the readings that are made of the three outputs, each with what it is."""
+def derived(unit: str, across: str, axis: str, output: str) -> tuple[bc.Column, ...]:
+    """Declare the columns of readings computed from the three outputs."""
     return (
         *three("across", "1", across, required=False),
         bc.Column("axis", None, axis, required=False),
@@ -53,7 +53,7 @@ def made(unit: str, across: str, axis: str, output: str) -> tuple[bc.Column, ...
 
 
 def made_in_moves(unit: str) -> tuple[bc.Column, ...]:
-    """What a mean over a move is of, weighted with the components of a direction that turns with the unit."""
+    """Declare the columns of a mean over a move, along a direction that turns with the unit."""
     return (
         *(
             bc.Column(n, unit, f"rate about {n[-1]}, by component {n[-2]}", required=False)
@@ -72,7 +72,7 @@ def made_in_moves(unit: str) -> tuple[bc.Column, ...]:
 
 
 def made_in_poses(unit: str) -> tuple[bc.Column, ...]:
-    """How well a pose's direction is known, and what is made of the outputs in it: a magnitude, or projections."""
+    """Declare the columns of poses: direction uncertainty, and magnitude or projections of the outputs."""
     return (
         bc.Column(
             "pose_uncertainty",
@@ -82,7 +82,7 @@ def made_in_poses(unit: str) -> tuple[bc.Column, ...]:
             low=0.0,
             high=1.0,
         ),
-        *made(
+        *derived(
             unit,
             "of a reading that is a projection",
             "which reading of a pose it is",

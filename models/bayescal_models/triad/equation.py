@@ -27,7 +27,7 @@ CROSS = tuple(f"cross_{a}_{p}" for a in AXES for p in ("xy", "xz", "yz"))
 
 
 def slots(unit: str, acts: str) -> tuple[bc.Slot, ...]:
-    """The slots of three axes whose outputs are in `unit`; `acts` says of what, for people."""
+    """Return the slots of three axes whose outputs are in `unit`; `acts` describes the input, in words."""
     return (
         *(bc.Slot(name, unit, f"output of axis {name[-1]} at no {acts}") for name in BIAS),
         *(
@@ -42,7 +42,7 @@ def slots(unit: str, acts: str) -> tuple[bc.Slot, ...]:
 
 
 def higher_order(unit: str) -> tuple[bc.Slot, ...]:
-    """Further slots, of terms of second and third order."""
+    """Return further slots, of terms of second and third order."""
     return (
         *(
             bc.Slot(name, f"1/{unit}", f"of axis {name[-1]}, times its own input squared")
@@ -59,16 +59,16 @@ def higher_order(unit: str) -> tuple[bc.Slot, ...]:
     )
 
 
-def equation(given: Mapping[str, Any], r: bc.Frame) -> Callable[[Any], Any]:
-    """The three outputs (n, 3), output unit, as a function of what acts (n, 3); higher orders where there are slots."""
+def equation(values: Mapping[str, Any], r: bc.Frame) -> Callable[[Any], Any]:
+    """Return the three outputs (n, 3), output unit, as a function of the input (n, 3); with higher orders if given."""
 
     def stacked(names: Sequence[str]) -> Any:
-        return xp.stack([given[name] for name in names], axis=-1).reshape(r.size, 3, -1)
+        return xp.stack([values[name] for name in names], axis=-1).reshape(r.size, 3, -1)
 
     bias, first = stacked(BIAS)[:, :, 0], stacked(FIRST)
-    square = stacked(SQUARE)[:, :, 0] if SQUARE[0] in given else None
-    cross = stacked(CROSS) if CROSS[0] in given else None
-    cube = stacked(CUBE)[:, :, 0] if CUBE[0] in given else None
+    square = stacked(SQUARE)[:, :, 0] if SQUARE[0] in values else None
+    cross = stacked(CROSS) if CROSS[0] in values else None
+    cube = stacked(CUBE)[:, :, 0] if CUBE[0] in values else None
 
     def outputs(force: Any) -> Any:
         total = force + bias + xp.sum(first * force[:, None, :], axis=-1)

@@ -14,7 +14,7 @@ INTERVAL = 20.0  # s, between readings
 
 
 def _spread(count: int, temperatures: tuple[float, ...]) -> dict[str, Any]:
-    """Columns of as many readings at each temperature."""
+    """Return columns of so many readings at each temperature."""
     rows = count * len(temperatures)
     return {
         "run": np.full(rows, "planned"),
@@ -24,27 +24,27 @@ def _spread(count: int, temperatures: tuple[float, ...]) -> dict[str, Any]:
 
 
 def poses(size: float, temperatures: tuple[float, ...]) -> dict[str, Any]:
-    """Columns of a pose in each direction, of what has the magnitude `size`, at each temperature."""
-    made = _spread(len(DIRECTIONS), temperatures) | {"magnitude": size}
+    """Return columns of a pose in each direction, of an input of magnitude `size`, at each temperature."""
+    columns = _spread(len(DIRECTIONS), temperatures) | {"magnitude": size}
     units = DIRECTIONS / np.linalg.norm(DIRECTIONS, axis=1)[:, None]
-    each = np.tile(size * units, (len(temperatures), 1))
-    return made | {f"output_{a}": each[:, i] for i, a in enumerate("xyz")}
+    outputs = np.tile(size * units, (len(temperatures), 1))
+    return columns | {f"output_{a}": outputs[:, i] for i, a in enumerate("xyz")}
 
 
 def rates(rate: float, temperatures: tuple[float, ...]) -> dict[str, Any]:
-    """Columns of a rate each way, each axis up and down, at each temperature."""
+    """Return columns of a rate each way, each axis up and down, at each temperature."""
     axis = np.repeat(np.concatenate([np.eye(3), -np.eye(3)]), 2, axis=0)
-    made = _spread(len(axis), temperatures)
+    columns = _spread(len(axis), temperatures)
     axis = np.tile(axis, (len(temperatures), 1))
-    made |= {"rate": np.tile([rate, -rate], len(axis) // 2)}
+    columns |= {"rate": np.tile([rate, -rate], len(axis) // 2)}
     for i, a in enumerate("xyz"):
-        made[f"direction_{a}"] = made[f"gravity_{a}"] = axis[:, i]
-        made[f"output_{a}"] = made["rate"] * axis[:, i]
-    return made
+        columns[f"direction_{a}"] = columns[f"gravity_{a}"] = axis[:, i]
+        columns[f"output_{a}"] = columns["rate"] * axis[:, i]
+    return columns
 
 
 def experiments(size: float) -> tuple[tuple[str, Any], ...]:
-    """Of poses, by name."""
+    """Return the experiments of poses, by name."""
     return (
         ("26 directions at 25 °C", partial(poses, size, (25.0,))),
         ("26 directions at −20, 25 and 70 °C", partial(poses, size, THERMAL)),

@@ -15,30 +15,30 @@ from bayescal_models.catalogue import Maker, effect, family, one, progress
 
 
 def constant(slots: Sequence[str], equation: str = "c") -> Maker:
-    """A constant of each."""
+    """Build a constant for each slot."""
     return family(slots, one, equation, kind="constant")
 
 
 def over_temperature(slots: Sequence[str], order: int = 1) -> Maker:
-    """c·(T − T0) for each, or a power of it."""
+    """Build c·(T − T0) for each slot, or a power of it."""
     sign, kind = ("", "²", "³")[order - 1], ("linear", "quadratic", "cubic")[order - 1]
     basis = partial(_departure, order)
     return family(slots, basis, f"c·(T − T0){sign}", "temperature", kind=kind)
 
 
 def with_time(slots: Sequence[str]) -> Maker:
-    """c·(t − t̄)/(tmax − tmin) for each."""
+    """Build c·(t − t̄)/(tmax − tmin) for each slot."""
     return family(slots, progress, "c·progress", "time", varies=("time",), kind="drift")
 
 
 def of_run(slots: Sequence[str]) -> Maker:
-    """A deviation of each in each run, their standard deviation estimated."""
-    more: dict[str, Any] = {"per": "run", "learned": bc.HalfNormal, "varies": ()}
-    return family(slots, one, "d[run],  d ~ N(0, s²)", "run", **more)
+    """Build a deviation of each slot in each run, with learned standard deviation."""
+    fields: dict[str, Any] = {"per": "run", "learned": bc.HalfNormal, "varies": ()}
+    return family(slots, one, "d[run],  d ~ N(0, s²)", "run", **fields)
 
 
 def behind(slots: Sequence[str]) -> Maker:
-    """c·(T̃ − T) for each, one time for all."""
+    """Build c·(T̃ − T) for each slot, with one time constant."""
     return effect(
         partial(_behind, len(slots)),
         "c·(T̃ − T),  τ·dT̃/dt = T − T̃",
@@ -59,7 +59,7 @@ def _behind(count: int, r: bc.Frame, tau: Any) -> Any:
 
 
 def unknown_directions(readings: bc.Measurements) -> str | None:
-    """Why a rotation of the triad moves no reading."""
+    """Return why a rotation of the triad moves no reading; None if it does."""
     return (
         None
         if readings.has("across_x")
@@ -68,5 +68,5 @@ def unknown_directions(readings: bc.Measurements) -> str | None:
 
 
 def frame_of_sensors(slots: Sequence[str]) -> Maker:
-    """A rotation of the triad in the body, which poses of unknown direction do not show."""
+    """Build a rotation of the triad in the body, unidentified by poses of unknown direction."""
     return family(slots, one, "c", untestable=unknown_directions)

@@ -1,4 +1,4 @@
-"""How much poses scatter beyond what was seen at rest: believed to be about as much again.
+"""Prior of the scatter of poses: as large again as the noise seen at rest.
 
 Six positions off their axes determine six coefficients and nothing of the noise, so that its prior decides. Without a
 stated uncertainty that is an order of magnitude or two, and a bias known to 0.2 mg is stated as ±3 mg. Blocks at rest
@@ -21,7 +21,7 @@ LOG_SD = 1.0  # standard deviation of the logarithm: within a factor of 7 for 95
 def with_scatter(
     instrument: bc.Instrument, readings: bc.Measurements | None, scatter: float | None = None
 ) -> bc.Instrument:
-    """The instrument whose noise is believed to be as large as the uncertainties that poses state, if all do.
+    """Return the instrument with a noise prior as large as the poses' stated uncertainties, if all state one.
 
     Args:
         instrument: of three axes.
@@ -38,7 +38,7 @@ def with_scatter(
 
 
 def _stated(readings: bc.Measurements | None) -> np.ndarray:
-    """Of outputs along what acts; across it a direction's uncertainty counts too."""
+    """Return the stated uncertainties of outputs along the input; across it a direction's uncertainty counts too."""
     if readings is None or not readings.has(UNCERTAINTY):
         return np.zeros(0)
     along = readings[WHICH] == "magnitude" if readings.has(WHICH) else slice(None)

@@ -44,9 +44,9 @@ def members_of(
     effects: Mapping[str, Any] | None,
     counts: Mapping[str, int],
     baseline: Mapping[str, Any],
-    known: Collection[str] | None = None,
+    names: Collection[str] | None = None,
 ) -> dict[str, np.ndarray]:
-    """Sizes of the members of every family, by canonical name.
+    """Return sizes of the members of every family, by canonical name.
 
     Args:
         effects: canonical name → size, of which the members come at their own `SHARES`; or one for each member.
@@ -57,29 +57,29 @@ def members_of(
     Raises:
         ValueError: an unknown effect, or a size that is no number.
     """
-    given, known = dict(effects or {}), counts if known is None else known
-    for name, size in given.items():
-        refuse(name not in known, f"no law for {name}: choose among {', '.join(known)}")
+    requested, names = dict(effects or {}), counts if names is None else names
+    for name, size in requested.items():
+        refuse(name not in names, f"no law for {name}: choose among {', '.join(names)}")
         refuse(not np.all(np.isfinite(size)), f"{name}: its size {size!r} is no number")
     sizes = {name: np.zeros(count) for name, count in counts.items()}
     sizes |= {name: np.asarray(members, float) for name, members in baseline.items()}
-    for name, size in given.items():
+    for name, size in requested.items():
         sizes[name] = size * SHARES[: counts[name]] if np.ndim(size) == 0 else np.asarray(size)
     return sizes
 
 
 def matrix_of(scale: Any, angles: Sequence[float]) -> np.ndarray:
-    """What the axes feel of what acts: deviations of the scale factors, and three or six angles, rad."""
-    made = np.eye(3) + np.diag(scale)
+    """Return the sensor matrix from scale factor deviations and three or six angles, rad."""
+    matrix = np.eye(3) + np.diag(scale)
     for at, angle in zip(OFF_DIAGONAL, angles, strict=False):
-        made[at] = angle
-    return made
+        matrix[at] = angle
+    return matrix
 
 
 def simulator_of(
-    baseline: Mapping[str, Any], known: Sequence[str], small: float, plan: type[Campaign]
+    baseline: Mapping[str, Any], names: Sequence[str], small: float, plan: type[Campaign]
 ) -> Callable[..., dict[str, Any]]:
-    """A simulator of poses.
+    """Build a simulator of poses.
 
     Args:
         baseline: what is there unless effects say otherwise, by its canonical name: sizes of its three members.
@@ -91,7 +91,7 @@ def simulator_of(
     def simulated_columns(
         effects: Mapping[str, Any] | None = None, *, seed: int, campaign: Campaign | None = None
     ) -> dict[str, Any]:
-        """Columns of poses with these effects hidden in them, by name.
+        """Simulate columns of poses with hidden effects, by name.
 
         Args:
             effects: canonical name → true size, in the unit of the effect's coefficients, whose members come at
@@ -102,7 +102,7 @@ def simulator_of(
         Raises:
             ValueError: an unknown effect, or a size that is no number.
         """
-        sizes = members_of(effects, COUNTS, baseline, known)
+        sizes = members_of(effects, COUNTS, baseline, names)
         return _poses(sizes, small, seed, campaign or plan())
 
     return simulated_columns
@@ -112,8 +112,8 @@ def _poses(
     sizes: Mapping[str, np.ndarray], small: float, seed: int, campaign: Campaign
 ) -> dict[str, Any]:
     rng = np.random.default_rng(seed)
-    each = len(campaign.temperatures) * campaign.poses
-    count = campaign.runs * each
+    rows_per_run = len(campaign.temperatures) * campaign.poses
+    count = campaign.runs * rows_per_run
     nominal = np.concatenate(
         [
             directions(campaign.kind, campaign.poses, rng)
@@ -121,16 +121,16 @@ def _poses(
         ]
     )
     angle = campaign.pose_uncertainty or 0.0
-    force = campaign.magnitude * beside(nominal, angle, rng)
+    force = campaign.magnitude * perturbed(nominal, angle, rng)
     temperature = np.tile(np.repeat(campaign.temperatures, campaign.poses), campaign.runs)
-    run = np.repeat(np.arange(campaign.runs), each)
+    run = np.repeat(np.arange(campaign.runs), rows_per_run)
     time = campaign.interval * np.arange(count) + 3600.0 * run
     of_run, noise = rng.standard_normal((campaign.runs, 3)), rng.standard_normal((count, 3))
     warm = (temperature - REFERENCE)[:, None]
     progress = ((time - time.mean()) / max(float(np.ptp(time)), 1.0))[:, None]
     bias = sizes["bias.constant"] + sizes["bias.temperature"] * warm
     bias = bias + sizes["bias.temperature_quadratic"] * warm**2 + sizes["bias.drift"] * progress
-    bias = bias + sizes["bias.thermal_lag"] * behind(temperature, run, campaign.interval)[:, None]
+    bias = bias + sizes["bias.thermal_lag"] * lag_of(temperature, run, campaign.interval)[:, None]
     bias = small * (bias + sizes["bias.run"] * of_run[run])
     scale = 1e-6 * (sizes["scale.constant"] + sizes["scale.temperature"] * warm)
     upper = 1e-3 * (sizes["misalignment.constant"] + sizes["misalignment.temperature"] * warm)
@@ -144,27 +144,27 @@ def _poses(
         output[i] = matrix @ force[i] + bias[i] + small * second
         output[i] += small * sizes["cube.constant"] * force[i] ** 3
     output += campaign.noise * noise
-    made: dict[str, Any] = {"run": (run + 1).astype(str), "time": time, "temperature": temperature}
-    made["magnitude"] = np.full(count, campaign.magnitude)
-    made |= {f"output_{a}": output[:, i] for i, a in enumerate("xyz")}
+    table: dict[str, Any] = {"run": (run + 1).astype(str), "time": time, "temperature": temperature}
+    table["magnitude"] = np.full(count, campaign.magnitude)
+    table |= {f"output_{a}": output[:, i] for i, a in enumerate("xyz")}
     if campaign.pose_uncertainty is not None:
-        made |= {f"direction_{a}": nominal[:, i] for i, a in enumerate("xyz")}
-        made["pose_uncertainty"] = np.full(count, angle)
-    return made
+        table |= {f"direction_{a}": nominal[:, i] for i, a in enumerate("xyz")}
+        table["pose_uncertainty"] = np.full(count, angle)
+    return table
 
 
-def behind(temperature: np.ndarray, run: np.ndarray, interval: float) -> np.ndarray:
-    """By how much dies that follow in `BODY` are off the thermometer, °C: at it when each run begins."""
-    found = np.zeros(len(temperature))
-    for i in range(1, len(found)):
+def lag_of(temperature: np.ndarray, run: np.ndarray, interval: float) -> np.ndarray:
+    """Return the lag of the dies behind the thermometer, °C, with time constant `BODY`; zero when each run begins."""
+    lag = np.zeros(len(temperature))
+    for i in range(1, len(lag)):
         if run[i] == run[i - 1]:
-            before = found[i - 1] + temperature[i - 1] - temperature[i]
-            found[i] = before * math.exp(-interval / BODY)
-    return found
+            before = lag[i - 1] + temperature[i - 1] - temperature[i]
+            lag[i] = before * math.exp(-interval / BODY)
+    return lag
 
 
 def directions(kind: str, count: int, rng: np.random.Generator) -> np.ndarray:
-    """Unit vectors (count, 3).
+    """Return unit vectors (count, 3).
 
     Args:
         kind: "random" over the sphere; "six" each axis up and down, in turn; "twelve" halfway between two axes, in
@@ -173,29 +173,29 @@ def directions(kind: str, count: int, rng: np.random.Generator) -> np.ndarray:
         rng: of every random number.
     """
     if kind == "random":
-        made = rng.standard_normal((count, 3))
+        vectors = rng.standard_normal((count, 3))
     elif kind == "six":
-        made = np.resize(np.concatenate([np.eye(3), -np.eye(3)]), (count, 3))
+        vectors = np.resize(np.concatenate([np.eye(3), -np.eye(3)]), (count, 3))
     elif kind == "twelve":
         pairs = [
             (i, j, s, t) for i, j in ((0, 1), (0, 2), (1, 2)) for s in (1, -1) for t in (1, -1)
         ]
-        made = np.zeros((12, 3))
-        for row, (i, j, s, t) in zip(made, pairs, strict=True):
+        vectors = np.zeros((12, 3))
+        for row, (i, j, s, t) in zip(vectors, pairs, strict=True):
             row[i], row[j] = s, t
-        made = np.resize(made, (count, 3))
+        vectors = np.resize(vectors, (count, 3))
     elif kind == "planar":
         angle = rng.uniform(0, 2 * np.pi, count)
-        made = np.column_stack([np.sin(angle), 0 * angle, np.cos(angle)])
+        vectors = np.column_stack([np.sin(angle), 0 * angle, np.cos(angle)])
     else:
         tilt = np.deg2rad(10) * np.sqrt(rng.uniform(size=count))
         way = rng.uniform(0, 2 * np.pi, count)
         across = np.sin(tilt)
-        made = np.column_stack([across * np.cos(way), across * np.sin(way), np.cos(tilt)])
-    return made / np.linalg.norm(made, axis=1)[:, None]
+        vectors = np.column_stack([across * np.cos(way), across * np.sin(way), np.cos(tilt)])
+    return vectors / np.linalg.norm(vectors, axis=1)[:, None]
 
 
-def beside(direction: np.ndarray, angle: float, rng: np.random.Generator) -> np.ndarray:
-    """Directions that stand beside these by a random angle of this standard deviation about each cross axis, rad."""
-    moved = direction + angle * rng.standard_normal(direction.shape)
-    return moved / np.linalg.norm(moved, axis=1)[:, None]
+def perturbed(direction: np.ndarray, angle: float, rng: np.random.Generator) -> np.ndarray:
+    """Perturb directions by a random angle of this standard deviation about each cross axis, rad."""
+    perturbed = direction + angle * rng.standard_normal(direction.shape)
+    return perturbed / np.linalg.norm(perturbed, axis=1)[:, None]

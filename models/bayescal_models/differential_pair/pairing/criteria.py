@@ -19,13 +19,13 @@ DEGREE = 3
 
 
 def polynomial(time: Array, records: Array) -> Array:
-    """Coefficients c_0 … c_3 of records (…, T) in powers of t from the start, (…, 4)."""
+    """Fit coefficients c_0 … c_3 of records (…, T) in powers of time from the start, (…, 4)."""
     t = (time - time[0]) / (time[-1] - time[0])
     return records @ np.linalg.pinv(np.vander(t, DEGREE + 1, increasing=True)).T
 
 
 def ratio_variance(coefficients: Array, outer: int) -> Array:
-    """Variance over the orders of c_i(outer)/c_i(inner).
+    """Return the variance over the orders of c_i(outer)/c_i(inner).
 
     Args:
         coefficients: of each device, outer first, (…, K, 4).
@@ -37,12 +37,12 @@ def ratio_variance(coefficients: Array, outer: int) -> Array:
     above = coefficients[..., :outer, None, :]
     below = coefficients[..., None, outer:, :]
     with np.errstate(divide="ignore", invalid="ignore"):
-        found = np.var(above / below, axis=-1)
-    return np.where(np.isfinite(found), found, np.inf)
+        variance = np.var(above / below, axis=-1)
+    return np.where(np.isfinite(variance), variance, np.inf)
 
 
 def residual(environment: Array, scale: Array, ratio: Array) -> Array:
-    """What differencing leaves of the environment: rms over the record, µg.
+    """Return the rms of the environment left by differencing, over the record, µg.
 
     Args:
         environment: of each device, outer first, µg, (…, K, T).
@@ -54,15 +54,15 @@ def residual(environment: Array, scale: Array, ratio: Array) -> Array:
     """
     outer = len(ratio)
     product = environment @ np.swapaxes(environment, -1, -2) / environment.shape[-1]
-    own = np.diagonal(product, axis1=-2, axis2=-1)
-    above, below = own[..., :outer, None], own[..., None, outer:]
+    squares = np.diagonal(product, axis1=-2, axis2=-1)
+    above, below = squares[..., :outer, None], squares[..., None, outer:]
     square = above - 2 * ratio * product[..., :outer, outer:] + ratio**2 * below
     divisor = scale[..., :outer, None] + ratio * scale[..., None, outer:]
     return np.sqrt(np.maximum(square, 0.0)) / np.abs(divisor)
 
 
 def document_ratio(removed: Array, outer: int) -> Array:
-    """Step 2 of source 3: Σ(a1 − λ1·a − Σw1)/Σ(a2 + λ2·a − Σw2) over the record, (outer, inner).
+    """Return Σ(a1 − λ1·a − Σw1)/Σ(a2 + λ2·a − Σw2) over the record (source 3, step 2), (outer, inner).
 
     It needs a Σu away from zero, and takes whatever offset is left in the records for environment.
     """

@@ -1,4 +1,4 @@
-"""What a calibration says of each device: draws of its scale, its sensitivity and its environment over the record."""
+"""Posterior draws of each device's scale, sensitivity and environment over the record."""
 
 from __future__ import annotations
 
@@ -63,11 +63,11 @@ class Devices:
 
     @property
     def sign(self) -> Array:
-        """+1 for outer devices, −1 for inner ones, (K,)."""
+        """Return +1 for outer devices, −1 for inner ones, (K,)."""
         return np.where(np.arange(len(self.names)) < self.outer, 1.0, -1.0)
 
     def place(self, name: str, outer: bool) -> int:
-        """Position of a device by name.
+        """Return the position of a device by name.
 
         Raises:
             InputError: there is none in that group.
@@ -82,7 +82,7 @@ class Devices:
 
 
 def devices_of(calibration: bc.Calibration) -> Devices:
-    """The devices of a calibration.
+    """Collect the posterior draws of a calibration's devices.
 
     Raises:
         InputError: the readings cannot be paired (one group only, unequal times, several runs), or the model
@@ -104,8 +104,8 @@ def devices_of(calibration: bc.Calibration) -> Devices:
     if "environment.temperature" in samples:
         warmth = readings["temperature"][table.rows] - reference["T0"]
         u = u + np.asarray(samples["environment.temperature"])[:, None, None] * warmth
-    own, departure = _departures(samples, table, basis)
-    environment = sensitivity[:, :, None] * u + own
+    departures, departure = _departures(samples, table, basis)
+    environment = sensitivity[:, :, None] * u + departures
     zero = np.zeros_like(sensitivity)
     fitted = bc.predict(calibration, readings, new_groups=False).mean
     return Devices(
@@ -127,13 +127,13 @@ def devices_of(calibration: bc.Calibration) -> Devices:
 
 
 def _departures(samples: Mapping[str, Array], table: _Table, basis: Array) -> tuple[Array, Array]:
-    """Each device's own v(t), µg, (d, K, T), and the rms that it has in a record, µg, (d,); zero in a model without."""
+    """Return each device's v(t), µg, (d, K, T), and its rms in a record, µg, (d,); zero in a model without."""
     if DEPARTURE_SHARE not in samples:
-        none = np.zeros(len(samples[SENSITIVITY]))
-        return none[:, None, None], none
+        zero = np.zeros(len(samples[SENSITIVITY]))
+        return zero[:, None, None], zero
     share = np.asarray(samples[DEPARTURE_SHARE])
-    own = np.stack([samples[n][:, table.order] for n in order_names(DEPARTURE.name)], axis=-1)
-    return own @ basis, share * DISTURBANCE
+    orders = np.stack([samples[n][:, table.order] for n in order_names(DEPARTURE.name)], axis=-1)
+    return orders @ basis, share * DISTURBANCE
 
 
 @dataclass(frozen=True)
@@ -148,7 +148,7 @@ class _Table:
 
 
 def _table(readings: bc.Measurements) -> _Table:
-    """One record for each device, over the same times.
+    """Arrange one record per device, over the same times.
 
     Raises:
         InputError: they are not; says which.
@@ -157,13 +157,13 @@ def _table(readings: bc.Measurements) -> _Table:
     groups = readings["group"]
     sides = {}
     for i, name in enumerate(names):
-        own = sorted(set(groups[codes == i].tolist()))
-        if len(own) > 1:
+        sides_of_device = sorted(set(groups[codes == i].tolist()))
+        if len(sides_of_device) > 1:
             raise bc.InputError(
-                f"{readings.file}, column 'group': device {name!r} is in both groups, {' and '.join(own)}; a "
+                f"{readings.file}, column 'group': device {name!r} is in both groups, {' and '.join(sides_of_device)}; a "
                 "device has one place on the arm. Give it another label in its second place"
             )
-        sides[i] = own[0]
+        sides[i] = sides_of_device[0]
     for side, other in (("outer", "inner"), ("inner", "outer")):
         if side not in sides.values():
             raise bc.InputError(
@@ -179,11 +179,11 @@ def _table(readings: bc.Measurements) -> _Table:
     rows = [np.flatnonzero(codes == i) for i in order]
     rows = [r[np.argsort(readings["time"][r], kind="stable")] for r in rows]
     time = readings["time"][rows[0]]
-    for i, own in zip(order, rows, strict=True):
-        if len(own) != len(time) or not np.allclose(readings["time"][own], time, atol=1e-3):
+    for i, row in zip(order, rows, strict=True):
+        if len(row) != len(time) or not np.allclose(readings["time"][row], time, atol=1e-3):
             raise bc.InputError(
                 f"{readings.file}, column 'time': device {names[i]!r} was read at other times than "
-                f"{names[order[0]]!r} ({len(own)} and {len(time)} readings); devices are compared reading by "
+                f"{names[order[0]]!r} ({len(row)} and {len(time)} readings); devices are compared reading by "
                 "reading. Interpolate the records to common times first"
             )
     outer = sum(side == "outer" for side in sides.values())

@@ -24,7 +24,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Measured:
-    """Acceleration over time.
+    """Acceleration over time with its uncertainty.
 
     Attributes:
         acceleration: along the arm, outward, µg.
@@ -45,7 +45,7 @@ def measure(
     outer_output: ArrayLike,
     inner_output: ArrayLike,
 ) -> Measured:
-    """Acceleration from the outputs of a calibrated pair.
+    """Compute the acceleration from the outputs of a calibrated pair.
 
     Args:
         found: a calibration of a batch, or its devices.
@@ -63,19 +63,19 @@ def measure(
             "equation has no place for them: correct the outputs first, and calibrate the baseline"
         )
     i, j = devices.place(outer, outer=True), devices.place(inner, outer=False)
-    one, two = (np.asarray(a, dtype=float) for a in (outer_output, inner_output))
-    if one.shape != two.shape or one.ndim != 1:
+    y1, y2 = (np.asarray(a, dtype=float) for a in (outer_output, inner_output))
+    if y1.shape != y2.shape or y1.ndim != 1:
         raise bc.InputError(
-            f"the outputs of {outer!r} and {inner!r} have shapes {one.shape} and {two.shape}: give one reading of "
+            f"the outputs of {outer!r} and {inner!r} have shapes {y1.shape} and {y2.shape}: give one reading of "
             "each at the same times"
         )
     sensitivity = devices.sensitivity
     ratio = float(np.median(sensitivity[:, i] / sensitivity[:, j]))
     divisor = devices.scale[:, i] + ratio * devices.scale[:, j]
     bias = devices.bias[:, i] - ratio * devices.bias[:, j]
-    draws = ((one - ratio * two)[None, :] - bias[:, None]) / divisor[:, None]
+    draws = ((y1 - ratio * y2)[None, :] - bias[:, None]) / divisor[:, None]
     size = np.mean(devices.shared**2, axis=1)  # of u, in a record like this one
-    left = (sensitivity[:, i] - ratio * sensitivity[:, j]) ** 2 * size
-    left = left + (devices.departure**2 + devices.noise**2) * (1 + ratio**2)
-    variance = draws.var(axis=0) + np.mean(left / divisor**2)
+    residual = (sensitivity[:, i] - ratio * sensitivity[:, j]) ** 2 * size
+    residual = residual + (devices.departure**2 + devices.noise**2) * (1 + ratio**2)
+    variance = draws.var(axis=0) + np.mean(residual / divisor**2)
     return Measured(draws.mean(axis=0), np.sqrt(variance), ratio)

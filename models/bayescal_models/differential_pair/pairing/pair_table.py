@@ -1,4 +1,4 @@
-"""Every pair with its probabilities, the best of them and the best set: a table that says itself to people."""
+"""Table of all pairs with probabilities, the best pair and the best set."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ Array = NDArray[np.float64]
 
 UNIT = "ug"
 WIDTH = 110  # columns of a sentence
-SHOWN = 12  # pairs in the table
+PRINTED_PAIRS = 12  # pairs in the table
 VARIES = 0.01  # relative change of the commanded acceleration, above which it is not constant
 
 
@@ -70,7 +70,7 @@ class Pair:
 
     @property
     def names(self) -> tuple[str, str]:
-        """Outer and inner."""
+        """Return outer and inner name."""
         return self.outer, self.inner
 
     def __str__(self) -> str:
@@ -109,7 +109,7 @@ class PairTable:
     remarks: tuple[str, ...]
 
     def of(self, outer: str, inner: str) -> Pair:
-        """A pair by its names.
+        """Return a pair by its names.
 
         Raises:
             InputError: there is no such pair.
@@ -120,7 +120,7 @@ class PairTable:
         raise bc.InputError(f"there is no pair of {outer!r} and {inner!r}")
 
     def data(self) -> dict[str, Any]:
-        """Plain JSON."""
+        """Return the table as plain JSON."""
         return {
             "criterion": self.criterion,
             "pairs": [_pair_data(pair) for pair in self.pairs],
@@ -132,9 +132,9 @@ class PairTable:
 
     def __str__(self) -> str:
         best = self.of(*self.best)
-        shown = [[cell(pair) for cell in _CELLS.values()] for pair in self.pairs[:SHOWN]]
-        lines = str(plain_table([*_CELLS], shown, left=2)).splitlines()
-        hidden = len(self.pairs) - SHOWN
+        cells = [[cell(pair) for cell in _CELLS.values()] for pair in self.pairs[:PRINTED_PAIRS]]
+        lines = str(plain_table([*_CELLS], cells, left=2)).splitlines()
+        hidden = len(self.pairs) - PRINTED_PAIRS
         if hidden > 0:
             lines.append(f"… and {hidden} more")
         lines += [
@@ -154,25 +154,25 @@ class PairTable:
 
 
 def _pair_data(pair: Pair) -> dict[str, Any]:
-    found = as_json(pair) | {"unit": UNIT}  # a variance that is not finite is null
-    found["orders_near_zero"] = found.pop("near_zero")
-    found["environment_ratio"] = found.pop("ratio")
-    return found
+    fields = as_json(pair) | {"unit": UNIT}  # a variance that is not finite is null
+    fields["orders_near_zero"] = fields.pop("near_zero")
+    fields["environment_ratio"] = fields.pop("ratio")
+    return fields
 
 
 def remarks(pairs: Sequence[Pair], commanded: Array) -> tuple[str, ...]:
-    """What to know of a choice, a sentence each.
+    """Return remarks on a choice of pairs, one sentence each.
 
     Args:
         pairs: the best first.
         commanded: acceleration, µg, (T,).
     """
-    said, best = [], pairs[0]
+    sentences, best = [], pairs[0]
     physical = min(pairs, key=lambda p: p.expected_residual)
     ratios = max(pairs, key=lambda p: p.probability_ratio_variance)
     raw = max(pairs, key=lambda p: p.probability_ratio_variance_raw)
     if physical.names != ratios.names:
-        said.append(
+        sentences.append(
             f"The criteria disagree: the least residual is left by {physical} "
             f"({physical.expected_residual:.0f} µg; best with probability {physical.probability_residual:.2f}), the "
             f"least variance of ratios most probably has {ratios} ({ratios.expected_residual:.0f} µg, an "
@@ -182,24 +182,24 @@ def remarks(pairs: Sequence[Pair], commanded: Array) -> tuple[str, ...]:
     near = sorted({(p.inner, n) for p in pairs for n in p.near_zero})
     if near:
         what = ", ".join(f"order {n} of {name}" for name, n in near[:4])
-        more = f" and {len(near) - 4} more" if len(near) > 4 else ""
-        said.append(
-            f"Denominators near zero: {what}{more}. Such a ratio is heavy-tailed, without a finite mean, and the "
+        others = f" and {len(near) - 4} more" if len(near) > 4 else ""
+        sentences.append(
+            f"Denominators near zero: {what}{others}. Such a ratio is heavy-tailed, without a finite mean, and the "
             "variance of ratios is then decided by that order's noise; the residual is not touched by it."
         )
-    said.append(
+    sentences.append(
         "On raw records, as printed, the commanded acceleration makes up nearly all of an order, and the variance of "
         "ratios prefers devices of little sensitivity, alike or not, or unlike ones: here "
         f"{raw} ({raw.expected_residual:.0f} µg)."
     )
     if np.ptp(commanded) <= VARIES * np.abs(commanded).max():
-        said.append(
+        sentences.append(
             "A constant acceleration does not tell a device's scale factor from the constant part of its environment: "
             "record steps."
         )
     if not best.ratio.document_reliable:
-        said.append(
+        sentences.append(
             f"The environment ratio of {best} by sums over the record ({best.ratio.document:.3g}) is not "
             "reliable: the sum of the environment is near zero. Use the posterior."
         )
-    return tuple(said)
+    return tuple(sentences)

@@ -44,18 +44,18 @@ def select(found: bc.Calibration | Devices, *, criterion: str = "residual") -> P
     devices = found if isinstance(found, Devices) else devices_of(found)
     figures = judge(devices)
     places = np.ndindex(figures.residual.shape[1:])
-    made = sorted((_pair(devices, figures, *at) for at in places), key=partial(_rank, criterion))
+    ranked = sorted((_pair(devices, figures, *at) for at in places), key=partial(_rank, criterion))
     return PairTable(
-        tuple(made),
-        made[0].names,
+        tuple(ranked),
+        ranked[0].names,
         _matching(devices, figures, criterion),
         criterion,
-        remarks=remarks(made, devices.commanded),
+        remarks=remarks(ranked, devices.commanded),
     )
 
 
 class Figures(NamedTuple):
-    """What is computed of all pairs."""
+    """Criteria of all pairs."""
 
     # of_pair, of_ratio: figures of `Pair` and of `Ratio` by their names, (outer, inner)
     of_pair: dict[str, Array]
@@ -65,21 +65,21 @@ class Figures(NamedTuple):
 
 
 def judge(devices: Devices) -> Figures:
-    """Every pair under every criterion, draw by draw."""
+    """Evaluate every pair under every criterion, draw by draw."""
     outer, time = devices.outer, devices.time
     ratios = devices.sensitivity[:, :outer, None] / devices.sensitivity[:, None, outer:]
     median = np.median(ratios, axis=0)
-    left = criteria.residual(devices.environment, devices.scale, median)
+    residual = criteria.residual(devices.environment, devices.scale, median)
     of_environment = criteria.polynomial(time, devices.environment)
-    moved = devices.scale - devices.scale.mean(axis=0)  # of the commanded part, draw by draw
+    deviation = devices.scale - devices.scale.mean(axis=0)  # of the commanded part, draw by draw
     of_known = criteria.polynomial(time, devices.known)
     of_commanded = criteria.polynomial(time, devices.commanded)
-    raw = of_known + (devices.sign * moved)[..., None] * of_commanded + of_environment
+    raw = of_known + (devices.sign * deviation)[..., None] * of_commanded + of_environment
     removed = devices.records - devices.known
     of_pair = {
-        "probability_residual": _share_best(left),
-        "expected_residual": left.mean(axis=0),
-        "expected_loss": left.mean(axis=0) - left.min(axis=(1, 2)).mean(),
+        "probability_residual": _share_best(residual),
+        "expected_residual": residual.mean(axis=0),
+        "expected_loss": residual.mean(axis=0) - residual.min(axis=(1, 2)).mean(),
     }
     for name, draws, records in (
         ("ratio_variance", of_environment, removed),
@@ -97,16 +97,16 @@ def judge(devices: Devices) -> Figures:
         "document": criteria.document_ratio(removed, outer),
         "document_reliable": np.broadcast_to(np.logical_not(near), median.shape),
     }
-    return Figures(of_pair, of_ratio, left, near_zero=_near_zero(of_environment[:, outer:]))
+    return Figures(of_pair, of_ratio, residual, near_zero=_near_zero(of_environment[:, outer:]))
 
 
 def _near_zero(draws: Array) -> Array:
-    """Whether denominators are, by their draws (d, …)."""
+    """Return whether denominators are near zero, from their draws (d, …)."""
     return np.abs(draws.mean(axis=0)) < SURE * draws.std(axis=0)
 
 
 def _share_best(values: Array) -> Array:
-    """How often each pair has the least value, (outer, inner)."""
+    """Return the share of draws in which each pair has the least value, (outer, inner)."""
     count, *shape = values.shape
     least = np.argmin(values.reshape(count, -1), axis=1)
     return np.bincount(least, minlength=math.prod(shape)).reshape(shape) / count
@@ -130,7 +130,7 @@ def _pair(devices: Devices, figures: Figures, i: int, j: int) -> Pair:
 
 
 def _matching(devices: Devices, figures: Figures, criterion: str) -> tuple[tuple[str, str], ...]:
-    """Disjoint pairs of the least total residual, or of the greatest total probability."""
+    """Find disjoint pairs of the least total residual, or of the greatest total probability."""
     share = figures.of_pair[f"probability_{criterion.replace('-', '_')}"]
     cost = figures.of_pair["expected_residual"] if criterion == "residual" else -share
     rows, columns = linear_sum_assignment(cost)
