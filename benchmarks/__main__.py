@@ -64,9 +64,9 @@ def main(names: list[str]) -> int:
         import_module(f"benchmarks.{names[0]}").main(names[1:])
         return 0
     if unknown := [name for name in names if name not in MODULES]:
-        known = ", ".join((*MODULES, "render", *COMMANDS))
-        told = f"no benchmark is called {', '.join(unknown)}; there are: {known}"
-        print(told, file=sys.stderr)
+        benchmark_names = ", ".join((*MODULES, "render", *COMMANDS))
+        text = f"no benchmark is called {', '.join(unknown)}; there are: {benchmark_names}"
+        print(text, file=sys.stderr)
         return 2
     for name in names or MODULES:
         module = module_of(name)

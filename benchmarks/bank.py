@@ -38,17 +38,17 @@ class Bank:
 
     def run(self) -> None:
         """Measure the campaigns that have no row."""
-        known = {self._key(row) for row in self.rows}
+        done_keys = {self._key(row) for row in self.rows}
         for key, case in self.cases():
-            if key not in known:
+            if key not in done_keys:
                 self._keep(self._measured(key, case))
 
     def again(self, count: int, seed: str) -> list[tuple[Row, Row]]:
         """Measure some campaigns that have a row anew, drawn at random; return their old and their new rows."""
-        known = {self._key(row): row for row in self.rows}
-        cases = [(key, case) for key, case in self.cases() if key in known]
+        rows_by_key = {self._key(row): row for row in self.rows}
+        cases = [(key, case) for key, case in self.cases() if key in rows_by_key]
         drawn = random.Random(seed).sample(cases, min(count, len(cases)))
-        pairs = [(known[key], self._measured(key, case)) for key, case in drawn]
+        pairs = [(rows_by_key[key], self._measured(key, case)) for key, case in drawn]
         for _, row in pairs:
             self._keep(row)
         return pairs
@@ -57,20 +57,20 @@ class Bank:
         return tuple(row[field] for field in self.fields)
 
     def _measured(self, key: tuple[Any, ...], case: Any) -> Row:
-        """A campaign's row; what ends in an error is a row of its own, and no right answer."""
-        begun = time.process_time()
+        """Measure a campaign's row; an error is recorded as a row without a right answer."""
+        start = time.process_time()
         row: Row = dict(zip(self.fields, key, strict=True))
         try:
             row |= self.measure(case)
         except Exception as error:
             row["crash"] = f"{type(error).__name__}: {error}"
-        row |= {"seconds": row.get("seconds", time.process_time() - begun), "day": today()}
-        told = {name: row[name] for name in OUTCOME if name in row}
-        print(f"{self.name} {key}: {row['seconds']:.1f} s {told}", file=sys.stderr, flush=True)
+        row |= {"seconds": row.get("seconds", time.process_time() - start), "day": today()}
+        outcome = {name: row[name] for name in OUTCOME if name in row}
+        print(f"{self.name} {key}: {row['seconds']:.1f} s {outcome}", file=sys.stderr, flush=True)
         return row
 
     def _keep(self, row: Row) -> None:
-        rows = [one for one in self.rows if self._key(one) != self._key(row)]
+        rows = [other for other in self.rows if self._key(other) != self._key(row)]
         write_lines(RESULTS / f"{self.name}.jsonl", (*rows, row))
 
 

@@ -26,18 +26,18 @@ Line = tuple[str, str, str]
 
 def lines() -> Iterator[Line]:
     """Give what was tried, what came out, and the page with more."""
-    found, page = read("certified"), "[certified data](certified.md)"
+    certified, page = read("certified"), "[certified data](certified.md)"
     yield (
         "NIST, nonlinear, 27 sets from both starts",
-        f"digits of the worst parameter {worst(found['nonlinear'])[0]}",
+        f"digits of the worst parameter {worst(certified['nonlinear'])[0]}",
         page,
     )
     yield (
         "NIST, linear, 11 sets",
-        f"digits of the worst parameter {worst(found['linear'])[0]}",
+        f"digits of the worst parameter {worst(certified['linear'])[0]}",
         page,
     )
-    shift = max(abs(r["shift"]) for r in found["posteriordb"])
+    shift = max(abs(r["shift"]) for r in certified["posteriordb"])
     yield (
         "posteriordb: means against reference draws",
         f"6 posteriors within {shift:.2f} standard deviations",
@@ -52,12 +52,12 @@ def lines() -> Iterator[Line]:
     yield from _ordinary()
     yield from _hidden()
     yield from _spoilt()
-    every = [row for rows in foreign.results().values() for row in rows]
+    all_rows = [row for rows in foreign.results().values() for row in rows]
     for words, say in foreign.CLAIMS[:2]:
         page = "[where the model may be wrong](wrong_model.md)"
         yield (
-            f"{len(every)} campaigns whose physics is foreign to the catalogue, {words}",
-            say(every),
+            f"{len(all_rows)} campaigns whose physics is foreign to the catalogue, {words}",
+            say(all_rows),
             page,
         )
     yield from _released()
@@ -66,9 +66,9 @@ def lines() -> Iterator[Line]:
 def _coverage() -> Iterator[Line]:
     instruments: dict[str, Any] = read("coverage")["instruments"]
     sets, unknowns = (
-        sum(one[k] for one in instruments.values()) for k in ("data_sets", "unknowns")
+        sum(instrument[k] for instrument in instruments.values()) for k in ("data_sets", "unknowns")
     )
-    farthest = max(one["largest_distance"] for one in instruments.values())
+    farthest = max(instrument["largest_distance"] for instrument in instruments.values())
     words = f"{sets:,} data sets drawn from the priors of {len(instruments)} instruments, {unknowns} unknowns: ranks"
     page = "[mathematics](mathematics.md#what-is-measured-and-what-is-not)"
     yield (
@@ -103,14 +103,14 @@ def _ordinary() -> Iterator[Line]:
 
 def _hidden() -> Iterator[Line]:
     groups, page = bank.results(), "[hidden effects](hidden_effects.md)"
-    every: Rows = [row for rows in groups.values() for row in rows]
+    all_rows: Rows = [row for rows in groups.values() for row in rows]
     yield (
-        f"{len(every):,} campaigns of {len(groups)} instruments: {bank.SHORT[0][0]}",
-        bank.SHORT[0][1](every),
+        f"{len(all_rows):,} campaigns of {len(groups)} instruments: {bank.SHORT[0][0]}",
+        bank.SHORT[0][1](all_rows),
         page,
     )
     for words, say in bank.SHORT[1:]:
-        yield words, say(every), page
+        yield words, say(all_rows), page
 
 
 def _spoilt() -> Iterator[Line]:
@@ -129,9 +129,9 @@ def _spoilt() -> Iterator[Line]:
 
 def _released() -> Iterator[Line]:
     """Give the campaigns measured anew for a release, and those of them that came out as they had."""
-    found = read("release")
-    for name, row in found["banks"].items():
-        words = f"{name.replace('_', ' ')}, {row['anew']} of {row['rows']:,} rows anew by version {found['version']}"
+    release = read("release")
+    for name, row in release["banks"].items():
+        words = f"{name.replace('_', ' ')}, {row['anew']} of {row['rows']:,} rows anew by version {release['version']}"
         yield words, f"as before {proportion(row['same'], row['anew'])}", ""
 
 

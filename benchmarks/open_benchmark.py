@@ -68,21 +68,21 @@ def main() -> None:
         trusted = name not in ISOLATED
         for task, answer in run(entry_file(name), tasks, answers, SIZE, trusted=trusted):
             print(f"{name} {task} {answer['seconds']:.1f} s", flush=True)
-    found = {n: scored(tasks, answers, n, SIZE) for n in (*ENTRIES, ORACLE)}
+    scores = {n: scored(tasks, answers, n, SIZE) for n in (*ENTRIES, ORACLE)}
     results: dict[str, Any] = {"edition": EDITION, "tasks": SIZE}
-    results["entries"] = _plain(found)
+    results["entries"] = _plain(scores)
     results["real"] = read("missing_effect").get("real", {})
     if REFERENCE_DATA.is_dir():
         list(real.generate(REFERENCE_DATA, records))
         for name in REAL:
             list(run(entry_file(name), records, OUTPUT / "answers_records", None))
-        found = {n: scored(records, OUTPUT / "answers_records", n, None) for n in (*REAL, ORACLE)}
-        results["real"] = _plain(found)
+        scores = {n: scored(records, OUTPUT / "answers_records", n, None) for n in (*REAL, ORACLE)}
+        results["real"] = _plain(scores)
     write("missing_effect", results)
 
 
-def _plain(found: Mapping[str, Mapping[str, Any]]) -> dict[str, Any]:
-    return {entry: {task: vars(s) for task, s in of.items()} for entry, of in found.items()}
+def _plain(scores: Mapping[str, Mapping[str, Any]]) -> dict[str, Any]:
+    return {entry: {task: vars(s) for task, s in of.items()} for entry, of in scores.items()}
 
 
 def render() -> pages.Texts:

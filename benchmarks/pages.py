@@ -49,11 +49,11 @@ def claims_table(
     groups: Mapping[str, Rows], claims: Sequence[Claim], what: str = "campaigns"
 ) -> str:
     """Return a table with a line for each claim and a column for each group of rows; that of all has intervals."""
-    every = [row for rows in groups.values() for row in rows]
+    all_rows = [row for rows in groups.values() for row in rows]
 
     def line(name: str, say: Callable[[Rows], str]) -> list[str]:
-        own = [INTERVAL.sub("", say(rows)) for rows in groups.values()] if len(groups) > 1 else []
-        return [name, *own, say(every)]
+        cells = [INTERVAL.sub("", say(rows)) for rows in groups.values()] if len(groups) > 1 else []
+        return [name, *cells, say(all_rows)]
 
     counted = ((what, lambda rows: f"{len(rows):,}"), *claims)
     head = ["", *([*groups, "all"] if len(groups) > 1 else groups)]
@@ -62,8 +62,8 @@ def claims_table(
 
 def share(flags: Iterable[bool]) -> str:
     """Return a count and its exact (Clopper–Pearson) 95 % interval, in words."""
-    found = list(flags)
-    return proportion(sum(found), len(found))
+    values = list(flags)
+    return proportion(sum(values), len(values))
 
 
 def proportion(count: int, total: int) -> str:

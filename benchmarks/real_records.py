@@ -119,11 +119,11 @@ def measured() -> Iterator[tuple[str, dict[str, Any]]]:
         if path.is_file():
             y, x = np.genfromtxt(path, delimiter=",", skip_header=1, unpack=True)
             rank = np.argsort(np.argsort(x, kind="stable"))
-            held = (rank * BLOCKS // x.size) % 2 == 1
+            holdout = (rank * BLOCKS // x.size) % 2 == 1
             whole = bc.Measurements.from_arrays(
                 instrument_of(record), **{record.driver: x, "output": y}
             )
-            row = calibrated(instrument_of(record), whole, held) | peers(x, y, held)
+            row = calibrated(instrument_of(record), whole, holdout) | peers(x, y, holdout)
             yield title, {"known": record.known, "unit": record.output_unit, **row}
     path = REFERENCE_DATA / RAMP
     for axis, unit in AXES.items() if path.is_file() else ():
@@ -132,41 +132,41 @@ def measured() -> Iterator[tuple[str, dict[str, Any]]]:
             {axis: unit, "t_s": "s", "temperature": "degC"},
         )
         whole = bc.set_aside(bc.read(path, still_sensor.INSTRUMENT, columns=columns, units=units))
-        held = (whole["time"] // BLOCK).astype(int) % 2 == 1
-        row = calibrated(still_sensor.INSTRUMENT.for_readings(whole), whole, held)
-        row |= peers(whole["temperature"], whole["output"], held, whole["time"])
+        holdout = (whole["time"] // BLOCK).astype(int) % 2 == 1
+        row = calibrated(still_sensor.INSTRUMENT.for_readings(whole), whole, holdout)
+        row |= peers(whole["temperature"], whole["output"], holdout, whole["time"])
         yield f"chamber ramp, {axis}", {"known": "", "unit": whole.unit("output"), **row}
 
 
 def calibrated(
-    instrument: bc.Instrument, whole: bc.Measurements, held: np.ndarray
+    instrument: bc.Instrument, whole: bc.Measurements, holdout: np.ndarray
 ) -> dict[str, Any]:
     """Return what `calibrate` makes of a record, and its error where it was held out, output unit."""
-    begun = time.process_time()
-    kept = whole.select(held)
-    trail = bc.calibrate(instrument.baseline(), whole.select(~held), holdout=kept)
-    told, base = bc.predict(trail.calibration, kept), instrument.baseline().names
+    start = time.process_time()
+    later = whole.select(holdout)
+    trail = bc.calibrate(instrument.baseline(), whole.select(~holdout), holdout=later)
+    prediction, base = bc.predict(trail.calibration, later), instrument.baseline().names
     return {
         "found": [n for n in trail.final.calibration.model.names if n not in base],
         "ok": trail.ok,
         "reason": trail.gate.reason,
-        "error": told.rmse,
-        "inside": float(np.mean(np.abs(told.residual) < 2 * told.sd)),
-        "seconds": time.process_time() - begun,
+        "error": prediction.rmse,
+        "inside": float(np.mean(np.abs(prediction.residual) < 2 * prediction.sd)),
+        "seconds": time.process_time() - start,
         "day": today(),
     }
 
 
 def peers(
-    x: np.ndarray, y: np.ndarray, held: np.ndarray, clock: np.ndarray | None = None
+    x: np.ndarray, y: np.ndarray, holdout: np.ndarray, clock: np.ndarray | None = None
 ) -> dict[str, Any]:
     """Return the errors of what is customary: a line, a cubic and, where there is time, a cubic with one lag."""
     powers = ((x - x.mean()) / np.ptp(x))[:, None] ** np.arange(4)
 
     def error(columns: np.ndarray) -> tuple[float, float]:
         """Errors of the readings that are fitted, and of the others."""
-        left = y - columns @ np.linalg.lstsq(columns[~held], y[~held], rcond=None)[0]
-        fitted, other = (float(np.sqrt(np.mean(left[rows] ** 2))) for rows in (~held, held))
+        e = y - columns @ np.linalg.lstsq(columns[~holdout], y[~holdout], rcond=None)[0]
+        fitted, other = (float(np.sqrt(np.mean(e[rows] ** 2))) for rows in (~holdout, holdout))
         return fitted, other
 
     def with_lag(log_tau: float) -> np.ndarray:
@@ -175,13 +175,13 @@ def peers(
         behind, _ = lfilter([1 - share], [1, -share], x, zi=[share * x[0]])
         return np.column_stack([powers, behind - x, np.exp(-(clock - clock[0]) / np.exp(log_tau))])
 
-    found = {"line": error(powers[:, :2])[1], "cubic": error(powers)[1]}
+    errors = {"line": error(powers[:, :2])[1], "cubic": error(powers)[1]}
     if clock is not None:
         best = int(np.argmin([error(with_lag(v))[0] for v in LAGS]))
         ends = LAGS[max(best - 1, 0)], LAGS[min(best + 1, len(LAGS) - 1)]
         at: Any = minimize_scalar(lambda v: error(with_lag(v))[0], bounds=ends, method="bounded")
-        found["cubic + lag"] = error(with_lag(at.x))[1]
-    return {"peers": found}
+        errors["cubic + lag"] = error(with_lag(at.x))[1]
+    return {"peers": errors}
 
 
 def main() -> None:

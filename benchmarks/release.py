@@ -18,16 +18,16 @@ from benchmarks.record import read, today, write
 
 def main(_: Sequence[str] = ()) -> None:
     """Measure a sample of each bank, and write every page."""
-    own = version("bayescal")
-    found = read("release")
-    banks: dict[str, Any] = found["banks"] if found.get("version") == own else {}
+    installed = version("bayescal")
+    release = read("release")
+    banks: dict[str, Any] = release["banks"] if release.get("version") == installed else {}
     for name in MODULES:
         module = module_of(name)
         if name in banks or not hasattr(module, "SAMPLE"):
             continue
-        pairs = [pair for bank in module.BANKS for pair in bank.again(module.SAMPLE, own)]
+        pairs = [pair for bank in module.BANKS for pair in bank.again(module.SAMPLE, installed)]
         same = sum(same_outcome(*pair) for pair in pairs)
         rows = sum(len(bank.rows) for bank in module.BANKS)
         banks[name] = {"rows": rows, "anew": len(pairs), "same": same, "day": today()}
-        write("release", {"version": own, "banks": banks})
+        write("release", {"version": installed, "banks": banks})
     render()

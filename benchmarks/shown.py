@@ -38,7 +38,7 @@ Run = Callable[
 ]  # arguments of bayescal; exit status, what it printed
 
 
-class Shown(NamedTuple):
+class Example(NamedTuple):
     """A `text` block of a page: what it shows, what was printed, and where its text begins and ends in the page."""
 
     shown: str
@@ -47,54 +47,54 @@ class Shown(NamedTuple):
     last: int
 
     def difference(self, last_digits: float = LAST_DIGITS) -> str:
-        """Where its parts between lines of "…" do not stand in what was printed, in order; empty if they do."""
-        left = self.printed.splitlines()
+        """Return which parts between lines of "…" are absent from the printed output, in order; empty if none."""
+        lines = self.printed.splitlines()
         for part in LEFT_OUT.split(self.shown):
-            if not (wanted := part.strip("\n").splitlines()):
+            if not (expected := part.strip("\n").splitlines()):
                 continue
-            start = _place(wanted[0], left)
+            start = _place(expected[0], lines)
             if start is None:
-                return f"{wanted[0]!r} is not printed:\n{self.printed}"
-            there = "\n".join(left[start : start + len(wanted)])
-            if said := difference(there, "\n".join(wanted), last_digits):
-                return said
-            left = left[start + len(wanted) :]
+                return f"{expected[0]!r} is not printed:\n{self.printed}"
+            printed_part = "\n".join(lines[start : start + len(expected)])
+            if message := difference(printed_part, "\n".join(expected), last_digits):
+                return message
+            lines = lines[start + len(expected) :]
         return ""
 
     def anew(self) -> str:
-        """The block as it is printed now: each part from where its first line is to where its last one is."""
-        left, made = self.printed.rstrip("\n").splitlines(), list[str]()
+        """Return the block as printed now, each part from its first line to its last."""
+        lines, output = self.printed.rstrip("\n").splitlines(), list[str]()
         for i, part in enumerate(LEFT_OUT.split(self.shown)):
-            made += ["…"] if i else []
-            if not (wanted := part.strip("\n").splitlines()):
+            output += ["…"] if i else []
+            if not (expected := part.strip("\n").splitlines()):
                 continue
-            start = _place(wanted[0], left) or 0
+            start = _place(expected[0], lines) or 0
             # As long as it was where its last line stands there, else up to where that line stands.
-            usual = start + len(wanted) - 1
-            ends = [j for j in (usual, *range(start, len(left))) if left[j : j + 1]]
-            end = next((j for j in ends if _words(left[j]) == _words(wanted[-1])), usual)
-            made += [line.rstrip() for line in left[start : end + 1]]
-            left = left[end + 1 :]
-        return "\n".join(made) + "\n"
+            usual = start + len(expected) - 1
+            ends = [j for j in (usual, *range(start, len(lines))) if lines[j : j + 1]]
+            end = next((j for j in ends if _words(lines[j]) == _words(expected[-1])), usual)
+            output += [line.rstrip() for line in lines[start : end + 1]]
+            lines = lines[end + 1 :]
+        return "\n".join(output) + "\n"
 
 
-def difference(printed: str, shown: str, last_digits: float = LAST_DIGITS) -> str:
-    """How a text differs from what is shown; empty if it does not.
+def difference(printed: str, expected: str, last_digits: float = LAST_DIGITS) -> str:
+    """Return the difference of a text from the expected one; empty if none.
 
     Words are compared exactly, numbers within some of the last digit shown, or 2 %. Rules under a table's head and the
     spaces between columns are not compared: their lengths depend on the numbers.
     """
-    where = f"\nprinted now:\n\n{printed}\n\nshown:\n\n{shown}"
-    for one, other in zip_longest(_lines(printed), _lines(shown), fillvalue=""):
-        if NUMBER.sub("#", one) != NUMBER.sub("#", other):
-            return f"the words differ:\n  {one}\n  {other}{where}"
-        for a, b in zip(NUMBER.findall(one), NUMBER.findall(other), strict=True):
+    where = f"\nprinted now:\n\n{printed}\n\nshown:\n\n{expected}"
+    for line, other in zip_longest(_lines(printed), _lines(expected), fillvalue=""):
+        if NUMBER.sub("#", line) != NUMBER.sub("#", other):
+            return f"the words differ:\n  {line}\n  {other}{where}"
+        for a, b in zip(NUMBER.findall(line), NUMBER.findall(other), strict=True):
             if abs(float(a) - float(b)) > max(last_digits * _last(b), RELATIVE * abs(float(b))):
-                return f"{a} is not {b}, in:\n  {one}\n  {other}{where}"
+                return f"{a} is not {b}, in:\n  {line}\n  {other}{where}"
     return ""
 
 
-def followed(page: str, run: Run) -> Iterator[Shown]:
+def followed(page: str, run: Run) -> Iterator[Example]:
     """Run a page from top to bottom in the current folder, and give each of its `text` blocks.
 
     Raises:
@@ -102,10 +102,10 @@ def followed(page: str, run: Run) -> Iterator[Shown]:
     """
     names: dict[str, object] = {}
     printed = ""
-    for found in BLOCK.finditer(page):
-        language, title, code = found.groups()
+    for block in BLOCK.finditer(page):
+        language, title, code = block.groups()
         if language == "text":
-            yield Shown(code, printed, *found.span(3))
+            yield Example(code, printed, *block.span(3))
         elif title:
             Path(title).write_text(code, encoding="utf-8")
         elif language == "sh":
@@ -120,33 +120,33 @@ def followed(page: str, run: Run) -> Iterator[Shown]:
 
 
 def in_a_process(arguments: Sequence[str]) -> tuple[int, str]:
-    """A command of bayescal in a process of its own; lines that tell how far it is are left out."""
+    """Run a bayescal command in a process of its own; omit its progress lines."""
     surroundings = {**os.environ, "COLUMNS": "80", "MPLBACKEND": "Agg"}
     command = [sys.executable, "-m", "bayescal", *arguments]
     done = subprocess.run(command, capture_output=True, text=True, env=surroundings)
-    said = (line for line in done.stderr.splitlines() if not line.endswith("…"))
-    return done.returncode, done.stdout + "".join(f"{line}\n" for line in said)
+    errors = (line for line in done.stderr.splitlines() if not line.endswith("…"))
+    return done.returncode, done.stdout + "".join(f"{line}\n" for line in errors)
 
 
 def differing(name: str) -> Iterator[str]:
-    """What a page of docs/ shows otherwise than it is printed now, a sentence each."""
+    """List the differences of a page of docs/ from present output, one sentence each."""
     with tempfile.TemporaryDirectory() as folder, contextlib.chdir(folder):
-        for one in followed((DOCS / name).read_text("utf-8"), in_a_process):
-            if said := one.difference():
-                yield f"docs/{name}: {said}"
+        for block in followed((DOCS / name).read_text("utf-8"), in_a_process):
+            if message := block.difference():
+                yield f"docs/{name}: {message}"
 
 
 def main(names: Sequence[str]) -> None:
     """Print pages anew."""
     for name in names:
         path = DOCS / name
-        page, made, before = path.read_text("utf-8"), "", 0
+        page, output, before = path.read_text("utf-8"), "", 0
         with tempfile.TemporaryDirectory() as folder, contextlib.chdir(folder):
-            for one in followed(page, in_a_process):
-                made += page[before : one.first] + (one.anew() if one.difference() else one.shown)
-                before = one.last
-        path.write_text(made + page[before:], "utf-8")
-        print(f"docs/{name}: {'as it was' if made + page[before:] == page else 'printed anew'}")
+            for b in followed(page, in_a_process):
+                output += page[before : b.first] + (b.anew() if b.difference() else b.shown)
+                before = b.last
+        path.write_text(output + page[before:], "utf-8")
+        print(f"docs/{name}: {'as it was' if output + page[before:] == page else 'printed anew'}")
 
 
 def _command(line: str, run: Run) -> str:
@@ -161,11 +161,11 @@ def _command(line: str, run: Run) -> str:
 
 
 def _place(line: str, among: Sequence[str]) -> int | None:
-    return next((i for i, one in enumerate(among) if _words(one) == _words(line)), None)
+    return next((i for i, other in enumerate(among) if _words(other) == _words(line)), None)
 
 
 def _words(line: str) -> str:
-    """A line without its numbers."""
+    """Return a line without its numbers."""
     return NUMBER.sub("#", BOUND.sub("", " ".join(line.split())))
 
 
@@ -175,7 +175,7 @@ def _lines(text: str) -> list[str]:
 
 
 def _last(number: str) -> float:
-    """One unit of the last digit: 0.01 for 3.14, 1 for 322."""
+    """Return one unit of the last digit: 0.01 for 3.14, 1 for 322."""
     digits, _, power = number.partition("e")
     places = len(digits.partition(".")[2])
     return 10.0 ** (int(power or 0) - places)

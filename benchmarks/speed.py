@@ -73,13 +73,13 @@ def in_a_process(command: tuple[str, ...], folder: Path) -> tuple[float, dict[st
     Raises:
         RuntimeError: it failed.
     """
-    own = {
+    variables = {
         "BAYESCAL_CACHE": str(folder / "bayescal"),
         "NUMBA_CACHE_DIR": str(folder / "numba"),
         "PYTENSOR_FLAGS": f"base_compiledir={folder / 'pytensor'}",
     }
     used = _children()
-    environment = {**os.environ, **own, "MPLBACKEND": "Agg"}
+    environment = {**os.environ, **variables, "MPLBACKEND": "Agg"}
     command = (sys.executable, "-c", *command)
     done = subprocess.run(command, cwd=ROOT, env=environment, capture_output=True, text=True)
     if done.returncode:
@@ -95,14 +95,14 @@ def _children() -> float:
 
 def commands() -> Iterator[Row]:
     """Time a command on a table of 18 rows, and the peer's script, first with nothing compiled, then again."""
-    with tempfile.TemporaryDirectory() as one, tempfile.TemporaryDirectory() as other:
+    with tempfile.TemporaryDirectory() as our_folder, tempfile.TemporaryDirectory() as other:
         for start in ("cold", "warm"):
-            seconds, told = in_a_process(OURS, Path(one))
-            (slope,) = (r for r in told["coefficients"] if r["name"] == "bias.temperature")
-            theirs, found = in_a_process(PEER, Path(other))
-            answers = np.array([slope["mean"]]), np.array([found["slope"][0]])
+            seconds, our_values = in_a_process(OURS, Path(our_folder))
+            (slope,) = (r for r in our_values["coefficients"] if r["name"] == "bias.temperature")
+            theirs, values = in_a_process(PEER, Path(other))
+            answers = np.array([slope["mean"]]), np.array([values["slope"][0]])
             what = f"`calibrate` of 18 readings, {start}, beside a script of PyMC and nutpie"
-            yield compared(what, (seconds, answers[0]), (theirs, answers[1]), found["slope"][1])
+            yield compared(what, (seconds, answers[0]), (theirs, answers[1]), values["slope"][1])
 
 
 def compared(what: str, ours: Answer, theirs: Answer, sd: Any) -> Row:
@@ -111,20 +111,20 @@ def compared(what: str, ours: Answer, theirs: Answer, sd: Any) -> Row:
     Raises:
         RuntimeError: the answers differ by more than a tenth of their standard deviations.
     """
-    apart = float(np.max(np.abs(ours[1] - theirs[1]) / sd))
-    if not apart <= NEAR:
-        raise RuntimeError(f"{what}: answers are {apart:.2g} standard deviations apart")
-    return {"what": what, "ours_s": ours[0], "peer_s": theirs[0], "apart_sd": apart, "day": today()}
+    gap = float(np.max(np.abs(ours[1] - theirs[1]) / sd))
+    if not gap <= NEAR:
+        raise RuntimeError(f"{what}: answers are {gap:.2g} standard deviations apart")
+    return {"what": what, "ours_s": ours[0], "peer_s": theirs[0], "apart_sd": gap, "day": today()}
 
 
 def least(work: Callable[[], np.ndarray]) -> Answer:
     """Return the least processor seconds of several runs, and what the last one found."""
-    taken, found = [], np.zeros(0)
+    seconds, values = [], np.zeros(0)
     for _ in range(REPEATS):
-        begun = time.process_time()
-        found = work()
-        taken.append(time.process_time() - begun)
-    return min(taken), found
+        start = time.process_time()
+        values = work()
+        seconds.append(time.process_time() - start)
+    return min(seconds), values
 
 
 def line_by(name: str) -> Callable[[np.ndarray, np.ndarray], np.ndarray]:
@@ -143,8 +143,8 @@ def line_by(name: str) -> Callable[[np.ndarray, np.ndarray], np.ndarray]:
 
     def by_lmfit(t: np.ndarray, output: np.ndarray) -> np.ndarray:
         start = lmfit.create_params(offset=0.0, slope=0.0)
-        made = lambda p: residuals(np.array([*p.valuesdict().values()]), t, output)  # noqa: E731
-        return np.array([*lmfit.minimize(made, start).params.valuesdict().values()])
+        objective = lambda p: residuals(np.array([*p.valuesdict().values()]), t, output)  # noqa: E731
+        return np.array([*lmfit.minimize(objective, start).params.valuesdict().values()])
 
     return by_lmfit
 
@@ -171,18 +171,18 @@ def devices() -> Iterator[Row]:
 
     def ours() -> np.ndarray:
         nonlocal sd
-        found = bc.fit_batch(MODEL, split, reference={"T0": T0})
-        sd = np.array([found[n].sd[:2] for n in chosen])
-        return np.array([found[n].mean[:2] for n in chosen])
+        batch = bc.fit_batch(MODEL, split, reference={"T0": T0})
+        sd = np.array([batch[n].sd[:2] for n in chosen])
+        return np.array([batch[n].mean[:2] for n in chosen])
 
-    own = least(ours)
+    our_time = least(ours)
     parts = [(t[device == int(n[1:])], output[device == int(n[1:])]) for n in chosen]
     for name in ("scipy", "lmfit"):
-        one = line_by(name)
-        seconds, found = least(lambda one=one: np.array([one(*part) for part in parts]))
-        scaled = seconds * DEVICES / SAMPLE, found
+        fit = line_by(name)
+        seconds, values = least(lambda fit=fit: np.array([fit(*part) for part in parts]))
+        scaled = seconds * DEVICES / SAMPLE, values
         yield compared(
-            f"a line for each of 10,000 devices, beside a loop of {name}", own, scaled, sd
+            f"a line for each of 10,000 devices, beside a loop of {name}", our_time, scaled, sd
         )
 
 
@@ -199,16 +199,16 @@ def single() -> Iterator[Row]:
     sd = np.array([float(np.std(fit.samples(n))) for n in names])
 
     def ours() -> np.ndarray:
-        found = bc.fit(MODEL, readings, bc.LeastSquares(), **how)
-        return np.array([float(np.mean(found.samples(n))) for n in names])
+        calibration = bc.fit(MODEL, readings, bc.LeastSquares(), **how)
+        return np.array([float(np.mean(calibration.samples(n))) for n in names])
 
-    own = least(ours)
+    our_time = least(ours)
     for name in ("scipy", "lmfit"):
-        one = line_by(name)
+        fit_line = line_by(name)
         yield compared(
             f"a line through 600 readings, beside {name}",
-            own,
-            least(lambda one=one: one(t, output)),
+            our_time,
+            least(lambda fit_line=fit_line: fit_line(t, output)),
             sd,
         )
 
@@ -219,12 +219,14 @@ def posteriors() -> Iterator[Row]:
     readings = mems_gyro.simulate({"bias.run": 0.1}, seed=1)
     rates, means, sd = [], [], np.zeros(0)
     for method in (bc.Marginal(), bc.NUTS()):
-        begun = time.process_time()
-        found = bc.fit(model, readings, method, strict=False)
-        rates.append((time.process_time() - begun) / (found.verdict.ess or np.nan) * 1000)
-        own = [found.samples(n) for n in ("bias.temperature", "bias.temperature_quadratic")]
-        means.append(np.array([np.mean(one) for one in own]))
-        sd = np.array([np.std(one) for one in own])
+        start = time.process_time()
+        calibration = bc.fit(model, readings, method, strict=False)
+        rates.append((time.process_time() - start) / (calibration.verdict.ess or np.nan) * 1000)
+        values = [
+            calibration.samples(n) for n in ("bias.temperature", "bias.temperature_quadratic")
+        ]
+        means.append(np.array([np.mean(d) for d in values]))
+        sd = np.array([np.std(d) for d in values])
     what = "1,000 effective draws, compilation included, beside NumPyro's NUTS of the same program"
     yield compared(what, (rates[0], means[0]), (rates[1], means[1]), sd)
 

@@ -30,6 +30,6 @@ def main(_: Sequence[str] = ()) -> None:
     Raises:
         SystemExit: something does.
     """
-    if found := [*differing(), *shown.differing(PRINTED)]:
-        sys.exit("\n".join(found))
+    if differences := [*differing(), *shown.differing(PRINTED)]:
+        sys.exit("\n".join(differences))
     print(f"the pages are as the results have them, {PRINTED} as it is printed")

@@ -50,23 +50,23 @@ def posterior_row(name: str) -> dict[str, Any]:
 def worst(rows: Sequence[dict[str, Any]]) -> list[str]:
     """Return the worst parameter and the worst standard deviation of some sets, with the set of each."""
     sure = [row for row in rows if row["set"] not in MEANINGLESS]
-    each = (min(some, key=lambda r: r[what]) for some, what in ((rows, "parameters"), (sure, "sd")))
-    parameter, sd = each
+    parameter = min(rows, key=lambda r: r["parameters"])
+    sd = min(sure, key=lambda r: r["sd"])
     return [f"{parameter['parameters']:.1f} ({parameter['set']})", f"{sd['sd']:.1f} ({sd['set']})"]
 
 
 def render() -> pages.Texts:
     """Return the page from the results that stand."""
-    found = read("certified")
+    results = read("certified")
     lines = [
-        ["NIST, nonlinear, 27 sets from both starts", *worst(found["nonlinear"])],
-        ["NIST, linear, 11 sets", *worst(found["linear"])],
+        ["NIST, nonlinear, 27 sets from both starts", *worst(results["nonlinear"])],
+        ["NIST, linear, 11 sets", *worst(results["linear"])],
     ]
-    for row in found["posteriordb"]:
+    for row in results["posteriordb"]:
         off, allowed = f"mean off by {row['shift']:+.3f} sd", f"{row['ratio_allowed']:.3f}"
         ratio = f"sd ratio {row['ratio']:.3f}, allowed 1 ± {allowed}"
         lines.append([f"posteriordb {row['posterior']}, {row['unknowns']} unknowns", off, ratio])
     table = pages.table(["", "worst parameter, digits", "worst standard deviation, digits"], lines)
     return pages.page(
-        "certified", "Certified data", "certified", [found["surroundings"]["day"]], ABOUT, table
+        "certified", "Certified data", "certified", [results["surroundings"]["day"]], ABOUT, table
     )

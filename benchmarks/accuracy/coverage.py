@@ -66,13 +66,13 @@ class Ground:
         )
 
     def run(self, index: int) -> dict[str, Any]:
-        """One chunk: ranks of every unknown, k̂ of every data set."""
+        """Compute a chunk's ranks of every unknown, and k̂ of every data set."""
         seed = seed_of(self.name, index)
         data, truth = drawn(self.model, self.chunk, self.plan, seed)
-        made, k_hats = drawn_one_by_one(self.model, data, self.method, seed)
-        found = ranks(made, truth, seed)
+        samples, k_hats = drawn_one_by_one(self.model, data, self.method, seed)
+        rank_sums = ranks(samples, truth, seed)
         return {
-            "ranks": {name: [round(r, 5) for r in values] for name, values in found.items()},
+            "ranks": {name: [round(r, 5) for r in values] for name, values in rank_sums.items()},
             "pareto_k": [round(k_hat, 3) for k_hat in k_hats],
         }
 
@@ -92,22 +92,22 @@ def promoted(model: bc.Model, plan: bc.Measurements) -> tuple[str, ...]:
 def drawn_one_by_one(
     model: bc.Model, data: Sequence[bc.Measurements], method: bc.Marginal, seed: int
 ) -> tuple[list[Posterior], list[float]]:
-    """Weighted draws of each data set by the engine, with their Pareto k̂."""
-    made, k_hats = [], []
-    for index, one in enumerate(data):
-        found, of = drawn_once(model, one, method, seed + index)
-        weights, k_hat = smoothed(found.log_weight)
+    """Draw weighted posterior samples of each data set, with their Pareto k̂."""
+    samples, k_hats = [], []
+    for index, data_set in enumerate(data):
+        draws, of = drawn_once(model, data_set, method, seed + index)
+        weights, k_hat = smoothed(draws.log_weight)
         unknowns = Unknowns.of(*of)
-        values = unknowns.values(found.x, found.v)
-        made.append(Posterior(weights, {n: unknowns.select(values, n) for n in unknowns.by_key}))
+        values = unknowns.values(draws.x, draws.v)
+        samples.append(Posterior(weights, {n: unknowns.select(values, n) for n in unknowns.by_key}))
         k_hats.append(k_hat)
-    return made, k_hats
+    return samples, k_hats
 
 
 def drawn_once(
     model: bc.Model, readings: bc.Measurements, method: bc.Marginal, seed: int
 ) -> tuple[WeightedDraws, tuple[Layout, Levels]]:
-    """Weighted draws of one data set by the engine, and what their numbers are of."""
+    """Draw weighted posterior samples of one data set; return them with the unknowns that they are of."""
     layout, levels = bind(model, readings)
     frame = build_frame(readings, reference_of(readings))
     record = Record(model.instrument, frame, readings["output"])
@@ -118,33 +118,33 @@ def drawn_once(
 
 
 def joined(rows: list[dict[str, Any]]) -> dict[str, np.ndarray]:
-    """Ranks of every unknown over all chunks."""
+    """Join the ranks of every unknown over all chunks."""
     return {name: np.concatenate([row["ranks"][name] for row in rows]) for name in rows[0]["ranks"]}
 
 
 def own_level(unknowns: int) -> float:
-    """Level of the test of one unknown: shared over the instruments, then over an instrument's unknowns."""
+    """Return the test level of one unknown: shared over instruments, then over an instrument's unknowns."""
     return LEVEL / (len(INSTRUMENTS) * unknowns)
 
 
-def judged(found: dict[str, np.ndarray]) -> dict[str, Judgement]:
-    return {name: judge(values, own_level(len(found))) for name, values in found.items()}
+def judged(rank_sums: dict[str, np.ndarray]) -> dict[str, Judgement]:
+    return {name: judge(values, own_level(len(rank_sums))) for name, values in rank_sums.items()}
 
 
 def uneven(rows: list[dict[str, Any]]) -> float:
-    """Share of the data sets whose weights are not to be trusted."""
+    """Return the share of data sets with unreliable importance weights."""
     return float(np.mean(np.concatenate([row["pareto_k"] for row in rows]) > UNEVEN))
 
 
 def summary(ground: Ground, rows: list[dict[str, Any]]) -> dict[str, Any]:
-    """What is written of one instrument."""
-    found = joined(rows)
-    verdicts = judged(found)
-    count = len(next(iter(found.values())))
+    """Summarise the ranks of one instrument."""
+    joined_ranks = joined(rows)
+    verdicts = judged(joined_ranks)
+    count = len(next(iter(joined_ranks.values())))
     coverage = {name: v.covered / count for name, v in verdicts.items()}
     return {
         "data_sets": count,
-        "unknowns": len(found),
+        "unknowns": len(joined_ranks),
         "readings": len(ground.plan),
         "promoted": list(ground.method.promote or ()),
         "uneven_weights": uneven(rows),
@@ -175,9 +175,9 @@ BANKS = tuple(Bank(f"coverage_{n}", partial(cases, n), measure, ("chunk",)) for 
 
 def main() -> None:
     """Write results/coverage.json from the rows that stand; an instrument without rows keeps what is written."""
-    found = read("coverage")["instruments"]
+    instruments = read("coverage")["instruments"]
     new = {
         n: summary(Ground.of(n), b.rows) for n, b in zip(INSTRUMENTS, BANKS, strict=True) if b.rows
     }
     if new:
-        write("coverage", {"level": LEVEL, "instruments": {**found, **new}})
+        write("coverage", {"level": LEVEL, "instruments": {**instruments, **new}})

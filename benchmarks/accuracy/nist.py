@@ -28,23 +28,23 @@ class Estimate(NamedTuple):
 
 
 def certificate(folder: Path, kind: str, name: str) -> tuple[dict[str, Any], np.ndarray]:
-    """What is certified of a set, and its data, the response first.
+    """Return the certified values of a set, and its data, the response first.
 
     Args:
         folder: of the reference data.
         kind: "linear" or "nonlinear".
         name: of the set.
     """
-    known = json.loads((folder / kind / f"certified_{kind}.json").read_text("utf-8"))[name]
-    return known, np.loadtxt(folder / kind / f"{name}.csv", delimiter=",", skiprows=1)
+    certified = json.loads((folder / kind / f"certified_{kind}.json").read_text("utf-8"))[name]
+    return certified, np.loadtxt(folder / kind / f"{name}.csv", delimiter=",", skiprows=1)
 
 
-def digits(found: Any, certified: Any) -> float:
-    """Fewest digits that agree: −log10 of the relative error, of the error itself beside zero."""
-    own = np.atleast_1d(np.asarray(found, float))
+def digits(estimates: Any, certified: Any) -> float:
+    """Return the fewest agreeing digits: −log10 of the relative error, or of the error where zero is certified."""
+    values = np.atleast_1d(np.asarray(estimates, float))
     true = np.atleast_1d(np.asarray(certified, float))
-    if not np.all(np.isfinite(own)):
+    if not np.all(np.isfinite(values)):
         return 0.0
-    error = np.abs(own - true) / np.where(true == 0, 1.0, np.abs(true))
+    error = np.abs(values - true) / np.where(true == 0, 1.0, np.abs(true))
     worst = float(np.max(error))
     return MOST if worst < 10.0**-MOST else max(0.0, -math.log10(worst))

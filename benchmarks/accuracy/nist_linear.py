@@ -14,10 +14,7 @@ from benchmarks.accuracy.nist import FOLDER, Estimate, certificate, digits
 
 # (centre, half-width) where powers of x are too nearly parallel for a double: Legendre polynomials
 # of u = (x − centre)/half-width span the same and are not.
-CENTRED = {
-    "filip": (-6.0, 3.0),
-    **{f"wampler{i}": (10.0, 10.0) for i in range(1, 6)},
-}
+CENTRED = {"filip": (-6.0, 3.0), **{f"wampler{i}": (10.0, 10.0) for i in range(1, 6)}}
 LINEAR = (
     "norris",
     "pontius",
@@ -38,10 +35,10 @@ def line_model(
     def basis(r: bc.Frame):
         if place:
             u = (r["x"] - place[0]) / place[1]
-            found = [jnp.ones(r.size), u]
+            terms = [jnp.ones(r.size), u]
             for k in powers[1:-1]:
-                found.append(((2 * k + 1) * u * found[k] - k * found[k - 1]) / (k + 1))
-            return jnp.stack(found, axis=1)
+                terms.append(((2 * k + 1) * u * terms[k] - k * terms[k - 1]) / (k + 1))
+            return jnp.stack(terms, axis=1)
         if powers:
             return jnp.stack([r["x"] ** k for k in powers], axis=1)
         return jnp.stack([jnp.ones(r.size), *(r[name] for name in columns)], axis=1)
@@ -68,7 +65,7 @@ def line_model(
 
 
 def expand(degree: int, centre: float, half: float) -> np.ndarray:
-    """T such that β = T·γ: from Legendre polynomials of (x − centre)/half to powers of x."""
+    """Return T such that β = T·γ: from Legendre polynomials of (x − centre)/half to powers of x."""
     size = degree + 1
     shifted, powers = np.zeros((size, size)), np.zeros((size, size))
     for k in range(size):
@@ -84,10 +81,10 @@ def fit_linear(
     powers: tuple[int, ...] = (),
     place: tuple[float, float] | None = None,
 ) -> Estimate:
-    """A polynomial in `x`, or all columns and a constant, by `bc.fit` with `LeastSquares`."""
+    """Fit a polynomial in `x`, or all columns and a constant, by `bc.fit` with `LeastSquares`."""
     model = line_model(columns, powers, place)
-    given: dict[str, Any] = {"output": y, **columns}
-    readings = bc.Measurements.from_arrays(model.instrument, **given)
+    arrays: dict[str, Any] = {"output": y, **columns}
+    readings = bc.Measurements.from_arrays(model.instrument, **arrays)
     fit = bc.fit(model, readings, bc.LeastSquares(), strict=False)
     names = model.effects[0].coefficients
     draws = np.stack([fit.samples(f"value.line[{c.part}]") for c in names], axis=1)
@@ -100,21 +97,25 @@ def fit_linear(
 
 
 def linear_digits(name: str, centred: bool = True, folder: Path = FOLDER) -> dict[str, Any]:
-    """Digits met: of the parameters, their standard deviations, the residual standard deviation."""
-    known, table = certificate(folder, "linear", name)
-    powers = tuple(int(t[2:]) for t in known["terms"] if t.startswith("x^"))
-    labels = ["x"] if powers else [t for t in known["terms"] if t != "1"]
+    """Return the agreeing digits of parameters, standard deviations and residual standard deviation."""
+    exact_values, table = certificate(folder, "linear", name)
+    powers = tuple(int(t[2:]) for t in exact_values["terms"] if t.startswith("x^"))
+    labels = ["x"] if powers else [t for t in exact_values["terms"] if t != "1"]
     columns = dict(zip(labels, table[:, 1:].T, strict=True))
     place = CENTRED.get(name) if centred else None
     fit = fit_linear(columns, table[:, 0], powers, place)
-    exact = float(known["residual_sd_exact"]) == 0
+    exact = float(exact_values["residual_sd_exact"]) == 0
     return {
         "set": name,
         "basis": "Legendre" if place else "as given",
-        "parameters": round(digits(fit.parameters, [float(b) for b in known["beta_exact"]]), 2),
-        "sd": None if exact else round(digits(fit.sd, [float(s) for s in known["sd_exact"]]), 2),
+        "parameters": round(
+            digits(fit.parameters, [float(b) for b in exact_values["beta_exact"]]), 2
+        ),
+        "sd": None
+        if exact
+        else round(digits(fit.sd, [float(s) for s in exact_values["sd_exact"]]), 2),
         "residual_sd": None
         if exact
-        else round(digits(fit.residual_sd, known["residual_sd_exact"]), 2),
+        else round(digits(fit.residual_sd, exact_values["residual_sd_exact"]), 2),
         "converged": fit.converged,
     }

@@ -122,10 +122,10 @@ NONLINEAR: dict[str, Callable] = {
 
 
 def instrument_of(expected: Callable, predictors: int, start: np.ndarray) -> bc.Instrument:
-    """An instrument whose slots are the parameters, less where the search for them begins."""
+    """Build an instrument whose slots are the parameters, less their starting values."""
 
     def response(slots, r):
-        b = [slots[f"b{i}"] + begun for i, begun in enumerate(start)]
+        b = [slots[f"b{i}"] + initial for i, initial in enumerate(start)]
         return expected(b, *(r[f"x{i}"] for i in range(predictors)))
 
     def coefficient(i: int) -> bc.Effect:
@@ -150,43 +150,43 @@ def instrument_of(expected: Callable, predictors: int, start: np.ndarray) -> bc.
 def fit_nonlinear(
     expected: Callable, predictors: tuple[np.ndarray, ...], y: np.ndarray, starts: list[np.ndarray]
 ) -> list[Estimate]:
-    """The fit by `bc.LeastSquares` from each start."""
+    """Fit by `bc.LeastSquares` from each start."""
     estimates = []
     for start in starts:
         instrument = instrument_of(expected, len(predictors), np.asarray(start, dtype=float))
         columns: dict[str, Any] = {f"x{i}": values for i, values in enumerate(predictors)}
         readings = bc.Measurements.from_arrays(instrument, output=y, **columns)
-        found = bc.fit(instrument.baseline(), readings, bc.LeastSquares(draws=512), strict=False)
-        moved = found.draws()[0] + found.layout.origin_of_x
+        fit = bc.fit(instrument.baseline(), readings, bc.LeastSquares(draws=512), strict=False)
+        moved = fit.draws()[0] + fit.layout.origin_of_x
         estimates.append(
             Estimate(
                 parameters=start + np.mean(moved, axis=0),
                 sd=np.std(moved, axis=0, ddof=1),  # the draws have the moments of the fit
-                residual_sd=float(found.samples("noise.white")[0]),
-                converged=found.verdict.ok,
+                residual_sd=float(fit.samples("noise.white")[0]),
+                converged=fit.verdict.ok,
             )
         )
     return estimates
 
 
 def nonlinear_set(name: str, folder: Path = FOLDER) -> dict[str, Any]:
-    """Certificate of a set, with its data as `y` and `predictors`."""
-    known, table = certificate(folder, "nonlinear", name)
+    """Return a set's certificate, with its data as `y` and `predictors`."""
+    certified, table = certificate(folder, "nonlinear", name)
     y = np.log(table[:, 0]) if name == "Nelson" else table[:, 0]  # its model is of log y
-    return {**known, "y": y, "predictors": tuple(table[:, 1:].T)}
+    return {**certified, "y": y, "predictors": tuple(table[:, 1:].T)}
 
 
 def nonlinear_digits(name: str, folder: Path = FOLDER) -> list[dict[str, Any]]:
-    """Digits met from start 1 and start 2: of the parameters, of their standard deviations."""
-    known = nonlinear_set(name, folder)
-    starts = [np.asarray(known["start1"]), np.asarray(known["start2"])]
-    fits = fit_nonlinear(NONLINEAR[name], known["predictors"], known["y"], starts)
+    """Return the agreeing digits from start 1 and start 2: of parameters and standard deviations."""
+    certified = nonlinear_set(name, folder)
+    starts = [np.asarray(certified["start1"]), np.asarray(certified["start2"])]
+    fits = fit_nonlinear(NONLINEAR[name], certified["predictors"], certified["y"], starts)
     return [
         {
             "set": name,
             "start": number,
-            "parameters": round(digits(fit.parameters, known["certified"]), 2),
-            "sd": round(digits(fit.sd, known["sd"]), 2),
+            "parameters": round(digits(fit.parameters, certified["certified"]), 2),
+            "sd": round(digits(fit.sd, certified["sd"]), 2),
             "converged": fit.converged,
         }
         for number, fit in enumerate(fits, 1)

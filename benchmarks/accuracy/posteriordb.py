@@ -48,7 +48,7 @@ class Row(NamedTuple):
 def regression(
     y: np.ndarray, columns: dict[str, np.ndarray], priors: list, noise: Any, names: list[str]
 ) -> Problem:
-    """y ~ N(X·β, σ²). A column of ones is one of the `columns`.
+    """Build y ~ N(X·β, σ²). A column of ones is one of the `columns`.
 
     Args:
         y: response.
@@ -67,12 +67,12 @@ def regression(
         columns=tuple(columns),
     )
     model = _instrument((effect,), tuple(columns), bc.White(noise)).baseline()
-    given: dict[str, Any] = {"output": y, **columns}
-    readings = bc.Measurements.from_arrays(model.instrument, **given)
+    arrays: dict[str, Any] = {"output": y, **columns}
+    readings = bc.Measurements.from_arrays(model.instrument, **arrays)
 
     def draws(fit: bc.Calibration) -> dict[str, np.ndarray]:
-        found = {n: fit.samples(f"value.regression[{n}]") for n in names[:-1]}
-        return {**found, names[-1]: fit.samples("noise.white")}
+        samples = {n: fit.samples(f"value.regression[{n}]") for n in names[:-1]}
+        return {**samples, names[-1]: fit.samples("noise.white")}
 
     return Problem(model, readings, draws)
 
@@ -80,17 +80,17 @@ def regression(
 def schools(
     y: np.ndarray, sigma: np.ndarray, centre_sd: float = 5.0, spread: float = 5.0
 ) -> Problem:
-    """y_j ~ N(θ_j, σ_j), θ_j ~ N(µ, τ), µ ~ N(0, centre_sd), τ ~ half-Cauchy(0, spread)."""
+    """Build y_j ~ N(θ_j, σ_j), θ_j ~ N(µ, τ), µ ~ N(0, centre_sd), τ ~ half-Cauchy(0, spread)."""
     common = bc.Effect(
-        "value.common", "value", _one, (bc.Coefficient("1", bc.Normal(0.0, centre_sd)),)
+        "value.common", "value", _ones, (bc.Coefficient("1", bc.Normal(0.0, centre_sd)),)
     )
-    own = bc.Effect(
+    school_effect = bc.Effect(
         "value.school",
         "value",
-        _one,
+        _ones,
         (bc.Coefficient("1", per="device", group_sd=bc.HalfCauchy(spread)),),
     )
-    model = _instrument((common, own), (), bc.White(), groups=("device",)).baseline()
+    model = _instrument((common, school_effect), (), bc.White(), groups=("device",)).baseline()
     model = model.fix({"noise.white": NO_NOISE})
     readings = bc.Measurements.from_arrays(
         model.instrument,
@@ -102,8 +102,8 @@ def schools(
     def draws(fit: bc.Calibration) -> dict[str, np.ndarray]:
         mu, tau = fit.samples("value.common"), fit.samples("value.school.group_sd")
         theta = mu[:, None] + fit.samples("value.school")
-        found = {f"theta[{j + 1}]": theta[:, j] for j in range(theta.shape[1])}
-        return {**found, "mu": mu, "tau": tau}
+        samples = {f"theta[{j + 1}]": theta[:, j] for j in range(theta.shape[1])}
+        return {**samples, "mu": mu, "tau": tau}
 
     return Problem(model, readings, draws)
 
@@ -125,7 +125,7 @@ def _instrument(effects, columns, noise, groups=()) -> bc.Instrument:
 
 
 # Functions of the module, not of a call: models made twice are equal, and compiled once.
-def _one(readings: bc.Frame) -> jax.Array:
+def _ones(readings: bc.Frame) -> jax.Array:
     return jnp.ones(readings.size)
 
 
@@ -178,7 +178,7 @@ PROBLEMS: dict[str, Callable[[dict], Problem]] = {
 
 
 def problem(name: str, folder: Path = FOLDER) -> tuple[Problem, dict[str, dict[str, float]]]:
-    """A problem and the reference's summary of it."""
+    """Return a problem and the reference's summary of it."""
     raw = json.loads((folder / name / "data.json").read_text("utf-8"))
     data = {k: np.asarray(v, float) if isinstance(v, list) else v for k, v in raw.items()}
     reference = json.loads((folder / name / "summary.json").read_text("utf-8"))
@@ -186,24 +186,24 @@ def problem(name: str, folder: Path = FOLDER) -> tuple[Problem, dict[str, dict[s
 
 
 def sd_error(draws: np.ndarray, batches: int = 20) -> float:
-    """Relative Monte-Carlo error of the standard deviation of draws, from batches of them."""
-    own = [part.std(ddof=1) for part in np.array_split(draws, batches)]
-    return float(np.std(own, ddof=1) / np.sqrt(batches) / draws.std(ddof=1))
+    """Estimate the relative Monte-Carlo error of draws' standard deviation from batches."""
+    batch_sds = [part.std(ddof=1) for part in np.array_split(draws, batches)]
+    return float(np.std(batch_sds, ddof=1) / np.sqrt(batches) / draws.std(ddof=1))
 
 
 def compare(name: str, folder: Path = FOLDER, seed: int = 0) -> tuple[bc.Calibration, list[Row]]:
     """Fit by `Marginal` and set each unknown beside the reference."""
-    given, reference = problem(name, folder)
-    fit = bc.fit(given.model, given.readings, METHOD, seed=seed)
+    posterior, reference = problem(name, folder)
+    fit = bc.fit(posterior.model, posterior.readings, METHOD, seed=seed)
     rows = []
-    for unknown, draws in given.draws(fit).items():
-        known = reference[unknown]
-        combined = float(np.hypot(known["sd_relative_error"], sd_error(draws)))
+    for unknown, draws in posterior.draws(fit).items():
+        reference_draws = reference[unknown]
+        combined = float(np.hypot(reference_draws["sd_relative_error"], sd_error(draws)))
         rows.append(
             Row(
                 name=unknown,
-                shift=float(draws.mean() - known["mean"]) / known["sd"],
-                ratio=float(draws.std(ddof=1)) / known["sd"],
+                shift=float(draws.mean() - reference_draws["mean"]) / reference_draws["sd"],
+                ratio=float(draws.std(ddof=1)) / reference_draws["sd"],
                 ratio_allowed=0.03 + 3 * combined,
             )
         )

@@ -32,7 +32,7 @@ INTERVAL = 0.95
 
 
 def draw_prior(layout: Layout, key: Array) -> tuple[Array, Array]:
-    """One draw (x, v) from the prior.
+    """Draw (x, v) from the prior.
 
     Raises:
         ValueError: a prior is flat.
@@ -41,8 +41,8 @@ def draw_prior(layout: Layout, key: Array) -> tuple[Array, Array]:
         raise ValueError("a flat prior cannot be sampled: give a proper prior to simulate from it")
     # One more than is needed: a seed stands for the data set that it always gave.
     keys = jax.random.split(key, len(layout.hypers) + 2)
-    each = enumerate(h.prior for h in layout.hypers)
-    v = jnp.array([p.coordinate(law_of(p).sample(keys[i])) for i, p in each], dtype=float)
+    indexed_priors = enumerate(h.prior for h in layout.hypers)
+    v = jnp.array([p.coordinate(law_of(p).sample(keys[i])) for i, p in indexed_priors], dtype=float)
     sd = forward.prior_sd(layout, forward.hyper_values(layout, v))
     return forward.prior_mean(layout) + sd * jax.random.normal(keys[-1], (layout.size,)), v
 
@@ -50,7 +50,7 @@ def draw_prior(layout: Layout, key: Array) -> tuple[Array, Array]:
 def drawn(
     model: bc.Model, count: int, plan: bc.Measurements, seed: int
 ) -> tuple[list[bc.Measurements], dict[str, np.ndarray]]:
-    """Data sets drawn from the model's own priors and noise, and the truth of every unknown, (count, …).
+    """Draw data sets from the model's priors and noise, with the truth of every unknown, (count, …).
 
     Args:
         model: all its priors proper.
@@ -61,12 +61,12 @@ def drawn(
     layout, _ = bind(model, plan)
     frame = build_frame(plan, reference_of(plan))
 
-    def one(key):
+    def draw_one(key):
         k1, k2 = jax.random.split(key)
         x, v = draw_prior(layout, k1)
         return forward.draw_readings(layout, frame, x, v, k2), x, v
 
-    outputs, x, v = jax.jit(jax.vmap(one))(jax.random.split(jax.random.key(seed), count))
+    outputs, x, v = jax.jit(jax.vmap(draw_one))(jax.random.split(jax.random.key(seed), count))
     unknowns = Unknowns.of(layout)
     values = unknowns.values(np.asarray(x), np.asarray(v))
     data = [plan.with_column("output", np.asarray(y)) for y in outputs]
@@ -88,25 +88,25 @@ class Posterior(NamedTuple):
 def ranks(
     posteriors: Iterable[Posterior], truth: dict[str, np.ndarray], seed: int = 0
 ) -> dict[str, list[float]]:
-    """Share of the weighted draws below the truth, for each unknown and group member, one per data set.
+    """Compute the share of weighted draws below the truth, per unknown and group member, one per data set.
 
     Of S equally weighted draws the truth's rank is uniform over 0 … S; with a uniform number U added,
     (rank + U)/(S + 1) is uniform over [0, 1]. S is here what the weights are worth (Kish).
     """
     random = np.random.default_rng(seed)
-    found: dict[str, list[float]] = {}
+    rank_lists: dict[str, list[float]] = {}
     for i, (weight, samples) in enumerate(posteriors):
-        worth = 1 / np.sum(weight**2)
+        effective_size = 1 / np.sum(weight**2)
         for name, draws in samples.items():
             single = draws.ndim == 1
             draws = draws[:, None] if single else draws
             actual = np.atleast_1d(truth[name][i])
             for member in range(min(draws.shape[1], MEMBERS)):
                 below = min(weight[draws[:, member] < actual[member]].sum(), 1.0)
-                place = (worth * below + random.random()) / (worth + 1)
+                place = (effective_size * below + random.random()) / (effective_size + 1)
                 label = name if single else f"{name}({member})"
-                found.setdefault(label, []).append(float(place))
-    return found
+                rank_lists.setdefault(label, []).append(float(place))
+    return rank_lists
 
 
 class Band(NamedTuple):
@@ -119,7 +119,7 @@ class Band(NamedTuple):
 
 @cache
 def band(count: int, level: float) -> Band:
-    """The simultaneous band of the ECDF of `count` uniform numbers, exact at its points.
+    """Compute the simultaneous band of the ECDF of `count` uniform numbers, exact at its points.
 
     At each point the count is binomial; its central interval is taken with one and the same tail probability,
     the largest at which all points hold together with probability 1 − `level`.
@@ -145,15 +145,15 @@ def _limits(count: int, points: np.ndarray, tail: float) -> tuple[np.ndarray, np
 
 
 def _inside(count: int, points: np.ndarray, low: np.ndarray, high: np.ndarray) -> float:
-    """Probability that the counts of uniform numbers stay within limits at all points: a Markov chain."""
-    here, probability, at = np.array([0]), np.array([1.0]), 0.0
+    """Compute the probability that uniform counts stay within limits at all points, by a Markov chain."""
+    counts, probability, at = np.array([0]), np.array([1.0]), 0.0
     for point, lowest, highest in zip(points, low, high, strict=True):
-        there = np.arange(lowest, highest + 1)
+        next_counts = np.arange(lowest, highest + 1)
         # Of those that are above `at`, a binomial number lies between it and the next point.
         step = stats.binom.pmf(
-            there[None, :] - here[:, None], count - here[:, None], (point - at) / (1 - at)
+            next_counts[None, :] - counts[:, None], count - counts[:, None], (point - at) / (1 - at)
         )
-        here, probability, at = there, probability @ step, point
+        counts, probability, at = next_counts, probability @ step, point
     return float(probability.sum())
 
 

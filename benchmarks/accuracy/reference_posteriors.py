@@ -49,12 +49,12 @@ AGREEMENT = {"mean": 0.1, "sd": 0.07}  # what a method is held to: sds, relative
 def _program(model: bc.Model, readings: bc.Measurements, draws: int):
     """Return the draws of every unknown, as `columns_of`, and the number of divergent transitions."""
     method = bc.NUTS(warmup=WARMUP, draws=draws, chains=CHAINS)
-    found = bc.fit(model, readings, method, seed=SEED, strict=False)
-    return columns_of(found.layout, found.values), found.verdict.divergences or 0
+    calibration = bc.fit(model, readings, method, seed=SEED, strict=False)
+    return columns_of(calibration.layout, calibration.values), calibration.verdict.divergences or 0
 
 
 def _whitened(model: bc.Model, readings: bc.Measurements, draws: int):
-    """The same, in whitened coordinates about the Laplace mode; the log density is the exact one.
+    """Return the problem in whitened coordinates about the Laplace mode; the log density is exact.
 
     Where a product of unknowns bends the model, one factor stands beside the hyper-parameters, so that the
     coordinates of the others follow it.
@@ -68,7 +68,7 @@ def _whitened(model: bc.Model, readings: bc.Measurements, draws: int):
     key = jax.random.key(SEED)
     plan = nuts_chains.Plan(WARMUP, draws, CHAINS)
     ran = nuts_chains.run(density, start, covariance, key, plan)
-    place = jax.jit(lambda q: jax.lax.map(lambda one: unpack(one)[:2], q, batch_size=64))
+    place = jax.jit(lambda q: jax.lax.map(lambda q1: unpack(q1)[:2], q, batch_size=64))
     flat = place(ran.draws.reshape(-1, start.size))
     shaped = (np.asarray(a).reshape(CHAINS, draws, *a.shape[1:]) for a in flat)
     return columns_of(layout, Unknowns.of(layout).values(*shaped)), ran.divergences
@@ -83,9 +83,9 @@ def columns_of(layout: Layout, values: np.ndarray) -> dict[str, tuple[np.ndarray
 
 
 def _diagnosed(values: np.ndarray) -> dict[str, float]:
-    """Mean, sd and mcse of draws (chains, draws), with what is needed to trust them."""
+    """Return mean, sd and mcse of draws (chains, draws), with convergence diagnostics."""
     axes: Any = {"chain_axis": 0, "draw_axis": 1}
-    found = {
+    statistics = {
         "mean": values.mean(),
         "sd": values.std(ddof=1),
         "mcse": array_stats.mcse(values, **axes, method="mean"),
@@ -93,28 +93,28 @@ def _diagnosed(values: np.ndarray) -> dict[str, float]:
         "r_hat": array_stats.rhat(values, **axes),  # rank-normalised
         "ess": array_stats.ess(values, **axes, method="bulk"),
     }
-    return {name: float(np.asarray(value)) for name, value in found.items()}
+    return {name: float(np.asarray(value)) for name, value in statistics.items()}
 
 
 def reference_posterior(name: str, sampler: str = "program") -> dict[str, Any]:
-    """The reference posterior of an instrument's reference problem.
+    """Compute the reference posterior of an instrument's reference problem.
 
     Raises:
         SystemExit: it could not be had to the tolerances.
     """
     problem = import_module(f"bayescal_models.{name}.reference_problem")
     model, readings = problem.model(), problem.readings(seed=0)
-    begun, draws = time.perf_counter(), DRAWS
+    start, draws = time.perf_counter(), DRAWS
     for _ in range(LENGTHENED):
         columns, divergences = SAMPLERS[sampler](model, readings, draws)
-        found = {n: _diagnosed(values) for n, (values, _) in columns.items()}
-        r_hat = max(f["r_hat"] for f in found.values())
-        worst = max(f["mcse"] / f["sd"] for f in found.values())
-        ess = min(f["ess"] for f in found.values())
+        diagnostics = {n: _diagnosed(values) for n, (values, _) in columns.items()}
+        r_hat = max(f["r_hat"] for f in diagnostics.values())
+        worst = max(f["mcse"] / f["sd"] for f in diagnostics.values())
+        ess = min(f["ess"] for f in diagnostics.values())
         divergent = divergences / (CHAINS * draws)
         print(
             f"{name}: {sampler}, {CHAINS} × {draws} draws, R-hat {r_hat:.4f}, mcse {worst:.4f} sd, "
-            f"ess {ess:.0f}, {divergences} divergent, {time.perf_counter() - begun:.0f} s",
+            f"ess {ess:.0f}, {divergences} divergent, {time.perf_counter() - start:.0f} s",
             file=sys.stderr,
         )
         if r_hat < R_HAT and worst < MCSE and divergent <= DIVERGENT:
@@ -122,7 +122,7 @@ def reference_posterior(name: str, sampler: str = "program") -> dict[str, Any]:
         draws *= 2
     else:
         raise SystemExit(f"{name}: no reference: see the last figures above; try another sampler")
-    shown = ("mean", "sd", "mcse", "mcse_sd")
+    statistics = ("mean", "sd", "mcse", "mcse_sd")
     return {
         "made_by": f"python -m benchmarks.accuracy.reference_posteriors {name} --sampler {sampler}",
         "sampler": {
@@ -145,8 +145,8 @@ def reference_posterior(name: str, sampler: str = "program") -> dict[str, Any]:
         "min_ess": round(ess),
         "divergences": divergences,
         "coefficients": {
-            n: {**{k: float(f"{f[k]:.7g}") for k in shown}, "unit": columns[n][1]}
-            for n, f in found.items()
+            n: {**{k: float(f"{f[k]:.7g}") for k in statistics}, "unit": columns[n][1]}
+            for n, f in diagnostics.items()
         },
     }
 
@@ -163,9 +163,9 @@ def main(argv: list[str] | None = None) -> None:
     parser = argparse.ArgumentParser(prog="python -m benchmarks.accuracy.reference_posteriors")
     parser.add_argument("names", nargs="+", choices=INSTRUMENTS, metavar="instrument")
     parser.add_argument("--sampler", choices=SAMPLERS, default="program")
-    asked = parser.parse_args(argv)
-    for name in asked.names:
-        print(write(name, reference_posterior(name, asked.sampler)).relative_to(ROOT))
+    options = parser.parse_args(argv)
+    for name in options.names:
+        print(write(name, reference_posterior(name, options.sampler)).relative_to(ROOT))
 
 
 if __name__ == "__main__":

@@ -101,16 +101,16 @@ def simulated(instrument: bc.Instrument, case: Case, later: bool = False) -> bc.
 def open_effects(model: bc.Model, readings: bc.Measurements) -> list[bc.Effect]:
     """Candidates that are not in the model and that these readings can show; of forms those with a name of their own,
     before their family."""
-    own = (
-        one
+    effects = (
+        form
         for e in model.instrument.candidates
-        for one in (*(f for f in e.forms if not f.name.startswith(f"{e.name}.")), e)
+        for form in (*(f for f in e.forms if not f.name.startswith(f"{e.name}.")), e)
     )
-    return [e for e in own if e.name not in model.names and testable(e, readings) is None]
+    return [e for e in effects if e.name not in model.names and testable(e, readings) is None]
 
 
 def plan(instrument: bc.Instrument) -> list[Case]:
-    """The bank, kinds in turn, so that a part of it is a fair sample."""
+    """List the bank's cases, kinds in turn, so that any beginning is a fair sample."""
     empty = simulated(instrument, Case("empty", 0, {}))
     effects = open_effects(instrument.for_readings(empty).baseline(), empty)
     cases = [
@@ -152,7 +152,7 @@ def _of_kind(kind: str, instrument: bc.Instrument, effects: list[bc.Effect]) -> 
 
 
 def _signed(name: str, value: float) -> float:
-    """The spread of a group's deviations has no sign."""
+    """Sign a size at random; a group's standard deviation has no sign."""
     return abs(value) if name.endswith((".run", ".cell", ".device")) else value
 
 
@@ -162,20 +162,20 @@ def _drawn(name: str, size: float, rng: np.random.Generator) -> float:
 
 
 def _from_prior(effects: list[bc.Effect], rng: np.random.Generator) -> dict[str, float]:
-    """Half of the time nothing; else one effect, each as probable, at a size from its own prior."""
+    """Draw no effect half of the time; else one, each equally probable, at a size from its prior."""
     empty, at, normal = rng.random() < 0.5, int(rng.integers(len(effects))), rng.standard_normal()
     value = effects[at].coefficients[0].size * normal
     return {} if empty else {effects[at].name: _signed(effects[at].name, float(value))}
 
 
 def by_law(instrument: bc.Instrument, case: Case) -> tuple[bc.Measurements, list[str], bool]:
-    """Readings drawn from the search's own prior, what is hidden in them, and whether the noise wanders."""
+    """Draw readings from the search's own prior; return them, the hidden effects, and whether noise wanders."""
     readings = simulated(instrument, case)
     return drawn_by_law(instrument.for_readings(readings).baseline(), readings, case.seed)
 
 
 def outside(readings: bc.Measurements, instrument: bc.Instrument, case: Case) -> bc.Measurements:
-    """The same readings with something that no effect of the catalogue describes, one to six times the noise.
+    """Add to readings an effect outside the catalogue, one to six times the noise.
 
     `column`: the output follows a further recorded column, which wanders as the humidity of a laboratory does.
     `periodic`: it goes up and down with the time, three to eight times in the record. `step`: at a moment in the
@@ -186,8 +186,8 @@ def outside(readings: bc.Measurements, instrument: bc.Instrument, case: Case) ->
     strength = 1.0 + 5.0 * strength  # the same in both campaigns
     noise = noise_of(instrument.for_readings(readings).baseline(), readings)
     if case.shape == "column":
-        own = int(1e6 * abs(readings["output"][0])) % 2**31
-        rng = np.random.default_rng([case.seed, len(readings), own])
+        seed_of_readings = int(1e6 * abs(readings["output"][0])) % 2**31
+        rng = np.random.default_rng([case.seed, len(readings), seed_of_readings])
         knots = rng.standard_normal(max(4, len(readings) // 12))
         at = np.linspace(0, knots.size - 1, len(readings))
         wave = np.interp(at, np.arange(knots.size), knots)

@@ -23,7 +23,7 @@ WANDER = OrnsteinUhlenbeck.law
 def by_law(
     model: bc.Model, readings: bc.Measurements, seed: int
 ) -> tuple[bc.Measurements, list[str], bool]:
-    """An empty campaign's readings with what the prior says added; what was, and whether the noise wanders.
+    """Add a draw of the prior to an empty campaign's readings; return them, the truth, whether noise wanders.
 
     Each candidate is in by its prior odds, its shapes, spreads and coefficients by their priors in the catalogue's own
     columns, its size times 1, 3 or 10 by their probabilities. The noise is white or wanders, by the odds of these two
@@ -37,10 +37,10 @@ def by_law(
     names = list[str]()
     for forms in structures.forms.values():
         open_ = [n for n in forms if n not in barred and n not in structures.barred(_with(names))]
-        each = np.exp([structures.log_odds[n] for n in open_])
-        total = each.sum()
+        odds_ratios = np.exp([structures.log_odds[n] for n in open_])
+        total = odds_ratios.sum()
         if open_ and rng.random() < total / (1 + total):
-            names.append(str(rng.choice(open_, p=each / total)))
+            names.append(str(rng.choice(open_, p=odds_ratios / total)))
     added = np.zeros(len(readings))
     if names:
         added += _effects(structures, names, rng)
@@ -54,37 +54,37 @@ def _with(names: list[str]) -> Structure:
 
 
 def _effects(structures: Structures, names: list[str], rng: np.random.Generator) -> np.ndarray:
-    """What effects add to the expected output at the fitted baseline."""
+    """Return the effects' contribution to the expected output at the fitted baseline."""
     base = structures.weigh(Structure())
     model = structures.model(Structure(frozenset(names)))
     sizes, shares = list(SIZE_FACTORS), list(SIZE_FACTORS.values())
     spread = {n: float(rng.choice(sizes, p=shares)) for n in names}
     spread = {n: f for n, f in spread.items() if not structures.candidates[n].is_placeholder}
     problem = Problem(Layout(model, structures.layout.counts), structures.record, spread)
-    known = {h.name: v for h, v in zip(base.problem.hypers, base.mode.v, strict=True)}
-    v = np.array([known.get(h.name, _coordinate(h, rng)) for h in problem.hypers])
+    same_effect = {h.name: v for h, v in zip(base.problem.hypers, base.mode.v, strict=True)}
+    v = np.array([same_effect.get(h.name, _coordinate(h, rng)) for h in problem.hypers])
     hyper = problem.hyper(v)
     prior = problem.prior(hyper, np.ones(problem.size))
-    own = {t.effect.name: t.at for t in base.problem.in_x}
+    positions = {t.effect.name: t.at for t in base.problem.in_x}
     x = np.zeros(problem.size)
-    placed = dict.fromkeys(own, 0)
+    placed = dict.fromkeys(positions, 0)
     for t in problem.in_x:
-        if t.effect.name in own:
-            known = [b for b in base.problem.in_x if b.effect.name == t.effect.name]
-            at = known[placed[t.effect.name]].at
+        if t.effect.name in positions:
+            same_effect = [b for b in base.problem.in_x if b.effect.name == t.effect.name]
+            at = same_effect[placed[t.effect.name]].at
             placed[t.effect.name] += 1
             x[t.at] = base.mode.x[at]
         else:
             x[t.at] = prior.mean[t.at] + prior.sd[t.at] * rng.standard_normal(t.size)
     # The fitted baseline by itself: a body moves what depends on its temperature too.
-    here = base.problem.linearise(base.mode.x, base.problem.hyper(base.mode.v))
-    there = problem.linearise(x, hyper)
-    moved = np.sqrt(problem.extra(there)) * rng.standard_normal(structures.record.size)
-    return there.mean - here.mean + moved
+    baseline = base.problem.linearise(base.mode.x, base.problem.hyper(base.mode.v))
+    changed = problem.linearise(x, hyper)
+    moved = np.sqrt(problem.extra(changed)) * rng.standard_normal(structures.record.size)
+    return changed.mean - baseline.mean + moved
 
 
 def _coordinate(h: Unknown, rng: np.random.Generator) -> float:
-    """Of one entry of φ, by its prior."""
+    """Draw one entry of φ from its prior."""
     if isinstance(h.prior, HalfNormal):
         return float(np.log(np.abs(rng.standard_normal())))
     if isinstance(h.prior, HalfCauchy):
@@ -93,7 +93,7 @@ def _coordinate(h: Unknown, rng: np.random.Generator) -> float:
 
 
 def _wander(structures: Structures, rng: np.random.Generator) -> np.ndarray:
-    """Correlated noise with diffusion and time by the wandering law's priors."""
+    """Simulate correlated noise with diffusion and time from the wandering law's priors."""
     record: Record = structures.record
     priors = structures.laws[WANDER].parameters()
     values = {
@@ -105,9 +105,9 @@ def _wander(structures: Structures, rng: np.random.Generator) -> np.ndarray:
     (diffusion,) = values.values()
     sd = diffusion * np.sqrt(0.5 * tau)
     order, step = record.in_time
-    made, value = np.zeros(record.size), 0.0
+    noise, value = np.zeros(record.size), 0.0
     for place, since in zip(order, step, strict=True):
-        kept = 0.0 if since < 0 else float(np.exp(-since / tau))
-        value = kept * value + sd * np.sqrt(1 - kept**2) * rng.standard_normal()
-        made[place] = value
-    return made
+        decay = 0.0 if since < 0 else float(np.exp(-since / tau))
+        value = decay * value + sd * np.sqrt(1 - decay**2) * rng.standard_normal()
+        noise[place] = value
+    return noise

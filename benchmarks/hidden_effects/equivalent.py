@@ -36,9 +36,9 @@ at its plausible size; more than half a one.
 def main() -> None:
     """Render the page."""
     rows = [row for name in ALL for row in _rows(name)]
-    told = {name for name, *_ in rows}
+    listed = {name for name, *_ in rows}
     head = ["instrument", "effect", "cannot be told from", "test that tells", "nats"]
-    none = ", ".join(f"`{name}`" for name in ALL if name not in told)
+    none = ", ".join(f"`{name}`" for name in ALL if name not in listed)
     body = HEAD.format(seed=SEED) + table(head, rows)
     (DOCS / "equivalent_effects.md").write_text(f"{body}\nNone: {none}.\n", "utf-8")
 
@@ -49,12 +49,12 @@ def _rows(name: str) -> list[list[str]]:
     model: bc.Model = instrument.for_readings(readings).baseline()
     structures, _ = structures_over(model, readings, reference_of(readings))
     tests, rows = separating_experiments(structures), []
-    for one in equivalents(structures.spans):
-        first, *others = (f"`{n}`" for n in one.effects)
-        beside = " + ".join(others) or ", ".join(f"`{n}` (in)" for n in one.coefficients)
-        test = tests[one]
+    for equivalent in equivalents(structures.spans):
+        first, *others = (f"`{n}`" for n in equivalent.effects)
+        text = " + ".join(others) or ", ".join(f"`{n}` (in)" for n in equivalent.coefficients)
+        test = tests[equivalent]
         nats = f"{test['nats']:.1f}" if "nats" in test else "–"
-        rows.append([name, first, beside, test.get("experiment", "none listed"), nats])
+        rows.append([name, first, text, test.get("experiment", "none listed"), nats])
     return rows
 
 

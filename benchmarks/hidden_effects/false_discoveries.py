@@ -31,20 +31,20 @@ def cases(name: str) -> Iterator[tuple[tuple[str, int], tuple[str, str, int]]]:
     return (((how, seed), (name, how, seed)) for seed in seeds for how in SPOILT)
 
 
-def measure(one: tuple[str, str, int]) -> dict[str, Any]:
+def measure(case: tuple[str, str, int]) -> dict[str, Any]:
     """Return the row of a campaign."""
-    name, how, seed = one
+    name, how, seed = case
     readings = instrument_named(name).simulate({}, seed=seed)
     instrument = instrument_named(name).for_readings(readings)
     noise = noise_of(instrument.baseline(), readings)
     random = np.random.default_rng([seed, len(readings)])
     instrument, readings = SPOILT[how](instrument, readings, noise, random)
-    found = Searched.of(instrument.baseline(), readings)
+    searched = Searched.of(instrument.baseline(), readings)
     row = {
-        "added": sorted(found.chosen.effects),
-        "sets": [[list(s.effects), s.probability] for s in found.sets],
-        "law": found.structures.noise(found.chosen).in_words,
-        "nothing": found.posterior.complete(),
+        "added": sorted(searched.chosen.effects),
+        "sets": [[list(s.effects), s.probability] for s in searched.sets],
+        "law": searched.structures.noise(searched.chosen).in_words,
+        "nothing": searched.posterior.complete(),
     }
     if how == "wandering noise":
         white = Searched.of(instrument.baseline(), readings, widen_noise=False)
@@ -57,47 +57,47 @@ Spoil = Callable[[bc.Instrument, bc.Measurements, float, np.random.Generator], S
 
 
 def _wandering(instrument, readings, noise, random) -> Spoilt:
-    """A wander of the noise's own size in each run, remembered for a tenth of the run."""
+    """Add noise of the record's size that wanders in each run, with a memory of a tenth of the run."""
     runs, at = readings.records.names, readings.records.codes
     wander = np.zeros(len(readings))
-    for one in range(len(runs)):
-        rows = np.flatnonzero(at == one)
+    for run in range(len(runs)):
+        rows = np.flatnonzero(at == run)
         time_ = readings["time"][rows]
         memory = 0.1 * (time_.max() - time_.min())
         value = random.standard_normal()
         wander[rows[0]] = value
         for before, now in pairwise(rows):
-            kept = np.exp(-(readings["time"][now] - readings["time"][before]) / memory)
-            value = kept * value + np.sqrt(1 - kept**2) * random.standard_normal()
+            decay = np.exp(-(readings["time"][now] - readings["time"][before]) / memory)
+            value = decay * value + np.sqrt(1 - decay**2) * random.standard_normal()
             wander[now] = value
     return instrument, readings.with_column("output", readings["output"] + noise * wander)
 
 
 def _heavy_tails(instrument, readings, noise, random) -> Spoilt:
-    """One reading in fifty has an error ten times as large."""
+    """Multiply the error of one reading in fifty by ten."""
     far = random.random(len(readings)) < 0.02
     error = 10 * noise * random.standard_normal(len(readings)) * far
     return instrument, readings.with_column("output", readings["output"] + error)
 
 
 def _student(instrument, readings, noise, random) -> Spoilt:
-    """Noise with Student's t on three degrees of freedom beside the simulator's own."""
+    """Add Student's t noise on three degrees of freedom."""
     error = noise * random.standard_t(3, len(readings))
     return instrument, readings.with_column("output", readings["output"] + error)
 
 
 def _missing(instrument, readings, noise, random) -> Spoilt:
-    """A third of the rows is lost."""
-    kept = np.sort(random.choice(len(readings), 2 * len(readings) // 3, replace=False))
-    return instrument, readings.select(kept)
+    """Drop a third of the rows."""
+    rows = np.sort(random.choice(len(readings), 2 * len(readings) // 3, replace=False))
+    return instrument, readings.select(rows)
 
 
 def _uneven(instrument, readings, noise, random) -> Spoilt:
-    """Readings come in bursts: of every ten, those after a random one are lost; then the end, to half of the rows."""
+    """Thin to bursts: of every ten rows drop those after a random one; then cut the end, to half of the rows."""
     count = random.permutation(np.resize(np.arange(2, 11), len(readings) // 10 + 1))
     place = np.arange(len(readings))
-    kept = np.flatnonzero(place % 10 < count[place // 10])
-    return instrument, readings.select(kept[: len(readings) // 2])
+    rows = np.flatnonzero(place % 10 < count[place // 10])
+    return instrument, readings.select(rows[: len(readings) // 2])
 
 
 def _scaled(factor: float) -> Spoil:
@@ -109,16 +109,16 @@ def _scaled(factor: float) -> Spoil:
 
 
 def _with_prior(effect: bc.Effect, factor: float) -> bc.Effect:
-    """The same effect with prior standard deviations `factor` times as large."""
-    made = []
+    """Return an effect with prior standard deviations `factor` times as large."""
+    scaled = []
     for c in effect.coefficients:
         if c.group_sd is not None:
-            made.append(replace(c, group_sd=replace(c.group_sd, scale=factor * c.group_sd.scale)))
+            scaled.append(replace(c, group_sd=replace(c.group_sd, scale=factor * c.group_sd.scale)))
         elif isinstance(c.prior, bc.Normal):
-            made.append(replace(c, prior=replace(c.prior, sd=factor * c.prior.sd)))
+            scaled.append(replace(c, prior=replace(c.prior, sd=factor * c.prior.sd)))
         else:
-            made.append(c)
-    return replace(effect, coefficients=tuple(made))
+            scaled.append(c)
+    return replace(effect, coefficients=tuple(scaled))
 
 
 SPOILT: dict[str, Spoil] = {
@@ -144,10 +144,7 @@ def _added(rows: Rows, how: str, field: str = "added") -> str:
 
 CLAIMS: tuple[Claim, ...] = (
     *((how, partial(_added, how=how)) for how in SPOILT),
-    (
-        "wandering noise, taken for white",
-        partial(_added, how="wandering noise", field="if_white"),
-    ),
+    ("wandering noise, taken for white", partial(_added, how="wandering noise", field="if_white")),
 )
 
 

@@ -45,9 +45,9 @@ def cases(name: str) -> Iterator[tuple[tuple[Any, ...], tuple[str, Case]]]:
     return (((case.seed,), (name, case)) for case in plan(instrument_named(name)))
 
 
-def measure(one: tuple[str, Case]) -> dict[str, Any]:
+def measure(task: tuple[str, Case]) -> dict[str, Any]:
     """Return the row of a campaign."""
-    name, case = one
+    name, case = task
     return (stated if case.kind in ("prior", "law") else campaign)(instrument_named(name), case)
 
 
@@ -55,43 +55,43 @@ BANKS = tuple(Bank(f"hidden_effects_{n}", partial(cases, n), measure) for n in I
 
 
 def stated(instrument: bc.Instrument, case: Case) -> dict[str, Any]:
-    """What is said of a campaign drawn from the priors."""
+    """Search a campaign drawn from the priors; return its stated probabilities."""
     if case.kind == "law":
         readings, hidden, wanders = by_law(instrument, case)
     else:
         readings, hidden, wanders = simulated(instrument, case), list(case.hidden), False
-    begun = time.perf_counter()
-    found = Searched.of(instrument.for_readings(readings).baseline(), readings)
-    taken = time.perf_counter() - begun
+    start = time.perf_counter()
+    searched = Searched.of(instrument.for_readings(readings).baseline(), readings)
+    seconds = time.perf_counter() - start
     return {
         "seed": case.seed,
         "kind": case.kind,
-        "hidden": sorted(map(found.structures.family, hidden)),
+        "hidden": sorted(map(searched.structures.family, hidden)),
         "wanders": wanders,
-        "nothing": found.posterior.complete(),
-        "stated_wanders": found.posterior.noise(WANDER),
-        "probabilities": found.probabilities,
-        "sets": [[list(s.effects), s.probability] for s in found.sets],
-        "final": found.reported_names(found.chosen),
-        "forms": sorted(found.chosen.effects),
-        "seconds": taken,
-        "truth": _against(found, hidden, wanders),
+        "nothing": searched.posterior.complete(),
+        "stated_wanders": searched.posterior.noise(WANDER),
+        "probabilities": searched.probabilities,
+        "sets": [[list(s.effects), s.probability] for s in searched.sets],
+        "final": searched.reported_names(searched.chosen),
+        "forms": sorted(searched.chosen.effects),
+        "seconds": seconds,
+        "truth": _against(searched, hidden, wanders),
     }
 
 
 def campaign(instrument: bc.Instrument, case: Case) -> dict[str, Any]:
-    """One campaign, searched by every way."""
+    """Search one campaign by every method."""
     readings, second = (simulated(instrument, case, held_out) for held_out in (False, True))
     model = instrument.for_readings(readings).baseline()
-    begun = time.perf_counter()
-    found = Searched.of(model, readings)
-    final, sets, probabilities = found.chosen, found.sets, found.probabilities
-    taken = time.perf_counter() - begun
-    nothing, structures = found.posterior.complete(), found.structures
+    start = time.perf_counter()
+    trial = Searched.of(model, readings)
+    final, sets, probabilities = trial.chosen, trial.sets, trial.probabilities
+    seconds = time.perf_counter() - start
+    p_complete, structures = trial.posterior.complete(), trial.structures
     missing = [OUTSIDE[case.shape]] if case.kind == "outside" else list(case.hidden)
     truth = Structure(frozenset(missing))
-    against = _against(found, missing, False)
-    base, later = found.base, Later.of(found, second)
+    against = _against(trial, missing, False)
+    base, later = trial.base, Later.of(trial, second)
     oracle = structures.weigh(truth).log_evidence - base.log_evidence
     return {
         "seed": case.seed,
@@ -99,43 +99,43 @@ def campaign(instrument: bc.Instrument, case: Case) -> dict[str, Any]:
         "shape": case.shape,
         "hidden": {structures.family(n): size for n, size in case.hidden.items()},
         "oracle": oracle,
-        "oracle_of_each": _oracles(found, truth) if len(missing) > 1 else [oracle] * len(missing),
-        "nothing": nothing,
+        "oracle_of_each": _oracles(trial, truth) if len(missing) > 1 else [oracle] * len(missing),
+        "nothing": p_complete,
         "sets": [[list(s.effects), s.probability] for s in sets],
         "probabilities": probabilities,
-        "final": found.reported_names(final),
+        "final": trial.reported_names(final),
         "forms": sorted(final.effects),
         "noise": "wandering" if final.noise == WANDER else final.noise or "white",
-        "held_out": [found.error(s, later) for s in (Structure(), final, truth)],
-        "seconds": taken,
+        "held_out": [trial.error(s, later) for s in (Structure(), final, truth)],
+        "seconds": seconds,
         "truth": against,
     }
 
 
-def _against(found: Searched, missing: list[str], wanders: bool) -> dict[str, Any] | None:
-    """The true structure against the most probable one: whether it was weighed, and their totals, in nats."""
-    structures = found.structures
-    best = structures.visited[found.posterior.best]
+def _against(trial: Searched, missing: list[str], wanders: bool) -> dict[str, Any] | None:
+    """Compare the true structure with the most probable one: whether it was evaluated, and log totals, nats."""
+    structures = trial.structures
+    best = structures.visited[trial.posterior.best]
     truth = Structure(frozenset(missing), WANDER if wanders else "")
     if truth == best.structure or not set(missing) <= set(structures.candidates):
         return None
     weighed = truth in structures.visited
-    own, fresh = structures.weigh(truth, found.base), structures._refitted(truth, None, ())
+    true, fresh = (structures.weigh(truth, trial.base), structures._refitted(truth, None, ()))
     return {
         "weighed": weighed,
         "best": [sorted(best.structure.effects), best.structure.noise],
-        "total": own.total - best.total,
-        "evidence": own.log_evidence - best.log_evidence,
-        "prior": own.log_prior - best.log_prior,
+        "total": true.total - best.total,
+        "evidence": true.log_evidence - best.log_evidence,
+        "prior": true.log_prior - best.log_prior,
         "fresh": fresh.total - best.total,
     }
 
 
-def _oracles(found: Searched, truth: Structure) -> list[float]:
-    """Log Bayes factor of the true structure against itself without each hidden effect."""
-    weigh = found.structures.weigh
+def _oracles(trial: Searched, truth: Structure) -> list[float]:
+    """Return the true structure's log Bayes factor against itself without each hidden effect."""
+    weigh = trial.structures.weigh
     whole = weigh(truth).log_evidence
-    return [whole - weigh(truth.minus(n), found.base).log_evidence for n in sorted(truth.effects)]
+    return [whole - weigh(truth.minus(n), trial.base).log_evidence for n in sorted(truth.effects)]
 
 
 def hidden_in(row: dict[str, Any]) -> str:
@@ -143,7 +143,7 @@ def hidden_in(row: dict[str, Any]) -> str:
     return next(iter(row["hidden"]))
 
 
-def said(row: dict[str, Any]) -> set[str]:
+def found_effects(row: dict[str, Any]) -> set[str]:
     """Return the effects that stand in the final model or in a set beside one of it."""
     return set(row["final"]) | {name for effects, _ in row["sets"] for name in effects}
 
@@ -164,8 +164,8 @@ def _pairs(rows: Rows) -> Rows:
 
 def _outside(rows: Rows, shape: str = "") -> Rows:
     """Return the campaigns with what no catalogue has, of one shape, and that the readings show."""
-    found = [r for r in of_kind(rows, "outside") if shape in ("", r["shape"])]
-    return [r for r in found if r["oracle"] >= STRONG]
+    outside_rows = [r for r in of_kind(rows, "outside") if shape in ("", r["shape"])]
+    return [r for r in outside_rows if r["oracle"] >= STRONG]
 
 
 def _names_outside(row: dict[str, Any]) -> bool:
@@ -181,21 +181,21 @@ def _held_out(rows: Rows) -> str:
 
 
 def _complete(rows: Rows, low: float, high: float) -> str:
-    own = of_kind(rows, "law")
-    return stated_and_true(((r["nothing"], not r["hidden"]) for r in own), low, high)
+    law_rows = of_kind(rows, "law")
+    return stated_and_true(((r["nothing"], not r["hidden"]) for r in law_rows), low, high)
 
 
 def _missing(rows: Rows, low: float, high: float) -> str:
-    own = [
+    probabilities = [
         (p, n in r["hidden"]) for r in of_kind(rows, "law") for n, p in r["probabilities"].items()
     ]
-    return stated_and_true(own, low, high)
+    return stated_and_true(probabilities, low, high)
 
 
 SHORT: tuple[Claim, ...] = (
     (
         "one effect hidden (log Bayes factor above 15): in the final model, or in a set beside what is",
-        lambda rows: share(hidden_in(r) in said(r) for r in clear(rows)),
+        lambda rows: share(hidden_in(r) in found_effects(r) for r in clear(rows)),
     ),
     (
         "the same: in the final model",
@@ -228,7 +228,7 @@ CLAIMS: tuple[Claim, ...] = (
     ),
     (
         "four hidden on a long record: each in the final model or in a set",
-        lambda rows: share(set(r["hidden"]) <= said(r) for r in of_kind(rows, "several")),
+        lambda rows: share(set(r["hidden"]) <= found_effects(r) for r in of_kind(rows, "several")),
     ),
     *(
         (
@@ -268,7 +268,7 @@ def results() -> dict[str, Rows]:
 def render() -> pages.Texts:
     """Return the page, and the bank in short in README.md, from the results that stand."""
     groups, spoilt = results(), false_discoveries.results()
-    days = [r["day"] for own in (*groups.values(), *spoilt.values()) for r in own]
+    days = [r["day"] for group_rows in (*groups.values(), *spoilt.values()) for r in group_rows]
     tables = (
         pages.claims_table(groups, CLAIMS),
         "Nothing hidden, and noise, rows or priors that are not as the model takes them: something added "
@@ -277,8 +277,8 @@ def render() -> pages.Texts:
     )
     page = pages.page("hidden_effects", "Hidden effects", "hidden_effects", days, ABOUT, *tables)
     readme, marks = ROOT / "README.md", ("<!-- the bank in short -->", "<!-- end of it -->")
-    before, _, rest = readme.read_text("utf-8").partition(marks[0])
+    before, _, tail = readme.read_text("utf-8").partition(marks[0])
     six = [row for name in INSTRUMENTS for row in groups[name]]
     short = pages.claims_table({"count": six}, SHORT)
-    text = f"{before}{marks[0]}\n\n{short}\n{marks[1]}{rest.partition(marks[1])[2]}"
+    text = f"{before}{marks[0]}\n\n{short}\n{marks[1]}{tail.partition(marks[1])[2]}"
     return {**page, readme: text}

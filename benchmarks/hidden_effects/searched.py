@@ -58,7 +58,7 @@ class Searched:
 
     @cached_property
     def posterior(self) -> Posterior:
-        """Over the structures that the search weighed, not those weighed later."""
+        """Return the posterior over the structures that the search evaluated, not those evaluated later."""
         return Posterior.of(self.structures)
 
     @cached_property
@@ -71,15 +71,15 @@ class Searched:
 
     @property
     def probabilities(self) -> dict[str, float]:
-        """Of each candidate to be missing."""
+        """Return each candidate's probability of being missing."""
         return {name: self.posterior.inclusion(name) for name in self.structures.forms}
 
     def reported_names(self, structure: Structure) -> list[str]:
-        """Effects of a structure, each by the name of its family."""
+        """Return a structure's effects by the names of their families."""
         return sorted(self.structures.families(structure.effects))
 
     def error(self, structure: Structure, later: Later) -> float:
-        """Root mean square error of a structure on a second record, its runs unseen."""
+        """Return a structure's root mean square error on a second record of unseen runs."""
         weighed = self.structures.weigh(structure)
         return later.error(weighed)
 
@@ -98,29 +98,29 @@ class Later:
 
     @classmethod
     def of(cls, searched: Searched, readings: bc.Measurements) -> Later:
-        first, own = searched.structures.record, set_aside(readings)
+        first, remainder = searched.structures.record, set_aside(readings)
         levels = bind(searched.model, searched.readings)[1]
-        frame = build_frame(own, reference_of(searched.readings), levels)
+        frame = build_frame(remainder, reference_of(searched.readings), levels)
         new = {g: c if g == "axis" else -jnp.ones_like(c) for g, c in frame.codes.items()}
         unseen = eqx.tree_at(lambda f: f.codes, frame, new)
-        y = np.asarray(own["output"])
-        made = (Record(first.instrument, f, y, first.library) for f in (unseen, frame))
-        return cls(*made)
+        y = np.asarray(remainder["output"])
+        records = (Record(first.instrument, f, y, first.library) for f in (unseen, frame))
+        return cls(*records)
 
     def expected(self, weighed: Weighed) -> np.ndarray:
-        """Output that a structure expects of it."""
+        """Return a structure's expected output on the record."""
         mode = weighed.mode
-        _, found = Density(weighed.problem, mode.x, mode.flat).at(mode.v)
-        x = mode.x if found is None else found.mean
-        there = Problem(weighed.problem.layout, self.record, weighed.problem.size_factors)
-        return there.linearise(x, there.hyper(mode.v)).mean
+        _, posterior = Density(weighed.problem, mode.x, mode.flat).at(mode.v)
+        x = mode.x if posterior is None else posterior.mean
+        later_problem = Problem(weighed.problem.layout, self.record, weighed.problem.size_factors)
+        return later_problem.linearise(x, later_problem.hyper(mode.v)).mean
 
     def error(self, weighed: Weighed) -> float:
         return float(np.sqrt(np.mean((self.record.y - self.expected(weighed)) ** 2)))
 
 
 def noise_of(model: bc.Model, readings: bc.Measurements) -> float:
-    """Standard deviation of the baseline's white noise."""
+    """Return the standard deviation of the baseline's white noise."""
     structures, _ = structures_over(model, readings, reference_of(readings), widen_noise=False)
     base = structures.weigh(Structure())
     return base.problem.hyper(base.mode.v)["noise.white"]

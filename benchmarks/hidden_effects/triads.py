@@ -53,9 +53,9 @@ SIZES: dict[str, dict[str, tuple[float, float]]] = {
 def cases() -> Iterator[tuple[tuple[str, int], tuple[str, int]]]:
     """Give the campaigns; the two triads in turn."""
     *triads, head = PLANS
-    each = [(triads[seed // 2 % 2], seed) for seed in range(CAMPAIGNS["triad"])]
-    each += [(head, seed) for seed in range(CAMPAIGNS["head"])]
-    return ((case, case) for case in each)
+    pairs = [(triads[seed // 2 % 2], seed) for seed in range(CAMPAIGNS["triad"])]
+    pairs += [(head, seed) for seed in range(CAMPAIGNS["head"])]
+    return ((case, case) for case in pairs)
 
 
 def measure(case: tuple[str, int]) -> dict[str, Any]:
@@ -73,16 +73,16 @@ def measure(case: tuple[str, int]) -> dict[str, Any]:
         hidden = {kind: one_axis if kind == "bias.thermal_lag" else size}
     instrument = instrument_named(name)
     readings = instrument.simulate(hidden, seed=seed, **PLANS[name])
-    found = Searched.of(instrument.for_readings(readings).baseline(), readings)
+    searched = Searched.of(instrument.for_readings(readings).baseline(), readings)
     row = {
         "hidden": hidden,
-        "final": found.reported_names(found.chosen),
-        "nothing": found.posterior.complete(),
-        "sets": [[list(s.effects), s.probability] for s in found.sets],
+        "final": searched.reported_names(searched.chosen),
+        "nothing": searched.posterior.complete(),
+        "sets": [[list(s.effects), s.probability] for s in searched.sets],
     }
     if hidden:
-        truth = found.structures.weigh(Structure(frozenset({kind})), found.base)
-        row["oracle"] = truth.log_evidence - found.base.log_evidence
+        truth = searched.structures.weigh(Structure(frozenset({kind})), searched.base)
+        row["oracle"] = truth.log_evidence - searched.base.log_evidence
     return row
 
 

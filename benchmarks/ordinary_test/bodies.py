@@ -32,16 +32,16 @@ class Body:
 
     @property
     def between(self) -> Array:
-        """Heat into each cell by the cells' temperatures, W/°C (n, n); the outside at 0 °C."""
+        """Return the heat into each cell by the cells' temperatures, W/°C (n, n); the outside at 0 °C."""
         n = len(self.capacity)
-        found = np.zeros((n, n))
-        found[0, 0] -= self.conductance[0]
+        conductance = np.zeros((n, n))
+        conductance[0, 0] -= self.conductance[0]
         for i, g in enumerate(self.conductance[1:]):
-            found[i : i + 2, i : i + 2] += g * np.array([[-1.0, 1.0], [1.0, -1.0]])
-        return found
+            conductance[i : i + 2, i : i + 2] += g * np.array([[-1.0, 1.0], [1.0, -1.0]])
+        return conductance
 
     def cells(self, outside: Array, step: float, start: Array, power: float = 0.0) -> Array:
-        """Temperatures of all cells, °C (times, n).
+        """Return the temperatures of all cells, °C (times, n).
 
         Args:
             outside: temperature at the face, °C, linear between steps (times,).
@@ -54,38 +54,38 @@ class Body:
         by_face = modes[0] * self.conductance[0] / root[0]
         by_heater = modes[-1] * power / root[-1]
         mean = 0.5 * (outside[1:] + outside[:-1])
-        found = np.empty((len(rates), len(outside)))
+        temperatures = np.empty((len(rates), len(outside)))
         # The rule in each mode by itself, z' = λz + p: (1 − hλ/2)·zᵢ₊₁ = (1 + hλ/2)·zᵢ + h·p.
         for i, first in enumerate(modes.T @ (root * start)):
             ahead = 1 / (1 - 0.5 * step * rates[i])
             keep = (1 + 0.5 * step * rates[i]) * ahead
             push = step * ahead * (by_face[i] * mean + by_heater[i])
-            found[i] = lfilter([1.0], [1.0, -keep], np.r_[first, push])
-        return (modes @ found).T / root
+            temperatures[i] = lfilter([1.0], [1.0, -keep], np.r_[first, push])
+        return (modes @ temperatures).T / root
 
     @property
     def behind(self) -> float:
-        """Time by which it is behind a steady ramp, s."""
+        """Return the lag behind a steady ramp, s."""
         return float(np.linalg.solve(-self.between, self.capacity) @ self.weight)
 
     def settled(self, outside: float, power: float = 0.0) -> Array:
-        """Cells in balance, °C (n,)."""
+        """Return the cells' equilibrium temperatures, °C (n,)."""
         return outside + power * np.cumsum(1 / self.conductance)
 
     def inside(self, outside: Array, step: float) -> Array:
-        """The temperature that matters, °C (times,), from balance with the first of the outside."""
+        """Return the sensing temperature, °C (times,), from equilibrium with the first outside value."""
         start = self.settled(float(outside[0]))
         return self.cells(outside, step, start) @ self.weight
 
     def warming(self, times: Array, step: float) -> Array:
-        """What self-heating after power-on still lacks of its end, 1 at first: of the last cell (times,).
+        """Return the remaining self-heating after power-on, 1 at first, of the last cell (times,).
 
         Args:
             times: since power-on, s, from 0 in even steps.
             step: s.
         """
-        found = self.cells(0.0 * times, step, 0.0 * self.capacity, power=1.0)[:, -1]
-        return 1 - found / self.settled(0.0, 1.0)[-1]
+        response = self.cells(0.0 * times, step, 0.0 * self.capacity, power=1.0)[:, -1]
+        return 1 - response / self.settled(0.0, 1.0)[-1]
 
 
 def lump(time: float) -> Body:
@@ -139,15 +139,15 @@ class Chamber:
     wander: float
 
     def air(self, goal: Array, step: float, rng: np.random.Generator) -> Array:
-        """Air temperature, °C (times,), from rest at the first goal."""
+        """Return the air temperature, °C (times,), from rest at the first goal."""
         rate = 2 * np.pi / self.period
         kicks = rng.standard_normal(len(goal)) * self.wander * np.sqrt(2 * step / 300.0)
-        found = np.empty_like(goal)
+        temperature = np.empty_like(goal)
         air, speed, loose = float(goal[0]), 0.0, 0.0
-        for i, (wanted, kick) in enumerate(zip(goal.tolist(), kicks.tolist(), strict=True)):
-            found[i] = air
+        for i, (goal_now, kick) in enumerate(zip(goal.tolist(), kicks.tolist(), strict=True)):
+            temperature[i] = air
             loose += kick - loose * step / 300.0
-            force = rate**2 * (wanted + loose - air) - 2 * self.damping * rate * speed
+            force = rate**2 * (goal_now + loose - air) - 2 * self.damping * rate * speed
             speed = min(max(speed + step * force, -self.fastest), self.fastest)
             air += step * speed
-        return found
+        return temperature

@@ -31,7 +31,7 @@ from benchmarks.ordinary_test.worlds import STRUCTURES, drawn
 
 SAMPLE = 24  # records that a release measures anew
 COUNT = 60  # records, the first of the order
-EACH = 50
+PER_INSTRUMENT = 50
 KINDS = ("single", "pair")  # of the bank's campaigns, from which hidden effects are
 READINGS = (200, 1600)  # of the ordinary test's worlds
 DOUBT = re.compile("thermometer|[Cc]olumn '?temperature|column temperature")
@@ -87,18 +87,19 @@ class Cell(NamedTuple):
 
 def plan() -> list[Cell]:
     """Return the cells that are measured, in their order."""
-    return in_order([Cell(name, seed) for name in CAMPAIGNS for seed in range(EACH)])[:COUNT]
+    cells = [Cell(name, seed) for name in CAMPAIGNS for seed in range(PER_INSTRUMENT)]
+    return in_order(cells)[:COUNT]
 
 
 def measured(cell: Cell) -> dict[str, Any]:
     """One campaign's row."""
     rng = np.random.default_rng([56, list(CAMPAIGNS).index(cell.instrument), cell.seed])
-    own = cell.instrument in INSTRUMENTS and cell.seed % 2
-    world, made = (_of_the_ordinary_test if own else _of_its_simulator)(rng, cell)
-    path, seconds = made()
+    ordinary = cell.instrument in INSTRUMENTS and cell.seed % 2
+    world, search = (_of_the_ordinary_test if ordinary else _of_its_simulator)(rng, cell)
+    path, seconds = search()
     names, base = path.final.calibration.model.names, path.steps[0].calibration.model.names
     verdict, readings = path.final.calibration.verdict, path.final.calibration.readings
-    said = {
+    record = {
         "reason": "" if path.ok else path.gate.reason,
         "flags": " ".join(readings.flags),
         "notes": " ".join(verdict.notes),
@@ -107,16 +108,16 @@ def measured(cell: Cell) -> dict[str, Any]:
         **world,
         "final": [n for n in names if n not in base],
         "status": 0 if path.ok else 1,
-        **said,
-        "doubted": [where for where, words in said.items() if DOUBT.search(words)],
+        **record,
+        "doubted": [where for where, words in record.items() if DOUBT.search(words)],
         "seconds": seconds,
     }
 
 
-Made = tuple[dict[str, Any], Callable[[], tuple[bc.SearchPath, float]]]
+Calibration = tuple[dict[str, Any], Callable[[], tuple[bc.SearchPath, float]]]
 
 
-def _of_the_ordinary_test(rng: np.random.Generator, cell: Cell) -> Made:
+def _of_the_ordinary_test(rng: np.random.Generator, cell: Cell) -> Calibration:
     """A campaign of `worlds.py`."""
     structure, repeats = str(rng.choice(("none", *STRUCTURES))), bool(rng.integers(2))
     hidden = tuple(f for f in FURTHER if rng.random() < 0.25)
@@ -126,7 +127,7 @@ def _of_the_ordinary_test(rng: np.random.Generator, cell: Cell) -> Made:
     return world, lambda: calibrated(campaign, INSTRUMENTS[cell.instrument])
 
 
-def _of_its_simulator(rng: np.random.Generator, cell: Cell) -> Made:
+def _of_its_simulator(rng: np.random.Generator, cell: Cell) -> Calibration:
     """A campaign of the instrument's own simulator, in one of its chambers."""
     instrument = instrument_named(cell.instrument)
     at = int(rng.integers(len(CAMPAIGNS[cell.instrument])))
@@ -135,12 +136,12 @@ def _of_its_simulator(rng: np.random.Generator, cell: Cell) -> Made:
     options = CAMPAIGNS[cell.instrument][at]
     readings = instrument.simulate(hidden, seed=700_000 + cell.seed, **options)
 
-    def made() -> tuple[bc.SearchPath, float]:
-        begun = time.process_time()
+    def calibrate() -> tuple[bc.SearchPath, float]:
+        start = time.process_time()
         path = bc.calibrate(instrument.for_readings(readings).baseline(), readings)
-        return path, time.process_time() - begun
+        return path, time.process_time() - start
 
-    return {"world": f"its own, {at}", "hidden": list(hidden)}, made
+    return {"world": f"its own, {at}", "hidden": list(hidden)}, calibrate
 
 
 def _hidden(rng: np.random.Generator, instrument: bc.Instrument) -> dict[str, float]:

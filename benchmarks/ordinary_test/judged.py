@@ -24,13 +24,13 @@ ORDER = 20261126  # seed of every order, drawn before anything was measured
 
 def in_order(cells: Sequence[Any]) -> list[Any]:
     """Return the cells of a plan in the order in which they are measured."""
-    found = list(cells)
-    random.Random(ORDER).shuffle(found)
-    return found
+    shuffled = list(cells)
+    random.Random(ORDER).shuffle(shuffled)
+    return shuffled
 
 
 def read(campaign: Campaign, record: Record, instrument: bc.Instrument, first: int = 1):
-    """Readings of a file that holds a record."""
+    """Read a file that holds a record."""
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "record.csv"
         pd.DataFrame(campaign.file(record, first)).to_csv(path, index=False)
@@ -38,32 +38,32 @@ def read(campaign: Campaign, record: Record, instrument: bc.Instrument, first: i
 
 
 def calibrated(campaign: Campaign, instrument: bc.Instrument) -> tuple[bc.SearchPath, float]:
-    """The whole loop, and its processor seconds."""
-    begun = time.process_time()
+    """Run the whole search loop; return its path and processor seconds."""
+    start = time.process_time()
     readings = read(campaign, campaign.fitted, instrument)
     model = instrument.for_readings(readings).baseline()
-    return bc.calibrate(model, readings), time.process_time() - begun
+    return bc.calibrate(model, readings), time.process_time() - start
 
 
 def judged(campaign: Campaign, name: str) -> dict[str, Any]:
-    """What came of a campaign read as an instrument of this name."""
+    """Judge a campaign read as an instrument of this name."""
     instrument = INSTRUMENTS[name]
     path, seconds = calibrated(campaign, instrument)
     row = {"instrument": name, **outcome(path, campaign), "seconds": seconds}
-    true, made = campaign.errors_of_true(), {}
+    true, error_sets = campaign.errors_of_true(), {}
     for kind, record in campaign.later.items():
         later = read(campaign, record, instrument, LATER)
-        found = bc.predict(path.calibration, later)
-        errors = within_runs(found.residual, record.run), float(found.rmse)
-        made[kind] = {"tool": errors[0], "true": true[kind], "with_offsets": errors[1]}
-    return {**row, "holdout": made}
+        prediction = bc.predict(path.calibration, later)
+        errors = within_runs(prediction.residual, record.run), float(prediction.rmse)
+        error_sets[kind] = {"tool": errors[0], "true": true[kind], "with_offsets": errors[1]}
+    return {**row, "holdout": error_sets}
 
 
 def outcome(path: bc.SearchPath, campaign: Campaign) -> dict[str, Any]:
-    """What is true, what was said, and the coefficients."""
-    said = _said(path)
-    held = _coefficients(path.calibration, campaign, said["final"])
-    return {**_true(campaign), **said, "coefficients": held}
+    """Return the truth, the search's answer, and the coefficients."""
+    answer = _search_answer(path)
+    coefficients = _coefficients(path.calibration, campaign, answer["final"])
+    return {**_true(campaign), **answer, "coefficients": coefficients}
 
 
 def _true(campaign: Campaign) -> dict[str, Any]:
@@ -84,15 +84,15 @@ def _true(campaign: Campaign) -> dict[str, Any]:
     }
 
 
-def _said(path: bc.SearchPath) -> dict[str, Any]:
-    """What the search says, in names, probabilities and sentences."""
+def _search_answer(path: bc.SearchPath) -> dict[str, Any]:
+    """Return the search's answer, in names, probabilities and sentences."""
     final, base = path.final, {*path.steps[0].calibration.model.names}
     effects = [e for e in final.calibration.model.effects if e.name not in base]
     inclusion: dict[str, float] = {}
     for share in path.shares:
         for effect in share.effects:
             inclusion[effect] = inclusion.get(effect, 0.0) + share.probability
-    found = final.discovery
+    discovery = final.discovery
     sets = {
         tuple(s.effects): s.probability
         for step in path.steps
@@ -105,10 +105,10 @@ def _said(path: bc.SearchPath) -> dict[str, Any]:
         "noise_law": final.calibration.model.noise.law,
         "inclusion": inclusion,
         "missing": {}
-        if found is None
-        else {c.effect: c.probability for c in found.candidates if (c.probability or 0) > 0.01},
+        if discovery is None
+        else {c.effect: c.probability for c in discovery.candidates if (c.probability or 0) > 0.01},
         "sets": [[list(members), p] for members, p in sets.items()],
-        "complete": None if found is None else found.nothing_missing,
+        "complete": None if discovery is None else discovery.nothing_missing,
         "status": 0 if path.ok else 1,
         "reason": "" if path.ok else path.gate.reason,
         "notes": list(final.calibration.verdict.notes),
@@ -119,7 +119,7 @@ def _said(path: bc.SearchPath) -> dict[str, Any]:
 def _coefficients(
     calibration: bc.Calibration, campaign: Campaign, final: Collection[str]
 ) -> dict[str, Any]:
-    """Each coefficient that has a truth: mean, standard uncertainty, 95 % interval, and that truth.
+    """Return each coefficient that has a truth: mean, standard uncertainty, 95 % interval, and that truth.
 
     The truth is the settled output as a power series about the tool's own T0: constant (the runs' and the supply's
     mean), slope, quadratic; the supply's sensitivity; the time of a body that is one; the size of a lag that is an
@@ -130,39 +130,37 @@ def _coefficients(
     assert isinstance(T0, float)
     step = np.linspace(-10.0, 10.0, 21)
     settled = np.polynomial.polynomial.polyfit(step, sensor.settled(T0 + step), 2)
-    truths: dict[str, tuple[Iterable[str], float]] = {
-        "slope": (["bias.temperature"], settled[1]),
-    }
+    truths: dict[str, tuple[Iterable[str], float]] = {"slope": (["bias.temperature"], settled[1])}
     if "run" not in campaign.hidden and "supply" not in campaign.hidden:
         truths["constant"] = (["bias.constant"], settled[0])
     if "curve" in campaign.hidden:
         truths["quadratic"] = (["bias.temperature_quadratic"], settled[2])
     if "supply" in campaign.hidden:
-        own = [n for n in names if "supply" in n and "unknown" not in n and "." not in n[5:]]
-        truths["supply"] = (own, sensor.sizes["supply"])
+        supply = [n for n in names if "supply" in n and "unknown" not in n and "." not in n[5:]]
+        truths["supply"] = (supply, sensor.sizes["supply"])
     if sensor.structure in ("die", "added"):
         lags = [f"{n}.tau" for n in final if naming.family(n) == "lag"]
         truths["time"] = (lags, sensor.body.behind)
     if sensor.structure == "added":
         truths["lag"] = (["bias.thermal_lag"], sensor.share * sensor.slope)
     stated = {"bias.constant", "bias.temperature", *final, *(f"{n}.tau" for n in final)}
-    found = {}
-    for what, (own, true) in truths.items():
-        held = [n for n in own if n in names]
-        if len(held) != 1:
+    rows = {}
+    for what, (supply, true) in truths.items():
+        present = [n for n in supply if n in names]
+        if len(present) != 1:
             continue
-        draws = calibration.samples(held[0])
-        if (freed := f"{held[0]}.freed") in names:  # what its stated size does not reach
+        draws = calibration.samples(present[0])
+        if (freed := f"{present[0]}.freed") in names:  # what its stated size does not reach
             draws = draws + calibration.samples(freed)
         low, high = np.quantile(draws, [0.025, 0.975]).tolist()
-        found[what] = {
-            "name": held[0],
+        rows[what] = {
+            "name": present[0],
             "mean": float(np.mean(draws)),
             "sd": float(np.std(draws)),
             "low": low,
             "high": high,
             "true": float(true),
             "inside": bool(low <= true <= high),
-            "stated": held[0] in stated,
+            "stated": present[0] in stated,
         }
-    return found
+    return rows

@@ -36,7 +36,7 @@ class Cell(NamedTuple):
 
     @property
     def rng(self) -> np.random.Generator:
-        """Of everything in it."""
+        """Return the cell's random generator."""
         return np.random.default_rng(
             [53, STRUCTURES.index(self.structure), self.repeats, self.readings, self.seed]
         )
@@ -48,8 +48,8 @@ def plan() -> list[Cell]:
     return [cell for cell in cells if cell.readings <= LONGEST][:COUNT]
 
 
-def made(cell: Cell) -> tuple[Campaign, str]:
-    """A cell's campaign, and the instrument that reads it."""
+def build(cell: Cell) -> tuple[Campaign, str]:
+    """Build a cell's campaign, and the instrument that reads it."""
     rng = cell.rng
     hidden = tuple(f for f in FURTHER if rng.random() < 0.5)
     recorded = "supply" in hidden or bool(rng.random() < 0.5)
@@ -58,8 +58,8 @@ def made(cell: Cell) -> tuple[Campaign, str]:
 
 
 def measured(cell: Cell) -> dict[str, Any]:
-    """One campaign's row."""
-    return judged(*made(cell))
+    """Measure one campaign's row."""
+    return judged(*build(cell))
 
 
 BANKS = (Bank("ordinary_test", lambda: ((tuple(c), c) for c in plan()), measured, Cell._fields),)

@@ -23,31 +23,31 @@ HIDDEN = ("lag", "run", "warm-up", "curve", "supply")  # what the ordinary test 
 
 
 def family(name: str) -> str:
-    """The family of an effect; "description" of one that says how and not why, its name of any other."""
+    """Return an effect's family; "description" of an unnamed dependence."""
     if name.startswith(DESCRIPTION) and "supply" not in name:
         return "description"
     return next((f for f, parts in FAMILIES.items() if any(p in name for p in parts)), name)
 
 
-def said(names: Iterable[str], sets: Iterable[Sequence[str]]) -> set[str]:
-    """Families in the model or in a set."""
+def found_families(names: Iterable[str], sets: Iterable[Sequence[str]]) -> set[str]:
+    """Return the families in the model or in a set."""
     return {family(n) for n in (*names, *(n for members in sets for n in members))}
 
 
 def invented(
     names: Collection[str], sets: Sequence[Sequence[str]], true: Collection[str]
 ) -> list[str]:
-    """Named effects that stand alone, and sets, of which nothing is there; descriptions are no names."""
+    """List stand-alone effects, and sets, without any true cause; descriptions do not count."""
 
-    there = {*true, "line"}
+    allowed = {*true, "line"}
 
     def right(members: Iterable[str]) -> bool:
-        return any(family(n) in there for n in members)
+        return any(family(n) in allowed for n in members)
 
     excused = {n for members in sets if right(members) for n in members}
-    found = [n for n in names if n not in excused and family(n) not in {*there, "description"}]
+    false = [n for n in names if n not in excused and family(n) not in {*allowed, "description"}]
     for members in sets:
         named = [n for n in members if family(n) != "description"]
-        if named and not right(members) and not set(named) & set(found):
-            found.append(" or ".join(members))
-    return found
+        if named and not right(members) and not set(named) & set(false):
+            false.append(" or ".join(members))
+    return false

@@ -43,9 +43,9 @@ def column(rng: np.random.Generator, bare: Record) -> Further:
     seed, bend = int(rng.integers(2**31)), rng.uniform(0.3, 2.0)
 
     def wave(record: Record) -> Array:
-        own = np.random.default_rng([seed, int(record.time[0])])
+        rng_of_record = np.random.default_rng([seed, int(record.time[0])])
         knots = np.arange(0.0, np.ptp(record.time) + 900.0, 900.0)
-        values = own.standard_normal(len(knots))
+        values = rng_of_record.standard_normal(len(knots))
         return np.interp(record.time - record.time[0], knots, values)
 
     return Further(
@@ -68,7 +68,7 @@ def step(rng: np.random.Generator, bare: Record) -> Further:
 
 
 def elapsed(rng: np.random.Generator, bare: Record) -> Further:
-    """In every run the output swings after power-on, and the swing dies away: no warm-up does that."""
+    """Add a decaying oscillation after each power-on, which no warm-up resembles."""
     longest = float(bare.since.max())
     period, dies = longest * rng.uniform(0.25, 0.7, 2)
     phase = rng.uniform(0.0, 2 * np.pi)
@@ -79,7 +79,7 @@ SHAPES = {"column": column, "resonance": resonance, "step": step, "elapsed": ela
 
 
 def measured(cell: Cell) -> dict[str, Any]:
-    """One campaign's row."""
+    """Measure one campaign's row."""
     shape = list(SHAPES).index(cell.shape)
     rng = np.random.default_rng([54, shape, cell.repeats, cell.readings, cell.seed])
     structure = str(rng.choice(("none", *STRUCTURES)))
@@ -88,10 +88,10 @@ def measured(cell: Cell) -> dict[str, Any]:
     strength = float(np.exp(rng.uniform(low, high)))
 
     def further(rng: np.random.Generator, bare: Record, noise: float) -> Further:
-        made = SHAPES[cell.shape](rng, bare)
-        assert made.law is not None
-        law, spread = made.law, float(np.std(made.law(bare)))
-        return Further(lambda record: strength * noise / spread * law(record), made.columns)
+        shape = SHAPES[cell.shape](rng, bare)
+        assert shape.law is not None
+        law, spread = shape.law, float(np.std(shape.law(bare)))
+        return Further(lambda record: strength * noise / spread * law(record), shape.columns)
 
     whole = (structure, cell.repeats, cell.readings, hidden)
     campaign = drawn(rng, *whole, recorded=False, further=further)

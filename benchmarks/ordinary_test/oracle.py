@@ -15,19 +15,19 @@ GRID = np.linspace(
 
 
 def log_evidence(y: np.ndarray, columns: np.ndarray, sd: np.ndarray) -> float:
-    """Log evidence of a model, in nats.
+    """Compute the log evidence of a model, in nats.
 
     Args:
         y: readings (n,).
         columns: of its coefficients (n, k).
         sd: their prior standard deviations (k,).
     """
-    left, singular, _ = np.linalg.svd(columns * sd, full_matrices=False)
-    inside = left.T @ y
+    u, singular, _ = np.linalg.svd(columns * sd, full_matrices=False)
+    inside = u.T @ y
     beyond = max(float(y @ y - inside @ inside), 0.0)
 
     def log_density(log_sigma: np.ndarray) -> np.ndarray:
-        """log p(y | σ) for each σ."""
+        """Compute log p(y | σ) for each σ."""
         variance = np.exp(2 * log_sigma)[:, None]
         of = singular**2 + variance
         quadratic = (inside**2 / of).sum(axis=1) + beyond / variance[:, 0]
@@ -42,6 +42,6 @@ def log_evidence(y: np.ndarray, columns: np.ndarray, sd: np.ndarray) -> float:
 
 
 def least_squares(y: np.ndarray, columns: np.ndarray) -> np.ndarray:
-    """Coefficients of ordinary least squares (k,)."""
+    """Return the coefficients of ordinary least squares (k,)."""
     scale = np.sqrt(np.mean(columns**2, axis=0))
     return np.linalg.lstsq(columns / scale, y, rcond=None)[0] / scale

@@ -34,8 +34,8 @@ GOOD = (
 
 def lost(row: dict[str, Any], least: float = CLEAR) -> list[str]:
     """Return the hidden families of an oracle above `least` that are neither in the model nor in a set."""
-    said = naming.said(row["final"], [members for members, _ in row["sets"]])
-    return [h for h in row["hidden"] if row["oracle"][h] >= least and h not in said]
+    named_effects = naming.found_families(row["final"], [members for members, _ in row["sets"]])
+    return [h for h in row["hidden"] if row["oracle"][h] >= least and h not in named_effects]
 
 
 def invented(row: dict[str, Any]) -> list[str]:
@@ -49,22 +49,22 @@ def whole(name: str) -> Rows:
 
 
 def named(rows: Rows, family: str = "") -> str:
-    each = [(r, h) for r in rows for h in r["hidden"] if family in ("", h)]
-    return share(h not in lost(r) for r, h in each if r["oracle"][h] >= CLEAR)
+    pairs = [(r, h) for r in rows for h in r["hidden"] if family in ("", h)]
+    return share(h not in lost(r) for r, h in pairs if r["oracle"][h] >= CLEAR)
 
 
 def inside(rows: Rows, repeats: bool) -> str:
-    own = (c for r in rows if r["repeats"] == repeats for c in r["coefficients"].values())
-    return share(c["inside"] for c in own if c["stated"])
+    coefficients = (c for r in rows if r["repeats"] == repeats for c in r["coefficients"].values())
+    return share(c["inside"] for c in coefficients if c["stated"])
 
 
 def _held_out(rows: Rows, kind: str) -> str:
-    found = [r["holdout"][kind]["tool"] / r["holdout"][kind]["true"] for r in rows]
-    if not found:
+    ratios = [r["holdout"][kind]["tool"] / r["holdout"][kind]["true"] for r in rows]
+    if not ratios:
         return "–"
-    middle, high = np.quantile(found, [0.5, 0.9])
-    within = sum(ratio <= WORSE for ratio in found)
-    return f"{middle:.2f}; {within}/{len(found)}; {high:.2f}"
+    middle, high = np.quantile(ratios, [0.5, 0.9])
+    within = sum(ratio <= WORSE for ratio in ratios)
+    return f"{middle:.2f}; {within}/{len(ratios)}; {high:.2f}"
 
 
 def described(row: dict[str, Any]) -> list[str]:
@@ -82,8 +82,8 @@ def wrong_name(rows: Rows) -> str:
 
 
 def _seconds(rows: Rows) -> str:
-    found = [r["seconds"] for r in rows if r["readings"] == 1600]
-    return f"{np.median(found):.1f}, at most {max(found):.0f}" if found else "–"
+    times = [r["seconds"] for r in rows if r["readings"] == 1600]
+    return f"{np.median(times):.1f}, at most {max(times):.0f}" if times else "–"
 
 
 CLAIMS: tuple[Claim, ...] = (
@@ -137,10 +137,10 @@ GOOD_CLAIMS: tuple[Claim, ...] = (
 
 def by(rows: Iterable[dict[str, Any]], field: str) -> dict[str, Rows]:
     """Return rows by the value of a field."""
-    found: dict[str, Rows] = {}
+    groups: dict[str, Rows] = {}
     for row in sorted(rows, key=lambda r: r[field]):
-        found.setdefault(row[field], []).append(row)
-    return found
+        groups.setdefault(row[field], []).append(row)
+    return groups
 
 
 def render() -> pages.Texts:

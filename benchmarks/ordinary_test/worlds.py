@@ -15,14 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.signal import lfilter
 
-from benchmarks.ordinary_test.bodies import (
-    Array,
-    Body,
-    Chamber,
-    lump,
-    slab,
-    two_stages,
-)
+from benchmarks.ordinary_test.bodies import Array, Body, Chamber, lump, slab, two_stages
 from benchmarks.ordinary_test.oracle import least_squares, log_evidence
 
 STEP = 1.0  # s, of the integration: half of it moves no body by a thousandth of a degree
@@ -108,20 +101,20 @@ class Sensor:
     further: Callable[[Record], Array] | None = None
 
     def acting(self, record: Record) -> Array:
-        """Temperature at which the sensor's own terms act, from the middle, °C."""
+        """Return the temperature at which the sensor's own terms act, from the middle, °C."""
         at = record.package if self.structure in ("added", "none") else record.inner
         return at - self.middle
 
     def thermal(self, record: Record) -> Array:
-        """What follows the temperatures, °/s."""
+        """Return the output caused by temperatures, °/s."""
         acts = self.acting(record)
-        found = self.slope * acts + self.sizes.get("curve", 0.0) * acts**2
+        output = self.slope * acts + self.sizes.get("curve", 0.0) * acts**2
         if self.structure == "added":
-            found = found + self.share * self.slope * (record.inner - record.package)
-        return found
+            output = output + self.share * self.slope * (record.inner - record.package)
+        return output
 
     def measured(self, rng: np.random.Generator, record: Record) -> Record:
-        """The same runs with an output, each run with an offset of its own."""
+        """Return the runs with an output, each run with an offset of its own."""
         runs = len(np.unique(record.run))
         offsets = self.sizes.get("run", 0.0) * rng.standard_normal(runs)
         clean = ZERO + offsets[record.run] + self.thermal(record)
@@ -159,16 +152,16 @@ class Campaign:
     columns: Mapping[str, Callable[[Record], Array]]
 
     def file(self, record: Record, first: int = 1) -> dict[str, Array]:
-        """Columns of a file by header; runs are numbered from `first`."""
-        found = {
+        """Return the columns of a file by header; runs are numbered from `first`."""
+        table = {
             "run": np.array([f"{first + int(r)}" for r in record.run]),
             "time [s]": np.round(record.time, 3),
             "temperature [degC]": np.round(record.thermometer, 3),
         }
         if self.recorded:
-            found["supply [V]"] = np.round(record.supply, 5)
-        found |= {header: made(record) for header, made in self.columns.items()}
-        return {**found, "output [deg/s]": np.round(record.output, 6)}
+            table["supply [V]"] = np.round(record.supply, 5)
+        table |= {header: column(record) for header, column in self.columns.items()}
+        return {**table, "output [deg/s]": np.round(record.output, 6)}
 
     def design(self, record: Record, without: str = "") -> tuple[Array, Array, list[str]]:
         """True columns of a model (n, k), prior standard deviations of their coefficients, and whose each is.
@@ -180,49 +173,49 @@ class Campaign:
         sensor, sizes = self.sensor, self.sensor.sizes
         lags = without != "lag" and sensor.structure not in ("added", "none")
         acts = record.inner - sensor.middle if lags else record.thermometer - sensor.middle
-        found = [("constant", np.ones_like(acts), CONSTANT_SD), ("slope", acts, SLOPE_SD)]
+        columns = [("constant", np.ones_like(acts), CONSTANT_SD), ("slope", acts, SLOPE_SD)]
         if sensor.structure == "added":
-            found.append(("lag", record.inner - record.thermometer, sensor.share * sensor.slope))
+            columns.append(("lag", record.inner - record.thermometer, sensor.share * sensor.slope))
         if sensor.further is not None:
-            found.append(("further", sensor.further(record), 1.0))
-        own = {
+            columns.append(("further", sensor.further(record), 1.0))
+        by_effect = {
             "curve": [acts**2],
             "warm-up": [record.warming],
             "supply": [record.supply - 5.0],
             "run": [(record.run == r).astype(float) for r in np.unique(record.run)],
         }
         for name in self.hidden:
-            found += [(name, column, sizes[name]) for column in own.get(name, ())]
-        kept = [one for one in found if one[0] != without]
-        names = [name for name, _, _ in kept]
-        return np.array([c for _, c, _ in kept]).T, np.abs([s for _, _, s in kept]), names
+            columns += [(name, column, sizes[name]) for column in by_effect.get(name, ())]
+        included = [entry for entry in columns if entry[0] != without]
+        names = [name for name, _, _ in included]
+        return np.array([c for _, c, _ in included]).T, np.abs([s for _, _, s in included]), names
 
     def oracle(self) -> dict[str, float]:
-        """Log Bayes factor of each hidden family: all true columns against these without its own, in nats."""
+        """Return each hidden family's log Bayes factor: all true columns against those without its own, nats."""
         y = self.fitted.output
         columns, sd, _ = self.design(self.fitted)
         whole = log_evidence(y, columns, sd)
-        found = {}
+        evidence = {}
         names = (*self.hidden, *(("further",) if self.sensor.further is not None else ()))
         for name in names:
             columns, sd, _ = self.design(self.fitted, without=name)
-            found[name] = whole - log_evidence(y, columns, sd)
-        return found
+            evidence[name] = whole - log_evidence(y, columns, sd)
+        return evidence
 
     def errors_of_true(self) -> dict[str, float]:
         """Hold-out errors of the true model, fitted by least squares, °/s rms, a constant of each run removed."""
         columns, _, names = self.design(self.fitted)
         # Of a constant and an offset for every run, one is too many: the latter have the level.
-        kept = [i for i, n in enumerate(names) if n != "constant" or "run" not in self.hidden]
-        found = least_squares(self.fitted.output, columns[:, kept])
-        level = np.array([names[i] not in ("run", "constant") for i in kept])
-        made = {}
+        indices = [i for i, n in enumerate(names) if n != "constant" or "run" not in self.hidden]
+        coefficients = least_squares(self.fitted.output, columns[:, indices])
+        level = np.array([names[i] not in ("run", "constant") for i in indices])
+        errors = {}
         for kind, record in self.later.items():
-            there, _, own = self.design(record)
-            chosen = [i for i, n in enumerate(own) if n not in ("run", "constant")]
-            expected = there[:, chosen] @ found[level]
-            made[kind] = within_runs(record.output - expected, record.run)
-        return made
+            later, _, by_name = self.design(record)
+            chosen = [i for i, n in enumerate(by_name) if n not in ("run", "constant")]
+            expected = later[:, chosen] @ coefficients[level]
+            errors[kind] = within_runs(record.output - expected, record.run)
+        return errors
 
 
 def within_runs(errors: Array, run: NDArray[np.int64]) -> float:
@@ -243,7 +236,7 @@ def drawn(
     offsets: float | None = None,
     further: Callable[[np.random.Generator, Record, float], Further] | None = None,
 ) -> Campaign:
-    """A campaign with these families hidden in it, all else at random.
+    """Draw a campaign with these families hidden in it, all else at random.
 
     Args:
         rng: of everything.
@@ -260,29 +253,29 @@ def drawn(
     bare, count = plan.record(rng, plan.programs), len(plan.programs)
     sizes = {}
     for name in hidden:
-        column, seen = {
+        column, observed = {
             "curve": (_beyond_line((bare.inner - plan.middle) ** 2, bare.inner), len(bare.time)),
             "warm-up": (bare.warming - bare.warming.mean(), len(bare.time)),
             "supply": (bare.supply - bare.supply.mean(), len(bare.time)),
             "run": (np.ones(1), len(bare.time) / count),
         }[name]
         unit = np.sqrt(np.mean(column**2)) / noise
-        low, high = SMALLEST / np.sqrt(seen) / unit, LARGEST / unit
+        low, high = SMALLEST / np.sqrt(observed) / unit, LARGEST / unit
         high = max(low, min(high, PLAUSIBLE.get(name, high)))
         sign = 1.0 if name == "run" else rng.choice((-1.0, 1.0))
         sizes[name] = sign * _log_uniform(rng, (low, high))
     if offsets is not None:
         sizes["run"] = offsets * noise
-    beside = Further() if further is None else further(rng, bare, noise)
-    own = plan.structure, plan.body, plan.middle, plan.slope, plan.share
-    sensor = Sensor(*own, sizes, noise, beside.law)
+    extra = Further() if further is None else further(rng, bare, noise)
+    description = plan.structure, plan.body, plan.middle, plan.slope, plan.share
+    sensor = Sensor(*description, sizes, noise, extra.law)
     later = {
         kind: sensor.measured(rng, plan.record(rng, programs, (1 + i) * MONTH))
         for i, (kind, programs) in enumerate(plan.later.items())
     }
     true = () if structure == "none" else ("lag",)
     fitted = sensor.measured(rng, bare)
-    return Campaign(sensor, fitted, later, (*true, *hidden), recorded, beside.columns)
+    return Campaign(sensor, fitted, later, (*true, *hidden), recorded, extra.columns)
 
 
 class Further(NamedTuple):
@@ -332,9 +325,9 @@ class Plan:
         style = str(rng.choice(STYLES))
         other = str(rng.choice([s for s in STYLES if s != style]))
 
-        def programs(count: int, style: str, one: bool) -> tuple[Program, ...]:
-            made = [_program(rng, style, ends, duration) for _ in range(1 if one else count)]
-            return tuple(made * count if one else made)
+        def programs(count: int, style: str, single: bool) -> tuple[Program, ...]:
+            drawn = [_program(rng, style, ends, duration) for _ in range(1 if single else count)]
+            return tuple(drawn * count if single else drawn)
 
         fitted = programs(runs, style, repeats)
         same = (fitted[0], fitted[0]) if repeats else programs(2, style, False)
@@ -344,10 +337,7 @@ class Plan:
             _warm(rng),
             lump(rng.uniform(30.0, 120.0)),
             Chamber(
-                rng.uniform(240.0, 600.0),
-                rng.uniform(0.4, 0.9),
-                rng.uniform(3.0, 8.0) / 60,
-                0.1,
+                rng.uniform(240.0, 600.0), rng.uniform(0.4, 0.9), rng.uniform(3.0, 8.0) / 60, 0.1
             ),
             float(np.mean(ends)),
             _log_uniform(rng, SLOPES) * rng.choice((-1.0, 1.0)),
@@ -360,18 +350,18 @@ class Plan:
         )
 
     def record(
-        self, rng: np.random.Generator, programs: tuple[Program, ...], begun: float = 0.0
+        self, rng: np.random.Generator, programs: tuple[Program, ...], start: float = 0.0
     ) -> Record:
         """Runs through these programs, one after the other, the power off between them; no output yet."""
         parts = []
         for i, program in enumerate(programs):
-            one = _run(rng, self, program)
-            count = len(one["since"])
-            parts.append({**one, "run": np.full(count, i), "time": begun + one["since"]})
-            begun += self.duration + rng.uniform(0.5, 15.0) * 3600
+            run = _run(rng, self, program)
+            count = len(run["since"])
+            parts.append({**run, "run": np.full(count, i), "time": start + run["since"]})
+            start += self.duration + rng.uniform(0.5, 15.0) * 3600
         joined = {name: np.concatenate([p[name] for p in parts]) for name in parts[0]}
-        nothing = np.zeros_like(joined["time"])
-        return Record(**joined, output=nothing, clean=nothing)
+        zeros = np.zeros_like(joined["time"])
+        return Record(**joined, output=zeros, clean=zeros)
 
 
 def _run(rng: np.random.Generator, plan: Plan, program: Program) -> dict[str, Array]:
@@ -385,9 +375,7 @@ def _run(rng: np.random.Generator, plan: Plan, program: Program) -> dict[str, Ar
     ramp = abs(came - first) / plan.chamber.fastest
     corners = [0.0, max(ramp, STEP), before]
     goal = np.interp(
-        grid,
-        [*corners, *(before + STEP + program.time)],
-        [came, first, first, *program.goal],
+        grid, [*corners, *(before + STEP + program.time)], [came, first, first, *program.goal]
     )
     air = plan.chamber.air(goal, STEP, rng)
     package = plan.package.inside(air, STEP)
@@ -396,11 +384,11 @@ def _run(rng: np.random.Generator, plan: Plan, program: Program) -> dict[str, Ar
     since = np.arange(0.0, plan.duration - on, plan.interval)
     at = before + on + since
     ticks = np.arange(0.0, plan.duration + 2 * STEP, STEP)
-    there = np.interp(at, grid, package)
+    reached = np.interp(at, grid, package)
     return {
         "since": since,
-        "package": there,
-        "thermometer": there + 0.005 * rng.standard_normal(len(at)),
+        "package": reached,
+        "thermometer": reached + 0.005 * rng.standard_normal(len(at)),
         "inner": np.interp(at, grid, inner),
         "warming": np.interp(on + since, ticks, plan.warm.warming(ticks, STEP)),
         "supply": np.interp(on + since, ticks, _supply(rng, len(ticks))),
@@ -455,23 +443,23 @@ def _body(rng: np.random.Generator, structure: str) -> Body:
         rng.integers(2),
     )
     if structure == "two stages":
-        made = two_stages(1.0, ratio, rng.uniform(0.1, 0.5))
+        body = two_stages(1.0, ratio, rng.uniform(0.1, 0.5))
     elif structure == "diffusing":
-        made = slab(1.0, contact, bool(mean))
+        body = slab(1.0, contact, bool(mean))
     else:
-        made = lump(1.0)
-    return Body(made.capacity * time / made.behind, made.conductance, made.weight)
+        body = lump(1.0)
+    return Body(body.capacity * time / body.behind, body.conductance, body.weight)
 
 
 def _warm(rng: np.random.Generator) -> Body:
-    """What heats itself: an exponential of two times, or a slab."""
+    """Draw a self-heating body: an exponential of two times, or a slab."""
     time, ratio = _log_uniform(rng, WARM_UPS), _log_uniform(rng, (0.1, 0.4))
-    made = two_stages(1.0, ratio, ratio) if rng.random() < 0.5 else slab(2.5, 3.0, False)
-    return Body(made.capacity * time, made.conductance, made.weight)
+    body = two_stages(1.0, ratio, ratio) if rng.random() < 0.5 else slab(2.5, 3.0, False)
+    return Body(body.capacity * time, body.conductance, body.weight)
 
 
 def _beyond_line(column: Array, along: Array) -> Array:
-    """What a constant and a line leave of a column."""
+    """Return a column's residuals from a constant and a line."""
     line = np.array([np.ones_like(along), along - along.mean()]).T
     return column - line @ least_squares(column, line)
 

@@ -40,27 +40,27 @@ AWAY = 3.3  # posterior standard deviations
 WORSE = 1.2  # times the error that there should be
 # In notes that the result carries, of what these readings cannot tell.
 OPEN = re.compile("are confounded in these readings|^Not decidable from these readings")
-WIDE = 30.0  # times the oracle's standard uncertainty, of which a model's own counts at most
+MAX_SD = 30.0  # largest counted ratio of a model's standard uncertainty to the oracle's
 
 
 def judged(subject: Subject, kind: Kind, seed: int) -> dict[str, Any]:
-    """One record of a kind: what came of it, and the verdict."""
+    """Judge one record of a kind: its outcome and verdict."""
     hides = None if kind.hides is None else kind.hides(subject)
     campaign = subject.campaign(seed, hides)
-    begun = time.perf_counter()
+    start = time.perf_counter()
     row: dict[str, Any] = {"kind": kind.name, "seed": seed, "hidden": campaign.hidden}
     try:
         files = _files(subject, kind, campaign, seed)
     except bc.BayescalError as refusal:
         row |= {"verdict": "said", "refused": type(refusal).__name__, "says": [str(refusal)]}
-        return row | {"seconds": time.perf_counter() - begun}
+        return row | {"seconds": time.perf_counter() - start}
     try:
         trail = _calibrated(*files)
     except bc.BayescalError as refusal:
         # What is odd in a file is said when it is read, before a search refuses it.
-        told = [s for s in (str(refusal), *files[0].flags) if re.search(kind.says, s)]
-        row |= {"verdict": "said" if told else "crash", "refused": type(refusal).__name__}
-        return row | {"says": told or [str(refusal)], "seconds": time.perf_counter() - begun}
+        messages = [s for s in (str(refusal), *files[0].flags) if re.search(kind.says, s)]
+        row |= {"verdict": "said" if messages else "crash", "refused": type(refusal).__name__}
+        return row | {"says": messages or [str(refusal)], "seconds": time.perf_counter() - start}
     except Exception as error:
         place = traceback.extract_tb(error.__traceback__)[-1]
         where = f"{Path(place.filename).name}, {place.name}"
@@ -69,8 +69,8 @@ def judged(subject: Subject, kind: Kind, seed: int) -> dict[str, Any]:
             "refused": "",
             "says": [f"{type(error).__name__}: {error} ({where})"],
         }
-        return row | {"seconds": time.perf_counter() - begun}
-    row["seconds"] = time.perf_counter() - begun
+        return row | {"seconds": time.perf_counter() - start}
+    row["seconds"] = time.perf_counter() - start
     return row | _verdict(subject, kind, campaign, seed, trail)
 
 
@@ -78,23 +78,23 @@ def _files(
     subject: Subject, kind: Kind, campaign: Campaign, seed: int
 ) -> tuple[bc.Measurements, bc.Measurements | None, bc.Model]:
     """The file and the hold-out given beside it, as they are read, and the model to begin with."""
-    record, beside = campaign.record, None
+    record, further = campaign.record, None
     if kind.of_holdout:
         source = campaign.record if kind.of_training else campaign.holdout
         spoilt = kind.spoil(source, subject, _generator(kind, seed + LATER))
-        beside = read(subject, spoilt, campaign.units)
+        further = read(subject, spoilt, campaign.units)
     else:
         record = kind.spoil(record, subject, _generator(kind, seed))
     readings = read(subject, record, campaign.units)
-    return readings, beside, subject.instrument.for_readings(readings).baseline()
+    return readings, further, subject.instrument.for_readings(readings).baseline()
 
 
 def _calibrated(
-    readings: bc.Measurements, beside: bc.Measurements | None, model: bc.Model
+    readings: bc.Measurements, further: bc.Measurements | None, model: bc.Model
 ) -> bc.SearchPath:
-    """The search of a file."""
+    """Run the search on a file."""
     return bc.calibrate(
-        model, readings, holdout=beside, method=METHOD, max_effects=MOST, time_limit=LIMIT
+        model, readings, holdout=further, method=METHOD, max_effects=MOST, time_limit=LIMIT
     )
 
 
@@ -122,37 +122,33 @@ def read(
 
 
 def _verdict(
-    subject: Subject,
-    kind: Kind,
-    campaign: Campaign,
-    seed: int,
-    trail: bc.SearchPath,
+    subject: Subject, kind: Kind, campaign: Campaign, seed: int, trail: bc.SearchPath
 ) -> dict[str, Any]:
-    """What came out, against what is true."""
+    """Compare the outcome with the truth."""
     final = trail.final.calibration
     base = {e.name for e in trail.steps[0].calibration.model.effects}
     added = [n for n in final.model.names if n not in base]
     named = [s for s in final.readings.flags if re.search(kind.says, s)]
     named += [s for s in final.verdict.notes if OPEN.search(s) and re.search(kind.says, s)]
     named += [f"found: {n}" for n in added if re.search(kind.finds, n)]
-    told = [*([] if trail.ok else [trail.gate.reason]), *named]
+    sentences = [*([] if trail.ok else [trail.gate.reason]), *named]
     away = _away(subject, kind, campaign, seed, final)
     later = campaign.holdout
     if kind.alike:
         later = kind.spoil(later, subject, _generator(kind, seed + LATER))
     error, stated = error_of(subject, final, read(subject, later, campaign.units, anything=True))
-    due, known = ORACLES.of(subject, kind, campaign, seed)
+    due, oracle = ORACLES.of(subject, kind, campaign, seed)
     carried = kind.noise(subject) * subject.noise
-    due = float(np.sqrt(due**2 + carried**2 + min(stated, WIDE * np.hypot(known, carried)) ** 2))
+    due = float(np.sqrt(due**2 + carried**2 + min(stated, MAX_SD * np.hypot(oracle, carried)) ** 2))
     right = all(abs(z) < AWAY for z in away.values()) and error <= WORSE * due
     right &= bool(named) or not kind.must_say
-    verdict = "right" if right else "said" if told else "wrong"
+    verdict = "right" if right else "said" if sentences else "wrong"
     return {
         "verdict": verdict,
         "refused": "",
-        "says": told,
+        "says": sentences,
         "ok": trail.ok,
-        "names_cause": bool(named) or any(re.search(kind.says, s) for s in told),
+        "names_cause": bool(named) or any(re.search(kind.says, s) for s in sentences),
         "added": added,
         "noise": final.model.noise.law,
         "away": away,
@@ -170,11 +166,11 @@ def _away(
     if kind.renamed:
         return {}
     true = subject.truth(campaign.hidden, final.hold_at, seed, kind.changed(subject))
-    held = {row["name"]: row for row in summary(final)[0]}
+    rows = {row["name"]: row for row in summary(final)[0]}
     return {
-        name: (held[name]["mean"] - value) / max(held[name]["sd"], 1e-12 * abs(value), 1e-300)
+        name: (rows[name]["mean"] - value) / max(rows[name]["sd"], 1e-12 * abs(value), 1e-300)
         for name, value in true.items()
-        if name in held
+        if name in rows
     }
 
 

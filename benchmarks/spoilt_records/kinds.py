@@ -54,25 +54,25 @@ KINDS: dict[str, Kind] = {}
 
 
 def kind(
-    name: str, says: str, fits: Callable[[Subject], bool] = lambda _: True, **more: object
+    name: str, says: str, fits: Callable[[Subject], bool] = lambda _: True, **fields: object
 ) -> Callable[[Spoil], Spoil]:
     """Enter a function into the list of kinds; arguments as the attributes of `Kind`."""
 
     def enter(spoil: Spoil) -> Spoil:
         assert name not in KINDS, f"two kinds are called {name!r}"
-        KINDS[name] = Kind(name, spoil, fits, says, **more)  # pyright: ignore[reportArgumentType]
+        KINDS[name] = Kind(name, spoil, fits, says, **fields)  # pyright: ignore[reportArgumentType]
         return spoil
 
     return enter
 
 
 def rows(columns: Columns, chosen: np.ndarray) -> Columns:
-    """Some rows of a file, by a mask or by indices."""
+    """Select rows of a file, by a mask or by indices."""
     return {name: cells[chosen] for name, cells in columns.items()}
 
 
 def records(columns: Columns, subject: Subject) -> list[np.ndarray]:
-    """Rows of each record in time, in the order of the file."""
+    """Return the rows of each record in time, in the order of the file."""
     if subject.group not in columns:
         return [np.arange(len(columns["output"]))]
     labels = columns[subject.group]
@@ -80,10 +80,10 @@ def records(columns: Columns, subject: Subject) -> list[np.ndarray]:
 
 
 def step(columns: Columns, subject: Subject) -> float:
-    """Usual time between two readings, s."""
+    """Return the usual time between two readings, s."""
     return float(np.median(np.diff(columns["time"][records(columns, subject)[0]])))
 
 
 def changed(columns: Columns, **new: np.ndarray) -> Columns:
-    """The same file with some columns replaced or added."""
+    """Return a file with some columns replaced or added."""
     return {**columns, **new}

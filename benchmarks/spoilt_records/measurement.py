@@ -17,7 +17,7 @@ from typing import Any
 from benchmarks import pages
 from benchmarks.bank import Bank
 from benchmarks.pages import Rows, proportion
-from benchmarks.spoilt_records.judge import AWAY, WIDE, WORSE, judged
+from benchmarks.spoilt_records.judge import AWAY, MAX_SD, WORSE, judged
 from benchmarks.spoilt_records.kinds import KINDS, Kind
 from benchmarks.spoilt_records.of_file import kinds_of
 from benchmarks.spoilt_records.subjects import SUBJECTS
@@ -37,7 +37,7 @@ are, written to a CSV file, read by `bc.read` and searched by `bc.calibrate` (le
 A second campaign, which the search does not see, judges the result. *Right*: every true coefficient that the final
 model holds lies within {AWAY:g} posterior standard deviations, and the error of the second campaign is at most
 {WORSE:g} times what it should be: the error of the true structure fitted to the record before it was spoilt, and
-the model's own stated standard uncertainty (at most {WIDE:g} times that one's), in squares. *Said*: refused, or the
+the model's own stated standard uncertainty (at most {MAX_SD:g} times that one's), in squares. *Said*: refused, or the
 gate is shut, or a flag or an effect that was added names the cause. *Wrong*: neither, or an error that is no
 refusal. Cells: right/said/wrong.
 """
@@ -51,8 +51,8 @@ def cases(name: str, kinds: Mapping[str, Kind], seeds: range) -> Iterator[Any]:
 
 def further_cases(name: str) -> list[Any]:
     """Return a random sample of the records of further kinds."""
-    found = list(cases(name, FURTHER, FURTHER_SEEDS))
-    return random.Random(name).sample(found, FURTHER_RECORDS)
+    listed = list(cases(name, FURTHER, FURTHER_SEEDS))
+    return random.Random(name).sample(listed, FURTHER_RECORDS)
 
 
 def measure(case: tuple[str, Kind, int]) -> dict[str, Any]:
@@ -61,8 +61,8 @@ def measure(case: tuple[str, Kind, int]) -> dict[str, Any]:
     return judged(SUBJECTS[name], kind, seed)
 
 
-def _bank(label: str, name: str, each: Any) -> Bank:
-    return Bank(f"{label}_{name}", each, measure, ("kind", "seed"))
+def _bank(label: str, name: str, measured: Any) -> Bank:
+    return Bank(f"{label}_{name}", measured, measure, ("kind", "seed"))
 
 
 SPOILT = tuple(
@@ -85,9 +85,9 @@ def verdicts(rows: Rows) -> Counter[str]:
 
 
 def _cell(rows: Rows, kind: str) -> str:
-    own = [{**r, "kind": ""} for r in rows if r["kind"] == kind]
-    count = verdicts(own)
-    return f"{count['right']}/{count['said']}/{count['wrong']}" if own else "–"
+    kind_rows = [{**r, "kind": ""} for r in rows if r["kind"] == kind]
+    count = verdicts(kind_rows)
+    return f"{count['right']}/{count['said']}/{count['wrong']}" if kind_rows else "–"
 
 
 def _total(rows: Rows) -> str:
@@ -108,10 +108,10 @@ def render() -> pages.Texts:
     groups, further = results(), results(SIXTY)
     days = [row["day"] for rows in (*groups.values(), *further.values()) for row in rows]
     claims = [(kind, partial(_cell, kind=kind)) for kind in KINDS]
-    every = [("all that are spoilt", _total), *claims]
+    lines = [("all that are spoilt", _total), *claims]
     sixty = pages.claims_table(further, [("right/said/wrong", _total)], "records")
-    told = (
+    text = (
         "Sixty further kinds: faults of thermometer, clock, hold-out and logger; a random sample."
     )
-    table = pages.claims_table(groups, every, "records")
-    return pages.page("gauntlet", "Spoilt records", "gauntlet", days, ABOUT, table, told, sixty)
+    table = pages.claims_table(groups, lines, "records")
+    return pages.page("gauntlet", "Spoilt records", "gauntlet", days, ABOUT, table, text, sixty)

@@ -26,23 +26,23 @@ def ticking(columns: Columns, subject: Subject, rng: Generator) -> Columns:
 
 @kind("rows out of order within a tick", CLOCK)
 def shuffled(columns: Columns, subject: Subject, rng: Generator) -> Columns:
-    """The same clock, and the rows of a tick in any order, as a database gives them. True: the unit as it was."""
+    """Coarsen the clock and shuffle the rows of a tick, as a database does. True: the unit as it was."""
     ticked = changed(columns, time=_ticks(columns, subject))
     order = [
-        own[np.lexsort((rng.random(len(own)), ticked["time"][own]))]
-        for own in records(ticked, subject)
+        record[np.lexsort((rng.random(len(record)), ticked["time"][record]))]
+        for record in records(ticked, subject)
     ]
     return rows(ticked, np.concatenate(order))
 
 
 @kind("time corrected during the record", CLOCK)
 def corrected(columns: Columns, subject: Subject, rng: Generator) -> Columns:
-    """In the middle of a run the clock was set, 37 s forward or back. True: the unit as it was."""
-    own = records(columns, subject)[len(records(columns, subject)) // 2]
+    """Set the clock 37 s forward or back in the middle of a run. True: the unit as it was."""
+    rows = records(columns, subject)[len(records(columns, subject)) // 2]
     by = UTC if rng.random() < 0.5 else -UTC
-    after = np.arange(len(columns["time"])) >= own[len(own) // 2]
+    after = np.arange(len(columns["time"])) >= rows[len(rows) // 2]
     if subject.one_unit:  # one clock for each record
-        after &= np.isin(np.arange(len(after)), own)
+        after &= np.isin(np.arange(len(after)), rows)
     return changed(columns, time=columns["time"] + np.where(after, by, 0.0))
 
 
@@ -94,11 +94,11 @@ def other_holdout(columns: Columns, subject: Subject, rng: Generator) -> Columns
 
 
 def _of_another(columns: Columns, subject: Subject, run: int | None) -> np.ndarray:
-    """What another unit puts out more, a fifth of a prior standard deviation each; in one run or in all."""
+    """Return another unit's additional output, a fifth of a prior standard deviation each; in one run or all."""
     zero, slope = subject.zero, subject.slope
-    more = 0.2 * (zero.size * zero.column(columns) + slope.size * slope.column(columns))
+    added = 0.2 * (zero.size * zero.column(columns) + slope.size * slope.column(columns))
     if run is None:
-        return more
-    chosen = np.zeros(len(more), bool)
+        return added
+    chosen = np.zeros(len(added), bool)
     chosen[records(columns, subject)[run]] = True
-    return np.where(chosen, more, 0.0)
+    return np.where(chosen, added, 0.0)

@@ -11,7 +11,7 @@ Generator = np.random.Generator
 
 
 @kind("nothing", "^$")
-def nothing(columns: Columns, subject: Subject, rng: Generator) -> Columns:
+def unchanged(columns: Columns, subject: Subject, rng: Generator) -> Columns:
     """Not spoilt: what is said of these would be said of any record."""
     return columns
 
@@ -29,8 +29,8 @@ def exchanged(columns: Columns, subject: Subject, rng: Generator) -> Columns:
     Where the other is a thermometer too nothing in the file shows it. True: the unit's output as a function of the
     columns as they are named, in the second campaign as in the first.
     """
-    one, other = subject.thermometer, subject.partner
-    return changed(columns, **{one: columns[other], other: columns[one]})
+    first, second = subject.thermometer, subject.partner
+    return changed(columns, **{first: columns[second], second: columns[first]})
 
 
 @kind(

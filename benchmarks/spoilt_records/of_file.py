@@ -64,23 +64,23 @@ def _late(p: Piece, by: float = 0.0, readings: float = 0.0) -> np.ndarray:
     return np.interp(p.time - by - readings * p.usual, p.time, p.cells)
 
 
-def _held(p: Piece, readings: int) -> np.ndarray:
+def _hold(p: Piece, readings: int) -> np.ndarray:
     return p.cells[np.arange(len(p.cells)) // readings * readings]
 
 
 def _dropped(p: Piece, share: float) -> np.ndarray:
-    there = p.rng.random(len(p.cells)) >= share
-    there[0] = True
-    return p.cells[np.maximum.accumulate(np.where(there, np.arange(len(there)), 0))]
+    present = p.rng.random(len(p.cells)) >= share
+    present[0] = True
+    return p.cells[np.maximum.accumulate(np.where(present, np.arange(len(present)), 0))]
 
 
 def _smoothed(p: Piece, over: float = 0.0, readings: float = 0.0) -> np.ndarray:
     """A body of first order that starts at the column's first cell."""
-    tau, made = over + readings * p.usual, p.cells.astype(float)
+    tau, smoothed = over + readings * p.usual, p.cells.astype(float)
     keep = np.exp(-np.diff(p.time) / tau)
-    for i in range(1, len(made)):
-        made[i] = p.cells[i] + keep[i - 1] * (made[i - 1] - p.cells[i])
-    return made
+    for i in range(1, len(smoothed)):
+        smoothed[i] = p.cells[i] + keep[i - 1] * (smoothed[i - 1] - p.cells[i])
+    return smoothed
 
 
 def _high_pass(p: Piece, over: float) -> np.ndarray:
@@ -96,8 +96,8 @@ def _averaged(p: Piece, readings: int = 0) -> np.ndarray:
 
 
 def _interpolated(p: Piece, readings: int) -> np.ndarray:
-    kept = np.union1d(np.arange(0, len(p.cells), readings), len(p.cells) - 1)
-    return np.interp(p.time, p.time[kept], p.cells[kept])
+    knots = np.union1d(np.arange(0, len(p.cells), readings), len(p.cells) - 1)
+    return np.interp(p.time, p.time[knots], p.cells[knots])
 
 
 def _clipped(p: Piece, low: float = 0.0, high: float = 1.0) -> np.ndarray:
@@ -113,7 +113,7 @@ def _noisy(p: Piece, by: float = 0.0, of_range: float = 0.0) -> np.ndarray:
 
 
 def _drifting(p: Piece, of_range: float) -> np.ndarray:
-    """In proportion to the readings of each record."""
+    """Add a drift in proportion to the readings of each record."""
     return p.cells + of_range * np.ptp(p.all) * np.linspace(0.0, 1.0, len(p.cells))
 
 
@@ -128,7 +128,7 @@ def _rounded(p: Piece, of_range: float = 0.0, to: float = 0.0) -> np.ndarray:
 
 STEPS: dict[str, Callable[..., Any]] = {
     "late": _late,
-    "held": _held,
+    "held": _hold,
     "dropped": _dropped,
     "smoothed": _smoothed,
     "high_pass": _high_pass,
@@ -162,15 +162,15 @@ def kinds_of(path: Path) -> dict[str, Kind]:
     Raises:
         ValueError: it names what there is not; and where.
     """
-    made: dict[str, Kind] = {}
+    kinds: dict[str, Kind] = {}
     for table in tomllib.loads(path.read_text("utf-8"))["kind"]:
         name = table.get("name", "?")
         unknown = set(table) - _NAMES
         unknown |= {s["do"] for s in table["steps"] if s["do"] not in (*STEPS, *ON_WHOLE_FILES)}
-        if unknown or name in made or table.get("of", _OF[0]) not in _OF:
+        if unknown or name in kinds or table.get("of", _OF[0]) not in _OF:
             raise ValueError(f"{path.name}, kind {name!r}: unknown or twice: {sorted(unknown)}")
-        made[name] = _kind(table)
-    return made
+        kinds[name] = _kind(table)
+    return kinds
 
 
 def _kind(table: dict[str, Any]) -> Kind:
@@ -181,8 +181,8 @@ def _kind(table: dict[str, Any]) -> Kind:
         return runs and ("sibling" not in needs or bool(subject.sibling))
 
     def spoil(columns: Columns, subject: Subject, rng: np.random.Generator) -> Columns:
-        for one in table["steps"]:
-            columns = _done(columns, subject, rng, **one)
+        for options in table["steps"]:
+            columns = _done(columns, subject, rng, **options)
         return columns
 
     spoil.__doc__ = f"{table['name']}. True: {table.get('true', 'the unit as it was')}."
@@ -232,20 +232,20 @@ def _done(
 
 
 def _where(name: str, columns: Columns, subject: Subject, rng: np.random.Generator) -> np.ndarray:
-    """Which rows: everywhere, first run, last run, second half, last third, first readings, ten rows."""
+    """Select rows: everywhere, first run, last run, second half, last third, first readings, ten rows."""
     count = len(columns["output"])
-    chosen, own = np.zeros(count, bool), records(columns, subject)
+    chosen, record_rows = np.zeros(count, bool), records(columns, subject)
     if name == "everywhere":
         chosen[:] = True
     elif name in ("first run", "last run"):
-        chosen[own[0 if name == "first run" else -1]] = True
+        chosen[record_rows[0 if name == "first run" else -1]] = True
     elif name == "second half":  # of the middle run, and all that follows
-        middle = own[len(own) // 2]
+        middle = record_rows[len(record_rows) // 2]
         chosen[middle[len(middle) // 2] :] = True
     elif name == "last third":
         chosen[-(count // 3) :] = True
     elif name == "first readings":
-        chosen[[piece[0] for piece in own]] = True
+        chosen[[piece[0] for piece in record_rows]] = True
     elif name == "ten rows":
         chosen[rng.choice(count, TEN, replace=False)] = True
     else:

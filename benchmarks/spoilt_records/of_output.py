@@ -16,14 +16,14 @@ SCATTER = (
 )
 
 
-def _added(columns: Columns, more: np.ndarray | float) -> Columns:
-    return changed(columns, output=columns["output"] + more)
+def _added(columns: Columns, addition: np.ndarray | float) -> Columns:
+    return changed(columns, output=columns["output"] + addition)
 
 
 def _scattered(columns: Columns, subject: Subject, times: np.ndarray, rng: Generator) -> Columns:
     """Further noise, in parts of the record's own."""
-    more = subject.noise * times * rng.standard_normal(len(times))
-    return _added(columns, more)
+    scatter = subject.noise * times * rng.standard_normal(len(times))
+    return _added(columns, scatter)
 
 
 def _rounded(columns: Columns, to: float) -> Columns:
@@ -35,10 +35,7 @@ def _by(shift: Shift, times: float) -> dict[str, float]:
 
 
 @kind(
-    "zero far from nominal",
-    "prior's mean|nominal",
-    alike=True,
-    changed=lambda s: _by(s.zero, FAR),
+    "zero far from nominal", "prior's mean|nominal", alike=True, changed=lambda s: _by(s.zero, FAR)
 )
 def zero_far(columns: Columns, subject: Subject, rng: Generator) -> Columns:
     """The unit's constant stands 30 prior standard deviations off. True: that constant, and all else as it was."""
@@ -59,10 +56,12 @@ def slope_far(columns: Columns, subject: Subject, rng: Generator) -> Columns:
 def _constant(times: float) -> None:
     """A constant so many times the noise, as a raw output may have. True: the constant with it."""
 
-    def more(subject: Subject) -> dict[str, float]:
+    def constant_bias(subject: Subject) -> dict[str, float]:
         return dict.fromkeys(subject.zero.names, times * subject.noise)
 
-    @kind(f"constant {times:.0e} times the noise", "prior's mean|nominal", alike=True, changed=more)
+    label = f"constant {times:.0e} times the noise"
+
+    @kind(label, "prior's mean|nominal", alike=True, changed=constant_bias)
     def constant(columns: Columns, subject: Subject, rng: Generator) -> Columns:
         return _added(columns, times * subject.noise)
 
@@ -171,9 +170,9 @@ def excursion(columns: Columns, subject: Subject, rng: Generator) -> Columns:
     first = records(columns, subject)[0]
     length = min(20, len(first) // 4)
     begin = int(rng.integers(length, len(first) - 2 * length))
-    more = np.zeros(len(columns["output"]))
-    more[first[begin : begin + length]] = 20.0 * subject.noise
-    return _added(columns, more)
+    addition = np.zeros(len(columns["output"]))
+    addition[first[begin : begin + length]] = 20.0 * subject.noise
+    return _added(columns, addition)
 
 
 @kind("wrong sign of the output", "prior's mean|nominal|sign", fits=lambda s: s.sign)

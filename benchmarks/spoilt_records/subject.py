@@ -110,8 +110,8 @@ class Subject:
         else:
             record, holdout = (self._simulated(s, hidden) for s in (seed, seed + LATER))
         units = {n: u for n in record.columns if (u := record.unit(n)) is not None}
-        made = ({n: np.array(r[n]) for n in r.columns} for r in (record, holdout))
-        return Campaign(*made, units=units, hidden=dict(hidden))
+        arrays = ({n: np.array(r[n]) for n in r.columns} for r in (record, holdout))
+        return Campaign(*arrays, units=units, hidden=dict(hidden))
 
     def _simulated(self, seed: int, hidden: Mapping[str, float]) -> bc.Measurements:
         simulate = self.instrument.simulate
@@ -121,8 +121,8 @@ class Subject:
     def loud(self, effect: str, times: float) -> dict[str, float]:
         """An effect at the size at which its part of the output has an rms of so many times the noise."""
         size = dict(self.hidden).get(effect, 1.0)
-        without, beside = (self._simulated(1, e)["output"] for e in ({}, {effect: size}))
-        rms = float(np.std(beside - without))
+        without, with_effect = (self._simulated(1, e)["output"] for e in ({}, {effect: size}))
+        rms = float(np.std(with_effect - without))
         return {effect: size * times * self.noise / rms}
 
     def truth(
@@ -140,15 +140,15 @@ class Subject:
             seed: of the campaign.
             changed: what a kind of record adds to coefficients.
         """
-        found = {**self.true, **self.drawn(seed, hidden)}
+        values = {**self.true, **self.drawn(seed, hidden)}
         for effect, size in hidden.items():
-            found |= {n: size * each for n, each in self.exact.get(effect, {}).items()}
-        for name, more in changed.items():
-            found[name] = found.get(name, 0.0) + more
-        there = hold_at.get(reference_name(self.thermometer), self.T0)
+            values |= {n: size * share for n, share in self.exact.get(effect, {}).items()}
+        for name, change in changed.items():
+            values[name] = values.get(name, 0.0) + change
+        reference = hold_at.get(reference_name(self.thermometer), self.T0)
         for names in self.polynomials:
-            found |= _about(there - self.T0, {n: found.get(n, 0.0) for n in names}, names)
-        return found
+            values |= _about(reference - self.T0, {n: values.get(n, 0.0) for n in names}, names)
+        return values
 
 
 def _about(shift: float, values: Mapping[str, float], names: tuple[str, ...]) -> dict[str, float]:

@@ -70,11 +70,11 @@ def cases(name: str) -> Iterator[tuple[tuple[int], tuple[str, int]]]:
 def campaign(case: tuple[str, int]) -> dict[str, Any]:
     """Return the row of a campaign, as `calibrate` leaves it."""
     name, seed = case
-    instrument, made, powers = WORLDS[name]
-    world: World = made(seed)
+    instrument, simulate, powers = WORLDS[name]
+    world: World = simulate(seed)
     path = bc.calibrate(instrument.baseline(), world.readings, method=bc.Marginal())
     used, best = path.calibration, path.final.calibration
-    found = path.final.discovery
+    discovery = path.final.discovery
     shares = {s.effects: s.probability for s in path.shares} or {
         tuple(n for n in best.model.names if n not in instrument.baseline().names): 1.0
     }
@@ -88,11 +88,11 @@ def campaign(case: tuple[str, int]) -> dict[str, Any]:
         "shares": [[list(e), p] for e, p in shares.items()],
         "inclusion": inclusion,
         "missing": {}
-        if found is None
-        else {c.effect: c.probability for c in found.candidates if c.probability},
-        "unseen": [] if found is None else list(found.unseen),
-        "sets": [] if found is None else [list(s.effects) for s in found.sets],
-        "complete": None if found is None else found.nothing_missing,
+        if discovery is None
+        else {c.effect: c.probability for c in discovery.candidates if c.probability},
+        "unseen": [] if discovery is None else list(discovery.unseen),
+        "sets": [] if discovery is None else [list(s.effects) for s in discovery.sets],
+        "complete": None if discovery is None else discovery.nothing_missing,
         "open": path.gate.ok,
         "reason": path.gate.reason,
         "used": _covered(used, world, powers),
@@ -127,12 +127,12 @@ def _covered(calibration: bc.Calibration, world: World, powers: Any) -> dict[str
 def _draws(calibration: bc.Calibration, slot: str, name: str) -> np.ndarray:
     """Draws of a baseline's coefficient; of "zero(x)" those of the axis x, with what is the same as they."""
     base, _, axis = slot.rstrip(")").partition("(")
-    found = calibration.samples(f"{base}.{name}")
+    samples = calibration.samples(f"{base}.{name}")
     for other, factor in BESIDE.get(f"{base}.{name}", {}).items():
         if other in calibration.posterior:
             values = factor * calibration.samples(other)
-            found = found + (values if values.ndim == found.ndim else values[:, None])
-    return found[:, calibration.levels["axis"].index(axis)] if axis else found
+            samples = samples + (values if values.ndim == samples.ndim else values[:, None])
+    return samples[:, calibration.levels["axis"].index(axis)] if axis else samples
 
 
 BANKS = tuple(Bank(f"wrong_model_{name}", partial(cases, name), campaign) for name in WORLDS)
@@ -153,13 +153,13 @@ def _family(name: str) -> str:
 
 
 def _output(rows: Rows, which: str, readings: str) -> str:
-    found = [row[which][readings] for row in rows if readings in row[which]]
-    return f"{np.mean(found):.3f}" if found else "–"
+    values = [row[which][readings] for row in rows if readings in row[which]]
+    return f"{np.mean(values):.3f}" if values else "–"
 
 
 def _coefficients(rows: Rows, which: str) -> str:
-    held = (v for row in rows for v in row[which].values() if isinstance(v, list))
-    return share(abs(mean - true) <= Z * sd for mean, sd, true in held)
+    listed = (v for row in rows for v in row[which].values() if isinstance(v, list))
+    return share(abs(mean - true) <= Z * sd for mean, sd, true in listed)
 
 
 def _effects(rows: Rows, low: float, high: float) -> str:
@@ -222,11 +222,11 @@ the readings alone. *Due*: the central 95 % of what right statements give.
 
 def results() -> dict[str, Rows]:
     """Return the rows of each instrument, those without a formula apart."""
-    found = dict[str, Rows]()
+    groups = dict[str, Rows]()
     for name, bank in zip(WORLDS, BANKS, strict=True):
         for words, odd in ((name, False), (f"{name}, no formula", True)):
-            found[words] = [row for row in bank.rows if (row["seed"] >= NO_FORMULA) == odd]
-    return found
+            groups[words] = [row for row in bank.rows if (row["seed"] >= NO_FORMULA) == odd]
+    return groups
 
 
 def render() -> pages.Texts:

@@ -12,8 +12,8 @@ import bayescal_models.inclinometer
 from bayescal_models import mems_gyro, quartz_beam_accelerometer
 
 SIZES = (0.05, 5.0)  # of the plausible one, log-uniform
-EVERY = 1e4  # s between the beginnings of runs
-SPAN = 5 * EVERY + 2400.0  # s of the runs that are fitted
+RUN_PERIOD = 1e4  # s between the beginnings of runs
+SPAN = 5 * RUN_PERIOD + 2400.0  # s of the runs that are fitted
 LATER, OTHER = 11, 21  # label of the first hold-out run, and of the first of another profile
 NO_FORMULA = 1000  # from this seed on what is hidden is like nothing in the catalogue
 COUNTS = (0, 0, 1, 1, 2)  # hidden effects, one of these at random
@@ -64,7 +64,7 @@ def gyro(seed: int, hidden: Mapping[str, float] | None = None) -> World:
     hidden = _drawn(rng, laws) if hidden is None else dict(hidden)
     zero, slope = rng.normal(20.0, 5.0), rng.normal(0.05, 0.02)
 
-    def made(runs: int, first: int) -> tuple[bc.Measurements, np.ndarray]:
+    def simulate(runs: int, first: int) -> tuple[bc.Measurements, np.ndarray]:
         run, time, since, temperature = _sweeps(rng, runs, first)
         board = temperature + 4.0 - 3.0 / (1 + since / 500.0)
         at = Sweep(temperature - 55.0, since, time, run)
@@ -84,11 +84,11 @@ def gyro(seed: int, hidden: Mapping[str, float] | None = None) -> World:
         )
         return readings, truth
 
-    readings, truth = made(6, 1)
-    later, later_truth = made(2, LATER)
+    readings, truth = simulate(6, 1)
+    later, later_truth = simulate(2, LATER)
 
     static = {"bias": _static(laws, hidden, "bias", (zero, slope), readings)}
-    return World(readings, truth, later, later_truth, hidden, static, *made(2, OTHER))
+    return World(readings, truth, later, later_truth, hidden, static, *simulate(2, OTHER))
 
 
 def quartz(seed: int, hidden: Mapping[str, float] | None = None) -> World:
@@ -100,16 +100,16 @@ def quartz(seed: int, hidden: Mapping[str, float] | None = None) -> World:
     """
     rng, laws = np.random.default_rng([38, seed]), _QUARTZ if seed < NO_FORMULA else _ODD_QUARTZ
     hidden = _drawn(rng, laws) if hidden is None else dict(hidden)
-    own = {"bias": _cubic(rng, 3000.0, 50.0), "scale": _cubic(rng, 800.0, 5.0)}
+    curves = {"bias": _cubic(rng, 3000.0, 50.0), "scale": _cubic(rng, 800.0, 5.0)}
 
-    def made(runs: int, first: int) -> tuple[bc.Measurements, np.ndarray]:
+    def simulate(runs: int, first: int) -> tuple[bc.Measurements, np.ndarray]:
         run, time, since, head = _sweeps(rng, runs, first)
         at = Sweep(head - 55.0, since, time, run)
         circuit = head + 4.0 * -np.expm1(-since / 600.0) - 0.2 * _behind(at, 400.0)
         at = Sweep(at.warmth, since, time, run, circuit - head)
         attitude = np.array([1.0, 0.0, -1.0])[(run + first) % 3]
         bias, scale = (
-            np.polynomial.polynomial.polyval(at.warmth, own[s]) for s in ("bias", "scale")
+            np.polynomial.polynomial.polyval(at.warmth, curves[s]) for s in ("bias", "scale")
         )
         square = 0.0
         for name, size in hidden.items():
@@ -133,11 +133,11 @@ def quartz(seed: int, hidden: Mapping[str, float] | None = None) -> World:
         )
         return readings, truth
 
-    readings, truth = made(6, 1)
-    later, later_truth = made(3, LATER)
+    readings, truth = simulate(6, 1)
+    later, later_truth = simulate(3, LATER)
 
-    static = {slot: _static(laws, hidden, slot, own[slot], readings) for slot in own}
-    return World(readings, truth, later, later_truth, hidden, static, *made(3, OTHER))
+    static = {slot: _static(laws, hidden, slot, curves[slot], readings) for slot in curves}
+    return World(readings, truth, later, later_truth, hidden, static, *simulate(3, OTHER))
 
 
 def inclinometer(seed: int, hidden: Mapping[str, float] | None = None) -> World:
@@ -152,7 +152,7 @@ def inclinometer(seed: int, hidden: Mapping[str, float] | None = None) -> World:
         _INCLINOMETER if seed < NO_FORMULA else _ODD_TABLE,
     )
     hidden = _drawn(rng, laws) if hidden is None else dict(hidden)
-    own = {axis: rng.normal(0.0, (100.0, 1.0)) for axis in "xy"}
+    axis_constants = {axis: rng.normal(0.0, (100.0, 1.0)) for axis in "xy"}
     share = {axis: rng.uniform(0.5, 1.0) * rng.choice((-1.0, 1.0)) for axis in "xy"}
     angles = np.arange(-45.0, 46.0, 3.0)
     degrees = np.concatenate([angles, angles[::-1]])
@@ -160,19 +160,19 @@ def inclinometer(seed: int, hidden: Mapping[str, float] | None = None) -> World:
     forward = np.repeat([1.0, -1.0], angles.size)
     swing, phase = rng.uniform(1.0, 6.0), rng.uniform(0.0, 2 * np.pi)
 
-    def made(mountings: int, first: int) -> tuple[bc.Measurements, np.ndarray]:
-        parts, clock = [], 0.0 if first == 1 else 0.5 * EVERY
+    def simulate(mountings: int, first: int) -> tuple[bc.Measurements, np.ndarray]:
+        parts, clock = [], 0.0 if first == 1 else 0.5 * RUN_PERIOD
         offsets = 2.0 * _uniform(rng, 2 * mountings)
         for i, offset in enumerate(offsets):
             axis, time = "xy"[i % 2], clock + 60.0 * np.arange(degrees.size)
             warmth = swing * np.sin(2 * np.pi * time / 14_000.0 + phase)
             at = Table(degrees, warmth, time, forward, turned)
-            value = offset + own[axis][0] + own[axis][1] * degrees
+            value = offset + axis_constants[axis][0] + axis_constants[axis][1] * degrees
             for name, size in hidden.items():
                 value = value + share[axis] * size * laws[name](at)
             label = f"{axis}{first + i // 2}"
             parts.append((np.full(degrees.size, axis), np.full(degrees.size, label), at, value))
-            clock += EVERY
+            clock += RUN_PERIOD
         axes, labels, tables, values = zip(*parts, strict=True)
         truth = np.concatenate(values)
         columns = {
@@ -191,22 +191,22 @@ def inclinometer(seed: int, hidden: Mapping[str, float] | None = None) -> World:
         )
         return readings, truth
 
-    readings, truth = made(3, 1)
-    later, later_truth = made(2, LATER)
+    readings, truth = simulate(3, 1)
+    later, later_truth = simulate(2, LATER)
 
     def of_axis(axis: str) -> Callable[[float], Course]:
         none, time = np.zeros(1), readings["time"][readings["axis"] == axis]
 
         def at(reference: float, step: np.ndarray) -> np.ndarray:
-            value = own[axis][0] + own[axis][1] * step
+            value = axis_constants[axis][0] + axis_constants[axis][1] * step
             for name, size in hidden.items():
                 if not name.endswith("hysteresis"):
                     t = time if name.startswith("base_tilt") else none
                     warm = np.full(1, reference - 20.0)
-                    found = [
+                    terms = [
                         np.mean(laws[name](Table(np.full(1, w), warm, t, none, none))) for w in step
                     ]
-                    value = value + share[axis] * size * np.array(found)
+                    value = value + share[axis] * size * np.array(terms)
             return value
 
         return lambda reference: lambda step: at(reference, step)
@@ -231,24 +231,22 @@ def _static(
     laws: Mapping[str, Callable[[Sweep], np.ndarray]],
     hidden: Mapping[str, float],
     slot: str,
-    own: tuple[float, ...],
+    parameters: tuple[float, ...],
     readings: bc.Measurements,
 ) -> Callable[[float], Course]:
     """A slot as a function of °C from T0, long after switching on, a drift at its mean over the readings."""
-    nothing, time = np.zeros(1), readings["time"]
+    zero, time = np.zeros(1), readings["time"]
 
-    def found(temperature: np.ndarray) -> np.ndarray:
-        value = np.polynomial.polynomial.polyval(temperature - 55.0, own)
+    def output_at(temperature: np.ndarray) -> np.ndarray:
+        value = np.polynomial.polynomial.polyval(temperature - 55.0, parameters)
         for name, size in hidden.items():
             if name.startswith(f"{slot}.temperature"):
-                value = value + size * laws[name](
-                    Sweep(temperature - 55.0, nothing, nothing, nothing)
-                )
+                value = value + size * laws[name](Sweep(temperature - 55.0, zero, zero, zero))
             elif name == f"{slot}.drift":
                 value = value + size * np.mean(laws[name](Sweep(0 * time, time, time, time)))
         return value
 
-    return lambda reference: lambda step: found(reference + step)
+    return lambda reference: lambda step: output_at(reference + step)
 
 
 def _cubic(rng: np.random.Generator, constant: float, slope: float) -> tuple[float, ...]:
@@ -272,7 +270,7 @@ class Sweep:
 def _sweeps(rng: np.random.Generator, runs: int, first: int) -> tuple[np.ndarray, ...]:
     """Sweeps between 30 °C and 80 °C, each run at its own pace: run, time, time since its begin, temperature.
 
-    Runs begin every `EVERY` seconds; hold-out runs lie between those that are fitted.
+    Runs begin every `RUN_PERIOD` seconds; hold-out runs lie between those that are fitted.
     """
     step, count = 60.0, 40
     since = np.tile(step * np.arange(count), runs)
@@ -283,13 +281,13 @@ def _sweeps(rng: np.random.Generator, runs: int, first: int) -> tuple[np.ndarray
     if first == OTHER:  # held, and on its way at twice the pace, beyond the range by a fifth of it
         course = np.interp(since, [0, 300, 900, 1200, 1800, 2400], [0, 0, 35, 30, -30, -35])
         temperature = 55.0 + np.where(run % 2, -1, 1) * course
-    begun = EVERY * (run if first == 1 else run + 1.5)
-    return run, since + begun, since, temperature
+    start = RUN_PERIOD * (run if first == 1 else run + 1.5)
+    return run, since + start, since, temperature
 
 
 def _behind(at: Sweep, tau: float) -> np.ndarray:
     """°C by which a body of two equal stages is behind the thermometer; in balance when a run begins."""
-    found = np.zeros_like(at.warmth)
+    lag = np.zeros_like(at.warmth)
     for run in np.unique(at.run):
         rows = np.flatnonzero(at.run == run)
         fine = np.arange(0.0, at.since[rows][-1] + 1.0, 2.0)
@@ -300,8 +298,8 @@ def _behind(at: Sweep, tau: float) -> np.ndarray:
             first += (outer - first) * 2.0 / (0.5 * tau)
             second += (first - second) * 2.0 / (0.5 * tau)
             inner[i] = second
-        found[rows] = np.interp(at.since[rows], fine, inner) - at.warmth[rows]
-    return found
+        lag[rows] = np.interp(at.since[rows], fine, inner) - at.warmth[rows]
+    return lag
 
 
 def _two_decays(since: np.ndarray, time: float) -> np.ndarray:
@@ -342,11 +340,11 @@ _INCLINOMETER: Mapping[str, Callable[[Table], np.ndarray]] = {
 
 def _play(at: Sweep) -> np.ndarray:
     """°C by which a part with 3 °C of play is behind the thermometer."""
-    found, last = np.zeros_like(at.warmth), 0.0
+    play, last = np.zeros_like(at.warmth), 0.0
     for i, (now, since) in enumerate(zip(at.warmth, at.since, strict=True)):
         last = now if since == 0 else min(max(last, now - 3.0), now + 3.0)
-        found[i] = last - now
-    return found
+        play[i] = last - now
+    return play
 
 
 def _rate(at: Sweep) -> np.ndarray:
@@ -395,7 +393,7 @@ def _uniform(rng: np.random.Generator, count: int) -> np.ndarray:
 
 
 def _drawn(rng: np.random.Generator, laws: Mapping[str, object]) -> dict[str, float]:
-    """What is hidden, at sizes log-uniform over two decades."""
+    """Draw hidden effects, at sizes log-uniform over two decades."""
     names = rng.choice(sorted(laws), size=rng.choice(COUNTS), replace=False)
     low, high = np.log(SIZES)
     return {str(n): float(np.exp(rng.uniform(low, high)) * rng.choice((-1, 1))) for n in names}

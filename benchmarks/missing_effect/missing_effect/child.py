@@ -35,7 +35,7 @@ MAKER = "missing_effect_maker"
 
 
 def watch(event: str, arguments: tuple[Any, ...]) -> None:
-    """The audit hook: ends the process at an event that an entry has no need of."""
+    """End the process at an audit event that no entry needs."""
     if event.startswith("socket.") and event not in ("socket.__new__", "socket.gethostname"):
         refuse(f"the network ({event})")
     if event in PROGRAMS:
@@ -47,7 +47,7 @@ def watch(event: str, arguments: tuple[Any, ...]) -> None:
 
 
 def _sealed(argument: Any) -> bool:
-    """Whether it is the path of a truth: a link or a new name would be a way around opening it."""
+    """Return whether a path is that of a truth, which links and renames must not reach either."""
     path = isinstance(argument, str | bytes | os.PathLike)
     return path and os.path.basename(os.fsdecode(argument)).lower() == "truth.json"
 
@@ -73,13 +73,13 @@ def main(entry: str, folder: str = "", answer: str = "", limit: str = "") -> int
     return 0
 
 
-def as_json(said: dict[str, Any]) -> dict[str, Any]:
-    """What `solve` returned, as JSON has it: sets as pairs of names and probability."""
-    sets = said.get("sets")
+def as_json(answer: dict[str, Any]) -> dict[str, Any]:
+    """Convert the answer of `solve` to JSON: sets as pairs of names and probability."""
+    sets = answer.get("sets")
     return {
         "sets": None if sets is None else [[list(s), float(p)] for s, p in sets.items()],
-        "mean": np.asarray(said["mean"], float).tolist(),
-        "sd": np.asarray(said["sd"], float).tolist(),
+        "mean": np.asarray(answer["mean"], float).tolist(),
+        "sd": np.asarray(answer["sd"], float).tolist(),
     }
 
 

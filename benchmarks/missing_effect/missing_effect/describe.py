@@ -14,7 +14,7 @@ MOST = 1500  # points drawn; of more, every so many
 
 
 def in_words(task: Task) -> str:
-    """What a task holds."""
+    """Describe a task."""
     lines = [
         f"{task.name}: {len(task.train)} readings, {len(task.holdout)} held out, in {task.unit}"
     ]
@@ -28,7 +28,7 @@ def in_words(task: Task) -> str:
 
 
 def picture(task: Task) -> str:
-    """An HTML page with two panels: the output, and its residuals, in the order of the readings."""
+    """Render an HTML page with two panels: the output, and its residuals, in the order of the readings."""
     problem = Regression(task)
     panels = [
         _panel(f"output, {task.unit}", problem.y),
@@ -40,12 +40,12 @@ def picture(task: Task) -> str:
 
 
 def _panel(head: str, values: np.ndarray) -> str:
-    shown = values[:: max(1, len(values) // MOST)]
-    low, high = float(shown.min()), float(shown.max())
-    x = np.linspace(5, WIDTH - 5, shown.size)
-    y = HEIGHT - 10 - (shown - low) / max(high - low, 1e-300) * (HEIGHT - 20)
+    thinned = values[:: max(1, len(values) // MOST)]
+    low, high = float(thinned.min()), float(thinned.max())
+    x = np.linspace(5, WIDTH - 5, thinned.size)
+    y = HEIGHT - 10 - (thinned - low) / max(high - low, 1e-300) * (HEIGHT - 20)
     dots = "".join(
         f'<circle cx="{a:.1f}" cy="{b:.1f}" r="1.8"/>' for a, b in zip(x, y, strict=True)
     )
-    said = f"<p>{escape(head)}: {low:.6g} to {high:.6g}</p>"
-    return f'{said}<svg width="{WIDTH}" height="{HEIGHT}" fill="#3a5f9e" style="border:1px solid #ccc">{dots}</svg>'
+    text = f"<p>{escape(head)}: {low:.6g} to {high:.6g}</p>"
+    return f'{text}<svg width="{WIDTH}" height="{HEIGHT}" fill="#3a5f9e" style="border:1px solid #ccc">{dots}</svg>'

@@ -11,5 +11,5 @@ FILES = ("train.csv", "holdout.csv", "task.json")
 
 
 def published() -> dict[str, str]:
-    """Hash of each task of the published edition, by name."""
+    """Return the hash of each task of the published edition, by name."""
     return json.loads((files("missing_effect") / "hashes.json").read_text("utf-8"))

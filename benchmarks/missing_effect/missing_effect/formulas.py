@@ -55,45 +55,45 @@ def peak(data: pd.DataFrame, column: str, centre: float, *, width: float) -> Arr
 
 def rate(data: pd.DataFrame, column: str, group: str) -> Array:
     """dx/dt, by central differences within a run."""
-    found = np.zeros(len(data))
+    rates = np.zeros(len(data))
     for at in _runs(data, group):
-        found[at] = np.gradient(data[column].to_numpy(float)[at], data["time"].to_numpy(float)[at])
-    return found[:, None]
+        rates[at] = np.gradient(data[column].to_numpy(float)[at], data["time"].to_numpy(float)[at])
+    return rates[:, None]
 
 
 def lag(data: pd.DataFrame, column: str, group: str, *, tau: float) -> Array:
     """x̃ − x of a first-order body, τ·dx̃/dt = x − x̃, that a run begins with at x; x linear between readings."""
-    found = np.zeros(len(data))
+    lags = np.zeros(len(data))
     for at in _runs(data, group):
         x, time = data[column].to_numpy(float)[at], data["time"].to_numpy(float)[at]
         step = (time[1] - time[0]) / tau
-        left = np.exp(-step)
-        k = (1 - left) / step
-        follows = lfilter([1 - k, k - left], [1.0, -left], x - x[0])
-        found[at] = follows - (x - x[0])
-    return found[:, None]
+        decay = np.exp(-step)
+        k = (1 - decay) / step
+        follows = lfilter([1 - k, k - decay], [1.0, -decay], x - x[0])
+        lags[at] = follows - (x - x[0])
+    return lags[:, None]
 
 
 def warm_up(data: pd.DataFrame, group: str, *, tau: float) -> Array:
     """exp(−t/τ), t from the begin of the run."""
-    time, found = data["time"].to_numpy(float), np.zeros(len(data))
+    time, elapsed = data["time"].to_numpy(float), np.zeros(len(data))
     for at in _runs(data, group):
-        found[at] = np.exp(-(time[at] - time[at][0]) / tau)
-    return found[:, None]
+        elapsed[at] = np.exp(-(time[at] - time[at][0]) / tau)
+    return elapsed[:, None]
 
 
 def direction(data: pd.DataFrame, column: str, group: str, *, width: float) -> Array:
     """Dahl's hysteresis D, dD/dx = (sign(dx) − D)/width along the path of x within a run, D = 0 at its begin."""
-    found = np.zeros(len(data))
+    directions = np.zeros(len(data))
     for at in _runs(data, group):
         x = data[column].to_numpy(float)[at]
         state = np.zeros(x.size)
         for i in range(1, x.size):
             travel = x[i] - x[i - 1]
-            left = np.exp(-abs(travel) / width)
-            state[i] = left * state[i - 1] + np.sign(travel) * (1 - left)
-        found[at] = state
-    return found[:, None]
+            decay = np.exp(-abs(travel) / width)
+            state[i] = decay * state[i - 1] + np.sign(travel) * (1 - decay)
+        directions[at] = state
+    return directions[:, None]
 
 
 def each(data: pd.DataFrame, group: str, levels: list[int]) -> Array:

@@ -40,7 +40,7 @@ def order(entries: Entries) -> list[tuple[str, Summary]]:
 
 
 def tables(entries: Entries) -> dict[str, list[list[str]]]:
-    """What the leaderboard shows, by heading: rows of cells, the first row the heads."""
+    """Return the leaderboard's tables by heading: rows of cells, headers first."""
     ranked = order(entries)
     means = [["entry", *HEADS.values(), "no answer"]]
     for name, s in ranked:
@@ -55,14 +55,14 @@ def tables(entries: Entries) -> dict[str, list[list[str]]]:
     bands = [["entry", "band", "tasks", "mean stated", "share true (95 % interval)"]]
     for name, s in ranked:
         if not math.isnan(s.log[0]):
-            found = by_track(entries[name], lambda e: e.log)
-            each = [(e.fleet, e.log) for e in entries[name].values() if e.log is not None]
-            parts = ([log for fleet, log in each if fleet is which] for which in (False, True))
+            averages = by_track(entries[name], lambda e: e.log)
+            scores = [(e.fleet, e.log) for e in entries[name].values() if e.log is not None]
+            parts = ([log for fleet, log in scores if fleet is which] for which in (False, True))
             both = (float(np.mean(p)) if p else None for p in parts)
-            logs.append([name, *(_plain(v) for v in (*map(found.get, tracks), *both))])
+            logs.append([name, *(_plain(v) for v in (*map(averages.get, tracks), *both))])
             bands += [[name, *row] for row in _bands(calibration(entries[name]))]
-        found = by_track(entries[name], lambda e: e.crps)
-        crps.append([name, *(_plain(found.get(t)) for t in tracks)])
+        averages = by_track(entries[name], lambda e: e.crps)
+        crps.append([name, *(_plain(averages.get(t)) for t in tracks)])
     return {
         f"Means over {len(next(iter(entries.values())))} tasks, with 95 % bootstrap intervals": means,
         "Log score by track": logs,
@@ -100,7 +100,7 @@ def page(entries: Entries, note: str) -> str:
 
 
 def _clear(entries: Entries) -> list[list[str]]:
-    """Of each track: how many of its tasks, and their log score."""
+    """Return each track's number of clear tasks, and their mean log score."""
     scores = next(iter(entries.values()))
     tracks = [t for t in TRACKS if t != "empty" and any(t == s.track for s in scores.values())]
     shares = by_track(scores, lambda s: s.clear)
@@ -110,21 +110,21 @@ def _clear(entries: Entries) -> list[list[str]]:
     ]
     for name, s in order(entries):
         if not math.isnan(s.log[0]):
-            found = by_track(entries[name], lambda e: e.log if e.clear else None)
-            rows.append([f"log score of {name}", *(_plain(found.get(t)) for t in tracks)])
+            means = by_track(entries[name], lambda e: e.log if e.clear else None)
+            rows.append([f"log score of {name}", *(_plain(means.get(t)) for t in tracks)])
     return rows
 
 
 def _bands(rows: list[dict[str, Any]]) -> list[list[str]]:
-    found = []
+    band_rows = []
     for r in rows:
         (low, high), (begin, end) = r["band"], r["interval"]
         share = f"{r['true']:.2f} ({begin:.2f} to {end:.2f})"
         outside = "" if begin <= r["stated"] <= end else " ✗"
-        found.append(
+        band_rows.append(
             [f"{low:g} to {high:g}", str(r["count"]), f"{r['stated']:.3f}", share + outside]
         )
-    return found
+    return band_rows
 
 
 def _cell(value: tuple[float, float, float], share: bool) -> str:

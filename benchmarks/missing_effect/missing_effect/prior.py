@@ -19,11 +19,11 @@ TASKS = {"white": (90, 84, 36), "coloured": (90, 63, 27), "outside": (60, 0, 0)}
 FLEETS = {"white": (20, 42, 18)}  # by the shares of one and two effects in the others
 SIZES = (1 / 3, 3.0)  # of a missing effect, in plausible ones, of either sign
 ELSE = 1e-3  # of all else, where two candidates are rivals
-ALIKE = 0.9  # correlation of the courses of two rivals, at least
+RIVAL_CORRELATION = 0.9  # correlation of the courses of two rivals, at least
 
 
 def weight(kind: str, missing: int, candidates: int, fleet: bool = False) -> float:
-    """Of a set of so many missing effects under a kind of noise: a set has its part of those that are as large."""
+    """Return the prior weight of a set of so many missing effects under a kind of noise, shared by sets of its size."""
     if missing > MOST:
         return 0.0
     tasks = (FLEETS if fleet else TASKS).get(kind, (0, 0, 0))
@@ -33,10 +33,11 @@ def weight(kind: str, missing: int, candidates: int, fleet: bool = False) -> flo
 def rivals(task: Task) -> tuple[str, ...]:
     """The two candidates of a confounded task, of which one is missing, under white noise; none of another task."""
     linear = [t for t in task.candidates if t.formula == "power" and t.arguments["order"] == 1]
-    alike = [
+    correlated = [
         (a.name, b.name)
         for a, b in combinations(linear, 2)
         if a.arguments["column"] != b.arguments["column"]
-        and abs(np.corrcoef(*(task.train[t.arguments["column"]] for t in (a, b)))[0, 1]) > ALIKE
+        and abs(np.corrcoef(*(task.train[t.arguments["column"]] for t in (a, b)))[0, 1])
+        > RIVAL_CORRELATION
     ]
-    return alike[0] if len(alike) == 1 else ()
+    return correlated[0] if len(correlated) == 1 else ()

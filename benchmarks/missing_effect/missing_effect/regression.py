@@ -57,11 +57,11 @@ class Regression:
 
     @property
     def parameters(self) -> int:
-        """Of the base."""
+        """Return the parameters of the base."""
         return self._orthogonal.shape[1]
 
     def without_base(self, columns: Array) -> Array:
-        """What the base's columns leave of others."""
+        """Project the base's columns out of others."""
         return columns - self._orthogonal @ (self._orthogonal.T @ columns)
 
     @cached_property
@@ -106,11 +106,11 @@ class Regression:
         later = np.hstack([self._base_later, *(self.candidates[i].holdout for i in chosen)])
         scale = np.maximum(np.sqrt(np.mean(x**2, axis=0)), 1e-300)
         u, s, vt = np.linalg.svd(x / scale, full_matrices=False)
-        kept = s > 1e-10 * s[0]
-        inverse = vt[kept].T / s[kept]
-        size = inverse @ (u[:, kept].T @ self.y)
+        significant = s > 1e-10 * s[0]
+        inverse = vt[significant].T / s[significant]
+        size = inverse @ (u[:, significant].T @ self.y)
         residual = self.y - x / scale @ size
-        variance = float(residual @ residual) / max(1, self.y.size - int(kept.sum()))
+        variance = float(residual @ residual) / max(1, self.y.size - int(significant.sum()))
         spread = np.sum((later / scale @ inverse) ** 2, axis=1)
         of_reading = 1 / (1 - self.correlation**2)  # against the whitened ones' variance
         return later / scale @ size, np.sqrt(variance * (of_reading + spread) + self.extra)
@@ -118,24 +118,24 @@ class Regression:
     def correlated(self) -> float:
         """Correlation of neighbouring residuals beside all candidates at once, within runs; not below zero."""
         basis = _orthogonal(np.hstack(self.projected))
-        left = self.left - basis @ (basis.T @ self.left)
+        e = self.left - basis @ (basis.T @ self.left)
         inside = ~self._first[1:]
-        shared = float(np.sum((left[1:] * left[:-1])[inside]))
-        return float(np.clip(shared / (left @ left) * left.size / inside.sum(), 0.0, 0.95))
+        shared = float(np.sum((e[1:] * e[:-1])[inside]))
+        return float(np.clip(shared / (e @ e) * e.size / inside.sum(), 0.0, 0.95))
 
     def _whitened(self, columns: Array) -> Array:
         """Columns of training readings less what the reading before says of each; the first of a run scaled."""
-        found = columns - self.correlation * np.roll(columns, 1, axis=0)
-        found[self._first] = np.sqrt(1 - self.correlation**2) * columns[self._first]
-        return found
+        whitened = columns - self.correlation * np.roll(columns, 1, axis=0)
+        whitened[self._first] = np.sqrt(1 - self.correlation**2) * columns[self._first]
+        return whitened
 
     def average(self, models: Sequence[tuple[Collection[int], float]]) -> tuple[Array, Array]:
-        """The same, averaged over sets with their probabilities; those below 1 % are left out."""
-        kept = [m for m in models if m[1] >= 0.01] or [max(models, key=lambda m: m[1])]
-        weights = np.array([p for _, p in kept])
+        """Average predictions over sets with their probabilities; those below 1 % are left out."""
+        probable = [m for m in models if m[1] >= 0.01] or [max(models, key=lambda m: m[1])]
+        weights = np.array([p for _, p in probable])
         weights = weights / weights.sum()
-        each = [self.predict(chosen) for chosen, _ in kept]
-        means, variances = np.array([m for m, _ in each]), np.array([s**2 for _, s in each])
+        pairs = [self.predict(chosen) for chosen, _ in probable]
+        means, variances = (np.array([m for m, _ in pairs]), np.array([s**2 for _, s in pairs]))
         mean = weights @ means
         return mean, np.sqrt(weights @ (variances + (means - mean) ** 2))
 
@@ -144,9 +144,9 @@ class Regression:
         trials = []
         for shapes in grid(term, NODES):
             plain = _both(term, self.task, shapes)
-            found = Columns(plain.name, self._whitened(plain.train), plain.holdout)
-            basis = _orthogonal(self.without_base(found.train))
-            trials.append((float(np.sum((basis.T @ self.left) ** 2)), found))
+            candidate = Columns(plain.name, self._whitened(plain.train), plain.holdout)
+            basis = _orthogonal(self.without_base(candidate.train))
+            trials.append((float(np.sum((basis.T @ self.left) ** 2)), candidate))
         return max(trials, key=lambda trial: trial[0])[1]
 
 
@@ -159,14 +159,14 @@ def grid(term: Term, count: int) -> list[dict[str, float]]:
 
 
 def _both(term: Term, task: Task, shapes: dict[str, float] | None = None) -> Columns:
-    given = shapes or {}
+    values = shapes or {}
     return Columns(
-        term.name, term.columns(task.train, **given), term.columns(task.holdout, **given)
+        term.name, term.columns(task.train, **values), term.columns(task.holdout, **values)
     )
 
 
 def _unseen(columns: Columns, term: Term) -> bool:
-    """Whether none of the members of its group is among the readings held out."""
+    """Return whether the held-out readings are of unseen group members only."""
     return bool(term.group) and not columns.holdout.any()
 
 

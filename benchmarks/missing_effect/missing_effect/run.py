@@ -33,7 +33,7 @@ LIMIT = 60.0  # s of processor a task
 PATIENCE = 5.0  # times that on the clock: for what only waits
 ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
 SHIPPED = Path(__file__).parent / "entries"
-APART = (
+UNSHARE = (
     *("unshare", "--user", "--map-root-user", "--net", "--mount"),
     *("--pid", "--fork", "--kill-child", "--mount-proc"),
 )
@@ -64,13 +64,13 @@ def task_folders(tasks: Path, size: int | None = None) -> list[Path]:
     Raises:
         InputError: it has none, or fewer.
     """
-    found = sorted(p.parent for p in tasks.glob("*/task.json"))
-    if len(found) < (size or 1):
+    folders = sorted(p.parent for p in tasks.glob("*/task.json"))
+    if len(folders) < (size or 1):
         raise InputError(
-            f"{tasks} has {len(found)} tasks, not {size or 'one'}: make them with "
+            f"{tasks} has {len(folders)} tasks, not {size or 'one'}: make them with "
             f"`python -m missing_effect generate {tasks} --size {size or 10}`"
         )
-    return found[:size]
+    return folders[:size]
 
 
 def run(
@@ -105,7 +105,7 @@ def run(
         answer = (
             solve(entry, folder, tasks, limit)
             if solves is None
-            else here(solves, folder, limit, begin)
+            else solve_in_process(solves, folder, limit, begin)
         )
         place.parent.mkdir(parents=True, exist_ok=True)
         place.write_text(json.dumps(answer), "utf-8")
@@ -114,13 +114,13 @@ def run(
 
 def solve(entry: Path, folder: Path, tasks: Path, limit: float = LIMIT) -> dict[str, Any]:
     """One task's answer as plain data: sets, mean, sd; or `failed`, why. With `seconds` of processor, `isolation`."""
-    with tempfile.TemporaryDirectory() as made:
-        copy, answer = Path(made) / folder.name, Path(made) / "answer.json"
+    with tempfile.TemporaryDirectory() as folder_name:
+        copy, answer = Path(folder_name) / folder.name, Path(folder_name) / "answer.json"
         copy.mkdir()
         for name in FILES:
             shutil.copy(folder / name, copy)
         hidden = can_hide()
-        own = [
+        argv = [
             sys.executable,
             "-m",
             "missing_effect.child",
@@ -129,16 +129,18 @@ def solve(entry: Path, folder: Path, tasks: Path, limit: float = LIMIT) -> dict[
             str(answer),
             str(round(limit)),
         ]
-        command = [*APART, "sh", "-c", HIDE, "sh", str(tasks.resolve()), *own] if hidden else own
-        seconds, status, said = _ended(command, limit)
-        failed = _why(status, said, limit) if status else ""
-        found: dict[str, Any] = {}
+        command = (
+            [*UNSHARE, "sh", "-c", HIDE, "sh", str(tasks.resolve()), *argv] if hidden else argv
+        )
+        seconds, status, stderr = _ended(command, limit)
+        failed = _why(status, stderr, limit) if status else ""
+        answer_data: dict[str, Any] = {}
         if not failed:
-            found = json.loads(answer.read_text("utf-8"))
-            failed = wrong(found, copy)
+            answer_data = json.loads(answer.read_text("utf-8"))
+            failed = wrong(answer_data, copy)
     isolation = "namespaces and audit hook" if hidden else "audit hook alone"
-    told = {"failed": failed} if failed else found
-    return {**told, "seconds": round(seconds, 2), "isolation": isolation}
+    record = {"failed": failed} if failed else answer_data
+    return {**record, "seconds": round(seconds, 2), "isolation": isolation}
 
 
 def _loaded(entry: Path) -> Callable[[Task], dict[str, Any]]:
@@ -158,37 +160,37 @@ def started(entry: Path) -> float:
     return _ended(command, LIMIT)[0]
 
 
-def here(
+def solve_in_process(
     solves: Callable[[Task], dict[str, Any]], folder: Path, limit: float, begin: float = 0.0
 ) -> dict[str, Any]:
-    """The same in this process, without isolation: `begin` seconds of processor are counted for a start."""
-    begun = time.process_time()
+    """Solve in this process, without isolation: `begin` seconds of processor are charged for a start."""
+    start = time.process_time()
     try:
-        found = as_json(solves(Task.read(folder)))
-        failed = wrong(found, folder)
+        answer = as_json(solves(Task.read(folder)))
+        failed = wrong(answer, folder)
     except Exception as error:  # whatever an entry raises is its answer
-        found, failed = {}, f"{type(error).__name__}: {error}"
-    seconds = begin + time.process_time() - begun
+        answer, failed = {}, f"{type(error).__name__}: {error}"
+    seconds = begin + time.process_time() - start
     if seconds > limit:
         failed = f"took {seconds:.0f} s of processor, more than {limit:g}"
-    told = {"failed": failed} if failed else found
-    return {**told, "seconds": round(seconds, 2), "isolation": "none"}
+    record = {"failed": failed} if failed else answer
+    return {**record, "seconds": round(seconds, 2), "isolation": "none"}
 
 
 @cache
 def can_hide() -> bool:
-    """Whether a user of this system may have a network and a file tree of his own."""
+    """Return whether this user may create a network and a file tree namespace."""
     if shutil.which("unshare") is None:
         return False
     with tempfile.TemporaryDirectory() as folder:
-        tried = [*APART, "sh", "-c", HIDE, "sh", folder, "true"]
+        tried = [*UNSHARE, "sh", "-c", HIDE, "sh", folder, "true"]
         return subprocess.run(tried, capture_output=True, check=False).returncode == 0
 
 
 def wrong(answer: dict[str, Any], folder: Path) -> str:
-    """What is wrong with an answer, in words; empty where nothing is."""
-    said = json.loads((folder / "task.json").read_text("utf-8"))
-    names = {c["name"] for c in said["candidates"]} | {OUTSIDE}
+    """Return what is wrong with an answer, in words; empty if nothing is."""
+    task = json.loads((folder / "task.json").read_text("utf-8"))
+    names = {c["name"] for c in task["candidates"]} | {OUTSIDE}
     rows = len((folder / "holdout.csv").read_text("utf-8").splitlines()) - 1
     for sets, probability in answer["sets"] or []:
         if strange := sorted(set(sets) - names):
@@ -221,19 +223,19 @@ def _ended(command: list[str], limit: float) -> tuple[float, int, str]:
         start_new_session=True,
     ) as process:
         try:
-            _, said = process.communicate(timeout=PATIENCE * limit)
+            _, stderr = process.communicate(timeout=PATIENCE * limit)
         except subprocess.TimeoutExpired:
             os.killpg(process.pid, signal.SIGKILL)
-            _, said = process.communicate()
+            _, stderr = process.communicate()
     with suppress(ProcessLookupError):  # what it left running where there are no namespaces
         os.killpg(process.pid, signal.SIGKILL)
     after = resource.getrusage(resource.RUSAGE_CHILDREN)
     seconds = after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
-    return seconds, process.returncode, said
+    return seconds, process.returncode, stderr
 
 
-def _why(status: int, said: str, limit: float) -> str:
-    last = next((line for line in reversed(said.splitlines()) if line.strip()), "")
+def _why(status: int, stderr: str, limit: float) -> str:
+    last = next((line for line in reversed(stderr.splitlines()) if line.strip()), "")
     number = -status if status < 0 else status - 128  # a shell adds 128 to its child's
     if number > 0:
         times = f"{limit:g} s of processor, or {PATIENCE:g} times that on the clock"

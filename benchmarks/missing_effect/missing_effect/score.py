@@ -91,7 +91,7 @@ def scored(tasks: Path, results: Path, entry: str, size: int | None) -> dict[str
     Raises:
         InputError: a task has no answer yet.
     """
-    found = {}
+    scores = {}
     for folder in task_folders(tasks, size):
         truth = json.loads((folder / "truth.json").read_text("utf-8"))
         place = results / entry / f"{folder.name}.json"
@@ -104,8 +104,8 @@ def scored(tasks: Path, results: Path, entry: str, size: int | None) -> dict[str
                 f"{entry} has no answer to {folder.name} in {results}: run it with "
                 f"`python -m missing_effect run {entry}`"
             )
-        found[folder.name] = score(answer, truth, folder)
-    return found
+        scores[folder.name] = score(answer, truth, folder)
+    return scores
 
 
 def entries_in(results: Path, tasks: Path, size: int | None) -> list[str]:
@@ -121,12 +121,12 @@ def knowing(truth: dict[str, Any]) -> dict[str, Any]:
 
 
 def score(answer: dict[str, Any], truth: dict[str, Any], folder: Path) -> Score:
-    """Of one answer. One that failed predicts the mean of the training readings, and states nothing."""
+    """Score one answer. A failed one predicts the mean of the training readings, and states no sets."""
     failed = answer.get("failed", "")
     y, noise = np.asarray(truth["holdout"]), truth["noise_sd"]
     if failed:
-        seen = pd.read_csv(folder / "train.csv")["output"].to_numpy(float)
-        answer = {**answer, "sets": [], "mean": [seen.mean()] * y.size, "sd": [seen.std()] * y.size}
+        past = pd.read_csv(folder / "train.csv")["output"].to_numpy(float)
+        answer = {**answer, "sets": [], "mean": [past.mean()] * y.size, "sd": [past.std()] * y.size}
     mean, sd = np.asarray(answer["mean"]), np.asarray(answer["sd"])
     z = (y - mean) / sd
     decided = truth["decided"]
@@ -156,14 +156,14 @@ def _of_sets(stated: list[Any], truth: dict[str, Any]) -> dict[str, Any]:
     true = frozenset(truth["set"])
     same = {true, *(frozenset(e) for e in truth["equivalent"])}
     exact = probability.get(true, 0.0)
-    held = min(1.0, sum(probability.get(s, 0.0) for s in same))
+    p_true = min(1.0, sum(probability.get(s, 0.0) for s in same))
     others = [p for s, p in probability.items() if s not in same]
-    top = max([(held, True), *((p, False) for p in others)])
+    top = max([(p_true, True), *((p, False) for p in others)])
     empty = truth["track"] == "empty"
     return {
-        "log": math.log(max(held, FLOOR)),
+        "log": math.log(max(p_true, FLOOR)),
         "log_exact": math.log(max(exact, FLOOR)),
-        "brier": (1 - held) ** 2 + sum(p**2 for p in others),
+        "brier": (1 - p_true) ** 2 + sum(p**2 for p in others),
         "alarm": something > CLAIM if empty else None,
         "likely_alarm": something > 0.5 if empty else None,
         "top": top if stated else None,
@@ -171,13 +171,13 @@ def _of_sets(stated: list[Any], truth: dict[str, Any]) -> dict[str, Any]:
 
 
 def _crps(z: np.ndarray) -> np.ndarray:
-    """Of a standard normal distribution at z."""
+    """Return the CRPS of a standard normal distribution at z."""
     density = np.exp(-(z**2) / 2) / math.sqrt(2 * math.pi)
     return z * (2 * ndtr(z) - 1) + 2 * density - 1 / math.sqrt(math.pi)
 
 
 def summary(scores: dict[str, Score]) -> Summary:
-    """Means with intervals; tasks are resampled, the same for every entry of as many tasks."""
+    """Return means with intervals; tasks are resampled, alike for all entries of as many tasks."""
     columns = {
         f.name: np.array(
             [math.nan if (v := getattr(s, f.name)) is None else float(v) for s in scores.values()]
@@ -192,15 +192,15 @@ def summary(scores: dict[str, Score]) -> Summary:
 def _interval(values: np.ndarray, pick: np.ndarray) -> tuple[float, float, float]:
     if np.isnan(values).all():
         return math.nan, math.nan, math.nan
-    there = ~np.isnan(values[pick])
-    sums = np.where(there, values[pick], 0.0).sum(axis=1)
-    means = sums[there.any(axis=1)] / there.sum(axis=1)[there.any(axis=1)]
+    finite = ~np.isnan(values[pick])
+    sums = np.where(finite, values[pick], 0.0).sum(axis=1)
+    means = sums[finite.any(axis=1)] / finite.sum(axis=1)[finite.any(axis=1)]
     low, high = np.quantile(means, [0.025, 0.975])
     return float(np.nanmean(values)), float(low), float(high)
 
 
 def calibration(scores: dict[str, Score]) -> list[dict[str, Any]]:
-    """Of the most probable sets in bands of their probability: how many, mean stated, share true, and its interval."""
+    """Return the calibration of the most probable sets in bands: count, mean stated, true share, its interval."""
     tops = [s.top for s in scores.values() if s.top is not None]
     rows = []
     for low, high in pairwise(BANDS):
@@ -215,19 +215,19 @@ def calibration(scores: dict[str, Score]) -> list[dict[str, Any]]:
 
 
 def alien(tasks: Path, size: int | None) -> list[str]:
-    """Tasks that are not, byte for byte, those of the published edition."""
-    known, found = published(), []
+    """List tasks that are not, byte for byte, those of the published edition."""
+    editions, unknown = published(), []
     for folder in task_folders(tasks, size):
         digest = hashlib.sha256()
         for name in (*FILES, "truth.json"):
             digest.update((folder / name).read_bytes())
-        if known.get(folder.name) != digest.hexdigest():
-            found.append(folder.name)
-    return found
+        if editions.get(folder.name) != digest.hexdigest():
+            unknown.append(folder.name)
+    return unknown
 
 
 def by_track(scores: dict[str, Score], of: Callable[[Score], float | None]) -> dict[str, float]:
-    """Mean of something for each track."""
+    """Return a mean for each track."""
     tracks: dict[str, list[float]] = {}
     for s in scores.values():
         if (value := of(s)) is not None:

@@ -41,13 +41,13 @@ class Term:
     nuisance: bool = False
 
     def columns(self, data: pd.DataFrame, **shapes: float) -> np.ndarray:
-        """Its columns on some readings, (n, k), at the geometric middle of a shape's range unless it is given."""
+        """Return a term's columns on readings, (n, k), at the geometric middle of a shape's range by default."""
         middle = {n: (low * high) ** 0.5 for n, (low, high) in self.shapes.items()}
         return FORMULAS[self.formula](data, **self.arguments, **{**middle, **shapes})
 
     @property
     def group(self) -> str:
-        """The group whose members have a coefficient each; empty where there is none."""
+        """Return the group whose members have a coefficient each; empty if there is none."""
         return self.arguments["group"] if self.formula.startswith("each") else ""
 
 
@@ -75,20 +75,21 @@ class Task:
 
     @classmethod
     def read(cls, folder: Path) -> Task:
-        """A task from its folder.
+        """Read a task from its folder.
 
         Raises:
             FileNotFoundError: the folder is not one of a task.
         """
-        said = json.loads((folder / "task.json").read_text("utf-8"))
+        json_data = json.loads((folder / "task.json").read_text("utf-8"))
         base, candidates = (
-            tuple(_term(t) for t in said[which]) for which in ("base", "candidates")
+            tuple(_term(t) for t in json_data[which]) for which in ("base", "candidates")
         )
         train, holdout = (pd.read_csv(folder / f"{n}.csv") for n in ("train", "holdout"))
-        return cls(said["name"], said["unit"], said["units"], train, holdout, base, candidates)
+        names = (json_data[key] for key in ("name", "unit", "units"))
+        return cls(*names, train, holdout, base, candidates)
 
     def description(self) -> dict[str, Any]:
-        """What task.json holds."""
+        """Return the content of task.json."""
         return {
             "name": self.name,
             "unit": self.unit,
@@ -98,6 +99,6 @@ class Task:
         }
 
 
-def _term(said: dict[str, Any]) -> Term:
-    shapes = {name: (low, high) for name, (low, high) in said["shapes"].items()}
-    return Term(**{**said, "shapes": shapes})
+def _term(entry: dict[str, Any]) -> Term:
+    shapes = {name: (low, high) for name, (low, high) in entry["shapes"].items()}
+    return Term(**{**entry, "shapes": shapes})

@@ -18,10 +18,10 @@ from missing_effect.task import Task
 from scipy.linalg import cho_factor, cho_solve
 
 from missing_effect_maker.simulate.disturbances import NOT_WHITE, OUTSIDE, Noise, white
-from missing_effect_maker.simulate.instruments import HELD, INSTRUMENTS, READINGS, World, fleet
+from missing_effect_maker.simulate.instruments import HOLDOUTS, INSTRUMENTS, READINGS, World, fleet
 
 SPREAD = 3.0  # a hidden effect has between a third of its plausible size and three times that
-ALIKE = (
+CORRELATIONS = (
     0.9,
     0.999,
 )  # correlation of confounded rivals, of their difference from one as 1 − ρ uniform in logarithm
@@ -39,7 +39,7 @@ class Case(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Made:
+class GeneratedTask:
     """A task with its truth, which is plain data: what truth.json holds."""
 
     task: Task
@@ -48,17 +48,17 @@ class Made:
 
 
 def plan(edition: int = EDITION) -> list[Case]:
-    """All tasks in order: tracks mixed so that each size holds its share of all, and shuffled within it."""
-    every = [((n + 0.5) / count, t, n) for t, count in TRACKS.items() for n in range(count)]
-    mixed = [Case(track, number) for _, track, number in sorted(every)]
-    draws, found = Draws(edition, 999), []
+    """List all tasks in order: tracks mixed so that each size has its share, and shuffled within it."""
+    ordered = [((n + 0.5) / count, t, n) for t, count in TRACKS.items() for n in range(count)]
+    mixed = [Case(track, number) for _, track, number in sorted(ordered)]
+    draws, cases = Draws(edition, 999), []
     for begin, end in pairwise((0, *sizes(edition))):
-        found += draws.shuffled(mixed[begin:end])
-    return found
+        cases += draws.shuffled(mixed[begin:end])
+    return cases
 
 
 def sizes(edition: int = EDITION) -> tuple[int, ...]:
-    """How many tasks an edition may be asked for: each size begins with the one before, and holds each track's share.
+    """List the sizes of an edition: each begins with the one before, and has each track's share.
 
     The published edition was fixed before there was the third, of which 20 are fleets.
     """
@@ -68,20 +68,20 @@ def sizes(edition: int = EDITION) -> tuple[int, ...]:
 def generate(folder: Path, size: int, edition: int = EDITION) -> Iterator[tuple[str, str]]:
     """Write tasks, and say each one's name and hash."""
     for place, case in enumerate(plan(edition)[:size]):
-        made = make(f"task_{place:03d}", case, edition)
-        yield made.task.name, write(made, folder / made.task.name)
+        task = make(f"task_{place:03d}", case, edition)
+        yield task.task.name, write(task, folder / task.task.name)
 
 
-def make(name: str, case: Case, edition: int = EDITION) -> Made:
-    """One task."""
+def make(name: str, case: Case, edition: int = EDITION) -> GeneratedTask:
+    """Make one task."""
     draws = Draws(edition, list(TRACKS).index(case.track), case.number)
     of_fleet = case.track == "fleet" or (case.track == "empty" and case.number % 10 == 9)
-    alike = FREE
+    correlation = FREE
     if case.track == "confounded":
-        alike = 1 - draws.ratio(1 - ALIKE[1], 1 - ALIKE[0])
+        correlation = 1 - draws.ratio(1 - CORRELATIONS[1], 1 - CORRELATIONS[0])
     instruments = list(INSTRUMENTS.values())
     turn = case.number + case.number // len(instruments)  # each instrument gets every law in turn
-    world = (fleet if of_fleet else instruments[case.number % len(instruments)])(draws, alike)
+    world = (fleet if of_fleet else instruments[case.number % len(instruments)])(draws, correlation)
     count = len(world.columns["time"])
     other = not of_fleet and (case.track == "noise" or (case.track == "empty" and turn % 2))
     noise = (draws.one_of(NOT_WHITE) if other else white)(draws, count)
@@ -97,11 +97,11 @@ def make(name: str, case: Case, edition: int = EDITION) -> Made:
         parts["outside"] = outside
     true = world.known + sum(parts.values(), start=np.zeros(count))
     output = true + world.noise * noise.values
-    held = _held_out(world)
+    holdout_rows = _held_out(world)
     frame = pd.DataFrame({**world.columns, "output": output})
     for column, places in world.decimals.items():
         frame[column] = frame[column].round(places)
-    train, holdout = (frame.loc[at].reset_index(drop=True) for at in (~held, held))
+    train, holdout = (frame.loc[at].reset_index(drop=True) for at in (~holdout_rows, holdout_rows))
     task = Task(
         name,
         world.unit,
@@ -111,7 +111,7 @@ def make(name: str, case: Case, edition: int = EDITION) -> Made:
         tuple(world.base),
         tuple(draws.shuffled(world.candidates)),
     )
-    likelihood = _Likelihood.of(task, world.noise, noise, ~held)
+    likelihood = _Likelihood.of(task, world.noise, noise, ~holdout_rows)
     truth = {
         "track": case.track,
         "instrument": "fleet" if of_fleet else instruments[case.number % 6].__name__,
@@ -119,39 +119,39 @@ def make(name: str, case: Case, edition: int = EDITION) -> Made:
         "outside": what,
         "set": sorted(hidden),
         "sizes": {n: round(share, 6) for n, share in sorted(hidden.items())},
-        "correlation": round(alike, 6) if case.track == "confounded" else None,
+        "correlation": round(correlation, 6) if case.track == "confounded" else None,
         "decided": likelihood.decided(parts, world.noise),
         "equivalent": _equivalent(world, hidden, likelihood, case),
         "noise_sd": world.noise,
         "holdout": [round(float(y), world.decimals["output"]) for y in holdout["output"]],
-        "expected": [round(float(y), world.decimals["output"] + 2) for y in true[held]],
+        "expected": [round(float(y), world.decimals["output"] + 2) for y in true[holdout_rows]],
     }
-    return Made(task, world.decimals, truth)
+    return GeneratedTask(task, world.decimals, truth)
 
 
-def write(made: Made, folder: Path) -> str:
+def write(task: GeneratedTask, folder: Path) -> str:
     """Write a task's four files, and return their hash: SHA-256 of their bytes one after the other."""
     folder.mkdir(parents=True, exist_ok=True)
-    found = hashlib.sha256()
-    for name, text in contents(made).items():
+    digest = hashlib.sha256()
+    for name, text in contents(task).items():
         (folder / name).write_bytes(text)
-        found.update(text)
-    return found.hexdigest()
+        digest.update(text)
+    return digest.hexdigest()
 
 
-def contents(made: Made) -> dict[str, bytes]:
-    """The files of a task."""
-    task = made.task
+def contents(generated: GeneratedTask) -> dict[str, bytes]:
+    """Return the files of a task."""
+    task = generated.task
     return {
-        "train.csv": _csv(task.train, made.decimals),
-        "holdout.csv": _csv(task.holdout, made.decimals),
+        "train.csv": _csv(task.train, generated.decimals),
+        "holdout.csv": _csv(task.holdout, generated.decimals),
         "task.json": _json(task.description()),
-        "truth.json": _json(made.truth),
+        "truth.json": _json(generated.truth),
     }
 
 
 def _csv(frame: pd.DataFrame, decimals: dict[str, int]) -> bytes:
-    """Numbers with fixed decimals; minus zero is zero."""
+    """Write numbers with fixed decimals; minus zero as zero."""
     columns = []
     for name in frame:
         places = decimals[str(name)]
@@ -160,12 +160,12 @@ def _csv(frame: pd.DataFrame, decimals: dict[str, int]) -> bytes:
     return ("\n".join(rows) + "\n").encode()
 
 
-def _json(said: dict[str, Any]) -> bytes:
-    return (json.dumps(_plain(said), indent=1, ensure_ascii=False) + "\n").encode()
+def _json(document: dict[str, Any]) -> bytes:
+    return (json.dumps(_plain(document), indent=1, ensure_ascii=False) + "\n").encode()
 
 
 def _plain(value: Any) -> Any:
-    """Numbers to nine digits: the last ones may differ between machines."""
+    """Round numbers to nine digits: the last ones may differ between machines."""
     if isinstance(value, float | np.floating):
         return float(f"{value:.9g}")
     if isinstance(value, dict):
@@ -174,7 +174,7 @@ def _plain(value: Any) -> Any:
 
 
 def _hidden(world: World, case: Case, draws: Draws) -> dict[str, float]:
-    """What is hidden, in plausible sizes."""
+    """Draw the hidden effects, in plausible sizes."""
     if case.track in ("empty", "outside"):
         return {}
     names = [c.name for c in world.candidates]
@@ -187,9 +187,9 @@ def _hidden(world: World, case: Case, draws: Draws) -> dict[str, float]:
 
 
 def _held_out(world: World) -> Array:
-    """The last run, or the last readings of every device."""
+    """Mask the last run, or the last readings of every device."""
     if "device" in world.columns:
-        return np.arange(len(world.columns["device"])) % READINGS >= READINGS - HELD
+        return np.arange(len(world.columns["device"])) % READINGS >= READINGS - HOLDOUTS
     return world.columns["run"] == world.columns["run"].max()
 
 
@@ -230,7 +230,7 @@ class _Likelihood:
         return cho_solve(self.factor, columns)
 
     def gain(self, parts: Sequence[tuple[Array, float]]) -> float:
-        """Log evidence, but for a constant, with these causes in.
+        """Compute the log evidence, up to a constant, with these causes included.
 
         Args:
             parts: what each adds, and the standard deviation of the number that multiplies it.
@@ -244,7 +244,7 @@ class _Likelihood:
         return float(0.5 * right @ right - np.log(np.diag(root)).sum())
 
     def decided(self, parts: dict[str, Array], sd: float) -> float | None:
-        """Smallest log Bayes factor of the truth against itself without one of its causes; None of an empty task."""
+        """Return the truth's smallest log Bayes factor against itself without a cause; None of an empty task."""
         if not parts:
             return None
         whole = self.gain([(p, 1.0) for p in parts.values()])
@@ -257,10 +257,10 @@ class _Likelihood:
 def _equivalent(
     world: World, hidden: dict[str, float], likelihood: _Likelihood, case: Case
 ) -> list[list[str]]:
-    """Sets that the readings do not tell from the truth: of a confounded task, that with the rival in its place."""
+    """List sets that the readings cannot distinguish from the truth; if confounded, that with the rival."""
     if case.track != "confounded":
         return []
     (true,) = hidden
     (rival,) = set(world.environment) - {true}
-    each = {n: likelihood.gain([(world.hidden[n], SPREAD**0.5)]) for n in (true, rival)}
-    return [[rival]] if each[true] - each[rival] < GROUPED else []
+    gains = {n: likelihood.gain([(world.hidden[n], SPREAD**0.5)]) for n in (true, rival)}
+    return [[rival]] if gains[true] - gains[rival] < GROUPED else []

@@ -19,11 +19,11 @@ from missing_effect.draws import Draws
 from missing_effect.run import InputError
 from missing_effect.task import Task, Term
 
-from missing_effect_maker.generate import Made, write
+from missing_effect_maker.generate import GeneratedTask, write
 from missing_effect_maker.simulate.bodies import body
 
 Array = np.ndarray
-HELD = 5  # every so many
+HOLDOUT_STEP = 5  # every so many
 AGREES = 1e-6  # relative difference of the residuals' standard deviation from the certified one
 RAMP = "imu_thermal_ramp.csv"
 AVERAGED = 40  # rows of the ramp in a reading: 210 readings, 20 s apart
@@ -34,7 +34,7 @@ ADDED = {"gyro_x": (), "gyro_y": ("field",), "gyro_z": (), "acc_x": ("supply_squ
          "acc_y": ("field", "humidity"), "acc_z": ()}  # fmt: skip
 
 
-class Known(NamedTuple):
+class CertifiedSet(NamedTuple):
     """A record: its model, and what of it is hidden.
 
     Attributes:
@@ -62,14 +62,14 @@ def generate(folder: Path, tasks: Path) -> Iterator[str]:
     Raises:
         InputError: a file's readings are not those that NIST certified.
     """
-    for name, known in nist().items():
+    for name, certified in nist().items():
         file = next((f for n in (f"{name.lower()}.csv", f"{name}.csv", f"{name}.dat")
                      for f in sorted(folder.rglob(n))), None)  # fmt: skip
         if file is None:
             yield f"skipped {name}: neither {name}.dat nor {name.lower()}.csv is in {folder}"
         else:
-            write(_of_nist(name, known, file), tasks / f"task_real_{name.lower()}")
-            yield f"made task_real_{name.lower()}: {known.words}"
+            write(_of_nist(name, certified, file), tasks / f"task_real_{name.lower()}")
+            yield f"made task_real_{name.lower()}: {certified.words}"
     ramp = next(iter(sorted(folder.rglob(RAMP))), None)
     if ramp is None:
         yield f"skipped the chamber ramp: {RAMP} is not in {folder}"
@@ -79,9 +79,9 @@ def generate(folder: Path, tasks: Path) -> Iterator[str]:
             yield f"made task_real_ramp_{channel}: one channel of a sensor at rest in a chamber"
 
 
-def nist() -> dict[str, Known]:
-    """The data sets, by NIST's name."""
-    found = {
+def nist() -> dict[str, CertifiedSet]:
+    """Return the data sets, by NIST's name."""
+    sets = {
         "Pontius": _polynomial(
             "deflection of a load cell, whose certified model is quadratic", 2.05177424076185e-4,
             (6.73565789473684e-4, 7.32059160401003e-7, -3.16081871345029e-15), 1.575e6, 1.425e6,
@@ -100,8 +100,8 @@ def nist() -> dict[str, Known]:
         ("Gauss3", 2.2677077625, (98.94036897, 0.010945879335, 100.69553078, 111.63619459,
                                   23.300500029, 73.705031418, 147.76164251, 19.66822123)),
     ):  # fmt: skip
-        found[name] = _peaks(sd, *b)
-    return found
+        sets[name] = _peaks(sd, *b)
+    return sets
 
 
 def _term(
@@ -112,28 +112,28 @@ def _term(
     shapes: dict[str, tuple[float, float]] | None = None,
     **arguments: float,
 ) -> Term:
-    """A term in the predictor x."""
+    """Build a term in the predictor x."""
     column = {} if formula == "constant" else {"column": "x"}
     return Term(name, words, formula, {**column, **arguments}, "1", size, shapes or {})
 
 
 def _polynomial(
     words: str, sd: float, b: Sequence[float], middle: float, half: float, highest: int = 4
-) -> Known:
+) -> CertifiedSet:
     """Known is the line; which powers beside it?"""
 
     def term(order: int, size: float) -> Term:
-        said = f"c·(x − {middle:g})^{order}"
-        return _term(f"power_{order}", said, "power", size / half**order, about=middle, order=order)
+        text = f"c·(x − {middle:g})^{order}"
+        return _term(f"power_{order}", text, "power", size / half**order, about=middle, order=order)
 
     vast = 1e4 * sd + 10 * abs(b[1]) * half
     base = (_term("constant", "c", "constant", vast), term(1, vast))
     hidden = tuple(f"power_{order}" for order in range(2, len(b)))
     candidates = tuple(term(order, 3 * sd) for order in range(2, highest + 1))
-    return Known(words, np.polynomial.Polynomial(b), len(b), sd, base, candidates, hidden)
+    return CertifiedSet(words, np.polynomial.Polynomial(b), len(b), sd, base, candidates, hidden)
 
 
-def _oscillation() -> Known:
+def _oscillation() -> CertifiedSet:
     """Known is the year; which slower cycles beside it?"""
     b = (10.510749193, 3.0762128085, 0.53280138227, 44.3110887, -1.6231428586, 0.52554493756,
          26.88761444, 0.21232288488, 1.4966870418)  # fmt: skip
@@ -153,10 +153,10 @@ def _oscillation() -> Known:
     candidates = (*(cycle(months, sd) for months in (6, 9, 18, 26, 34, 44, 60)), drift)
     words = "pressure between Easter Island and Darwin, whose certified model has three cycles"
     base = (_term("constant", "c", "constant", 1e3 * sd), cycle(12, 1e3 * sd))
-    return Known(words, curve, len(b), sd, base, candidates, ("cycle_26", "cycle_44"))
+    return CertifiedSet(words, curve, len(b), sd, base, candidates, ("cycle_26", "cycle_44"))
 
 
-def _peaks(sd: float, *b: float) -> Known:
+def _peaks(sd: float, *b: float) -> CertifiedSet:
     """Known are the decay and the first peak; which others beside them?"""
 
     def curve(x: Array) -> Array:
@@ -168,7 +168,7 @@ def _peaks(sd: float, *b: float) -> Known:
         return _term(f"peak_{centre:.0f}", words, "peak", 100.0, WIDTH, centre=centre)
 
     near, far = round(b[3], 2), round(b[6], 2)
-    known = _term(
+    peaks = _term(
         "known_peak", f"c·exp(−((x − {near:g})/{b[4]:g})²)", "peak", 1e3 * sd,
         centre=b[3], width=b[4],
     )  # fmt: skip
@@ -178,10 +178,10 @@ def _peaks(sd: float, *b: float) -> Known:
     others = (31.42, 92.71, 203.58, 231.13)
     words = "generated by NIST: two Gaussians on a decay, with normal noise"
     candidates = (*map(peak, (far, *others)), slope, bow)
-    return Known(words, curve, len(b), sd, (decay, known), candidates, (f"peak_{far:.0f}",))
+    return CertifiedSet(words, curve, len(b), sd, (decay, peaks), candidates, (f"peak_{far:.0f}",))
 
 
-def _of_nist(name: str, known: Known, file: Path) -> Made:
+def _of_nist(name: str, certified: CertifiedSet, file: Path) -> GeneratedTask:
     # Data begin at line 61 of NIST's own files, as each says in its head.
     csv = file.suffix == ".csv"
     try:
@@ -191,18 +191,18 @@ def _of_nist(name: str, known: Known, file: Path) -> Made:
         raise InputError(
             f"{file} cannot be read as NIST's {name}, two columns of numbers, the response first: {error}"
         ) from None
-    free = max(1, y.size - known.parameters)
-    spread = float(np.sqrt(np.sum((y - known.curve(x)) ** 2) / free))
-    if abs(spread / known.residual_sd - 1) > AGREES:
+    free = max(1, y.size - certified.parameters)
+    spread = float(np.sqrt(np.sum((y - certified.curve(x)) ** 2) / free))
+    if abs(spread / certified.residual_sd - 1) > AGREES:
         raise InputError(
             f"{file} is not NIST's {name}: about the certified model its {y.size} readings scatter by "
-            f"{spread:.10g}, certified are {known.residual_sd:.10g}. Take the file anew from NIST, or remove it"
+            f"{spread:.10g}, certified are {certified.residual_sd:.10g}. Take the file anew from NIST, or remove it"
         )
     frame = pd.DataFrame({"x": x, "output": y})
-    return _made(name, frame, {"x": 9, "output": 9}, known, known.curve(x))
+    return _real_task(name, frame, {"x": 9, "output": 9}, certified, certified.curve(x))
 
 
-def _of_ramp(file: Path, channel: str, added: Sequence[str]) -> Made:
+def _of_ramp(file: Path, channel: str, added: Sequence[str]) -> GeneratedTask:
     """A channel of the ramp as the noise of a task: what temperature does to it is known in form, and some quantity
     that we made up acts on it beside, or none."""
     record = pd.read_csv(file)
@@ -237,10 +237,10 @@ def _of_ramp(file: Path, channel: str, added: Sequence[str]) -> Made:
         *(power(f"behind_{tau:g}", f"behind_{tau:g}", middle, 1, vast / half) for tau in FOLLOWING),
         power("drift", "time", round(float(time.mean())), 1, vast / float(time.max())),
     )  # fmt: skip
-    known = np.hstack([t.columns(frame) for t in base])
-    scaled = known / np.abs(known).max(axis=0)
+    x = np.hstack([t.columns(frame) for t in base])
+    scaled = x / np.abs(x).max(axis=0)
     fitted = scaled @ np.linalg.lstsq(scaled, output, rcond=None)[0]
-    noise = float(np.std(output - fitted) * np.sqrt(len(time) / (len(time) - known.shape[1])))
+    noise = float(np.std(output - fitted) * np.sqrt(len(time) / (len(time) - x.shape[1])))
     candidates = (
         *(power(name, name, 0.0, 1, noise) for name in ("supply", "humidity", "field")),
         *(power(f"{name}_squared", name, 0.0, 2, noise) for name in ("supply", "humidity", "field")),
@@ -254,17 +254,19 @@ def _of_ramp(file: Path, channel: str, added: Sequence[str]) -> Made:
         start=np.zeros(len(time)),
     )
     hidden = tuple(sorted(added))
-    told = Known("", np.asarray, 0, noise, base, tuple(draws.shuffled(candidates)), hidden)
+    certified = CertifiedSet(
+        "", np.asarray, 0, noise, base, tuple(draws.shuffled(candidates)), hidden
+    )
     frame = frame.assign(output=output + adds)
     places = {**dict.fromkeys(columns, 4), "output": 9}
-    return _made(f"ramp_{channel}", frame, places, told, fitted + adds)
+    return _real_task(f"ramp_{channel}", frame, places, certified, fitted + adds)
 
 
-def _made(
-    name: str, frame: pd.DataFrame, decimals: dict[str, int], known: Known, expected: Array
-) -> Made:
-    held = np.arange(len(frame)) % HELD == HELD // 2
-    train, later = (frame.loc[at].reset_index(drop=True) for at in (~held, held))
+def _real_task(
+    name: str, frame: pd.DataFrame, decimals: dict[str, int], known: CertifiedSet, expected: Array
+) -> GeneratedTask:
+    holdout = np.arange(len(frame)) % HOLDOUT_STEP == HOLDOUT_STEP // 2
+    train, later = (frame.loc[at].reset_index(drop=True) for at in (~holdout, holdout))
     task = Task(
         f"real_{name.lower()}", "1", dict.fromkeys(map(str, frame), "1"), train,
         later.drop(columns="output"), known.base,
@@ -278,6 +280,6 @@ def _made(
         "equivalent": [],
         "noise_sd": known.residual_sd,
         "holdout": [float(v) for v in later["output"]],
-        "expected": [float(v) for v in expected[held]],
+        "expected": [float(v) for v in expected[holdout]],
     }
-    return Made(task, decimals, truth)
+    return GeneratedTask(task, decimals, truth)

@@ -44,7 +44,7 @@ PLACES = (
     "elapsed",
 )  # of what the data sheet has outside
 CURVES = 30  # descriptions along these, about
-BESIDE = 0.03  # prior of each further effect beside such a description: the data sheet has none
+FURTHER_PRIOR = 0.03  # prior of each further effect, absent from the data sheet
 SELDOM = 0.01  # least probability of that, for a candidate's columns are not quite the effect
 SMALLEST = 1e-5  # probability of a set that is stated
 ALONG = {"power": "column", "rate": "", "warm_up": "elapsed"}
@@ -64,9 +64,9 @@ def solve(task: Task) -> dict[str, Any]:
         # Devices held out are those fitted, runs are new ones.
         predicted = bc.predict(calibration, later, new_groups=False)
     else:
-        found = bc.calibrate(model, train, effects=candidates, ignore=tuple(columns), covariates=())
-        predicted = bc.predict(found.calibration, later)
-        sets = _restated(task, regression, found.search.structures) if found.search else {}
+        path = bc.calibrate(model, train, effects=candidates, ignore=tuple(columns), covariates=())
+        predicted = bc.predict(path.calibration, later)
+        sets = _restated(task, regression, path.search.structures) if path.search else {}
     return {"sets": sets, "mean": predicted.mean, "sd": predicted.sd}
 
 
@@ -86,7 +86,7 @@ def _restated(
         if curves and (s.noise or curves != {TONE}):
             of_places = all(n[len(UNKNOWN) : -1].split(",")[0] in PLACES for n in curves)
             weight *= prior.weight("outside", 0, count) / CURVES * of_places
-            weight *= BESIDE ** (len(curves) + len(named) - 1)
+            weight *= FURTHER_PRIOR ** (len(curves) + len(named) - 1)
         elif curves or s.noise:
             weight *= prior.weight("coloured", len(named), count) / prior.LAWS
         else:
@@ -110,16 +110,16 @@ def _of_range(regression: Regression, named: Collection[str]) -> float:
     chosen = [i for i, c in enumerate(regression.candidates) if c.name in named]
     x = np.hstack([regression.projected[i] for i in chosen])
     inverse = np.linalg.pinv(x.T @ x)
-    found = inverse @ (x.T @ regression.left)
+    coefficients = inverse @ (x.T @ regression.left)
     free = regression.y.size - regression.parameters - x.shape[1]
-    variance = float(np.sum((regression.left - x @ found) ** 2)) / free
+    variance = float(np.sum((regression.left - x @ coefficients) ** 2)) / free
     ratio, begin = 1.0, 0
     for i in chosen:
         at, width = begin, regression.projected[i].shape[1]
         begin += width
         if width == 1:
             size = regression.task.candidates[i].size
-            mean, sd = found[at] / size, np.sqrt(variance * inverse[at, at]) / size
+            mean, sd = coefficients[at] / size, np.sqrt(variance * inverse[at, at]) / size
             ratio *= max(_inside(mean, sd), SELDOM) / _inside(0.0, 1.0)
     return ratio
 
@@ -141,37 +141,37 @@ def _of_fleet(
     """Sets with their probabilities, and a fit of the most probable one."""
     method = bc.LeastSquares(draws=200)
     first = bc.fit(model, train, method=method, strict=False)
-    found = bc.discover(
+    discovery = bc.discover(
         first, effects=candidates, ignore=tuple(columns), covariates=(), widen_noise=correlate
     )
     # Columns between nodes of a shape are linear: where the best shape is a node, least squares ends at a kink.
-    return _sets(found), bc.fit(model + found.best, train, method=method, strict=False)
+    return _sets(discovery), bc.fit(model + discovery.best, train, method=method, strict=False)
 
 
-def _sets(found: bc.Discovery) -> dict[tuple[str, ...], float]:
+def _sets(discovery: bc.Discovery) -> dict[tuple[str, ...], float]:
     """Products over findings, of each of which one member is missing or none, and over all other effects.
 
     Of these the sets that the data sheet has of fleets: at most two effects, nothing outside.
     """
-    left = {c.effect: c.probability or 0.0 for c in found.candidates}
+    remaining = {c.effect: c.probability or 0.0 for c in discovery.candidates}
     choices = []
-    for finding in found.sets:
-        shares = {n: left.pop(n, 0.0) for n in finding.effects}
+    for finding in discovery.sets:
+        shares = {n: remaining.pop(n, 0.0) for n in finding.effects}
         choices.append(
             {n: finding.probability * p / sum(shares.values()) for n, p in shares.items()}
         )
-    choices += [{n: p} for n, p in left.items()]
+    choices += [{n: p} for n, p in remaining.items()]
     sets: dict[frozenset[str], float] = {frozenset(): 1.0}
     for choice in choices:
         options = {**choice, "": 1.0 - sum(choice.values())}
         tried = {(s, n): p * q for s, p in sets.items() for n, q in options.items()}
         sets = {s | {n} - {""}: p for (s, n), p in tried.items() if p > SMALLEST}
-    kept: dict[tuple[str, ...], float] = {}
+    probabilities: dict[tuple[str, ...], float] = {}
     for s, p in sets.items():
         if len(s) <= prior.MOST and not any(n.startswith(UNKNOWN) for n in s):
-            kept[_named(s)] = p
-    whole = sum(kept.values())
-    return {s: p / whole for s, p in kept.items()} if kept else {(): 1.0}
+            probabilities[_named(s)] = p
+    whole = sum(probabilities.values())
+    return {s: p / whole for s, p in probabilities.items()} if probabilities else {(): 1.0}
 
 
 def _named(effects: Iterable[str]) -> tuple[str, ...]:
@@ -182,11 +182,11 @@ def _named(effects: Iterable[str]) -> tuple[str, ...]:
 def _instrument(task: Task, base: tuple[bc.Effect, ...], scatter: float) -> bc.Instrument:
     """The task's instrument; its noise is not larger than what the base leaves, by prior guess."""
     names = [c for c in task.train if c != "output"]
-    own = [bc.Column(n, None if n in LABELS else _unit(n)) for n in names]
+    columns = [bc.Column(n, None if n in LABELS else _unit(n)) for n in names]
     return bc.Instrument(
         name="task",
         title=task.name,
-        columns=(*own, bc.Column("output", NUMBER)),
+        columns=(*columns, bc.Column("output", NUMBER)),
         slots=(bc.Slot("output", NUMBER),),
         response=_response,
         effects=base,
@@ -210,11 +210,11 @@ def _readings(
 ) -> bc.Measurements:
     """One part of the task, 0 to fit and 1 to predict, with the terms' columns beside the recorded ones."""
     frame = (task.train, task.holdout.assign(output=0.0))[at]
-    own: dict[str, Any] = {str(n): frame[n].to_numpy() for n in frame}
-    own |= {n: own[n].astype(str) for n in LABELS if n in own}
-    made: dict[str, Any] = {name: pair[at] for name, pair in columns.items()}
-    units = dict.fromkeys(made, NUMBER)
-    return bc.Measurements.from_arrays(instrument, units=units, **own, **made)
+    arrays: dict[str, Any] = {str(n): frame[n].to_numpy() for n in frame}
+    arrays |= {n: arrays[n].astype(str) for n in LABELS if n in arrays}
+    with_units: dict[str, Any] = {name: pair[at] for name, pair in columns.items()}
+    units = dict.fromkeys(with_units, NUMBER)
+    return bc.Measurements.from_arrays(instrument, units=units, **arrays, **with_units)
 
 
 def _effect(term: Term, task: Task, columns: dict[str, tuple[np.ndarray, np.ndarray]]) -> bc.Effect:
@@ -224,10 +224,10 @@ def _effect(term: Term, task: Task, columns: dict[str, tuple[np.ndarray, np.ndar
         coefficient = bc.Coefficient(
             NUMBER, prior, per=term.group, group_sd=bc.HalfNormal(term.size)
         )
-        made = [term.columns(f).sum(axis=1)[:, None] for f in (task.train, task.holdout)]
-        if not made[1].any():
-            made[1] = np.ones_like(made[1])
-        trials = [(made[0], made[1])]
+        in_files = [term.columns(f).sum(axis=1)[:, None] for f in (task.train, task.holdout)]
+        if not in_files[1].any():
+            in_files[1] = np.ones_like(in_files[1])
+        trials = [(in_files[0], in_files[1])]
         coefficients = (coefficient,)
     else:
         trials = [

@@ -18,7 +18,7 @@ def solve(task: Task) -> dict[str, Any]:
     return stepwise(task, lambda added, candidates: 0.0)
 
 
-def stepwise(task: Task, more: Callable[[int, int], float]) -> dict[str, Any]:
+def stepwise(task: Task, penalty: Callable[[int, int], float]) -> dict[str, Any]:
     """Forward selection while the criterion falls.
 
     Args:
@@ -29,17 +29,17 @@ def stepwise(task: Task, more: Callable[[int, int], float]) -> dict[str, Any]:
 
     def criterion(chosen: frozenset[int]) -> float:
         k = sum(problem.cost[i] for i in chosen)
-        return n * np.log(problem.squares(chosen) / n) + k * np.log(n) + more(len(chosen), count)
+        return n * np.log(problem.squares(chosen) / n) + k * np.log(n) + penalty(len(chosen), count)
 
-    here: frozenset[int] = frozenset()
-    met = {here: criterion(here)}
+    current: frozenset[int] = frozenset()
+    met = {current: criterion(current)}
     while True:
-        trials = {here | {i}: criterion(here | {i}) for i in range(count) if i not in here}
+        trials = {current | {i}: criterion(current | {i}) for i in range(count) if i not in current}
         met |= trials
-        best = min(trials, key=lambda s: trials[s], default=here)
-        if best == here or trials[best] >= met[here]:
+        best = min(trials, key=lambda s: trials[s], default=current)
+        if best == current or trials[best] >= met[current]:
             break
-        here = best
+        current = best
     lowest = min(met.values())
     weight = {s: float(np.exp(-(value - lowest) / 2)) for s, value in met.items()}
     total = sum(weight.values())

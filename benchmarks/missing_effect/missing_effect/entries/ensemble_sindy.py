@@ -23,8 +23,8 @@ def solve(task: Task) -> dict[str, Any]:
     problem = Regression(task)
     x, y, owner = scaled(problem)
     np.random.seed(0)  # noqa: NPY002 (pysindy draws its samples from NumPy's global stream)
-    made = pysindy.EnsembleOptimizer(pysindy.STLSQ(), bagging=True, n_models=MODELS).fit(x, y)
-    counts = Counter(chosen_by(c, owner) for c in made.coef_list)
+    ensemble = pysindy.EnsembleOptimizer(pysindy.STLSQ(), bagging=True, n_models=MODELS).fit(x, y)
+    counts = Counter(chosen_by(c, owner) for c in ensemble.coef_list)
     mean, sd = problem.average([(s, count / MODELS) for s, count in counts.items()])
     sets = {problem.names(s): count / MODELS for s, count in counts.items()}
     return {"sets": sets, "mean": mean, "sd": sd}

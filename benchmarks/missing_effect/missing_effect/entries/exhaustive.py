@@ -33,7 +33,7 @@ Array = np.ndarray
 NODES = 13  # of a shape
 FINE = 4  # frequencies tried for each that the readings tell from others
 NEAR = 12.0  # nats behind the best noise law, up to which one's pairs are weighed
-SHOWN = 1e-4  # probability of a hypothesis that counts in the prediction
+MIN_PROBABILITY = 1e-4  # probability of a hypothesis that counts in the prediction
 DEGREES = 4.0  # of Student-t noise, by the data sheet
 MIDDLES = np.array([0.39, 0.60, 0.93, 1.43, 2.21])  # of normal distributions that tile 1/3 to 3
 WIDTH = 0.27  # of each, in its middle
@@ -103,50 +103,50 @@ class Products:
             root = cholesky(law.covariance, lower=True)
             all_ = solve_triangular(root, all_, lower=True)
             self.half_log = float(np.sum(np.log(np.diag(root))))
-        own, x = all_[:, : ends[-1]], all_[:, ends[-1] :]
+        base_xy, x = all_[:, : ends[-1]], all_[:, ends[-1] :]
         self._root = cholesky(np.eye(x.shape[1]) + x.T @ x, lower=True)
         self.half_log += float(np.sum(np.log(np.diag(self._root))))
-        self._inner = solve_triangular(self._root, x.T @ own, lower=True)
-        self._own = own
-        self.squares = float(own[:, 0] @ own[:, 0] - self._inner[:, 0] @ self._inner[:, 0])
+        self._inner = solve_triangular(self._root, x.T @ base_xy, lower=True)
+        self._own = base_xy
+        self.squares = float(base_xy[:, 0] @ base_xy[:, 0] - self._inner[:, 0] @ self._inner[:, 0])
 
     def _columns(self, chosen: Sequence[Columns]) -> Array:
-        """Positions of a set's columns at all nodes together, (nodes, k)."""
-        found = np.zeros((1, 0), int)
+        """Return positions of a set's columns at all nodes together, (nodes, k)."""
+        rows = np.zeros((1, 0), int)
         for c in chosen:
             nodes, _, k = c.train.shape
-            own = self._begin[c] + np.arange(nodes * k).reshape(nodes, k)
-            found = np.hstack([np.repeat(found, nodes, axis=0), np.tile(own, (len(found), 1))])
-        return found
+            places = self._begin[c] + np.arange(nodes * k).reshape(nodes, k)
+            rows = np.hstack([np.repeat(rows, nodes, axis=0), np.tile(places, (len(rows), 1))])
+        return rows
 
     def weigh(self, chosen: tuple[Columns, ...]) -> Weighed:
-        """Log evidence of a set; of none, that of the base alone."""
+        """Compute the log evidence of a set; of none, that of the base alone."""
         at = self._columns(chosen)
-        own, inner = self._own.T[at], self._inner.T[at]  # (nodes, k, n)
-        gram = own @ own.transpose(0, 2, 1) - inner @ inner.transpose(0, 2, 1)
-        right = own @ self._own[:, 0] - inner @ self._inner[:, 0]
+        cross, inner = self._own.T[at], self._inner.T[at]  # (nodes, k, n)
+        gram = cross @ cross.transpose(0, 2, 1) - inner @ inner.transpose(0, 2, 1)
+        right = cross @ self._own[:, 0] - inner @ self._inner[:, 0]
         k = at.shape[1]
         gram += 1e-9 * np.trace(gram, axis1=1, axis2=2)[:, None, None] * np.eye(k)
         fitted = np.sum(right * np.linalg.solve(gram, right[:, :, None])[:, :, 0], axis=1)
-        left = np.maximum(self.squares - fitted, 1e-9 * self.squares)
-        noise = left / self.n
+        rss = np.maximum(self.squares - fitted, 1e-9 * self.squares)
+        noise = rss / self.n
         mean, variance = _together([c.mixture for c in chosen])
         precision = (gram / noise[:, None, None])[:, None] + np.eye(k) / variance[:, None, :]
         pull = (right / noise[:, None])[:, None] + mean / variance
-        found = np.linalg.solve(precision, pull[..., None])[..., 0]
-        gain = (np.sum(pull * found, axis=2) - np.linalg.slogdet(precision)[1]) / 2
+        solution = np.linalg.solve(precision, pull[..., None])[..., 0]
+        gain = (np.sum(pull * solution, axis=2) - np.linalg.slogdet(precision)[1]) / 2
         gain = gain - np.sum(np.log(variance) + mean**2 / variance, axis=1) / 2
-        evidence = gain - (fitted / noise)[:, None] / 2 - self.n / 2 * np.log(left)[:, None]
+        evidence = gain - (fitted / noise)[:, None] / 2 - self.n / 2 * np.log(rss)[:, None]
         evidence = evidence - self.half_log + self.law.gained - np.log(evidence.size)
-        return Weighed(self, chosen, evidence, found, precision, noise)
+        return Weighed(self, chosen, evidence, solution, precision, noise)
 
     def predict(self, w: Weighed, node: int, mean: Array, spread: Array) -> tuple[Array, Array]:
         """Mean and variance of later readings, given the mean and covariance of a set's coefficients."""
         at, later = self._columns(w.chosen)[node], self._base[1]
         places = np.unravel_index(node, [c.train.shape[0] for c in w.chosen]) if w.chosen else ()
-        each = [c.later[i] for c, i in zip(w.chosen, places, strict=True)]
+        predictions = [c.later[i] for c, i in zip(w.chosen, places, strict=True)]
         through = solve_triangular(self._root, later.T, lower=True).T
-        beyond = np.hstack([np.zeros((len(later), 0)), *each]) - through @ self._inner[:, at]
+        beyond = np.hstack([np.zeros((len(later), 0)), *predictions]) - through @ self._inner[:, at]
         variance = w.noise[node] * self.law.later + np.sum(through**2, axis=1)
         variance = variance + np.einsum("mi,ij,mj->m", beyond, spread, beyond)
         return through @ self._inner[:, 0] + beyond @ mean, variance
@@ -161,16 +161,16 @@ def solve(task: Task) -> dict[str, Any]:
     white = Law("white")
     laws = [Products(law, y, base, terms) for law in (white, *_group_laws(groups))]
     if not fleet:
-        left = _residuals(y, base, terms)
-        laws += [Products(law, y, base, terms) for law in _coloured(task, left)]
+        residuals = _residuals(y, base, terms)
+        laws += [Products(law, y, base, terms) for law in _coloured(task, residuals)]
     count, pair = len(task.candidates), prior.rivals(task)
-    found = list(_weighed(laws, terms, count, pair))
+    hypotheses = list(_weighed(laws, terms, count, pair))
     if not fleet and not pair:
         for some in _outside(task):
             products = Products(white, y, base, some)
-            each = prior.weight("outside", 0, count) / (4 * len(some))
-            found += [(each, products.weigh((c,))) for c in some]
-    return _answer(found, scale, extra)
+            prior_weight = prior.weight("outside", 0, count) / (4 * len(some))
+            hypotheses += [(prior_weight, products.weigh((c,))) for c in some]
+    return _answer(hypotheses, scale, extra)
 
 
 def _weighed(
@@ -192,24 +192,24 @@ def _weighed(
             of_law |= {c: p.weigh(c) for c in combinations(terms, 2) if c not in of_law}
         for w in of_law.values():
             names = {*p.law.named, *(c.name for c in w.chosen)}
-            each = prior.weight(p.law.kind, len(names), count, fleet)
+            prior_weight = prior.weight(p.law.kind, len(names), count, fleet)
             if pair and not (p.law.kind == "white" and len(names) == 1 and names <= {*pair}):
-                each *= prior.ELSE
-            yield each * p.law.weight, w
+                prior_weight *= prior.ELSE
+            yield prior_weight * p.law.weight, w
 
 
-def _answer(found: Sequence[tuple[float, Weighed]], scale: float, extra: float) -> dict[str, Any]:
+def _answer(weighed: Sequence[tuple[float, Weighed]], scale: float, extra: float) -> dict[str, Any]:
     """Probabilities of sets, and the average over all hypotheses that have some."""
-    total = [np.log(max(weight, 1e-300)) + w.evidence for weight, w in found]
+    total = [np.log(max(weight, 1e-300)) + w.evidence for weight, w in weighed]
     top = max(t.max() for t in total)
     weights = [np.exp(t - top) for t in total]
     mass = sum(w.sum() for w in weights)
     sets: dict[tuple[str, ...], float] = {}
     parts = []
-    for weight, (_, w) in zip(weights, found, strict=True):
+    for weight, (_, w) in zip(weights, weighed, strict=True):
         key = tuple(sorted({*w.law.law.named, *(c.name for c in w.chosen)}))
         sets[key] = sets.get(key, 0.0) + float(weight.sum() / mass)
-        for node in np.flatnonzero(weight.sum(axis=1) > SHOWN * mass):
+        for node in np.flatnonzero(weight.sum(axis=1) > MIN_PROBABILITY * mass):
             share = weight[node] / weight[node].sum()
             mean = share @ w.mean[node]
             off = w.mean[node] - mean
@@ -246,13 +246,13 @@ def _base(task: Task, output: Array) -> tuple[float, tuple[Array, Array], float]
 
 
 def _without(columns: Array, y: Array) -> Array:
-    """What least squares leaves of readings."""
+    """Return the least squares residuals of readings."""
     x = columns / np.maximum(np.sqrt(np.sum(columns**2, axis=0)), 1e-300)
     return y - x @ np.linalg.solve(x.T @ x + 1e-9 * np.eye(x.shape[1]), x.T @ y)
 
 
 def _residuals(y: Array, base: tuple[Array, Array], terms: Sequence[Columns]) -> Array:
-    """What base and all candidates leave, each at three nodes of its shape."""
+    """Return residuals after base and all candidates, each at three nodes of its shape."""
     some = [c.train[i] for c in terms for i in sorted({0, len(c.train) // 2, len(c.train) - 1})]
     return _without(np.hstack([base[0], *some]), y)
 
@@ -267,13 +267,13 @@ def _term(term: Term, task: Task, scale: float) -> Columns:
 
 
 def _group_laws(groups: Sequence[Columns]) -> Iterator[Law]:
-    """Of a candidate with one coefficient a device: columns beside the base, for some standard deviations of them."""
+    """Return columns besides the base for a candidate per device, at some standard deviations between devices."""
     for c in groups:
         for s in np.geomspace(1 / 3, 3, 7):
             yield Law("white", 1 / 7, beside=(s * c.train[0], s * c.later[0]), named=(c.name,))
 
 
-def _coloured(task: Task, left: Array) -> Iterator[Law]:
+def _coloured(task: Task, residuals: Array) -> Iterator[Law]:
     """Kinds of noise, a fifth of the weight each, by their parameters and what base and candidates leave."""
     (time, run), (later, _) = map(_times, (task.train, task.holdout))
     lags, same, n = np.abs(time[:, None] - time), run[:, None] == run, time.size
@@ -292,10 +292,10 @@ def _coloured(task: Task, left: Array) -> Iterator[Law]:
     walk = np.minimum(time[:, None], time) * same
     for step in (0.1, 0.2, 0.4, 0.8):  # between readings, against the white noise
         yield Law("coloured", 0.2 / 4, np.eye(n) + step**2 * walk, 1 + step**2 * later)
-    yield _student(left)
+    yield _student(residuals)
     waves = _waves(task)
-    first = _strongest(waves, left, 8)
-    second = _strongest(waves, _without(waves.train[first[0]], left), 8)
+    first = _strongest(waves, residuals, 8)
+    second = _strongest(waves, _without(waves.train[first[0]], residuals), 8)
     chance = FINE / len(waves.train)  # of a peak
     for size in SPREADS:
         for i in first:
@@ -312,14 +312,14 @@ def _times(data: pd.DataFrame) -> tuple[Array, Array]:
     return since / np.median(np.diff(since)), run
 
 
-def _student(left: Array) -> Law:
+def _student(residuals: Array) -> Law:
     """Student-t noise, Gaussian by the weights of readings at the best fit of everything."""
-    scale = float(np.std(left)) / 2**0.5
+    scale = float(np.std(residuals)) / 2**0.5
     for _ in range(30):
-        weights = (DEGREES + 1) / (DEGREES + (left / scale) ** 2)
-        scale = float(np.sqrt(np.mean(weights * left**2)))
-    true = float(np.sum(student.logpdf(left / scale, DEGREES) - np.log(scale)))
-    squares, n = float(weights @ left**2), left.size
+        weights = (DEGREES + 1) / (DEGREES + (residuals / scale) ** 2)
+        scale = float(np.sqrt(np.mean(weights * residuals**2)))
+    true = float(np.sum(student.logpdf(residuals / scale, DEGREES) - np.log(scale)))
+    squares, n = float(weights @ residuals**2), residuals.size
     as_gaussian = np.sum(np.log(weights)) / 2 - n / 2 * (np.log(2 * np.pi * squares / n) + 1)
     later = DEGREES / (DEGREES - 2)
     return Law("coloured", 0.2, np.diag(1 / weights), later, gained=true - float(as_gaussian))
@@ -334,17 +334,17 @@ def _waves(task: Task) -> Columns:
     return Columns(OUTSIDE, both[:, :n], both[:, n:])
 
 
-def _strongest(waves: Columns, left: Array, count: int) -> list[int]:
+def _strongest(waves: Columns, residuals: Array, count: int) -> list[int]:
     """Highest peaks of residuals' power over frequency."""
-    power = np.sum((waves.train.transpose(0, 2, 1) @ left) ** 2, axis=1)
+    power = np.sum((waves.train.transpose(0, 2, 1) @ residuals) ** 2, axis=1)
     peaks = np.flatnonzero((power[1:-1] > power[:-2]) & (power[1:-1] > power[2:])) + 1
     return [int(i) for i in peaks[np.argsort(-power[peaks])][:count]]
 
 
 def _wave(waves: Columns, chosen: Sequence[int], weight: float, size: float) -> Law:
     """White noise beside tones of these frequencies."""
-    beside = size * np.hstack(waves.train[chosen]), size * np.hstack(waves.later[chosen])
-    return Law("coloured", weight, beside=beside)
+    nuisances = size * np.hstack(waves.train[chosen]), size * np.hstack(waves.later[chosen])
+    return Law("coloured", weight, beside=nuisances)
 
 
 def _outside(task: Task) -> Iterator[list[Columns]]:
@@ -365,7 +365,7 @@ def _outside(task: Task) -> Iterator[list[Columns]]:
 
 
 def _resonance(x: Array) -> Array:
-    """In phase and out of phase, (nodes, n, 2)."""
+    """Return in-phase and quadrature columns, (nodes, n, 2)."""
     return np.stack([1 / (1 + x**2), x / (1 + x**2)], axis=2)
 
 

@@ -41,18 +41,18 @@ def solve(task: Task) -> dict[str, Any]:
     unit = float(np.sqrt(np.mean(problem.left**2)))
     x, y = x / scale, problem.left / unit
     # Columns of one candidate share their λ, so that turning them among themselves changes nothing.
-    own = owner == _widest(owner)
-    turn = np.linalg.eigh(x[:, own].T @ x[:, own]).eigenvectors
+    widest = owner == _widest(owner)
+    turn = np.linalg.eigh(x[:, widest].T @ x[:, widest]).eigenvectors
     later = problem.beyond / scale
-    x[:, own], later[:, own] = x[:, own] @ turn, later[:, own] @ turn
+    x[:, widest], later[:, widest] = x[:, widest] @ turn, later[:, widest] @ turn
     gram, right = x.T @ x, x.T @ y
     free = y.size - problem.parameters
     drawn = _drawn(gram, right, float(y @ y), free, owner)
-    kept = drawn["size"] ** 2 * free / drawn["sigma"][:, None] ** 2 > 1.0  # κ < 1/2
-    counts = Counter(tuple(np.flatnonzero(row).tolist()) for row in kept)
-    sets = {problem.names(s): count / len(kept) for s, count in counts.items()}
+    included = drawn["size"] ** 2 * free / drawn["sigma"][:, None] ** 2 > 1.0  # κ < 1/2
+    counts = Counter(tuple(np.flatnonzero(row).tolist()) for row in included)
+    sets = {problem.names(s): count / len(included) for s, count in counts.items()}
     means, variances = [], []
-    for at in range(0, len(kept), max(1, len(kept) // PREDICTED)):
+    for at in range(0, len(included), max(1, len(included) // PREDICTED)):
         size, sigma = drawn["size"][at][owner], drawn["sigma"][at]
         inner = sigma**2 * np.eye(size.size) + size[:, None] * gram * size
         carried = later * size
@@ -86,9 +86,9 @@ def _drawn(
 
 @cache
 def _sampler(owners: tuple[int, ...]) -> numpyro.infer.MCMC:
-    """Of all tasks whose columns belong to candidates in this way: in one process it is compiled once for them."""
+    """Build the sampler for all tasks with this assignment of columns to candidates; compiled once per process."""
     owner = np.array(owners)
-    count, wide = int(owner[-1]) + 1, _widest(owner)
+    count, width = int(owner[-1]) + 1, _widest(owner)
 
     def model(gram: jax.Array, right: jax.Array, square: jax.Array, free: jax.Array) -> None:
         sigma = numpyro.sample("sigma", dist.HalfCauchy(1.0))
@@ -98,7 +98,7 @@ def _sampler(owners: tuple[int, ...]) -> numpyro.infer.MCMC:
         local = numpyro.sample("local", dist.HalfCauchy(1.0).expand([count]).to_event(1))
         size = jnp.sqrt(slab * (tau * local) ** 2 / (slab + (tau * local) ** 2))
         numpyro.deterministic("size", size)
-        gain = gained(gram, right / sigma, size[owner] / sigma, owner == wide)
+        gain = gained(gram, right / sigma, size[owner] / sigma, owner == width)
         numpyro.factor("left", gain - square / (2 * sigma**2) - free * jnp.log(sigma))
 
     return numpyro.infer.MCMC(
@@ -108,7 +108,7 @@ def _sampler(owners: tuple[int, ...]) -> numpyro.infer.MCMC:
     )  # fmt: skip
 
 
-def gained(gram: jax.Array, right: jax.Array, each: jax.Array, own: np.ndarray) -> jax.Array:
+def gained(gram: jax.Array, right: jax.Array, sd: jax.Array, mask: np.ndarray) -> jax.Array:
     """Log evidence of coefficients with a normal prior against none, by the block of the widest candidate.
 
     Args:
@@ -117,11 +117,11 @@ def gained(gram: jax.Array, right: jax.Array, each: jax.Array, own: np.ndarray) 
         each: prior standard deviations of the coefficients over the noise's, (p,).
         own: columns of that block, (p,).
     """
-    inside = 1.0 + each[own] ** 2 * jnp.diag(gram)[own]
-    across = each[own][:, None] * gram[own][:, ~own] * each[~own]
-    rest = jnp.eye(int((~own).sum())) + each[~own][:, None] * gram[~own][:, ~own] * each[~own]
-    root = jnp.linalg.cholesky(rest - across.T @ (across / inside[:, None]))
-    first, second = each[own] * right[own], each[~own] * right[~own]
-    left = jax.scipy.linalg.solve_triangular(root, second - across.T @ (first / inside), lower=True)
-    explained = jnp.sum(first**2 / inside) + jnp.sum(left**2)
+    inside = 1.0 + sd[mask] ** 2 * jnp.diag(gram)[mask]
+    across = sd[mask][:, None] * gram[mask][:, ~mask] * sd[~mask]
+    outer = jnp.eye(int((~mask).sum())) + sd[~mask][:, None] * gram[~mask][:, ~mask] * sd[~mask]
+    root = jnp.linalg.cholesky(outer - across.T @ (across / inside[:, None]))
+    first, second = sd[mask] * right[mask], sd[~mask] * right[~mask]
+    z = jax.scipy.linalg.solve_triangular(root, second - across.T @ (first / inside), lower=True)
+    explained = jnp.sum(first**2 / inside) + jnp.sum(z**2)
     return explained / 2 - jnp.sum(jnp.log(jnp.diag(root))) - jnp.sum(jnp.log(inside)) / 2

@@ -22,7 +22,7 @@ def solve(task: Task) -> dict[str, Any]:
     scale = np.maximum(x.std(axis=0), 1e-300)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # of convergence at the smallest penalties
-        found = LassoCV(cv=5).fit(x / scale, problem.left)
-    chosen = {int(i) for i in owner[found.coef_ != 0]}
+        lasso = LassoCV(cv=5).fit(x / scale, problem.left)
+    chosen = {int(i) for i in owner[lasso.coef_ != 0]}
     mean, sd = problem.predict(chosen)
     return {"sets": {problem.names(chosen): 1.0}, "mean": mean, "sd": sd}

@@ -19,7 +19,7 @@ from missing_effect.task import Task
 
 EFFECTS = 10
 ROUNDS = 100
-STILL = 1e-3  # change of the inclusion probabilities in a round
+CONVERGENCE_TOLERANCE = 1e-3  # change of the inclusion probabilities in a round
 TOLERANCE = 1e-9  # prior variance of an effect that is not there
 LEAST = 0.01  # probability of a choice, below which a set with it is not counted out
 
@@ -31,26 +31,22 @@ def solve(task: Task) -> dict[str, Any]:
     owner = np.repeat(np.arange(len(widths)), widths)
     sets: dict[frozenset[int], float] = {frozenset(): 1.0}
     for alpha in chosen:
-        each = np.bincount(owner, alpha, len(widths))
-        sets = _with(sets, {i: p for i, p in enumerate(each) if p >= LEAST})
+        inclusion = np.bincount(owner, alpha, len(widths))
+        sets = _with(sets, {i: p for i, p in enumerate(inclusion) if p >= LEAST})
     total = sum(sets.values())
     mean, sd = problem.average([(s, p / total) for s, p in sets.items()])
-    return {
-        "sets": {problem.names(s): p / total for s, p in sets.items()},
-        "mean": mean,
-        "sd": sd,
-    }
+    return {"sets": {problem.names(s): p / total for s, p in sets.items()}, "mean": mean, "sd": sd}
 
 
 def _with(
     sets: dict[frozenset[int], float], choice: dict[int, float]
 ) -> dict[frozenset[int], float]:
     """Sets with one candidate more, chosen independently."""
-    found: dict[frozenset[int], float] = {}
+    by_set: dict[frozenset[int], float] = {}
     for s, p in sets.items():
         for i, q in choice.items():
-            found[s | {i}] = found.get(s | {i}, 0.0) + p * q
-    return dict(sorted(found.items(), key=lambda item: -item[1])[:1000])
+            by_set[s | {i}] = by_set.get(s | {i}, 0.0) + p * q
+    return dict(sorted(by_set.items(), key=lambda item: -item[1])[:1000])
 
 
 def single_effects(x: np.ndarray, y: np.ndarray) -> list[np.ndarray]:
@@ -70,18 +66,18 @@ def single_effects(x: np.ndarray, y: np.ndarray) -> list[np.ndarray]:
     for _ in range(ROUNDS):
         before = alpha.copy()
         for k in range(EFFECTS):
-            left = y - x @ (np.sum(alpha * mean, axis=0) - alpha[k] * mean[k])
-            size, variance = x.T @ left / squares, noise / squares
+            residuals = y - x @ (np.sum(alpha * mean, axis=0) - alpha[k] * mean[k])
+            size, variance = x.T @ residuals / squares, noise / squares
             prior[k] = _prior_variance(size, variance)
             gain = _log_bayes_factors(size, variance, prior[k])
             alpha[k] = np.exp(gain - logsumexp(gain))
             posterior = prior[k] * variance / (prior[k] + variance)
             mean[k] = posterior / variance * size
             second[k] = posterior + mean[k] ** 2
-        each = x @ (alpha * mean).T
-        spread = np.sum(alpha * second @ squares) - np.sum(each**2)
-        noise = float((np.sum((y - each.sum(axis=1)) ** 2) + spread) / n)
-        if np.max(np.abs(alpha - before)) < STILL:
+        fitted = x @ (alpha * mean).T
+        spread = np.sum(alpha * second @ squares) - np.sum(fitted**2)
+        noise = float((np.sum((y - fitted.sum(axis=1)) ** 2) + spread) / n)
+        if np.max(np.abs(alpha - before)) < CONVERGENCE_TOLERANCE:
             break
     whole = np.zeros((EFFECTS, len(scale)))
     whole[:, scale > 1e-12] = alpha
@@ -89,7 +85,7 @@ def single_effects(x: np.ndarray, y: np.ndarray) -> list[np.ndarray]:
 
 
 def _log_bayes_factors(size: np.ndarray, variance: np.ndarray, prior: float) -> np.ndarray:
-    """Of each column against none."""
+    """Return each column's log Bayes factor against no effect."""
     z = size**2 / variance
     return 0.5 * (np.log(variance / (variance + prior)) + z * prior / (variance + prior))
 

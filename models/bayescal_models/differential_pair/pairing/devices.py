@@ -157,13 +157,13 @@ def _table(readings: bc.Measurements) -> _Table:
     groups = readings["group"]
     sides = {}
     for i, name in enumerate(names):
-        sides_of_device = sorted(set(groups[codes == i].tolist()))
-        if len(sides_of_device) > 1:
+        sides_found = sorted(set(groups[codes == i].tolist()))
+        if len(sides_found) > 1:
             raise bc.InputError(
-                f"{readings.file}, column 'group': device {name!r} is in both groups, {' and '.join(sides_of_device)}; a "
+                f"{readings.file}, column 'group': device {name!r} is in both groups, {' and '.join(sides_found)}; a "
                 "device has one place on the arm. Give it another label in its second place"
             )
-        sides[i] = sides_of_device[0]
+        sides[i] = sides_found[0]
     for side, other in (("outer", "inner"), ("inner", "outer")):
         if side not in sides.values():
             raise bc.InputError(

@@ -13,6 +13,6 @@ def body(driven_by: Array, step: float, tau: float) -> Array:
     Args:
         step: between values, in the unit of tau.
     """
-    left = np.exp(-step / tau)
+    decay = np.exp(-step / tau)
     first = driven_by[..., :1]
-    return first + lfilter([0.0, 1.0 - left], [1.0, -left], driven_by - first, axis=-1)
+    return first + lfilter([0.0, 1.0 - decay], [1.0, -decay], driven_by - first, axis=-1)

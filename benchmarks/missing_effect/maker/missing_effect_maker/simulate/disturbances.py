@@ -41,8 +41,8 @@ def correlated(draws: Draws, count: int) -> Noise:
     """White and Ornstein–Uhlenbeck noise of like size, correlated over 5 to 30 readings."""
     size, tau = draws.between(0.5, 1.0), draws.ratio(5.0, 30.0)
     slow = size * _ornstein_uhlenbeck(draws, count, tau)
-    apart = _apart(count)
-    covariance = 0.6 * np.eye(count) + size**2 * np.exp(-apart / tau)
+    spacing = _spacing(count)
+    covariance = 0.6 * np.eye(count) + size**2 * np.exp(-spacing / tau)
     return Noise("correlated", np.sqrt(0.6) * draws.normal(count) + slow, covariance)
 
 
@@ -56,11 +56,11 @@ def walk(draws: Draws, count: int) -> Noise:
 
 def flicker(draws: Draws, count: int) -> Noise:
     """White noise and 1/f noise, by a ladder of Ornstein–Uhlenbeck processes an octave apart."""
-    size, apart = draws.between(0.15, 0.35), _apart(count)
+    size, spacing = draws.between(0.15, 0.35), _spacing(count)
     values, covariance = draws.normal(count), np.eye(count)
     for octave in range(1, 9):
         values = values + size * _ornstein_uhlenbeck(draws, count, 2.0**octave)
-        covariance = covariance + size**2 * np.exp(-apart / 2.0**octave)
+        covariance = covariance + size**2 * np.exp(-spacing / 2.0**octave)
     return Noise("flicker", values, covariance)
 
 
@@ -70,7 +70,7 @@ def tones(draws: Draws, count: int) -> Noise:
     for _ in range(draws.one_of((1, 2))):
         size, turn, phase = draws.between(0.4, 1.2), draws.ratio(4.0, 25.0), draws.between(0, 1)
         values = values + size * np.cos(2 * np.pi * (at / turn + phase))
-        covariance = covariance + size**2 / 2 * np.cos(2 * np.pi * _apart(count) / turn)
+        covariance = covariance + size**2 / 2 * np.cos(2 * np.pi * _spacing(count) / turn)
     return Noise("tones", values, covariance)
 
 
@@ -106,13 +106,13 @@ OUTSIDE: tuple[Callable[[Draws, Array, Array], Array], ...] = (smooth, step, ton
 
 
 def _ornstein_uhlenbeck(draws: Draws, count: int, tau: float) -> Array:
-    """Of variance 1, correlated over tau readings."""
-    left = np.exp(-1.0 / tau)
+    """Simulate unit variance noise, correlated over tau readings."""
+    decay = np.exp(-1.0 / tau)
     kicks = draws.normal(count)
-    kicks[1:] *= np.sqrt(1.0 - left**2)
-    return np.asarray(lfilter([1.0], [1.0, -left], kicks))
+    kicks[1:] *= np.sqrt(1.0 - decay**2)
+    return np.asarray(lfilter([1.0], [1.0, -decay], kicks))
 
 
-def _apart(count: int) -> Array:
+def _spacing(count: int) -> Array:
     at = np.arange(count)
     return np.abs(at[:, None] - at[None, :])

@@ -58,20 +58,20 @@ class World:
         self.columns[name], self.units[name], self.decimals[name] = values, unit, decimals
 
     def knows(
-        self, name: str, truth: Any, formula: str, unit: str, words: str, **more: Any
+        self, name: str, truth: Any, formula: str, unit: str, words: str, **fields: Any
     ) -> None:
         """A term of the base model, and what it makes of the output."""
-        size = more.pop("size", VAST * self.noise)
-        nuisance = more.pop("nuisance", False)
-        self.base.append(Term(name, words, formula, more, unit, size, {}, nuisance))
+        size = fields.pop("size", VAST * self.noise)
+        nuisance = fields.pop("nuisance", False)
+        self.base.append(Term(name, words, formula, fields, unit, size, {}, nuisance))
         self.known = self.known + truth
 
     def may_lack(
-        self, name: str, adds: Array, formula: str, unit: str, words: str, **more: Any
+        self, name: str, adds: Array, formula: str, unit: str, words: str, **fields: Any
     ) -> None:
         """A candidate, and what its cause adds at `size`."""
-        size, shapes = more.pop("size"), more.pop("shapes", {})
-        self.candidates.append(Term(name, words, formula, more, unit, size, shapes))
+        size, shapes = fields.pop("size"), fields.pop("shapes", {})
+        self.candidates.append(Term(name, words, formula, fields, unit, size, shapes))
         self.hidden[name] = size * adds
 
 
@@ -96,7 +96,7 @@ class Chamber:
         cls,
         draws: Draws,
         levels: tuple[float, ...],
-        each: int,
+        each_count: int,
         interval: float,
         runs: int = 5,
         slow: float = 3.0,
@@ -108,19 +108,21 @@ class Chamber:
             slow: time constant of the chamber, in intervals.
         """
         step = interval / FINE
-        moments = len(levels) * each * FINE
-        set_points = np.array([np.repeat(draws.shuffled(levels), each * FINE) for _ in range(runs)])
+        moments = len(levels) * each_count * FINE
+        set_points = np.array(
+            [np.repeat(draws.shuffled(levels), each_count * FINE) for _ in range(runs)]
+        )
         since = np.tile((np.arange(moments) + 0.5) * step, (runs, 1))
         pause = 3600.0  # s between runs
         time = since + np.arange(runs)[:, None] * (moments * step + pause)
         return cls(time, since, body(set_points, step, slow * interval), step)
 
     def behind(self, tau: float) -> Array:
-        """A body behind the air by two time constants, the smaller a seventh of the greater: °C."""
+        """Return the lag of a body behind the air by two time constants, one a seventh of the other: °C."""
         return body(body(self.air, self.step, 0.86 * tau), self.step, 0.14 * tau)
 
     def cold(self, tau: float) -> Array:
-        """What is left of the cold start: electronics, and more slowly their case."""
+        """Return the decay of the cold start: electronics, and more slowly their case."""
         return 0.85 * np.exp(-self.since / tau) + 0.15 * np.exp(-self.since / (3.0 * tau))
 
     def aged(self) -> Array:
@@ -128,7 +130,7 @@ class Chamber:
         return np.log(1.0 + 0.5 * self.time / self.time.max()) / np.log(1.5)
 
     def read(self, values: Array) -> Array:
-        """Averages over each reading, in the order in which they were taken."""
+        """Average over each reading, in the order in which they were taken."""
         return np.broadcast_to(values, self.time.shape).reshape(-1, FINE).mean(axis=1)
 
 
@@ -138,7 +140,7 @@ def softening(change: Array, over: float) -> Array:
 
 
 def saturating(change: Array, over: float) -> Array:
-    """What a compensation that saturates as tanh leaves of a line: about change³, and less far out."""
+    """Return the remainder of a line after a tanh compensation: about change³, and less far out."""
     return 3.0 * over**3 * (change / over - np.tanh(change / over))
 
 
@@ -153,7 +155,7 @@ def sticking(path: Array, widths: tuple[float, ...]) -> Array:
     return total / len(widths)
 
 
-def begun(unit: str, noise: float, draws: Draws, chamber: Chamber, decimals: int) -> World:
+def new_world(unit: str, noise: float, draws: Draws, chamber: Chamber, decimals: int) -> World:
     """A world with what all have: run, time and temperature, an offset, its line in temperature, and runs apart."""
     world = World(unit, noise)
     runs = len(chamber.time)
@@ -171,14 +173,14 @@ def begun(unit: str, noise: float, draws: Draws, chamber: Chamber, decimals: int
     world.knows("bias.temperature", warm, "power", f"{unit}/degC", words, size=size, **line)
     turn_on = noise * draws.normal(runs)
     levels = list(range(1, runs))  # the last run is held out
-    more: dict[str, Any] = {"group": "run", "levels": levels, "size": noise, "nuisance": True}
+    fields: dict[str, Any] = {"group": "run", "levels": levels, "size": noise, "nuisance": True}
     words = "one offset for each run: how it was switched on"
-    world.knows("bias.run", turn_on[label - 1], "each", unit, words, **more)
+    world.knows("bias.run", turn_on[label - 1], "each", unit, words, **fields)
     return world
 
 
 def laboratory(
-    world: World, draws: Draws, alike: float, **quantities: tuple[str, float, float]
+    world: World, draws: Draws, rho: float, **quantities: tuple[str, float, float]
 ) -> None:
     """Two recorded quantities of the laboratory with a candidate each, and how alike they run: their correlation.
 
@@ -188,28 +190,28 @@ def laboratory(
     count = len(world.columns["time"])
     first, other = draws.wave(count, 40), draws.wave(count, 40)
     other = other - first * np.mean(first * other)
-    second = alike * first + np.sqrt(1 - alike**2) * other / np.std(other)
+    second = rho * first + np.sqrt(1 - rho**2) * other / np.std(other)
     for (name, (unit, usual, scatter)), course in zip(
         quantities.items(), draws.shuffled([first, second]), strict=True
     ):
         decimals = max(0, 3 - int(np.floor(np.log10(scatter))))
         meter = 0.01 * draws.normal(count)
         world.note(name, usual + scatter * (course + meter), unit, decimals)
-        more: dict[str, Any] = {"column": name, "about": usual, "order": 1}
+        fields: dict[str, Any] = {"column": name, "about": usual, "order": 1}
         size = world.noise / scatter
         words = f"c·({name} − {usual:g} {unit})"
         per = f"{world.unit}/{unit}"
-        world.may_lack(f"bias.{name}", scatter * course, "power", per, words, size=size, **more)
+        world.may_lack(f"bias.{name}", scatter * course, "power", per, words, size=size, **fields)
     world.environment = tuple(f"bias.{name}" for name in quantities)
 
 
 def thermal(world: World, draws: Draws, chamber: Chamber, *which: str) -> None:
     """Candidates that follow the chamber's temperature and the time."""
     noise, unit, air = world.noise, world.unit, chamber.air - 40.0
-    each, half = chamber.step * FINE, float(np.ptp(chamber.air)) / 2
-    tau, warm = each * draws.ratio(2.5, 15.0), each * draws.ratio(5.0, 25.0)
-    lagging, times = chamber.behind(tau) - chamber.air, {"tau": (1.5 * each, 20.0 * each)}
-    slow = {"tau": (3.0 * each, 33.0 * each)}
+    step, half = chamber.step * FINE, float(np.ptp(chamber.air)) / 2
+    tau, warm = step * draws.ratio(2.5, 15.0), step * draws.ratio(5.0, 25.0)
+    lagging, times = chamber.behind(tau) - chamber.air, {"tau": (1.5 * step, 20.0 * step)}
+    slow = {"tau": (3.0 * step, 33.0 * step)}
     in_run: dict[str, Any] = {"column": "temperature", "group": "run"}
     t: dict[str, Any] = {"column": "temperature", "about": 40.0}
     two, three = {**t, "order": 2}, {**t, "order": 3}
@@ -218,7 +220,7 @@ def thermal(world: World, draws: Draws, chamber: Chamber, *which: str) -> None:
     sticks, last = sticking(chamber.air, (1.0, 2.5, 5.0)), float(chamber.time.max())
     warming, ageing = {"group": "run", "shapes": slow}, {"column": "time", "about": 0.0, "order": 1}
     # name: what happens, formula, unit, words, size, arguments and shapes
-    known: dict[str, tuple[Array, str, str, str, float, dict[str, Any]]] = {
+    laws: dict[str, tuple[Array, str, str, str, float, dict[str, Any]]] = {
         "quadratic": (bent, "power", "/degC^2", "c·(T − 40 °C)²", 4 / half**2, two),
         "cubic": (skew, "power", "/degC^3", "c·(T − 40 °C)³", 5 / half**3, three),
         "lag": (lagging, "lag", "/degC", "c·(T̃ − T), τ·dT̃/dt = T − T̃", 4 / half, lags),
@@ -227,15 +229,15 @@ def thermal(world: World, draws: Draws, chamber: Chamber, *which: str) -> None:
         "drift": (last * chamber.aged(), "power", "/s", "c·t", 24 / last, ageing),
     }
     for name in which:
-        adds, formula, per, words, size, more = known[name]
+        adds, formula, per, words, size, fields = laws[name]
         adds, size = chamber.read(adds), size * noise
-        world.may_lack(f"bias.{name}", adds, formula, unit + per, words, size=size, **more)
+        world.may_lack(f"bias.{name}", adds, formula, unit + per, words, size=size, **fields)
 
 
-def mems_gyro(draws: Draws, alike: float) -> World:
+def mems_gyro(draws: Draws, rho: float) -> World:
     """A rate gyroscope in a stepped chamber on a rate table."""
     chamber = Chamber.of(draws, (10.0, 25.0, 40.0, 55.0, 70.0), 10, 60.0)
-    world = begun("deg/s", 0.02, draws, chamber, 5)
+    world = new_world("deg/s", 0.02, draws, chamber, 5)
     count = len(world.columns["time"])
     table = np.array([0.0, 100.0, -100.0, 50.0, -50.0])[np.arange(count) % 5]
     world.note("rate_input", table, "deg/s", 1)
@@ -245,9 +247,9 @@ def mems_gyro(draws: Draws, alike: float) -> World:
         "scale.constant", (1 + 0.01 * draws.normal(1)[0]) * table, "power", "1", words, **off
     )
     thermal(world, draws, chamber, "quadratic", "cubic", "lag", "hysteresis", "warm_up", "drift")
-    laboratory(world, draws, alike, supply=("V", 5.0, 0.05), humidity=("%", 45.0, 6.0))
+    laboratory(world, draws, rho, supply=("V", 5.0, 0.05), humidity=("%", 45.0, 6.0))
     package = chamber.read(chamber.behind(25.0)) - 40.0
-    more: dict[str, Any] = {"first": "rate_input", "second": "temperature", "about": 40.0}
+    fields: dict[str, Any] = {"first": "rate_input", "second": "temperature", "about": 40.0}
     world.may_lack(
         "scale.temperature",
         table * package,
@@ -255,7 +257,7 @@ def mems_gyro(draws: Draws, alike: float) -> World:
         "1/degC",
         "c·Ω·(T − 40 °C)",
         size=1.5e-5,
-        **more,
+        **fields,
     )
     bent = table**2 / (1 + (table / 600.0) ** 2)
     even: dict[str, Any] = {"column": "rate_input", "about": 0.0, "order": 2}
@@ -263,10 +265,10 @@ def mems_gyro(draws: Draws, alike: float) -> World:
     return world
 
 
-def tilt_accelerometer(draws: Draws, alike: float) -> World:
+def tilt_accelerometer(draws: Draws, rho: float) -> World:
     """An accelerometer on a tilted table that turns: the input is g·sin γ·sin θ."""
     chamber = Chamber.of(draws, (15.0, 30.0, 45.0, 60.0), 12, 300.0)
-    world = begun("ug", 0.5, draws, chamber, 3)
+    world = new_world("ug", 0.5, draws, chamber, 3)
     count = len(world.columns["time"])
     angle = 30.0 * (np.arange(count) % 12)
     theta = np.deg2rad(angle)
@@ -280,7 +282,7 @@ def tilt_accelerometer(draws: Draws, alike: float) -> World:
     world.knows("input", turned, "harmonic", "ug", "c·cos θ, s·sin θ", size=1e4, **turn)
     thermal(world, draws, chamber, "quadratic", "cubic", "lag", "warm_up", "drift")
     laboratory(
-        world, draws, alike, lab_temperature=("degC", 21.0, 0.5), pressure=("hPa", 1010.0, 5.0)
+        world, draws, rho, lab_temperature=("degC", 21.0, 0.5), pressure=("hPa", 1010.0, 5.0)
     )
     product: dict[str, Any] = {"first": "acceleration", "second": "temperature", "about": 40.0}
     body_at = chamber.read(chamber.behind(100.0)) - 40.0
@@ -345,10 +347,10 @@ def warm_scale(
     )
 
 
-def two_thermometers(draws: Draws, alike: float) -> World:
+def two_thermometers(draws: Draws, rho: float) -> World:
     """A vibrating-beam accelerometer, ±1 g, with thermometers at its head and at its circuit."""
     chamber = Chamber.of(draws, (0.0, 20.0, 40.0, 60.0, 80.0), 10, 60.0)
-    world = begun("ug", 20.0, draws, chamber, 1)
+    world = new_world("ug", 20.0, draws, chamber, 1)
     count = len(world.columns["time"])
     up = np.where(np.arange(count) % 2 == 0, 1.0, -1.0)
     world.note("acceleration", up, "g", 1)
@@ -360,13 +362,13 @@ def two_thermometers(draws: Draws, alike: float) -> World:
     world.note("temperature_circuit", noted, "degC", 3)
     head = chamber.read(chamber.air)
     thermal(world, draws, chamber, "quadratic", "cubic", "hysteresis", "warm_up", "drift")
-    laboratory(world, draws, alike, supply=("V", 12.0, 0.1), field=("uT", 48.0, 3.0))
+    laboratory(world, draws, rho, supply=("V", 12.0, 0.1), field=("uT", 48.0, 3.0))
     pair: dict[str, Any] = {"first": "temperature_circuit", "second": "temperature"}
-    apart = circuit - head
+    gradient = circuit - head
     world.may_lack(
-        "bias.gradient", apart, "difference", "ug/degC", "c·(t1 − t2)", size=4.0, **pair, order=1
+        "bias.gradient", gradient, "difference", "ug/degC", "c·(t1 − t2)", size=4.0, **pair, order=1
     )
-    bowed = 2.0 * 80.0**2 * (np.sqrt(1.0 + (apart / 80.0) ** 2) - 1.0)
+    bowed = 2.0 * 80.0**2 * (np.sqrt(1.0 + (gradient / 80.0) ** 2) - 1.0)
     world.may_lack(
         "bias.gradient_quadratic",
         bowed,
@@ -381,10 +383,10 @@ def two_thermometers(draws: Draws, alike: float) -> World:
     return world
 
 
-def centrifuge(draws: Draws, alike: float) -> World:
+def centrifuge(draws: Draws, rho: float) -> World:
     """An accelerometer on an arm whose speed goes from plateau to plateau: nonlinearity, radius, tangent."""
     chamber = Chamber.of(draws, (20.0, 30.0, 40.0), 16, 10.0)
-    world = begun("mg", 0.3, draws, chamber, 4)
+    world = new_world("mg", 0.3, draws, chamber, 4)
     shape = chamber.time.shape
     levels = np.array([draws.shuffled((1.0, 4.0, 7.0, 10.0, 2.5, 8.5)) for _ in range(shape[0])])
     speed = body(np.sqrt(np.repeat(levels, shape[1] // 6, axis=1)), chamber.step, 25.0)
@@ -395,7 +397,7 @@ def centrifuge(draws: Draws, alike: float) -> World:
         "scale.constant", 3.0 * draws.normal(1)[0] * input_g, "power", "mg/g", "c·a", **scale
     )
     thermal(world, draws, chamber, "quadratic", "lag", "drift")
-    laboratory(world, draws, alike, supply=("V", 12.0, 0.1), pressure=("hPa", 1010.0, 5.0))
+    laboratory(world, draws, rho, supply=("V", 12.0, 0.1), pressure=("hPa", 1010.0, 5.0))
     power: dict[str, Any] = {"column": "acceleration", "about": 5.0}
     spring = (input_g - 5.0) ** 2 / (1.0 - (input_g - 5.0) / 100.0)
     world.may_lack(
@@ -414,13 +416,13 @@ def centrifuge(draws: Draws, alike: float) -> World:
     return world
 
 
-def inclinometer(draws: Draws, alike: float) -> World:
+def inclinometer(draws: Draws, rho: float) -> World:
     """A level that is turned about its axis: its zero against the placement angle."""
     chamber = Chamber.of(draws, (15.0, 25.0, 35.0), 18, 60.0)
-    world = begun("arcsec", 1.0, draws, chamber, 3)
+    world = new_world("arcsec", 1.0, draws, chamber, 3)
     shape = chamber.time.shape
-    there = np.concatenate([np.linspace(-45, 45, 27), np.linspace(45, -45, 27)])
-    angle = np.tile(np.repeat(there, FINE), (shape[0], 1))
+    angles = np.concatenate([np.linspace(-45, 45, 27), np.linspace(45, -45, 27)])
+    angle = np.tile(np.repeat(angles, FINE), (shape[0], 1))
     placed = chamber.read(angle)
     omega = np.deg2rad(placed)
     world.note("angle", placed, "deg", 3)
@@ -429,7 +431,7 @@ def inclinometer(draws: Draws, alike: float) -> World:
         "zero.placement", 2.0 * draws.normal(1)[0] * placed, "power", "arcsec/deg", "c·ω", **line
     )
     thermal(world, draws, chamber, "quadratic", "lag", "warm_up", "drift")
-    laboratory(world, draws, alike, lab_temperature=("degC", 21.0, 0.5), field=("uT", 48.0, 3.0))
+    laboratory(world, draws, rho, lab_temperature=("degC", 21.0, 0.5), field=("uT", 48.0, 3.0))
     square: dict[str, Any] = {"column": "angle", "about": 0.0}
     pendulum = 2.0 * (1.0 - np.cos(omega)) * np.rad2deg(1.0) ** 2
     world.may_lack(
@@ -457,12 +459,12 @@ def inclinometer(draws: Draws, alike: float) -> World:
     return world
 
 
-def still_sensor(draws: Draws, alike: float) -> World:
+def still_sensor(draws: Draws, rho: float) -> World:
     """Any sensor at rest, ramped in temperature: here a barometer's or a strain gauge's zero."""
     chamber = Chamber.of(draws, (-10.0, 10.0, 30.0, 50.0, 70.0, 85.0), 8, 30.0, slow=6.0)
-    world = begun("uV", 1.5, draws, chamber, 3)
+    world = new_world("uV", 1.5, draws, chamber, 3)
     thermal(world, draws, chamber, "quadratic", "cubic", "lag", "hysteresis", "warm_up", "drift")
-    laboratory(world, draws, alike, pressure=("hPa", 1010.0, 5.0), humidity=("%", 45.0, 6.0))
+    laboratory(world, draws, rho, pressure=("hPa", 1010.0, 5.0), humidity=("%", 45.0, 6.0))
     heat = chamber.read(np.gradient(body(chamber.air, chamber.step, 10.0), chamber.step, axis=1))
     world.may_lack(
         "bias.rate",
@@ -489,10 +491,10 @@ INSTRUMENTS: dict[str, Callable[[Draws, float], World]] = {
     )
 }
 
-DEVICES, READINGS, HELD = 100, 60, 12
+DEVICES, READINGS, HOLDOUTS = 100, 60, 12
 
 
-def fleet(draws: Draws, alike: float) -> World:
+def fleet(draws: Draws, rho: float) -> World:
     """A batch of gyroscopes in one chamber, one run each: an offset and a tempco of its own for every device."""
     chamber = Chamber.of(draws, (10.0, 25.0, 40.0, 55.0, 70.0), READINGS // 5, 60.0, runs=1)
     noise, unit = 0.02, "deg/s"
@@ -505,10 +507,10 @@ def fleet(draws: Draws, alike: float) -> World:
     world.decimals["output"], world.units["output"] = 5, unit
     levels = list(range(1, DEVICES + 1))
     offset, slope = 0.5 * draws.normal(DEVICES), 0.01 * draws.normal(DEVICES)
-    own: dict[str, Any] = {"group": "device", "levels": levels}
-    line = {**own, "column": "temperature", "about": 40.0, "order": 1}
+    g: dict[str, Any] = {"group": "device", "levels": levels}
+    line = {**g, "column": "temperature", "about": 40.0, "order": 1}
     world.knows(
-        "bias.device", offset[device - 1], "each", unit, "one offset a device", size=0.5, **own
+        "bias.device", offset[device - 1], "each", unit, "one offset a device", size=0.5, **g
     )
     words = "one tempco a device"
     tempco = slope[device - 1] * (air - 40.0)
@@ -542,8 +544,8 @@ def fleet(draws: Draws, alike: float) -> World:
     )
     words = "c[device]·(T − 40 °C)²"
     spread = draws.normal(DEVICES)[device - 1] * soft
-    each: dict[str, Any] = {**line, "order": 2, "size": noise / 800}
-    world.may_lack("bias.quadratic_device", spread, "each_times", f"{per}^2", words, **each)
+    fields: dict[str, Any] = {**line, "order": 2, "size": noise / 800}
+    world.may_lack("bias.quadratic_device", spread, "each_times", f"{per}^2", words, **fields)
     group: dict[str, Any] = {"group": "device"}
     lagging = all_alike(chamber.behind(tau) - chamber.air)
     world.may_lack(
@@ -556,9 +558,9 @@ def fleet(draws: Draws, alike: float) -> World:
     )  # fmt: skip
     supply = np.concatenate([draws.wave(READINGS, 12) for _ in range(DEVICES)])
     world.note("supply", 5.0 + 0.05 * (supply + 0.01 * draws.normal(supply.size)), "V", 4)
-    more: dict[str, Any] = {"column": "supply", "about": 5.0, "order": 1}
+    a: dict[str, Any] = {"column": "supply", "about": 5.0, "order": 1}
     world.may_lack(
-        "bias.supply", 0.05 * supply, "power", f"{unit}/V", "c·(V − 5)", size=weak / 0.05, **more
+        "bias.supply", 0.05 * supply, "power", f"{unit}/V", "c·(V − 5)", size=weak / 0.05, **a
     )
     place = np.cos(2 * np.pi * np.arange(DEVICES) / 10.0)[device - 1]
     world.note("place", place, "", 4)
