@@ -100,7 +100,7 @@ class Measurements(Printed):
     def from_arrays(
         cls,
         instrument: InstrumentLike,
-        arrays: Mapping[str, ArrayLike] | None = None,
+        arrays: Any = None,
         /,
         *,
         units: Mapping[str, str] | None = None,
@@ -116,14 +116,16 @@ class Measurements(Printed):
 
         Args:
             instrument: whose columns these are.
-            arrays: columns whose names are no Python names, such as "humidity [%]".
+            arrays: columns as a mapping ("humidity [%]"), or a data frame of pandas, polars or xarray, with its
+                coordinates and a named index.
             units: unit of a column that is not in the instrument's own (or has none: "any"), and of further columns
                 to keep.
             local_gravity, nominal_scale, nominal_zero: as of `read`.
             allow_one_temperature: accept one temperature, as for a prediction.
             missing: "refuse" readings that are NaN, or "drop" them.
             begin: date of the first reading, where `time` counts from none.
-            **columns: one entry per reading, or one for all; in the instrument's units unless `units` says otherwise,
+            **columns: one entry per reading, or one for all; in the instrument's units unless `units` says otherwise, a
+                unit of pint or astropy that they carry, an attribute `units` of xarray's,
                 or a name like a file's header, `humidity [%]`.
 
         Raises:
@@ -137,7 +139,8 @@ class Measurements(Printed):
         named_units = ((name, c.unit) for c in instrument.columns for name in (c.name, *c.also))
         default_units = {name: None if unit == ANY else unit for name, unit in named_units}
         default_units.setdefault(UNCERTAINTY, default_units.get(output_name(instrument)))
-        table = Table.of_columns(ARRAYS, equally_long({**(arrays or {}), **columns}), default_units)
+        held, own_units = _held_columns({} if arrays is None else arrays, columns)
+        table = Table.of_columns(ARRAYS, equally_long(held), default_units | own_units)
         options = ReadOptions.of(
             instrument,
             units=units or {},
@@ -167,11 +170,7 @@ class Measurements(Printed):
         return tuple(checks.find_anomalies(self.values, self.records, warm, self.output))
 
     def __getitem__(self, name: str) -> np.ndarray:
-        """Return a column, in its fixed unit; labels as text.
-
-        Raises:
-            InputError: there is none of that name.
-        """
+        """Return a column, in its fixed unit; labels as text; InputError where there is none of that name."""
         if name not in self.values:
             raise InputError(
                 f"{self.file} has no column {name!r}; it has: {', '.join(self.columns)}"
@@ -245,20 +244,12 @@ class Measurements(Printed):
         return file_names([source.file for source in self.sources])
 
     def unit(self, name: str) -> str | None:
-        """Return a column's fixed unit; None for labels.
-
-        Raises:
-            InputError: there is no column of that name.
-        """
+        """Return a column's fixed unit; None for labels; InputError where there is no column of that name."""
         self[name]
         return self.units[name]
 
     def without_causes(self, names: Collection[str], others: bool = True) -> Measurements:
-        """Exclude columns as possible causes; the others as before, or (without `others`) all allowed.
-
-        Raises:
-            InputError: there is no such column.
-        """
+        """Exclude columns, which are there, as causes; the others as before, or (without `others`) all allowed."""
         for name in names:
             self[name]
         no_causes = self.no_causes if others else frozenset()
@@ -289,12 +280,9 @@ class Measurements(Printed):
         """Return the members of a grouping, in order of appearance, and each reading's index among them.
 
         Args:
-            name: "run", "device", "axis" (a single "1" where there is no such column), another
-                column of labels, "reading" (each its own member), or "cell": run × temperature
-                point, −1 for readings without one.
-
-        Raises:
-            InputError: there is no such grouping.
+            name: "run", "device", "axis" (a single "1" where there is no such column), another column of labels,
+                "reading" (each its own member), or "cell": run × temperature point, −1 for readings without one. Any
+                other raises InputError.
         """
         if name == "reading":
             return tuple(str(i + 1) for i in range(len(self))), np.arange(len(self))
@@ -319,11 +307,7 @@ class Measurements(Printed):
         return tuple(f"run {runs[r]}, {p:.10g} °C" for r, p in pairs), codes
 
     def select(self, chosen: ArrayLike) -> Measurements:
-        """Select readings by a mask or by indices.
-
-        Raises:
-            InputError: a mask of another length, or an empty selection.
-        """
+        """Select readings by a mask or by indices; InputError for a mask of another length, or for none chosen."""
         index = np.asarray(chosen)
         if index.dtype == bool and index.shape != (len(self),):
             raise InputError(
@@ -488,6 +472,29 @@ def assemble(
         flags += scalar_flags
     channels = frozenset(converted.other_channels & values.keys())
     return Measurements(values, units, sources, tuple(flags), output, scale, channels, since)
+
+
+def _held_columns(frame: Any, more: dict[str, Any]) -> tuple[dict[str, Any], dict[str, str]]:
+    """Return the columns of a mapping or a data frame as bare arrays, and the units that they carry."""
+    names = [*getattr(frame, "coords", ()), *getattr(frame, "columns", frame)]
+    found = {str(name): frame[name] for name in names} | more
+    if (name := getattr(getattr(frame, "index", None), "name", None)) is not None:
+        found.setdefault(str(name), frame.index)
+    units = {name: unit for name, values in found.items() if (unit := _unit_of(values))}
+    return {n: getattr(v, "magnitude", getattr(v, "value", v)) for n, v in found.items()}, units
+
+
+def _unit_of(values: Any) -> str | None:
+    """Return the unit that a column carries in pint, astropy or xarray, as text; None where it carries none."""
+    unit = getattr(values, "units", getattr(values, "unit", None))
+    unit = getattr(values, "attrs", {}).get("units", None if isinstance(unit, str) else unit)
+    kind = getattr(unit, "dimensionality", getattr(unit, "physical_type", None))
+    if str(kind).strip("[]") == "mass":  # g is gravity here, and a gram there
+        return getattr(unit, "long_names", [str(unit)])[0]
+    if kind is None and not isinstance(unit, str):  # such as the resolution of dates
+        return None
+    text = f"{unit:~C}" if hasattr(unit, "dimensionality") else str(unit)
+    return text.replace("g_0", "g").replace("Δ°", "delta_deg") or "1"
 
 
 def _column(values: ArrayLike, unit: str | None) -> np.ndarray:

@@ -21,25 +21,19 @@ from bayescal._data.read_options import (
 from bayescal._tables.open_table import MAX_BYTES, check_files, open_table
 from bayescal._tables.raw_table import Objections, Table
 
+Paths = str | Path | Sequence[str | Path]
+
 
 @overload
 def read(
-    path_or_paths: str | Path | Sequence[str | Path],
-    instrument: InstrumentLike,
-    *,
-    outputs: None = None,
-    **options: Any,
+    path_or_paths: Paths, instrument: InstrumentLike, *, outputs: None = None, **options: Any
 ) -> Measurements: ...
 @overload
 def read(
-    path_or_paths: str | Path | Sequence[str | Path],
-    instrument: InstrumentLike,
-    *,
-    outputs: Sequence[str],
-    **options: Any,
+    path_or_paths: Paths, instrument: InstrumentLike, *, outputs: Sequence[str], **options: Any
 ) -> dict[str, Measurements]: ...
 def read(  # pyright: ignore[reportInconsistentOverload]
-    path_or_paths: str | Path | Sequence[str | Path],
+    path_or_paths: Paths,
     instrument: InstrumentLike,
     *,
     outputs: Sequence[str] | None = None,
