@@ -7,6 +7,8 @@ from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from bayescal._calibration.claim import Claim
 from bayescal._calibration.fitted import Fitted
 from bayescal._calibration.judgement import Subject, conflicts, group_conflicts, too_few
@@ -18,6 +20,7 @@ from bayescal._core.result_table import Printed, ResultTable
 from bayescal._model.model import in_short
 
 if TYPE_CHECKING:
+    import pandas as pd
     import xarray as xr
 
 
@@ -76,6 +79,22 @@ class Calibration(Printed, Fitted):
             "high": [r["interval95"][1] for r in rows],
             "contraction": [r["contraction"] for r in rows],
         }
+
+    @property
+    def covariance(self) -> pd.DataFrame:
+        """Return the posterior covariance of all unknowns by name, in products of their units."""
+        import pandas as pd
+
+        names = self.unknowns.names
+        values = self.values.reshape(-1, len(names))
+        return pd.DataFrame(np.atleast_2d(np.cov(values.T)), names, names)
+
+    @property
+    def correlation(self) -> pd.DataFrame:
+        """Return the posterior correlations of all unknowns by name."""
+        covariance = self.covariance
+        sd = np.sqrt(np.diag(covariance))
+        return covariance / np.outer(sd, sd)
 
     @cached_property
     def conflicts(self) -> tuple[Claim, ...]:

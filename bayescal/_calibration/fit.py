@@ -13,6 +13,7 @@ from bayescal._calibration.storage import load_calibration
 from bayescal._core import deadline
 from bayescal._core.errors import InputError, ModelError, NotConverged
 from bayescal._core.jax_setup import spare_memory_maps
+from bayescal._core.settings import seed_of
 from bayescal._data.measurements import Measurements
 from bayescal._inference.laplace import NOTHING_KNOWN
 from bayescal._inference.linear_model import sized
@@ -34,7 +35,7 @@ def fit(
     readings: Measurements,
     method: Method | None = None,
     *,
-    seed: int = 0,
+    seed: int | np.random.Generator = 0,
     strict: bool = True,
     reference: Reference | None = None,
     time_limit: float | None = None,
@@ -46,7 +47,7 @@ def fit(
         model: an instrument, effects, a noise law.
         readings: measurements of that instrument.
         method: `Marginal()` if not given; or `LeastSquares()`, `NUTS()`.
-        seed: of every random number; the same seed gives the same draws on the same machine.
+        seed: of every random number, or NumPy's generator, which draws it; the same seed gives the same draws.
         strict: raise if the fit did not converge; False returns it with its verdict.
         reference: constants of the bases, such as {"T0": 0.0}, in place of the data's own.
         time_limit: seconds, after which the partial result is taken: the draws so far, or the Laplace approximation at
@@ -66,6 +67,7 @@ def fit(
             f"{type(model).__name__}"
         )
     spare_memory_maps()
+    seed = seed_of(seed)
     method = Marginal() if method is None else method
     model.require(readings)
     model = model.with_nuisances(readings)

@@ -353,9 +353,6 @@ def flat(values: np.ndarray) -> np.ndarray:
     return values.reshape(values.shape[0] * values.shape[1], *values.shape[2:])
 
 
-# predictions of readings from joint draws, all on the host ----------------------------------------------------------
-
-
 class PredictiveMoments(NamedTuple):
     """Moments of readings over draws, (n,) each."""
 

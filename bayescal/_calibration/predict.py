@@ -213,9 +213,6 @@ def _noise_at(
     return noise
 
 
-# hold-out data --------------------------------------------------------------------------------------------------------
-
-
 @dataclass(frozen=True)
 class HoldoutContradiction:
     """Score test and scatter of a fit on hold-out data."""

@@ -36,7 +36,7 @@ from bayescal._core.formatting import number, probability
 from bayescal._core.importance_weights import resample
 from bayescal._core.parallel import on_one_thread
 from bayescal._core.result_table import Printed, ResultTable, plain_table
-from bayescal._core.settings import settings
+from bayescal._core.settings import seed_of, settings
 from bayescal._data import allan_deviation as allan
 from bayescal._data.allan_deviation import CONFIDENCE, AllanDeviation, EvenRuns
 from bayescal._data.measurements import Measurements
@@ -219,7 +219,7 @@ class SensorNoise(Printed):
         }
 
 
-def noise(readings: Measurements, *, seed: int = 0, time_limit: float | None = None) -> SensorNoise:
+def noise(readings: Measurements, *, seed: Any = 0, time_limit: float | None = None) -> SensorNoise:
     """Estimate noise density, bias instability and random walk of a sensor at rest, with 95 % intervals.
 
         print(bc.noise(bc.read("still.csv", still_sensor.INSTRUMENT)))
@@ -244,6 +244,7 @@ def noise(readings: Measurements, *, seed: int = 0, time_limit: float | None = N
                 f"as readings.select(readings[{group!r}] == {levels[0]!r})"
             )
     with deadline.until(time_limit):
+        seed = seed_of(seed)
         weighed = _evaluate_sums(readings, seed)
     step = allan.even_runs(readings).step
     readings, runs, unit = weighed.readings, weighed.runs, readings.unit("output") or ""

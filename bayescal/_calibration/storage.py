@@ -33,7 +33,7 @@ from bayescal._model.effect import READING, Effect
 from bayescal._model.formula import Formula, effect
 from bayescal._model.installed import installed_instrument, installed_names
 from bayescal._model.instrument import Instrument
-from bayescal._model.model import Model
+from bayescal._model.model import Model, in_short
 from bayescal._model.noise_law import Noise
 from bayescal._model.parameters import bind
 from bayescal._model.prior import KINDS
@@ -66,7 +66,11 @@ def save(calibration: Fitted, path: Path) -> Path:
     path = Path(path)
     if path.suffix != ".nc":
         raise InputError(f"A calibration is saved as NetCDF: name the file …nc, not {path.name!r}")
-    readings = {atomic_file.storable(n): v for n, v in calibration.readings.variables().items()}
+    meaning = {c.name: c.meaning or c.name for c in calibration.model.instrument.columns}
+    readings = {
+        atomic_file.storable(n): v._replace(attrs={**v.attrs, "long_name": meaning.get(n, n)})
+        for n, v in calibration.readings.variables().items()
+    }
     mode = {n: np.asarray(value, float) for n, value in calibration.mode._asdict().items()}
     groups = {
         "observed_data": {"output": readings.pop("output")},
@@ -75,7 +79,8 @@ def save(calibration: Fitted, path: Path) -> Path:
         "mode": {n: Variable(tuple(f"{n}_{i}" for i in range(a.ndim)), a) for n, a in mode.items()},
     }
     described = json.dumps({"schema": SCHEMA, **description(calibration)})
-    content = netcdf_bytes(groups, bayescal=described, bayescal_identity=identity(calibration))
+    own = {"bayescal": described, "bayescal_identity": identity(calibration)}
+    content = netcdf_bytes(groups, Conventions="CF-1.11", title=in_short(calibration.model), **own)
     with atomic_file.replacing_for_user(path) as partial:
         atomic_file.write_sealed(content, partial)
     return path
@@ -162,9 +167,6 @@ def _readings_from(groups: Mapping[str, Group], described: Mapping[str, Any]) ->
     nominal, flags = (described.get("nominal_scale"), _flagged(described["flags"], described))
     scale = nominal and NominalScale(**nominal)
     return Measurements.of_variables(columns, sources=sources, flags=flags, scale=scale)
-
-
-# description of a calibration, and the model restored from it -------------------------------------------------------
 
 
 def identity(c: Fitted) -> str:

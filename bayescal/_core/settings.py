@@ -10,6 +10,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from contextvars import ContextVar
 from dataclasses import asdict, dataclass
+from typing import Any
 
 
 @dataclass(frozen=True)
@@ -49,6 +50,11 @@ class Settings:
     effective_draws: int = 400
 
 
+def seed_of(random: Any) -> int:
+    """Return a seed: the whole number given, or one that NumPy's generator draws."""
+    return int(random.integers(2**31) if hasattr(random, "integers") else random)
+
+
 USUAL = Settings()
 _IN_FORCE: ContextVar[Settings] = ContextVar("settings", default=USUAL)
 
@@ -60,11 +66,7 @@ def settings() -> Settings:
 
 @contextmanager
 def use_settings(chosen: Settings) -> Iterator[None]:
-    """Let other settings hold for what runs inside, in this thread.
-
-    Raises:
-        TypeError: something else was given.
-    """
+    """Let other settings hold for what runs inside, in this thread; TypeError for what are none."""
     if not isinstance(chosen, Settings):
         raise TypeError(f"use_settings takes bayescal.Settings(…), not {chosen!r}")
     token = _IN_FORCE.set(chosen)
@@ -76,5 +78,4 @@ def use_settings(chosen: Settings) -> Iterator[None]:
 
 def unusual() -> dict[str, float]:
     """Settings that differ from the usual ones, by name."""
-    usual = asdict(USUAL)
-    return {name: value for name, value in asdict(settings()).items() if value != usual[name]}
+    return {name: v for name, v in asdict(settings()).items() if v != getattr(USUAL, name)}

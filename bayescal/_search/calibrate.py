@@ -23,7 +23,7 @@ from bayescal._core import deadline
 from bayescal._core.errors import InputError
 from bayescal._core.formatting import probability
 from bayescal._core.progress import stage
-from bayescal._core.settings import settings
+from bayescal._core.settings import seed_of, settings
 from bayescal._data.measurements import Measurements
 from bayescal._data.set_aside import said_of, set_aside
 from bayescal._inference.laplace import NOTHING_KNOWN
@@ -60,7 +60,7 @@ def calibrate(
     max_effects: int = 5,
     widen_noise: bool = True,
     keep_spikes: bool = False,
-    seed: int = 0,
+    seed: int | np.random.Generator = 0,
     reference: Reference | None = None,
     time_limit: float | None = None,
     accept_conflicts: Collection[str] = (),
@@ -106,7 +106,8 @@ def calibrate(
     """
     with deadline.until(time_limit):
         used = prepared(model, readings, holdout, keep_spikes, ignore, covariates)
-        loop = Loop(*used, method, seed, reference, max_effects, frozenset(accept_conflicts))
+        how = method, seed_of(seed), reference, max_effects
+        loop = Loop(*used, *how, frozenset(accept_conflicts))
         loop.begin(model, effects, widen_noise)
         follow(loop.trail())
         with deadline.sooner(discover.SEARCH):

@@ -16,7 +16,7 @@ from bayescal._core.errors import InputError
 from bayescal._core.formatting import number, probability, with_error
 from bayescal._core.progress import stage
 from bayescal._core.result_table import Printed, ResultTable, plain_table
-from bayescal._core.settings import settings
+from bayescal._core.settings import seed_of, settings
 from bayescal._data.measurements import Measurements
 from bayescal._data.unit_conversion import unit_label
 from bayescal._inference import memory
@@ -149,7 +149,7 @@ def calibrate_channels(
     max_effects: int = 5,
     widen_noise: bool = True,
     keep_spikes: bool = False,
-    seed: int = 0,
+    seed: Any = 0,
     reference: Reference | None = None,
     time_limit: float | None = None,
     accept_conflicts: Collection[str] = (),
@@ -189,7 +189,8 @@ def calibrate_channels(
         for name, model in models.items():
             own = readings[name], None if holdout is None else holdout[name]
             used = prepared(model, *own, keep_spikes, ignore, covariates)
-            loop = Loop(*used, method, seed, reference, max_effects, frozenset(accept_conflicts))
+            how = method, seed_of(seed), reference, max_effects
+            loop = Loop(*used, *how, frozenset(accept_conflicts))
             with stage(name):
                 loop.begin(model, effects, widen_noise)
             channels.append(_Channel(name, loop))

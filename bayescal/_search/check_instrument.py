@@ -146,11 +146,7 @@ def _recover(
     readings: Measurements,
     seed: int,
 ) -> None:
-    """Simulate coefficients one plausible size from their means, up and down in turn, those of groups drawn; fit them.
-
-    Raises:
-        BayescalError: it cannot be simulated or fitted.
-    """
+    """Simulate coefficients one plausible size from their means, in turn up and down, those of groups drawn; fit."""
     model.require(readings)
     reference, is_baseline = reference_of(readings), len(effects) == len(model.effects)
     frame, (layout, levels) = build_frame(readings, reference), bind(model, readings)

@@ -105,7 +105,7 @@ class Discovery(Printed):
         """What was found, as pickle writes it: the structures that it was found among stay where they are."""
         return {**vars(self), "_average": None}
 
-    def fit(self, method: Method | None = None, *, seed: int = 0) -> Calibration:
+    def fit(self, method: Method | None = None, *, seed: Any = 0) -> Calibration:
         """Fit the model with what is missing, averaged over the structures that may be the right one.
 
         Its predictions count what a fit of `model + discovery.best` does not: that another structure may be right, and
@@ -214,10 +214,10 @@ def discover(
         found = missing(library, Structure(), shut, stopped)
         held, goal = structures.unsized(model, found.latent), Posterior.of(structures).chosen
 
-        def average(method: Method | None, seed: int) -> Calibration:
+        def average(method: Method | None, seed: Any) -> Calibration:
             at, of = structures.weigh(goal), calibration.reference
             last = fit(at.sized_model, readings, method, seed=seed, reference=of, start=at.phi)
-            mixed, _ = averaged(last, structures, goal.noise, seed)
+            mixed, _ = averaged(last, structures, goal.noise, last.seed)
             _, used = with_latent(last, mixed, structures, goal)
             complete = missing(library, goal, shut, stopped).nothing_missing
             return with_form(used, complete, structures, goal)

@@ -144,9 +144,6 @@ def test_devices_of_a_batch_that_are_not_reached_say_so() -> None:
     assert all(ok or why for ok, why in zip(in_parts.ok, in_parts.reasons, strict=True))
 
 
-# Real processes ------------------------------------------------------------------------------------------------------
-
-
 def shown(structure: dict) -> str:
     """A structure of result.json as progress tells of it."""
     noise = [f"{structure['noise']} noise"] if structure["noise"] else []

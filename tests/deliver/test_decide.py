@@ -147,9 +147,6 @@ def test_global_risks_are_those_of_the_population_that_is_stated(gyro) -> None:
     assert middle.population == (21.5, 0.3)
 
 
-# What is not decided.
-
-
 def test_what_was_not_calibrated_is_not_decided(gyro) -> None:
     (found,) = bc.decide(gyro, "bias: ±25 °/s over -20..60 °C").decisions
     assert found.decision == "undecided" and found.probability > 0.99
@@ -182,9 +179,6 @@ def test_a_limit_that_is_met_leaves_with_0_and_is_written(gyro, tmp_path) -> Non
     assert done.status == 0 and done.said == []
     assert json.loads(out.read_text("utf-8")) == done.data
     assert done.data["schema"] == "bayescal.decisions/1" and done.data["conforms"] is True
-
-
-# When to calibrate again.
 
 
 LEVEL = electronic_level.level(4.0)

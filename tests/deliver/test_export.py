@@ -182,9 +182,6 @@ def test_a_refused_file_leaves_the_old_one_whole(gyro, tmp_path, monkeypatch) ->
         compensate_file(gyro, tmp_path / "in.csv", tmp_path / "out.parquet")
 
 
-# The commands.
-
-
 def test_the_commands_compensate_export_and_budget(saved, tmp_path) -> None:
     bent_sensor.gyro().readings.write(tmp_path / "in.csv")
     ran = run("compensate", saved, tmp_path / "in.csv", "-o", tmp_path / "out.csv", *OWN, "--json")

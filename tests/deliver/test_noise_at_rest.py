@@ -171,8 +171,6 @@ def test_lost_readings_are_drawn_from_the_law() -> None:
     assert claim.numbers["share"] == pytest.approx(np.mean(lost), rel=0.02)
 
 
-# Filters, interpolation and held values.
-
 FINE = 16  # steps of the noise in one of the readings
 
 
@@ -245,9 +243,6 @@ def test_density_below_a_low_pass_is_not_seen() -> None:
     data = bc.Measurements.from_arrays(GYRO, time=0.01 * np.arange(1500), output=output)
     found = bc.noise(data)
     assert symbol(found, "N").bound and "noise.no_level" in codes(found)
-
-
-# The file for a filter.
 
 
 @cache

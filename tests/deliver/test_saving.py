@@ -75,9 +75,6 @@ def same(one: bc.Calibration, other: bc.Calibration) -> None:
         assert one.readings.unit(name) == other.readings.unit(name)
 
 
-# There and back.
-
-
 def test_a_calibration_comes_back_as_it_was(line, tmp_path) -> None:
     path = line.save(tmp_path / "line.nc")
     loaded = bc.load(path)
@@ -132,9 +129,6 @@ def test_every_noise_law_comes_back(noise, tmp_path) -> None:
     assert bc.load(found.save(tmp_path / "noise.nc")).model.noise == noise
 
 
-# What is refused.
-
-
 def test_an_effect_of_the_same_name_but_another_prior_is_refused(tmp_path) -> None:
     narrow = effects.linear("bias", 0.001, "deg/s/degC", source="mine")
     model = INSTRUMENT.baseline() - "bias.temperature" + narrow
@@ -143,9 +137,6 @@ def test_an_effect_of_the_same_name_but_another_prior_is_refused(tmp_path) -> No
     with pytest.raises(bc.InputError):
         bc.load(path)
     same(found, bc.load(path, effects=[narrow]))
-
-
-# A write that is broken off.
 
 
 def test_a_broken_write_leaves_the_old_file_whole(line, tmp_path, monkeypatch) -> None:

@@ -155,9 +155,6 @@ def reference_fit(model: bc.Model, data: bc.Measurements) -> bc.Calibration:
     return bc.fit(model, data, bc.NUTS(draws=2000), seed=17)
 
 
-# Evidence.
-
-
 def direct_log_evidence(data: bc.Measurements) -> float:
     """log p(y) of the baseline: a multivariate normal given the noise, integrated over it by quadrature."""
     t = data["temperature"] - np.round(data["temperature"].mean())

@@ -54,9 +54,6 @@ def outputs(readings: bc.Measurements) -> np.ndarray:
     return np.stack([readings[f"output_{a}"] for a in "xyz"], axis=1)
 
 
-# the equation ---------------------------------------------------------------------------------------------------
-
-
 def test_the_inverse_undoes_terms_of_second_order() -> None:
     random = np.random.default_rng(1)
     matrix, square = np.eye(3) + 0.02 * random.standard_normal((3, 3)), 2e-3
@@ -88,9 +85,6 @@ def test_the_estimating_equation_is_unbiased_where_poses_are_noisy() -> None:
     ours, error = score(excess(length), 0.5 + 2 / (2 + 4 * x / 3) ** 2)
     assert abs(ours) < 4 * error + 5 * sd**2
     assert score(x, np.ones(count))[0] > 0.2
-
-
-# what is measured -----------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("noise", slow_but([1e-3], [1e-4, 1e-3]))
@@ -192,9 +186,6 @@ def test_a_family_is_found_as_one_effect() -> None:
     assert not nothing.best
 
 
-# what leaves ----------------------------------------------------------------------------------------------------
-
-
 def test_a_corrected_vector_is_what_acts_within_its_uncertainty() -> None:
     correct = bc.vector_correction(thermal())
     random = np.random.default_rng(3)
@@ -240,9 +231,6 @@ def test_slopes_of_tilt_and_heading() -> None:
         assert one.tilt[name][1][0] == pytest.approx(many.tilt[name][0].std(), rel=0.03)
     assert one.heading[1][0] == pytest.approx(many.heading[0].std(), rel=0.03)
     assert one.magnitude[1][0] == pytest.approx(many.magnitude[0].std(), rel=0.03)
-
-
-# from a log to poses --------------------------------------------------------------------------------------------
 
 
 def raw_log(poses: int = 24, seed: int = 5) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

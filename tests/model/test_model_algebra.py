@@ -43,9 +43,6 @@ def test_models_of_equal_parts_are_equal_and_share_a_hash() -> None:
     assert one.fix({"bias.drift": 0.1}) != one.fix({"bias.drift": 0.2})
 
 
-# Effects themselves.
-
-
 @pytest.mark.parametrize(
     "change",
     [
@@ -78,9 +75,6 @@ def test_priors_and_shapes_out_of_range_are_refused() -> None:
         bc.Coefficient("deg/s", group_sd=bc.HalfNormal(1.0))
     with pytest.raises(ValueError):
         bc.Coefficient("deg/s", per="reading", group_sd=bc.HalfNormal(1.0))
-
-
-# Fixed and free.
 
 
 def test_fixed_unknowns_stay_where_they_are_put() -> None:

@@ -52,9 +52,6 @@ def log_density(
     return np.asarray(found)[: len(y)]
 
 
-# Densities.
-
-
 def test_white_is_the_normal_of_scipy() -> None:
     y = np.linspace(-3, 3, 9)
     found = log_density(*LAWS["white"], y, 0.4)
@@ -143,9 +140,6 @@ def test_known_uncertainty_of_a_reading_adds_in_quadrature(law) -> None:
     for i, extra in enumerate(known):
         alone = {**parameters, "noise.white": np.hypot(0.3, extra)}
         assert found[i] == pytest.approx(log_density(noise, alone, y[i : i + 1], 0.0)[0], rel=1e-10)
-
-
-# Fits.
 
 
 def test_what_known_uncertainties_leave_is_the_noise(rng) -> None:

@@ -326,9 +326,6 @@ def test_a_tone_between_readings_is_where_its_column_puts_it(rng) -> None:
     np.testing.assert_allclose(variance, expected, rtol=1e-7)
 
 
-# What it says of itself.
-
-
 def test_ornstein_uhlenbeck_noise_is_the_sum_of_one_term(rng) -> None:
     frame, _, _ = two_runs()
     alone, one = law_of(ALONE), law_of(("correlated",))

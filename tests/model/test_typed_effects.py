@@ -211,9 +211,6 @@ def test_a_body_is_one_state_wherever_it_is_used(tmp_path: Path) -> None:
         assert "temperature_lag" in text and "temperature_lag_2" not in text
 
 
-# The command line.
-
-
 @pytest.mark.slow
 @needs_installation
 def test_it_is_found_saved_loaded_compensated_and_exported(tmp_path: Path) -> None:

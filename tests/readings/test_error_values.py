@@ -103,9 +103,6 @@ def test_chamber_that_steps_between_two_readings_is_kept() -> None:
     assert bc.set_aside(record, needed=NEEDED) is record and record.oddities == ()
 
 
-# --- counters ---------------------------------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize("gone", ["none", "those near the end of the counter", "every seventh"])
 @pytest.mark.parametrize(
     ("period", "low", "high"),

@@ -27,8 +27,6 @@ from tests.support.lab_files import (
     with_cell,
 )
 
-# --- formats -------------------------------------------------------------------------------------
-
 
 def columns() -> dict[str, np.ndarray]:
     return {"time_s": TIME, "temp_C": TEMPERATURE, "output_dps": RATE}
@@ -113,9 +111,6 @@ def test_a_matrix_of_matlab_has_numbered_columns(tmp_path):
         bc.read(path, GYRO)
 
 
-# --- time ----------------------------------------------------------------------------------------
-
-
 def test_microseconds_of_unix_time_are_kept(put):
     counts = [1_767_225_600_000_001, 1_767_225_600_000_003, 1_767_225_600_123_457]
     path = put(text(("timestamp", *HEAD[1:]), (list(map(str, counts)), TEMPERATURE[:3], RATE[:3])))
@@ -134,9 +129,6 @@ def test_runs_by_date_share_one_clock(put):
     for files in ([first, put(text())], [timeless, first, put(text())]):
         with pytest.raises(bc.InputError):
             bc.read(files, GYRO)
-
-
-# --- what is said --------------------------------------------------------------------------------
 
 
 def test_dropped_rows_are_gaps_that_are_said(put):

@@ -43,8 +43,6 @@ def same(a: bc.Measurements, b: bc.Measurements) -> None:
         np.testing.assert_array_equal(a[name], b[name], strict=a.unit(name) is not None)
 
 
-# --- files hold what was written -----------------------------------------------------------------
-
 labels = st.text(st.characters(exclude_categories=["Cc", "Cs"]), min_size=1, max_size=8)
 numbers = st.floats(allow_nan=False, allow_infinity=False).filter(  # no code of an overload
     lambda x: not is_overload(x)
@@ -135,9 +133,6 @@ def test_any_name_of_a_column_is_written_and_read_back(tmp_path, suffix):
     assert set(back.columns) >= set(map(name_in_files, HOSTILE))
 
 
-# --- from arrays ---------------------------------------------------------------------------------
-
-
 def test_arrays_are_checked_as_files_are():
     m = bc.Measurements.from_arrays(
         SCALE, output=[1, 2], run="a", angle=[90, 180], units={"angle": "deg"}
@@ -157,9 +152,6 @@ def test_arrays_are_checked_as_files_are():
     ]:
         with pytest.raises(bc.InputError):
             bc.Measurements.from_arrays(SCALE, **columns)
-
-
-# --- groups and selections -----------------------------------------------------------------------
 
 
 @pytest.fixture

@@ -15,8 +15,6 @@ from tests.support.gyro_files import GOOD, GYRO, HEAD, refused
 
 ROOT = Path(__file__).resolve().parents[2]
 
-# --- what is read --------------------------------------------------------------------------------
-
 
 def test_a_good_file_is_read_in_its_order_and_units(put):
     m = bc.read(put(GOOD), GYRO)
@@ -128,9 +126,6 @@ def test_an_optional_column_without_content_is_left_out(put):
     assert sum("is empty and was left out" in flag for flag in m.flags) == 2
 
 
-# --- several files -------------------------------------------------------------------------------
-
-
 BARE = "time [s],temperature [degC],output [deg/s]\n0,{},1\n1,{},2\n"
 
 
@@ -140,9 +135,6 @@ def test_several_files_are_runs_named_after_them(put):
     assert m["run"].tolist() == ["cold", "cold", "warm", "warm"] and m.file == "cold.csv and 1 more"
     assert [s.rows for s in m.sources] == [2, 2] and m["temperature"].tolist() == [20, 21, 30, 31]
     assert not bc.read(one, GYRO).has("run")
-
-
-# --- what is flagged -----------------------------------------------------------------------------
 
 
 def flags(**columns) -> str:

@@ -51,9 +51,6 @@ def test_a_unit_of_differences_is_refused_with_file_and_column(tmp_path: Path) -
         bc.read(path, GYRO)
 
 
-# --- clocks and counters ----------------------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize(
     ("head", "period", "size", "said"),
     [
@@ -122,9 +119,6 @@ def test_a_period_is_a_number_with_a_unit(put) -> None:
         bc.read(path, STILL, unwrap={"tim": "2^32us"})
 
 
-# --- labels -----------------------------------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize(
     ("head", "ours"),
     [("Cycle [#]", "run"), ("Zyklus", "run"), ("Run [-]", "run"), ("Messung Nr.", "run")]
@@ -140,9 +134,6 @@ def test_what_is_called_a_cycle_and_holds_no_labels_is_none(put) -> None:
     for values in (STEPS / 7, np.arange(60)):
         found = bc.read(put(at_rest(**{"time [s]": STEPS, "Cycle": values})), STILL)
         assert not found.has("run") and any("Cycle" in flag for flag in found.flags)
-
-
-# --- options that are suggested ---------------------------------------------------------------------------------
 
 
 def numbers(rows: int = 24, columns: int = 3) -> list[list[float]]:
@@ -191,17 +182,11 @@ def test_the_separator_is_what_parts_the_readings(put) -> None:
     assert np.allclose(found["output"][:3], [0.0, 0.1, 0.2])
 
 
-# --- units ------------------------------------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize("head", ["supply [V]", "Vcc (V)", "VDD_V", "Versorgungsspannung [V]"])
 def test_the_voltage_of_the_supply_is_known(put, head) -> None:
     lines = [f"{10 * i},{20 + i / 20},{5 + 0.01 * (i % 7)},{0.1 * (i % 5)}" for i in range(60)]
     path = put("\n".join([f"time [s],temperature [degC],{head},output [deg/s]", *lines]))
     assert bc.read(path, mems_gyro.INSTRUMENT).unit("supply_voltage") == "V"
-
-
-# --- encodings, and several files -------------------------------------------------------------------------------
 
 
 def test_windows_1252_is_read(put) -> None:
@@ -210,9 +195,6 @@ def test_windows_1252_is_read(put) -> None:
     assert "Gehäuse – außen" in found.columns
     with pytest.raises(bc.InputError):
         bc.read(put(content.encode() + "é,1,1,1\n".encode("windows-1252")), STILL)
-
-
-# --- the small inputs of others ---------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("name", ["drop400", "ms400", "pairs400"])

@@ -152,9 +152,6 @@ def test_a_free_curve_in_time_stands_beside_no_wander() -> None:
     assert "unknown(time, jump)" in made.open_to(Structure(noise=WANDER))
 
 
-# Noise laws.
-
-
 def with_noise(seed: int, law: str) -> bc.Measurements:
     """An ordinary record with heavy tails, or scatter that follows the temperature."""
     readings = hidden(seed, thermal_lag=0.1)

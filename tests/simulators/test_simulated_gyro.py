@@ -27,9 +27,6 @@ def in_run(sim: Simulated, run: str, values: np.ndarray) -> np.ndarray:
     return values[sim.columns["run"] == run]
 
 
-# What every campaign keeps.
-
-
 def test_default_campaign_goes_up_down_up_in_330_readings() -> None:
     sim = simulated(DEFAULT, seed=0)
     assert len(sim.columns["output"]) == DEFAULT.readings == 330
@@ -48,9 +45,6 @@ def test_without_effects_the_output_is_the_line_and_noise() -> None:
     np.testing.assert_allclose(sim.noise_free, line, atol=1e-10)
     noise = sim.columns["output"] - line
     assert noise.std() == pytest.approx(0.05, rel=0.15)
-
-
-# Averages, noise, converter, thermometer.
 
 
 def test_readings_are_averages_of_the_logger_samples() -> None:
@@ -100,9 +94,6 @@ def test_thermometer_errs_without_touching_the_gyro() -> None:
     assert error.mean() == pytest.approx(0.4, abs=0.06)
     assert error.std() == pytest.approx(0.29, rel=0.15)
     np.testing.assert_array_equal(bad.columns["output"], good.columns["output"])
-
-
-# The resonance.
 
 
 def test_resonance_denominator_at_match_is_the_damping() -> None:

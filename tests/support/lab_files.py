@@ -63,6 +63,3 @@ def is_right(readings, left_out=()):
     np.testing.assert_array_equal(readings["time"], TIME[kept])
     np.testing.assert_allclose(readings["temperature"], TEMPERATURE[kept], rtol=1e-14)
     np.testing.assert_allclose(readings["output"], RATE[kept], rtol=1e-14)
-
-
-# --- files as instruments and programs export them, from their public formats ---------------------
