@@ -1,4 +1,4 @@
-"""A channel whose true input does not change: levels of runs; the rest is noise.
+"""Instrument for a channel with a constant true input: a level for each run, and noise.
 
 Its priors are flat: the evidence of noise laws is that of the restricted likelihood.
 Source: D. Harville, J. Am. Stat. Assoc. 72 (1977) 320 (restricted likelihood).
@@ -15,7 +15,7 @@ from bayescal._model.instrument import Instrument, Slot, Slots
 from bayescal._model.prior import Flat
 
 
-def _one(r: Frame) -> float:
+def _ones(r: Frame) -> float:
     return 1.0
 
 
@@ -26,7 +26,7 @@ def _at_rest(slots: Slots, r: Frame) -> Any:
 LEVEL = Effect(
     "rest.level",
     "rest",
-    basis=_one,
+    basis=_ones,
     coefficients=(Coefficient("1", Flat(), per="run"),),
     columns=("run",),
     equation="c[run]",

@@ -1,6 +1,6 @@
-"""One named physical term: a basis that adds to a slot, with its unknowns.
+"""Effects: named physical terms, each a basis that adds to a slot, with its unknowns.
 
-It is linear in its coefficients; in a few shapes it is not.
+An effect is linear in its coefficients, and not linear in a few shapes.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ READING = "reading"  # the group of which each reading is a member by itself
 
 CENTRAL_95 = 1.959963984540054  # standard deviations to either end of the central 95 % of a normal distribution
 FUNCTIONS = ("basis", "weights", "untestable")  # of an effect
-OPEN = (0.0, math.inf)  # low and high of a shape whose plausible range the readings say
+OPEN = (0.0, math.inf)  # low and high of a shape whose plausible range is taken from the readings
 
 
 @static
@@ -52,7 +52,7 @@ class Coefficient:
             which widens the variance of each reading by the square of the slope.
         group_sd: prior of the standard deviation between the group's members, which is then learned.
             None leaves it at the prior's own sd.
-        initial: whether it is what the state adds in which a run begins.
+        initial: whether it is the contribution of the initial state of a run.
     """
 
     unit: str
@@ -90,7 +90,7 @@ class Coefficient:
 
     @property
     def known(self) -> bool:
-        """Whether it is a number by definition, and not estimated."""
+        """Return whether it is a number by definition, and not estimated."""
         return isinstance(self.prior, Known) and not self.prior.averaged
 
     @property
@@ -99,7 +99,7 @@ class Coefficient:
 
     @property
     def size(self) -> float:
-        """The plausible size, in `unit`: the prior's sd, or the scale of the group standard deviation's prior."""
+        """Return plausible size, in `unit`: the prior's sd, or the scale of the group standard deviation's prior."""
         if self.group_sd is not None:
             return self.group_sd.scale
         return self.prior.scale if isinstance(self.prior, Flat) else self.prior.sd
@@ -136,12 +136,12 @@ class Shape:
 
     @property
     def open(self) -> bool:
-        """Whether its plausible range is to be taken from the readings."""
+        """Return whether its plausible range is to be taken from the readings."""
         return (self.low, self.high) == OPEN
 
     @property
     def prior(self) -> LogNormal | LogUniform | Normal:
-        """Prior of the value.
+        """Return the prior of the value.
 
         Raises:
             ModelError: its range is open still.
@@ -233,86 +233,86 @@ class Effect:
             raise ModelError(
                 f"effect {self.name!r}: its coefficients need different parts, not {parts}"
             )
-        taken = inspect.signature(self.basis).parameters
+        params = inspect.signature(self.basis).parameters
         shapes = {s.name for s in self.shapes} - set(self.weight_shapes)
-        needed = {n for n, p in taken.items() if p.default is p.empty}  # not `lambda r, k=k: …`
-        if not shapes <= set(taken) or len(needed - shapes) != 1:
+        needed = {n for n, p in params.items() if p.default is p.empty}  # not `lambda r, k=k: …`
+        if not shapes <= set(params) or len(needed - shapes) != 1:
             raise ModelError(
                 f"effect {self.name!r}: its basis must take the readings and then its shapes "
-                f"{sorted(shapes)} by name; it takes {list(taken)}"
+                f"{sorted(shapes)} by name; it takes {list(params)}"
             )
 
     def __repr__(self) -> str:
-        said = f"{self.name} [{self.coefficients[0].unit}]"
-        return f"<Effect: {said}: {self.equation}>" if self.equation else f"<Effect: {said}>"
+        head = f"{self.name} [{self.coefficients[0].unit}]"
+        return f"<Effect: {head}: {self.equation}>" if self.equation else f"<Effect: {head}>"
 
     @property
     def reported(self) -> str:
-        """The name under which a search reports it: its own, or that of the effect of which it is a form."""
+        """Return the name under which a search reports it: its own, or that of the effect of which it is a form."""
         return self.family or self.name
 
     @property
     def covariate(self) -> str:
-        """What it is a function of: a column, "elapsed" or a rate; the first of its columns, where it says nothing."""
+        """Return covariate that it depends on: a column, "elapsed" or a rate; by default the first of its columns."""
         return self.along or next(iter(self.columns), "")
 
     @property
     def is_placeholder(self) -> bool:
-        """Whether it stands for what no named effect describes: sized by an amplitude, not by a coefficient."""
+        """Return whether it is a generic dependence without a name: sized by an amplitude, not a coefficient."""
         return self.measure is not None
 
     @property
     def unnamed(self) -> bool:
-        """Whether it says how the output goes and not with what: a curve, a step, a fourth power; no line."""
+        """Return whether it describes a form without a physical cause: a curve, a step, a fourth power; not a line."""
         return self.kind == "quartic" or (self.is_placeholder and self.kind != "line")
 
     @property
     def role(self) -> Role:
-        """Whether it is a named effect, a placeholder without a name, or one freed of its stated value."""
+        """Return the role: "named", "unnamed" (a placeholder), or "freed" of its stated value."""
         return "freed" if self.frees else "unnamed" if self.is_placeholder else "named"
 
     @property
     def open(self) -> bool:
-        """Whether its plausible amplitude is to be taken from the readings."""
+        """Return whether its plausible amplitude is to be taken from the readings."""
         return any(s.open for s in self.shapes)
 
     @property
     def held(self) -> tuple[int, ...]:
-        """Which of its coefficients are numbers by definition."""
+        """Return the indices of the coefficients that are numbers by definition."""
         return tuple(i for i, c in enumerate(self.coefficients) if isinstance(c.prior, Known))
 
     @property
     def averaged(self) -> Effect:
-        """The effect in an average over structures of which some have it not: there its known coefficients are zero."""
-        own = list(self.coefficients)
+        """Return the effect for an average over structures, some without it: there its known coefficients are zero."""
+        parts = list(self.coefficients)
         for i in self.held:
-            own[i] = replace(own[i], prior=Known(own[i].mean, averaged=True))
-        return replace(self, coefficients=tuple(own)) if self.held else self
+            parts[i] = replace(parts[i], prior=Known(parts[i].mean, averaged=True))
+        return replace(self, coefficients=tuple(parts)) if self.held else self
 
     def sized(self, low: float, high: float) -> Effect:
-        """The effect with this range of its amplitude, in the shape's unit, where it is open."""
+        """Return the effect with this range of its amplitude, in the shape's unit, where it is open."""
         return self.ranging({s.name: (low, high) for s in self.shapes if s.open})
 
     @cached_property
     def weight_shapes(self) -> tuple[str, ...]:
-        """Shapes that say how large the coefficients may be, and not how the columns run."""
+        """Return the shapes that set the sizes of the coefficients, and not the form of the columns."""
         return () if self.weights is None else tuple(inspect.signature(self.weights).parameters)
 
     @cached_property
     def column_shapes(self) -> tuple[Shape, ...]:
-        """Shapes that the columns depend on."""
-        apart = self.weight_shapes
-        return tuple(s for s in self.shapes if s.name not in apart)
+        """Return the shapes that the columns depend on."""
+        weighing = self.weight_shapes
+        return tuple(s for s in self.shapes if s.name not in weighing)
 
     @property
     def shared_shape(self) -> Shape | None:
-        """The shape that all channels of a unit share; None where each has its own."""
+        """Return the shape that all channels of a unit share; None where each has its own."""
         return next((s for s in self.column_shapes if s.shared), None)
 
     def ranging(self, ranges: Mapping[str, tuple[float, float]]) -> Effect:
-        """The effect with other plausible ranges of some shapes, name → (low, high)."""
-        own = {s.name: (s.low, s.high) for s in self.shapes} | dict(ranges)
-        shapes = ((s, *own[s.name]) for s in self.shapes)
+        """Return the effect with other plausible ranges of some shapes, name → (low, high)."""
+        limits = {s.name: (s.low, s.high) for s in self.shapes} | dict(ranges)
+        shapes = ((s, *limits[s.name]) for s in self.shapes)
         return replace(self, shapes=tuple(replace(s, low=a, high=b) for s, a, b in shapes))
 
     def coefficient_name(self, index: int) -> str:
@@ -327,29 +327,29 @@ class Effect:
 
     @property
     def measure_name(self) -> str:
-        """Name of the shape that says how large it is; empty where its first coefficient does."""
+        """Return the name of the shape that is its size; empty where its first coefficient is."""
         return f"{self.name}.{self.measure}" if self.measure else ""
 
     @property
     def spread_names(self) -> tuple[str, ...]:
-        """Names of the learned standard deviations between group members."""
+        """Return the names of the learned standard deviations between group members."""
         learned = (i for i, c in enumerate(self.coefficients) if c.group_sd is not None)
         return tuple(map(self.group_sd_name, learned))
 
     @property
     def unknown_names(self) -> tuple[str, ...]:
-        """Names of its coefficients, learned standard deviations and shapes."""
-        own = (self.coefficient_name(i) for i in range(len(self.coefficients)))
-        return (*own, *self.spread_names, *map(self.shape_name, self.shapes))
+        """Return the names of its coefficients, learned standard deviations and shapes."""
+        names = (self.coefficient_name(i) for i in range(len(self.coefficients)))
+        return (*names, *self.spread_names, *map(self.shape_name, self.shapes))
 
     def evaluate(self, frame: Frame, shapes: dict[str, Float[Array, ""]]) -> Float[Array, "n p"]:
-        """The basis as a matrix, one column a coefficient; constants are spread over the readings.
+        """Evaluate the basis as a matrix, one column a coefficient; constants are spread over the readings.
 
         Raises:
             ModelError: the basis has another number of columns than there are coefficients.
         """
-        own = {s.name: shapes[s.name] for s in self.column_shapes}
-        return matrix(self.basis, len(self.coefficients), self.name, frame, own)
+        values = {s.name: shapes[s.name] for s in self.column_shapes}
+        return matrix(self.basis, len(self.coefficients), self.name, frame, values)
 
 
 def _named(prior: Any) -> str:
@@ -357,12 +357,12 @@ def _named(prior: Any) -> str:
 
 
 def with_forms(effects: Iterable[Effect]) -> Iterator[Effect]:
-    """Effects, each followed by its forms."""
+    """Yield effects, each followed by its forms."""
     for effect in effects:
         yield from (effect, *effect.forms)
 
 
-Basis = tuple[Callable[..., Any], int, str]  # a basis, how many columns it has, whose it is
+Basis = tuple[Callable[..., Any], int, str]  # a basis, its number of columns, its effect's name
 
 
 def matrix(
@@ -373,7 +373,7 @@ def matrix(
     shapes: Mapping[str, Any],
     lead: tuple[int, ...] = (),
 ) -> Float[Array, "*s n p"]:
-    """`Effect.evaluate` of a basis by itself: with how many coefficients, and whose it is.
+    """Evaluate the basis of the effect `name` as a matrix of `count` columns, as `Effect.evaluate` does.
 
     On the host, shapes may have several values (*s, 1), `lead` of them, which lead in the columns.
     """

@@ -1,8 +1,8 @@
 """An effect from one typed line: "supply: s * (supply_voltage - 5); s = 0.1 mV/V".
 
-Python's parser reads the line, and of its tree nothing is taken but names, numbers and what `_FUNCTIONS` lists. In one
-pass over it each part becomes a linear form of the unknowns that the formula is linear in, its coefficients, with its
-unit beside it; the other unknowns are shapes.
+Python's parser reads the line, and of its tree only names, numbers and the functions in `_FUNCTIONS` are accepted. In
+one pass each part becomes a linear form of the unknowns that the formula is linear in, its coefficients, with its
+unit; the other unknowns are shapes.
 """
 
 from __future__ import annotations
@@ -37,23 +37,23 @@ from bayescal._model.frame import Frame, build_frame, reference_of
 from bayescal._model.instrument import Instrument
 from bayescal._model.prior import Normal
 
-LONGEST_LINE = 500  # characters: no line nests deeper than Python recurses
+MAX_LENGTH = 500  # characters: no line nests deeper than Python recurses
 TINY = float(np.finfo(float).tiny)  # below which numbers lose digits
-MAGNITUDE = 10.0  # a shape of which one value is said lies between a tenth and ten times that
+RANGE_FACTOR = 10.0  # a shape given by one value lies between a tenth and ten times that
 _ALIASES = {"T": "temperature", "t": "time"}
 _UNITS = {"time": "s", "elapsed": "s", "temperature": "degC"}  # known without readings
 _ATOM = re.compile(
     r"(?P<number>(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)|(?P<function>[^\W\d]\w*(?=\s*\())|(?P<name>[^\W\d]\w*)"
     r"|`(?P<quoted>[^`]+)`|(?P<sign>\*\*|[-+*/^(),])|(?P<other>\S)"
 )
-_GIVEN = re.compile(r"\s*([^\W\d]\w*|`[^`]+`)\s*=\s*(.*\S)\s*")
+_ASSIGNMENT = re.compile(r"\s*([^\W\d]\w*|`[^`]+`)\s*=\s*(.*\S)\s*")
 _VALUE = r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?"
 _SIZE = re.compile(rf"({_VALUE})(?:\s*(?:±|\+-|\+/-)\s*({_VALUE}))?\s*(\D.*)?")
 _RANGE = re.compile(rf"({_VALUE})\s*(?:…|\.\.\.?|to|-)\s*({_VALUE})\s*(\D.*)?")
 
 
 def _power(base: Any, exponent: Any) -> Any:
-    """A whole power by multiplying, of which negative bases have a slope too."""
+    """Raise to a power; an integer one by multiplication, so that negative bases have a slope too."""
     whole = isinstance(exponent, float) and exponent.is_integer()
     return base ** (int(exponent) if whole else exponent)
 
@@ -69,7 +69,7 @@ _OPERATORS: dict[str, Callable[..., Any]] = {
 }
 _COMPUTED = {**_FUNCTIONS, **_OPERATORS}
 _SIGNS = {ast.Add: "+", ast.Sub: "-", ast.Mult: "*", ast.Div: "/", ast.Pow: "^"}
-# Of a column's past, and how many arguments each has: dT/dt; T̃ and T̃ − T, with τ·dT̃/dt = T − T̃.
+# Functions of a column's past, and their numbers of arguments: dT/dt; T̃ and T̃ − T, with τ·dT̃/dt = T − T̃.
 _PAST = {"rate": 1, "body": 2, "lag_difference": 2}
 _OF_TWO = ("min", "max")
 _COUNTS = {**dict.fromkeys(_FUNCTIONS, 1), **dict.fromkeys(_OF_TWO, 2), **_PAST}
@@ -92,7 +92,7 @@ class FormulaPart(NamedTuple):
         return self._replace(tree=("*", self.tree, other.unit.factor))
 
 
-Linear = dict[str, FormulaPart]  # what each coefficient is multiplied by; by none: ""
+Linear = dict[str, FormulaPart]  # factor of each coefficient; "" for a part without one
 
 
 @dataclass(frozen=True)
@@ -100,7 +100,7 @@ class Formula:
     """The basis of a typed effect, in base units: called with readings and the shapes."""
 
     text: str  # the line that it was made of, with sizes and units
-    parts: tuple[Any, ...]  # for each coefficient, what it is multiplied by, as `FormulaPart.tree`
+    parts: tuple[Any, ...]  # the factor of each coefficient, as `FormulaPart.tree`
     # name in the formula → the readings' column and its factor to base units
     columns: tuple[tuple[str, str, float], ...]
     shapes: tuple[str, ...] = ()  # names of the shapes
@@ -108,16 +108,16 @@ class Formula:
     @property
     def __signature__(self) -> inspect.Signature:
         kinds = inspect.Parameter
-        own = [kinds(n, kinds.KEYWORD_ONLY) for n in self.shapes]
-        return inspect.Signature([kinds("r", kinds.POSITIONAL_OR_KEYWORD), *own])
+        keywords = [kinds(n, kinds.KEYWORD_ONLY) for n in self.shapes]
+        return inspect.Signature([kinds("r", kinds.POSITIONAL_OR_KEYWORD), *keywords])
 
     def __call__(self, r: Frame, **shapes: Any) -> Any:
         values = {
             name: factor * (r.elapsed if column == "elapsed" else r[column])
             for name, column, factor in self.columns
         }
-        found = [self._value(tree, r, {**values, **shapes}) for tree in self.parts]
-        return xp.stack([xp.broadcast_to(v, (r.size,)) for v in found], axis=-1)
+        columns = [self._value(tree, r, {**values, **shapes}) for tree in self.parts]
+        return xp.stack([xp.broadcast_to(v, (r.size,)) for v in columns], axis=-1)
 
     def _value(self, tree: Any, r: Frame, values: Mapping[str, Any]) -> Any:
         if not isinstance(tree, tuple):
@@ -130,8 +130,8 @@ class Formula:
                 return r.rate(column)
             behind = factor * r.lag(values[tau[0]], column)
             return behind if function == "lag_difference" else values[of] + behind
-        own = [self._value(argument, r, values) for argument in arguments]
-        return _COMPUTED[function](*own)
+        operands = [self._value(argument, r, values) for argument in arguments]
+        return _COMPUTED[function](*operands)
 
 
 def effect(
@@ -141,9 +141,9 @@ def effect(
     readings: Measurements | None = None,
     instrument: Instrument | None = None,
     source: str = "the user's own",
-    **given: str,
+    **stated: str,
 ) -> Effect:
-    """An effect from a formula, as it is typed.
+    """Make an effect from a typed formula.
 
         bc.effect("supply", "s * (V - 5) / V", s="0.1 mV/V", V="supply_voltage [V]")
         bc.effect("bias.supply: s * (supply_voltage - 5); s = 0.1 mV/V", readings=readings)
@@ -159,55 +159,55 @@ def effect(
         name: of the effect, `slot.cause`, or its cause alone: the slot is then the first that the units fit. The
             whole may stand here too: "name: formula; s = 0.1 mV/V".
         formula: such as "s * (supply_voltage - 5)".
-        readings: whose columns it uses: gives units, and sizes that are not said. Without, units are looked at when a
-            model meets readings; they may be said: V="supply_voltage [V]".
+        readings: whose columns it uses: gives units, and sizes that are not stated. Without, units are checked when a
+            model meets readings; they may be stated: V="supply_voltage [V]".
         instrument: whose slots it may add to.
         source: where the formula is from.
-        given: size of each coefficient ("0.1 mV/V", or "0.5 ± 0.1 mV/V" about another mean than zero); range of each
+        stated: size of each coefficient ("0.1 mV/V", or "0.5 ± 0.1 mV/V" about another mean than zero); range of each
             shape ("100 to 2000 s", or one value for a tenth to ten times that); columns under other names.
 
     Raises:
         InputError: the formula is none, its units do not go together, or a size is missing; the place is marked with ▸.
     """
-    return _TypedLine(name, formula, given, readings, instrument).effect(source)
+    return _TypedLine(name, formula, stated, readings, instrument).effect(source)
 
 
-def _apart(name: str, formula: str, given: Mapping[str, str]) -> tuple[str, str, dict[str, str]]:
-    """Return name, formula and what is given, where all stand in one text.
+def _split(name: str, formula: str, stated: Mapping[str, str]) -> tuple[str, str, dict[str, str]]:
+    """Split a line into name, formula and definitions, where all stand in one text.
 
     Raises:
         InputError: there is no formula, or something behind a semicolon is no assignment.
     """
-    given = {n: str(v).strip() for n, v in given.items()}
+    stated = {n: str(v).strip() for n, v in stated.items()}
     if not formula:
-        name, colon, rest = name.partition(":")
-        formula, *more = rest.split(";") if colon else ("",)
-        for one in filter(str.strip, more):
-            if not (found := _GIVEN.fullmatch(one)):
+        name, colon, tail = name.partition(":")
+        formula, *assignments = tail.split(";") if colon else ("",)
+        for assignment in filter(str.strip, assignments):
+            if not (match := _ASSIGNMENT.fullmatch(assignment)):
                 raise InputError(
-                    f"effect {name!r}: {one.strip()!r} is not of the form s = 0.1 mV/V"
+                    f"effect {name!r}: {assignment.strip()!r} is not of the form s = 0.1 mV/V"
                 )
-            given[found[1].strip("`")] = found[2]
+            stated[match[1].strip("`")] = match[2]
     name, formula = name.strip(), formula.strip()
     if not formula or not re.fullmatch(r"[^\W\d]\w*(?:\.\w+)?", name):
         raise InputError(
             f"effect {name[:60]!r} has no name and formula: write it as 'supply: s * (supply_voltage - 5); s = 1 mV/V'"
         )
-    return name, formula, given
+    return name, formula, stated
 
 
 class _TypedLine:
-    """A formula with what is said of its names, and the readings or instrument that it is for."""
+    """A formula with the definitions of its names, and the readings or instrument that it is for."""
 
     def __init__(
         self,
         name: str,
         formula: str,
-        given: Mapping[str, str],
+        stated: Mapping[str, str],
         readings: Measurements | None,
         instrument: Instrument | None,
     ) -> None:
-        self.name, self.text, self.given = _apart(name, formula, given)
+        self.name, self.text, self.stated = _split(name, formula, stated)
         self.readings, self.instrument = readings, instrument
         tree = self.parsed()
         self.first = dict[str, int]()  # where each name stands first
@@ -215,16 +215,16 @@ class _TypedLine:
             self.first.setdefault(word, at)
         # Name in the formula → column, and its fixed unit; empty where that is not known yet.
         self.columns = self._columns()
-        if unused := sorted(set(self.given) - set(self.first)):
+        if unused := sorted(set(self.stated) - set(self.first)):
             raise InputError(
                 f"effect {self.name!r}: {', '.join(unused)} is given, and does not stand in {self.text!r}"
             )
         unknowns = set(self.first) - set(self.columns)
-        bent = {name for part in _bent(tree) for _, name in self.named(part)} & unknowns
-        self.shapes = {n: self._shape(n, tree) for n in sorted(bent)}  # not linear in these
+        nonlinear = {name for part in _nonlinear(tree) for _, name in self.named(part)} & unknowns
+        self.shapes = {n: self._shape(n, tree) for n in sorted(nonlinear)}
         self.units = {n: parse(u) if u else None for n, (_, u) in self.columns.items()}
         self.units |= {n: parse(s.unit) for n, s in self.shapes.items()}
-        self.coefficients = self.linear(tree)  # for each other unknown what it is multiplied by
+        self.coefficients = self.linear(tree)  # factor of each other unknown
         if "" in self.coefficients:
             near = "" if unknowns else ": write one in front, as s * (…)"
             why = f"this is multiplied by no coefficient, whose size would be found{near}"
@@ -234,13 +234,13 @@ class _TypedLine:
         return InputError(f"effect {self.text[:at]!r} ▸ {self.text[at:]!r}: {why}")
 
     def parsed(self) -> ast.expr:
-        """Return the formula as Python's tree, its names by their key in `names`.
+        """Parse the formula to Python's tree, its names by their key in `names`.
 
         Raises:
             InputError: it is none; the place is marked.
         """
-        if len(self.text) > LONGEST_LINE:
-            raise InputError(f"a formula of {len(self.text)} characters: {LONGEST_LINE} at most")
+        if len(self.text) > MAX_LENGTH:
+            raise InputError(f"a formula of {len(self.text)} characters: {MAX_LENGTH} at most")
         # Python reads operators, numbers, functions that there are, and each other name as n0, n1, …: no keyword.
         self.names, self.places, source = dict[str, str](), list[int](), ""
         for token in _ATOM.finditer(self.text):
@@ -249,8 +249,8 @@ class _TypedLine:
             if kind == "other":
                 raise self.refusal(at, f"{word!r} has no meaning in a formula")
             if kind == "function" and word not in _COUNTS:
-                known = f"there is no function {word!r}; there are {', '.join(_COUNTS)}"
-                raise self.refusal(at, known)
+                message = f"there is no function {word!r}; there are {', '.join(_COUNTS)}"
+                raise self.refusal(at, message)
             if kind == "number":
                 word = repr(_number(word, partial(self.refusal, at)))
             elif kind in ("name", "quoted"):
@@ -277,7 +277,7 @@ class _TypedLine:
         return tree
 
     def at(self, node: Any) -> int:
-        """Return where a part begins in the line, brackets about it left out."""
+        """Return the position of a part in the line, without brackets around it."""
         while isinstance(node, ast.BinOp):
             node = node.left
         return self.places[node.col_offset]
@@ -288,7 +288,7 @@ class _TypedLine:
         return [(self.at(n), self.names[n.id]) for n in nodes if n.id in self.names]
 
     def applied(self, function: str, unit: ParsedUnit | None, *parts: FormulaPart) -> FormulaPart:
-        """Return a function of parts; of literals alone, its value.
+        """Apply a function to parts; to literals alone, its value.
 
         Raises:
             InputError: it has none: a division by zero, the root of a negative number, a number too large or too small.
@@ -304,7 +304,7 @@ class _TypedLine:
         return FormulaPart(value, None, at)
 
     def linear(self, node: ast.expr) -> Linear:
-        """Return what each coefficient of a part is multiplied by."""
+        """Return the factor of each coefficient of a part."""
         at = self.at(node)
         match node:
             case ast.Constant():
@@ -318,10 +318,10 @@ class _TypedLine:
                 negative = False
                 while isinstance(node, ast.UnaryOp):
                     negative, node = negative ^ isinstance(node.op, ast.USub), node.operand
-                found = self.linear(node)
+                parts = self.linear(node)
                 if negative:
-                    found = {n: self._negative(part) for n, part in found.items()}
-                return {n: part._replace(at=at) for n, part in found.items()}
+                    parts = {n: self._negative(part) for n, part in parts.items()}
+                return {n: part._replace(at=at) for n, part in parts.items()}
             case ast.BinOp():
                 sides = self.linear(node.left), self.linear(node.right)
                 return self._joined(_SIGNS[type(node.op)], *sides)
@@ -332,7 +332,7 @@ class _TypedLine:
         return self.applied("neg", part.unit, part)
 
     def _joined(self, sign: str, a: Linear, b: Linear) -> Linear:
-        """Return two linear forms with an operator between them."""
+        """Combine two linear forms by an operator."""
         if sign in "+-":
             for name, part in b.items():
                 if name in a:
@@ -345,7 +345,7 @@ class _TypedLine:
         if set(a) == {""}:
             return {n: self._multiplied(sign, a[""], part) for n, part in b.items()}
         both = sorted({*a, *b} - {""})
-        unsaid = [n for n in both if n not in self.given]
+        unsaid = [n for n in both if n not in self.stated]
         at = next(iter(a.values())).at
         if self.readings is not None and len(unsaid) == 1 < len(both):
             raise self.refusal(at, self._no_column(unsaid[0]))
@@ -355,7 +355,7 @@ class _TypedLine:
         raise self.refusal(at, why)
 
     def _compared(self, function: str, a: FormulaPart, b: FormulaPart) -> FormulaPart:
-        """Return what adds or compares two parts, which have one unit."""
+        """Apply a function that adds or compares to two parts, which have one unit."""
         if a.unit is not None and b.unit is not None and a.unit.powers != b.unit.powers:
             why = f"this is {b.unit}, what it is added to or compared with {a.unit}"
             raise self.refusal(b.at, why)
@@ -380,9 +380,9 @@ class _TypedLine:
     def _called(self, name: str, arguments: list[ast.expr]) -> FormulaPart:
         if name in _PAST:
             return self._of_past(name, *arguments)
-        a, *more = (self.linear(argument)[""] for argument in arguments)
-        if more:
-            return self._compared(name, a, *more)
+        a, *others = (self.linear(argument)[""] for argument in arguments)
+        if others:
+            return self._compared(name, a, *others)
         unit = a.unit
         if name not in ("abs", "sqrt"):
             powers = {} if unit is None or name in ("step", "sign") else unit.powers
@@ -408,91 +408,91 @@ class _TypedLine:
             raise self.refusal(self.at(tau[0]), why)
         return FormulaPart((function, column, *times), unit, self.at(of))
 
-    # what is said of its names ----------------------------------------------------------------------------------
+    # definitions of its names -----------------------------------------------------------------------------------
 
     def _no_column(self, name: str) -> str:
-        """Return that the readings have no column of a name, and which they have."""
+        """Return the message that the readings have no column of a name, with those that they have."""
         assert self.readings is not None
-        has = ", ".join(self.there)
+        has = ", ".join(self.available)
         return f"{name!r} is not a column of numbers of {self.readings.file} (it has: {has})"
 
     def _columns(self) -> dict[str, tuple[str, str]]:
-        """Return the names that are columns.
+        """Match names to columns of the readings: name → column and unit.
 
         Raises:
             InputError: the readings have no such column of numbers, or its unit is not known.
         """
-        readings, given = self.readings, self.given
+        readings, texts = self.readings, self.stated
         columns = self.instrument.columns if self.instrument else ()
         declared = {c.name: c.unit for c in columns if c.name != "output"}
-        there = {**_UNITS, **{n: u for n, u in declared.items() if u not in (None, ANY)}}
+        table = {**_UNITS, **{n: u for n, u in declared.items() if u not in (None, ANY)}}
         if readings is not None:
             units = {n: readings.unit(n) for n in readings.columns if n != readings.output}
-            there = {n: unit for n, unit in units.items() if unit}
-            there |= {"elapsed": "s"} if "time" in there else {}
-        self.there = there
-        renamed = {n: v for n, v in given.items() if not re.match(r"[-+.\d]", v)}
-        found: dict[str, tuple[str, str]] = {}
+            table = {n: unit for n, unit in units.items() if unit}
+            table |= {"elapsed": "s"} if "time" in table else {}
+        self.available = table
+        renamed = {n: v for n, v in texts.items() if not re.match(r"[-+.\d]", v)}
+        pairs: dict[str, tuple[str, str]] = {}
         for name, at in self.first.items():
             column, bracket, unit = renamed.get(name, name).partition("[")
             column = column.strip()
-            column = column if column in there or name in renamed else _ALIASES.get(column, column)
-            stated, unsaid = base_unit(unit.rstrip("] ")) if bracket else "", name not in given
-            if column in there:
-                if stated and parse(stated).powers != parse(there[column]).powers:
+            column = column if column in table or name in renamed else _ALIASES.get(column, column)
+            stated, unsaid = base_unit(unit.rstrip("] ")) if bracket else "", name not in texts
+            if column in table:
+                if stated and parse(stated).powers != parse(table[column]).powers:
                     raise self.refusal(
-                        at, f"{column} is in [{there[column]}], and not in [{stated}]"
+                        at, f"{column} is in [{table[column]}], and not in [{stated}]"
                     )
-                found[name] = column, there[column]
-            elif readings is None and (name in renamed or (given and unsaid)):
-                found[name] = column if name in renamed else name, stated  # looked at with readings
+                pairs[name] = column, table[column]
+            elif readings is None and (name in renamed or (texts and unsaid)):
+                pairs[name] = column if name in renamed else name, stated  # looked at with readings
             elif readings is not None and (name in renamed or (unsaid and column in declared)):
                 raise self.refusal(at, self._no_column(column))
             elif (
                 unsaid
                 and len(name) > 3
-                and (near := difflib.get_close_matches(name, there, 1, 0.8))
+                and (near := difflib.get_close_matches(name, table, 1, 0.8))
             ):
                 raise self.refusal(at, f"there is no column {name!r}: is {near[0]!r} meant?")
-        return found
+        return pairs
 
     def _shape(self, name: str, tree: ast.expr) -> Shape:
-        said = self.given.get(name)
-        if said is None:
+        text = self.stated.get(name)
+        if text is None:
             why = f"how large {name!r} plausibly is, is not said: {name} = 100 to 2000 s"
             why = why if self.readings is None else f"{self._no_column(name)}, and {why}"
             raise self.refusal(self.first[name], why)
-        if found := _RANGE.fullmatch(said):
-            low, high, unit = _number(found[1]), _number(found[2]), found[3]
-        elif (found := _SIZE.fullmatch(said)) and found[2] is None and float(found[1]) > 0:
-            value, unit = _number(found[1]), found[3]
-            low, high = value / MAGNITUDE, value * MAGNITUDE
+        if match := _RANGE.fullmatch(text):
+            low, high, unit = _number(match[1]), _number(match[2]), match[3]
+        elif (match := _SIZE.fullmatch(text)) and match[2] is None and float(match[1]) > 0:
+            value, unit = _number(match[1]), match[3]
+            low, high = value / RANGE_FACTOR, value * RANGE_FACTOR
         else:
-            raise InputError(f"{name} = {said!r} is no plausible range: write it as 100 to 2000 s")
+            raise InputError(f"{name} = {text!r} is no plausible range: write it as 100 to 2000 s")
         unit = (unit or "1").strip()
         # What is added to a column or compared with it is a place along it: 50 degF is 10 °C, and may be negative.
         compared = (getattr(p, "id", "") for node in ast.walk(tree) for p in _compared(node))
         place = any(self.names.get(key) == name for key in compared)
         if not (low < high and (low > 0 or place)):
             raise InputError(
-                f"{name} = {said!r}: a range goes from a positive number to a larger one"
+                f"{name} = {text!r}: a range goes from a positive number to a larger one"
             )
         base = "1"
         if unit != "1":
-            own = base_unit(unit)
-            low, high = (float(convert(v, unit, own, difference=not place)) for v in (low, high))
-            base = re.sub(r"(?<!delta_)degC", "delta_degC", own)
+            fixed = base_unit(unit)
+            low, high = (float(convert(v, unit, fixed, difference=not place)) for v in (low, high))
+            base = re.sub(r"(?<!delta_)degC", "delta_degC", fixed)
         return Shape(name, base, low, high, "log" if low > 0 else "linear")
 
     def effect(self, source: str) -> Effect:
-        """Return the effect, its sizes those that are said or that the readings show."""
+        """Return the effect, with sizes as stated, or estimated from the readings."""
         slot, slot_unit, cause = self._slot()
         name, basis = f"{slot}.{cause}", self._basis("")
         sizes = [None] * len(basis.parts)
         if self.readings is not None:
             sizes = _scatter(basis, self.readings, self.shapes)
-        each = zip(self.coefficients.items(), sizes, strict=True)
-        coefficients = tuple(self._coefficient(n, p.unit, slot_unit, s) for (n, p), s in each)
+        pairs = zip(self.coefficients.items(), sizes, strict=True)
+        coefficients = tuple(self._coefficient(n, p.unit, slot_unit, s) for (n, p), s in pairs)
         needs = ["time" if c == "elapsed" else c for c, _ in self.columns.values()]
         return Effect(
             name,
@@ -519,12 +519,12 @@ class _TypedLine:
             return slot, self.instrument.slot(slot).unit, cause
         chosen = self.instrument.slots[0]
         for name, part in self.coefficients.items():
-            size = _SIZE.fullmatch(self.given.get(name, ""))
+            size = _SIZE.fullmatch(self.stated.get(name, ""))
             if size and size[3]:
                 whole = parse(size[3].strip()).times(part.unit or NUMBER).powers
                 fitting = (s for s in self.instrument.slots if parse(s.unit).powers == whole)
-                if found := next(fitting, None):
-                    chosen = found
+                if slot_found := next(fitting, None):
+                    chosen = slot_found
                     break
         return chosen.name, chosen.unit, cause
 
@@ -532,36 +532,36 @@ class _TypedLine:
         self, name: str, unit: ParsedUnit | None, slot_unit: str | None, size: float | None
     ) -> Coefficient:
         """Return a coefficient with its prior, its unit such that the product is in that of the slot."""
-        own, said = unit or NUMBER, self.given.get(name)
+        basis_unit, stated = unit or NUMBER, self.stated.get(name)
         part = name if len(self.coefficients) > 1 else ""
-        if said is None:
+        if stated is None:
             if size is None or slot_unit is None:
                 raise InputError(
                     f"effect {self.text!r}: how large {name!r} plausibly is, is not said: {name} = 0.1 mV/V"
                 )
-            divided = (("degC" if n == "K" else n, p) for n, p in sorted(own.powers.items()))
+            divided = (("degC" if n == "K" else n, p) for n, p in sorted(basis_unit.powers.items()))
             powers = (n if p == 1 else f"({n}^{p:g})" for n, p in divided)
             text = "/".join([slot_unit, *powers])
             rounded = _number(f"{size / coefficient_factor(text, slot_unit):.2g}")
             return Coefficient(text, Normal(0.0, rounded), part)
-        if not (found := _SIZE.fullmatch(said)):
+        if not (match := _SIZE.fullmatch(stated)):
             raise InputError(
-                f"{name} = {said!r} is no size with a unit: write it as 0.1 mV/V, or as 0.5 ± 0.1 mV/V"
+                f"{name} = {stated!r} is no size with a unit: write it as 0.1 mV/V, or as 0.5 ± 0.1 mV/V"
             )
-        text = (found[3] or "1").strip()
-        sd, mean = abs(_number(found[2] or found[1])), _number(found[1]) if found[2] else 0.0
+        text = (match[3] or "1").strip()
+        sd, mean = abs(_number(match[2] or match[1])), _number(match[1]) if match[2] else 0.0
         if not sd > 0:
-            raise InputError(f"{name} = {said!r}: a size is not zero")
-        whole = parse(text).times(own)
-        if slot_unit is not None and whole.powers != (wanted := parse(slot_unit)).powers:
+            raise InputError(f"{name} = {stated!r}: a size is not zero")
+        whole = parse(text).times(basis_unit)
+        if slot_unit is not None and whole.powers != (target := parse(slot_unit)).powers:
             raise InputError(
-                f"effect {self.text!r}: {name} in {text} makes it {whole}, and it adds to what is {wanted}: correct "
+                f"effect {self.text!r}: {name} in {text} makes it {whole}, and it adds to what is {target}: correct "
                 f"the unit of {name}"
             )
         return Coefficient(text, Normal(mean, sd), part)
 
     def _canonical(self, name: str, coefficients: tuple[Coefficient, ...]) -> str:
-        """Return the whole in one line, from which it can be made again without readings."""
+        """Format the effect as one line, from which it can be made again without readings."""
         pieces = [f"{name}: {self.text}"]
         for n, c in zip(self.coefficients, coefficients, strict=True):
             pieces.append(f"{n} = {f'{c.mean!r} ± ' if c.mean else ''}{c.size!r} {c.unit}")
@@ -578,7 +578,7 @@ def _function(node: ast.Call) -> str:
 
 
 def _compared(node: ast.AST) -> list[ast.expr]:
-    """Return the parts that a sum or a comparison has."""
+    """Return the parts of a sum or a comparison."""
     match node:
         case ast.BinOp(op=ast.Add() | ast.Sub()):
             return [node.left, node.right]
@@ -587,8 +587,8 @@ def _compared(node: ast.AST) -> list[ast.expr]:
     return []
 
 
-def _bent(tree: ast.expr) -> Iterator[ast.expr]:
-    """Yield the parts that a formula is not linear in: in a function, below a division, in a power."""
+def _nonlinear(tree: ast.expr) -> Iterator[ast.expr]:
+    """Yield the parts in which a formula is not linear: arguments, divisors, powers."""
     for node in ast.walk(tree):
         match node:
             case ast.Call():
@@ -600,7 +600,7 @@ def _bent(tree: ast.expr) -> Iterator[ast.expr]:
 
 
 def _number(text: str, refusal: Callable[[str], InputError] = InputError) -> float:
-    """Return a number as it is written.
+    """Parse a number.
 
     Raises:
         InputError: by `refusal`: it is too large, or too small, for a computer's numbers.
@@ -611,12 +611,12 @@ def _number(text: str, refusal: Callable[[str], InputError] = InputError) -> flo
     raise refusal(f"{text} is a number too {'large' if abs(value) > 1 else 'small'}")
 
 
-def _scatter(made: Formula, readings: Measurements, shapes: Mapping[str, Shape]) -> list[float]:
-    """Size of each coefficient at which its term varies as much as the output does, base units of the output."""
+def _scatter(formula: Formula, readings: Measurements, shapes: Mapping[str, Shape]) -> list[float]:
+    """Return the size of each coefficient at which its term varies as the output does, base units of the output."""
     frame = build_frame(readings, reference_of(readings))
     middle = {n: float(s.prior.value(np.float64(0.0))) for n, s in shapes.items()}
     with np.errstate(all="ignore"):  # what is not finite is refused where it meets the readings
-        columns = np.asarray(made(frame, **middle))
+        columns = np.asarray(formula(frame, **middle))
         sizes = np.std(columns, axis=0)
     spread = float(np.std(readings[readings.output]))
     sizes = np.where(sizes > 0, sizes, np.abs(columns).max(axis=0))
@@ -624,21 +624,21 @@ def _scatter(made: Formula, readings: Measurements, shapes: Mapping[str, Shape])
 
 
 def require_units(effect_: Effect, readings: Measurements, instrument: Instrument) -> None:
-    """Refuse readings or a slot whose units are others than those that a typed effect was made for.
+    """Raise ModelError for readings or a slot in other units than those that a typed effect was made for.
 
     Raises:
         ModelError: a column, or the whole, is in another unit.
     """
-    made = effect_.basis
-    if not isinstance(made, Formula):
+    basis = effect_.basis
+    if not isinstance(basis, Formula):
         return
     try:
-        again = effect(made.text, readings=readings, instrument=instrument)
+        again = effect(basis.text, readings=readings, instrument=instrument)
     except InputError as error:
         raise ModelError(str(error)) from None
     assert isinstance(again.basis, Formula)
-    if (again.basis.parts, again.basis.columns) != (made.parts, made.columns):
+    if (again.basis.parts, again.basis.columns) != (basis.parts, basis.columns):
         raise ModelError(
             f"Effect {effect_.name!r} was typed for columns in other units than these readings have: type it with "
-            f"readings=, or say their units ({made.text})"
+            f"readings=, or say their units ({basis.text})"
         )

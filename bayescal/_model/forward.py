@@ -18,13 +18,13 @@ Values = dict[str, Float[Array, "..."]]
 
 
 def hyper_values(layout: Layout, v: Float[Array, "d"]) -> Values:
-    """The entries of φ at coordinate v, by name, in reported units; fixed ones included."""
+    """Return the entries of φ at coordinate v, by name, in reported units; fixed ones included."""
     values = {h.name: h.prior.value(v[i]) for i, h in enumerate(layout.hypers)}
     return {**{name: jnp.asarray(value) for name, value in layout.model.fixed}, **values}
 
 
 def hyper_log_prior(layout: Layout, v: Float[Array, "d"]) -> Float[Array, ""]:
-    """Log prior density of φ in its coordinates."""
+    """Return the log prior density of φ in its coordinates."""
     return sum((h.prior.log_density(v[i]) for i, h in enumerate(layout.hypers)), jnp.zeros(()))
 
 
@@ -35,20 +35,20 @@ def prior_mean(layout: Layout) -> Float[Array, "p"]:
 def prior_sd(
     layout: Layout, hyper: Values, flat: Float[Array, "p"] | float = 1.0
 ) -> Float[Array, "p"]:
-    """Prior standard deviation of x given φ; where the prior is flat, the scale `flat` of its column."""
+    """Return the prior standard deviation of x given φ; where the prior is flat, the scale `flat` of its column."""
     sd = Sizes(terms_of(layout.x_blocks)[0], layout.model.effects, layout.size).at(hyper)
     return jnp.where(prior_weight(layout) > 0, sd, flat * sd)
 
 
 def prior_weight(layout: Layout) -> Float[Array, "p"]:
-    """1 where the prior of x is proper, 0 where it is flat."""
+    """Return 1 where the prior of x is proper, 0 where it is flat (p,)."""
     return jnp.asarray(layout.of_x([float(not b.coefficient.flat) for b in layout.x_blocks]))
 
 
 def composed(
     layout: Layout, frame: Frame, x: Array, hyper: Values, sloped: bool = False
 ) -> tuple[composition.Traced, tuple[Term, ...], composition.Composed]:
-    """The model put together at a point: its source, its terms, and what they come to; `sloped`: with slopes."""
+    """Compose the model at a point; return its source, its terms and their sums; `sloped`: with slopes."""
     source = composition.Traced(layout.model.instrument, frame)
     terms, _ = terms_of(layout.blocks, source)
     values = [composition.value(source, t, x, hyper) for t in terms]
@@ -58,26 +58,26 @@ def composed(
 def linearise(
     layout: Layout, frame: Frame, x: Float[Array, "p"], hyper: Values
 ) -> composition.Linearised:
-    """Expected output and Jacobian at a point, output unit per reported unit."""
+    """Return the expected output and the Jacobian at a point, output unit per reported unit."""
     return composition.linearised(*composed(layout, frame, x, hyper, sloped=True))
 
 
 def with_inputs(
     layout: Layout, frame: Frame, x: Float[Array, "p"], hyper: Values
 ) -> tuple[Float[Array, "n"], Float[Array, "n"] | None]:
-    """Expected output, and the variance that noise on inputs adds to each reading; None where there is none."""
+    """Return the expected output, and the variance of each reading from noise on inputs; None where there is none."""
     inputs = any(b.place == "input" for b in layout.blocks)
-    source, terms, made = composed(layout, frame, x, hyper, sloped=inputs)
+    source, terms, sums = composed(layout, frame, x, hyper, sloped=inputs)
     if not inputs:
-        return composition.expected(source, made), None
-    line = composition.linearised(source, terms, made)
+        return composition.expected(source, sums), None
+    line = composition.linearised(source, terms, sums)
     return line.mean, composition.variance_of_inputs(terms, line)
 
 
 def log_likelihood(
     layout: Layout, frame: Frame, y: Float[Array, "n"], x: Float[Array, "p"], hyper: Values
 ) -> Float[Array, "n"]:
-    """Log density of each reading given every unknown; in the order of time under correlated noise."""
+    """Return the log density of each reading given every unknown; in the order of time under correlated noise."""
     noise, (expected, extra) = layout.model.noise, with_inputs(layout, frame, x, hyper)
     # Where the order matters there is no noise on inputs, which would have to follow it.
     ordered, y, expected = in_time(noise, frame, y, expected)
@@ -85,19 +85,19 @@ def log_likelihood(
 
 
 def log_prior_x(layout: Layout, x: Float[Array, "p"], hyper: Values) -> Float[Array, ""]:
-    """Log prior density of x given φ; flat ones count nothing."""
+    """Return the log prior density of x given φ; flat ones contribute zero."""
     sd, weight = prior_sd(layout, hyper), prior_weight(layout)
     z = (x - prior_mean(layout)) / sd
     return -0.5 * jnp.sum(weight * (z**2 + 2 * jnp.log(sd) + jnp.log(2 * jnp.pi)))
 
 
 def draw_readings(layout: Layout, frame: Frame, x: Array, v: Array, key: Array) -> Array:
-    """Readings simulated by the model's own equation and noise, that on inputs to first order."""
+    """Draw readings from the model's equation and noise, noise on inputs to first order."""
     hyper, noise = hyper_values(layout, v), layout.model.noise
     expected, extra = with_inputs(layout, frame, x, hyper)
     if extra is not None:
-        key, own = jax.random.split(key)
-        expected = expected + jnp.sqrt(extra) * jax.random.normal(own, expected.shape)
+        key, subkey = jax.random.split(key)
+        expected = expected + jnp.sqrt(extra) * jax.random.normal(subkey, expected.shape)
     ordered, expected = in_time(noise, frame, expected)
     drawn = noise.sample(key, expected, hyper, ordered)
     return drawn if noise.independent else jnp.zeros_like(drawn).at[frame.order].set(drawn)

@@ -1,4 +1,4 @@
-"""Readings as JAX sees them: columns, group codes, and what is derived from time.
+"""Frames: readings as JAX arrays, with group codes and quantities derived from time.
 
 A frame is built once from measurements and a reference. The reference holds the constants of the bases (T0,
 the mean time, the span): stored at the fit and never recomputed on new readings.
@@ -24,7 +24,7 @@ from bayescal._data.records import recursion
 
 # that all readings have; an instrument's label columns are groups too
 GROUPS = ("run", "cell", "axis", "device")
-UNHELD = ("output", UNCERTAINTY, "time", "temperature_point")
+NEVER_HELD = ("output", UNCERTAINTY, "time", "temperature_point")
 BY_READING = ("columns", "labels", "rates", "codes", "record", "path")  # dictionaries of (n,)
 PATH = " path"  # behind the name of a column that is corrected with all its past, as the temperature of a body is
 Reference = dict[str, float | dict[str, float]]
@@ -46,8 +46,8 @@ class Frame:
         order: permutation that sorts the readings by run and time.
         step: time since the previous reading of the same run, in sorted order, −1 at a run's first, s.
         record: the columns as they were measured, whatever has been corrected since.
-        silence: time without a reading, beyond which it is not known how a temperature went from one to the next, s.
-        path: columns that a body has in place of those measured, (*s, n) each.
+        silence: longest time between readings over which a temperature is interpolated, s.
+        path: columns as a lagging body has them, in place of those measured, (*s, n) each.
     """
 
     columns: dict[str, Float[Any, "n"]]
@@ -82,7 +82,7 @@ class Frame:
         return self.columns[name] - 0.5 * (self.reference[low] + self.reference[high])
 
     def has_label(self, name: str, label: str) -> Float[Array, "n"]:
-        """1 where the column of text `name` reads `label`, 0 elsewhere.
+        """Return 1 where the column of text `name` reads `label`, 0 elsewhere (n,).
 
         Raises:
             ModelError: the column is one of numbers, or a group that every instrument has ("run", "device", …).
@@ -96,7 +96,7 @@ class Frame:
         return self.labels.get(f"{name}={label}", np.zeros(self.size))
 
     def position(self, name: str) -> Float[Array, "n"]:
-        """Where a covariate stands in its range at the fit, 0 to 1; a rate is called "temperature rate"."""
+        """Return the position of a covariate in its range at the fit, 0 to 1; a rate is called "temperature rate"."""
         values = self.columns[name] if name in self.columns else self.rates[measured_column(name)]
         low, high = self.reference[f"{name}_low"], self.reference[f"{name}_high"]
         span = high - low
@@ -117,16 +117,16 @@ class Frame:
 
     @property
     def elapsed(self) -> Float[Array, "n"]:
-        """Time since the start of the run, s."""
+        """Return the time since the start of the run, s."""
         return self.columns["elapsed"]
 
     @property
     def progress(self) -> Float[Array, "n"]:
-        """(t − t̄)/(tmax − tmin) over the data set of the fit."""
+        """Return (t − t̄)/(tmax − tmin) over the data set of the fit."""
         return (self.columns["time"] - self.reference["time_mean"]) / self.reference["time_span"]
 
     def lag(self, tau: Float[Array, ""], name: str = "temperature") -> Float[Array, "n"]:
-        """T̃ − T, where τ·dT̃/dt = T − T̃ and T̃ starts each run at the run's first reading, °C.
+        """Return T̃ − T, where τ·dT̃/dt = T − T̃ and T̃ starts each run at the run's first reading, °C.
 
         T is taken as linear between readings, or, where it is set in steps, as held from each reading to the next (the
         constant "…_held" of its reference is 1); the recursion below is exact for both. Over a silence (as of a rate,
@@ -137,30 +137,30 @@ class Frame:
         return self.behind(tau, name) + (self.record[name] - self.columns[name])
 
     def behind(self, tau: Float[Array, ""], name: str = "temperature") -> Float[Array, "n"]:
-        """T̃ − T as `lag` has it, both of the record whatever has been corrected since, °C."""
+        """Return T̃ − T as `lag`, both of the record, without later corrections, °C."""
         values = self.record[name][self.order]
         change = xp.diff(values, prepend=values[:1])
-        held = xp.asarray(self.reference.get(held_name(name), 0.0)) > 0
+        is_held = xp.asarray(self.reference.get(held_name(name), 0.0)) > 0
         step, place = (self.step, None) if is_traced(self.step) else self._paces
-        first, still = step < 0, step == 0
-        h = xp.where(first | still, 1.0, step / tau)
-        decay = xp.where(first, 0.0, xp.where(still, 1.0, xp.exp(-h)))
+        first, no_step = step < 0, step == 0
+        h = xp.where(first | no_step, 1.0, step / tau)
+        decay = xp.where(first, 0.0, xp.where(no_step, 1.0, xp.exp(-h)))
         linear = xp.where(step > self.silence, -decay, xp.expm1(-h) / h)
-        share = xp.where(first, 0.0, xp.where(still | held, -1.0, linear))
+        share = xp.where(first, 0.0, xp.where(no_step | is_held, -1.0, linear))
         if place is not None:
             decay, share = (xp.take(a, place, axis=-1) for a in (decay, share))
         return xp.placed(self.order, followed(decay, change * share))
 
     @cached_property
     def _paces(self) -> tuple[Float[np.ndarray, "u"], Any]:
-        """The steps that differ, and which of them each reading has: of an even clock few have an exponential."""
-        found, place = np.unique(self.step, return_inverse=True)
-        return (found, place) if 2 * len(found) < self.size else (self.step, None)
+        """Return the distinct steps and the index of each reading's step: an even clock has few exponentials."""
+        steps, place = np.unique(self.step, return_inverse=True)
+        return (steps, place) if 2 * len(steps) < self.size else (self.step, None)
 
     def direction(
         self, width: Float[Array, ""], name: str = "temperature"
     ) -> tuple[Float[Array, "n"], Float[Array, "n"]]:
-        """Which way a column goes, −1 … 1, turned round within `width` of it; and what is left of a run's first state.
+        """Return direction of a column's change, −1 … 1, reversed within `width`, and the remainder of the first state.
 
         Dahl's hysteresis, dD/dT = (sign(dT) − D)/width from 0 at a run's first reading, exact between readings: the
         pace does not matter, and a pause is remembered. It follows the record, or a body that lags.
@@ -170,41 +170,41 @@ class Frame:
         change = xp.where(first, 0.0, xp.diff(values, prepend=values[..., :1]))
         share = xp.where(first, 0.0, xp.exp(-xp.abs(change) / width))
         turned = followed(share, xp.where(first, 0.0, (1.0 - share) * xp.sign(change)))
-        left = followed(share, xp.where(first, 1.0, 0.0))
-        return xp.placed(self.order, turned), xp.placed(self.order, left)
+        remainder = followed(share, xp.where(first, 1.0, 0.0))
+        return xp.placed(self.order, turned), xp.placed(self.order, remainder)
 
     def only(self, names: Sequence[str]) -> Frame:
-        """The same readings with some of their columns, rates of these and what is known of both; with time, elapsed.
+        """Select columns, with their rates and the constants of both; with time, elapsed.
 
         Each reading's known uncertainty stays.
         """
-        kept = {*names, UNCERTAINTY} | ({"elapsed"} if "time" in names else set())
-        known = {of(name) for name in kept for of in (reference_name, held_name)}
-        known |= {"time_mean", "time_span"}
-        known |= {
-            f"{n}{rate}_{end}" for n in kept for rate in ("", " rate") for end in ("low", "high")
+        columns = {*names, UNCERTAINTY} | ({"elapsed"} if "time" in names else set())
+        constants = {of(name) for name in columns for of in (reference_name, held_name)}
+        constants |= {"time_mean", "time_span"}
+        constants |= {
+            f"{n}{rate}_{end}" for n in columns for rate in ("", " rate") for end in ("low", "high")
         }
 
-        def some(values: Mapping[str, Any], wanted: Collection[str] = kept) -> dict[str, Any]:
-            return {name: value for name, value in values.items() if name in wanted}
+        def some(values: Mapping[str, Any], chosen: Collection[str] = columns) -> dict[str, Any]:
+            return {name: value for name, value in values.items() if name in chosen}
 
-        found = {name: some(getattr(self, name)) for name in ("columns", "rates", "record")}
-        reference = some(self.reference, known)
-        return replace(self, **found, labels={}, codes={}, reference=reference)
+        parts = {name: some(getattr(self, name)) for name in ("columns", "rates", "record")}
+        reference = some(self.reference, constants)
+        return replace(self, **parts, labels={}, codes={}, reference=reference)
 
     def reordered(self, rows: Any, order: Any, step: Any) -> Frame:
-        """These readings alone, in this order, with what is known of their time."""
-        found = {n: {k: a[rows] for k, a in getattr(self, n).items()} for n in BY_READING}
-        return replace(self, **found, order=order, step=step)
+        """Select and order readings, with the order and step that they then have."""
+        arrays = {n: {k: a[rows] for k, a in getattr(self, n).items()} for n in BY_READING}
+        return replace(self, **arrays, order=order, step=step)
 
     def in_time(self) -> Frame:
-        """The same readings in the order of time within runs, in which they then stand."""
+        """Sort the readings by time within runs."""
         order = self.order
         places = xp.arange(self.size, dtype=order.dtype)
         return self.reordered(order, places, self.step)
 
     def moved(self, moves: Mapping[str, Float[Array, "n"]]) -> Frame:
-        """The same readings with measured columns corrected by what is added (rates stay those of the record)."""
+        """Add corrections to measured columns (rates stay those of the record)."""
         columns, path = dict(self.columns), dict(self.path)
         for name, shift in moves.items():
             column = name.removesuffix(PATH)
@@ -230,19 +230,19 @@ def followed(share: Float[Any, "*s n"], push: Float[Any, "*s n"]) -> Float[Any, 
     return recursion(share, push)
 
 
-def derived(readings: Measurements, every: bool = False) -> dict[str, np.ndarray]:
-    """What a dependence can be on: numeric columns but the output, time within the run, rates of temperatures, °C/s.
+def derived(readings: Measurements, with_no_causes: bool = False) -> dict[str, np.ndarray]:
+    """Return possible covariates: numeric columns except the output, time within the run, rates of temperatures, °C/s.
 
-    A rate is called "temperature rate". Columns that are no causes are left out, unless `every` one is wanted.
+    A rate is called "temperature rate". Columns that are no possible causes are left out, unless `with_no_causes`.
     """
-    own = {"output", "output_uncertainty", "temperature_point"}
-    own |= set() if every else readings.no_causes
-    found = {n: readings[n] for n in readings.columns if readings.unit(n) and n not in own}
+    omitted = {"output", "output_uncertainty", "temperature_point"}
+    omitted |= set() if with_no_causes else readings.no_causes
+    columns = {n: readings[n] for n in readings.columns if readings.unit(n) and n not in omitted}
     if readings.has("time"):
-        found |= {f"{n} rate": rate for n, rate in readings.rates.items() if n not in own}
+        columns |= {f"{n} rate": rate for n, rate in readings.rates.items() if n not in omitted}
         if len(readings.records.names) > 1:
-            found["elapsed"] = readings.records.elapsed()
-    return found
+            columns["elapsed"] = readings.records.elapsed()
+    return columns
 
 
 def measured_column(covariate: str) -> str:
@@ -251,8 +251,8 @@ def measured_column(covariate: str) -> str:
 
 
 def reference_name(column: str) -> str:
-    known = {"temperature": "T0", "lab_temperature": "L0", "supply_voltage": "V0"}
-    return known.get(column, f"{column}_0")
+    names = {"temperature": "T0", "lab_temperature": "L0", "supply_voltage": "V0"}
+    return names.get(column, f"{column}_0")
 
 
 def held_name(column: str) -> str:
@@ -260,32 +260,32 @@ def held_name(column: str) -> str:
 
 
 def reference_of(readings: Measurements) -> Reference:
-    """The constants of the bases for these readings: T0, L0, mean time and span, ranges; what is held."""
-    found: Reference = {}
+    """Compute the constants of the bases for these readings: T0, L0, mean time and span, ranges, held columns."""
+    scalars: Reference = {}
     for name in readings.columns:
         if readings.unit(name) == "degC" and name != "temperature_point":
-            found[reference_name(name)] = _round_middle(readings[name])
-    for name, values in derived(readings, every=True).items():
-        found[f"{name}_low"], found[f"{name}_high"] = float(values.min()), float(values.max())
+            scalars[reference_name(name)] = _round_middle(readings[name])
+    for name, values in derived(readings, with_no_causes=True).items():
+        scalars[f"{name}_low"], scalars[f"{name}_high"] = float(values.min()), float(values.max())
     if readings.has("time"):
         time = readings["time"]
-        found["time_mean"] = float(np.mean(time))
-        found["time_span"] = float(np.ptp(time)) or 1.0
-        for name in (n for n in readings.columns if readings.unit(n) and n not in UNHELD):
+        scalars["time_mean"] = float(np.mean(time))
+        scalars["time_span"] = float(np.ptp(time)) or 1.0
+        for name in (n for n in readings.columns if readings.unit(n) and n not in NEVER_HELD):
             measured = readings.unit(name) == "degC"  # and goes from one reading to the next
-            held = not measured and readings.records.set_in_steps(readings[name])
-            found[held_name(name)] = float(held)
-    return found
+            is_held = not measured and readings.records.set_in_steps(readings[name])
+            scalars[held_name(name)] = float(is_held)
+    return scalars
 
 
 def constants_of(readings: Measurements) -> set[str]:
-    """Return the names of the constants that bases may have on these readings, those that are only asked for too."""
-    own = {reference_name(n) for n in readings.columns if readings.unit(n)}
-    return own | {n for n, value in reference_of(readings).items() if not isinstance(value, dict)}
+    """Return the names of the constants that bases may use on these readings, whether or not they are stored."""
+    names = {reference_name(n) for n in readings.columns if readings.unit(n)}
+    return names | {n for n, value in reference_of(readings).items() if not isinstance(value, dict)}
 
 
 def _round_middle(values: np.ndarray) -> float:
-    """Return a mean to the fewest decimal places that keep it among the values and within 0.1 of their sd."""
+    """Round a mean to the fewest decimal places that keep it among the values and within 0.1 of their sd."""
     low, high, far = values.min(), values.max(), 0.1 * values.std()
     mean = np.clip(values.mean(), low, high)
     rounded = (np.round(mean, places) for places in range(16))
@@ -298,7 +298,7 @@ def build_frame(
     levels: Mapping[str, tuple[str, ...]] | None = None,
     record: Measurements | None = None,
 ) -> Frame:
-    """A frame of readings, on the clock of the fit, under the constants stored at the fit.
+    """Build the frame of readings, on the clock of the fit, under the constants stored at the fit.
 
     Members of groups that are not among `levels` get the code −1; None, at the fit itself, takes the readings' own.
     Runs may be those of the fitted readings, the `record`.
@@ -326,47 +326,47 @@ def build_frame(
 
 
 def origins(reference: Mapping[str, Any]) -> dict[str, dict[str, float]]:
-    """What outputs are counted from, output unit: by the constant of the reference, and the coefficient that takes it
-    back."""
+    """Return the origins of the outputs, output unit: by the constant of the reference, and by the coefficient that
+    includes it."""
     return {n: v for n, v in reference.items() if isinstance(v, dict)}
 
 
 def _from_origin(
     columns: Mapping[str, np.ndarray], reference: Reference
 ) -> tuple[dict[str, np.ndarray], Mapping[str, float]]:
-    """Columns, and constants that are numbers, with outputs counted from their origin; what is made of three of them is
-    made of these."""
+    """Return columns, and constants that are numbers, with outputs counted from their origin, and so is a scalar output
+    made of three."""
     names = {reference_name(n): n for n in columns}
-    taken = {names[n]: sum(own.values()) for n, own in origins(reference).items()}
-    found = {n: columns[n] - origin for n, origin in taken.items()}
+    offsets = {names[n]: sum(parts.values()) for n, parts in origins(reference).items()}
+    shifted = {n: columns[n] - origin for n, origin in offsets.items()}
     scalars = {n: v for n, v in reference.items() if not isinstance(v, dict)}
-    for name, origin in taken.items():
+    for name, origin in offsets.items():
         ends = (n for n in (f"{name}_low", f"{name}_high") if n in scalars)
         scalars |= {n: scalars[n] - origin for n in ends}
-    if found and "output" not in found:
-        length = np.linalg.norm(np.array([*found.values()]), axis=0)
+    if shifted and "output" not in shifted:
+        length = np.linalg.norm(np.array([*shifted.values()]), axis=0)
         across = np.array([columns.get(n, 0 * length) for n in ACROSS])
-        along = columns["output"] - np.array([*taken.values()]) @ across
-        found["output"] = np.where(np.any(across != 0, axis=0), along, length)
-    return {**columns, **found}, scalars
+        along = columns["output"] - np.array([*offsets.values()]) @ across
+        shifted["output"] = np.where(np.any(across != 0, axis=0), along, length)
+    return {**columns, **shifted}, scalars
 
 
 def label_groups(readings: Measurements) -> list[str]:
-    """Columns of labels that are groups of an instrument's own, such as "station"."""
+    """Return the columns of labels that are groups of an instrument's own, such as "station"."""
     return [n for n in readings.columns if readings.unit(n) is None and n not in GROUPS]
 
 
 def _member_codes(
     readings: Measurements, group: str, levels: Mapping[str, tuple[str, ...]] | None
 ) -> Int[np.ndarray, "n"]:
-    """Each reading's member of a group, as it was numbered at the fit."""
+    """Return the code of each reading's member of a group, as numbered at the fit."""
     if group not in GROUPS and not readings.has(group):  # of no member that was fitted
         return np.full(len(readings), -1, dtype=np.int8)
     members, codes = readings.groups(group)
     if levels is not None:
         fitted = levels.get(group, ())
-        known = {level: i for i, level in enumerate(fitted)}
-        codes = np.array([known.get(level, -1) for level in members] + [-1])[codes]
+        index = {level: i for i, level in enumerate(fitted)}
+        codes = np.array([index.get(level, -1) for level in members] + [-1])[codes]
         members = fitted
-    fitting = np.min_scalar_type(-len(members) - 1)  # of four for each reading, most are zeros
+    fitting = np.min_scalar_type(-len(members) - 1)  # the smallest integer type
     return codes.astype(fitting)

@@ -1,4 +1,4 @@
-"""Independent noise: white, with a scatter that follows a column, with outliers, or seen through a rounding."""
+"""Independent noise laws: white, heteroscedastic, Student-t, quantised."""
 
 from __future__ import annotations
 
@@ -17,11 +17,11 @@ from bayescal._model.prior import HalfCauchy, LogNormal, Normal, Positive
 
 SLOPE, CURVATURE = "noise.slope", "noise.curvature"
 PROPORTIONAL = "noise.proportional"
-# Of a column's largest size to its least, from which a proportion to it is no exponential.
-RATIO = 3.0
+# Least ratio of a column's largest size to its least: below, a proportion to it is nearly an exponential.
+MIN_SIZE_RATIO = 3.0
 FREEDOM = "noise.freedom"
-NEVER = 1e-300  # a probability that stands for none
-LEAST_FREEDOM = 2.1  # below 2 the variance does not exist
+MIN_PROBABILITY = 1e-300  # in place of zero
+MIN_FREEDOM = 2.1  # below 2 the variance does not exist
 
 
 class White(Noise):
@@ -51,8 +51,8 @@ class White(Noise):
         return values[WHITE] ** 2
 
     def variance_place(self, frame: Frame) -> np.ndarray | None:
-        known = frame.columns.get(UNCERTAINTY)
-        return None if known is None or not np.all(known > 0) else np.log(np.asarray(known))
+        sigma = frame.columns.get(UNCERTAINTY)
+        return None if sigma is None or not np.all(sigma > 0) else np.log(np.asarray(sigma))
 
     def variance_along(self, values: Parameters, place: np.ndarray) -> Any:
         return values[WHITE] ** 2 + np.exp(2 * place)
@@ -137,12 +137,12 @@ class Heteroscedastic(Noise):
     def variance(self, parameters: Parameters, frame: Frame) -> Array:
         if not self.proportional:
             return scattered_variance(parameters, frame, self.column)
-        own = own_variance(parameters, frame)
-        return own + (parameters[PROPORTIONAL] * self._place(frame)) ** 2
+        white = own_variance(parameters, frame)
+        return white + (parameters[PROPORTIONAL] * self._place(frame)) ** 2
 
 
 def followed_columns(column: str) -> tuple[str, ...]:
-    """Columns of readings that a scatter needs which follows a column, "elapsed" or a rate."""
+    """Return the columns that a scatter needs which follows a column, "elapsed" or a rate."""
     if column == "elapsed":
         return ("time",)
     plain = measured_column(column)
@@ -150,7 +150,7 @@ def followed_columns(column: str) -> tuple[str, ...]:
 
 
 def scattered_variance(parameters: Parameters, frame: Frame, column: str) -> Float[Array, "n"]:
-    """Variance of each reading by itself, its white part as `Heteroscedastic` has it, output unit squared."""
+    """Return the white variance of each reading, as `Heteroscedastic` has it, output unit squared."""
     growth = scatter(parameters, place_along(frame, column))
     return own_variance({WHITE: parameters[WHITE] * growth}, frame)
 
@@ -169,17 +169,17 @@ def scatter(values: Parameters, place: Any) -> Any:
 
 @offered
 def _for_each_column(scale: Positive, frame: Frame) -> list[Noise]:
-    """One law for each column or rate that varies; one more for a column of sizes, whose zero is no convention."""
-    reference, found = frame.reference, list[Noise]()
+    """Offer a law for each column or rate that varies; one more for a column of sizes, whose zero is no convention."""
+    reference, laws = frame.reference, list[Noise]()
     for column in (name.removesuffix("_low") for name in reference if name.endswith("_low")):
         low, high = (float(reference[f"{column}_{end}"]) for end in ("low", "high"))
         sizes = column in frame.columns and column not in ("time", "elapsed")
         sizes &= reference_name(column) not in reference  # no temperature
         if high > low:
-            found.append(Heteroscedastic(column, scale))
-            if sizes and (low * high <= 0 or max(high / low, low / high) > RATIO):
-                found.append(Heteroscedastic(column, scale, proportional=True))
-    return found
+            laws.append(Heteroscedastic(column, scale))
+            if sizes and (low * high <= 0 or max(high / low, low / high) > MIN_SIZE_RATIO):
+                laws.append(Heteroscedastic(column, scale, proportional=True))
+    return laws
 
 
 class StudentT(Noise):
@@ -210,7 +210,7 @@ class StudentT(Noise):
 
     def variance(self, parameters: Parameters, frame: Frame) -> Array:
         # Student-t of scale s and ν degrees of freedom has the variance s²·ν/(ν − 2).
-        freedom = xp.maximum(parameters[FREEDOM], LEAST_FREEDOM)
+        freedom = xp.maximum(parameters[FREEDOM], MIN_FREEDOM)
         return own_variance(parameters, frame) * freedom / (freedom - 2)
 
     def log_density(self, y: Array, mean: Array, parameters: Parameters, frame: Frame) -> Array:
@@ -219,20 +219,20 @@ class StudentT(Noise):
         norm = gammaln(half) - gammaln(0.5 * freedom) - 0.5 * xp.log(xp.pi * freedom * squared)
         return norm - half * xp.log1p((y - mean) ** 2 / (freedom * squared))
 
-    def by_residual(self, left: Any, parameters: Parameters, frame: Frame) -> tuple[Any, Any]:
+    def by_residual(self, residuals: Any, parameters: Parameters, frame: Frame) -> tuple[Any, Any]:
         freedom = parameters[FREEDOM]
-        scale, square = freedom * own_variance(parameters, frame), left**2
+        scale, square = freedom * own_variance(parameters, frame), residuals**2
         whole = scale + square
-        return (freedom + 1) * left / whole, (freedom + 1) * (scale - square) / whole**2
+        return (freedom + 1) * residuals / whole, (freedom + 1) * (scale - square) / whole**2
 
-    def normal_scores(self, left: Array, parameters: Parameters, frame: Frame) -> Array:
+    def normal_scores(self, residuals: Array, parameters: Parameters, frame: Frame) -> Array:
         # P(T < −t) = ½·I_{ν/(ν + t²)}(ν/2, ½)
         freedom = parameters[FREEDOM]
-        squares = left**2 / own_variance(parameters, frame)
+        squares = residuals**2 / own_variance(parameters, frame)
         special = special_of((freedom, squares))
         tail = 0.5 * special.betainc(0.5 * freedom, 0.5, freedom / (freedom + squares))
         # Φ⁻¹ of the smaller tail keeps its digits far out, where one minus it would be one.
-        return -xp.sign(left) * special.ndtri(xp.maximum(tail, NEVER))
+        return -xp.sign(residuals) * special.ndtri(xp.maximum(tail, MIN_PROBABILITY))
 
     def sample(self, key: Array, mean: Array, parameters: Parameters, frame: Frame) -> Array:
         draws = jax.random.t(key, parameters[FREEDOM], mean.shape)

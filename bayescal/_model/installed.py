@@ -14,24 +14,24 @@ GROUP = "bayescal.instruments"
 
 
 def installed_names() -> list[str]:
-    """Names of the installed instruments, none of which is loaded."""
+    """Return the names of the installed instruments, without loading one."""
     return sorted(entry_points(group=GROUP).names)
 
 
 def installed_instrument(name: str) -> Instrument:
-    """An installed instrument, the others not loaded.
+    """Load an installed instrument by name.
 
     Raises:
         InputError: none is installed under that name.
     """
-    if name not in (known := installed_names()):
+    if name not in (names := installed_names()):
         raise InputError(
-            f"no instrument is called {name!r}; installed: {', '.join(known) or 'none'}. "
+            f"no instrument is called {name!r}; installed: {', '.join(names) or 'none'}. "
             "For one of your own give my.py:INSTRUMENT"
         )
     return entry_points(group=GROUP)[name].load()
 
 
 def installed_instruments() -> dict[str, Instrument]:
-    """Every installed instrument, by name."""
+    """Load every installed instrument, by name."""
     return {name: installed_instrument(name) for name in installed_names()}

@@ -1,4 +1,4 @@
-"""An instrument: a value that says what is measured and by which equation.
+"""Instruments: the columns, slots and measurement equation of a sensor, as values.
 
 Instruments are not subclasses. A new one is a set of columns, slots and one function of slots and readings.
 """
@@ -116,7 +116,7 @@ class Instrument:
     settings: tuple[tuple[str, str | float], ...] = ()
 
     def __post_init__(self) -> None:
-        """Refuse what contradicts itself: units that do not agree, a use of what is not there."""
+        """Raise ModelError for units that do not agree, or a use of a slot or column that is missing."""
         clock = next((c for c in self.columns if c.name == "time"), None)
         if clock is not None and clock.unit != "s":
             raise ModelError(
@@ -140,29 +140,29 @@ class Instrument:
             self.column(self.use.stimulus)
 
     def __reduce_ex__(self, protocol: Any) -> Any:
-        """As pickle writes it: where its module holds it, and what differs from that."""
+        """Return the pickled form: where its module holds it, and the fields that differ from that."""
         module = self.response.__module__
-        held = sys.modules.get(module)
-        for name, value in vars(held).items() if held else ():
+        home = sys.modules.get(module)
+        for name, value in vars(home).items() if home else ():
             if isinstance(value, Instrument) and value.name == self.name:
                 if self.settings and value.tailor is not None:
-                    return _again, (module, name, None, dict(self.settings))
+                    return _unpickled, (module, name, None, dict(self.settings))
                 mine, its = vars(self), vars(value)
-                more = {f: mine[f] for f in mine if mine[f] is not its[f]}
-                return _again, (module, name, more, {})
+                differing = {f: mine[f] for f in mine if mine[f] is not its[f]}
+                return _unpickled, (module, name, differing, {})
         return object.__reduce_ex__(self, protocol)
 
     def __repr__(self) -> str:
         return f"<Instrument: {self.name}, {self.title}>"
 
     def for_readings(self, readings: Measurements) -> Instrument:
-        """The instrument tailored to readings, where it has to be; else the same."""
+        """Tailor the instrument to readings, where it has to be; else return the same."""
         return self if self.tailor is None else self.tailor(readings)
 
     def simulate(
         self, effects: Mapping[str, float] | None = None, *, seed: int, **options: Any
     ) -> Measurements:
-        """Readings of a simulated campaign with effects hidden in it.
+        """Simulate the readings of a campaign with given effects.
 
         Args:
             effects: canonical name → true size, in the unit of the effect's coefficient.
@@ -180,22 +180,22 @@ class Instrument:
     if TYPE_CHECKING:
 
         def baseline(self) -> Any:
-            """The instrument's `Model` with its baseline effects and noise law; `model.py` attaches it."""
+            """Return the `Model` with the baseline effects and noise law; `model.py` attaches it."""
 
     @property
     def groups(self) -> tuple[str, ...]:
-        """What coefficients may be given one each of: run, cell, axis, device, reading, and its columns of labels."""
+        """Return groups that coefficients may be per: run, cell, axis, device, reading, and its columns of labels."""
         labels = (column.name for column in self.columns if column.unit is None)
         return tuple(dict.fromkeys((*GROUPS, READING, *labels)))
 
     @property
     def outputs(self) -> tuple[str, ...]:
-        """Columns that the output is made of; none where a file holds it."""
+        """Return the columns that the output is made of; none where a file holds it."""
         return () if self.vector is None else self.vector.outputs
 
     @property
     def unit(self) -> str:
-        """The fixed unit of the output; "any" before it is tailored to readings."""
+        """Return the fixed unit of the output; "any" before it is tailored to readings."""
         unit = self.column("output").unit
         assert unit is not None
         return unit
@@ -210,7 +210,7 @@ class Instrument:
         )
 
     def slot(self, name: str) -> Slot:
-        """A slot by name; a numeric column is one too, in its own unit.
+        """Return a slot by name; a numeric column is one too, in its own unit.
 
         Raises:
             ModelError: there is no such slot.
@@ -228,11 +228,11 @@ class Instrument:
 
     @property
     def known(self) -> dict[str, Effect]:
-        """Its own effects by name, forms after the effect that they are forms of."""
+        """Return its own effects by name, forms after the effect that they are forms of."""
         return {e.name: e for e in with_forms((*self.effects, *self.candidates, *self.nuisances))}
 
     def effect(self, name: str, more: Mapping[str, Effect] = MappingProxyType({})) -> Effect:
-        """One of the instrument's own effects by canonical name, or "unknown(covariate)".
+        """Return one of the instrument's own effects by canonical name, or "unknown(covariate)".
 
         Args:
             more: further effects by name, before its own.
@@ -253,14 +253,14 @@ class Instrument:
         )
 
     def shown_by(self, frame: Frame, more: Iterable[Effect] = ()) -> tuple[Effect, ...]:
-        """Effects of the instrument, and some more, that these readings have the columns for."""
-        known = {**self.known, **{e.name: e for e in more}}
+        """Return the effects of the instrument, and of `more`, whose columns these readings have."""
+        effects = {**self.known, **{e.name: e for e in more}}
         labels = (label.split("=")[0] for label in frame.labels)
-        there = {*frame.columns, *frame.codes, *labels, "temperature_point"}
-        return tuple(e for e in known.values() if there.issuperset(e.columns))
+        available = {*frame.columns, *frame.codes, *labels, "temperature_point"}
+        return tuple(e for e in effects.values() if available.issuperset(e.columns))
 
     def unknown(self, covariate: str) -> Effect:
-        """An unknown dependence of the output on a covariate: smooth, a step, a kink; a periodic form in time.
+        """Return an unknown dependence of the output on a covariate: smooth, a step, a kink; a periodic form in time.
 
         Its plausible amplitudes are taken from the readings that the model is fitted to.
 
@@ -280,18 +280,18 @@ class Instrument:
         return placeholder(covariate, slot.name, slot.unit)
 
 
-def _again(
-    module: str, name: str, more: dict[str, Any] | None, settings: dict[str, Any]
+def _unpickled(
+    module: str, name: str, differing: dict[str, Any] | None, settings: dict[str, Any]
 ) -> Instrument:
-    """An unpickled instrument: that of a module, tailored again or with what differed."""
+    """Restore a pickled instrument: that of a module, tailored again or with the fields that differed."""
     instrument: Any = getattr(import_module(module), name)
     if settings:
         return instrument.tailor(None, **settings)
-    return replace(instrument, **more) if more else instrument
+    return replace(instrument, **differing) if differing else instrument
 
 
 def factor_of(instrument: Instrument, effect: Effect, coefficient: Coefficient) -> float:
-    """What a coefficient times its basis column is in the slot's unit.
+    """Return the factor that converts a coefficient times its basis column to the slot's unit.
 
     The coefficient is in its reported unit; the basis is made of columns in the units that the instrument declares, and
     in base units of columns that it does not.
@@ -301,13 +301,13 @@ def factor_of(instrument: Instrument, effect: Effect, coefficient: Coefficient) 
     """
     declared = {c.name: str(c.unit) for c in instrument.columns if c.unit not in (None, ANY)}
     slot = instrument.slot(coefficient.slot or effect.slot)
-    known = {*GROUPS, "temperature_point", "time", "elapsed", *(c.name for c in instrument.columns)}
+    names = {*GROUPS, "temperature_point", "time", "elapsed", *(c.name for c in instrument.columns)}
     named = {name: declared[name] for name in effect.columns if name in declared}
     others = {unit for name, unit in declared.items() if name not in (*named, "output")}
-    own, undeclared = tuple(sorted({*named.values()})), not known.issuperset(effect.columns)
+    units, undeclared = tuple(sorted({*named.values()})), not names.issuperset(effect.columns)
     further = (*(s.unit for s in effect.shapes), *sorted(others))
     try:
-        return basis_factor(coefficient.unit, slot.unit, own, undeclared, further)
+        return basis_factor(coefficient.unit, slot.unit, units, undeclared, further)
     except InputError as error:
         columns = ", ".join(f"{name} [{unit}]" for name, unit in named.items()) or "none"
         raise ModelError(

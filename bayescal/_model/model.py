@@ -60,28 +60,28 @@ class Model(Printed):
             rows.append([effect.name, per, size.rstrip(), effect.equation])
         fixed = [f"{name} = {value:g}" for name, value in self.fixed]
         lines = [f"{self.instrument.name}, noise {self.noise.in_words}"]
-        shown = [plain_table(head, rows, left=2, fold=30)] if rows else []
-        return [*lines, *shown, *([f"fixed: {', '.join(fixed)}"] if fixed else [])]
+        table = [plain_table(head, rows, left=2, fold=30)] if rows else []
+        return [*lines, *table, *([f"fixed: {', '.join(fixed)}"] if fixed else [])]
 
     def _brief(self) -> str:
         return in_short(self)
 
     def _columns(self) -> dict[str, list[Any]]:
-        """A row for each coefficient; its prior's size in its unit."""
-        each = [(e, i, c) for e in self.effects for i, c in enumerate(e.coefficients)]
+        """Return a table with a row for each coefficient; its prior's size in its unit."""
+        rows = [(e, i, c) for e in self.effects for i, c in enumerate(e.coefficients)]
         return {
-            "coefficient": [e.coefficient_name(i) for e, i, _ in each],
-            "effect": [e.name for e, _, _ in each],
-            "slot": [c.slot or e.slot for e, _, c in each],
-            "per": [c.per or "" for _, _, c in each],
-            "plausible size": [float("inf") if c.flat else c.size for _, _, c in each],
-            "unit": [c.unit for _, _, c in each],
-            "equation": [e.equation for e, _, _ in each],
+            "coefficient": [e.coefficient_name(i) for e, i, _ in rows],
+            "effect": [e.name for e, _, _ in rows],
+            "slot": [c.slot or e.slot for e, _, c in rows],
+            "per": [c.per or "" for _, _, c in rows],
+            "plausible size": [float("inf") if c.flat else c.size for _, _, c in rows],
+            "unit": [c.unit for _, _, c in rows],
+            "equation": [e.equation for e, _, _ in rows],
         }
 
     @property
     def groups(self) -> tuple[str, ...]:
-        """Groups whose members have a coefficient each; "reading" is none."""
+        """Return the groups whose members have a coefficient each; "reading" is none."""
         named = (c.per for effect in self.effects for c in effect.coefficients if c.per)
         return tuple(dict.fromkeys(per for per in named if per != READING))
 
@@ -91,19 +91,19 @@ class Model(Printed):
 
     @property
     def columns(self) -> frozenset[str]:
-        """Columns of the readings that its effects depend on."""
+        """Return the columns of the readings that its effects depend on."""
         return frozenset(n for e in self.effects for n in (*e.columns, *e.varies))
 
     def __add__(self, other: Effect | str | Iterable[Effect | str]) -> Model:
-        """The model with an effect (or several) more, given as such or by canonical name.
+        """Add an effect (or several), given as such or by canonical name.
 
         Raises:
             ModelError: the effect is there already, or its slot or name is unknown.
         """
         if not isinstance(other, (Effect, str)):
             model = self
-            for one in other:
-                model = model + one
+            for item in other:
+                model = model + item
             return model
         effect = self.instrument.effect(other) if isinstance(other, str) else other
         if effect.name in self.names:
@@ -114,7 +114,7 @@ class Model(Printed):
         return replace(self, effects=(*self.effects, effect))
 
     def __sub__(self, other: Effect | str) -> Model:
-        """The model without an effect.
+        """Remove an effect.
 
         Raises:
             ModelError: it is not in the model.
@@ -125,9 +125,9 @@ class Model(Printed):
         return replace(self, effects=effects, fixed=fixed)
 
     def with_nuisances(self, readings: Measurements) -> Model:
-        """Return the model with those nuisances of its instrument that these readings show."""
-        own = self.instrument.nuisances
-        return self + [e for e in own if e.name not in self.names and testable(e, readings) is None]
+        """Add those nuisances of its instrument that these readings can test."""
+        absent = (e for e in self.instrument.nuisances if e.name not in self.names)
+        return self + [e for e in absent if testable(e, readings) is None]
 
     def effect(self, name: str) -> Effect:
         for effect in self.effects:
@@ -139,9 +139,9 @@ class Model(Printed):
         return replace(self, noise=noise)
 
     def fix(self, values: Mapping[str, float]) -> Model:
-        """The model with some unknowns held at a value, in the unit in which each is reported.
+        """Fix some unknowns at a value, in the unit in which each is reported.
 
-        So a published calibration is checked: fix all its coefficients and look at what remains. With noise.white at 0
+        So a published calibration is checked: fix all its coefficients and look at the residuals. With noise.white at 0
         the known uncertainty of each reading, its column `output_uncertainty`, is all the noise that there is.
 
         Raises:
@@ -162,7 +162,7 @@ class Model(Printed):
         return replace(self, fixed=tuple({**dict(self.fixed), **values}.items()))
 
     def free(self, *names: str) -> Model:
-        """The model with these unknowns (all, if none is named) estimated again.
+        """Free these unknowns (all, if none is named), so that they are estimated again.
 
         Raises:
             ModelError: no unknown has that name.
@@ -171,7 +171,7 @@ class Model(Printed):
         return replace(self, fixed=tuple((n, v) for n, v in self.fixed if names and n not in names))
 
     def resize(self, name: str, size: float) -> Model:
-        """The model with another plausible size of an effect's first coefficient, in its unit; others in proportion.
+        """Change the plausible size of an effect's first coefficient, in its unit; others in proportion.
 
         Raises:
             ModelError: the effect is not in the model, states no plausible size, or this one is not positive.
@@ -184,17 +184,17 @@ class Model(Printed):
         sized = (
             _of_size(c, float(f"{c.size / first.size:.12g}") * size) for c in effect.coefficients
         )
-        made = replace(effect, coefficients=tuple(sized))
-        return replace(self, effects=tuple(made if e is effect else e for e in self.effects))
+        resized = replace(effect, coefficients=tuple(sized))
+        return replace(self, effects=tuple(resized if e is effect else e for e in self.effects))
 
     @property
     def noise_as_stated(self) -> bool:
-        """Whether the known uncertainties of the readings are all the noise there is."""
+        """Return whether the known uncertainties of the readings are all the noise there is."""
         return dict(self.fixed).get(WHITE) == 0
 
     @property
     def unknowns(self) -> tuple[str, ...]:
-        """Names of all coefficients, shapes and noise parameters."""
+        """Return the names of all coefficients, shapes and noise parameters."""
         return (*(n for e in self.effects for n in e.unknown_names), *self.noise.parameters())
 
     def _refuse_unknown(self, names: Iterable[str]) -> None:
@@ -205,20 +205,20 @@ class Model(Printed):
                 )
 
     def require(self, readings: Measurements) -> None:
-        """Refuse readings in another unit than the model's, or without what one of its effects needs.
+        """Raise ModelError for readings in another unit than the model's, or without a column that an effect needs.
 
         Raises:
             ModelError: the output has another unit, or a column is missing.
         """
-        own, unit = self.instrument.unit, readings.unit(readings.output)
-        if own == ANY:
+        model_unit, unit = self.instrument.unit, readings.unit(readings.output)
+        if model_unit == ANY:
             raise ModelError(
                 f"Instrument {self.instrument.name!r} takes its unit and plausible sizes from readings: compose "
                 "the model of instrument.for_readings(readings)"
             )
-        if unit != own:
+        if unit != model_unit:
             raise ModelError(
-                f"The output of {readings.file} is in [{unit}], the model's in [{own}]: read the file with the "
+                f"The output of {readings.file} is in [{unit}], the model's in [{model_unit}]: read the file with the "
                 "model's own instrument, or tailor the instrument to these readings"
             )
         for effect in self.effects:
@@ -243,10 +243,10 @@ class Model(Printed):
                 )
         if why := self.noise.why_not(readings[readings.output]):
             raise ModelError(
-                f"{self.noise.name} noise does not fit {readings.file}: {why}. Give the step in [{own}], or use "
+                f"{self.noise.name} noise does not fit {readings.file}: {why}. Give the step in [{model_unit}], or use "
                 "White() noise"
             )
-        followed = derived(readings, every=True) if self.noise.covariates else {}
+        followed = derived(readings, with_no_causes=True) if self.noise.covariates else {}
         for name in self.noise.covariates:
             if name not in followed:
                 raise ModelError(
@@ -262,14 +262,14 @@ class Model(Printed):
 
 
 def in_short(model: Model) -> str:
-    """A model in one line: its instrument, effects and noise law."""
+    """Format a model in one line: its instrument, effects and noise law."""
     fixed = f", {len(model.fixed)} fixed" if model.fixed else ""
     names = " + ".join(model.names) or "no effect"
     return f"{model.instrument.name}: {names}; noise {model.noise.law}{fixed}"
 
 
 def baseline(self: Instrument) -> Model:
-    """The instrument with its baseline effects and noise law."""
+    """Return the model of the instrument with its baseline effects and noise law."""
     return Model(self, self.effects, self.noise)
 
 
@@ -277,7 +277,7 @@ Instrument.baseline = baseline  # a model has an instrument, which therefore can
 
 
 def _require_group(instrument: Instrument, effect: Effect, group: str | None) -> None:
-    """Refuse a coefficient for each member of a group that the instrument does not have."""
+    """Raise ModelError for a coefficient per member of a group that the instrument does not have."""
     if group is None or group in instrument.groups:
         return
     raise ModelError(
@@ -294,7 +294,7 @@ def _of_size(c: Coefficient, size: float) -> Coefficient:
 
 
 def testable(effect: Effect, readings: Measurements) -> str | None:
-    """None if these readings can test the effect, else why not, for a person to read."""
+    """Return None if these readings can test the effect, else why not, for a person to read."""
     if missing := [c for c in effect.columns if not readings.has(c)]:
         return f"needs the column {', '.join(missing)}"
     for column in effect.varies:
@@ -304,8 +304,8 @@ def testable(effect: Effect, readings: Measurements) -> str | None:
     # One member tells no spread; of an effect that is more than deviations it is one coefficient with a size.
     deviations = all(c.group_sd is not None for c in effect.coefficients)
     for coefficient in effect.coefficients:
-        own = coefficient.per not in (None, READING, *GROUPS)
-        if own and not readings.has(str(coefficient.per)):
+        own_group = coefficient.per not in (None, READING, *GROUPS)
+        if own_group and not readings.has(str(coefficient.per)):
             return f"needs the column {coefficient.per}"
         if deviations and coefficient.per is not None:
             _, codes = readings.groups(coefficient.per)

@@ -1,9 +1,9 @@
-"""What a noise law is: how readings scatter about the expected output. One class each; this is their interface.
+"""Interface of noise laws: the distribution of readings about the expected output. Each law is a class.
 
-A law owns its mathematics. It says its parameters with their priors and units, and in JAX, differentiable by all of
-them: the variance of each reading, its log density, how readings are drawn and, where it is Gaussian given its
-parameters, what makes readings independent and of unit variance (`whiten`). Nothing outside asks of which class a law
-is, so that a law of one's own is a law like any other: it takes part in fits, searches, files and batches.
+A law defines its parameters with their priors and units, and in JAX, differentiable by all of them: the variance of
+each reading, its log density, draws of readings and, where it is Gaussian given its parameters, the whitening that
+makes readings independent and of unit variance (`whiten`). No code outside depends on the class of a law, so that a
+law of one's own takes part in fits, searches, files and batches like any other.
 
 A law that is not Gaussian (Student-t, rounding) offers its density alone; slopes and curvatures by the expected output
 are taken by automatic differentiation, and a Gaussian stands for it about the mode of the coefficients (Laplace).
@@ -64,7 +64,7 @@ class Noise(abc.ABC):
     words: ClassVar[str] = ""
     looks_like: ClassVar[str] = ""
     refines: ClassVar[str] = ""
-    several_states: ClassVar[bool] = False  # whether it is computed by a filter of several states
+    several_states: ClassVar[bool] = False  # whether its Kalman filter has several states
     stationary: ClassVar[bool] = False  # a function of frequency on readings of even steps
 
     # By its class's name, which a saved calibration keeps.
@@ -80,12 +80,12 @@ class Noise(abc.ABC):
 
     @classmethod
     def usual(cls) -> Noise:
-        """The law that a search begins with."""
+        """Return the law that a search begins with."""
         return next(kind() for kind in Noise.known.values() if kind.first)
 
     @classmethod
     def correlates(cls, name: str) -> bool:
-        """Whether the law of a name takes readings as correlated; a name begins with its law, as in law(column)."""
+        """Return whether law of a name takes readings as correlated; a name begins with its law, as in law(column)."""
         law = name.partition("(")[0]
         return any(k.law == law and not k.independent for k in Noise.known.values())
 
@@ -93,40 +93,40 @@ class Noise(abc.ABC):
 
     @property
     def needs(self) -> tuple[str, ...]:
-        """Columns that it hangs on."""
+        """Return the columns that it depends on."""
         return () if self.independent else ("time",)
 
     @property
     def covariates(self) -> tuple[str, ...]:
-        """What it follows: numeric columns, "elapsed", or rates such as "temperature rate"."""
+        """Return its covariates: numeric columns, "elapsed", or rates such as "temperature rate"."""
         return ()
 
     @property
     def name(self) -> str:
-        """The law, with the column that it follows."""
+        """Return the name of the law, with the column that it follows."""
         return self.law
 
     @property
     def in_words(self) -> str:
-        """The law as a person reads it, after "noise:"."""
+        """Return the law in words, to stand after "noise:"."""
         return self.words or self.law
 
     @abc.abstractmethod
     def parameters(self) -> dict[str, Any]:
-        """Names and priors of its unknowns."""
+        """Return the names and priors of its unknowns."""
 
     @property
     def amplitudes(self) -> tuple[str, ...]:
-        """Parameters that make the covariance c² times as large where all of them are c times as large."""
+        """Return the parameters that scale the covariance by c² where all of them are scaled by c."""
         return ()
 
     def unit(self, name: str, output: str) -> str:
-        """Unit of one of its parameters, where the output is in `output`; that of the output, if not said here."""
+        """Return the unit of one of its parameters, where the output is in `output`; by default that of the output."""
         return output
 
     @property
     def plain(self) -> Noise:
-        """The law with the priors that it has if none is given: laws of one `plain` share compiled programs."""
+        """Return the law with its default priors: laws of one `plain` share compiled programs."""
         return _with_usual_priors(self)
 
     def why_not(self, output: Float[np.ndarray, "n"]) -> str:
@@ -134,40 +134,40 @@ class Noise(abc.ABC):
         return ""
 
     def derived(self, values: Parameters) -> dict[str, Any]:
-        """Further numbers that its parameters come to, by name, output unit."""
+        """Return further quantities derived from its parameters, by name, output unit."""
         return {}
 
     # what it computes, in JAX -----------------------------------------------------------------------------------
 
     @abc.abstractmethod
     def variance(self, parameters: Parameters, frame: Frame) -> Float[Array, "*n"]:
-        """Variance of each reading about the expected output, or one for all, output unit squared."""
+        """Return the variance of each reading about the expected output, or one for all, output unit squared."""
 
     def log_density(
         self, y: Float[Array, "n"], mean: Float[Array, "n"], parameters: Parameters, frame: Frame
     ) -> Float[Array, "n"]:
-        """Log density of each reading; given those before it in its run, where they are not independent."""
+        """Return the log density of each reading; given those before it in its run, where they are not independent."""
         return _by_whitening(self, y - mean, 0.0, parameters, frame)
 
     def by_residual(
-        self, left: Float[np.ndarray, "*b n"], parameters: Parameters, frame: Frame
+        self, residuals: Float[np.ndarray, "*b n"], parameters: Parameters, frame: Frame
     ) -> tuple[Any, Any] | None:
-        """Return −∂/∂left and −∂²/∂left² of the log density of independent readings; None: by differences."""
+        """Return −∂/∂r and −∂²/∂r² of the log density of independent readings at residuals r; None: by differences."""
         return None
 
     def sample(
         self, key: Array, mean: Float[Array, "n"], parameters: Parameters, frame: Frame
     ) -> Float[Array, "n"]:
-        """Readings drawn about the expected output."""
+        """Draw readings about the expected output."""
         sd = jnp.sqrt(self.variance(parameters, frame))
         return mean + sd * jax.random.normal(key, mean.shape)
 
     def even(self, frame: Frame) -> bool:
-        """Whether all readings are independent and share one variance: then products over them are needed once."""
+        """Return whether readings are independent and share one variance: products over them are then needed once."""
         return False
 
     def shared_variance(self, values: Parameters) -> Any:
-        """Of every reading where they are `even`, output unit squared."""
+        """Return the one variance of all readings where they are `even`, output unit squared."""
         raise NotImplementedError(f"readings under {self.name} noise share no variance")
 
     def variance_place(self, frame: Frame) -> Float[np.ndarray, "n"] | None:
@@ -188,36 +188,36 @@ class Noise(abc.ABC):
         parameters: Parameters,
         frame: Frame,
     ) -> tuple[Float[Array, "n m"], Float[Array, "n"]]:
-        """L⁻¹ times columns, and log Lᵢᵢ, where L·Lᵀ = Σ + diag(extra); row i belongs to reading i."""
+        """Return L⁻¹ times columns, and log Lᵢᵢ, where L·Lᵀ = Σ + diag(extra); row i belongs to reading i."""
         variance = self.variance(parameters, frame) + extra
         sd = jnp.sqrt(jnp.broadcast_to(variance, (frame.size,)))
         return columns / sd[:, None], jnp.log(sd)
 
     def normal_scores(
-        self, left: Float[Array, "n"], parameters: Parameters, frame: Frame
+        self, residuals: Float[Array, "n"], parameters: Parameters, frame: Frame
     ) -> Float[Array, "n"]:
-        """What the expected output leaves of readings, as independent standard normal numbers if the law is right."""
-        return self.whiten(left[:, None], 0.0, parameters, frame)[0][:, 0]
+        """Return the residuals as independent standard normal scores, if the law is right."""
+        return self.whiten(residuals[:, None], 0.0, parameters, frame)[0][:, 0]
 
     def followed(self, frame: Frame) -> Float[Array, "n"] | None:
-        """The column that its correlated part follows, −1 to 1 over the readings of the fit; None if it does none."""
+        """Return the column that its correlated part follows, −1 to 1 over the readings of the fit; None for none."""
         return None
 
-    def starts(self, frame: Frame, left: Float[np.ndarray, "n"]) -> list[dict[str, float]]:
-        """Values at which a maximum may lie, given what a model leaves of readings; those not named may be anything.
+    def starts(self, frame: Frame, residuals: Float[np.ndarray, "n"]) -> list[dict[str, float]]:
+        """Return starting values of parameters for the residuals of a model; those not named may be anything.
 
         Args:
             frame: of the readings, in the order that the law takes them in.
-            left: of them, in this order.
+            residuals: of them, in this order.
         """
         return [{}]
 
-    # what it says of a record -----------------------------------------------------------------------------------
+    # properties over a record -----------------------------------------------------------------------------------
 
     def allan_variance(
         self, values: Parameters, variance: Any, factors: Float[np.ndarray, "k"], step: float
     ) -> Float[np.ndarray, "... k"]:
-        """Allan variance of evenly spaced readings, output unit squared; σ²/m where they are independent.
+        """Return the Allan variance of evenly spaced readings, output unit squared; σ²/m where they are independent.
 
         Args:
             values: its parameters; numbers, or (draws,).
@@ -228,33 +228,33 @@ class Noise(abc.ABC):
         return np.asarray(variance)[..., None] / factors
 
     def slow_variance(self, values: Parameters) -> Any:
-        """Part of a reading's variance that it shares with its neighbours, output unit squared."""
+        """Return the part of a reading's variance that it shares with its neighbours, output unit squared."""
         return 0.0
 
     def lasting_deviation(self, values: Parameters) -> float:
-        """Allan deviation of the correlated part over a tenth to a half of the longest run, at most, output unit."""
+        """Return the largest Allan deviation of the correlated part over 0.1 to 0.5 of the longest run, output unit."""
         return 0.0
 
     def slow_part(
         self,
         values: Parameters,
         time: Float[np.ndarray, "n"],
-        left: Float[np.ndarray, "n b"],
+        residuals: Float[np.ndarray, "n b"],
         white: Float[np.ndarray, "n"],
         at: Float[np.ndarray, "m"],
         along: tuple[np.ndarray, np.ndarray] | None = None,
     ) -> tuple[Float[np.ndarray, "m b"], Float[np.ndarray, "m"]]:
-        """Mean and variance of the correlated part at some times of a run, given what a model leaves of its readings.
+        """Return mean and variance of the correlated part at some times of a run, given the residuals of its readings.
 
         Args:
             values: its parameters.
             time: of the readings, s.
-            left: of the readings, output unit; a column for each set of coefficients. The mean is linear in it.
-            white: variance of each reading's own noise.
-            at: where it is asked for, s.
-            along: what it follows, at these times and at those.
+            residuals: output unit; a column for each set of coefficients. The mean is linear in it.
+            white: variance of each reading's white noise.
+            at: times of the result, s.
+            along: the column that it follows, at the readings and at those times.
         """
-        return np.zeros((len(at), left.shape[1])), np.zeros(len(at))
+        return np.zeros((len(at), residuals.shape[1])), np.zeros(len(at))
 
 
 def log_density_beside(
@@ -265,7 +265,7 @@ def log_density_beside(
     parameters: Parameters,
     frame: Frame,
 ) -> Float[Array, "n"]:
-    """`law.log_density` of readings with a Gaussian part of known variance beside the law's; None: without.
+    """Return `law.log_density` with a further Gaussian part of variance `extra`; None: without.
 
     A law that is not Gaussian takes that part as it takes a known uncertainty of each reading.
     """
@@ -275,26 +275,26 @@ def log_density_beside(
 
 
 def _by_whitening(
-    law: Noise, left: Float[Array, "n"], extra: Any, parameters: Parameters, frame: Frame
+    law: Noise, residuals: Float[Array, "n"], extra: Any, parameters: Parameters, frame: Frame
 ) -> Float[Array, "n"]:
-    # The Cholesky factor takes readings in turn: zₜ is what is new in one, Lₜₜ its standard deviation given those
+    # The Cholesky factor takes readings in turn: zₜ is the innovation of one, Lₜₜ its standard deviation given those
     # before, and so each term is the log density of one reading given those before it.
-    white, log_sd = law.whiten(left[:, None], extra, parameters, frame)
+    white, log_sd = law.whiten(residuals[:, None], extra, parameters, frame)
     return -0.5 * white[:, 0] ** 2 - log_sd - 0.5 * LOG_2PI
 
 
 def widened(frame: Frame, extra: Float[Array, "n"] | None) -> Frame:
-    """A frame in which each reading is uncertain by so much variance more; None: by none."""
+    """Add a variance to each reading's known uncertainty; None: none."""
     if extra is None:
         return frame
-    known = frame.columns[UNCERTAINTY] ** 2 if UNCERTAINTY in frame.columns else 0.0
-    return replace(frame, columns={**frame.columns, UNCERTAINTY: xp.sqrt(known + extra)})
+    variance = frame.columns[UNCERTAINTY] ** 2 if UNCERTAINTY in frame.columns else 0.0
+    return replace(frame, columns={**frame.columns, UNCERTAINTY: xp.sqrt(variance + extra)})
 
 
 def in_time(
     law: Noise, frame: Frame, *arrays: Float[Array, "n ..."]
 ) -> tuple[Frame, *tuple[Array, ...]]:
-    """A frame and arrays of its readings as a law takes them: in the order of time, where that matters to it."""
+    """Return a frame and arrays of its readings as a law takes them: in the order of time for correlated noise."""
     if law.independent:
         return frame, *arrays
     return frame.in_time(), *(a[frame.order] for a in arrays)
@@ -302,28 +302,28 @@ def in_time(
 
 @cache
 def _with_usual_priors(law: Noise) -> Noise:
-    # Programs are compiled for a law as a value: priors, which they do not compute with, would make each one anew.
+    # Programs are compiled for a law as a value: priors, which they do not use, would compile each one anew.
     usual = {f.name: f.default for f in fields(law) if isinstance(getattr(law, f.name), KINDS)}
     return replace(law, **{n: prior for n, prior in usual.items() if prior is not MISSING})
 
 
 def _refuse_unfit(kind: type[Noise]) -> None:
-    """Refuse a class that would be computed as another law than it is, or found under another's name."""
+    """Raise TypeError for a class without its own required methods, or with the name of another law."""
     name = kind.__name__
     for base in kind.__mro__[1:]:
         if "law" in vars(base):
             raise TypeError(f"{name}: derive a noise law from Noise, not from {base.__name__}")
-    own = vars(kind)
-    if missing := [n for n in ("law", "gaussian") if n not in own]:
+    attrs = vars(kind)
+    if missing := [n for n in ("law", "gaussian") if n not in attrs]:
         raise TypeError(f'{name}: a noise law says {" and ".join(missing)}, as in law = "my_law"')
-    needed = [] if own["gaussian"] else ["log_density", "sample"]
-    needed += [] if own.get("independent", True) else ["whiten", "sample"]
+    needed = [] if attrs["gaussian"] else ["log_density", "sample"]
+    needed += [] if attrs.get("independent", True) else ["whiten", "sample"]
     if missing := [n for n in dict.fromkeys(needed) if getattr(kind, n) is getattr(Noise, n)]:
-        why = "is not Gaussian" if not own["gaussian"] else "does not take readings as independent"
+        why = "does not take readings as independent" if attrs["gaussian"] else "is not Gaussian"
         raise TypeError(f"{name} {why}: it must have a method {' and '.join(missing)} of its own")
     for other in Noise.known.values():
-        given = other.__module__.startswith("bayescal.") and other.__module__ != kind.__module__
-        if given and (other.__name__ == name or other.law == kind.law):
+        built_in = other.__module__.startswith("bayescal.") and other.__module__ != kind.__module__
+        if built_in and (other.__name__ == name or other.law == kind.law):
             raise TypeError(
                 f"{name} ({kind.law!r}): bayescal has a law {other.__name__} ({other.law!r}): rename it"
             )
@@ -350,6 +350,6 @@ def offered(offer: Offer) -> Offer:
 
 
 def own_variance(parameters: Parameters, frame: Frame) -> Float[Array, "n"]:
-    """Variance of each reading by itself: that of the white part, and what is known beforehand."""
-    known = frame.columns[UNCERTAINTY] ** 2 if UNCERTAINTY in frame.columns else 0.0
-    return parameters[WHITE] ** 2 + known + xp.zeros(frame.size)
+    """Return the variance of each reading's white part and its known uncertainty."""
+    known_variance = frame.columns[UNCERTAINTY] ** 2 if UNCERTAINTY in frame.columns else 0.0
+    return parameters[WHITE] ** 2 + known_variance + xp.zeros(frame.size)

@@ -101,7 +101,7 @@ def matern(variance: Any, time: Any, step: float, lam: Lambda) -> SpectralTerm:
         inverse = (1 + a) / a + at_end
         m = 1 / (variance * inverse)
         slope_of_m = m * (slope_of_a / a**2 - slope_at_end) / inverse
-        flat = [np.reshape(one, -1) for one in (m - slope_of_m, -m)]
+        flat = [np.reshape(entry, -1) for entry in (m - slope_of_m, -m)]
         return np.array([[flat[0], flat[1]], [flat[1], np.zeros_like(flat[1])]])
 
     return SpectralTerm(symbol - slope, (symbol, slope), correction)

@@ -1,7 +1,7 @@
-"""Terms that correlated noise is a sum of: each a small stationary state-space block, with its Allan variance.
+"""Terms of correlated noise: each a small stationary state-space block, with its Allan variance.
 
-A term says how its states go on over a step (transition, what is new), and reads on its output states. All start
-stationary, so that any of them may begin a run. IEEE Std 952-1997, Annex C, has the coefficients' meaning.
+A term defines the transition of its states over a step, their innovation covariance, and the states observed. All
+start stationary, so that any of them may begin a run. IEEE Std 952-1997, Annex C, defines the coefficients.
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ FLAT = 2 * math.log(2) / math.pi  # Allan variance of flicker noise over B²
 
 
 class Bounds(NamedTuple):
-    """What a record can tell, and how much of it."""
+    """Correlation times that a record can resolve, and the prior of a correlated part's size."""
 
     shortest: float  # of correlation times, s: the usual step and the longest run
     longest: float
@@ -59,7 +59,7 @@ class Bounds(NamedTuple):
 
     @property
     def diffusion(self) -> Positive:
-        """Prior of a coefficient per √s that gives the correlated part its size at the middle of the times."""
+        """Return prior of a coefficient per √s that gives the correlated part its size at the middle of the times."""
         return multiplied(self.correlated, math.sqrt(2 / self.middle))
 
 
@@ -73,18 +73,18 @@ class NoiseTerm(abc.ABC):
 
     @abc.abstractmethod
     def parameters(self, bounds: Bounds) -> dict[str, Any]:
-        """Names and priors; the first is its amplitude."""
+        """Return names and priors; the first is its amplitude."""
 
     def unit(self, name: str, output: str) -> str:
         return self.units.get(name, "{}").format(output)
 
     @abc.abstractmethod
     def block(self, values: Values, bounds: Bounds, h: Float[Array, "n"]) -> Block:
-        """Its states over steps h, s; `values` has the column that is followed too, by its name, from −1 to 1 (n,)."""
+        """Return its states over steps h, s; `values` includes the column that is followed, from −1 to 1 (n,)."""
 
     @abc.abstractmethod
     def variance(self, values: Values, bounds: Bounds) -> Any:
-        """Of a reading, output unit squared."""
+        """Return the variance of a reading, output unit squared."""
 
     def spectrum(
         self, values: Values, bounds: Bounds, step: float, lam: Float[np.ndarray, "j"]
@@ -94,19 +94,19 @@ class NoiseTerm(abc.ABC):
 
     @abc.abstractmethod
     def allan(self, values: Values, bounds: Bounds, m: Float[np.ndarray, "k"], step: float) -> Any:
-        """Allan variance of means of m evenly spaced readings; values with a last axis of one."""
+        """Return the Allan variance of means of m evenly spaced readings; values with a last axis of one."""
 
     def starts(
         self,
         step: Float[np.ndarray, "n"],
-        left: Float[np.ndarray, "n"],
+        residuals: Float[np.ndarray, "n"],
         z: Float[np.ndarray, "n"] | None,
     ) -> list[dict[str, float]]:
-        """Values at which a maximum may lie; further unknowns anywhere."""
+        """Return starting values of its unknowns; those not named may be anything."""
         return [{}]
 
     def derived(self, values: Values, bounds: Bounds) -> dict[str, Any]:
-        """Further numbers that its unknowns come to."""
+        """Return further quantities derived from its unknowns."""
         return {}
 
 
@@ -125,12 +125,12 @@ class ExponentialTerm(NoiseTerm):
         return exponential(times, variances, h)
 
     def spectrum(self, values, bounds, step, lam):
-        each = self.processes(values, bounds)
-        return [noise_spectrum.exponential(variance, t, step, lam) for variance, t in each]
+        processes = self.processes(values, bounds)
+        return [noise_spectrum.exponential(variance, t, step, lam) for variance, t in processes]
 
     def allan(self, values, bounds, m, step):
-        each = self.processes(values, bounds)
-        return sum(variance * allan_of_exponential(m, step / time) for variance, time in each)
+        processes = self.processes(values, bounds)
+        return sum(variance * allan_of_exponential(m, step / time) for variance, time in processes)
 
 
 @static
@@ -149,17 +149,17 @@ class CorrelatedTerm(ExponentialTerm):
         return f"noise.correlated{place or self.place}.{what}"
 
     def parameters(self, bounds: Bounds) -> dict[str, Any]:
-        found: dict[str, Any] = {self._name("diffusion"): bounds.diffusion}
+        priors: dict[str, Any] = {self._name("diffusion"): bounds.diffusion}
         if self.place < 2:
-            return {**found, self._name("time"): LogUniform(bounds.shortest, bounds.longest)}
-        return {**found, self._name("place"): Normal(0.0, 1.0)}
+            return {**priors, self._name("time"): LogUniform(bounds.shortest, bounds.longest)}
+        return {**priors, self._name("place"): Normal(0.0, 1.0)}
 
     def unit(self, name: str, output: str) -> str:
         units = {self._name("diffusion"): f"{output}/s^0.5", self._name("time", 1): "s"}
         return units.get(name, "1")
 
     def time(self, values: Values, bounds: Bounds) -> Any:
-        """Its correlation time, s."""
+        """Return its correlation time, s."""
         time = values[self._name("time", 1)]
         for place in range(2, self.place + 1):
             v = values[self._name("place", place)]
@@ -213,7 +213,7 @@ class FlickerTerm(ExponentialTerm):
         return {"noise.flicker": bounds.correlated}
 
     def times(self, bounds: Bounds) -> Float[np.ndarray, "k"]:
-        """Of the ladder, s: from a quarter of a step to beyond the longest run."""
+        """Return the times of the ladder, s: from a quarter of a step to beyond the longest run."""
         first = FASTEST * bounds.shortest
         count = math.ceil(math.log(bounds.longest / first, RUNGS)) + 1
         return first * RUNGS ** np.arange(count)
@@ -249,26 +249,26 @@ class SmoothTerm(NoiseTerm):
         size, x = values["noise.smooth"], math.sqrt(3) * h / values["noise.smooth.time"]
         # f and g = f′/λ obey f′ = λ·g, g′ = −λ·f − 2λ·g and noise. Its matrix M has (M + λ)² = 0, so that over a step
         # x = λ·Δt exp(M·Δt) = e⁻ˣ·(1 + (M + λ)·Δt) ends after two terms: e⁻ˣ·[[1 + x, x], [−x, 1 − x]] = A.
-        kept, z = jnp.exp(-x), 2 * x
-        carry = kept[:, None, None] * pairs(1 + x, x, -x, 1 - x)
-        # What is new is 1 − A·Aᵀ, both states of variance one. Of f itself 1 − e⁻ᶻ·(1 + z + z²/2), z = 2x, of which
-        # only e⁻ᶻ·(z³/6 + z⁴/24 + …) is left where z is small;
+        decay, z = jnp.exp(-x), 2 * x
+        carry = decay[:, None, None] * pairs(1 + x, x, -x, 1 - x)
+        # The process noise is 1 − A·Aᵀ, both states of variance one. Of f itself 1 − e⁻ᶻ·(1 + z + z²/2), z = 2x,
+        # which is e⁻ᶻ·(z³/6 + z⁴/24 + …) where z is small;
         series = z**3 / 6 * (1 + z / 4 * (1 + z / 5 * (1 + z / 6 * (1 + z / 7 * (1 + z / 8)))))
-        far = -jnp.expm1(-z) - kept**2 * (z + z**2 / 2)
-        own = jnp.where(z < REACH, kept**2 * series, far)
+        far = -jnp.expm1(-z) - decay**2 * (z + z**2 / 2)
+        fresh = jnp.where(z < REACH, decay**2 * series, far)
         # beside the diagonal 2x²·e⁻²ˣ,
-        cross = kept**2 * z**2 / 2
+        cross = decay**2 * z**2 / 2
         # and of g 1 − e⁻²ˣ·(x² + (1 − x)²).
-        slope = -jnp.expm1(-z) + kept**2 * (z - z**2 / 2)
-        return Block(carry, size**2 * pairs(own, cross, cross, slope), size**2 * jnp.eye(2))
+        slope = -jnp.expm1(-z) + decay**2 * (z - z**2 / 2)
+        return Block(carry, size**2 * pairs(fresh, cross, cross, slope), size**2 * jnp.eye(2))
 
     def spectrum(self, values, bounds, step, lam):
-        own = self.variance(values, bounds), values["noise.smooth.time"]
-        return [noise_spectrum.matern(*own, step, lam)]
+        arguments = self.variance(values, bounds), values["noise.smooth.time"]
+        return [noise_spectrum.matern(*arguments, step, lam)]
 
     def allan(self, values, bounds, m, step):
-        """With c(a) that of exp(−a·k), (1 + a·k)·exp(−a·k) has c − a·∂c/∂a, the slope by a complex step; over short
-        times a ramp's, of slopes of the variance λ²: (x²/2 − 7x³/15), x = λ·τ."""
+        """Return c − a·∂c/∂a, c(a) the Allan variance of exp(−a·k), the slope by a complex step; over short times that
+        of a ramp, of slopes of the variance λ²: (x²/2 − 7x³/15), x = λ·τ."""
         a = np.asarray(math.sqrt(3) * step / values["noise.smooth.time"], float)
         # c − a·∂c/∂a in one evaluation: c(a·(1 + i·ε)) = c + i·ε·a·∂c/∂a, and its imaginary part keeps the digits
         # that a difference of two c would lose.
@@ -316,33 +316,33 @@ class ToneTerm(NoiseTerm):
         turn = 2 * math.pi * self._frequency(values, bounds, z) * h
         c, s = jnp.cos(turn), jnp.sin(turn)
         plain = exponential(values["noise.tone.time"], values["noise.tone"] ** 2, h)
-        each = jnp.eye(2)
-        return Block(plain.carry * pairs(c, s, -s, c), plain.fresh * each, plain.start * each)
+        eye = jnp.eye(2)
+        return Block(plain.carry * pairs(c, s, -s, c), plain.fresh * eye, plain.start * eye)
 
     def spectrum(self, values, bounds, step, lam):
-        own = (values[f"noise.tone{part}"] for part in (".time", ".frequency"))
-        return [noise_spectrum.tone(self.variance(values, bounds), *own, step, lam)]
+        arguments = (values[f"noise.tone{part}"] for part in (".time", ".frequency"))
+        return [noise_spectrum.tone(self.variance(values, bounds), *arguments, step, lam)]
 
     def allan(self, values, bounds, m, step):
-        """Of a frequency that moves: the mean over the column's range."""
+        """Return the Allan variance; of a frequency that follows a column, the mean over the column's range."""
         places = np.linspace(-1, 1, 33) if bounds.column else [0.0]
-        fall, found = step / values["noise.tone.time"], []
+        fall, curves = step / values["noise.tone.time"], []
         for z in places:
             turn = 2j * math.pi * step * self._frequency(values, bounds, z)
-            found.append(allan_of_exponential(m + 0j, fall - turn).real)
-        return values["noise.tone"] ** 2 * np.mean(found, axis=0)
+            curves.append(allan_of_exponential(m + 0j, fall - turn).real)
+        return values["noise.tone"] ** 2 * np.mean(curves, axis=0)
 
-    def starts(self, step, left, z):
-        """Values at the strongest line of a spectrogram, its frequency a quadratic of the column; none of few."""
+    def starts(self, step, residuals, z):
+        """Return values at strongest line of a spectrogram, its frequency a quadratic of the column; none if few."""
         usual = float(np.median(step[step > 0]))
         even = np.abs(step / usual - 1) < EVEN_STEPS
         within = np.convolve(even, np.ones(WINDOW - 1), "valid")[1:] == WINDOW - 1
-        begins = np.arange(0, len(left) - WINDOW + 1, WINDOW // 2)
+        begins = np.arange(0, len(residuals) - WINDOW + 1, WINDOW // 2)
         rows = begins[within[begins]][:, None] + np.arange(WINDOW)
         if len(rows) < FEWEST_WINDOWS:
             return []
         window = np.hanning(WINDOW + 2)[1:-1]
-        excess = _excess(left[rows], window, moves=z is not None)
+        excess = _excess(residuals[rows], window, moves=z is not None)
         place = np.zeros(len(rows)) if z is None else z[rows].mean(axis=1)
         slopes = np.linspace(-1, 1, 4 * GRID + 1) if z is not None else np.zeros(1)
         count, best = FINE * WINDOW, (-math.inf, 0.0, 0.0, 0.0)
@@ -357,35 +357,35 @@ class ToneTerm(NoiseTerm):
             best = max(best, (float(totals.max()), float(middles[np.argmax(totals)] / count), a, b))
         level, middle, a, b = best
         # Differences of neighbours have √2 of the standard deviation, and 0.6745 of it as median absolute value.
-        noise = float(np.median(np.abs(np.diff(left)[even[1:]]))) / (0.6745 * math.sqrt(2))
+        noise = float(np.median(np.abs(np.diff(residuals)[even[1:]]))) / (0.6745 * math.sqrt(2))
         # A line of variance s² beside white noise w² has (Σh)²·s²/(2·w²·Σh²) times the noise's power under a window h.
         ratio = max(level - 1, 0.1) * 2 * float(np.sum(window**2) / np.sum(window) ** 2)
         share = ratio / (1 + ratio)
-        found = {
+        start = {
             WHITE: noise * math.sqrt(1 - share),
             "noise.tone": noise * math.sqrt(share),
             "noise.tone.frequency": middle / usual,
             "noise.tone.time": WINDOW * usual,
         }
         if z is not None:
-            found |= dict(zip(MOVING, (float(a) / usual, float(b) / usual), strict=True))
-        return [found]
+            start |= dict(zip(MOVING, (float(a) / usual, float(b) / usual), strict=True))
+        return [start]
 
 
 def _excess(
-    left: Float[np.ndarray, "w r"], window: Float[np.ndarray, "r"], moves: bool
+    residuals: Float[np.ndarray, "w r"], window: Float[np.ndarray, "r"], moves: bool
 ) -> Float[np.ndarray, "w f"]:
-    """Power of windows at each frequency, in parts of what is usual there; straight lines taken out.
+    """Return the power of windows at each frequency, relative to the usual power there, straight lines removed.
 
-    Usual is what all windows have there, if a line moves; else what the neighbours of its frequency have.
+    The usual power is that of all windows at the frequency, if a line moves; else that of its neighbours.
     """
     ramp = np.vander(np.linspace(-1, 1, len(window)), 2)
-    flat = left - left @ ramp @ np.linalg.pinv(ramp)
+    flat = residuals - residuals @ ramp @ np.linalg.pinv(ramp)
     power = np.abs(np.fft.rfft(flat * window, FINE * len(window), axis=1)) ** 2
     usual = np.median(power, axis=0) / math.log(2)  # the mean of an exponential distribution
     if not moves:
         some = [slice(max(0, k - WINDOW), k + WINDOW) for k in range(usual.size)]
-        usual = np.array([np.median(usual[one]) for one in some])
+        usual = np.array([np.median(usual[part]) for part in some])
     return power / usual
 
 
@@ -405,10 +405,10 @@ class ErrorsTerm(NoiseTerm):
         return 2 * self.size(values, bounds) ** 2
 
     def block(self, values, bounds, h):
-        square, nothing = self.size(values, bounds) ** 2, 0.0 * h
-        carry = pairs(nothing, nothing, self.passed + nothing, nothing)
-        fresh = pairs(square + nothing, nothing, nothing, nothing)
-        return Block(carry, fresh, square * jnp.eye(2), shown=True)
+        square, zero = self.size(values, bounds) ** 2, 0.0 * h
+        carry = pairs(zero, zero, self.passed + zero, zero)
+        fresh = pairs(square + zero, zero, zero, zero)
+        return Block(carry, fresh, square * jnp.eye(2), observed=True)
 
     def spectrum(self, values, bounds, step, lam):
         return [noise_spectrum.errors(self.size(values, bounds), self.passed, lam)]
@@ -457,7 +457,7 @@ class AveragingTerm(ErrorsTerm):
 
 
 def allan_of_exponential(m: Float[np.ndarray, "k"], a: Any) -> Any:
-    """Allan variance of evenly spaced readings of unit variance whose correlation is exp(−a·k), k readings apart.
+    """Return the Allan variance of evenly spaced readings of unit variance and correlation exp(−a·k), k readings apart.
 
     With ρ = exp(−a) and a fall E = 1 − ρᵐ it is [(1 + ρ)/(1 − ρ) − ρ·E·(2 + E)/(m·(1 − ρ)²)]/m: from the variance V of
     a mean of m readings of such a sequence, as 2·V(m) − 2·V(2m). Over times short against the correlation's it is a

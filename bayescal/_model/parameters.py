@@ -1,4 +1,4 @@
-"""Where each unknown of a model stands: in the Gaussian vector x, or in φ.
+"""Layout of a model's unknowns: in the Gaussian vector x, or in φ.
 
 x holds the coefficients, in their reported units. φ holds what the model is not Gaussian in: noise, learned spreads,
 shapes, and coefficients *promoted* because their product with another unknown matters. Each entry of φ has a coordinate
@@ -34,7 +34,7 @@ NO_REFERENCE: Mapping[str, Any] = MappingProxyType({})
 
 
 def member_name(name: str, member: object) -> str:
-    """What one member's coefficient is called, everywhere."""
+    """Return the name of one member's coefficient."""
     return f"{name}({member})"
 
 
@@ -55,7 +55,7 @@ class CoefficientBlock:
 
     @property
     def mean(self) -> float:
-        """Of its prior, counted from its origin."""
+        """Return the mean of its prior, counted from its origin."""
         return self.coefficient.mean - self.origin
 
     @property
@@ -64,7 +64,7 @@ class CoefficientBlock:
 
     @property
     def per(self) -> str | None:
-        """The group of which each member has one; None for one value, and for noise on an input."""
+        """Return the group whose members have one each; None for one value, and for noise on an input."""
         return None if self.coefficient.per == READING else self.coefficient.per
 
     @property
@@ -73,17 +73,17 @@ class CoefficientBlock:
 
     @property
     def group_sd_name(self) -> str | None:
-        """Name of its learned standard deviation between members; None where there is none."""
+        """Return the name of its learned standard deviation between members; None where there is none."""
         learned = self.coefficient.group_sd is not None
         return self.effect.group_sd_name(self.index) if learned else None
 
     @property
     def at(self) -> slice:
-        """Its entries of x."""
+        """Return its entries of x."""
         return slice(self.start, self.start + self.size)
 
     def member_names(self, levels: Levels | None = None) -> list[str]:
-        """Names of its entries, each after its member; by their number, as in φ, where members have no names."""
+        """Return the names of its entries, each after its member; by number, as in φ, where members have no names."""
         per = self.coefficient.per
         if per is None:
             return [self.name]
@@ -109,17 +109,17 @@ class Unknown:
 
     @property
     def group(self) -> str | None:
-        """The group of which it is one member's; None for one value."""
+        """Return the group of its member; None for one value."""
         return None if self.block is None else self.block.coefficient.per
 
     @property
     def held(self) -> bool:
-        """Whether it is a number by definition."""
+        """Return whether it is a number by definition."""
         return self.block is not None and self.block.index in self.block.effect.held
 
     @property
     def prior_sd(self) -> float | None:
-        """Prior standard deviation, `unit`; None where the prior is flat, learned, or has no variance."""
+        """Return the prior standard deviation, `unit`; None where the prior is flat, learned, or has no variance."""
         if self.block is None:
             return deviation(self.prior)
         c = self.block.coefficient
@@ -171,40 +171,40 @@ class Layout:
         return tuple(b for b in self.blocks if b.place == "x")
 
     def of_x(self, values: Sequence[float]) -> Float[np.ndarray, "p"]:
-        """Return a value for each entry of x, of one for each block in x."""
+        """Repeat one value for each block in x over the entries of x (p,)."""
         return np.repeat(np.asarray(values, float), [b.size for b in self.x_blocks])
 
     @property
     def origin_of_x(self) -> Float[np.ndarray, "p"]:
-        """What the entries of x are counted from, in their units."""
+        """Return the origins from which the entries of x are counted, in their units."""
         return self.of_x([b.origin for b in self.x_blocks])
 
     @property
     def size(self) -> int:
-        """Length of x."""
+        """Return the length of x."""
         return sum(b.size for b in self.x_blocks)
 
     @cached_property
     def hypers(self) -> tuple[Unknown, ...]:
-        """The entries of φ in order: noise, spreads, shapes, promoted coefficients."""
+        """Return the entries of φ in order: noise, spreads, shapes, promoted coefficients."""
         unit, fixed = self.model.instrument.unit, dict(self.model.fixed)
-        found: list[tuple[str, str, Any, UnknownKind, str]] = []  # name, unit, prior, kind, effect
+        rows: list[tuple[str, str, Any, UnknownKind, str]] = []  # name, unit, prior, kind, effect
         for name, prior in self.model.noise.parameters().items():
-            found.append((name, self.model.noise.unit(name, unit), prior, "noise", "noise"))
+            rows.append((name, self.model.noise.unit(name, unit), prior, "noise", "noise"))
         for block in self.blocks:
             c = block.coefficient
             if (name := block.group_sd_name) is not None and block.place != "fixed":
-                found.append((name, c.unit, c.group_sd, "group_sd", block.effect.name))
+                rows.append((name, c.unit, c.group_sd, "group_sd", block.effect.name))
         for effect in self.model.effects:
             for shape in effect.shapes:
                 kind = "group_sd" if shape.name in effect.weight_shapes else "shape"
-                own = shape.unit, shape.prior, kind, effect.name
-                found.append((effect.shape_name(shape), *own))
+                row = shape.unit, shape.prior, kind, effect.name
+                rows.append((effect.shape_name(shape), *row))
         for block in self.blocks:
             if block.place == "phi":
-                own = block.coefficient.unit, _promoted_prior(block), "promoted", block.effect.name
-                found += [(name, *own) for name in block.member_names()]
-        free = (own for own in found if own[0] not in fixed)
+                row = block.coefficient.unit, _promoted_prior(block), "promoted", block.effect.name
+                rows += [(name, *row) for name in block.member_names()]
+        free = (row for row in rows if row[0] not in fixed)
         return tuple(
             Unknown(name, name, unit, effect, kind, prior, v=i)
             for i, (name, unit, prior, kind, effect) in enumerate(free)
@@ -212,23 +212,23 @@ class Layout:
 
     @cached_property
     def index_in_phi(self) -> dict[str, int]:
-        """Index in φ by name."""
+        """Return the index in φ by name."""
         return {h.name: i for i, h in enumerate(self.hypers)}
 
     def entries_in(self, other: Layout) -> tuple[list[int], list[int]]:
         """Return the indices in x and in φ of the entries that another layout has too."""
         shared = {b.name for b in other.x_blocks}
-        own = (b for b in self.x_blocks if b.name in shared)
-        in_x = [i for b in own for i in range(b.start, b.start + b.size)]
+        shared_blocks = (b for b in self.x_blocks if b.name in shared)
+        in_x = [i for b in shared_blocks for i in range(b.start, b.start + b.size)]
         return in_x, [i for name, i in self.index_in_phi.items() if name in other.index_in_phi]
 
     def positions(self, *kinds: UnknownKind) -> list[int]:
-        """Where in φ the entries of these kinds stand."""
+        """Return the indices in φ of the entries of these kinds."""
         return [i for i, h in enumerate(self.hypers) if h.kind in kinds]
 
     @property
     def moving(self) -> list[int]:
-        """Where in φ the entries stand that the expected output's Jacobian depends on."""
+        """Return the indices in φ of the entries that the expected output's Jacobian depends on."""
         return self.positions(*MOVING)
 
     def promote(self, *names: str) -> Layout:
@@ -236,7 +236,7 @@ class Layout:
 
     @property
     def improper(self) -> bool:
-        """Whether some prior is flat, so that the evidence is not defined."""
+        """Return whether some prior is flat, so that the evidence is not defined."""
         flat = any(b.coefficient.flat for b in self.blocks if b.place in ("x", "phi"))
         return flat or any(isinstance(h.prior, (Flat, FlatLine)) for h in self.hypers)
 
@@ -254,9 +254,9 @@ def bind(
     more: Iterable[Effect] = (),
     reference: Mapping[str, Any] = NO_REFERENCE,
 ) -> tuple[Layout, dict[str, tuple[str, ...]]]:
-    """The model's layout for these readings, and the members of each group.
+    """Lay out the model's unknowns for these readings; return the layout and the members of each group.
 
-    Groups of effects that may be added are counted too (`more`); outputs are counted from what the reference says.
+    Groups of effects that may be added (`more`) are counted too; outputs are counted from the reference's origins.
 
     Raises:
         ModelError: fewer readings than flat coefficients, or a group effect without its group.
@@ -265,10 +265,10 @@ def bind(
         c.per for effect in more for c in effect.coefficients if c.per not in (None, READING)
     )
     groups = dict.fromkeys((*GROUPS, *model.groups, *map(str, further)))
-    there = {group for group in groups if group in GROUPS or readings.has(group)}
-    levels = {group: readings.groups(group)[0] if group in there else () for group in groups}
+    present = {group for group in groups if group in GROUPS or readings.has(group)}
+    levels = {group: readings.groups(group)[0] if group in present else () for group in groups}
     counts = {group: len(names) for group, names in levels.items()}
-    origin = {name: o for own in origins(reference).values() for name, o in own.items()}
+    origin = {name: o for terms in origins(reference).values() for name, o in terms.items()}
     layout = Layout(model, tuple(counts.items()), origin=tuple(origin.items()))
     flat = sum(b.size for b in layout.x_blocks if b.coefficient.flat)
     if len(readings) <= flat:

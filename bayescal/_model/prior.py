@@ -1,4 +1,4 @@
-"""Prior distributions: what is believed of an unknown before the readings.
+"""Prior distributions of unknowns.
 
 Coefficients take `Normal`, `Flat` or `Known`; spreads and noise scales take `HalfNormal`, `HalfCauchy` or `Flat`;
 what has an order of magnitude takes `LogNormal`, what has bounds `LogUniform`.
@@ -28,7 +28,7 @@ class _StandardNormal:
     coordinate_variance: ClassVar[float] = 1.0  # infinite where there is none
 
     def log_density(self, v: Any) -> Any:
-        """Log density in the coordinate."""
+        """Return the log density in the coordinate."""
         return -0.5 * v**2 - _HALF_LOG_2PI
 
 
@@ -39,7 +39,7 @@ class _Scaled:
     scale: float = 1.0
 
     def value(self, v: Any) -> Any:
-        """The value at a coordinate, in its own unit."""
+        """Return the value at a coordinate, in its own unit."""
         return self.scale * xp.exp(v)
 
     def coordinate(self, value: Any) -> Any:
@@ -107,7 +107,7 @@ class LogUniform(_StandardNormal):
         return self.low * xp.exp(math.log(self.high / self.low) * share)
 
     def coordinate(self, value: Any) -> Any:
-        """Finite at the bounds, where rounding may have put a value."""
+        """Return the coordinate of a value; finite at the bounds, where rounding may have put it."""
         share = xp.log(value / self.low) / math.log(self.high / self.low)
         return special_of(value).ndtri(xp.clip(share, _EDGE, 1 - _EDGE))
 
@@ -164,7 +164,7 @@ class FlatLine:
 
 
 def deviation(prior: Any) -> float | None:
-    """Standard deviation of the value that a prior is of, in its own unit; None where it has none."""
+    """Return the standard deviation of the value under a prior, in its own unit; None where it has none."""
     match prior:
         case Normal():
             return prior.sd
@@ -185,7 +185,7 @@ Positive = HalfNormal | HalfCauchy | LogNormal | LogUniform | Flat
 
 
 def multiplied(prior: Positive, factor: float) -> Positive:
-    """The prior of a positive quantity times a positive factor."""
+    """Return the prior of a positive quantity times a positive factor."""
     if isinstance(prior, LogNormal):
         return LogNormal(prior.median * factor, prior.sd)
     if isinstance(prior, LogUniform):

@@ -1,4 +1,4 @@
-"""Noise that is a sum of terms, white and correlated, whitened by one Kalman filter."""
+"""Noise laws that are sums of white and correlated terms, whitened by one Kalman filter."""
 
 from __future__ import annotations
 
@@ -30,8 +30,8 @@ from bayescal._model.prior import HalfCauchy, Normal, Positive
 from bayescal._model.state_space import States, drawn, filtered, smoothed, states_of
 from bayescal._model.static import set_once
 
-# Readings of the longest run, below which a second correlated noise is not told from the first.
-SECOND_CORRELATED_READINGS = 150
+# Fewest readings of the longest run that can distinguish a second correlated noise from the first.
+MIN_SECOND_TERM_READINGS = 150
 
 OFFERED = (  # what measured records show beside white noise (IEEE 952, and a unit on a temperature ramp)
     ("walk",),
@@ -40,11 +40,11 @@ OFFERED = (  # what measured records show beside white noise (IEEE 952, and a un
     ("correlated", "smooth"),
 )
 LASTING = np.geomspace(0.1, 0.5, 9)  # parts of the longest run
-MOST_ALIKE = 3  # Ornstein–Uhlenbeck terms: more than that no record of a day tells apart
+MAX_CORRELATED_TERMS = 3  # Ornstein–Uhlenbeck: no record of a day distinguishes more
 
 
 class SumOfTerms(Noise, interface=True):
-    """What every sum computes, whatever its class says of terms and columns; see `SummedNoise`."""
+    """Computations common to all sums of terms; see `SummedNoise`."""
 
     shortest: ClassVar[float]
     longest: ClassVar[float]
@@ -63,7 +63,7 @@ class SumOfTerms(Noise, interface=True):
 
     @property
     def parts(self) -> tuple[NoiseTerm, ...]:
-        """Its terms."""
+        """Return its terms."""
         return _parts(self.terms)
 
     @property
@@ -72,9 +72,9 @@ class SumOfTerms(Noise, interface=True):
 
     @property
     def needs(self) -> tuple[str, ...]:
-        more = (self.column,) if self.column else ()
-        more += followed_columns(self.scatter) if self.scatter else ()
-        return tuple(dict.fromkeys(("time", *more)))
+        columns = (self.column,) if self.column else ()
+        columns += followed_columns(self.scatter) if self.scatter else ()
+        return tuple(dict.fromkeys(("time", *columns)))
 
     @property
     def covariates(self) -> tuple[str, ...]:
@@ -83,13 +83,13 @@ class SumOfTerms(Noise, interface=True):
     def followed(self, frame: Frame) -> Array | None:
         return 2 * frame.position(self.column) - 1 if self.column else None
 
-    def starts(self, frame: Frame, left: np.ndarray) -> list[dict[str, float]]:
+    def starts(self, frame: Frame, residuals: np.ndarray) -> list[dict[str, float]]:
         z = self.followed(frame)
         z = None if z is None else np.asarray(z)
-        found = [part.starts(np.asarray(frame.step), left, z) for part in self.parts]
+        starts = [part.starts(np.asarray(frame.step), residuals, z) for part in self.parts]
         if self.scatter:
-            found.append([_start_of_scatter(frame, left, self.scatter)])
-        return [dict(ChainMap(*chosen)) for chosen in itertools.product(*found)]
+            starts.append([_start_of_scatter(frame, residuals, self.scatter)])
+        return [dict(ChainMap(*chosen)) for chosen in itertools.product(*starts)]
 
     @property
     def plain(self) -> Noise:
@@ -116,12 +116,12 @@ class SumOfTerms(Noise, interface=True):
         return [t for p in self.parts for t in p.spectrum(values, self.bounds, step, lam)]
 
     def parameters(self) -> dict[str, Any]:
-        found: dict[str, Any] = {WHITE: self.scale}
+        priors: dict[str, Any] = {WHITE: self.scale}
         if self.scatter:
-            found |= dict.fromkeys((SLOPE, CURVATURE), Normal(0.0, 1.0))
+            priors |= dict.fromkeys((SLOPE, CURVATURE), Normal(0.0, 1.0))
         for part in self.parts:
-            found |= part.parameters(self.bounds)
-        return found
+            priors |= part.parameters(self.bounds)
+        return priors
 
     @property
     def amplitudes(self) -> tuple[str, ...]:
@@ -137,13 +137,13 @@ class SumOfTerms(Noise, interface=True):
 
     def derived(self, values: Parameters) -> dict[str, Any]:
         host = {n: np.asarray(v, float) for n, v in values.items() if n in self.parameters()}
-        found: dict[str, Any] = {}
+        numbers: dict[str, Any] = {}
         for part in self.parts:
-            found |= part.derived(host, self.bounds)
-        return found
+            numbers |= part.derived(host, self.bounds)
+        return numbers
 
     def slow_variance(self, values: Parameters) -> Any:
-        """Of all terms but the white one, output unit squared."""
+        """Return the variance of all terms except the white one, output unit squared."""
         return sum((p.variance(values, self.bounds) for p in self.parts), 0.0)
 
     def _own_variance(self, parameters: Parameters, frame: Frame) -> Float[Array, "n"]:
@@ -159,7 +159,7 @@ class SumOfTerms(Noise, interface=True):
         return len(self.parts) > 1
 
     def states(self, parameters: Parameters, step: Float[Array, "n"], z: Any = None) -> States:
-        """Its states over steps, s; −1 where they begin. With the column that is followed, from −1 to 1."""
+        """Return its states over steps, s; −1 where they begin. `z`: the column that is followed, from −1 to 1."""
         parameters = parameters if z is None else {**parameters, self.column: z}
         h = jnp.maximum(step, 0.0)
         blocks = [part.block(parameters, self.bounds, h) for part in self.parts]
@@ -172,46 +172,46 @@ class SumOfTerms(Noise, interface=True):
     def sample(self, key: Array, mean: Array, parameters: Parameters, frame: Frame) -> Array:
         of_white, of_states = jax.random.split(key)
         slow = drawn(of_states, self.states(parameters, frame.step, self.followed(frame)))
-        own = jnp.sqrt(self._own_variance(parameters, frame))
-        return mean + own * jax.random.normal(of_white, mean.shape) + slow
+        sd = jnp.sqrt(self._own_variance(parameters, frame))
+        return mean + sd * jax.random.normal(of_white, mean.shape) + slow
 
     def allan_variance(
         self, values: Parameters, variance: Any, factors: np.ndarray, step: float
     ) -> np.ndarray:
-        """σ²/m of white noise, and what each term has."""
-        own = {n: np.asarray(values[n], float)[..., None] for n in self.parameters() if n in values}
-        slow = np.asarray(self.slow_variance(own), float)
+        """Return σ²/m of white noise plus the Allan variance of each term."""
+        phi = {n: np.asarray(values[n], float)[..., None] for n in self.parameters() if n in values}
+        slow = np.asarray(self.slow_variance(phi), float)
         white = np.maximum(np.asarray(variance)[..., None] - slow, 0.0)
-        return white / factors + sum(p.allan(own, self.bounds, factors, step) for p in self.parts)
+        return white / factors + sum(p.allan(phi, self.bounds, factors, step) for p in self.parts)
 
     def lasting_deviation(self, values: Parameters) -> float:
         factors = self.longest / self.shortest * LASTING
-        own = {n: np.float64(v) for n, v in values.items() if n in self.parameters()}
-        slow = np.asarray(self.slow_variance(own))
-        return float(np.sqrt(np.max(self.allan_variance(own, slow, factors, self.shortest))))
+        phi = {n: np.float64(v) for n, v in values.items() if n in self.parameters()}
+        slow = np.asarray(self.slow_variance(phi))
+        return float(np.sqrt(np.max(self.allan_variance(phi, slow, factors, self.shortest))))
 
     def slow_part(
-        self, values: Parameters, time: Any, left: Any, white: Any, at: Any, along: Any = None
+        self, values: Parameters, time: Any, residuals: Any, white: Any, at: Any, along: Any = None
     ) -> tuple[np.ndarray, np.ndarray]:
-        """By the Kalman smoother over all these times."""
+        """Return mean and variance by the Kalman smoother over all these times."""
         grid, first = np.unique(np.concatenate([time, at]), return_index=True)
         place = np.searchsorted(grid, time)
-        weight, pull = np.zeros(grid.size), np.zeros((grid.size, left.shape[1]))
+        weight, pull = np.zeros(grid.size), np.zeros((grid.size, residuals.shape[1]))
         np.add.at(weight, place, 1 / white)
-        np.add.at(pull, place, left / white[:, None])
+        np.add.at(pull, place, residuals / white[:, None])
         with np.errstate(divide="ignore"):
-            own = 1 / weight  # infinite where nothing was read
+            spread = 1 / weight  # infinite where there is no reading
         pull /= np.maximum(weight, np.finfo(float).tiny)[:, None]
         z = None if along is None else np.concatenate(along)[first]
         # Steps that pad to one of a few lengths, so that few are compiled, are runs of their own without readings.
-        more = (0, 2 ** math.ceil(math.log2(grid.size)) - grid.size)
-        step = np.pad(np.diff(grid, prepend=grid[0] + 1.0), more, constant_values=-1.0)
-        own = np.pad(own, more, constant_values=np.inf)
-        z = None if z is None else np.pad(z, more)
-        asked = np.searchsorted(grid, at)
+        pad = (0, 2 ** math.ceil(math.log2(grid.size)) - grid.size)
+        step = np.pad(np.diff(grid, prepend=grid[0] + 1.0), pad, constant_values=-1.0)
+        spread = np.pad(spread, pad, constant_values=np.inf)
+        z = None if z is None else np.pad(z, pad)
+        rows = np.searchsorted(grid, at)
         values = {name: np.float64(values[name]) for name in self.parameters()}
-        mean, variance = _smoothed(self.plain, values, step, z, own, np.pad(pull, (more, (0, 0))))
-        return np.asarray(mean)[asked], np.asarray(variance)[asked]
+        mean, variance = _smoothed(self.plain, values, step, z, spread, np.pad(pull, (pad, (0, 0))))
+        return np.asarray(mean)[rows], np.asarray(variance)[rows]
 
 
 @compiled
@@ -271,7 +271,7 @@ class SummedNoise(SumOfTerms):
             )
         set_once(self, terms=tuple(sorted(self.terms, key=list(TERMS).index)))
         for name, count in Counter(self.terms).items():
-            if count > (MOST_ALIKE if name == "correlated" else 1):
+            if count > (MAX_CORRELATED_TERMS if name == "correlated" else 1):
                 raise ValueError(f"the noise term {name!r} is there {count} times")
 
     @property
@@ -312,22 +312,22 @@ class OrnsteinUhlenbeck(SumOfTerms):
 
 @cache
 def _parts(terms: tuple[str, ...]) -> tuple[NoiseTerm, ...]:
-    place = itertools.count(1)  # of Ornstein–Uhlenbeck terms, which are told by it
+    place = itertools.count(1)  # of Ornstein–Uhlenbeck terms, which it distinguishes
     return tuple(CorrelatedTerm(next(place)) if t == "correlated" else TERMS[t]() for t in terms)
 
 
-def _start_of_scatter(frame: Frame, left: Float[np.ndarray, "n"], column: str) -> dict[str, float]:
-    """Slope and curvature of the white part's scatter: log squares of differences of neighbours are linear in them."""
-    jumps = np.diff(left)
-    told = (np.asarray(frame.step)[1:] >= 0) & (jumps != 0)
-    z = np.asarray(place_along(frame, column))[1:][told]
+def _start_of_scatter(frame: Frame, r: Float[np.ndarray, "n"], column: str) -> dict[str, float]:
+    """Return slope and curvature of the white scatter: log squared differences of neighbours are linear in them."""
+    jumps = np.diff(r)
+    valid = (np.asarray(frame.step)[1:] >= 0) & (jumps != 0)
+    z = np.asarray(place_along(frame, column))[1:][valid]
     design = np.column_stack([np.ones_like(z), 2 * z, 3 * z**2 - 1])
-    _, slope, bend = np.linalg.lstsq(design, np.log(jumps[told] ** 2), rcond=None)[0]
+    _, slope, bend = np.linalg.lstsq(design, np.log(jumps[valid] ** 2), rcond=None)[0]
     return {SLOPE: float(slope), CURVATURE: float(bend)}
 
 
 def over_record(scale: Positive, step: float, span: float) -> OrnsteinUhlenbeck:
-    """White noise beside correlated noise of a time that the record can tell: from its step to its longest run, s."""
+    """Return white and correlated noise with a time that record can resolve: from its step to its longest run, s."""
     # A correlation time below a step is white noise to these readings, and one beyond the span a random walk.
     return OrnsteinUhlenbeck(step, max(span, 10 * step), scale, scale)
 
@@ -340,7 +340,7 @@ def over_octaves(
     column: str = "",
     scatter: str = "",
 ) -> SummedNoise:
-    """A sum whose times a record can tell. Bounds are whole octaves of a second: alike records share programs.
+    """Return sum whose times a record can resolve. Bounds are whole octaves of a second: alike records share programs.
 
     A tone follows `column`, the white part's standard deviation `scatter`.
     """
@@ -350,19 +350,19 @@ def over_octaves(
 
 @offered
 def _correlated(scale: Positive, frame: Frame) -> list[Noise]:
-    """One correlated term where there is time; sums of more where runs are long enough."""
+    """Offer one correlated term where there is time; sums of more where runs are long enough."""
     steps = np.asarray(frame.step)
     if not (steps > 0).any():
         return []
     step, span = float(np.median(steps[steps > 0])), float(np.max(frame.columns["elapsed"]))
-    found: list[Noise] = [over_record(scale, step, span)]
+    laws: list[Noise] = [over_record(scale, step, span)]
     longest = int(np.max(np.diff(np.append(np.flatnonzero(steps < 0), steps.size))))
-    if longest < SECOND_CORRELATED_READINGS:
-        return found
-    found += [over_octaves(scale, step, span, terms) for terms in OFFERED]
+    if longest < MIN_SECOND_TERM_READINGS:
+        return laws
+    laws += [over_octaves(scale, step, span, terms) for terms in OFFERED]
     column = "temperature" if "temperature" in frame.columns else ""
-    found.append(over_octaves(scale, step, span, ("correlated", "tone"), column))
+    laws.append(over_octaves(scale, step, span, ("correlated", "tone"), column))
     # What shakes or warms a sensor moves the temperature too: of all columns it is the one weighed with a sum.
     if column and frame.reference["temperature_high"] > frame.reference["temperature_low"]:
-        found.append(over_octaves(scale, step, span, ("correlated",), scatter=column))
-    return found
+        laws.append(over_octaves(scale, step, span, ("correlated",), scatter=column))
+    return laws

@@ -1,4 +1,4 @@
-"""What does not change of a structure, in plain data: its coefficients, what their columns depend on, their sizes."""
+"""Terms of a structure, as plain data: its coefficients, the dependences of their columns, and their sizes."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from bayescal._model.prior import Known
 
 
 class ColumnsOf(NamedTuple):
-    """What an effect's columns depend on: its basis, the shapes that this takes, and those of the corrections.
+    """Dependences of an effect's columns: its basis, the shapes of this, and those of corrections.
 
     Corrections are of columns of the readings, by effects without an unknown but their shapes.
     """
@@ -28,7 +28,7 @@ class ColumnsOf(NamedTuple):
     corrections: tuple[Correction, ...] = ()
 
     def on(self, corrections: Sequence[Correction]) -> ColumnsOf:
-        """The same where columns of the readings are corrected."""
+        """Add corrections of columns of the readings."""
         shapes, priors = self.shapes, self.priors
         for c in corrections:
             shapes, priors = shapes + c.of.shapes, priors + c.of.priors
@@ -36,12 +36,12 @@ class ColumnsOf(NamedTuple):
 
     @property
     def own(self) -> tuple[str, ...]:
-        """Shapes that the basis takes itself."""
+        """Return the shapes that the basis takes itself."""
         return self.shapes[: len(self.shapes) - sum(len(c.of.shapes) for c in self.corrections)]
 
     @property
     def key(self) -> Any:
-        """What they depend on, as a value."""
+        """Return the dependences as one hashable value."""
         return self.basis, self.priors, self.corrections
 
     @classmethod
@@ -52,7 +52,7 @@ class ColumnsOf(NamedTuple):
 
 
 class Correction(NamedTuple):
-    """What a column of the readings is corrected by, with all its past: a column of an effect's own, times a number."""
+    """Correction of a column of the readings, with all its past: a column of an effect's own, times a number."""
 
     column: str
     of: ColumnsOf
@@ -71,7 +71,7 @@ class Correction(NamedTuple):
 class Term(CoefficientBlock):
     """One coefficient of the structure with all its members, on readings."""
 
-    columns: ColumnsOf  # what its effect's columns depend on
+    columns: ColumnsOf  # dependences of its effect's columns
     shape_names: tuple[str, ...]  # names in φ of the shapes that these take
     prior_sd: float  # its unit
 
@@ -81,24 +81,24 @@ def terms_of(
     source: Any = None,
     size_factors: Mapping[str, float] | None = None,
 ) -> tuple[tuple[Term, ...], tuple[str, ...]]:
-    """The terms of a structure, and the columns of the readings that some of them correct.
+    """Return the terms of a structure, and the columns of the readings that some of them correct.
 
-    What corrects a column without an unknown but its shapes, as the temperature of a body does, is no term where the
+    A correction of a column without an unknown but its shapes, such as the temperature of a body, is no term where the
     response does not take that column itself: it is part of the other effects' columns, and these stay linear in their
-    coefficients. Else its slot is the path of that column. Without a source nothing corrects a column. Plausible sizes
+    coefficients. Else its slot is the path of that column. Without a source there are no corrections. Plausible sizes
     are multiplied by factors, by effect.
     """
     correcting = [b for b in blocks if source is not None and b.slot not in source.slots]
     corrected = tuple(dict.fromkeys(b.slot for b in correcting))
-    own = {b.effect.name for b in correcting}
+    skip = {b.effect.name for b in correcting}
     corrections: tuple[Correction, ...] = ()
-    held = all(b.place == "fixed" and b.coefficient.per is None for b in correcting)
-    if correcting and held and source.read.isdisjoint(corrected):
+    all_fixed = all(b.place == "fixed" and b.coefficient.per is None for b in correcting)
+    if correcting and all_fixed and source.read.isdisjoint(corrected):
         corrections, corrected = tuple(map(Correction.of_block, correcting)), ()
         blocks = [b for b in blocks if b.slot in source.slots]
     columns: dict[str, tuple[ColumnsOf, tuple[str, ...]]] = {}
     for effect in {b.effect.name: b.effect for b in blocks}.values():
-        needed = [c for c in corrections if effect.name not in own and c.column in effect.columns]
+        needed = [c for c in corrections if effect.name not in skip and c.column in effect.columns]
         names = [*map(effect.shape_name, effect.column_shapes)]
         names += [name for c in needed for name in c.shape_names]
         columns[effect.name] = ColumnsOf.of(effect).on(needed), tuple(names)
@@ -115,7 +115,7 @@ def terms_of(
 
 
 class _Weighted(NamedTuple):
-    """An effect of which shapes weigh the coefficients, as a process's length does by its spectrum."""
+    """Prior sizes of an effect's coefficients as functions of shapes, such as the length of a Gaussian process."""
 
     weights: Callable[..., Any]
     shapes: dict[str, str]  # keyword of the weights → name in φ
@@ -123,10 +123,10 @@ class _Weighted(NamedTuple):
     index: Int[np.ndarray, "p"]  # which of them each entry of x is of; −1 for none
 
     def at(self, hyper: Mapping[str, Any], lead: tuple[int, ...] = ()) -> Any:
-        """Return what the prior standard deviations of x are multiplied by, (*lead, p)."""
-        made = self.weights(**{short: hyper[name] for short, name in self.shapes.items()})
-        made = xp.broadcast_to(made, (*lead, self.count))
-        return xp.where(self.index >= 0, made[..., self.index], 1.0)
+        """Return the factors of the prior standard deviations of x, (*lead, p)."""
+        factors = self.weights(**{short: hyper[name] for short, name in self.shapes.items()})
+        factors = xp.broadcast_to(factors, (*lead, self.count))
+        return xp.where(self.index >= 0, factors[..., self.index], 1.0)
 
 
 class Sizes:
@@ -147,19 +147,18 @@ class Sizes:
                 if t.effect.name == effect.name:
                     index[t.at] = t.index
             names = {name: f"{effect.name}.{name}" for name in effect.weight_shapes}
-            own = _Weighted(effect.weights, names, len(effect.coefficients), index)
-            self.weighing |= dict.fromkeys(names.values(), own)
+            weighted = _Weighted(effect.weights, names, len(effect.coefficients), index)
+            self.weighing |= dict.fromkeys(names.values(), weighted)
 
     def log_weights(self, name: str, hyper: Mapping[str, Any]) -> Float[np.ndarray, "p"]:
-        """Return logarithms of what the sizes that follow a shape are multiplied by; zero for others."""
+        """Return the log factors of the sizes that follow a shape; zero for others."""
         return np.log(np.maximum(self.weighing[name].at(hyper), 1e-300))
 
     def at(self, hyper: Mapping[str, Any], count: tuple[int, ...] = ()) -> Float[Any, "*b p"]:
-        """Return them at one φ, its values by name; at `count` of them, the values of each (b,)."""
+        """Return the sizes at one φ, its values by name; at `count` of them, the values of each (b,)."""
         if count:
             hyper = {name: np.reshape(value, (-1, 1)) for name, value in hyper.items()}
-        # Fixed, then learned spreads, then the weights of what has a shape: each coefficient has one of the first
-        # two.
+        # Fixed sizes or learned spreads, one for each coefficient, then the weights of effects that have some.
         sd = self.plain
         for name, members in self.members.items():
             sd = xp.where(members > 0, hyper[name], sd)

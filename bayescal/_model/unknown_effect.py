@@ -1,10 +1,10 @@
-"""What no named effect describes: an unknown dependence on one covariate, smooth, straight, with a step, a kink or a
-peak; in time a step or a periodic form.
+"""Placeholders: an unknown dependence on one covariate, smooth, straight, with a step, a kink or a peak; in time a
+step or a periodic form.
 
 They stand beside the instrument and not in the catalogue, because the language of models has a word for them:
 `model + "unknown(humidity)"`. Each is linear in coefficients whose sizes the amplitude gives. What amplitudes are
-plausible the readings say, when the model meets them, where low and high are not given. `bayescal.effects` offers the
-same functions.
+plausible is taken from the readings that the model meets, where low and high are not given. `bayescal.effects` offers
+the same functions.
 
 The smooth one is a Gaussian process. Its columns are the eigenfunctions of the Laplacian on an interval somewhat wider
 than the covariate's range, weighted with the root of the process's spectral density (Solin & Särkkä, Stat. Comput. 30
@@ -50,19 +50,19 @@ _NAME = re.compile(r"unknown\((.+)\)", re.DOTALL)
 
 
 def covariate_in(name: str) -> str | None:
-    """The covariate, with its form if it has one, in a placeholder's canonical name; None for any other effect."""
-    found = _NAME.fullmatch(name)
-    return ", ".join(filter(None, along_and_form(found[1]))) if found else None
+    """Parse the covariate, with its form if any, from a placeholder's canonical name; None for any other effect."""
+    match = _NAME.fullmatch(name)
+    return ", ".join(filter(None, along_and_form(match[1]))) if match else None
 
 
 def along_and_form(covariate: str) -> tuple[str, str]:
-    """The column and the form in "humidity, line"; a column's own name may hold commas, and then has no form."""
+    """Split "humidity, line" into column and form; a column's own name may hold commas, and then has no form."""
     along, _, form = (part.strip() for part in covariate.rpartition(","))
     return (along, form) if along and form in (*FORMS, "cycle") else (covariate.strip(), "")
 
 
 def placeholder(covariate: str, slot: str, unit: str) -> Effect:
-    """The placeholder for a covariate, and for its forms, such as "humidity, line", ", peak" or "time, cycle"."""
+    """Return placeholder for a covariate, and for its forms, such as "humidity, line", ", peak" or "time, cycle"."""
     along, form = along_and_form(covariate)
     if form == "cycle" and along == "time":
         return cycle(slot, *OPEN, unit)
@@ -72,29 +72,29 @@ def placeholder(covariate: str, slot: str, unit: str) -> Effect:
 
 
 def freed(effect: Effect, times: float = 1.0) -> Effect:
-    """An effect once more beside itself, with a prior that many times as wide: that its stated value is wrong."""
-    wide = tuple(replace(c, prior=Normal(0.0, times * c.size)) for c in effect.coefficients)
+    """Return a copy of an effect to add beside it, its prior `times` as wide: its stated value may be wrong."""
+    coefficients = tuple(replace(c, prior=Normal(0.0, times * c.size)) for c in effect.coefficients)
     return replace(
         effect,
         name=effect.name + FREED,
         frees=effect.name,
         forms=(),
         family="",
-        coefficients=wide,
+        coefficients=coefficients,
         equation=f"{effect.equation or 'c'}, beside its stated value",
         source=f"ours: the stated value of {effect.name} may be wrong",
     )
 
 
 def process_columns(position: Any, terms: int) -> Any:
-    """Columns Φ with Φ·diag(w²)·Φᵀ near the squared-exponential kernel, w by `process_weights`; positions 0 to 1."""
+    """Return columns Φ with Φ·diag(w²)·Φᵀ ≈ squared-exponential kernel, w by `process_weights`; positions 0 to 1."""
     centred = xp.clip(2 * position - 1, -WIDER_RATIO, WIDER_RATIO)
     order = xp.arange(1, terms + 1) * math.pi / (2 * WIDER_RATIO)
     return xp.sin(order * (centred[..., None] + WIDER_RATIO)) / math.sqrt(WIDER_RATIO)
 
 
 def process_weights(length: Any, terms: int) -> Any:
-    """Standard deviations of the columns' coefficients, of a process of unit amplitude and a length in ranges."""
+    """Return standard deviations of columns' coefficients, for a process of unit amplitude and a length in ranges."""
     order = np.arange(1, terms + 1) * math.pi / (2 * WIDER_RATIO)
     scale = 2 * length
     return xp.sqrt(scale * math.sqrt(2 * math.pi)) * xp.exp(-((scale * order) ** 2) / 4)
@@ -104,7 +104,7 @@ def process_weights(length: Any, terms: int) -> Any:
 def unknown(
     covariate: str, slot: str, low: float, high: float, unit: str, *, name: str = ""
 ) -> Effect:
-    """An unknown smooth dependence of a slot on a covariate: its amplitude and length are learned.
+    """Return an unknown smooth dependence of a slot on a covariate: its amplitude and length are learned.
 
     Args:
         covariate: a numeric column, "elapsed" (time within the run), or "temperature rate".
@@ -134,20 +134,20 @@ def unknown(
 
 
 def process_along(covariate: str, terms: int, r: Any) -> Any:
-    """`process_columns` along a covariate, as a basis: the same of whatever amplitude, so that one program serves."""
+    """Evaluate `process_columns` along a covariate, as a basis: same for any amplitude, so that one program serves."""
     return process_columns(r.position(covariate), terms)
 
 
 def process_sizes(terms: int, length: Any, amplitude: Any) -> Any:
-    """`weights` of an effect whose columns are a process's, of learned length and amplitude."""
+    """Return the `weights` of an effect whose columns are a process's, of learned length and amplitude."""
     return amplitude * process_weights(length, terms)
 
 
 def _form(kind: Kind, words: str, basis: Callable[..., Any], says: str) -> Form:
-    """Return the maker of a form along a column; the last of its shapes is the amplitude of its coefficients."""
+    """Return a factory of a form along a column; the last of its shapes is the amplitude of its coefficients."""
 
     @functools.cache
-    def made(
+    def make_form(
         slot: str, low: float, high: float, unit: str, *, covariate: str = "time", name: str = ""
     ) -> Effect:
         in_time = covariate == "time"
@@ -170,8 +170,8 @@ def _form(kind: Kind, words: str, basis: Callable[..., Any], says: str) -> Form:
             kind=kind,
         )
 
-    made.__name__ = made.__qualname__ = kind
-    made.__doc__ = f"""{says}
+    make_form.__name__ = make_form.__qualname__ = kind
+    make_form.__doc__ = f"""{says}
 
     Args:
         slot: that it adds to.
@@ -180,11 +180,11 @@ def _form(kind: Kind, words: str, basis: Callable[..., Any], says: str) -> Form:
         covariate: the column along which it goes.
         name: canonical; `unknown(humidity, {kind})` if not given, with the column's name.
     """
-    return made
+    return make_form
 
 
 def _shapes(kind: Kind, in_time: bool) -> tuple[Shape, ...]:
-    """Return the place of a step, a kink or a peak and its half width, in parts of the range; or how many cycles."""
+    """Return shapes: place and half width of a step, a kink or a peak, in parts of the range; or number of cycles."""
     if kind == "cycle":
         return (Shape("cycles", "1", *CYCLES, ragged=True),)
     if kind == "line":
@@ -222,7 +222,7 @@ def _even(amplitude):
 
 
 def standard_normals(unit: str, count: int) -> tuple[Coefficient, ...]:
-    """Coefficients whose sizes an amplitude gives."""
+    """Return coefficients with standard normal priors, whose sizes an amplitude gives."""
     return tuple(Coefficient(unit, Normal(), part=f"{i + 1}") for i in range(count))
 
 

@@ -21,15 +21,15 @@ class Unknowns:
 
     @classmethod
     def of(cls, layout: Layout, levels: Levels | None = None) -> Unknowns:
-        """The unknowns of a layout, group members by their labels in `levels`, or else by number."""
+        """List the unknowns of a layout, group members by their labels in `levels`, or else by number."""
         rows = list[Unknown]()
         for b in (b for b in layout.blocks if b.place in ("x", "phi")):
             names, in_phi = b.member_names(levels), b.member_names()
             labels = (levels or {}).get(str(b.coefficient.per), range(b.size))
             for i, name in enumerate(names):
                 at = {"x": b.start + i} if b.place == "x" else {"v": layout.index_in_phi[in_phi[i]]}
-                own = name, b.name, b.coefficient.unit, b.effect.name, "coefficient"
-                rows.append(Unknown(*own, **at, block=b, member=labels[i]))
+                fields = name, b.name, b.coefficient.unit, b.effect.name, "coefficient"
+                rows.append(Unknown(*fields, **at, block=b, member=labels[i]))
         rows += [h for h in layout.hypers if h.kind != "promoted"]
         return cls(layout, tuple(rows))
 
@@ -49,16 +49,16 @@ class Unknowns:
 
     @cached_property
     def index(self) -> dict[str, int]:
-        """Index by name."""
+        """Return the index by name."""
         return {u.name: i for i, u in enumerate(self.rows)}
 
     @cached_property
     def by_key(self) -> dict[str, slice]:
-        """Where the members of each key are."""
-        found: dict[str, slice] = {}
+        """Return the slice of the members of each key."""
+        slices: dict[str, slice] = {}
         for i, u in enumerate(self.rows):
-            found[u.key] = slice(found[u.key].start if u.key in found else i, i + 1)
-        return found
+            slices[u.key] = slice(slices[u.key].start if u.key in slices else i, i + 1)
+        return slices
 
     def values(
         self, x: Float[np.ndarray, "*draws p"], v: Float[np.ndarray, "*draws d"]
@@ -66,7 +66,7 @@ class Unknowns:
         """Return the values of draws, in reported units."""
         phi = [np.asarray(h.prior.value(v[..., i])) for i, h in enumerate(self.layout.hypers)]
         fixed, at = dict(self.layout.model.fixed), self.layout.index_in_phi
-        found = np.empty((*np.shape(x)[:-1], len(self.rows)))
+        table = np.empty((*np.shape(x)[:-1], len(self.rows)))
         for k, u in enumerate(self.rows):
             value = phi[u.v] if u.v is not None else x[..., u.x]
             if (b := u.block) is not None:
@@ -74,11 +74,11 @@ class Unknowns:
                 if u.v is not None and (name := b.group_sd_name) is not None:
                     spread = fixed[name] if name in fixed else phi[at[name]]
                     value = b.coefficient.mean + spread * value
-            found[..., k] = value
-        return found
+            table[..., k] = value
+        return table
 
     def select(self, values: Float[np.ndarray, "*draws unknowns"], name: str) -> np.ndarray:
         """Return the values of a key or of one unknown: (…) of one value, (…, members) of a group."""
-        own = self.by_key.get(name)
-        grouped = own is not None and self.rows[own.start].group is not None
-        return values[..., own if grouped else self.index[name]]
+        members = self.by_key.get(name)
+        grouped = members is not None and self.rows[members.start].group is not None
+        return values[..., members if grouped else self.index[name]]

@@ -1,4 +1,4 @@
-"""Three axes as one instrument: what acts is a vector of known magnitude, its direction unknown or nearly known.
+"""Three axes as one instrument: the measurand is a vector of known magnitude, its direction unknown or nearly known.
 
     y = h(f; slots) + e,     |f| = F,     e ~ N(0, σ²) on each axis
 
@@ -48,7 +48,7 @@ Outputs = Callable[[Float[Array, "n 3"]], Float[Array, "n 3"]]
 
 @static
 class Vector:
-    """What makes an instrument one of three axes.
+    """Definition of an instrument of three axes.
 
     Attributes:
         outputs: the three columns that files hold, in the output's unit; `output` is made of them.
@@ -69,7 +69,7 @@ class Vector:
     beside: tuple[str, ...] = ()
 
     def response(self, slots: Mapping[str, Float[Array, "n"]], frame: Frame) -> Float[Array, "n"]:
-        """The expected output of each reading, magnitude or projection, output unit."""
+        """Return the expected output of each reading, magnitude or projection, output unit."""
         if self.acting is not None:
             across = jnp.stack([frame[name] for name in ACROSS], axis=1)
             return jnp.sum(across * self.equation(slots, frame)(self.acting(frame)), axis=1)
@@ -85,14 +85,14 @@ class Vector:
             return expected
         across = jnp.stack([frame[name] for name in ACROSS], axis=1)
         direction = jnp.stack([frame[name] for name in DIRECTION], axis=1)
-        known = outputs(size[:, None] * direction)
+        expected_outputs = outputs(size[:, None] * direction)
         projected = jnp.any(across != 0, axis=1)
-        return jnp.where(projected, jnp.sum(across * known, axis=1), expected)
+        return jnp.where(projected, jnp.sum(across * expected_outputs, axis=1), expected)
 
     def with_directions(
         self, frame: Frame, y: Float[np.ndarray, "n"]
     ) -> tuple[Frame, Float[np.ndarray, "n"]] | None:
-        """The same readings as projections in known directions, those of an ellipsoid through the outputs.
+        """Return the readings as projections in known directions, those of an ellipsoid through the outputs.
 
         Their expected outputs are linear in the slots of a linear equation, from wherever a fit begins. The magnitude
         is not where outputs are far from it in length (a hard iron, another unit): a fit that begins with the
@@ -106,26 +106,26 @@ class Vector:
         outputs = np.stack([frame[name] for name in self.outputs], axis=1)
         ratio = np.linalg.norm(outputs, axis=1) / magnitude(frame.columns)
         near = np.all((ratio < NEAR_RATIO) & (ratio > 1 / NEAR_RATIO))
-        if near or (found := ellipsoid(outputs)) is None:
+        if near or (fitted := ellipsoid(outputs)) is None:
             return None
         # The triad's matrix is upper triangular, as the convention of three misalignments has it.
-        off, form = outputs - found[0], found[1]
-        # Of what acts, and the ellipsoid's normal.
-        each = off @ np.linalg.cholesky(form), off @ form
-        direction, normal = (v / np.linalg.norm(v, axis=1)[:, None] for v in each)
+        off, form = outputs - fitted[0], fitted[1]
+        # The measurand, and the ellipsoid's normal.
+        vectors = off @ np.linalg.cholesky(form), off @ form
+        direction, normal = (v / np.linalg.norm(v, axis=1)[:, None] for v in vectors)
         names, columns = (*DIRECTION, *ACROSS), dict(frame.columns)
-        given = [name in columns for name in names]
+        present = [name in columns for name in names]
         projected = np.zeros(len(y), bool)
-        if all(given):
+        if all(present):
             projected = np.any(np.stack([columns[name] for name in ACROSS]) != 0, axis=0)
         for name, values in zip(names, np.concatenate([direction, normal], axis=1).T, strict=True):
-            columns[name] = np.where(projected, columns[name], values) if all(given) else values
+            columns[name] = np.where(projected, columns[name], values) if all(present) else values
         along = np.sum(normal * outputs, axis=1)
         return replace(frame, columns=columns), np.where(projected, y, along)
 
 
 def excess(ratio: Any) -> Any:
-    """g of a length over the magnitude that it should have: 0, slope 1 and curvature −2/3 at one."""
+    """Return g of a length over its true magnitude: 0, slope 1 and curvature −2/3 at one."""
     x = ratio - 1
     return x / 2 + x / (2 + 4 * x / 3)
 
@@ -133,11 +133,11 @@ def excess(ratio: Any) -> Any:
 def inverted(
     outputs: Outputs, y: Float[Array, "n 3"]
 ) -> tuple[Float[Array, "n 3"], Float[Array, "n 3 3"]]:
-    """f̂ = h⁻¹(y) and H⁻¹ there. The last step of Newton alone is differentiated: that is the derivative of h⁻¹."""
+    """Return f̂ = h⁻¹(y) and H⁻¹ there; only the last Newton step is differentiated: that is the derivative of h⁻¹."""
 
     def equation(force: Array) -> tuple[Array, Callable[[Array], Array]]:
-        there, inverse = _with_inverse(outputs, force)
-        return there, lambda miss: jnp.sum(inverse * miss[:, None, :], axis=2)
+        value, inverse = _with_inverse(outputs, force)
+        return value, lambda miss: jnp.sum(inverse * miss[:, None, :], axis=2)
 
     near = jax.lax.stop_gradient(stepped(equation, y, y, INVERSIONS))
     force = stepped(equation, y, near, 1)
@@ -147,12 +147,12 @@ def inverted(
 def _with_inverse(
     outputs: Outputs, force: Float[Array, "n 3"]
 ) -> tuple[Float[Array, "n 3"], Float[Array, "n 3 3"]]:
-    """h, and the inverse of its derivative: cross products over the determinant."""
+    """Return h and the inverse of its derivative: cross products over the determinant."""
     along = jnp.broadcast_to(jnp.eye(3)[:, None, :], (3, *force.shape))
-    there, push = jax.linearize(outputs, force)
+    value, push = jax.linearize(outputs, force)
     a, b, c = jax.vmap(push)(along)
     rows = jnp.stack([jnp.cross(b, c), jnp.cross(c, a), jnp.cross(a, b)], axis=1)
-    return there, rows / jnp.sum(a * rows[:, 0], axis=1)[:, None, None]
+    return value, rows / jnp.sum(a * rows[:, 0], axis=1)[:, None, None]
 
 
 def _norm(vectors: Float[Array, "n 3"]) -> Float[Array, "n"]:

@@ -8,12 +8,12 @@ from bayescal._model.prior import Flat, HalfNormal, Normal
 
 
 def one(r: Frame) -> float:
-    """1 in every reading."""
+    """Return 1 for every reading."""
     return 1.0
 
 
 def constant(slot: str, size: float | None, unit: str, *, source: str) -> Effect:
-    """A constant; `size` its prior standard deviation, None for a flat prior."""
+    """Return a constant effect; `size` its prior standard deviation, None for a flat prior."""
     prior = Flat() if size is None else Normal(0.0, size)
     return Effect(
         f"{slot}.constant",
@@ -27,7 +27,7 @@ def constant(slot: str, size: float | None, unit: str, *, source: str) -> Effect
 
 
 def deviation(slot: str, per: Group, size: float, unit: str, *, source: str) -> Effect:
-    """One deviation for each member of a group, their standard deviation estimated; `size` scales its prior."""
+    """Return one deviation for each member of a group, their standard deviation estimated; `size` scales its prior."""
     column = {"cell": ("temperature_point",)}.get(per, (per,))
     return Effect(
         f"{slot}.{per}",

@@ -10,7 +10,7 @@ from bayescal._model.frame import Frame, reference_name
 from bayescal._model.prior import Normal
 
 
-class Power(Protocol):  # a maker of effects, in its own words
+class Power(Protocol):  # factory of effects of one power
     def __call__(
         self,
         slot: str,
@@ -27,12 +27,12 @@ def _powered(column: str, order: int, r: Frame) -> Any:
     return r.centred(column) ** order
 
 
-def _power(called: Kind, order: int, said: str) -> Power:
+def _power(called: Kind, order: int, meaning: str) -> Power:
     suffix, sign = ("", "") if order == 1 else (f"_{called}", "²³⁴"[order - 2])
     per = "degC" if order == 1 else f"degC^{order}"
 
-    def made(slot, size, unit, *, source, column="temperature", name=None):
-        there = "T − T0" if column == "temperature" else f"{column} − {reference_name(column)}"
+    def make_effect(slot, size, unit, *, source, column="temperature", name=None):
+        variable = "T − T0" if column == "temperature" else f"{column} − {reference_name(column)}"
         return Effect(
             f"{slot}.{name or column}{suffix}",
             slot,
@@ -40,13 +40,13 @@ def _power(called: Kind, order: int, said: str) -> Power:
             coefficients=(Coefficient(unit, Normal(0.0, size)),),
             columns=(column,),
             varies=(column,),
-            equation=f"c·({there}){sign}",
+            equation=f"c·({variable}){sign}",
             source=source,
             kind=called,
         )
 
-    made.__name__ = made.__qualname__ = called
-    made.__doc__ = f"""c·(T − T0){sign}: {said}.
+    make_effect.__name__ = make_effect.__qualname__ = called
+    make_effect.__doc__ = f"""c·(T − T0){sign}: {meaning}.
 
     Args:
         slot: that it adds to, such as "bias".
@@ -61,7 +61,7 @@ def _power(called: Kind, order: int, said: str) -> Power:
 
     Source: a truncated Taylor series about T0; no physics beyond that the output is smooth in T.
     """
-    return made
+    return make_effect
 
 
 linear: Power = _power("linear", 1, "a straight line, in practice the tempco")

@@ -21,8 +21,8 @@ from bayescal._model.prior import HalfNormal, Known, Normal
 # Share of the readings during which a temperature must rise, and fall, for a hysteresis to show.
 DIRECTION_SHARE = 0.02
 
-# s, of a rate: from a reading or two to what a lag describes; -lag/w is the same function
-WINDOWS = (2.0, 120.0)
+# Of a rate, s: from a reading or two to the times of a lag; -lag/w is the same function.
+WINDOWS_SECONDS = (2.0, 120.0)
 RATIOS = (0.1, 0.8)  # of a second stage's time to the first's: at 1 the two cannot be told from 0.8
 # Of two bodies side by side: the fast one's time to the slow one's, and what the slow one has of the sensor.
 PATH_RATIOS, PATH_SHARES = (0.02, 0.6), (0.1, 0.9)
@@ -30,7 +30,7 @@ Modes = tuple[tuple[Any, Any], ...]  # of a body: multiples of τ, and their wei
 
 
 class Body(NamedTuple):
-    """How a body follows what is around it: its modes, by the shapes that they depend on beside τ.
+    """Response of a body to the temperature around it: its modes, by the shapes that they depend on beside τ.
 
     The weights are one in sum, and τ is the time by which the body is behind a steady ramp. `general` is the body of
     which it is one at a value of a shape.
@@ -56,14 +56,14 @@ def _two_paths(ratio: Any, share: Any) -> Modes:
 
 
 def slab() -> Modes:
-    """Mean temperature of a slab: modes as 1/k², weights as 1/k², k odd, cut after three.
+    """Return the modes of the mean temperature of a slab: times as 1/k², weights as 1/k², k odd, cut after three.
 
     Source: H. Carslaw and J. Jaeger, Conduction of Heat in Solids, 2nd ed. (1959), section 3.3.
     """
-    found = [(k**-2.0, k**-2.0) for k in (1, 3, 5)]
-    whole = sum(w for _, w in found)
-    behind = sum(m * w for m, w in found) / whole
-    return tuple((m / behind, w / whole) for m, w in found)
+    modes = [(k**-2.0, k**-2.0) for k in (1, 3, 5)]
+    whole = sum(w for _, w in modes)
+    behind = sum(m * w for m, w in modes) / whole
+    return tuple((m / behind, w / whole) for m, w in modes)
 
 
 BODIES: Mapping[str, Body] = MappingProxyType(
@@ -95,7 +95,7 @@ WIDTHS = (0.2, 5.0, "degC")
 
 
 def rate(slot: str, size: float, unit: str, *, source: str, column: str = "temperature") -> Effect:
-    """c·dT/dt, over a window that the readings tell.
+    """Return c·dT/dt with a window estimated from the data.
 
     The rate is that of a body close behind the thermometer, (T − T̃)/w: noise of the thermometer is smoothed over the
     window w, and what changes within seconds is not blurred to a minute.
@@ -105,7 +105,7 @@ def rate(slot: str, size: float, unit: str, *, source: str, column: str = "tempe
         slot,
         basis=partial(_smoothed_rate, column),
         coefficients=(Coefficient(unit, Normal(0.0, size)),),
-        shapes=(Shape("window", "s", *WINDOWS, scale="bounded"),),
+        shapes=(Shape("window", "s", *WINDOWS_SECONDS, scale="bounded"),),
         columns=("time", column),
         varies=(column,),
         equation="c·(T − T̃)/w,  w·dT̃/dt = T − T̃",
@@ -124,7 +124,7 @@ def hysteresis(
     column: str = "temperature",
     widths: tuple[float, float, str] = WIDTHS,
 ) -> Effect:
-    """c·D in a continuous record: +c while it warms, −c while it cools, turned round within w of the temperature.
+    """Return c·D in a continuous record: +c while warming, −c while cooling, reversed within w of the temperature.
 
     D is Dahl's hysteresis, of the body where one lags behind the thermometer. Of the state in which a run began
     exp(−travel/w) is left: one coefficient a run.
@@ -165,7 +165,7 @@ def thermal_lag(
     bodies: Mapping[str, Body] | None = None,
     short: Effect | None = None,
 ) -> Effect:
-    """A thermal lag: c·(T̃ − T), with T̃ a first-order body that lags T by τ; or all that depends on T acts at T̃.
+    """Return a thermal lag: c·(T̃ − T), T̃ a first-order body that lags T by τ; or all that depends on T acts at T̃.
 
     In the first form something of its own lags, such as electronics beside a sensor that does not. In the others the
     sensor is itself at T̃, so that its line, its curve and its scale factor follow that in place of T: the body is of
@@ -184,11 +184,11 @@ def thermal_lag(
     how: dict[str, Any] = {"low": low, "high": high, "source": source, "column": column}
     forms = list[Effect]()
     for form, behind in (BODIES if bodies is None else bodies).items():
-        own = body(slot, start, start_unit, behind=behind, name=f"{name}.{form}", **how)
-        forms.append(replace(own, general=behind.general and f"{slot}.{name}.{behind.general}"))
+        variant = body(slot, start, start_unit, behind=behind, name=f"{name}.{form}", **how)
+        forms.append(replace(variant, general=behind.general and f"{slot}.{name}.{behind.general}"))
     coefficients = Coefficient(unit, Normal(0.0, size)), _start(start_unit, start)
     equation = "c·(T̃ − T) + d[run]·exp(−(t − t_start)/τ),  τ·dT̃/dt = T − T̃"
-    lag = _of_a_body(slot, name, _lagging, coefficients, equation, **how)
+    lag = _lag_effect(slot, name, _lagging, coefficients, equation, **how)
     return replace(lag, kind="lag", forms=(*forms, *(() if short is None else (short,))))
 
 
@@ -204,7 +204,7 @@ def body(
     column: str = "temperature",
     name: str = "body",
 ) -> Effect:
-    """Every effect that depends on the temperature T acts at T̃, that of a body which lags T by τ.
+    """Let every effect that depends on the temperature T act at T̃, that of a body which lags T by τ.
 
     T̃ = Σ wₖ·T̃ₖ with mₖ·τ·dT̃ₖ/dt = T − T̃ₖ: one mode for a body of first order, two for one behind or beside another,
     a series for heat that diffuses into a slab. Σ wₖ = Σ wₖ·mₖ = 1: τ is in each the time by which it is behind a ramp.
@@ -220,9 +220,9 @@ def body(
     coefficients = _start(start_unit, start, slot), Coefficient("1", Known(1.0))
     equation = f"{behind.equation},  τ·dT̃/dt = T − T̃;  + d[run]·exp(−(t − t_start)/τ)"
     how: dict[str, Any] = {"low": low, "high": high, "source": source, "column": column}
-    basis = partial(_followed, behind.modes)
-    made = _of_a_body(slot, name, basis, coefficients, equation, behind.shapes, **how)
-    return replace(made, slot=column)
+    basis = partial(_body_columns, behind.modes)
+    effect = _lag_effect(slot, name, basis, coefficients, equation, behind.shapes, **how)
+    return replace(effect, slot=column)
 
 
 def temperature_x_lag(
@@ -235,19 +235,19 @@ def temperature_x_lag(
     source: str,
     column: str = "temperature",
 ) -> Effect:
-    """c·(T − T0)·(T̃ − T): a lag that grows with the temperature, or shrinks.
+    """Return c·(T − T0)·(T̃ − T): a lag that grows with the temperature, or shrinks.
 
     Args:
         size: prior standard deviation of c, in `unit`, such as "deg/s/degC^2".
         low, high: plausible range of τ, s.
     """
-    own = (Coefficient(unit, Normal(0.0, size)),)
+    terms = (Coefficient(unit, Normal(0.0, size)),)
     equation = "c·(T − T0)·(T̃ − T),  τ·dT̃/dt = T − T̃"
     how: dict[str, Any] = {"low": low, "high": high, "source": source, "column": column}
-    return _of_a_body(slot, "temperature_x_lag", _lag_by_temperature, own, equation, **how)
+    return _lag_effect(slot, "temperature_x_lag", _lag_by_temperature, terms, equation, **how)
 
 
-def _of_a_body(
+def _lag_effect(
     slot: str,
     name: str,
     basis: Callable[[str, Frame, Any], Any],
@@ -260,7 +260,7 @@ def _of_a_body(
     source: str,
     column: str,
 ) -> Effect:
-    """An effect of a body that lags behind a column by τ, `low` to `high`, s; one τ for all channels of a unit."""
+    """Return an effect of a body that lags a column by τ, `low` to `high`, s; one τ for all channels of a unit."""
     return Effect(
         f"{slot}.{name}",
         slot,
@@ -276,7 +276,7 @@ def _of_a_body(
 
 
 def _start(unit: str, size: float, slot: str | None = None) -> Coefficient:
-    """What a state adds where it was when a run began: one a run, none where it always began at rest."""
+    """Return the coefficient of a run's initial state: one per run, of learned spread."""
     of_runs = {"per": "run", "group_sd": HalfNormal(size), "initial": True}
     return Coefficient(unit, Normal(0.0, size), part="start", slot=slot, **of_runs)
 
@@ -289,7 +289,7 @@ def _directions(column: str, r: Frame, width: Any) -> Any:
     return xp.stack(r.direction(width, column), axis=-1)
 
 
-def _followed(
+def _body_columns(
     modes: Callable[..., Modes],
     column: str,
     r: Frame,
@@ -297,10 +297,10 @@ def _followed(
     ratio: Any = None,
     share: Any = None,
 ) -> Any:
-    """What is left of a run's first state, and T̃ − T, of a body of modes that have up to two shapes beside τ."""
-    each = modes(*(shape for shape in (ratio, share) if shape is not None))
-    behind = sum(w * r.behind(m * tau, column) for m, w in each)
-    return xp.stack([sum(w * xp.exp(-r.elapsed / (m * tau)) for m, w in each), behind], axis=-1)
+    """Return the decay of a run's first state, and T̃ − T, of a body of modes with up to two shapes beside τ (n, 2)."""
+    pairs = modes(*(shape for shape in (ratio, share) if shape is not None))
+    behind = sum(w * r.behind(m * tau, column) for m, w in pairs)
+    return xp.stack([sum(w * xp.exp(-r.elapsed / (m * tau)) for m, w in pairs), behind], axis=-1)
 
 
 def _lagging(column: str, r: Frame, tau: Any) -> Any:
@@ -312,19 +312,19 @@ def _lag_by_temperature(column: str, r: Frame, tau: Any) -> Any:
 
 
 def _one_way(column: str, widths: tuple[float, float, str], readings: Measurements) -> str | None:
-    """Why a column that does not go both ways shows no hysteresis, if so."""
+    """Return why a column that does not change in both directions cannot test hysteresis; None if it does."""
     frame = build_frame(readings, reference_of(readings))
     turned = np.asarray(frame.direction(math.sqrt(math.prod(widths[:2])), column)[0])
     least = DIRECTION_SHARE
     warmed, cooled = (turned > 0.5).mean() >= least, (turned < -0.5).mean() >= least
     if warmed and cooled:
         return None
-    seen = "only rises" if warmed else "only falls" if cooled else "stands still"
-    return f"needs {column} to rise and to fall within runs, by over {widths[0]:g} {unit_label(widths[2])}; it {seen}"
+    motion = "only rises" if warmed else "only falls" if cooled else "stands still"
+    return f"needs {column} to rise and to fall within runs, by over {widths[0]:g} {unit_label(widths[2])}; it {motion}"
 
 
 def _too_short(low: float, readings: Measurements) -> str | None:
-    """Why no run is long enough to see a body whose time is `low` at the least, s, if so."""
+    """Return why no run is long enough to test a lag of at least `low`, s; None if one is."""
     longest = max(float(np.ptp(readings["time"][rows])) for rows in readings.records.rows)
     if longest >= low:
         return None

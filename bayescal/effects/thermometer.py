@@ -60,7 +60,7 @@ def thermometer_offset(
     per: str = "run",
     unit: str = "delta_degC",
 ) -> Effect:
-    """The thermometer's constant error in each run, of unknown spread: it was re-seated, or exchanged.
+    """Return the thermometer's constant error in each run, of unknown spread: it was re-seated, or exchanged.
 
     It corrects the column before any other effect sees it. Where the output is a line of the temperature, that is a
     deviation of the bias in each run, `deviation("bias", "run")`; a curve or a second slot tells them apart.
@@ -71,12 +71,12 @@ def thermometer_offset(
         per: group whose members have an error each.
         unit: of the error, that of a difference of the column.
     """
-    apart = deviation(column, per, size, unit, source=source)
-    return replace(apart, columns=(column,), equation=f"T_true = T + e[{per}]")
+    offset = deviation(column, per, size, unit, source=source)
+    return replace(offset, columns=(column,), equation=f"T_true = T + e[{per}]")
 
 
 def thermometer_delay(sd: float, *, source: str, column: str = "temperature") -> Effect:
-    """A thermometer that is late, s: one of first order that follows with τ, or a column written τ later.
+    """Return a thermometer's delay, s: of first order with the time τ, or a column written τ later.
 
     The first is exact, τ·dT/dt = T_true − T; the second holds while the temperature changes evenly over τ. It corrects
     the column before any other effect sees it. Where the output is a line of the temperature, that is `rate`, with the

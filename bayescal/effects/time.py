@@ -34,7 +34,7 @@ def _two_decays(r: Frame, tau: Any, ratio: Any) -> Any:
 
 
 def drift(slot: str, size: float, unit: str, *, source: str) -> Effect:
-    """c·(t − t̄)/(tmax − tmin), or c·ln(1 + s/b)/ln(1 + 1/b) with s from 0 to 1: c is the change over the test.
+    """Return c·(t − t̄)/(tmax − tmin), or c·ln(1 + s/b)/ln(1 + 1/b), s from 0 to 1: c is the change over the test.
 
     The logarithm is how resonators and stressed packages age: fast at first, and ever more slowly.
     Source of the second form: MIL-PRF-55310E (2006), 6.4.2, f(t) = A·ln(B·t + 1).
@@ -60,7 +60,7 @@ def drift(slot: str, size: float, unit: str, *, source: str) -> Effect:
 
 
 def warm_up(slot: str, size: float, unit: str, *, low: float, high: float, source: str) -> Effect:
-    """c·exp(−(t − t_start)/τ) within each run; in other forms with two times, or by diffusion of heat.
+    """Return c·exp(−(t − t_start)/τ) within each run; in other forms with two times, or by diffusion of heat.
 
     Args:
         size: prior standard deviation of c, in `unit`.
@@ -87,6 +87,6 @@ def warm_up(slot: str, size: float, unit: str, *, low: float, high: float, sourc
         equation="c·exp(−t/τ) + d·exp(−t/(r·τ)),  t from the run's start",
     )
     terms = " + ".join(f"{w:.3g}·exp(−t/({m:.3g}·τ))" for m, w in slab())
-    own = {"basis": partial(_decays, slab()), "equation": f"c·({terms})"}
-    heat = replace(first, name=f"{slot}.warm_up.diffusion", **own)
+    diffusion = {"basis": partial(_decays, slab()), "equation": f"c·({terms})"}
+    heat = replace(first, name=f"{slot}.warm_up.diffusion", **diffusion)
     return replace(first, forms=(two, heat))
