@@ -18,7 +18,7 @@ from typer.models import ParameterInfo
 from bayescal._core import deadline
 from bayescal._core.as_json import as_json, json_text
 from bayescal._core.errors import InputError, NotDrawn
-from bayescal._core.progress import EVERY, print_notes, stage
+from bayescal._core.progress import INTERVAL_SECONDS, print_notes, stage
 from bayescal._report.whole_folder import AVERAGED, CALIBRATION, CHANNELS, MANIFEST
 from bayescal._tables.mapping_file import load_mapping, save_mapping
 
@@ -188,7 +188,7 @@ class Command(Options):
     def run(self) -> int:
         """Carry it out and print its answer; return the exit status."""
         limit = getattr(self, "time_limit", None)
-        with stage(self.called(), EVERY), deadline.until(limit):
+        with stage(self.called(), INTERVAL_SECONDS), deadline.until(limit):
             answer = self.answer()
             return int(answer is not None and not answer.tell(self.json_))
 

@@ -128,7 +128,7 @@ class ConsoleReporter:
         if line := trail.progress:
             assert trail.search is not None  # where a line is told of it
             best = (len(trail.steps), str(trail.search.structures[0]))
-            if best != self._told.get(name) or progress.quiet() >= progress.EVERY:
+            if best != self._told.get(name) or progress.quiet() >= progress.INTERVAL_SECONDS:
                 progress.tell(f"{name}: {line}" if name else line)
                 self._told[name] = best
 

@@ -1,1 +1,1 @@
-"""What everything stands on, and nothing of calibration: refusals, JAX's set-up, files, text, time limits."""
+"""Foundations without knowledge of calibration: errors, JAX's set-up, files, text, time limits."""

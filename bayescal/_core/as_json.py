@@ -1,4 +1,4 @@
-"""Results as plain JSON data, and their files: one way for every result."""
+"""Conversion of results to plain JSON data and files, the same for every result."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from bayescal._core.atomic_file import write_text
 
 
 def as_json(value: Any) -> Any:
-    """Return plain JSON data: data classes by field, arrays as lists, what is not finite as None."""
+    """Convert to plain JSON data: data classes by field, arrays as lists, numbers that are not finite as None."""
     if is_dataclass(value) and not isinstance(value, type):
         return {f.name: as_json(getattr(value, f.name)) for f in fields(value)}
     if isinstance(value, dict):
@@ -25,7 +25,7 @@ def as_json(value: Any) -> Any:
 
 
 def json_text(data: Any, indent: int = 2) -> str:
-    """Return plain data as JSON, with the end of its last line; raise ValueError where a number is not finite."""
+    """Format plain data as JSON, with a final line end; raise ValueError where a number is not finite."""
     return json.dumps(data, indent=indent, ensure_ascii=False, allow_nan=False) + "\n"
 
 

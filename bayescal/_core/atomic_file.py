@@ -1,7 +1,7 @@
-"""A file is there whole or not at all: written beside its place, renamed, and sealed so that damage is seen.
+"""Atomic files: written under a temporary name, renamed, and sealed by a checksum.
 
-A sealed file ends in a trailer of 84 bytes: a magic word, and the SHA-256 of all that stands before it. HDF5, and so
-xarray and ArviZ, take no notice of what follows the end that the file itself states.
+A sealed file ends in a trailer of 84 bytes: a magic word, and the SHA-256 of all bytes before it. HDF5, and so
+xarray and ArviZ, ignore bytes after the end that the file itself states.
 """
 
 from __future__ import annotations
@@ -19,19 +19,19 @@ from bayescal._core.errors import InputError
 
 MAGIC = b"\n# bayescal sha256 "
 TRAILER = re.compile(re.escape(MAGIC) + rb"([0-9a-f]{64})\n\Z")
-LENGTH = len(MAGIC) + 64 + 1
-FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)  # a full disk, a used-up quota, a limit
+TRAILER_BYTES = len(MAGIC) + 64 + 1
+DISK_FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)  # or a used-up quota, a limit
 
 
 @contextmanager
 def replacing(path: Path) -> Iterator[Path]:
-    """Yield a file to write beside `path`, which takes its place once it is whole; nothing is left of another."""
+    """Yield a temporary file beside `path` that replaces it once it is complete; remove it on failure."""
     # In the same folder, so that the rename stays within one file system and is atomic (POSIX rename); the process's
-    # number tells what is left behind from what another process writes now.
+    # number distinguishes leftovers from files that another process is writing.
     partial = path.with_name(f".{path.name}.{os.getpid()}.partial")
-    for left in left_behind(path):
-        if left.is_file():
-            left.unlink(missing_ok=True)
+    for leftover in left_behind(path):
+        if leftover.is_file():
+            leftover.unlink(missing_ok=True)
     try:
         yield partial
         partial.replace(path)
@@ -40,13 +40,13 @@ def replacing(path: Path) -> Iterator[Path]:
 
 
 def left_behind(path: Path) -> list[Path]:
-    """Return what processes that were killed left beside a file or folder; what others are writing is not."""
+    """Return temporary files of killed processes beside a file or folder, not those that others are writing."""
     names = path.parent.glob(f".{glob.escape(path.name)}.*.partial")
-    return [left for left in names if not _runs(left.name.split(".")[-2])]
+    return [path_left for path_left in names if not _runs(path_left.name.split(".")[-2])]
 
 
 def _runs(process: str) -> bool:
-    """Return whether a process of this number may run; only POSIX says so without sending it a signal."""
+    """Return whether a process of this number may be running; True where the system is not POSIX."""
     if os.name != "posix" or not process.isdecimal():
         return True
     try:
@@ -60,7 +60,7 @@ def _runs(process: str) -> bool:
 
 @contextmanager
 def replacing_for_user(path: Path) -> Iterator[Path]:
-    """Yield the same for a place that the user chose, its folder made if need be.
+    """Yield a temporary file as `replacing` does, for a place that the user chose; make its folder if missing.
 
     Raises:
         InputError: a place that cannot be written to, or no room; the old file is as it was.
@@ -74,7 +74,7 @@ def replacing_for_user(path: Path) -> Iterator[Path]:
 
 @contextmanager
 def result_folder(folder: Path | None) -> Iterator[Path | None]:
-    """Make a folder with those that it is in, if one is named; take away what was made if nothing comes of it.
+    """Make a folder with its parents, if one is named; remove the folders made on failure.
 
     Raises:
         InputError: it cannot be made, or is a file.
@@ -85,9 +85,9 @@ def result_folder(folder: Path | None) -> Iterator[Path | None]:
             _make(folder)
         yield folder
     except BaseException:
-        for made in missing:
+        for folder_made in missing:
             with suppress(OSError):  # not empty: something was written
-                made.rmdir()
+                folder_made.rmdir()
         raise
 
 
@@ -101,12 +101,12 @@ def _make(folder: Path) -> None:
 
 
 def why(error: OSError) -> str:
-    """Return what stood against writing, and what to do about it."""
-    said = error.strerror or str(error)
-    if error.errno in FULL:
-        return f"{said}. Make room there, or choose another place; what stood there is as it was"
+    """Format the reason why a file cannot be written, and what to do about it."""
+    text = error.strerror or str(error)
+    if error.errno in DISK_FULL:
+        return f"{text}. Make room there, or choose another place; what stood there is as it was"
     is_folder = error.errno == errno.EISDIR
-    return f"{said}. {'Name a file' if is_folder else 'Choose a folder that may be written to'}"
+    return f"{text}. {'Name a file' if is_folder else 'Choose a folder that may be written to'}"
 
 
 def write_text(text: str, path: str | Path) -> Path:
@@ -118,7 +118,7 @@ def write_text(text: str, path: str | Path) -> Path:
 
 
 def to_disk(path: Path) -> None:
-    """Have the operating system put a file, or the names of a folder, on the disk."""
+    """Flush a file, or the entries of a folder, to the disk."""
     if path.is_dir() and os.name != "posix":
         return  # only there can a folder be opened
     handle = os.open(path, os.O_RDONLY if path.is_dir() else os.O_RDWR)
@@ -135,26 +135,26 @@ def sha256_of(path: Path) -> str:
 
 
 def storable(name: str) -> str:
-    """Return a name as NetCDF can hold it, in which a / parts groups: it is written %2F."""
+    """Encode a name for NetCDF, in which a / separates groups: it is written %2F."""
     if "/" in name or name != named_back(name):
         return name.replace("%", "%25").replace("/", "%2F")
     return name
 
 
 def named_back(stored: str) -> str:
-    """Return the name that `storable` made this of."""
+    """Decode a name that `storable` encoded."""
     return stored.replace("%2F", "/").replace("%25", "%")
 
 
 def write_sealed(content: bytes | memoryview, path: Path) -> None:
-    """Write bytes and the trailer by which `verified` knows them."""
+    """Write bytes and the trailer that `verified` checks."""
     with path.open("wb") as file:
         file.write(content)
         file.write(MAGIC + hashlib.sha256(content).hexdigest().encode() + b"\n")
 
 
 def verified(path: Path, what: str, instead: str) -> memoryview:
-    """Return the bytes of a sealed file without their trailer, if they are as they were written.
+    """Read the bytes of a sealed file without their trailer, and verify the checksum.
 
     Args:
         path: of the file.
@@ -165,22 +165,22 @@ def verified(path: Path, what: str, instead: str) -> memoryview:
         InputError: it cannot be read, has no trailer, or is not as it was written.
     """
     try:
-        found = path.read_bytes()
+        data = path.read_bytes()
     except OSError as error:
         raise InputError(
             f"{path.name} cannot be read: {error.strerror or error}. {instead}"
         ) from None
-    content = memoryview(found)[: max(0, len(found) - LENGTH)]
-    # At the very end: HDF5 passes over what follows its own end, so that both read the same bytes.
-    trailer = TRAILER.fullmatch(found[len(content) :])
-    if not found.startswith(b"\x89HDF"):
-        said = f"is not {what}"
+    content = memoryview(data)[: max(0, len(data) - TRAILER_BYTES)]
+    # At the very end: HDF5 ignores bytes after its own end, so that both read the same bytes.
+    trailer = TRAILER.fullmatch(data[len(content) :])
+    if not data.startswith(b"\x89HDF"):
+        fault = f"is not {what}"
     elif trailer is None:
-        said = f"is damaged, is not {what}, or is of an earlier version: its checksum is missing"
+        fault = f"is damaged, is not {what}, or is of an earlier version: its checksum is missing"
     elif hashlib.sha256(content).hexdigest().encode() != trailer[1]:
-        said = "is damaged: its bytes do not have the checksum at its end"
-    elif TRAILER.fullmatch(found[max(0, len(content) - LENGTH) : len(content)]):
-        said = "has two checksums at its end, expected one"
+        fault = "is damaged: its bytes do not have the checksum at its end"
+    elif TRAILER.fullmatch(data[max(0, len(content) - TRAILER_BYTES) : len(content)]):
+        fault = "has two checksums at its end, expected one"
     else:
         return content
-    raise InputError(f"{path.name} {said}. {instead}")
+    raise InputError(f"{path.name} {fault}. {instead}")

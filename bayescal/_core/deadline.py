@@ -1,7 +1,7 @@
-"""When work has to end: at a time limit, or at Ctrl-C.
+"""Deadlines: a time limit, or Ctrl-C.
 
-Work asks between its pieces (`Deadline.ask`); whoever holds a result catches `TimeIsUp` and finishes with it
-(`finishing`). No call between two questions takes longer than some seconds, so none has to be abandoned.
+Long computations check between steps (`Deadline.ask`); a caller with a partial result catches `TimeIsUp` and finishes
+with it (`finishing`). No step takes longer than some seconds, so none has to be abandoned.
 """
 
 from __future__ import annotations
@@ -20,23 +20,23 @@ RETRY_SECONDS = 0.02  # until Ctrl-C that came inside JAX is raised
 
 
 class TimeIsUp(Exception):
-    """The time limit has come, or Ctrl-C; says which."""
+    """The time limit was reached, or Ctrl-C pressed; the message says which."""
 
 
 @dataclass(eq=False)
 class Interrupt:
-    """Ctrl-C during one command, or one call from Python.
+    """State of Ctrl-C during one command, or one call from Python.
 
     Attributes:
-        requested: whether it was pressed while it was deferred, or another thread asked for an end.
-        deferred: whether a first one waits until the work asks, since there is a result to be returned.
+        requested: whether it was pressed while it was deferred, or another thread requested an end.
+        deferred: whether a first one waits until the next check, since there is a result to be returned.
     """
 
     requested: bool = False
     deferred: bool = False
 
     def handle(self, _: int, frame: FrameType | None) -> None:
-        """Note a first Ctrl-C where it is deferred; raise any other, once the main thread is outside JAX.
+        """Record a first Ctrl-C where it is deferred; raise any other, once the main thread is outside JAX.
 
         In JAX's callbacks at a collection of garbage an exception is lost; while JAX is imported it ends the process.
         """
@@ -57,7 +57,7 @@ class Deadline:
 
     Attributes:
         ends_at: by `time.monotonic`, s.
-        limit: what sets it, in words.
+        limit: its reason, in words.
         interrupt: Ctrl-C.
         heeds: whether Ctrl-C ends the work.
     """
@@ -77,16 +77,16 @@ class Deadline:
 
     @property
     def why(self) -> str:
-        """What leaves no time, in words."""
+        """Return the reason why time is up, in words."""
         return "interrupted" if self.interrupted else self.limit
 
     def ask(self) -> None:
-        """Go on, if there is time; else raise TimeIsUp."""
+        """Raise TimeIsUp if time is up."""
         if self.over:
             raise TimeIsUp(self.why)
 
     def defer_interrupt(self) -> None:
-        """From here on a first Ctrl-C is raised by `ask` alone: there is a result to be returned."""
+        """Defer a first Ctrl-C to the next `ask`: there is a result to be returned."""
         self.interrupt.deferred = True
 
 
@@ -98,16 +98,16 @@ current = _CURRENT.get
 @contextmanager
 def until(limit: float | None = None, words: str = "time limit of {:g} s") -> Iterator[Deadline]:
     """Set a deadline `limit` seconds from now, unless an earlier one stands; the outermost one handles Ctrl-C."""
-    made = Deadline() if current() is _NONE else current()
-    if limit is not None and (ends_at := time.monotonic() + limit) < made.ends_at:
-        made = replace(made, ends_at=ends_at, limit=words.format(limit))
+    deadline = Deadline() if current() is _NONE else current()
+    if limit is not None and (ends_at := time.monotonic() + limit) < deadline.ends_at:
+        deadline = replace(deadline, ends_at=ends_at, limit=words.format(limit))
     default, main = signal.default_int_handler, threading.main_thread()
     handles = threading.current_thread() is main and signal.getsignal(signal.SIGINT) is default
     if handles:
-        signal.signal(signal.SIGINT, made.interrupt.handle)
+        signal.signal(signal.SIGINT, deadline.interrupt.handle)
     try:
-        with _set(made):
-            yield made
+        with _set(deadline):
+            yield deadline
     finally:
         if handles:
             signal.signal(signal.SIGINT, default)
@@ -120,14 +120,14 @@ def sooner(share: float) -> AbstractContextManager[Deadline]:
 
 
 def finishing() -> AbstractContextManager[Deadline]:
-    """Suspend the deadline, for what makes a result of what stands; Ctrl-C pressed again is raised at once."""
+    """Suspend the deadline while a result is assembled; Ctrl-C pressed again is raised at once."""
     return _set(replace(current(), ends_at=math.inf, heeds=False))
 
 
 @contextmanager
-def _set(made: Deadline) -> Iterator[Deadline]:
-    token = _CURRENT.set(made)
+def _set(deadline: Deadline) -> Iterator[Deadline]:
+    token = _CURRENT.set(deadline)
     try:
-        yield made
+        yield deadline
     finally:
         _CURRENT.reset(token)

@@ -17,10 +17,10 @@ class BayescalError(Exception):
 
 
 class InputError(BayescalError):
-    """What came in cannot be used; the message says where, what and what to do.
+    """An input cannot be used; the message says where, what and what to do.
 
     Attributes:
-        problems: of files, one by one (`bayescal._tables.raw_table.Objection`); empty for other refusals.
+        problems: of files, one by one (`bayescal._tables.raw_table.Objection`); empty for other errors.
     """
 
     def __init__(self, message: str, problems: tuple[Any, ...] = ()) -> None:
@@ -36,7 +36,7 @@ class NotConverged(BayescalError):
     """A fit ended without converging.
 
     Attributes:
-        calibration: what was reached, with its verdict; use it at your own risk.
+        calibration: the result at the last iteration, with its verdict; use it at your own risk.
     """
 
     def __init__(self, message: str, calibration: Any = None) -> None:
@@ -49,7 +49,7 @@ class NotDrawn(BayescalError):
 
     def __init__(self, what: str, why: BaseException) -> None:
         first = next(iter(str(why).splitlines()), "")
-        said = f"{type(why).__name__}: {first}".removesuffix(": ")
+        reason = f"{type(why).__name__}: {first}".removesuffix(": ")
         super().__init__(
-            f"{what} could not be drawn ({said}); the result is kept, and stands as it is"
+            f"{what} could not be drawn ({reason}); the result is kept, and stands as it is"
         )

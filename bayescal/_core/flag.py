@@ -1,4 +1,4 @@
-"""A sentence about readings, with a code and the names that it is of: code asks these and never reads the words."""
+"""A sentence about readings, with a code and the names concerned: programs use these and never parse the words."""
 
 from __future__ import annotations
 
@@ -12,6 +12,6 @@ class Flag(str):
     of: tuple[str, ...]
 
     def __new__(cls, words: str, code: str = "", *of: str) -> Self:
-        made = super().__new__(cls, words)
-        made.code, made.of = code, of
-        return made
+        flag = super().__new__(cls, words)
+        flag.code, flag.of = code, of
+        return flag

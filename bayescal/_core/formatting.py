@@ -1,4 +1,4 @@
-"""Numbers as text for people: what every printed result shares."""
+"""Formatting of numbers for people, common to all printed results."""
 
 from __future__ import annotations
 
@@ -9,12 +9,12 @@ WIDTH = 110  # columns that a table or a sentence should fit in
 
 
 def folded(line: str, indent: str = "  ") -> str:
-    """Fold a line to the page."""
+    """Wrap a line to the page width."""
     return textwrap.fill(line, WIDTH, subsequent_indent=indent)
 
 
 def number(value: float | None, digits: int = 3) -> str:
-    """Significant digits, no exponent where it can be avoided, – for nothing."""
+    """Format a number to significant digits, without an exponent where possible; – for None."""
     if value is None:
         return "–"
     if value == 0 or 1e-4 <= abs(value) < 1e6:
@@ -24,7 +24,7 @@ def number(value: float | None, digits: int = 3) -> str:
 
 
 def _scaled(value: float, error: float) -> tuple[int, int]:
-    """(power of ten to take out, decimal places that show the error to two digits)."""
+    """Return the power of ten to factor out, and the decimal places that show the error to two digits."""
     # Two digits of the error: places from its leading one to the next (JCGM 100, 7.2.6).
     place = floor(log10(error))
     largest = max(place, floor(log10(abs(value))) if value else place)
@@ -32,11 +32,11 @@ def _scaled(value: float, error: float) -> tuple[int, int]:
     return power, max(0, 1 - place + power)
 
 
-_MOST_PLACES = 6  # decimal places beyond which an error is written in brackets
+_MAX_PLACES = 6  # decimal places beyond which an error is written in brackets
 
 
 def with_error(value: float, error: float) -> str:
-    """value ± error, the error to two significant digits and the value to the same place.
+    """Format value ± error, the error to two significant digits and the value to the same place.
 
     Where that takes more than six places, the error stands in brackets and counts the last digits of the value,
     0.88819219(31) (JCGM 100, 7.2.2). A value without a sizeable error (held at an estimate, not sampled) stands alone.
@@ -44,7 +44,7 @@ def with_error(value: float, error: float) -> str:
     if not error > 1e-12 * abs(value):
         return number(value, 4)
     power, places = _scaled(value, error)
-    if places > _MOST_PLACES:
+    if places > _MAX_PLACES:
         digits = round(error / 10 ** (power - places))
         text = f"{value / 10**power:z.{places}f}({digits})"
         return f"{text}e{power}" if power else text
@@ -53,7 +53,7 @@ def with_error(value: float, error: float) -> str:
 
 
 def interval(low: float, high: float, mean: float, error: float) -> str:
-    """The two ends, to the place of the error, or one further where that is coarse."""
+    """Format the two ends of an interval, to the place of the error."""
     if not error > 1e-12 * abs(mean):
         return "–"
     power, places = _scaled(mean, error)

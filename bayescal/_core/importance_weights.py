@@ -5,16 +5,16 @@ from __future__ import annotations
 import numpy as np
 from jaxtyping import Float, Int
 
-ALIKE_SCATTER = 0.01  # scatter of corrections, from which the posterior is the same without
-FEWEST_OF_TAIL = 5  # weights that a tail is fitted to
-TRIED_SIZE = 50  # effective sample size from which this is known
+MAX_CORRECTION_SCATTER = 0.01  # below, the posterior is the same without corrections
+MIN_TAIL_WEIGHTS = 5  # that a tail is fitted to
+MIN_EFFECTIVE_SIZE = 50  # from which the scatter of corrections is known
 
 
 def smoothed(log_weight: Float[np.ndarray, "s"]) -> tuple[Float[np.ndarray, "s"], float]:
-    """Pareto-smoothed weights, summing to one, and k̂.
+    """Return Pareto-smoothed weights, summing to one, and k̂.
 
-    The largest ones are replaced by quantiles of a generalised Pareto distribution fitted to them. As ArviZ does, which
-    takes a second to load.
+    The largest ones are replaced by quantiles of a generalised Pareto distribution fitted to them, as ArviZ does (which
+    takes a second to load).
 
     Raises:
         ValueError: fewer than 25 draws, whose largest weights show no tail.
@@ -25,21 +25,21 @@ def smoothed(log_weight: Float[np.ndarray, "s"]) -> tuple[Float[np.ndarray, "s"]
     if np.ptp(log_weight) < 1e-9:
         return np.full(count, 1 / count), 0.0
     tail = int(3 * count**0.5) if count > 225 else count // 5
-    if tail < FEWEST_OF_TAIL:
+    if tail < MIN_TAIL_WEIGHTS:
         raise ValueError(f"{count} draws are too few for Pareto smoothing")
     weights = np.exp(log_weight - np.max(log_weight))
     order = np.argsort(log_weight)
     largest, cutoff = order[-tail:], weights[order[-tail - 1]]
     k_hat, scale = _generalised_pareto(weights[largest] - cutoff)
     if np.isfinite(k_hat) and scale > 0:
-        rest = np.log1p(-(np.arange(tail) + 0.5) / tail)
-        stretch = np.expm1(-k_hat * rest) / k_hat if k_hat else -rest
+        tail_log = np.log1p(-(np.arange(tail) + 0.5) / tail)
+        stretch = np.expm1(-k_hat * tail_log) / k_hat if k_hat else -tail_log
         weights[largest] = np.minimum(cutoff + scale * stretch, 1.0)
     return weights / weights.sum(), k_hat
 
 
 def _generalised_pareto(excess: Float[np.ndarray, "t"]) -> tuple[float, float]:
-    """Shape k̂, drawn to ½ by as much as ten values would, and scale, of values above zero in rising order.
+    """Return shape k̂, shrunk to ½ by as much as ten values would, and scale, of values above zero in rising order.
 
     Source: J. Zhang and M. Stephens, Technometrics 51 (2009) 316: the mean of b = −k/σ over its profile likelihood.
     """
@@ -59,21 +59,21 @@ def _generalised_pareto(excess: Float[np.ndarray, "t"]) -> tuple[float, float]:
 
 
 def effective_size(weights: Float[np.ndarray, "s"]) -> float:
-    """Effective sample size of weights that sum to one (Kish)."""
+    """Return the effective sample size of weights that sum to one (Kish)."""
     return float(1 / np.sum(weights**2))
 
 
 def resample(weights: Float[np.ndarray, "s"], count: int, seed: int) -> Int[np.ndarray, "count"]:
-    """Positions of draws by systematic resampling, then shuffled so that they stand in no order."""
+    """Return indices of draws by systematic resampling, then shuffled."""
     random = np.random.default_rng(seed)
-    # One random number for the whole ladder: how often a draw is taken differs from count·weight by less than one.
+    # One random number for the whole ladder: the copies of a draw differ from count·weight by less than one.
     ladder = (np.arange(count) + random.random()) / count
     pick = np.searchsorted(np.cumsum(weights) / np.sum(weights), ladder)
     return random.permutation(np.minimum(pick, weights.size - 1))
 
 
 class Corrections:
-    """What corrects the log weights of joint draws, as far as it was computed.
+    """Corrections of the log weights of joint draws, as far as computed.
 
     Attributes:
         mean: of the corrections, weighted as the draws are.
@@ -86,21 +86,21 @@ class Corrections:
         self.mean, self.alike = 0.0, False
 
     def add(self, log_weight: Float[np.ndarray, "b"], correction: Float[np.ndarray, "b"]) -> None:
-        """Corrections of further draws with these log weights before them."""
+        """Add corrections of further draws with these log weights before correction."""
         if self.alike or not len(correction):
             return
         self.log_weight = np.append(self.log_weight, log_weight)
         self.corrections = np.append(self.corrections, correction)
         weight = np.exp(self.log_weight - np.max(self.log_weight))
         weight /= np.sum(weight)
-        if effective_size(weight) > TRIED_SIZE and np.all(np.isfinite(self.corrections)):
+        if effective_size(weight) > MIN_EFFECTIVE_SIZE and np.all(np.isfinite(self.corrections)):
             self.mean = float(weight @ self.corrections)
             scatter = np.sqrt(float(weight @ (self.corrections - self.mean) ** 2))
-            self.alike = bool(scatter < ALIKE_SCATTER)
+            self.alike = bool(scatter < MAX_CORRECTION_SCATTER)
 
 
 def stacking(log_densities: np.ndarray) -> np.ndarray:
-    """Weights on models (m,) that maximise the log score of their mixture, from (n, m) log densities.
+    """Return weights on models (m,) that maximise the log score of their mixture, from (n, m) log densities.
 
     Source: Yao et al., Bayesian Analysis 13 (2018) 917.
     """
@@ -118,6 +118,6 @@ def stacking(log_densities: np.ndarray) -> np.ndarray:
         slope = (density / mixed[:, None]).sum(axis=0)
         return -float(np.log(mixed).sum()), -weight * (slope - slope @ weight)
 
-    found = minimize(loss, np.zeros(count), jac=True, method="BFGS")
-    weight = np.exp(found.x - found.x.max())
+    optimum = minimize(loss, np.zeros(count), jac=True, method="BFGS")
+    weight = np.exp(optimum.x - optimum.x.max())
     return weight / weight.sum()

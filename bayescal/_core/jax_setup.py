@@ -1,11 +1,11 @@
-"""What must happen before JAX starts: double precision, a cache of programs.
+"""Set-up of JAX: double precision, a cache of compiled programs.
 
 Importing this module is cheap and does not import JAX. `bayescal/__init__.py` imports it first; `lazy_jax.py` has
 `configure_jax()` called once JAX is imported, by whoever imports it.
 
 Environment variables:
-    BAYESCAL_CACHE: folder for what bayescal keeps between runs, at most 512 MiB of it from one start to the
-        next; empty for nothing kept.
+    BAYESCAL_CACHE: folder for bayescal's cache between runs, limited to 512 MiB at each start; empty for no
+        cache.
     JAX_COMPILATION_CACHE_DIR: JAX's own; where set (or configured from Python), bayescal leaves the
         cache alone.
 """
@@ -20,23 +20,23 @@ from functools import cache
 from importlib import import_module
 from pathlib import Path
 
-MOST_KEPT = 512 * 1024**2  # bytes of programs on disk; a first calibration leaves some 5 MB
-MOST_MAPS = 30_000  # of 65,530 that Linux allows a process by default
+MAX_CACHE_BYTES = 512 * 1024**2  # of programs on disk; a first calibration leaves some 5 MB
+MAX_MEMORY_MAPS = 30_000  # of 65,530 that Linux allows a process by default
 
 
 def cache_folder() -> Path | None:
-    """Return the folder for what is kept between runs, which need not exist; None for none."""
-    own = os.environ.get("BAYESCAL_CACHE")
-    if own == "":
+    """Return the folder of the cache between runs, which need not exist; None for no cache."""
+    user_folder = os.environ.get("BAYESCAL_CACHE")
+    if user_folder == "":
         return None
     try:
-        return Path(own).expanduser() if own else _user_cache() / "bayescal"
+        return Path(user_folder).expanduser() if user_folder else _user_cache() / "bayescal"
     except RuntimeError:  # no home folder, as in some containers
         return None
 
 
 def _user_cache() -> Path:
-    """The platform's folder for caches (XDG Base Directory Specification on Linux)."""
+    """Return the platform's folder for caches (XDG Base Directory Specification on Linux)."""
     xdg = os.environ.get("XDG_CACHE_HOME", "")
     if os.path.isabs(xdg):  # the specification has relative ones ignored
         return Path(xdg)
@@ -55,7 +55,7 @@ def configure_jax() -> None:
     readings of order one, normal equations that square a condition number.
 
     Every program is kept, however small: JAX's own threshold of one second of compilation would keep almost none of
-    ours. A folder that cannot be written means no cache, never an error; one beyond `MOST_KEPT` is emptied.
+    ours. A folder that cannot be written means no cache, never an error; one beyond `MAX_CACHE_BYTES` is emptied.
     """
     import jax  # heavy: not before something computes
 
@@ -67,7 +67,7 @@ def configure_jax() -> None:
         folder.mkdir(parents=True, exist_ok=True)
     if not (folder.is_dir() and os.access(folder, os.W_OK | os.X_OK)):  # JAX would warn each time
         return
-    drop_if_large(folder, MOST_KEPT)
+    drop_if_large(folder, MAX_CACHE_BYTES)
     jax.config.update("jax_compilation_cache_dir", str(folder))
     jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
     jax.config.update("jax_persistent_cache_min_entry_size_bytes", -1)
@@ -96,29 +96,29 @@ def spare_memory_maps() -> None:
             count = sum(1 for _ in maps)
     except OSError:
         return
-    if count > MOST_MAPS:
+    if count > MAX_MEMORY_MAPS:
         import jax
 
         jax.clear_caches()
 
 
-# Two libraries look in the current folder when they are loaded, before anywhere else: file → what obeys it.
+# Two libraries read a file of the current folder when they are loaded: file → library.
 READERS = {"matplotlibrc": "matplotlib", "arvizrc": "arviz_base"}
 
 
 def obey_no_folder() -> None:
-    """Load what would obey a file of the current folder while another folder is the current one.
+    """Load libraries that would read a file of the current folder while another folder is the current one.
 
     To be called before other threads are begun: a process has one current folder. Costs nothing where there is no such
     file.
     """
     readers = [library for file, library in READERS.items() if os.path.lexists(file)]
     if readers:
-        here = os.getcwd()
+        folder = os.getcwd()
         os.chdir(os.path.dirname(__file__))
         try:
             for library in readers:
                 with suppress(ImportError):  # what needs it says so
                     import_module(library)
         finally:
-            os.chdir(here)
+            os.chdir(folder)

@@ -1,4 +1,4 @@
-"""Functions: compiled quickly where the data are few, well optimised where they are many; found again by value.
+"""Compiled functions: compiled quickly for few data, well optimised for many; cached by value.
 
 Most structures of a model are fitted a few times to some hundred readings, and compiling takes a hundred times as
 long as computing. Without XLA's fusion emitters compiling takes half the time and computing no longer; without the
@@ -13,7 +13,7 @@ from typing import Any, Generic, ParamSpec, TypeVar
 
 from bayescal._core.lazy_jax import jax
 
-# Numbers handed to a function, above which computing counts for more than compiling.
+# Numbers in a function's arguments, from which computing takes longer than compiling.
 MANY_NUMBERS = 30_000
 ALWAYS = {"xla_cpu_use_fusion_emitters": False}
 QUICK = {**ALWAYS, "xla_backend_optimization_level": 0}
@@ -23,9 +23,9 @@ R = TypeVar("R", covariant=True)
 
 
 class compiled(Generic[P, R]):
-    """`equinox.filter_jit`, with options of the compiler after the number of numbers it is called with.
+    """`equinox.filter_jit`, with compiler options chosen by the number of numbers in the arguments.
 
-    Inside another compiled function it is the plain function: that one's options hold. `many` are the numbers in its
+    Inside another compiled function it is the plain function, under that one's options. `many` is the size of the
     arguments from which on it is well optimised.
     """
 
@@ -49,12 +49,12 @@ class compiled(Generic[P, R]):
 
 
 def known(options: dict[str, Any]) -> dict[str, Any]:
-    """Those that the installed compiler knows: versions differ, and an unknown one is an error."""
-    return {name: value for name, value in options.items() if _knows(name, value)}
+    """Select the options that the installed compiler supports: versions differ, and an unknown one is an error."""
+    return {name: value for name, value in options.items() if _is_supported(name, value)}
 
 
 @cache
-def _knows(name: str, value: Any) -> bool:
+def _is_supported(name: str, value: Any) -> bool:
     try:
         jax.jit(lambda x: x, compiler_options={name: value})(0.0)
     except jax.errors.JaxRuntimeError:
@@ -62,32 +62,32 @@ def _knows(name: str, value: Any) -> bool:
     return True
 
 
-class given(partial):
-    """`functools.partial` that compares by value: made twice, or unpickled, it finds the same compiled programs."""
+class value_partial(partial):
+    """`functools.partial` that compares by value, so that an equal or unpickled one uses the same compiled programs."""
 
     def _key(self) -> tuple[Any, ...]:
         return self.func, self.args, tuple(sorted(self.keywords.items()))
 
     def __eq__(self, other: object) -> bool:
-        return self is other or (isinstance(other, given) and self._key() == other._key())
+        return self is other or (isinstance(other, value_partial) and self._key() == other._key())
 
-    def __hash__(self) -> int:  # asked for at each call of a program
+    def __hash__(self) -> int:  # at each call of a program
         if "_hash" not in vars(self):
             self._hash = hash(self._key())
         return self._hash
 
     def __reduce__(self) -> tuple[Any, ...]:  # another process hashes texts otherwise
-        return partial(given, self.func, *self.args, **self.keywords), ()
+        return partial(value_partial, self.func, *self.args, **self.keywords), ()
 
 
 def by_value(function: Any) -> Any:
-    """A partial as `given`, where its arguments allow; any other function as it is."""
+    """Convert a partial to one that compares by value, where its arguments are hashable; return others as they are."""
     if type(function) is not partial:
         return function
     args = map(by_value, function.args)  # a basis of a basis
-    made = given(function.func, *args, **function.keywords)
+    converted = value_partial(function.func, *args, **function.keywords)
     try:
-        hash(made)
+        hash(converted)
     except TypeError:  # an array among its arguments
         return function
-    return made
+    return converted

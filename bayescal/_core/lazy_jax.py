@@ -1,7 +1,7 @@
-"""JAX, imported by what first uses it: `from bayescal._core.lazy_jax import jax, jnp`.
+"""Lazy import of JAX at its first use: `from bayescal._core.lazy_jax import jax, jnp`.
 
-Whoever imports it, bayescal or a user, it is set up at once: double precision, and the types of bayescal that it is to
-take as trees. What a command computes by NumPy alone needs none of it, and starts in half the time.
+Whoever imports it, bayescal or a user, it is set up at once: double precision, and bayescal's types registered as
+trees. A command that computes by NumPy alone does not import it, and starts in half the time.
 """
 
 from __future__ import annotations
@@ -18,19 +18,19 @@ from bayescal._core.jax_setup import configure_jax
 
 
 class _Later:
-    """A module that is imported when an attribute of it is first asked for."""
+    """A module that is imported when an attribute of it is first accessed."""
 
     def __init__(self, name: str) -> None:
         self._name = name
 
     def __getattr__(self, attribute: str) -> Any:
-        found = getattr(import_module(self._name), attribute)
-        setattr(self, attribute, found)
-        return found
+        value = getattr(import_module(self._name), attribute)
+        setattr(self, attribute, value)
+        return value
 
 
 class _SetUp(MetaPathFinder):
-    """Finds JAX as the others do, and has it set up once it is loaded."""
+    """Import finder that sets JAX up once it is loaded."""
 
     def find_spec(self, fullname: str, path: Any, target: Any = None) -> ModuleSpec | None:
         if fullname != "jax":
@@ -56,7 +56,7 @@ _waiting: list[Callable[[], object]] | None = []  # None once JAX is set up
 
 
 def when_imported(do: Callable[[], object]) -> None:
-    """Do something with JAX now if it is imported, else as soon as it is."""
+    """Call a function now if JAX is imported, else as soon as it is."""
     if _waiting is None:
         do()
     else:

@@ -24,7 +24,7 @@ Group = Mapping[str, Variable]
 
 
 def netcdf_bytes(groups: Mapping[str, Group], **attributes: str) -> memoryview:
-    """Return a NetCDF-4 file of numbers and text, made in memory: HDF5 ends the process where a disk is full.
+    """Encode a NetCDF-4 file of numbers and text in memory: HDF5 aborts the process where a disk is full.
 
     Args:
         groups: variables by name, by the name of their group; "" is the root.
@@ -40,8 +40,8 @@ def netcdf_bytes(groups: Mapping[str, Group], **attributes: str) -> memoryview:
     with h5netcdf.File(content, "w") as file:
         for name, variables in groups.items():
             group = file.create_group(name) if name else file
-            held = variables.values()
-            group.dimensions = {d: n for v in held for d, n in zip(v.dims, v.values.shape)}  # noqa: B905
+            arrays = variables.values()
+            group.dimensions = {d: n for v in arrays for d, n in zip(v.dims, v.values.shape)}  # noqa: B905
             for variable, (dims, values, attrs) in variables.items():
                 kind = None
                 if values.dtype.kind in "UO":
@@ -50,8 +50,8 @@ def netcdf_bytes(groups: Mapping[str, Group], **attributes: str) -> memoryview:
                     raise TypeError(
                         f"{variable} is of type {values.dtype}: expected numbers or text"
                     )
-                made = group.create_variable(variable, dims, data=values, dtype=kind)
-                made.attrs.update(attrs)
+                created = group.create_variable(variable, dims, data=values, dtype=kind)
+                created.attrs.update(attrs)
         file.attrs.update(attributes)
     return content.getbuffer()
 
@@ -59,7 +59,7 @@ def netcdf_bytes(groups: Mapping[str, Group], **attributes: str) -> memoryview:
 def netcdf_groups(
     content: io.BytesIO, names: Iterable[str]
 ) -> tuple[dict[str, Group], dict[str, Any]]:
-    """Return groups of a NetCDF-4 file, and the attributes of its root; ValueError where it lacks one."""
+    """Read groups of a NetCDF-4 file, and the attributes of its root; raise ValueError where it lacks one."""
     import h5netcdf
 
     with h5netcdf.File(content, "r") as file:

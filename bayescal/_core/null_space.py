@@ -1,8 +1,8 @@
-"""What readings do not tell of unknowns: null spaces, exact and weak, and groups of columns in the span of others.
+"""Unidentified directions of unknowns: null spaces, exact and weak, and collinear groups of columns.
 
-Eigenvectors of a null space of several dimensions come out mixed, and say nothing to anyone. A reduced echelon form,
-its pivots the largest entries that are left, gives each direction a coefficient of its own and keeps apart what has
-no coefficient in common.
+Eigenvectors of a null space of several dimensions are arbitrary mixtures. A reduced echelon form, its pivots the
+largest remaining entries, gives each direction a coefficient of its own and separates directions without a common
+coefficient.
 """
 
 from __future__ import annotations
@@ -17,14 +17,14 @@ from scipy import linalg
 
 EXACT_SHARE = 3e-14  # of the largest singular value of normalised columns: rounding, no information
 DUST_SHARE = 1e-9  # of a direction's largest entry: rounding
-TRACE_SHARE = 1e-4  # of it: may be what a nearly null direction leaves
-# Nats by which a group of columns, at its prior's size, would narrow this prior, below which no evidence decides on it.
+TRACE_SHARE = 1e-4  # of it: may be a trace of a nearly null direction
+# Information of a group of columns at its prior's size, in nats: below, no evidence decides on the group.
 UNDECIDED_NATS = 0.5
-UNDECIDED_SHARE = 0.01  # of a group's squares that others leave, below which it is in their span
+UNDECIDED_SHARE = 0.01  # of a group's squares, as residuals on others: below, it is in their span
 
 
 def exact(columns: np.ndarray) -> np.ndarray:
-    """Directions along which a matrix does nothing.
+    """Return the null space of a matrix as sparse directions.
 
     Args:
         columns: (n, p), such as a whitened Jacobian; any units.
@@ -32,7 +32,7 @@ def exact(columns: np.ndarray) -> np.ndarray:
     Returns:
         A basis (k, p) of its null space, few entries in each row, the others exactly zero; k may be 0.
     """
-    # Columns of unit length: whether a direction is null must not hang on the units of its coefficients.
+    # Columns of unit length: whether a direction is null must not depend on the units of its coefficients.
     norm = np.linalg.norm(columns, axis=0)
     norm = np.where(norm > 0, norm, 1.0)
     small = _small(columns / norm)
@@ -43,32 +43,32 @@ def exact(columns: np.ndarray) -> np.ndarray:
 
 
 def _swept(columns: np.ndarray, row: np.ndarray) -> np.ndarray:
-    """The null direction of a row's large entries alone, if they have one; else the row.
+    """Return the null direction of a row's large entries alone, if there is one; else the row.
 
     Nearly null directions leave traces of themselves in computed null spaces.
     """
     large = np.abs(row) > TRACE_SHARE * np.abs(row).max()
     if large.all():
         return row
-    found = linalg.null_space(_small(columns[:, large]), rcond=EXACT_SHARE)
-    if not found.size:
+    null = linalg.null_space(_small(columns[:, large]), rcond=EXACT_SHARE)
+    if not null.size:
         return row
     swept = np.zeros_like(row)
-    swept[large] = found[:, -1]
+    swept[large] = null[:, -1]
     return swept
 
 
 def weak(columns: np.ndarray, exact: np.ndarray, limit: float, alone: float) -> np.ndarray:
-    """Directions of information below `limit` beside the exact ones.
+    """Return the directions of information below `limit`, without the exact ones.
 
     Args:
         columns: (n, p), whitened, per prior standard deviation.
-        exact: (k, p), what `exact` found of these columns.
+        exact: (k, p), the result of `exact` for these columns.
         limit: largest information (|columns·z|² for a unit z).
         alone: of a coefficient's unit vector within these directions, above which it is one of them by itself.
 
     Returns:
-        Directions (m, p); coefficients of which nothing is known first, each a unit vector.
+        Directions (m, p); unidentified coefficients first, each a unit vector.
     """
     count = columns.shape[1]
     # Squared singular values of whitened columns are the information along each direction, in units of the prior's.
@@ -76,12 +76,12 @@ def weak(columns: np.ndarray, exact: np.ndarray, limit: float, alone: float) -> 
     values = np.concatenate([values, np.zeros(count - len(values))])
     space = _without(rows[values**2 < limit], exact)
     units = np.eye(count)[np.sum(space**2, axis=0) > alone]
-    rest = echelon(_without(space, units))
-    return np.concatenate([units, rest])
+    others = echelon(_without(space, units))
+    return np.concatenate([units, others])
 
 
 def _small(columns: np.ndarray) -> np.ndarray:
-    """A square matrix with the same singular values and right vectors."""
+    """Reduce to a square matrix with the same singular values and right vectors."""
     # JᵀJ = RᵀR: the triangle of a QR has J's singular values, in p rows in place of n.
     return (
         np.asarray(np.linalg.qr(columns, mode="r")) if len(columns) > columns.shape[1] else columns
@@ -89,23 +89,23 @@ def _small(columns: np.ndarray) -> np.ndarray:
 
 
 def _without(space: np.ndarray, others: np.ndarray) -> np.ndarray:
-    """Orthonormal rows that span what of `space` (orthonormal rows) is orthogonal to `others`."""
-    left = len(space) - len(others)
-    if left <= 0 or not len(others):
-        return space[: max(left, 0)]
-    # Of what is left after the projection on `others`, the right singular vectors with the largest singular values
+    """Return orthonormal rows that span the part of `space` (orthonormal rows) orthogonal to `others`."""
+    dimensions = len(space) - len(others)
+    if dimensions <= 0 or not len(others):
+        return space[: max(dimensions, 0)]
+    # Of the residuals of the projection on `others`, the right singular vectors with the largest singular values
     # span the space: as many as it has dimensions more.
     basis, _ = np.linalg.qr(others.T)
     _, _, rows = np.linalg.svd(space - space @ basis @ basis.T, full_matrices=False)
-    return rows[:left]
+    return rows[:dimensions]
 
 
 def echelon(rows: np.ndarray) -> np.ndarray:
-    """Reduced row echelon form with complete pivoting, dust swept off, ordered by each row's first entry."""
+    """Return the reduced row echelon form by complete pivoting, rounding set to zero, ordered by first entry."""
     reduced = np.array(rows, dtype=float)
     free = np.ones(len(reduced), dtype=bool)
     for _ in range(len(reduced)):
-        # The largest entry that is left becomes the pivot: dividing by a small one would spread its rounding over the
+        # The largest remaining entry becomes the pivot: dividing by a small one would spread its rounding over the
         # row.
         candidates = np.where(free[:, None], np.abs(reduced), -1.0)
         at, pivot = np.unravel_index(np.argmax(candidates), candidates.shape)
@@ -119,83 +119,83 @@ def echelon(rows: np.ndarray) -> np.ndarray:
 
 
 def _in_order(rows: np.ndarray) -> np.ndarray:
-    """Rows in the order of their first entry that is not zero."""
+    """Sort rows by the position of their first entry that is not zero."""
     return rows[np.argsort([int(np.flatnonzero(row)[0]) for row in rows], kind="stable")]
 
 
 def simple(vector: np.ndarray) -> np.ndarray:
-    """The direction in small whole numbers if it has them, else with a largest entry of one; the first is positive."""
-    # Null directions of physical models are often ratios of small whole numbers, as 1 : −1 of two constants: exact
-    # words.
+    """Scale a direction to small whole numbers if possible, else to a largest entry of one; the first is positive."""
+    # Null directions of physical models are often ratios of small whole numbers, such as 1 : −1 of two constants,
+    # which can be stated exactly.
     entries = np.abs(vector[vector != 0])
     whole = vector / entries.min()
     near = np.abs(whole - np.rint(whole)) < 1e-5
     small = near.all() and np.abs(whole).max() < 100
-    made = np.rint(whole) if small else vector / entries.max()
-    return made * np.sign(made[np.flatnonzero(made)[0]])
+    scaled = np.rint(whole) if small else vector / entries.max()
+    return scaled * np.sign(scaled[np.flatnonzero(scaled)[0]])
 
 
 def nats(columns: np.ndarray) -> float:
-    """½·Σ log(1 + K), K the information of columns (n, k) per prior standard deviation along their axes."""
+    """Return ½·Σ log(1 + K), K the information of columns (n, k) per prior standard deviation along their axes."""
     return 0.5 * float(np.sum(np.log1p(np.linalg.svd(columns, compute_uv=False) ** 2)))
 
 
 def beyond(columns: np.ndarray, span: np.ndarray) -> np.ndarray:
-    """What others leave of columns (n, k), along those of their directions (n, m) that the readings tell."""
+    """Project out of columns (n, k) the directions of `span` (n, m) that the readings determine."""
     axes, values, _ = np.linalg.svd(span, full_matrices=False)
     axes = axes[:, 0.5 * np.log1p(values**2) >= UNDECIDED_NATS]
     return columns - axes @ (axes.T @ columns)
 
 
-def undecided(columns: np.ndarray, left: np.ndarray) -> bool:
-    """Whether what is left of columns is too little to decide on them, and a small part of them."""
-    small = np.sum(left**2) < UNDECIDED_SHARE * np.sum(columns**2)
-    return bool(small) and nats(left) < UNDECIDED_NATS
+def undecided(columns: np.ndarray, residuals: np.ndarray) -> bool:
+    """Return whether the residuals of columns are too small to decide on them, and a small part of them."""
+    small = np.sum(residuals**2) < UNDECIDED_SHARE * np.sum(columns**2)
+    return bool(small) and nats(residuals) < UNDECIDED_NATS
 
 
 @dataclass(frozen=True, eq=False)
 class Spans:
-    """Groups of columns by name, and which readings cannot tell from which.
+    """Groups of columns by name, and their collinearity.
 
     Attributes:
-        left: columns modulo a model's, whitened, per prior standard deviation (n, k).
-        latent: names of further groups, which are in the span of the model's columns, and what of that they stand for.
+        left: columns projected off a model's, whitened, per prior standard deviation (n, k).
+        latent: names of further groups, in the span of the model's columns, and the effects of it that they equal.
     """
 
     left: Mapping[str, np.ndarray] = field(default_factory=dict)
     latent: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        # Asked for time and again by a search.
+        # Called repeatedly by a search.
         for name in ("implied", "generators"):
             object.__setattr__(self, name, cache(getattr(self, name)))
 
     def within(self, name: str, others: Iterable[str]) -> bool:
-        """Whether a group is in the span of others."""
+        """Return whether a group is in the span of others."""
         span = [self.left[n] for n in others if n in self.left]
         if name not in self.left or not span:
             return False
         return undecided(self.left[name], beyond(self.left[name], np.column_stack(span)))
 
     def implied(self, names: frozenset[str]) -> frozenset[str]:
-        """Groups that are in the span of some and of the model, and not among them."""
-        own = names.intersection(self.left)
-        found = {n for n in self.left if n not in own and self.within(n, own)} if own else set()
-        return frozenset(found | {*self.latent}) - names
+        """Return the groups that are in the span of `names` and of the model, and not among them."""
+        base = names.intersection(self.left)
+        extra = {n for n in self.left if n not in base and self.within(n, base)} if base else set()
+        return frozenset(extra | {*self.latent}) - names
 
     def spanning(self, names: frozenset[str]) -> set[str]:
-        """Those of some groups without which others would not be in their span."""
+        """Return those of `names` without which others would not be in their span."""
         whole = self.implied(names)
         return {n for n in names if whole - self.implied(names - {n}) - {n}}
 
     def generators(self, names: frozenset[str]) -> tuple[frozenset[str], ...]:
-        """Smallest sets with the same span as some groups, the fewest first."""
+        """Return the smallest sets with the same span as `names`, the fewest first."""
         whole = names | self.implied(names)
         free = [n for n in self.left if n in whole and self.within(n, whole - {n})]
-        found = list[frozenset[str]]()
+        sets = list[frozenset[str]]()
         for count in range(len(free) + 1):
             for some in itertools.combinations(free, count):
-                made = (whole - {*free, *self.latent}).union(some)
-                if not any(one <= made for one in found) and whole <= made | self.implied(made):
-                    found.append(made)
-        return tuple(found)
+                part = (whole - {*free, *self.latent}).union(some)
+                if not any(s <= part for s in sets) and whole <= part | self.implied(part):
+                    sets.append(part)
+        return tuple(sets)

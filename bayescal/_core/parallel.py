@@ -1,4 +1,4 @@
-"""Linear algebra on one thread.
+"""Linear algebra on a single thread.
 
 Matrices here have ten to a hundred rows: several threads of BLAS would spend their time waiting for each other.
 """
@@ -20,11 +20,11 @@ _threads = cache(ThreadpoolController)
 
 
 def on_one_thread(function: Callable[P, R]) -> Callable[P, R]:
-    """The function, BLAS held to one thread and overflow passed over while it runs."""
+    """Decorate a function to run with BLAS on one thread and floating-point warnings ignored."""
 
     @wraps(function)
-    def held(*args: P.args, **kwargs: P.kwargs) -> R:
+    def limited(*args: P.args, **kwargs: P.kwargs) -> R:
         with _threads().limit(limits=1, user_api="blas"), np.errstate(all="ignore"):
             return function(*args, **kwargs)
 
-    return held
+    return limited

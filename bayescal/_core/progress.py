@@ -1,6 +1,6 @@
-"""Lines on stderr that tell how far it is: for anything that takes over a second, and then at least every ten seconds.
+"""Progress lines on stderr: for anything that takes over a second, and then at least every ten seconds.
 
-A line says what is being done, and for how long by now.
+A line names the operation and its duration so far.
 """
 
 from __future__ import annotations
@@ -13,45 +13,45 @@ from contextlib import contextmanager
 
 from bayescal._core.quoting import one_line
 
-SOON, EVERY = 1.0, 9.0  # s, until a stage is first told of, and from a line to the next
+FIRST_SECONDS, INTERVAL_SECONDS = 1.0, 9.0  # until the first line of a stage, and between lines
 
-_open: list[threading.Event] = []  # stages, by what ends them, the innermost last
-_told = 0.0  # when the last line was
+_open: list[threading.Event] = []  # stages, by the events that end them, the innermost last
+_last_line = 0.0  # time of the last line, s
 
 
 def tell(what: str) -> None:
-    """Say on stderr how far it is."""
-    global _told
-    _told = time.monotonic()
+    """Print a progress line on stderr."""
+    global _last_line
+    _last_line = time.monotonic()
     print(f"bayescal: {what} …", file=sys.stderr, flush=True)
 
 
 def quiet() -> float:
-    """Time since the last such line, s."""
-    return time.monotonic() - _told
+    """Return the time since the last progress line, s."""
+    return time.monotonic() - _last_line
 
 
 def print_notes(notes: Iterable[str]) -> None:
-    """Say on stderr what the user should know of and no reason to stop."""
+    """Print warnings on stderr."""
     for note in notes:
         print(f"bayescal: note: {one_line(note)}", file=sys.stderr, flush=True)
 
 
 @contextmanager
-def stage(what: str, first: float = SOON) -> Iterator[None]:
-    """Say on stderr what is going on, once it has taken `first` seconds, and again where nothing else is told."""
-    begun, done = time.monotonic(), threading.Event()
+def stage(what: str, first: float = FIRST_SECONDS) -> Iterator[None]:
+    """Print progress lines of an operation once it has taken `first` seconds, and again without other lines."""
+    start, done = time.monotonic(), threading.Event()
 
     def watch() -> None:
-        pause, told = first, first >= EVERY
+        pause, printed = first, first >= INTERVAL_SECONDS
         while not done.wait(pause):
             now = time.monotonic()
-            quiet = now - max(_told, begun)
-            if _open[-1:] == [done] and (quiet >= EVERY or not told):
-                so_far = f", {now - begun:.0f} s so far" if told else ""
+            quiet = now - max(_last_line, start)
+            if _open[-1:] == [done] and (quiet >= INTERVAL_SECONDS or not printed):
+                so_far = f", {now - start:.0f} s so far" if printed else ""
                 tell(f"{what}{so_far}")
-                quiet, told = 0.0, True
-            pause = max(EVERY - quiet, 0.5)
+                quiet, printed = 0.0, True
+            pause = max(INTERVAL_SECONDS - quiet, 0.5)
 
     _open.append(done)
     threading.Thread(target=watch, daemon=True, name="bayescal progress").start()

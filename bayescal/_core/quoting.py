@@ -1,7 +1,7 @@
-"""Text as data of another language: names of files, columns, devices and effects may hold anything.
+"""Quoting of text for other languages: names of files, columns, devices and effects may hold anything.
 
-Whatever is written for a compiler, an interpreter, a browser or a spreadsheet takes text through the function of that
-language here, and numbers through `number_text`, so that none of it is read as code, markup or a formula.
+Text written for a compiler, an interpreter, a browser or a spreadsheet passes through the function of that language
+here, and numbers through `number_text`, so that none of it is read as code, markup or a formula.
 """
 
 from __future__ import annotations
@@ -20,14 +20,14 @@ _SPELLINGS = (
     "·|* ×|x −|- –|- —|- √|sqrt ±|+- °|deg␣ µ|u ≤|<= ≥|>= ≈|~ ∞|inf ∂|d →|-> ∫|int␣ ′|' ’|' ‘|' “|\" ”|\" ‰|per␣mille "
     "\u2044|/ ß|ss \u0303|~ \u0302|^ \u0304|_mean \u0307|_dot"
 )
-_SPELLED = {one[0]: one[2:].replace("␣", " ") for one in _SPELLINGS.split()}
+_SPELLED = {pair[0]: pair[2:].replace("␣", " ") for pair in _SPELLINGS.split()}
 _GREEK = r"GREEK (SMALL|CAPITAL) LETTER (\w+)"
 
 
 def ascii_text(text: str) -> str:
-    """Text in ASCII, with a spelling for every character: T̃ as T~, τ as tau, ² as ^2, € as <U+20AC>.
+    """Transliterate text to ASCII, with a spelling for every character: T̃ as T~, τ as tau, ² as ^2, € as <U+20AC>.
 
-    Marks that make another symbol of one stay (ẋ as x_dot), accents of a language go (é as e).
+    Marks that make another symbol stay (ẋ as x_dot), accents of a language go (é as e).
     """
     spelled = "".join(map(_spelled, unicodedata.normalize("NFC", text)))
     return re.sub(r"(?<=[\^_][-+0-9])[\^_](?=[0-9])", "", spelled)  # ^-^6 is ^-6
@@ -36,8 +36,8 @@ def ascii_text(text: str) -> str:
 def _spelled(character: str) -> str:
     if character.isascii() or character in _SPELLED:
         return _SPELLED.get(character, character)
-    if found := re.fullmatch(_GREEK, unicodedata.name(character, "")):
-        return found[2].lower() if found[1] == "SMALL" else found[2].capitalize()
+    if greek := re.fullmatch(_GREEK, unicodedata.name(character, "")):
+        return greek[2].lower() if greek[1] == "SMALL" else greek[2].capitalize()
     kind, _, parts = unicodedata.decomposition(character).rpartition("> ")
     if parts:
         before = {"<super": "^", "<sub": "_"}.get(kind, "")
@@ -46,7 +46,7 @@ def _spelled(character: str) -> str:
 
 
 def one_line(text: Any) -> str:
-    """Text in one line: what does not print (controls, marks that turn the direction) as <U+001B>."""
+    """Format text in one line: characters that do not print (controls, direction marks) as <U+001B>."""
     return "".join(
         c if c.isprintable() else " " if c.isspace() else f"<U+{ord(c):04X}>" for c in str(text)
     )
@@ -56,7 +56,7 @@ _JOINT = r"(?<=\*)(?=/)|(?<=/)(?=\*)|(?<=\?)(?=\?)|^(?=[*/])|(?<=[*/])$"
 
 
 def c_comment(text: Any) -> str:
-    """Text within a comment of C: ASCII, one line; it neither ends a comment nor begins one, and splices no line.
+    """Quote text within a comment of C: ASCII, one line; it neither ends a comment nor begins one, and splices no line.
 
     Backslashes become slashes first, so that no later one completes a `*/`.
     """
@@ -64,7 +64,7 @@ def c_comment(text: Any) -> str:
 
 
 def python_words(text: Any) -> str:
-    """Text within a docstring or a comment of Python: ASCII, one line, no double quote and no backslash."""
+    """Quote text within a docstring or a comment of Python: ASCII, one line, no double quote and no backslash."""
     return _words(text).replace('"', "'")
 
 
@@ -73,7 +73,7 @@ def _words(text: Any) -> str:
 
 
 def python_string(text: Any) -> str:
-    """Text as a string of Python, its quotes included; ASCII."""
+    """Quote text as a string of Python, its quotes included; ASCII."""
     return '"' + str(text).encode("unicode_escape").decode("ascii").replace('"', r"\"") + '"'
 
 
@@ -86,27 +86,27 @@ _TAKEN_BY_C = frozenset(_WORDS_OF_C.split())
 
 
 def identifier(text: Any, taken: Collection[str] = ()) -> str:
-    """A name that C and Python accept: no word of theirs, no macro of C's headers, none that is taken."""
+    """Return an identifier of C and Python: no keyword, no macro of C's headers, none that is taken."""
     # A name from a column or an effect goes into C and Python alike: the stricter of the two decides.
-    made = re.sub(r"\W+", "_", str(text), flags=re.ASCII).strip("_") or "x"
-    made = made if not made[0].isdigit() else f"x_{made}"
-    made += "_" * made.isupper()  # as macros of C are: NAN, INFINITY
+    name = re.sub(r"\W+", "_", str(text), flags=re.ASCII).strip("_") or "x"
+    name = name if not name[0].isdigit() else f"x_{name}"
+    name += "_" * name.isupper()  # as macros of C are: NAN, INFINITY
     while (
-        made in taken or made in _TAKEN_BY_C or keyword.iskeyword(made) or hasattr(builtins, made)
+        name in taken or name in _TAKEN_BY_C or keyword.iskeyword(name) or hasattr(builtins, name)
     ):
-        made += "_"
-    return made
+        name += "_"
+    return name
 
 
 def number_text(value: Any) -> str:
-    """Return a number as every language here reads it, with all its digits; refuse text."""
+    """Format a number as every language here reads it, with all its digits; raise TypeError for text."""
     if isinstance(value, str | bytes):
         raise TypeError(f"{value!r} is text, a number was expected")
     return repr(float(value))
 
 
 def html_text(text: Any) -> str:
-    """Text of HTML or of an attribute in quotes: no tag begins, no attribute ends."""
+    """Escape text of HTML or of an attribute in quotes: no tag begins, no attribute ends."""
     return html.escape(str(text))
 
 
@@ -115,9 +115,9 @@ _A_NUMBER = r"[+-]?(\d+([.,]\d*)?|[.,]\d+)([eE][+-]?\d+)?|[+-]?(nan|inf)"
 
 
 def csv_cell(text: Any) -> str:
-    """A cell that no spreadsheet takes for a formula: one that begins like it has an apostrophe before it.
+    """Quote a cell so that no spreadsheet takes it for a formula: one that begins like it gets an apostrophe before it.
 
-    Numbers stay as they are. `csv_cell_read` gives the text back.
+    Numbers stay as they are. `csv_cell_read` is the inverse.
     """
     text = str(text)
     begins = re.match(_FORMULA, text.lstrip("'"))
@@ -125,12 +125,12 @@ def csv_cell(text: Any) -> str:
 
 
 def csv_cell_read(text: str) -> str:
-    """The text of which `csv_cell` made a cell."""
+    """Return the text of a cell that `csv_cell` quoted."""
     return text[1:] if text.startswith("'") and re.match(_FORMULA, text.lstrip("'")) else text
 
 
 def csv_line(cells: Iterable[Any], separator: str = ",") -> str:
-    """Cells as a line of CSV, without its end."""
+    """Format cells as a line of CSV, without its end."""
     written = io.StringIO()
     csv.writer(written, delimiter=separator).writerow(map(csv_cell, cells))
     return written.getvalue().removesuffix("\r\n")

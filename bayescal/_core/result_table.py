@@ -1,7 +1,7 @@
-"""A result as tables and lines, said once: its text, its HTML and its numbers are made of them here alone.
+"""Tables and lines of a result, from which its text, its HTML and its numbers are made.
 
-A table is columns over rows of plain data, as they stand in a result's JSON, so that a result in memory and one that
-was read from a file are the same table on the screen, in a report and in the workbench.
+A table is columns over rows of plain data, as in a result's JSON, so that a result in memory and one that was read
+from a file are the same table on the screen, in a report and in the workbench.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     import pandas as pd
     import xarray as xr
 
-BRIEF = 200  # characters of a `repr`
+MAX_REPR_CHARACTERS = 200  # in one line
 
 
 @dataclass(frozen=True)
@@ -28,9 +28,9 @@ class TableColumn:
     """One column.
 
     Attributes:
-        head: above it; its unit is said with it.
-        of: what a row has in it: a key of the row, or what takes it from the row.
-        show: that as people read it; None for what is only in the numbers, not printed.
+        head: above it, without its unit.
+        of: key of the row, or function of the row, that gives the value.
+        show: format of the value for people; None for a column that is only in the numbers, not printed.
         unit: of all its values, as people read it; stands behind the head.
         left: whether it is flush left; None: where it is the first.
         name: of its numbers; that of `head` if None, and "" for what has none.
@@ -44,7 +44,7 @@ class TableColumn:
     name: str | None = None
 
     def value(self, row: Any) -> Any:
-        """What a row has in it."""
+        """Return the value of a row in this column."""
         return row[self.of or self.head] if isinstance(self.of, str) else self.of(row)
 
 
@@ -65,7 +65,7 @@ class ResultTable:
 
     @property
     def shown(self) -> list[TableColumn]:
-        """The columns that are printed."""
+        """Return the columns that are printed."""
         return [c for c in self.columns if c.show is not None]
 
     @property
@@ -74,18 +74,18 @@ class ResultTable:
 
     @property
     def cells(self) -> list[list[str]]:
-        """The rows as people read them; a line break in a cell stays one."""
+        """Return the rows formatted for people; a line break in a cell stays one."""
         return [[c.show(c.value(row)) for c in self.shown if c.show] for row in self.rows]
 
     @property
     def flush_left(self) -> list[bool]:
-        own = [i == 0 if c.left is None else c.left for i, c in enumerate(self.shown)]
-        return [*own[:-1], own[-1] or self.fold > 0]
+        flush = [i == 0 if c.left is None else c.left for i, c in enumerate(self.shown)]
+        return [*flush[:-1], flush[-1] or self.fold > 0]
 
     def only(self, *heads: str) -> ResultTable:
-        """Return the same with these columns, in this order."""
-        known = {c.head: c for c in self.shown}
-        return replace(self, columns=tuple(known[head] for head in heads), fold=0)
+        """Select columns, in this order."""
+        printed = {c.head: c for c in self.shown}
+        return replace(self, columns=tuple(printed[head] for head in heads), fold=0)
 
     def data(self) -> dict[str, list[Any]]:
         """Return its numbers in full: name of a column → one value a row."""
@@ -93,17 +93,17 @@ class ResultTable:
         return {n: [column.value(row) for row in self.rows] for n, column in named.items() if n}
 
     def __str__(self) -> str:
-        """As text: columns under a ruled head."""
+        """Format as text: columns under a ruled head."""
         return _text(self.head, self.cells, self.flush_left, self.fold)
 
     def html(self) -> str:
-        """Return it as HTML, everything in it escaped."""
+        """Format as HTML, everything in it escaped."""
         sides = ["left" if flush else "right" for flush in self.flush_left]
 
         def row(cells: list[str], tag: str) -> str:
             pairs = zip(map(_html_lines, cells), sides, strict=True)
-            made = (f'<{tag} style="text-align: {side}">{cell}</{tag}>' for cell, side in pairs)
-            return f"<tr>{''.join(made)}</tr>"
+            elements = (f'<{tag} style="text-align: {side}">{cell}</{tag}>' for cell, side in pairs)
+            return f"<tr>{''.join(elements)}</tr>"
 
         body = "".join(row(cells, "td") for cells in self.cells)
         return f"<table><thead>{row(self.head, 'th')}</thead><tbody>{body}</tbody></table>"
@@ -112,7 +112,7 @@ class ResultTable:
 def plain_table(
     head: Sequence[str], rows: Iterable[Sequence[str]], left: int = 1, fold: int = 0
 ) -> ResultTable:
-    """A table of cells that are text already, of which so many columns are flush left."""
+    """Make a table of text cells; the first `left` columns are flush left."""
     columns = (
         TableColumn(name, lambda row, i=i: row[i], left=i < left) for i, name in enumerate(head)
     )
@@ -120,20 +120,20 @@ def plain_table(
 
 
 def _text(head: list[str], rows: list[list[str]], flush_left: Sequence[bool], fold: int = 0) -> str:
-    each = [[cell.split("\n") for cell in row] for row in (head, *rows)]
-    widths = [max(_width(t) for row in each for t in row[i]) for i in range(len(head))]
+    split_rows = [[cell.split("\n") for cell in row] for row in (head, *rows)]
+    widths = [max(_width(t) for row in split_rows for t in row[i]) for i in range(len(head))]
     if fold:
         room = WIDTH - sum(widths[:-1]) - 2 * (len(head) - 1)
         last = widths[-1] = min(widths[-1], max(room, fold))
-        for row in each:
+        for row in split_rows:
             parts = ([t] if _width(t) <= last else textwrap.wrap(t, last) for t in row[-1])
             row[-1] = [*chain(*parts)]
     lines = []
-    for row in each:
+    for row in split_rows:
         for texts in zip_longest(*row, fillvalue=""):
             pads = [" " * (width - _width(t)) for t, width in zip(texts, widths, strict=True)]
             parts = zip(texts, pads, flush_left, strict=True)
-            lines.append("  ".join(t + pad if left else pad + t for t, pad, left in parts).rstrip())
+            lines.append("  ".join(t + p if flush else p + t for t, p, flush in parts).rstrip())
     return "\n".join([lines[0], "  ".join("─" * w for w in widths), *lines[1:]])
 
 
@@ -145,8 +145,8 @@ def _width(text: str) -> int:
 class Printed:
     """A result that prints itself.
 
-    A class says `_brief`, what it is in a few words, and `_parts`, the lines and tables that it is printed as. Its
-    text, its HTML in a notebook and its numbers are made of these, so that all say the same.
+    A class defines `_brief`, a summary in a few words, and `_parts`, the lines and tables that it is printed as. Its
+    text, its HTML in a notebook and its numbers are made of these, so that all agree.
     """
 
     def _brief(self) -> str:
@@ -156,40 +156,40 @@ class Printed:
         raise NotImplementedError
 
     def _columns(self) -> Mapping[str, Sequence[Any]]:
-        """The numbers behind its table: name → one value a row, the first naming the row."""
+        """Return the numbers behind its table: name → one value a row, the first naming the row."""
         return next(part for part in self._parts() if isinstance(part, ResultTable)).data()
 
     def __str__(self) -> str:
         return "\n".join(map(str, self._parts()))
 
     def __repr__(self) -> str:
-        said = textwrap.shorten(self._brief(), BRIEF, placeholder=" …")
-        return f"<{type(self).__name__}: {said}>"
+        brief = textwrap.shorten(self._brief(), MAX_REPR_CHARACTERS, placeholder=" …")
+        return f"<{type(self).__name__}: {brief}>"
 
     def _repr_html_(self) -> str:
         return as_html(self._parts())
 
     def to_pandas(self) -> pd.DataFrame:
-        """The table that is printed, its numbers in full: a `pandas.DataFrame`, its rows by name."""
-        import pandas as pd  # only where it is asked for
+        """Return the printed table with all digits as a `pandas.DataFrame`, its rows by name."""
+        import pandas as pd  # only where it is needed
 
         frame = pd.DataFrame(dict(self._columns()))
         return frame.set_index(frame.columns[0])
 
     def to_xarray(self) -> xr.Dataset:
-        """The same as an `xarray.Dataset` along the rows' names."""
+        """Return the printed table as an `xarray.Dataset` along the rows' names."""
         return self.to_pandas().to_xarray()
 
 
 def as_html(parts: Sequence[str | ResultTable]) -> str:
-    """Return lines and tables as HTML, everything in them escaped."""
-    made = list[str]()
+    """Format lines and tables as HTML, everything in them escaped."""
+    blocks = list[str]()
     for tables, some in groupby(parts, key=lambda part: isinstance(part, ResultTable)):
         if tables:
-            made += [part.html() for part in some if isinstance(part, ResultTable)]
+            blocks += [part.html() for part in some if isinstance(part, ResultTable)]
         elif text := "\n".join(map(str, some)).strip("\n"):
-            made.append(f"<p>{_html_lines(text)}</p>")
-    return "".join(made)
+            blocks.append(f"<p>{_html_lines(text)}</p>")
+    return "".join(blocks)
 
 
 def _html_lines(text: str) -> str:

@@ -1,4 +1,4 @@
-"""Settings: the few numbers that a user may have a reason to change, and which of them hold for what runs here.
+"""Settings: the few thresholds that a user may have a reason to change, and those in force.
 
 They hold for everything that runs inside `with use_settings(Settings(found_probability=0.99)):`; what differs from the
 usual ones is written into `result.json`. Every other threshold stands beside the check that uses it, with its reason.
@@ -15,11 +15,11 @@ from typing import Any
 
 @dataclass(frozen=True)
 class Settings:
-    """What a search reports, what a gate refuses, when draws are enough.
+    """Thresholds of searches, acceptance checks and sampling.
 
     Attributes:
-        found_probability: from which an effect, or one of a set, is said to be missing: odds of 19, the level of every
-            interval here.
+        found_probability: from which an effect, or one of a set, is reported as missing: odds of 19, the level of
+            every interval here.
         prior_complete: prior probability that the model is complete: neither answer is favoured (docs/mathematics.md).
         strong_evidence: nats from which a log Bayes factor is evidence: odds of twenty (Kass and Raftery, J. Am. Stat.
             Assoc. 90 (1995) 773).
@@ -60,13 +60,13 @@ _IN_FORCE: ContextVar[Settings] = ContextVar("settings", default=USUAL)
 
 
 def settings() -> Settings:
-    """The settings that hold here: those of `use_settings`, else the usual ones."""
+    """Return the settings in force: those of `use_settings`, else the usual ones."""
     return _IN_FORCE.get()
 
 
 @contextmanager
 def use_settings(chosen: Settings) -> Iterator[None]:
-    """Let other settings hold for what runs inside, in this thread; TypeError for what are none."""
+    """Apply other settings inside the `with` block, in this thread; raise TypeError for another type."""
     if not isinstance(chosen, Settings):
         raise TypeError(f"use_settings takes bayescal.Settings(…), not {chosen!r}")
     token = _IN_FORCE.set(chosen)
@@ -77,5 +77,5 @@ def use_settings(chosen: Settings) -> Iterator[None]:
 
 
 def unusual() -> dict[str, float]:
-    """Settings that differ from the usual ones, by name."""
+    """Return the settings that differ from the usual ones, by name."""
     return {name: v for name, v in asdict(settings()).items() if v != getattr(USUAL, name)}

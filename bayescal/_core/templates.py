@@ -1,4 +1,4 @@
-"""Templates of Jinja, which lay out what a package writes: pages, code."""
+"""Jinja templates of pages and code."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from bayescal._core.quoting import number_text
 
 
 def template(package: str, file: str, filters: Mapping[str, Callable[..., Any]], **how: Any) -> Any:
-    """A template in the folder `templates` of a package; what it asks for and is not given is an error.
+    """Load a template from the folder `templates` of a package; an undefined variable in it is an error.
 
     In it `digits` writes a number with all its digits.
 
@@ -18,7 +18,7 @@ def template(package: str, file: str, filters: Mapping[str, Callable[..., Any]],
         filters: that it may use, by name.
         how: further options, as `jinja2.Environment` takes them.
     """
-    from jinja2 import Environment, PackageLoader, StrictUndefined  # only what is written needs it
+    from jinja2 import Environment, PackageLoader, StrictUndefined  # only where it is needed
 
     environment = Environment(
         loader=PackageLoader(package),

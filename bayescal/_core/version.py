@@ -1,3 +1,3 @@
-"""The version, said once: the build reads it here, and a test compares `CITATION.cff`."""
+"""The version: the build reads it here, and a test compares `CITATION.cff`."""
 
 __version__ = "0.2.0"

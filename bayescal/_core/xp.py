@@ -1,4 +1,4 @@
-"""`xp`: functions of arrays by the names that NumPy and JAX share, computed by the library whose arrays they are given.
+"""`xp`: functions of arrays by the names that NumPy and JAX share, computed by the library of their arguments.
 
 A basis or a response that is written with `xp` is computed by NumPy on the host and traced by JAX within a program:
 one text, both namespaces. In a search an array operation on the host costs microseconds, where a program costs
@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-HOST_TYPES = frozenset((np.ndarray, np.float64, float, int, str, type(None)))  # the most usual
+HOST_TYPES = frozenset((np.ndarray, np.float64, float, int, str, type(None)))  # the most frequent
 
 
 def is_traced(values: Any) -> bool:
@@ -45,13 +45,13 @@ class Namespace:
         if name.startswith("_"):
             raise AttributeError(name)
         path = f"{self._path}.{name}".lstrip(".")
-        found: Any = attrgetter(path)(np)
-        if isinstance(found, type(np)):
-            found = Namespace(path)
-        elif callable(found):
-            found = _dispatched(path, found)
-        setattr(self, name, found)
-        return found
+        function: Any = attrgetter(path)(np)
+        if isinstance(function, type(np)):
+            function = Namespace(path)
+        elif callable(function):
+            function = _dispatched(path, function)
+        setattr(self, name, function)
+        return function
 
     def asarray(self, values: Any, dtype: Any = None) -> Any:
         """Return values as an array; one of a class of its own, such as of symbols, as it is."""
@@ -60,17 +60,17 @@ class Namespace:
         return _dispatched("asarray", np.asarray)(values, dtype)
 
     def placed(self, order: Any, values: Any) -> Any:
-        """Return values at the places of an order: found[..., order] = values (..., n)."""
+        """Place values by an order: placed[..., order] = values (..., n)."""
         if is_traced((order, values)):
             return self.zeros_like(values).at[..., order].set(values)
         if len(order) and order[0] == 0 and np.all(order[1:] > order[:-1]):  # as they stand
             return values
-        found = np.empty_like(values)
-        found[..., order] = values
-        return found
+        placed = np.empty_like(values)
+        placed[..., order] = values
+        return placed
 
     def scan(self, advance: Callable[[Any, Any], tuple[Any, Any]], start: Any, rows: Any) -> Any:
-        """Return what a recursion gives at each row (n, …), as `jax.lax.scan` does: state, given = advance(state, row).
+        """Run a recursion over rows (n, …), as `jax.lax.scan`: state, output = advance(state, row); return outputs.
 
         Args:
             advance: of a state and a row; both may be tuples.
@@ -79,11 +79,11 @@ class Namespace:
         """
         if is_traced((start, rows)):
             return import_module("jax").lax.scan(advance, start, rows)[1]
-        state, found = start, []
+        state, outputs = start, []
         for row in zip(*rows, strict=True) if isinstance(rows, tuple) else rows:
-            state, given = advance(state, row)
-            found.append(given)
-        return np.stack(found)
+            state, output = advance(state, row)
+            outputs.append(output)
+        return np.stack(outputs)
 
 
 def _dispatched(path: str, on_host: Callable[..., Any]) -> Callable[..., Any]:

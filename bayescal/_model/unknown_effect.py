@@ -25,7 +25,7 @@ from typing import Any
 
 import numpy as np
 
-from bayescal._core.jit import given
+from bayescal._core.jit import value_partial
 from bayescal._core.xp import xp
 from bayescal._data.measurements import Measurements
 from bayescal._model.effect import OPEN, Coefficient, Effect, Kind, Shape
@@ -119,10 +119,10 @@ def unknown(
     return Effect(
         name or f"unknown({covariate})",
         slot,
-        given(process_along, covariate, terms),
+        value_partial(process_along, covariate, terms),
         coefficients=standard_normals(unit, terms),
         shapes=(Shape("length", "1", *lengths), Shape("amplitude", unit, low, high)),
-        weights=given(process_sizes, terms),
+        weights=value_partial(process_sizes, terms),
         measure="amplitude",
         columns=columns + (("time",) if derived and covariate != "elapsed" else ()),
         varies=() if covariate == "elapsed" else (measured,),
@@ -155,7 +155,7 @@ def _form(kind: Kind, words: str, basis: Callable[..., Any], says: str) -> Form:
         return Effect(
             name or f"unknown({covariate}, {kind})",
             slot,
-            given(basis, covariate),
+            value_partial(basis, covariate),
             coefficients=standard_normals(unit, 2 if kind == "cycle" else 1),
             shapes=(*_shapes(kind, in_time), Shape("amplitude", unit, low, high)),
             weights=_even,

@@ -17,7 +17,7 @@ from typing import Any, NamedTuple
 from bayescal._core.annex import offered
 from bayescal._core.as_json import json_text
 from bayescal._core.errors import InputError
-from bayescal._core.inverse import STEPS
+from bayescal._core.inverse import MAX_NEWTON_STEPS
 from bayescal._core.json_shape import read_json
 from bayescal._core.quoting import identifier, number_text, python_string
 from bayescal._core.templates import template
@@ -92,7 +92,7 @@ def program_text(
         expected=expected,
         gradient=gradient,
         factor=factor,
-        steps=1 if program.affine else STEPS,
+        steps=1 if program.affine else MAX_NEWTON_STEPS,
         uses_stimulus=[STIMULUS in nodes for nodes in used],
         uses_inputs=[bool(nodes - {STIMULUS}) for nodes in used],
     )

@@ -16,7 +16,7 @@ from bayescal import effects
 from bayescal_models.mems_gyro import INSTRUMENT, TABLE, Campaign, simulate
 from bayescal_models.mems_gyro.model import THERMOMETER
 from tests.support.inside import identity_of
-from tests.support.resealed import LENGTH, resealed, write_sealed
+from tests.support.resealed import TRAILER_BYTES, resealed, write_sealed
 
 SQUARE = bc.Effect(
     "bias.square",
@@ -221,7 +221,7 @@ def damaged(whole: bytes, kind: int, random: np.random.Generator) -> bytes:
     elif kind == 6:  # a piece is lost
         del data[at : at + length]
     elif kind == 7:  # the end
-        place = len(data) - 1 - int(random.integers(LENGTH))
+        place = len(data) - 1 - int(random.integers(TRAILER_BYTES))
         data[place] ^= int(random.integers(1, 256))
     return bytes(data)
 
@@ -242,7 +242,7 @@ def test_an_end_that_is_missing_doubled_or_of_another_file_is_refused(
     saved: Path, tmp_path: Path
 ) -> None:
     whole, path = saved.read_bytes(), tmp_path / "d.nc"
-    content, end = whole[:-LENGTH], whole[-LENGTH:]
+    content, end = whole[:-TRAILER_BYTES], whole[-TRAILER_BYTES:]
     for spoilt in (
         b"",
         content,

@@ -10,7 +10,7 @@ from typing import Any
 
 import xarray as xr
 
-from bayescal._core.atomic_file import LENGTH as LENGTH
+from bayescal._core.atomic_file import TRAILER_BYTES as TRAILER_BYTES
 from bayescal._core.atomic_file import verified, write_sealed
 
 
