@@ -35,7 +35,7 @@ from bayescal._data.read_options import (
 )
 from bayescal._data.records import Records
 from bayescal._tables import cells as of_cells
-from bayescal._tables.cells import MOST_BAD, Cells, date_text
+from bayescal._tables.cells import MAX_BAD, Cells, date_text
 from bayescal._tables.raw_table import Objection, Objections, Table, load_whole, option
 
 _EMPTY = "holds no number (empty, NaN, - or the like)"
@@ -435,7 +435,7 @@ class ColumnReader:
         bad = np.isinf(values) if self.name == MAY_BE_EMPTY else ~np.isfinite(values)
         wrong = np.setdiff1d(np.flatnonzero(bad), list(noted))
         none = np.isnan(raw[wrong])
-        if none.any() and len(noted) < MOST_BAD:
+        if none.any() and len(noted) < MAX_BAD:
             self._note_missing(wrong[none], _EMPTY, expected)
         if (infinite := wrong[~none]).size:
             first = float(raw[infinite[0]])

@@ -43,7 +43,7 @@ from bayescal._data.unit_conversion import (
 )
 from bayescal._tables.raw_table import (
     BRACKETS,
-    LONGEST_UNIT,
+    UNIT_SEARCH_CHARACTERS,
     Header,
     Objections,
     Table,
@@ -142,7 +142,7 @@ def unit_like_ending(header: Header) -> str | None:
 
     That is a text in brackets, unless it is a number, and behind a gap a unit as it is written where one is expected.
     """
-    end = header.raw[-LONGEST_UNIT:]
+    end = header.raw[-UNIT_SEARCH_CHARACTERS:]
     if bracketed := next((f for p in BRACKETS if (f := p.fullmatch(end))), None):
         return None if bracketed[2].strip().isdigit() else bracketed[2].strip()
     spellings = {text for texts in WHERE_EXPECTED.values() for text in texts if text.isascii()}

@@ -1,1 +1,1 @@
-"""Files as tables: headers and cells as they stand, and what is wrong with them; nothing understood yet."""
+"""Files as tables: headers and cells as they are, and their faults; columns are matched later."""

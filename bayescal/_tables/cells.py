@@ -1,4 +1,4 @@
-"""What the cells of one column hold: numbers, labels, or dates and times of day, in s since 1970 (UTC)."""
+"""Cells of a column: numbers, labels, or dates and times of day, in s since 1970 (UTC)."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ EXAMPLE = "2026-11-22 10:00:00.123"
 ORDERS: tuple[str, ...] = ("mdy", "dmy", "ymd", "hms")
 _EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
 _DAY = 86_400.0  # s
-# How dates are written, and where year, month and day stand in each by the order in which it may be meant.
+# Forms of dates, and the groups of year, month and day in each, by the order that may be meant.
 _FORMS = {
     re.compile(r"(\d{4})([./-])(\d{1,2})\2(\d{2})(?!\d)"): {"": (1, 3, 4)},
     re.compile(r"(\d{1,2})\.(\d{1,2})\.(\d{2,4})(?!\d)"): {"": (3, 2, 1)},  # always the day first
@@ -33,7 +33,7 @@ _CLOCK = re.compile(
     r"(\d{1,4})([:.])(\d\d)(?:\2(\d\d)(?:[.,:](\d{1,9}))?)?(?:\s*([AaPp])\.?[Mm]\.?)?\s*(Z|[+-]\d\d:?\d\d)?"
 )
 _POINTS = re.compile(r"\d{1,2}\.\d\d\.\d\d(?!\d)")  # 10.14.20: a time of day, or a date
-_MONTHS = {  # how their names begin in languages of Europe, without accents
+_MONTHS = {  # beginnings of their names in languages of Europe, without accents
     "jan": 1, "gen": 1, "ene": 1, "tammi": 1, "feb": 2, "fev": 2, "helmi": 2, "mar": 3, "mrz": 3, "mrt": 3, "maa": 3,
     "apr": 4, "avr": 4, "abr": 4, "huhti": 4, "may": 5, "mai": 5, "mei": 5, "mag": 5, "maj": 5, "touko": 5, "jun": 6,
     "juin": 6, "giu": 6, "kesa": 6, "jul": 7, "juil": 7, "lug": 7, "heina": 7, "aug": 8, "aou": 8, "ago": 8, "elo": 8,
@@ -43,12 +43,12 @@ _MONTHS = {  # how their names begin in languages of Europe, without accents
 
 
 def unix_seconds(text: str) -> dict[str, float]:
-    """Parse a date, or a time of day, in s since 1970, by each of `ORDERS` in which it is one; "" for no choice.
+    """Parse a date or a time of day to s since 1970, by each of `ORDERS` in which it is valid; "" if unambiguous.
 
-    Known are ISO 8601, with or without a zone; 11/23/2026, 23/11/2026, 23.11.2026, 2026/11/23, 23-Nov-2026, Nov 23,
-    2026 with times such as 14:05:33.250, 14:05:33,250, 14:05:33:250, 14.05.33 and 2:05:33 PM behind them; and times
-    alone, of which 10.11.12 may be a date. A date without a zone is taken as UTC. What float64 holds of it, a quarter
-    of a microsecond, is finer than what the text can say. Empty for a text that is none of these.
+    Accepted are ISO 8601, with or without a zone; 11/23/2026, 23/11/2026, 23.11.2026, 2026/11/23, 23-Nov-2026, Nov
+    23, 2026 with times such as 14:05:33.250, 14:05:33,250, 14:05:33:250, 14.05.33 and 2:05:33 PM behind them; and
+    times alone, of which 10.11.12 may be a date. A date without a zone is taken as UTC. The resolution of float64, a
+    quarter of a microsecond, is finer than the text's. Empty for any other text.
     """
     text = text.strip()
     if text[4:5] == "-":
@@ -59,8 +59,8 @@ def unix_seconds(text: str) -> dict[str, float]:
     if _POINTS.match(text):
         clock, day = _time_of_day(text, longest=23), _days(text).get("")
         either = {"hms": clock, "dmy": None if day is None else day * _DAY}
-        if known := {name: value for name, value in either.items() if value is not None}:
-            return known
+        if valid := {name: value for name, value in either.items() if value is not None}:
+            return valid
     elif _CLOCK.fullmatch(text) and ":" in text:
         clock = _time_of_day(text, longest=9999)
         return {} if clock is None else {"": clock}
@@ -69,23 +69,23 @@ def unix_seconds(text: str) -> dict[str, float]:
 
 
 def _day_and_clock(text: str) -> tuple[str, float | None]:
-    """Part a date from the time of day behind it, s; None where something else stands there."""
-    begin = next((found for form in _FORMS if (found := form.match(text))), None)
+    """Split a date from the time of day behind it, s; None for other text behind it."""
+    begin = next((match for form in _FORMS if (match := form.match(text))), None)
     day = begin[0] if begin else ""
-    rest = _BETWEEN.sub("", text[len(day) :], count=1)
-    return day, _time_of_day(rest, longest=23) if len(day) < len(text) else 0.0
+    tail = _BETWEEN.sub("", text[len(day) :], count=1)
+    return day, _time_of_day(tail, longest=23) if len(day) < len(text) else 0.0
 
 
 @lru_cache(maxsize=4096)  # days repeat
 def _days(text: str) -> dict[str, int]:
-    """Return days since 1970 by the order in which a date may be written, "" for one that leaves no choice."""
+    """Return days since 1970 by the order in which a date may be written, "" if it is unambiguous."""
     days = dict[str, int]()
     for form, orders in _FORMS.items():
-        if not (found := form.fullmatch(text)):
+        if not (match := form.fullmatch(text)):
             continue
         for order, parts in orders.items():
             with suppress(ValueError):
-                year, month, day = (found[part] for part in parts)
+                year, month, day = (match[part] for part in parts)
                 if len(year) in (2, 4):  # of two digits: of this century
                     number = int(month) if month.isdigit() else _month(month)
                     when = date(int(year) + 2000 * (len(year) == 2), number, int(day))
@@ -100,10 +100,10 @@ def _month(name: str) -> int:
 
 
 def _time_of_day(text: str, longest: int) -> float | None:
-    """Parse a time of day up to so many hours in s, less its zone; None for none."""
-    if not (found := _CLOCK.fullmatch(text.strip())):
+    """Parse a time of day of at most `longest` hours to s, less its zone; None for other text."""
+    if not (match := _CLOCK.fullmatch(text.strip())):
         return None
-    hours, _, minutes, seconds, parts, half, zone = found.groups()
+    hours, _, minutes, seconds, parts, half, zone = match.groups()
     hour = int(hours)
     if half and not 1 <= hour <= 12:
         return None
@@ -116,13 +116,13 @@ def _time_of_day(text: str, longest: int) -> float | None:
     return whole + int((parts or "0").ljust(9, "0")) * 1e-9
 
 
-def zoned(text: str) -> bool:
-    """Whether a date says its zone."""
+def has_zone(text: str) -> bool:
+    """Return whether a date has a time zone."""
     return bool(re.search(r"(?:Z|[+-]\d\d:?\d\d)$", text.strip())) and ":" in text
 
 
 def date_text(seconds: float) -> str:
-    """Seconds since 1970 as a date, to the microsecond."""
+    """Format seconds since 1970 as a date, to the microsecond."""
     if seconds != seconds:
         return "nan"
     when = _EPOCH + timedelta(seconds=float(seconds))
@@ -130,13 +130,13 @@ def date_text(seconds: float) -> str:
 
 
 EARLIEST, LATEST = 946_684_800.0, 4_102_444_800.0  # s; the years 2000 and 2100
-_LONGEST = 1e7  # s, nearly four months: as milliseconds, a clock's microseconds since its start would last longer
+_MAX_SPAN_SECONDS = 1e7  # four months: a clock's microseconds, taken as milliseconds, last longer
 
 
 def from_first(seconds: np.ndarray) -> tuple[np.ndarray, float | None]:
-    """Return seconds since 1970 as seconds since the first of them, and that; others as they are, and None.
+    """Return seconds since 1970 as seconds since the first of them, and the first; others as they are, and None.
 
-    To the microsecond, which is what float64 holds of seconds since 1970.
+    Rounded to the microsecond, the resolution of float64 for seconds since 1970.
     """
     if unit_of_counts(seconds, longest=np.inf) != "s":
         return seconds, None
@@ -144,22 +144,22 @@ def from_first(seconds: np.ndarray) -> tuple[np.ndarray, float | None]:
     return np.round(seconds - first, 6), first
 
 
-def unit_of_counts(values: np.ndarray, longest: float = _LONGEST) -> str | None:
+def unit_of_counts(values: np.ndarray, longest: float = _MAX_SPAN_SECONDS) -> str | None:
     """Return the unit in which numbers count from 1970 (s, ms, us or ns); None if they do not, or might not."""
-    known = values[np.isfinite(values)]
-    if not known.size:
+    finite = values[np.isfinite(values)]
+    if not finite.size:
         return None
-    low, high = float(known.min()), float(known.max())
+    low, high = float(finite.min()), float(finite.max())
     for unit, size in (("s", 1.0), ("ms", 1e-3), ("us", 1e-6), ("ns", 1e-9)):
-        begun = low * size >= EARLIEST and high * size <= LATEST
-        if begun and (high - low) * size <= longest:
+        in_range = low * size >= EARLIEST and high * size <= LATEST
+        if in_range and (high - low) * size <= longest:
             return unit
     return None
 
 
 _TEXT = np.dtypes.StringDType()
-MOST_BAD = 1000  # cells that are no number, beyond which no more are kept
-MISSING = frozenset(  # what loggers and C's printf write for a reading that is not there
+MAX_BAD = 1000  # cells that are no number, of which the text is kept
+MISSING = frozenset(  # texts of loggers and C's printf for a missing reading
     ("", "nan", "-nan", "na", "n/a", "#n/a", "#nan", "null", "none", "nil", "-", "--")
     + ("1.#qnan", "-1.#ind", "nan(ind)", "-nan(ind)")
 )
@@ -168,7 +168,7 @@ DECIMAL_COMMA = re.compile(r"[+-]?\d*,\d+(?:[eE][+-]?\d+)?")
 
 @dataclass(frozen=True)
 class Cells:
-    """One column's content.
+    """Cells of one column.
 
     Attributes:
         values: float64, NaN where empty (or bad); or text, stripped, "" where empty.
@@ -182,7 +182,7 @@ class Cells:
 
     @property
     def dates(self) -> np.ndarray | None:
-        """The cells as text, where the first that is no number is a date; None elsewhere."""
+        """Return the cells as text, where the first that is no number is a date; None elsewhere."""
         cells = () if self.texts is None else zip(self.texts, np.isnan(self.values), strict=True)
         first = next((text for text, odd in cells if odd and not is_missing(text)), "")
         return self.texts if unix_seconds(first) else None
@@ -193,7 +193,7 @@ class Cells:
         return Cells(self.values[rows], bad, None if self.texts is None else self.texts[rows])
 
     def on_days(self, days: Cells) -> Cells:
-        """Times of day on the days of another column, where these cells are the one and those the other."""
+        """Join times of day with the dates of another column, where these cells are the one and those the other."""
         if self.dates is None or days.dates is None:
             return self
         texts = list[str]()
@@ -207,79 +207,78 @@ class Cells:
 
     @classmethod
     def joined(cls, parts: Sequence[Cells]) -> Cells:
-        """Join stretches of a column, one after the other."""
+        """Concatenate stretches of a column."""
         bad, done, texts = dict[int, str](), 0, None
         for part in parts:
-            bad |= {done + i: text for i, text in part.bad.items()} if len(bad) < MOST_BAD else {}
+            bad |= {done + i: text for i, text in part.bad.items()} if len(bad) < MAX_BAD else {}
             done += len(part.values)
         if any(part.texts is not None for part in parts):
-            own = (map(cell_text, p.values) if p.texts is None else p.texts for p in parts)
-            texts = np.array([text for cells in own for text in cells], _TEXT)
+            pieces = (map(cell_text, p.values) if p.texts is None else p.texts for p in parts)
+            texts = np.array([text for cells in pieces for text in cells], _TEXT)
         return cls(np.concatenate([part.values for part in parts]), bad, texts)
 
 
 def dates_of(texts: np.ndarray, order: str = "") -> tuple[Cells, dict[str, np.ndarray]]:
-    """Parse a column of dates in s since 1970; whatever else stands there, a number too, is bad.
+    """Parse a column of dates to s since 1970; any other text, a number too, is bad.
 
-    They are in `order` of month, day and year, or else in the only one in which each is a date. Where that leaves open
-    which number is the day, they are also returned by each order, those in which each is a date first, NaN where one
-    is none.
+    They are in `order` of month, day and year, or else in the only one in which each is a date. Where several orders
+    are possible, they are also returned by each order, those in which each is a date first, NaN where one is none.
     """
-    rows, bad, has_zone, settled = np.full((len(ORDERS), len(texts)), np.nan), {}, None, True
+    rows, bad, has_zone, unambiguous = np.full((len(ORDERS), len(texts)), np.nan), {}, None, True
     for i, text in enumerate(map(cell_text, texts)):
-        if found := unix_seconds(text):
-            rows[:, i] = [found.get("", found.get(name, np.nan)) for name in ORDERS]
-            has_zone = zoned(text) if has_zone is None else has_zone
-            settled &= "" in found
-        wrong = zoned(text) != has_zone if found else not is_missing(text)
-        if wrong and len(bad) < MOST_BAD:
+        if dates := unix_seconds(text):
+            rows[:, i] = [dates.get("", dates.get(name, np.nan)) for name in ORDERS]
+            has_zone = has_zone(text) if has_zone is None else has_zone
+            unambiguous &= "" in dates
+        wrong = has_zone(text) != has_zone if dates else not is_missing(text)
+        if wrong and len(bad) < MAX_BAD:
             bad[i] = text
-    if settled:
+    if unambiguous:
         return Cells(rows[0], bad), {}
-    values, there = dict(zip(ORDERS, rows, strict=True)), ~np.isnan(rows).all(axis=0)
-    fitting = [n for n, own in values.items() if not np.isnan(own[there]).any()]
+    values, present = dict(zip(ORDERS, rows, strict=True)), ~np.isnan(rows).all(axis=0)
+    fitting = [n for n, row in values.items() if not np.isnan(row[present]).any()]
     if chosen := order or (fitting[0] if len(fitting) == 1 else ""):
-        odd = np.flatnonzero(there & np.isnan(values[chosen]))[:MOST_BAD]
+        odd = np.flatnonzero(present & np.isnan(values[chosen]))[:MAX_BAD]
         bad |= {int(i): f"{cell_text(texts[i])} in another order" for i in odd}
         return Cells(values[chosen], bad), {}
-    some = [n for n, own in values.items() if not np.isnan(own).all()]
-    orders, shown = {n: values[n] for n in fitting or some}, rows[0]
-    for own in reversed(orders.values()):
-        shown = np.where(np.isnan(own), shown, own)
-    return Cells(shown, bad), orders
+    some = [n for n, row in values.items() if not np.isnan(row).all()]
+    orders, merged = {n: values[n] for n in fitting or some}, rows[0]
+    for row in reversed(orders.values()):
+        merged = np.where(np.isnan(row), merged, row)
+    return Cells(merged, bad), orders
 
 
 def numbers_of(texts: Sequence[str], decimal: str = ".") -> Cells:
-    """Parse text, one for each reading, as numbers; where one is none, the text of all is kept, as it may be of dates.
+    """Parse texts, one for each reading, as numbers; where one is none, the texts are kept, as they may be dates.
 
     Empty, "nan" and other marks of a missing reading are NaN; `decimal` is a point or a comma.
     """
     plain = [_with_point(text) for text in texts] if decimal == "," else texts
     together = "".join(plain)
-    # else Python takes for a number what nobody writes as one
+    # Python's float also accepts underscores and other scripts' digits
     if together.isascii() and "_" not in together:
         with suppress(ValueError):
             return Cells(np.fromiter(map(float, plain), np.float64, len(plain)))
     values = np.fromiter(map(number_of, plain), np.float64, len(plain))
     odd = [i for i in np.flatnonzero(np.isnan(values)).tolist() if not is_missing(texts[i])]
-    bad = {i: texts[i].strip() for i in odd[:MOST_BAD]}
+    bad = {i: texts[i].strip() for i in odd[:MAX_BAD]}
     return Cells(values, bad, np.array(texts, _TEXT) if odd else None)
 
 
 def is_missing(text: str) -> bool:
-    """Whether a cell says that there is no reading."""
+    """Return whether a cell marks a missing reading."""
     return text.strip().lower() in MISSING
 
 
 def _with_point(text: str) -> str:
-    """A number with a decimal comma as one with a point; a point in it parts thousands, and makes it none."""
+    """Convert a decimal comma to a point; a number with a point, which separates thousands, becomes invalid."""
     if DECIMAL_COMMA.fullmatch(text.strip()):
         return text.replace(",", ".")
     return "?" if "." in text and not np.isnan(number_of(text)) else text
 
 
 def number_of(text: str) -> float:
-    """A number as people write it, NaN if the text is none."""
+    """Parse a number, NaN if the text is none."""
     try:
         return float(text) if text.isascii() and "_" not in text else np.nan
     except ValueError:
@@ -287,7 +286,7 @@ def number_of(text: str) -> float:
 
 
 def cells_of(values: object, number: bool) -> Cells:
-    """Return an array or a list, one entry per reading, as the cells of one column, of numbers or of labels."""
+    """Convert an array or a list, one entry per reading, to the cells of one column, of numbers or of labels."""
     array = np.asarray(values)
     if array.dtype.kind == "M":
         array = array.astype("datetime64[us]").astype(object)
@@ -295,7 +294,7 @@ def cells_of(values: object, number: bool) -> Cells:
         return Cells(array.astype(np.float64))
     text = array.dtype.kind in "OU" or isinstance(array.dtype, np.dtypes.StringDType)
     if number and not text:
-        bad = {i: str(value) for i, value in enumerate(array[:MOST_BAD].tolist())}
+        bad = {i: str(value) for i, value in enumerate(array[:MAX_BAD].tolist())}
         return Cells(np.full(len(array), np.nan), bad)
     missing = getattr(sys.modules.get("pandas"), "NA", None)  # which only pandas makes
     texts = [cell_text(value, missing) for value in array.tolist()]
@@ -303,7 +302,7 @@ def cells_of(values: object, number: bool) -> Cells:
 
 
 def equally_long(columns: Mapping[str, object]) -> dict[str, np.ndarray]:
-    """The columns as vectors; a single value counts for every reading.
+    """Broadcast columns to vectors of one length; a single value holds for every reading.
 
     Raises:
         InputError: lengths differ, or a column is no vector.
@@ -318,7 +317,7 @@ def equally_long(columns: Mapping[str, object]) -> dict[str, np.ndarray]:
 
 
 def cell_text(value: object, missing: object = None) -> str:
-    """Return a cell as text: whole numbers without a point, dates by ISO 8601, nothing for what is `missing`."""
+    """Format a cell as text: whole numbers without a point, dates by ISO 8601, "" for `missing`."""
     if isinstance(value, str):
         return value.strip()
     if value is None or value is missing or (isinstance(value, float) and np.isnan(value)):

@@ -1,4 +1,4 @@
-"""CSV as a table. The file's bytes are held as one text; a first pass finds what is wrong and on which line.
+"""CSV as a table. The file's bytes are held as one text; a first pass finds faults and their lines.
 
 Columns are then parsed a stretch of rows at a time. The first line is row 1, as in an editor.
 """
@@ -21,50 +21,50 @@ from typing import NamedTuple
 import numpy as np
 
 from bayescal._core.quoting import csv_cell_read
-from bayescal._tables.cells import MOST_BAD, Cells, is_missing, number_of, numbers_of, unix_seconds
+from bayescal._tables.cells import MAX_BAD, Cells, is_missing, number_of, numbers_of, unix_seconds
 from bayescal._tables.raw_table import Header, Objection, Table, refuse_many, unusable
 
-_LONGEST_LINE = 1 << 24  # bytes
+_MAX_LINE_BYTES = 1 << 24  # 16 MiB
 _MARK = b"\xef\xbb\xbf"  # of UTF-8
 _ASCII = bytes(range(128))
-_LEGACY = "windows-1252"  # what Excel writes as CSV in the west of Europe and in America
+_LEGACY = "windows-1252"  # of CSV from Excel in the west of Europe and in America
 _NO_LEGACY = {0x81, 0x8D, 0x8F, 0x90, 0x9D}  # bytes that it does not use
 _BEYOND = re.compile(rb"[\xc2-\xdf][\x80-\xbf]|[\xe0-\xef][\x80-\xbf]{2}|[\xf0-\xf4][\x80-\xbf]{3}")
 _SAVE = "Save it as 'CSV UTF-8'"
 _LABVIEW = "***End_of_Header***"
-# A comma that parts no thousands, behind a separator that is none: 20,5 or 0,125 or 1234,567, but not 1,234.
+# A comma that does not separate thousands, behind another separator: 20,5 or 0,125 or 1234,567, but not 1,234.
 _DECIMAL_COMMA = re.compile(
     rb"(?:^|[;\t\n])[ +-]*(?:0?,\d+|\d{4,},\d+|\d{1,3},(?:\d\d?|\d{4,}))(?:[eE][+-]?\d+)?[ \r]*(?=[;\t\n]|$)"
 )
-# Blanks that part fields: any but before a unit in brackets and in it; or two and more, where names or dates hold one.
+# Blanks that separate fields: any except before a unit in brackets and in it; or two and more, where names hold one.
 _BLANKS = (
     re.compile(rb"[ \t]+(?![ \t\[(<{]|[^\[(<{\n]*[\])>}])"),
     re.compile(rb"(?: {2,}|[ ]*\t)[ \t]*(?![ \t\[(<{])"),
 )
 _BEFORE_UNIT = re.compile(rb"[ \t]+(?=[\[(<{])")  # in a row of units
-_ROWS = 100_000  # rows whose text is held at a time
-_LOOKED_AT = 200  # rows from the start of a file
-_LAST = 5  # of these, whose width is that of the readings
-_UNITS = 2  # rows of units and the like, at most, between names and readings
-_LONGEST_UNIT = 24  # characters
-_NO_UNITS = ("TS", "RN")  # what Campbell's loggers write for moments and the numbers of records
+_CHUNK_ROWS = 100_000  # rows whose text is held at a time
+_HEADER_ROWS = 200  # rows from the start of a file, in which the header is searched
+_WIDTH_ROWS = 5  # last of these, whose width is that of the readings
+_UNIT_ROWS = 2  # rows of units and the like between names and readings
+_UNIT_LENGTH = 24  # of a field in such a row
+_NO_UNITS = ("TS", "RN")  # of Campbell's loggers, for time stamps and record numbers
 
 
 @dataclass
 class CsvText:
-    """A text file, and how its lines are parted; rows are line numbers.
+    """A text file and its layout; rows are line numbers.
 
     Attributes:
-        data: the file in UTF-8, with tabs where runs of blanks part the fields.
+        data: the file in UTF-8, with tabs where runs of blanks separate the fields.
         encoding: of the file.
         decimal: a point or a comma; empty until a number shows it.
         named: row of the header.
         first, offset: row and byte of the first line after the header.
         ragged: row, text and number of fields where that is not the header's.
-        skipped: blank rows, and ragged ones where there are others to look at.
+        skipped: blank rows, and ragged ones where there are others.
         readings: rows of readings (n,).
-        readable: whether these can be looked at.
-        notes: how it was read, where that is not as usual.
+        readable: whether these can be parsed.
+        notes: unusual ways in which it was read.
     """
 
     file: str
@@ -85,11 +85,11 @@ class CsvText:
 
     @property
     def blank(self) -> bytes:
-        """What a line may hold and count as blank."""
+        """Return the bytes of which a blank line may consist."""
         return b" \r\n" if self.separator == "\t" else b" \t\r\n"
 
-    def table(self, *more: str) -> Table:
-        """Return it as a table, with a note of each thing that is not as usual, and more."""
+    def table(self, *further_notes: str) -> Table:
+        """Convert to a table, with its notes and further ones."""
         return Table(
             self.file,
             tuple(Header.parse(csv_cell_read(text)) for text in self.header),
@@ -97,23 +97,23 @@ class CsvText:
             self.cells,
             self.sha256,
             lambda index: f"row {self.readings[index]}",
-            notes=tuple(f"{self.file}: {note}" for note in (*self.notes, *more)),
+            notes=tuple(f"{self.file}: {note}" for note in (*self.notes, *further_notes)),
             problems=_ragged_rows(self),
             readable=self.readable,
         )
 
     def rows(self) -> Iterable[bytes]:
-        """Its lines below the header."""
-        handle = io.BytesIO(self.data)  # which copies nothing
+        """Iterate over the lines below the header."""
+        handle = io.BytesIO(self.data)  # without a copy
         handle.seek(self.offset)
         return handle
 
-    def cells(self, wanted: Mapping[int, bool]) -> dict[int, Cells]:
-        """Parse the wanted columns; one stretch of rows is held as text at a time."""
-        parts: dict[int, list[Cells]] = {position: [] for position in wanted}
+    def cells(self, columns: Mapping[int, bool]) -> dict[int, Cells]:
+        """Parse columns (position → whether of numbers); one chunk of rows is held as text at a time."""
+        parts: dict[int, list[Cells]] = {position: [] for position in columns}
         numbered = enumerate(self.rows(), self.first)
         lines = (line for row, line in numbered if row not in self.skipped)
-        while stretch := list(islice(lines, _ROWS)):
+        while stretch := list(islice(lines, _CHUNK_ROWS)):
             text = b"".join(stretch).decode()
             text = text.replace("\r\n", "\n").removesuffix("\n")
             if '"' in text:
@@ -121,14 +121,14 @@ class CsvText:
                 fields = [field for row in rows for field in row]
             else:
                 fields = text.replace("\n", self.separator).split(self.separator)
-            for position, number in wanted.items():
+            for position, number in columns.items():
                 texts = fields[position :: len(self.header)]
                 if number:
-                    own = numbers_of(texts, self.decimal)
+                    piece = numbers_of(texts, self.decimal)
                 else:
-                    own = Cells(np.array([csv_cell_read(t.strip()) for t in texts], dtype=object))
-                parts[position].append(own)
-        return {position: Cells.joined(found) for position, found in parts.items()}
+                    piece = Cells(np.array([csv_cell_read(t.strip()) for t in texts], dtype=object))
+                parts[position].append(piece)
+        return {position: Cells.joined(pieces) for position, pieces in parts.items()}
 
     def split(self, line: str, row: int, called: str = "", cure: str = "") -> list[str]:
         """Split a line into fields; raise InputError where its quotation marks are not in pairs."""
@@ -144,10 +144,10 @@ class CsvText:
 
 
 def parse_text(data: bytes, file: str, decimal: str = "") -> CsvText:
-    """Parse the bytes of a file: its layout, its rows, and which of them are blank or have another number of fields.
+    """Parse the bytes of a file: its layout, its rows, and those that are blank or have another number of fields.
 
-    Comma, semicolon, tab, bar or blanks part fields. `decimal` is a point or a comma; empty for a point, or a comma
-    where semicolons or tabs part the fields and a number such as 20,5 shows that it parts no thousands.
+    Comma, semicolon, tab, bar or blanks separate fields. `decimal` is a point or a comma; empty for a point, or for a
+    comma where semicolons or tabs separate the fields and a number such as 20,5 cannot have a thousands separator.
 
     Raises:
         InputError: it is empty, in an encoding that cannot be told, or ends lines in a way that cannot be counted.
@@ -161,10 +161,10 @@ def parse_text(data: bytes, file: str, decimal: str = "") -> CsvText:
 
 
 def _decoded(data: bytes, file: str) -> tuple[bytes, str]:
-    """Return the text of a file in UTF-8, and its encoding.
+    """Decode the bytes of a file; return it in UTF-8, and its encoding.
 
-    It is in windows-1252 where bytes beyond ASCII make no character in UTF-8 anywhere: these have two and more such
-    bytes side by side in hardly any word. A file with characters of both was joined of two, and is refused.
+    It is windows-1252 if bytes beyond ASCII form no character of UTF-8 anywhere: in windows-1252 two such bytes are
+    adjacent in hardly any word. A file with characters of both was concatenated from two, and is refused.
     """
     encoding, came, cure, beyond = "utf-8", "", _SAVE, set(data.translate(None, _ASCII))
     if data.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
@@ -197,15 +197,15 @@ def _decoded(data: bytes, file: str) -> tuple[bytes, str]:
 
 
 def _read_header(text: CsvText) -> None:
-    """Find what parts the fields, and the header.
+    """Find the separator and the header.
 
-    It is the first line that is neither blank nor a '#' comment, unless that tells of the test and names of columns
-    stand further down, or no line but a comment names them; blanks part the fields where nothing else makes a header.
+    The header is the first line that is neither blank nor a '#' comment, unless it describes the test and column names
+    follow further down, or only a comment names them; blanks separate the fields where no other header is found.
     """
-    found, lines = None, _first_lines(text)
+    header, lines = None, _first_lines(text)
     for commented, runs in product((False, True), (None, *_BLANKS)):
-        own = _first_lines(text, commented)
-        if found := _header_among([_with_tabs(x.encode(), runs).decode() for _, x, _ in own]):
+        texts = _first_lines(text, commented)
+        if header := _header_among([_with_tabs(x.encode(), runs).decode() for _, x, _ in texts]):
             if runs:
                 text.notes.append("its fields are parted by blanks")
                 text.data = _with_tabs(text.data, runs)
@@ -214,20 +214,20 @@ def _read_header(text: CsvText) -> None:
     if not lines:
         expected = "a header 'name [unit], …' and rows of readings were expected"
         raise unusable(text.file, "is empty", expected)
-    row, line, end = lines[found.first if found else 0]
-    last, _, end = lines[found.last] if found else (row, line, end)
-    separator = text.separator = found.separator if found else _separators_of(line)[0]
+    row, line, end = lines[header.first if header else 0]
+    last, _, end = lines[header.last] if header else (row, line, end)
+    separator = text.separator = header.separator if header else _separators_of(line)[0]
     refuse_many(text.file, 1 + line.count(separator))
     fields = line.split(separator), line.split()
-    if any(not any(map(math.isnan, map(number_of, own))) for own in fields):
+    if any(not any(map(math.isnan, map(number_of, texts))) for texts in fields):
         cure = (
             "Write one that names the columns, such as 'time [s],temperature [degC],output [deg/s]'"
         )
         raise unusable(text.file, f"has no header: its first row, row {row}, is numbers", cure)
     text.header = text.split(line, row, called=", in the header")
-    if found and (found.last > found.first or len(found.names) != len(text.header)):
-        text.header = found.names
-    above = [_fields_of(own, separator) for _, own, _ in lines[: found.first if found else 0]]
+    if header and (header.last > header.first or len(header.names) != len(text.header)):
+        text.header = header.names
+    above = [_fields_of(texts, separator) for _, texts, _ in lines[: header.first if header else 0]]
     text.header = _with_units(text.header, _labview_units(above))
     text.first, text.offset, text.named = last + 1, end, row
     if above:
@@ -237,32 +237,32 @@ def _read_header(text: CsvText) -> None:
 
 
 def _first_lines(text: CsvText, commented: bool = False) -> list[tuple[int, str, int]]:
-    """Return row, text and the byte behind it of the first lines that are neither blank nor comments."""
-    handle, there, row = io.BytesIO(text.data), [], 0
-    while len(there) < _LOOKED_AT and (raw := handle.readline(_LONGEST_LINE)):
+    """Return row, text and end offset of the first lines that are neither blank nor comments."""
+    handle, first, row = io.BytesIO(text.data), [], 0
+    while len(first) < _HEADER_ROWS and (raw := handle.readline(_MAX_LINE_BYTES)):
         row += 1
         line = raw.removeprefix(_MARK if row == 1 else b"").decode("utf-8", "replace")
         line = line.removeprefix("#").lstrip() if commented else line
         if line.strip() and not line.startswith("#"):
-            there.append((row, line.rstrip("\r\n"), handle.tell()))
-    return there
+            first.append((row, line.rstrip("\r\n"), handle.tell()))
+    return first
 
 
 def _header_among(texts: Sequence[str]) -> _HeaderRows | None:
-    """Return the header among the first lines of a file; None for none."""
+    """Find the header among the first lines of a file; None for none."""
     after = [i for i, text in enumerate(texts) if text.startswith(_LABVIEW)]
     rows = dict[str, list[list[str]]]()
     for i in range(after[-1] + 1 if after else 0, len(texts)):
         for separator in _separators_of(texts[i]):
             if separator not in rows:
                 rows[separator] = [_fields_of(text, separator) for text in texts]
-            if found := _header_rows(rows[separator], i, separator):
-                return found
+            if header := _header_rows(rows[separator], i, separator):
+                return header
     return None
 
 
 def _with_tabs(data: bytes, runs: re.Pattern[bytes] | None) -> bytes:
-    """Return lines with a tab in place of the blanks that part fields, and none about them."""
+    """Replace the blanks that separate fields by tabs, and strip lines."""
     if runs is None:
         return data
     lines = (line.strip(b" \t") for line in data.replace(b"\r\n", b"\n").split(b"\n"))
@@ -270,7 +270,7 @@ def _with_tabs(data: bytes, runs: re.Pattern[bytes] | None) -> bytes:
 
 
 def _fields_of(line: str, separator: str) -> list[str]:
-    """Return the fields of a line; none where its quotation marks are not in pairs."""
+    """Split a line into fields; [] where its quotation marks are not in pairs."""
     if '"' not in line:
         return line.split(separator)
     with suppress(csv.Error):
@@ -279,7 +279,7 @@ def _fields_of(line: str, separator: str) -> list[str]:
 
 
 def _labview_units(above: Sequence[Sequence[str]]) -> list[str]:
-    """Return units of the columns that the head of a LabVIEW measurement file (.lvm) states; none elsewhere."""
+    """Return the column units in the head of a LabVIEW measurement file (.lvm); [] for other files."""
     stated = {row[0].strip(): [text.strip() for text in row[1:]] for row in above}
     if _LABVIEW not in stated or "Y_Unit_Label" not in stated:
         return []
@@ -287,13 +287,13 @@ def _labview_units(above: Sequence[Sequence[str]]) -> list[str]:
 
 
 def _separators_of(line: str) -> list[str]:
-    """Return what may part the fields of a line, the most frequent first; commas last: numbers and names hold them."""
-    there = filter(line.count, (";", "\t", "|", ","))
-    return sorted(there, key=lambda one: (one == ",", -line.count(one))) or [","]
+    """Return possible separators of a line, the most frequent first; commas last, as numbers and names hold them."""
+    marks = filter(line.count, (";", "\t", "|", ","))
+    return sorted(marks, key=lambda mark: (mark == ",", -line.count(mark))) or [","]
 
 
 def _scan_lines(text: CsvText) -> None:
-    """Check that each line of readings has as many fields as the header; find whether commas are decimal ones."""
+    """Check the number of fields of each line of readings; detect decimal commas."""
     separator, expected, blank = text.separator.encode(), len(text.header), text.blank
     if not text.decimal and separator != b"," and _DECIMAL_COMMA.search(text.data, text.offset - 1):
         text.decimal = ","
@@ -301,8 +301,8 @@ def _scan_lines(text: CsvText) -> None:
         text.notes.append("its numbers have decimal commas")
     row, blanks = text.first - 1, set[int]()
     for row, line in enumerate(text.rows(), text.first):
-        if len(line) > _LONGEST_LINE:
-            came = f"is longer than {_LONGEST_LINE} bytes"
+        if len(line) > _MAX_LINE_BYTES:
+            came = f"is longer than {_MAX_LINE_BYTES} bytes"
             raise unusable(text.file, came, "is it a CSV file?", f"row {row}")
         if b'"' in line:
             decoded, cure = line.decode(), "; a field cannot run over several lines"
@@ -312,16 +312,16 @@ def _scan_lines(text: CsvText) -> None:
         else:
             blanks.add(row)
             continue
-        if fields != expected and len(text.ragged) < MOST_BAD:
+        if fields != expected and len(text.ragged) < MAX_BAD:
             text.ragged.append((row, line.decode().strip()[:80], fields))
     rows, odd = np.arange(text.first, row + 1), {row for row, _, _ in text.ragged}
-    text.readable = len(odd) < min(MOST_BAD, max(1, len(rows) - len(blanks)))
+    text.readable = len(odd) < min(MAX_BAD, max(1, len(rows) - len(blanks)))
     text.skipped = frozenset(blanks | odd if text.readable else blanks)
     text.readings = np.setdiff1d(rows, [*text.skipped])
 
 
 def _ragged_rows(text: CsvText) -> tuple[Objection, ...]:
-    """Return the rows that have not one field for each column, as one problem."""
+    """Return the rows with another number of fields than columns, as one problem."""
     if not text.ragged:
         return ()
     _, line, fields = text.ragged[0]
@@ -346,15 +346,15 @@ class _HeaderRows(NamedTuple):
 
 
 def _header_rows(rows: Sequence[Sequence[str]], first: int, separator: str) -> _HeaderRows | None:
-    """Return the rows that name the columns, if `rows[first]` (fields, blank rows left out) begins them.
+    """Return the rows that name the columns, if `rows[first]` (fields, without blank rows) is the first of them.
 
     Names are text; readings with as many fields and a number or a date among them follow, at once or after a row of
-    units. Readings may end each row with one empty field more.
+    units. Rows of readings may have one more, empty field at their end.
     """
     names = [name.strip() for name in rows[first]]
     if len(names) < 2 or any(map(_is_reading, names)) or sum(map(bool, names)) < 2:
         return None
-    last = [row for row in rows[first + 1 :][-_LAST:] if any(map(_is_reading, row))]
+    last = [row for row in rows[first + 1 :][-_WIDTH_ROWS:] if any(map(_is_reading, row))]
     if not last or sum(map(bool, names)) < min(sum(map(bool, row)) for row in last):
         return None
     width = Counter(map(len, last)).most_common(1)[0][0]
@@ -366,7 +366,7 @@ def _header_rows(rows: Sequence[Sequence[str]], first: int, separator: str) -> _
     if width != len(names):
         return None
     below = first + 1
-    while below < min(len(rows), first + 2 + _UNITS) and _names_units(rows[below], len(names)):
+    while below < min(len(rows), first + 2 + _UNIT_ROWS) and _are_units(rows[below], len(names)):
         below += 1
     if below == len(rows) or len(rows[below]) != width or not any(map(_is_reading, rows[below])):
         return None
@@ -375,28 +375,28 @@ def _header_rows(rows: Sequence[Sequence[str]], first: int, separator: str) -> _
 
 
 def _is_reading(text: str) -> bool:
-    """Whether a field holds a number or a date."""
+    """Return whether a field holds a number or a date."""
     with suppress(ValueError):
         float(text.strip().replace(",", ".", 1))
         return not is_missing(text)
     return bool(unix_seconds(text))
 
 
-def _names_units(row: Sequence[str], width: int) -> bool:
-    """Whether a row between names and readings may be one of units: short texts, none of them a reading."""
+def _are_units(row: Sequence[str], width: int) -> bool:
+    """Return whether a row between names and readings may be one of units: short texts, none of them a reading."""
     texts = [text.strip() for text in row if text.strip()]
-    short = all(len(t) <= _LONGEST_UNIT and (t[0] in "[(" or not t.endswith("]")) for t in texts)
-    there = abs(len(row) - width) <= 1 and len(texts) >= 2
+    short = all(len(t) <= _UNIT_LENGTH and (t[0] in "[(" or not t.endswith("]")) for t in texts)
+    fits = abs(len(row) - width) <= 1 and len(texts) >= 2
     readings = (t for t in texts if _is_reading(t) or (is_missing(t) and t != "-"))
-    return there and short and not any(readings)
+    return fits and short and not any(readings)
 
 
 def _with_units(names: Sequence[str], units: Sequence[str]) -> list[str]:
-    """Names, each with its unit, if there is one, behind it in brackets."""
-    found = list(names)
+    """Append units in brackets to names, where there are any."""
+    headers = list(names)
     for i, (name, unit) in enumerate(zip(names, map(str.strip, units), strict=False)):
         if unit[:1] + unit[-1:] in ("()", "[]", "<>", "{}"):
             unit = unit[1:-1].strip()
         if name and unit and unit not in _NO_UNITS and not name.endswith("]"):
-            found[i] = f"{name} [{unit}]"
-    return found
+            headers[i] = f"{name} [{unit}]"
+    return headers

@@ -1,6 +1,6 @@
-"""Parquet, NetCDF, Excel and MATLAB as tables: numbers and text only, nothing that a file could have evaluated.
+"""Parquet, NetCDF, Excel and MATLAB as tables: numbers and text only, no code of a file is evaluated.
 
-Modules that only one of them needs load inside.
+Modules that only one of them needs are imported inside.
 """
 
 from __future__ import annotations
@@ -39,27 +39,27 @@ def open_parquet(path: Path, file: str, max_bytes: int) -> Table:
     unpacked.refuse_unpacked(file, path.stat().st_size, 8 * rows * len(schema), unpacked.ARRAYS)
     refuse_large(file, rows, len(schema), max_bytes)
 
-    def load(wanted: Mapping[int, bool]) -> dict[int, Cells]:
-        found = {}
+    def load(requested: Mapping[int, bool]) -> dict[int, Cells]:
+        cells = {}
         with as_format(file, "Parquet"), pq.ParquetFile(path) as opened:
-            for position, number in wanted.items():
+            for position, number in requested.items():
                 name = schema.names[position]
-                found[position] = arrow_cells(opened.read(columns=[name]).column(name), number)
-        pa.default_memory_pool().release_unused()  # what it unpacked, as much again as the numbers
-        return found
+                cells[position] = arrow_cells(opened.read(columns=[name]).column(name), number)
+        pa.default_memory_pool().release_unused()  # unpacked buffers, as large as the numbers
+        return cells
 
     return Table(file, arrow_headers(schema), rows, load)
 
 
 def arrow_headers(schema: pa.Schema) -> tuple[Header, ...]:
-    """The columns, with the units that their fields' metadata state."""
+    """Parse the headers, with the units that their fields' metadata state."""
     units = ((field.metadata or {}).get(b"units") for field in schema)
-    said = (None if unit is None else unit.decode("utf-8", "replace") for unit in units)
-    return tuple(map(Header.parse, schema.names, said))
+    decoded = (None if unit is None else unit.decode("utf-8", "replace") for unit in units)
+    return tuple(map(Header.parse, schema.names, decoded))
 
 
 def arrow_cells(column: pa.ChunkedArray, number: bool) -> Cells:
-    """Return a column's cells: numbers as they are, anything else as text."""
+    """Convert a column to cells: numbers as they are, anything else as text."""
     kind, types = column.type, pa.types
     if number and (types.is_integer(kind) or types.is_floating(kind) or types.is_decimal(kind)):
         return cells_of(column.cast(pa.float64()).to_numpy(), number)
@@ -87,10 +87,10 @@ def open_netcdf(path: Path, file: str, max_bytes: int) -> Table:
                 f"Give its variables one dimension, best called {ROW!r}"
             )
         chosen = ROW if ROW in dimensions else next(iter(dimensions), "")
-        kept = {named_back(n): v for n, v in vectors.items() if v.dims[0] == chosen}
-        refuse_large(file, data.sizes.get(chosen, 0), len(kept), max_bytes)
-        units = {n: str(v.attrs["units"]) for n, v in kept.items() if "units" in v.attrs}
-        return Table.of_columns(file, {n: v.values for n, v in kept.items()}, units)
+        columns = {named_back(n): v for n, v in vectors.items() if v.dims[0] == chosen}
+        refuse_large(file, data.sizes.get(chosen, 0), len(columns), max_bytes)
+        units = {n: str(v.attrs["units"]) for n, v in columns.items() if "units" in v.attrs}
+        return Table.of_columns(file, {n: v.values for n, v in columns.items()}, units)
 
 
 def open_excel(path: Path, file: str, max_bytes: int) -> Table:
@@ -118,36 +118,36 @@ def open_excel(path: Path, file: str, max_bytes: int) -> Table:
 
 
 def _rows_of(sheet: Any, file: str, max_bytes: int) -> dict[int, dict[int, str]]:
-    """Return the rows of a sheet that hold something, whatever size it states: number → column → cell."""
+    """Return the rows of a sheet that are not empty, whatever size it states: number → column → cell."""
     from openpyxl.worksheet._reader import WorkSheetParser
 
-    book, found, cells = sheet.parent, dict[int, dict[int, str]](), 0
+    book, table, cells = sheet.parent, dict[int, dict[int, str]](), 0
     options = {n: getattr(book, f"_{n}") for n in ("date_formats", "timedelta_formats")}
     with sheet._get_source() as source:
         parser = WorkSheetParser(
             source, sheet._shared_strings, data_only=True, epoch=book.epoch, **options
         )
-        for number, given in parser.parse():
-            filled = [(c["column"], text) for c in given if (text := cell_text(c["value"]))]
-            own = dict(filled)
-            if filled and (number in found or len(own) < len(filled)):
+        for number, row_cells in parser.parse():
+            filled = [(c["column"], text) for c in row_cells if (text := cell_text(c["value"]))]
+            row = dict(filled)
+            if filled and (number in table or len(row) < len(filled)):
                 raise InputError(
                     f"{file!r}, sheet {sheet.title!r}: row {number}, or a cell in it, stands there twice, and which is "
                     "meant cannot be told. Open it and save it again"
                 )
-            found |= {number: own} if filled else {}
-            cells += len(own)
+            table |= {number: row} if filled else {}
+            cells += len(row)
             refuse_large(file, cells, 1, max_bytes)
-    return found
+    return table
 
 
 def _as_text(rows: Mapping[int, Mapping[int, str]]) -> bytes:
-    """Write rows as lines of text, each in the line of its number, that the reader of text files understands."""
+    """Format rows as lines of tab-separated text, each in the line of its number."""
     width = max(max(cells) for cells in rows.values())
     lines = [""] * max(rows)
     for number, cells in rows.items():
-        told = (in_one_line(cells.get(i + 1, "")).replace('"', '""') for i in range(width))
-        lines[number - 1] = "\t".join(f'"{cell}"' for cell in told)
+        texts = (in_one_line(cells.get(i + 1, "")).replace('"', '""') for i in range(width))
+        lines[number - 1] = "\t".join(f'"{cell}"' for cell in texts)
     return "\n".join([*lines, ""]).encode()
 
 
@@ -167,10 +167,10 @@ def open_matlab(path: Path, file: str, max_bytes: int) -> Table:
         if old:
             unpacked.refuse_matlab(path, file)
             loaded = loadmat(path, squeeze_me=True, struct_as_record=False, chars_as_strings=True)
-            found = {name: value for name, value in loaded.items() if not name.startswith("__")}
+            variables = {name: value for name, value in loaded.items() if not name.startswith("__")}
         else:
-            found = _variables_of_hdf5(path, file)
-    columns = dict(pair for key, value in found.items() for pair in _vectors(key, value))
+            variables = _variables_of_hdf5(path, file)
+    columns = dict(pair for key, value in variables.items() for pair in _vectors(key, value))
     lengths = {len(vector) for vector in columns.values()} - {1}
     if len(lengths) != 1:
         sizes = ", ".join(f"{name} ({len(vector)})" for name, vector in columns.items()) or "none"
@@ -180,9 +180,9 @@ def open_matlab(path: Path, file: str, max_bytes: int) -> Table:
             "ToScalar=true))"
         )
     rows = lengths.pop()
-    kept = {name: vector for name, vector in columns.items() if len(vector) == rows}
-    refuse_large(file, rows, len(kept), max_bytes)
-    return Table.of_columns(file, kept)
+    chosen = {name: vector for name, vector in columns.items() if len(vector) == rows}
+    refuse_large(file, rows, len(chosen), max_bytes)
+    return Table.of_columns(file, chosen)
 
 
 def _variables_of_hdf5(path: Path, file: str) -> dict[str, Any]:
@@ -204,11 +204,11 @@ def _variables_of_hdf5(path: Path, file: str) -> dict[str, Any]:
 
 
 def _vectors(name: str, value: Any) -> list[tuple[str, np.ndarray]]:
-    """Return the columns in a variable: a vector, those of a matrix, or of a structure's fields."""
+    """Split a variable into columns: a vector, those of a matrix, or of a structure's fields."""
     fields = value if isinstance(value, dict) else getattr(value, "__dict__", None)
     if fields is not None:
-        own = {n: v for n, v in fields.items() if not n.startswith("_")}
-        return [pair for field, inner in own.items() for pair in _vectors(field, inner)]
+        public = {n: v for n, v in fields.items() if not n.startswith("_")}
+        return [pair for field, inner in public.items() for pair in _vectors(field, inner)]
     array = np.asarray(value)
     if array.dtype.kind not in "iufbUO" or array.dtype.fields:
         return []

@@ -1,4 +1,4 @@
-"""The TOML file that keeps how the columns of files are understood, for the next file."""
+"""Mapping files: TOML with the options of reading, for the next file."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from bayescal._core.json_shape import read_toml
 
 
 class ReadMapping(TypedDict, total=False):
-    """What a mapping holds: how `read` is asked, as keywords."""
+    """Content of a mapping: keyword arguments of `read`."""
 
     columns: dict[str, str | list[str]]
     units: dict[str, str]
@@ -29,7 +29,7 @@ class ReadMapping(TypedDict, total=False):
 
 
 def load_mapping(path: Path) -> dict[str, Any]:
-    """A saved mapping, as arguments of `bayescal.read`.
+    """Load a saved mapping, as arguments of `bayescal.read`.
 
     Raises:
         InputError: no such file, no TOML, or an entry that no mapping has; names the entries that there are.
@@ -38,7 +38,7 @@ def load_mapping(path: Path) -> dict[str, Any]:
 
 
 def save_mapping(path: Path, mapping: Mapping[str, Any]) -> None:
-    """Write a mapping, without what is empty; raise InputError where the place cannot be written to."""
+    """Write a mapping, without empty entries; raise InputError where the place cannot be written to."""
     single = [f"{n} = {_value(v)}" for n, v in mapping.items() if v and not isinstance(v, Mapping)]
     lines = ["# How the columns of these files are read: bayescal … --mapping FILE", *single]
     for name, table in mapping.items():

@@ -1,4 +1,4 @@
-"""A file opened as a table, in the format that its suffix names."""
+"""Opening of a file as a table, in the format of its suffix."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from bayescal._core.quoting import one_line
 from bayescal._tables.csv_reader import parse_text
 from bayescal._tables.raw_table import Table, bytes_text, unusable
 
-MAX_BYTES = 2_000_000_000  # of a file, and of its numbers in memory: a larger one is refused, and not killed for memory
+MAX_BYTES = 2_000_000_000  # of a file, and of its numbers in memory: a larger one is refused before memory runs out
 TEXT = (".csv", ".tsv", ".dsv", ".txt", ".lvm", ".dat")
 LOGS = (".ulg", ".bin", ".bag", ".mcap", ".db3")  # which an annex reads
 READ = (*TEXT, ".parquet", ".nc", ".xlsx", ".mat", *LOGS)
@@ -23,7 +23,7 @@ _PICKLES = (".pkl", ".pickle", ".npy", ".npz", ".joblib")
 
 
 def check_files(paths: Sequence[Path], max_bytes: int = MAX_BYTES) -> list[str]:
-    """Check the files before anything is opened, and return what messages call them.
+    """Check the files before any is opened, and return their names for messages.
 
     Raises:
         InputError: no file, one twice, one that is not there or is no file, or all are too large.
@@ -42,10 +42,10 @@ def check_files(paths: Sequence[Path], max_bytes: int = MAX_BYTES) -> list[str]:
             raise unusable(str(path), "is not a file", "name a file, or all files of the folder")
         total += size
         if total > max_bytes:
-            held = f"holds {bytes_text(size)}"
+            size_text = f"holds {bytes_text(size)}"
             if size <= max_bytes:
-                held = f"brings the files to {bytes_text(total)}"
-            came = f"{held}, the limit is {bytes_text(max_bytes)}, and nothing was loaded"
+                size_text = f"brings the files to {bytes_text(total)}"
+            came = f"{size_text}, the limit is {bytes_text(max_bytes)}, and nothing was loaded"
             cure = "Average the readings, read fewer files, or raise max_bytes"
             raise unusable(name, came, cure)
     return names
@@ -53,7 +53,7 @@ def check_files(paths: Sequence[Path], max_bytes: int = MAX_BYTES) -> list[str]:
 
 @contextmanager
 def _reachable(path: Path) -> Iterator[None]:
-    """Refuse a file that the system does not give."""
+    """Raise InputError for a file that the system cannot open."""
     try:
         yield
     except OSError as error:
@@ -88,11 +88,11 @@ def open_table(
         if suffix in TEXT:
             return parse_text(path.read_bytes(), name, decimal).table()
         if suffix in LOGS:
-            found = first_offered("log", f"{name!r}, a log,")(path, name, asked)
+            table = first_offered("log", f"{name!r}, a log,")(path, name, asked)
         else:  # a second that text does without
             from bayescal._tables import formats
 
             openers = {".xlsx": formats.open_excel, ".mat": formats.open_matlab}
             openers |= {".parquet": formats.open_parquet, ".nc": formats.open_netcdf}
-            found = openers[suffix](path, name, max_bytes)
-        return replace(found, sha256=sha256_of(path))
+            table = openers[suffix](path, name, max_bytes)
+        return replace(table, sha256=sha256_of(path))

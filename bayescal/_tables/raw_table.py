@@ -1,7 +1,7 @@
-"""A file as it stands: columns by the names and units of its header, nothing understood yet; and what is wrong with it.
+"""Raw tables: columns of a file by the names and units of its header, not yet matched; and its problems.
 
-Every format ends here, so that what follows (which column is which, what is refused) is one code. Objections are
-collected before any of them is said: one as a sentence, several as a list.
+Every format is converted to this, so that matching and checks are one code. Objections are collected before any is
+reported: one as a sentence, several as a list.
 """
 
 from __future__ import annotations
@@ -21,16 +21,16 @@ import numpy as np
 from bayescal._core.errors import InputError
 from bayescal._tables.cells import Cells, cells_of
 
-_SHOWN = 3  # rows that are named before the rest is counted
+_NAMED_ROWS = 3  # that a message names; the others are counted
 
 
 @dataclass(frozen=True)
 class Objection:
-    """One thing in a file that keeps it from being read.
+    """One problem of a file that prevents its use.
 
     Attributes:
-        file: its name; empty where `came` is all that is said.
-        came: what stands there, such as "reads 'x'"; of no single column as a verb goes on behind the file's name.
+        file: its name; empty where `came` is the whole message.
+        came: the fault, such as "reads 'x'", as a verb goes on behind the name of the column or file.
         expected: what was expected, such as "a number in °/s".
         cure: what to do, in words.
         option: of the command line that does it, quoted for a shell; empty if only an edit helps.
@@ -53,24 +53,24 @@ class Objection:
         where += f", column {self.column!r}:" * bool(self.column)
         expected = f", {self.expected} was expected" * bool(self.expected)
         count = max(len(self.rows), len(self.places))
-        more = f" (and in {count - 1} more)" * (count > 1)
+        others = f" (and in {count - 1} more)" * (count > 1)
         cure = f". {self.cure}" * bool(self.cure)
         if self.option:  # several stand in brackets already
             cure += f" {self.option}" if self.option[0] == "(" else f" ({self.option})"
-        return f"{where} " * bool(self.file) + f"{self.came}{more}{expected}{cure}"
+        return f"{where} " * bool(self.file) + f"{self.came}{others}{expected}{cure}"
 
 
 class Objections(list[Objection]):
-    """Objections of some files, in the order in which they were met."""
+    """Objections of some files, in the order in which they were found."""
 
     def refuse(self) -> None:
         """Raise InputError, which carries them as `problems`, if there is a problem."""
         if self:
-            raise InputError(_text(self), tuple(self))
+            raise InputError(_problems_text(self), tuple(self))
 
     @contextmanager
     def collecting(self) -> Iterator[None]:
-        """Keep what a check inside refuses, in place of ending with it."""
+        """Collect the InputError of a check inside, in place of raising it."""
         try:
             yield
         except InputError as error:
@@ -78,11 +78,11 @@ class Objections(list[Objection]):
 
 
 def unusable(file: str, came: str, cure: str = "", place: str = "") -> InputError:
-    """Return the refusal, to be raised, of a file as a whole or of the row at `place`.
+    """Return the InputError, to be raised, of a file as a whole or of the row at `place`.
 
     Args:
         file: its name.
-        came: what is wrong with it, as a verb goes on behind its name.
+        came: its fault, as a verb goes on behind its name.
         cure: what to do.
         place: the row, as an editor counts.
     """
@@ -92,42 +92,42 @@ def unusable(file: str, came: str, cure: str = "", place: str = "") -> InputErro
 
 
 def option(name: str, value: str) -> str:
-    """An option of the command line as a shell takes it: --columns 'output=gz (deg/s)'."""
+    """Format an option of the command line for a shell: --columns 'output=gz (deg/s)'."""
     return f"{name}{'=' if value.startswith('-') else ' '}{shlex.quote(value)}"
 
 
-def _text(problems: Sequence[Objection]) -> str:
-    """One problem as a sentence, several as a list, and the options that cure them as one line to copy."""
+def _problems_text(problems: Sequence[Objection]) -> str:
+    """Format one problem as a sentence, several as a list, and the options that cure them as one line to copy."""
     if len(problems) == 1:
         return str(problems[0])
-    files, alike = {p.file for p in problems if p.file}, dict[Any, list[Objection]]()
-    for p in problems:  # what is the same in several files is said once
-        alike.setdefault((p.column, p.came, p.expected, p.cure, p.option), []).append(p)
+    files, groups = {p.file for p in problems if p.file}, dict[Any, list[Objection]]()
+    for p in problems:  # the same problem of several files is reported once
+        groups.setdefault((p.column, p.came, p.expected, p.cure, p.option), []).append(p)
     lines = [
         f"{same[0]}" + f" (and {len(same) - 1} more like it)" * (len(same) > 1)
-        for same in alike.values()
+        for same in groups.values()
     ]
     of = f"{next(iter(files))!r}" if len(files) == 1 else f"{len(files)} files"
     options = " ".join(dict.fromkeys(p.option for p in problems if p.option))
     by_hand = "with the rest mended and " if not all(p.option for p in problems) else "with "
-    asked = f"\n\n{by_hand}these options, if they are meant: {options}" * bool(options)
+    suggestion = f"\n\n{by_hand}these options, if they are meant: {options}" * bool(options)
     count = f"{len(lines)} problem{'s' * (len(lines) > 1)} with {of}"
-    return "\n".join([f"{count}\n", *(f"- {line}" for line in lines)]) + asked
+    return "\n".join([f"{count}\n", *(f"- {line}" for line in lines)]) + suggestion
 
 
 ROW = "reading"  # the one dimension of readings
 FORMATS = (".csv", ".parquet", ".nc")  # that are written
-MOST_COLUMNS = 100_000  # a file of more has readings in columns, or is no table
-LONGEST_NAME = 1_000  # characters; looking for a unit in a longer one takes minutes
+MAX_COLUMNS = 100_000  # a file of more has readings in columns, or is no table
+MAX_NAME_CHARACTERS = 1_000  # searching for a unit in a longer one takes minutes
 
 
 def bytes_text(size: float) -> str:
-    """A number of bytes for people: 180 bytes, 2.1 GB."""
+    """Format a number of bytes for people: 180 bytes, 2.1 GB."""
     return f"{size / 1e9:.3g} GB" if size >= 1e8 else f"{size:,.0f} bytes"
 
 
 def in_one_line(text: str) -> str:
-    """A name without line breaks and other control characters."""
+    """Replace line breaks and other control characters of a name by spaces."""
     parts = (part.strip() for part in re.split(r"[\x00-\x1f\x7f-\x9f\u2028\u2029]+", text))
     return " ".join(part for part in parts if part)
 
@@ -147,13 +147,13 @@ class Header:
         Lines of a cell become one: what breaks a line, or cannot be seen, is a space.
         """
         raw = in_one_line(raw)
-        name, bracket, own = raw.rpartition("[")
-        if bracket and name.strip() and own.endswith("]") and own.count("]") == 1:
-            return cls(raw, name.rstrip(), own[:-1].strip())
+        name, bracket, unit_text = raw.rpartition("[")
+        if bracket and name.strip() and unit_text.endswith("]") and unit_text.count("]") == 1:
+            return cls(raw, name.rstrip(), unit_text[:-1].strip())
         return cls(raw, raw, unit)
 
 
-LONGEST_UNIT = 80  # characters of a header, from its end, in which a unit is looked for
+UNIT_SEARCH_CHARACTERS = 80  # of a header, from its end, in which a unit is searched
 BRACKETS = [
     re.compile(rf"(.+?)[\s_,:/]*\{a}\s*(.+?)\s*\{b}", re.DOTALL)
     for a, b in ("()", "[]", "{}", "<>")
@@ -165,32 +165,32 @@ _BEHIND_IN = re.compile(r"(.+?)\s+in\s+(.+)", re.DOTALL)
 _NUMBERED = re.compile(r"[(\[{<]|\d+(?![\d/])")
 
 
-@lru_cache(maxsize=4096)  # each is asked for by many columns
+@lru_cache(maxsize=4096)  # each is called for many columns
 def readings_of(header: Header) -> tuple[Header, ...]:
-    """Every way to part a header into a name and, if it has one, the text of a unit; the plainest first."""
+    """Return every split of a header into a name and, if it has one, the text of a unit; the plainest first."""
     if header.unit:
         return (header,)
-    found = [header]
-    before, end = header.raw[:-LONGEST_UNIT], header.raw[-LONGEST_UNIT:]
+    splits = [header]
+    before, end = header.raw[:-UNIT_SEARCH_CHARACTERS], header.raw[-UNIT_SEARCH_CHARACTERS:]
     for pattern in (*BRACKETS, _BEHIND_SLASH, _BEHIND_COMMA, _BEHIND_IN):
         if parts := pattern.fullmatch(end):
             unit = parts[2].strip()
             unit = unit[1:-1] if unit[:1] + unit[-1:] == "()" else unit.removeprefix("in ")
-            found.append(Header(header.raw, (before + parts[1]).strip(), unit))
+            splits.append(Header(header.raw, (before + parts[1]).strip(), unit))
     for gap in re.finditer(r"[_\s.]+", end):
         name, unit = before + end[: gap.start()], end[gap.end() :]
         if name and unit and not _NUMBERED.match(unit):
-            found.append(Header(header.raw, name, unit))
-    return tuple(found)
+            splits.append(Header(header.raw, name, unit))
+    return tuple(splits)
 
 
 def called(headers: Sequence[Header], name: str) -> int | None:
-    """Where a header is that a user calls so: all of it, its name, or its name in one of its readings."""
+    """Return position of the header that a user means: by all of it, its name, or its name in one of its readings."""
     ways = [({h.raw}, {h.name}, {r.name for r in readings_of(h)}) for h in headers]
     for names in zip(*ways, strict=True):
-        found = [i for i, own in enumerate(names) if name in own]
-        if len(found) == 1:
-            return found[0]
+        positions = [i for i, forms in enumerate(names) if name in forms]
+        if len(positions) == 1:
+            return positions[0]
     return None
 
 
@@ -202,12 +202,12 @@ class Table:
         file: name for messages.
         headers: its columns, in order.
         rows: number of readings.
-        load: position of a wanted column → whether it is a number, to its cells.
+        load: function from position of a column → whether it is a number, to its cells.
         sha256: of the bytes; "" for arrays.
-        place: index of a reading → where it stands, "row 12".
-        notes: how it was read, where that is not as usual, a sentence each.
-        problems: what keeps it from being used.
-        readable: whether its cells can be looked at all the same.
+        place: index of a reading → its row, "row 12".
+        notes: unusual ways in which it was read, a sentence each.
+        problems: that prevent its use.
+        readable: whether its cells can be parsed all the same.
     """
 
     file: str
@@ -223,10 +223,10 @@ class Table:
     def __post_init__(self) -> None:
         """Raise InputError for no readings, one name for two columns, or a name too long to be one."""
         for i, header in enumerate(self.headers):
-            if len(header.raw) > LONGEST_NAME:
+            if len(header.raw) > MAX_NAME_CHARACTERS:
                 raise InputError(
                     f"{self.file!r}: the name of column {i + 1}, {header.raw[:20]!r}…, has {len(header.raw):,} "
-                    f"characters, at most {LONGEST_NAME:,} are read: give the column a short name"
+                    f"characters, at most {MAX_NAME_CHARACTERS:,} are read: give the column a short name"
                 )
         if self.rows < 1:
             cure = "give a file with at least one row of numbers"
@@ -243,17 +243,17 @@ class Table:
         file: str,
         columns: Mapping[str, np.ndarray],
         units: Mapping[str, str | None] = MappingProxyType({}),
-        **more: Any,
+        **fields: Any,
     ) -> Table:
-        """A table of columns of one length: header → values; `units` are of headers that say none."""
+        """Make a table of columns of one length: header → values; `units` are of headers without one."""
         headers = tuple(Header.parse(name, units.get(name)) for name in columns)
         arrays = list(columns.values())
         rows = len(arrays[0]) if arrays else 0
 
-        def load(wanted: Mapping[int, bool]) -> dict[int, Cells]:
-            return {position: cells_of(arrays[position], n) for position, n in wanted.items()}
+        def load(requested: Mapping[int, bool]) -> dict[int, Cells]:
+            return {position: cells_of(arrays[position], n) for position, n in requested.items()}
 
-        return cls(file, headers, rows, load, **more)
+        return cls(file, headers, rows, load, **fields)
 
     def objection(
         self,
@@ -265,16 +265,16 @@ class Table:
         *,
         rows: Sequence[int] | np.ndarray = (),
     ) -> Objection:
-        """Return an objection to a column, given by its header; to some of its readings, if `rows` are given."""
+        """Make an objection to a column, given by its header; to some of its readings, if `rows` are given."""
         at = tuple(int(row) for row in rows)
-        places = tuple(map(self.place, at[:_SHOWN]))
+        places = tuple(map(self.place, at[:_NAMED_ROWS]))
         return Objection(self.file, came, expected, cure, option, column, at, places)
 
     def take(self, rows: np.ndarray) -> Table:
-        """The table of some of its rows, by index."""
+        """Select rows by index."""
 
-        def load(wanted: Mapping[int, bool]) -> dict[int, Cells]:
-            return {position: cells.take(rows) for position, cells in self.load(wanted).items()}
+        def load(requested: Mapping[int, bool]) -> dict[int, Cells]:
+            return {position: cells.take(rows) for position, cells in self.load(requested).items()}
 
         def place(index: int) -> str:
             return self.place(int(rows[index]))
@@ -283,7 +283,7 @@ class Table:
 
 
 def load_whole(table: Table, wanted: Mapping[int, bool]) -> dict[int, Cells]:
-    """Load the wanted columns; raise InputError where one is not as long as the file says it is."""
+    """Load columns (position → whether of numbers); raise InputError where one has not the file's number of rows."""
     columns = table.load(wanted)
     for position, cells in columns.items():
         if (count := len(cells.values)) != table.rows:
@@ -294,9 +294,9 @@ def load_whole(table: Table, wanted: Mapping[int, bool]) -> dict[int, Cells]:
 
 
 def refuse_many(file: str, columns: int) -> None:
-    """Raise InputError for a table wider than any, before its columns are named."""
-    if columns > MOST_COLUMNS:
-        came = f"has {columns:,} columns, at most {MOST_COLUMNS:,} are read"
+    """Raise InputError for a table of too many columns, before their names are parsed."""
+    if columns > MAX_COLUMNS:
+        came = f"has {columns:,} columns, at most {MAX_COLUMNS:,} are read"
         cure = "is one row of it meant as a column? Write one row for each reading"
         raise unusable(file, came, cure)
 
@@ -312,7 +312,7 @@ def refuse_large(file: str, rows: int, columns: int, max_bytes: int) -> None:
 
 @contextmanager
 def as_format(file: str, name: str) -> Iterator[None]:
-    """Turn whatever a broken file makes its library raise into an InputError."""
+    """Convert any exception of a library on a broken file to an InputError."""
     try:
         yield
     except InputError:

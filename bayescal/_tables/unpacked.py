@@ -1,7 +1,7 @@
-"""What a file unpacks to, looked at before it is unpacked: so that a small file takes neither memory nor time.
+"""Checks of the unpacked size of a file before it is unpacked, against decompression bombs.
 
-A few megabytes of zeros unpack to gigabytes, arrays may be stated that were never written, lists may stand in each
-other until the library that reads them ends the process, and a file may name others. Readings do none of that.
+A few megabytes of zeros unpack to gigabytes, arrays may be stated that were never written, nested lists may exhaust
+the stack of the library that reads them, and a file may link to others. Readings do none of that.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from typing import Any
 from bayescal._tables.raw_table import bytes_text, unusable
 
 SHEET, ARRAYS = (25, 2e7), (100, 1e8)
-"""Times of its size that a format may unpack to, and bytes that it may whatever that is.
+"""Largest ratio of unpacked to packed size of a format, and unpacked bytes that are always allowed.
 
 Measured: a sheet of constants 10 times, MATLAB's compressed doubles 4 to 7 times, and 700 times a constant alone.
 """
@@ -37,9 +37,9 @@ def refuse_unpacked(file: str, packed: float, unpacked: float, limit: tuple[floa
 
 
 def refuse_zip(path: Path, file: str) -> None:
-    """Raise InputError where the sizes that a ZIP archive states, beyond which nothing is unpacked, are too large."""
+    """Raise InputError where the sizes that a ZIP archive states, which limit its unpacking, are too large."""
     with zipfile.ZipFile(path) as archive:
-        total = sum(one.file_size for one in archive.infolist())
+        total = sum(entry.file_size for entry in archive.infolist())
     refuse_unpacked(file, path.stat().st_size, total, SHEET)
 
 
@@ -48,7 +48,7 @@ def refuse_hdf5(opened: Any, file: str, size: int) -> None:
     import h5py  # a tenth of a second that other formats do without
     from h5py import h5o  # pyright: ignore[reportAttributeAccessIssue]
 
-    total, waiting, seen = 0, [opened], {h5o.get_info(opened.id).addr}
+    total, waiting, visited = 0, [opened], {h5o.get_info(opened.id).addr}
     while waiting:
         group = waiting.pop()
         for name in group:
@@ -59,10 +59,10 @@ def refuse_hdf5(opened: Any, file: str, size: int) -> None:
                 came = f"is not all there: {inner} is a link to somewhere else, or its numbers stand in another file"
                 raise unusable(file, came, "Save the readings in the file itself")
             address = h5o.get_info(node.id).addr
-            if len(seen) > _OBJECTS or (address in seen and not array):
+            if len(visited) > _OBJECTS or (address in visited and not array):
                 came = f"has the group {inner} twice, or over {_OBJECTS:,} arrays and groups"
                 raise unusable(file, came, _AS_CSV)
-            seen.add(address)
+            visited.add(address)
             total += int(node.size or 0) * node.dtype.itemsize if array else 0
             waiting += [node] * isinstance(node, h5py.Group)
     refuse_unpacked(file, size, total, ARRAYS)
@@ -71,7 +71,7 @@ def refuse_hdf5(opened: Any, file: str, size: int) -> None:
 # Elements of a MATLAB file up to 7.2, and classes of arrays that hold others: cells, structures, objects, functions,
 # opaque ones ("MAT-File Format", The MathWorks, 1999 to 2024, chapter 1).
 _COMPRESSED, _HOLDS_OTHERS = 15, b"[\x01\x02\x03\x10\x11]"
-_MOST_HOLDING = 2000  # of these in a file: their reader calls itself, and some thousands in each other end the process
+_MAX_CONTAINERS = 2000  # in a file: their reader is recursive, and some thousands exhaust the stack
 
 
 def refuse_matlab(path: Path, file: str) -> None:
@@ -91,21 +91,21 @@ def refuse_matlab(path: Path, file: str) -> None:
                 raise ValueError("a variable is longer than the file")
             data = handle.read(length)
             if kind == _COMPRESSED:
-                data = zlib.decompressobj().decompress(
-                    data, int(max(ARRAYS[1], ARRAYS[0] * size)) + 1
-                )
+                limit = int(max(ARRAYS[1], ARRAYS[0] * size)) + 1
+                data = zlib.decompressobj().decompress(data, limit)
                 total += len(data)
                 refuse_unpacked(file, size, total, ARRAYS)
-            for found in flags.finditer(data):
+            for match in flags.finditer(data):
                 holding += 1
-                count = _entries(data[found.start() + 16 :], order)
-                if holding > _MOST_HOLDING or 8 * count > len(data):
-                    came = f"has over {_MOST_HOLDING:,} cells and structures, or states {count:,} that it does not hold"
+                count = _entries(data[match.start() + 16 :], order)
+                if holding > _MAX_CONTAINERS or 8 * count > len(data):
+                    states = f"states {count:,} that it does not hold"
+                    came = f"has over {_MAX_CONTAINERS:,} cells and structures, or {states}"
                     raise unusable(file, came, _AS_CSV)
 
 
 def _entries(data: bytes, order: str) -> int:
-    """How many entries an array states whose dimensions come first; none where none do."""
+    """Return the number of entries of an array by its dimensions at the start of `data`; 0 without them."""
     if len(data) < 8:
         return 0
     kind, length = struct.unpack_from(f"{order}II", data)

@@ -1,7 +1,4 @@
-"""Readings written, with the units where `read` finds them.
-
-Everything is written beside its place and then renamed, so a file is there whole or not at all.
-"""
+"""Writing of readings, with the units where `read` finds them; files are replaced atomically."""
 
 from __future__ import annotations
 
@@ -50,7 +47,7 @@ def write(
 
 
 def _write_csv(columns: Columns, path: Path) -> None:
-    """Numbers with all their digits; those that are NaN are empty cells."""
+    """Write numbers with all their digits; NaN as empty cells."""
     cells = (
         map(csv_cell, values.tolist())
         if values.dtype.kind in "OU"
