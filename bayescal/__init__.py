@@ -1,6 +1,6 @@
 """bayescal: Bayesian calibration of inertial and tilt sensors.
 
-Read readings, compose a model, fit it, see where it fails, find the effect that is missing, add it:
+Read readings, compose a model, fit it, check its residuals, find the missing effect, add it:
 
     import bayescal as bc
     from bayescal_models import mems_gyro

@@ -3,7 +3,7 @@
 import os
 import sys
 
-if sys.path[:1] == [os.getcwd()]:  # `-m` puts it there: what stands in the current folder is data
+if sys.path[:1] == [os.getcwd()]:  # `-m` puts it there, but files in the current folder are data
     del sys.path[0]
 
 from bayescal._cli.main import main

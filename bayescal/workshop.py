@@ -1,7 +1,7 @@
-"""A second face, for those who build on bayescal: annexes, and other packages with commands and files of their own.
+"""Interface for extensions of bayescal: annexes, and other packages with commands and files of their own.
 
-What `bayescal` itself offers is for those who calibrate. Here is what its own results, commands and files are made of:
-text, tables, units, JSON, folders, options, reports. The names stand in `workshop.pyi`, and each loads on first use.
+The public names of `bayescal` are for calibrating. Here are the parts of its own results, commands and files: text,
+tables, units, JSON, folders, options, reports. The names are listed in `workshop.pyi`, and each loads on first use.
 They may change with a version.
 """
 

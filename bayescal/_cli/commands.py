@@ -1,10 +1,10 @@
-"""Commands for what instruments offer, for the whole loop, from readings to a calibration, and for what leaves.
+"""The commands of the core.
 
-What instruments offer: instruments, effects, simulate; of some, pairs of devices. The whole loop:
+Of instruments: instruments, effects, simulate; for some, pairs of devices. The whole loop:
 `calibrate`, of one output or of several channels of one unit. From readings to a calibration: fit, check, discover,
-compare, predict; and to the noise of a sensor. What leaves: compensate, export, budget, report.
+compare, predict; and the noise of a sensor. Use of results: compensate, export, budget, report.
 
-Imports stand where they are first needed: a bad file is refused before a sampler loads.
+Imports are placed where they are first needed: a bad file is refused before a sampler loads.
 """
 
 from __future__ import annotations
@@ -90,9 +90,9 @@ class InstrumentsCommand(AsJson, Command):
 
         if self.check is not None:
             chosen = instrument_named(self.check)
-            given = bc.read(self.readings, chosen) if self.readings else None
-            found = bc.check_instrument(chosen, given, seed=self.seed)
-            return Answer(found, ok=found.ok, why=" ".join(found.errors))
+            readings = bc.read(self.readings, chosen) if self.readings else None
+            checked = bc.check_instrument(chosen, readings, seed=self.seed)
+            return Answer(checked, ok=checked.ok, why=" ".join(checked.errors))
         if self.readings:
             raise InputError("--readings are for --check: say which instrument, my.py:INSTRUMENT")
         from bayescal._cli.output import instrument_shown, instruments_listed
@@ -113,8 +113,8 @@ class EffectsCommand(AsJson, Command):
         from bayescal._cli.output import effects_listed
 
         chosen = instrument_named(self.instrument)
-        own = request.user_effects(self.effects_file)
-        kinds = {"baseline": chosen.effects, "candidate": chosen.candidates, "your own": own}
+        kinds = {"baseline": chosen.effects, "candidate": chosen.candidates}
+        kinds["your own"] = request.user_effects(self.effects_file)
         return Answer(*effects_listed(kinds))
 
 
@@ -173,8 +173,8 @@ class PairsCommand(ReadRequest, AsJson, Command):
         print_notes(readings.flags)
         fitted = bc.fit(model, readings, seed=self.seed, strict=False)
         verdict = fitted.verdict
-        found = offers[0].load()(fitted, criterion=self.criterion)
-        return Answer(found, ok=verdict.ok, why=" ".join(verdict.reasons))
+        pairs = offers[0].load()(fitted, criterion=self.criterion)
+        return Answer(pairs, ok=verdict.ok, why=" ".join(verdict.reasons))
 
 
 class DemoCommand(AsJson, Command):
@@ -189,21 +189,21 @@ class DemoCommand(AsJson, Command):
         hidden = ["bias.thermal_lag=0.05"]
         with result_folder(self.out):
             for seed, file in enumerate(files, self.seed + 1):
-                made = SimulateCommand(instrument=gyro, out=file, effect=hidden, seed=seed)
-                print_notes([made.answer().shown])
-            asked = {
+                simulation = SimulateCommand(instrument=gyro, out=file, effect=hidden, seed=seed)
+                print_notes([simulation.answer().shown])
+            arguments = {
                 "files": [files[0]],
                 "holdout": [files[1]],
                 "out": self.out,
                 "json_": self.json_,
             }
-            found = CalibrateCommand(instrument=gyro, seed=self.seed, **asked).answer()
-        called = sys.argv[0]
-        own = "bayescal" if shutil.which("bayescal") == called else called
-        line = f"{own} calibrate FILE.csv --instrument mems_gyro --out result"
+            calibrated = CalibrateCommand(instrument=gyro, seed=self.seed, **arguments).answer()
+        program = sys.argv[0]
+        command = "bayescal" if shutil.which("bayescal") == program else program
+        line = f"{command} calibrate FILE.csv --instrument mems_gyro --out result"
         picture = f"the picture: {self.out / 'loop.png'}"
-        more = f"{picture}\nwith readings of your own: {line}"
-        return replace(found, written=f"{found.written}\n{more}")
+        hints = f"{picture}\nwith readings of your own: {line}"
+        return replace(calibrated, written=f"{calibrated.written}\n{hints}")
 
 
 class CalibrateCommand(SearchRequest, AsJson, Command):
@@ -229,7 +229,7 @@ class CalibrateCommand(SearchRequest, AsJson, Command):
             )
         noise = Settings(finer_noise=not self.simple_noise)
         with use_settings(noise), result_folder(self.out) as folder:
-            models, readings, kept = request.searched(names, self)
+            models, readings, holdout = request.searched(names, self)
             name, first = next(iter(readings.items()))
             how = {
                 "effects": request.own_effects(self, models[name].instrument, first),
@@ -240,28 +240,28 @@ class CalibrateCommand(SearchRequest, AsJson, Command):
             }
             from bayescal._cli.output import ConsoleReporter, search_shown
 
-            told = ConsoleReporter(self.json_ or bool(names), self.verbose)
+            reporter = ConsoleReporter(self.json_ or bool(names), self.verbose)
             if names:
-                how |= {"holdout": kept or None, "follow": told.follow}
-                found = bc.calibrate_channels(models, readings, **how)
+                how |= {"holdout": holdout or None, "follow": reporter.follow}
+                searched = bc.calibrate_channels(models, readings, **how)
             else:
-                how |= {"holdout": kept.get(""), "follow": partial(told.follow, "")}
-                found = bc.calibrate(models[name], first, **how)
-            made, written = True, ""
+                how |= {"holdout": holdout.get(""), "follow": partial(reporter.follow, "")}
+                searched = bc.calibrate(models[name], first, **how)
+            drawn_all, written = True, ""
             if folder is not None:
-                made = drawn(found.save, folder)
+                drawn_all = drawn(searched.save, folder)
                 usual = ("result.json", CALIBRATION, AVERAGED, "loop.png", MANIFEST)
-                there = (n for n in usual if n in (*files_of(folder), MANIFEST))
-                listed = f"{CHANNELS}, and a folder for each channel" if names else ", ".join(there)
+                files = (n for n in usual if n in (*files_of(folder), MANIFEST))
+                listed = f"{CHANNELS}, and a folder for each channel" if names else ", ".join(files)
                 written = f"{folder}/{listed}"
-            trails = found.trails if isinstance(found, bc.Channels) else {"": found}
+            trails = searched.trails if isinstance(searched, bc.Channels) else {"": searched}
             fitted = {n: t.final.calibration.readings for n, t in trails.items()}
             before = request.flags_of(readings)
             print_notes(flag for flag in request.flags_of(fitted) if flag not in before)
-            text = {"begun": told.begun, "verbose": self.verbose}
-            shown = search_shown(found, self.json_, **text)
-            why = found.reason if isinstance(found, bc.Channels) else found.gate.reason
-            return Answer(shown, ok=found.ok, why=why, made=made, written=written)
+            text = {"begun": reporter.begun, "verbose": self.verbose}
+            content = search_shown(searched, self.json_, **text)
+            why = searched.reason if isinstance(searched, bc.Channels) else searched.gate.reason
+            return Answer(content, ok=searched.ok, why=why, made=drawn_all, written=written)
 
 
 class FitCommand(ModelOptions, ReadRequest, AsJson, Command):
@@ -292,13 +292,13 @@ class FitCommand(ModelOptions, ReadRequest, AsJson, Command):
 
             if calibration.verdict.ok:
                 calibration = calibration.with_verdict(against=calibration.conflicts)
-            shown = fit_data(calibration) if self.json_ else calibration
+            content = fit_data(calibration) if self.json_ else calibration
             verdict, written = calibration.verdict, ""
             if folder is not None:
                 with whole_folder(folder) as hidden:
                     calibration.save(hidden / CALIBRATION)
                 written = f"{folder / CALIBRATION}"
-            return Answer(shown, ok=verdict.reliable, why=verdict.why_not, written=written)
+            return Answer(content, ok=verdict.reliable, why=verdict.why_not, written=written)
 
 
 class CheckCommand(OwnParts, AsJson, Command):
@@ -328,15 +328,16 @@ class DiscoverCommand(OwnParts, AsJson, Command):
         loaded = request.load_saved(self.calibration, self)
         effects = request.own_effects(self, loaded.model.instrument, loaded.readings)
         allowed = {"ignore": self.ignore or (), "covariates": optional_names(self.covariates)}
-        found = bc.discover(loaded, effects=effects, max_effects=self.max_effects, **allowed)
+        discovery = bc.discover(loaded, effects=effects, max_effects=self.max_effects, **allowed)
         from bayescal._report.result_json import experiment_data, missing_data
 
         checked, end = bc.check(loaded), deadline.current()
-        text, data = str(found), missing_data(found, 0, checked)
+        text, data = str(discovery), missing_data(discovery, 0, checked)
         if self.next_experiment and end.over:
             text += f"\n\nnext experiment: left out ({end.why})"
         elif self.next_experiment:
-            ranked = bc.next_experiment(loaded, found.rivals) if len(found.rivals) > 1 else None
+            rivals = discovery.rivals
+            ranked = bc.next_experiment(loaded, rivals) if len(rivals) > 1 else None
             text += f"\n\n{ranked or 'next experiment: nothing here has a rival to be told from'}"
             data["next_experiment"] = None if ranked is None else experiment_data(ranked)
         return Answer(text, data)
@@ -369,13 +370,13 @@ class CompareCommand(ReadRequest, AsJson, Command):
             raise InputError(
                 "compare needs two structures or more: give --structure twice, or never"
             )
-        own = request.own_effects(self, chosen, readings)
+        effects = request.own_effects(self, chosen, readings)
         models = {}
         for name in names:  # "line+bias.thermal_lag"
             first, *added = (part.strip() for part in name.split("+"))
-            asked = ReadRequest()
-            asked.structure, asked.add = first, added
-            models[name] = request.compose(chosen, asked, own)
+            requested = ReadRequest()
+            requested.structure, requested.add = first, added
+            models[name] = request.compose(chosen, requested, effects)
             models[name].require(readings)
         print_notes(readings.flags)
         how = {"seed": self.seed, "strict": False}
@@ -429,7 +430,7 @@ class NoiseCommand(ReadRequest, AsJson, Command):
     """Estimate noise density, bias instability and random walk."""
 
     example = "bayescal noise still.csv --columns output=gyro_x --unit gyro_x=deg/s --yaml imu.yaml"
-    instrument = "still_sensor"  # whose output does not change but by its noise and temperature
+    instrument = "still_sensor"  # whose output changes only by its noise and temperature
     channels: str | None = opt(
         "Columns that are outputs, one after another: gyro_x,acc_x.", metavar="NAME,NAME,…"
     )
@@ -448,36 +449,38 @@ class NoiseCommand(ReadRequest, AsJson, Command):
             )
         _, _, readings = request.open_channels(options.channel_names(self.channels), self)
         if self.channels is None:  # called as the file calls its output
-            one = readings[""]
-            readings = {next((s.output for s in one.sources if s.output), "output"): one}
+            single = readings[""]
+            readings = {next((s.output for s in single.sources if s.output), "output"): single}
         with result_folder(self.out) as folder:
             print_notes(request.flags_of(readings))
-            each, found, written = request.each_device(readings), dict[str, Any](), list[Path]()
-            for i, (name, one) in enumerate(each.items()):
-                with deadline.sooner(1 / (len(each) - i)):
-                    found[name] = bc.noise(one, seed=self.seed)
+            devices, written = request.each_device(readings), list[Path]()
+            results = dict[str, Any]()
+            for i, (name, record) in enumerate(devices.items()):
+                with deadline.sooner(1 / (len(devices) - i)):
+                    results[name] = bc.noise(record, seed=self.seed)
             if self.yaml is not None:
-                text = first_offered("noise_file", "--yaml")(found, self.topic, self.quantile)
+                text = first_offered("noise_file", "--yaml")(results, self.topic, self.quantile)
                 written.append(write_text(text, self.yaml))
 
             def draw(folder: Path) -> None:
                 from bayescal._report.plots import own_style
 
-                pictures = {f"noise_{place}.png": name for name, place in folders_of(found).items()}
+                folders = folders_of(results).items()
+                pictures = {f"noise_{place}.png": name for name, place in folders}
                 with drawing("The Allan deviation"), whole_folder(folder) as hidden:
                     for picture, name in pictures.items():
                         with own_style():
-                            bc.plot.save(bc.plot.noise(found[name]), hidden / picture)
+                            bc.plot.save(bc.plot.noise(results[name]), hidden / picture)
                 written.extend(folder / picture for picture in pictures)
 
-            made = folder is None or drawn(draw, folder)
-            claims = ((name, claim) for name, one in found.items() for claim in one.claims)
+            drawn_all = folder is None or drawn(draw, folder)
+            claims = ((name, claim) for name, result in results.items() for claim in result.claims)
             doubts = (f"{name}: {claim}" for name, claim in claims if claim.severity != "note")
             return Answer(
-                "\n\n".join(f"{name}\n\n{one}" for name, one in found.items()),
-                {name: one.data() for name, one in found.items()},
+                "\n\n".join(f"{name}\n\n{result}" for name, result in results.items()),
+                {name: result.data() for name, result in results.items()},
                 doubt=" ".join(doubts),
-                made=made,
+                made=drawn_all,
                 written=", ".join(map(str, written)),
             )
 
@@ -549,37 +552,37 @@ class ExportCommand(InUse, DecisionRule, Command):
         from bayescal._use.correction_files import kinds
 
         others = {n: write for exports in offered("exports") for n, write in exports().items()}
-        known = [*dict.fromkeys((*(name for kind in kinds() for name in kind.writers), *others))]
+        formats = [*dict.fromkeys((*(name for kind in kinds() for name in kind.writers), *others))]
         if self.format_ is None and self.out is None:
-            raise InputError(f"say which format: --format {', '.join(known)}")
-        if self.format_ not in (None, *known):
-            raise InputError(f"--format {self.format_!r} is not one of {', '.join(known)}")
+            raise InputError(f"say which format: --format {', '.join(formats)}")
+        if self.format_ not in (None, *formats):
+            raise InputError(f"--format {self.format_!r} is not one of {', '.join(formats)}")
         if self.format_ in others:
             return others[self.format_](self)
-        given = [one for _, one in self.loaded()]
-        if not given or isinstance(given[0], bc.Compensator):
+        corrections = [correction for _, correction in self.loaded()]
+        if not corrections or isinstance(corrections[0], bc.Compensator):
             self.refuse_several()
-        return self.written(given)
+        return self.written(corrections)
 
     @property
     def gravity(self) -> float:
-        """Local gravity, m/s²."""
+        """Return the local gravity, m/s²."""
         from bayescal._data.unit_conversion import STANDARD_GRAVITY  # loads NumPy
 
         return self.local_gravity or STANDARD_GRAVITY
 
     def loaded(self, paths: Sequence[Path] | None = None) -> list[tuple[Path, Any]]:
-        """Return files and their corrections; refuse several of which one is of one output."""
-        found = [(p, request.correction_from(p, self)) for p in paths or self.calibrations]
-        single = [path for path, one in found if isinstance(one, bc.Compensator)]
-        if 0 < len(single) < len(found):
+        """Load files and their corrections; raise InputError for several of which one is of one output."""
+        corrections = [(p, request.correction_from(p, self)) for p in paths or self.calibrations]
+        single = [path for path, c in corrections if isinstance(c, bc.Compensator)]
+        if 0 < len(single) < len(corrections):
             raise InputError(
                 f"{single[0]} is of one output, and others are of three axes: give it alone"
             )
-        return found
+        return corrections
 
     def refuse_several(self) -> None:
-        """Refuse more than one calibration, or none."""
+        """Raise InputError for more than one calibration, or none."""
         named = ", and --axis or --device-id" * bool(self.axis or self.device_id)
         if len(self.calibrations) != 1 or named:
             raise InputError(
@@ -588,20 +591,21 @@ class ExportCommand(InUse, DecisionRule, Command):
             )
 
     def written(self, corrections: Sequence[Any]) -> Answer:
-        """Write corrections to one file, or give them as text; say what that has no place for."""
+        """Write corrections to one file, or return them as text; warn of parts that the format cannot hold."""
         from bayescal._use import correction_files as files
 
-        each = [getattr(one, "program", one) for one in corrections]
-        kind, format = files.kind_of(each[0]), files.format_of(self.out, self.format_)
-        how = {"name": self.name, "others": each[1:], "uncertainty": not self.without_uncertainty}
-        text = files.as_text(each[0], format, **how)
+        programs = [getattr(correction, "program", correction) for correction in corrections]
+        kind, format = files.kind_of(programs[0]), files.format_of(self.out, self.format_)
+        first, *others = programs
+        how = {"name": self.name, "others": others, "uncertainty": not self.without_uncertainty}
+        text = files.as_text(first, format, **how)
         if self.out is not None:
             text = f"written: {write_text(text, self.out)}"
-        names = [one.about_it()[0] for one in each]
-        left = [(name, kind.left_out(one, format)) for name, one in zip(names, each, strict=True)]
-        print_notes([f"{name}: {words}" for name, words in left if words])
+        names = [program.about_it()[0] for program in programs]
+        omitted = zip(names, (kind.left_out(p, format) for p in programs), strict=True)
+        print_notes([f"{name}: {words}" for name, words in omitted if words])
         alone = isinstance(corrections[0], bc.Compensator)
-        judged = {f"{n}:" * (not alone): one for n, one in zip(names, corrections, strict=True)}
+        judged = {f"{n}:" * (not alone): c for n, c in zip(names, corrections, strict=True)}
         return Answer(text.removesuffix("\n"), **request.reliable(judged))
 
 
@@ -615,8 +619,8 @@ class BudgetCommand(InUse, AsJson, Command):
 
     def answer(self) -> Answer:
         chosen = request.compensator_from(self.calibration, self)
-        found = bc.budget(chosen, named_numbers(self.at, "--at"), k=self.k)
-        return Answer(found, **request.reliable({"": chosen}))
+        result = bc.budget(chosen, named_numbers(self.at, "--at"), k=self.k)
+        return Answer(result, **request.reliable({"": chosen}))
 
 
 class ReportCommand(OwnParts, DecisionRule, AsJson, Command):
@@ -635,20 +639,20 @@ class ReportCommand(OwnParts, DecisionRule, AsJson, Command):
         stated = decided = None
         if self.certificate:
             stated = first_offered("certificate", "--certificate")(self.certificate)
-        given = request.chapters_from(self.calibrations, self)
+        chapters = request.chapters_from(self.calibrations, self)
         if self.limit:
-            if len(given) != 1:
+            if len(chapters) != 1:
                 raise InputError(
-                    f"--limit decides about one result, {len(given)} were given: report each by itself"
+                    f"--limit decides about one result, {len(chapters)} were given: report each by itself"
                 )
             decide = first_offered("decided", "--limit")
-            decided = decide(given[0].used, self.limit, **self.deciding())
+            decided = decide(chapters[0].used, self.limit, **self.deciding())
         how = {"title": self.title, "certificate": stated}
-        whole = drawn(partial(bc.report, given, self.out, decisions=decided, **how))
-        verdicts = [c.data["verdict"] for c in given]
+        whole = drawn(partial(bc.report, chapters, self.out, decisions=decided, **how))
+        verdicts = [c.data["verdict"] for c in chapters]
         return Answer(
             f"written: {self.out}",
-            {"file": str(self.out), "chapters": len(given)},
+            {"file": str(self.out), "chapters": len(chapters)},
             ok=all(v["ok"] for v in verdicts),
             why=" ".join(reason for v in verdicts for reason in v["reasons"]),
             doubt=decided.doubt if decided else "",

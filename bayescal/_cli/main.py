@@ -29,15 +29,15 @@ from bayescal._core.jax_setup import obey_no_folder
 from bayescal._core.quoting import one_line
 from bayescal._search.own_files import in_one_line, own_file_line
 
-# New objects between two looks for unreachable ones: a look at a million takes a quarter of a second.
-# Python's own 700 look thirty times while modules load.
-OBJECTS = 1_000_000
+# New objects between two garbage collections: one of a million takes a quarter of a second.
+# With Python's own 700 there are thirty while modules load.
+COLLECTION_OBJECTS = 1_000_000
 INTERRUPTED = 130  # 128 + SIGINT, as shells have it
 OUT_OF_MEMORY = re.compile("RESOURCE_EXHAUSTED|bad_alloc|Cannot allocate memory")  # XLA, C++, C
 
 
-def application(asked: str | None = None) -> typer.Typer:
-    """Return every command; with the options of one alone, if one is asked for: those of all take as long as typer."""
+def application(name: str | None = None) -> typer.Typer:
+    """Return every command, with the options of `name` alone, if given: parsing those of all takes as long as typer."""
     app = typer.Typer(
         name="bayescal",
         help="Bayesian calibration of inertial and tilt sensors: compare, see where the model fails, "
@@ -50,17 +50,17 @@ def application(asked: str | None = None) -> typer.Typer:
     )
     for group in (commands.COMMANDS, *offered("commands")):
         for command in group:
-            name, words = command.called(), inspect.getdoc(command)
-            shown = command if asked in (None, name) else lambda: None
-            app.command(name, help=words, epilog=f"Example: {command.example}")(shown)
+            called, words = command.called(), inspect.getdoc(command)
+            parsed = command if name in (None, called) else lambda: None
+            app.command(called, help=words, epilog=f"Example: {command.example}")(parsed)
     return app
 
 
 def main() -> NoReturn:
-    """Run the command line and end the process there and then.
+    """Run the command line and end the process at once.
 
-    Files are closed and workers gone by now. What Python and JAX would take down on their way out, a hundred programs
-    and a thousand modules, is memory that goes with the process: it took 0.9 s of each command.
+    Files are closed and workers ended by now. The clean-up of Python and JAX, of a hundred programs and a thousand
+    modules, would only free memory that is freed with the process: it took 0.9 s of each command.
     """
     status = command()
     for stream in (sys.stdout, sys.stderr):
@@ -72,20 +72,20 @@ def main() -> NoReturn:
 
 
 def command() -> int:
-    """Run the command that is asked for: its exit status. Every refusal is a sentence on stderr, never a traceback."""
+    """Run the requested command and return its exit status. Every error is a sentence on stderr, never a traceback."""
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="replace")  # where ° or µ cannot be shown, ? is
     obey_no_folder()
-    gc.set_threshold(OBJECTS)
+    gc.set_threshold(COLLECTION_OBJECTS)
     try:
-        asked = next((word for word in sys.argv[1:] if not word.startswith("-")), "")
-        found = application(asked)(standalone_mode=False, prog_name="bayescal")
-        if isinstance(found, Command):
-            found.refuse_overwriting()
-            found = found.run()
+        name = next((word for word in sys.argv[1:] if not word.startswith("-")), "")
+        outcome = application(name)(standalone_mode=False, prog_name="bayescal")
+        if isinstance(outcome, Command):
+            outcome.refuse_overwriting()
+            outcome = outcome.run()
         sys.stdout.flush()
-        return found if isinstance(found, int) else 0
+        return outcome if isinstance(outcome, int) else 0
     except (NotConverged, NotDrawn) as error:
         return _failed(str(error), 1)
     except BayescalError as error:
@@ -96,11 +96,11 @@ def command() -> int:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 0
     except BaseException as error:
-        return _failed(_in_words(error), 2)
+        return _failed(_user_message(error), 2)
 
 
-def _in_words(error: BaseException) -> str:
-    """Return what a user did or has that ended a command; raise what is no user's doing."""
+def _user_message(error: BaseException) -> str:
+    """Format an error that a user can resolve; raise any other."""
     short = isinstance(error, MemoryError) or OUT_OF_MEMORY.search(str(error))
     if short or getattr(error, "errno", None) == errno.ENOMEM:
         return "too little memory: give fewer readings (--average), or allow more"
@@ -113,12 +113,12 @@ def _in_words(error: BaseException) -> str:
     if usage is None:
         raise error
     context = getattr(error, "ctx", None)
-    said = (usage() or "Give a command, such as: bayescal demo").rstrip(".")
-    return f"{said}. See: {context.command_path if context else 'bayescal'} --help"
+    usage_text = (usage() or "Give a command, such as: bayescal demo").rstrip(".")
+    return f"{usage_text}. See: {context.command_path if context else 'bayescal'} --help"
 
 
 def _failed(message: str, status: int, listed: bool = False) -> int:
-    """Return the status, once the message is on stderr."""
+    """Print a message on stderr and return the status."""
     with contextlib.suppress(OSError):  # nowhere to say it: the status still does
         text = message if listed else " ".join(message.split())
         text = "\n".join(map(one_line, text.split("\n")))  # no name moves the cursor

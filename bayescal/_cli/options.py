@@ -1,7 +1,7 @@
-"""What a command is, a data class of its options, and its answer; groups of options that commands share: its bases.
+"""Base classes of commands (data classes of their options), their answers, and groups of shared options.
 
 Typer shows and runs a data class as it does a function. Annotations are no text here: typer would look for their names
-in the module of the command. Light: `bayescal --help` reads it.
+in the module of the command. This module imports little: `bayescal --help` loads it.
 """
 
 import math
@@ -23,34 +23,34 @@ from bayescal._report.whole_folder import AVERAGED, CALIBRATION, CHANNELS, MANIF
 from bayescal._tables.mapping_file import load_mapping, save_mapping
 
 METHODS = {"marginal": "Marginal", "least-squares": "LeastSquares", "nuts": "NUTS"}  # public names
-OUTPUTS = ("out", "yaml", "save_mapping")  # options that name what is written
-IN_FOLDER = (CALIBRATION, AVERAGED, MANIFEST, CHANNELS, "result.json")  # what is read of a folder
+OUTPUTS = ("out", "yaml", "save_mapping")  # options that name output files
+IN_FOLDER = (CALIBRATION, AVERAGED, MANIFEST, CHANNELS, "result.json")  # files read of a folder
 Texts = list[str] | None
 
 
-def said_values(given: Texts, option: str) -> dict[str, list[str]]:
-    """Return name=value options, every value of a name; refuse another form."""
+def parse_values(texts: Texts, option: str) -> dict[str, list[str]]:
+    """Parse name=value options, every value of a name; raise InputError for another form."""
     values = dict[str, list[str]]()
-    for one in given or []:
-        name, equals, value = (part.strip() for part in one.partition("="))
+    for text in texts or []:
+        name, equals, value = (part.strip() for part in text.partition("="))
         if not (name and equals and value):
-            raise InputError(f"{option} {one!r} is not of the form name=value")
+            raise InputError(f"{option} {text!r} is not of the form name=value")
         if value not in values.setdefault(name, []):
             values[name].append(value)
     return values
 
 
 def named_values(given: Texts, option: str) -> dict[str, str]:
-    """Return name=value options as a dictionary; refuse a name that has two values."""
-    found = said_values(given, option)
-    for name, values in found.items():
+    """Parse name=value options to a dictionary; raise InputError for a name with two values."""
+    values_by_name = parse_values(given, option)
+    for name, values in values_by_name.items():
         if len(values) > 1:
             raise InputError(f"{option} says {name} twice, {' and '.join(values)}: say it once")
-    return {name: value for name, (value,) in found.items()}
+    return {name: value for name, (value,) in values_by_name.items()}
 
 
 def named_numbers(given: Texts, option: str) -> dict[str, float]:
-    """Return name=number options as a dictionary; refuse what is no finite number."""
+    """Parse name=number options to a dictionary; raise InputError for a value that is no finite number."""
     numbers = {}
     for name, value in named_values(given, option).items():
         try:
@@ -63,17 +63,17 @@ def named_numbers(given: Texts, option: str) -> dict[str, float]:
 
 
 def names_in(given: str | None) -> list[str]:
-    """Return the names between commas."""
+    """Split names at commas."""
     return [name for part in (given or "").split(",") if (name := part.strip())]
 
 
-def optional_names(given: str | None) -> list[str] | None:
-    """Return the names between commas; None where nothing is given."""
-    return None if given is None else names_in(given)
+def optional_names(text: str | None) -> list[str] | None:
+    """Split names at commas; None where none are given."""
+    return None if text is None else names_in(text)
 
 
 def channel_names(given: str | None) -> list[str]:
-    """Return the names of --channels, none where it is not given; refuse fewer than two, or one twice."""
+    """Split the names of --channels, [] where it is not given; raise InputError for fewer than two, or one twice."""
     names = names_in(given)
     if given is not None and (len(names) < 2 or len(set(names)) < len(names)):
         raise InputError(
@@ -83,7 +83,7 @@ def channel_names(given: str | None) -> list[str]:
 
 
 def refuse_missing(files: list[Path] | None) -> list[Path] | None:
-    """Refuse files that are not there, in the words of `read`, before an instrument loads, which takes seconds."""
+    """Raise InputError for missing files, as `read` does, before an instrument loads, which takes seconds."""
     if files and not all(map(os.path.isfile, files)):
         from bayescal._tables.open_table import check_files
 
@@ -119,7 +119,7 @@ class Options:
             dataclass(kw_only=True, eq=False, repr=False)(cls)
 
     def __post_init__(self) -> None:
-        """Give what was made in Python the defaults that typer gives."""
+        """Set the defaults that typer sets, for a command that was made in Python."""
         for name, value in vars(self).items():
             if isinstance(value, ParameterInfo):
                 setattr(self, name, value.default)
@@ -127,26 +127,26 @@ class Options:
 
 @dataclass(frozen=True)
 class Answer:
-    """What a command found: it is printed, in words or as data, and settles the exit status."""
+    """Result of a command: printed, as text or as data, and the source of the exit status."""
 
-    shown: Any  # prints itself; plain data is printed as JSON; None where all is said
-    data: Any = None  # for --json; what `shown.data()` gives if not given
+    shown: Any  # prints itself; plain data is printed as JSON; None for nothing to print
+    data: Any = None  # for --json; by default `shown.data()`
     ok: bool = True  # whether the result may be used; where not, the status is 1
-    why: str = ""  # what stands against it
-    doubt: str = ""  # what is noted beside a result that may be used, and makes the status 1 too
-    made: bool = True  # whether all that is drawn of it could be: where not, the status is 1
-    written: str = ""  # which files there are
+    why: str = ""  # the reason against its use
+    doubt: str = ""  # a warning of a result that may be used, which makes the status 1 too
+    made: bool = True  # whether all pictures could be drawn: where not, the status is 1
+    written: str = ""  # names of the files written
 
     def tell(self, json_: bool) -> bool:
-        """Print it; whether it may be used and all was drawn: if not, the status is 1."""
-        shown = self.shown
+        """Print it; return whether it may be used and all was drawn: if not, the status is 1."""
+        content = self.shown
         if json_:
-            own = shown.data() if self.data is None and hasattr(shown, "data") else self.data
-            shown = shown if own is None else own
-        if isinstance(shown, dict | list):
-            shown = json_text(as_json(shown)).rstrip("\n")
-        if shown is not None:
-            print(shown)
+            data = content.data() if self.data is None and hasattr(content, "data") else self.data
+            content = content if data is None else data
+        if isinstance(content, dict | list):
+            content = json_text(as_json(content)).rstrip("\n")
+        if content is not None:
+            print(content)
         if self.written and not json_:
             print(f"\nwritten: {self.written}")
         if not self.ok:
@@ -156,10 +156,10 @@ class Answer:
         return self.ok and self.made and not self.doubt
 
 
-def drawn(make: Callable[..., Any], *given: Any) -> bool:
-    """Make pictures or a page of a result that is written; whether they could be made: where not, that is said."""
+def drawn(make: Callable[..., Any], *arguments: Any) -> bool:
+    """Draw pictures or a page of a written result; return whether that succeeded, with a note on stderr if not."""
     try:
-        make(*given)
+        make(*arguments)
     except NotDrawn as error:
         print_notes([str(error)])
         return False
@@ -167,11 +167,11 @@ def drawn(make: Callable[..., Any], *given: Any) -> bool:
 
 
 class Command(Options):
-    """A command: its documentation is its help, and `answer` carries it out.
+    """A command: its docstring is its help, and `answer` runs it.
 
     Attributes:
         example: how it is called, for the end of its help.
-        in_place: name of what it reads that its `out` may take the place of.
+        in_place: name of the input that its `out` may replace.
         json_: whether its answer is printed as JSON.
     """
 
@@ -182,23 +182,23 @@ class Command(Options):
 
     @classmethod
     def called(cls) -> str:
-        """Return its name on the command line."""
+        """Return the command's name on the command line."""
         return cls.__name__.removesuffix("Command").lower()
 
     def run(self) -> int:
-        """Carry it out and print its answer; return the exit status."""
+        """Run the command and print its answer; return the exit status."""
         limit = getattr(self, "time_limit", None)
         with stage(self.called(), INTERVAL_SECONDS), deadline.until(limit):
             answer = self.answer()
             return int(answer is not None and not answer.tell(self.json_))
 
     def refuse_overwriting(self) -> None:
-        """Refuse an output whose path is an input's."""
-        given = {n: v for n, v in vars(self).items() if v and n not in (*OUTPUTS, "mapping")}
+        """Raise InputError for an output whose path is an input's."""
+        options = {n: v for n, v in vars(self).items() if v and n not in (*OUTPUTS, "mapping")}
         for name in OUTPUTS:
             out = str(getattr(self, name, None) or "")
-            kept = (v for n, v in given.items() if (name, n) != ("out", self.in_place))
-            read = filter(os.path.isfile, (path for value in kept for path in _paths(value)))
+            inputs = (v for n, v in options.items() if (name, n) != ("out", self.in_place))
+            read = filter(os.path.isfile, (path for value in inputs for path in _paths(value)))
             if os.path.isfile(out) and any(os.path.samefile(out, path) for path in read):
                 option = f"--{name.replace('_', '-')}"
                 raise InputError(f"{option} {out} is a file that is read: name another")
@@ -206,21 +206,21 @@ class Command(Options):
 
 def _paths(value: Any) -> Iterator[Path]:
     """Yield the files that an option may name: as a path, a folder of results, gyro_x=a.nc, my.py:INSTRUMENT."""
-    for one in value if isinstance(value, list) else [value]:
-        named = (str(one).rpartition("=")[2], str(one).rpartition(":")[0])
-        for path in (one,) if isinstance(one, Path) else (Path(name) for name in named if name):
+    for item in value if isinstance(value, list) else [value]:
+        named = (str(item).rpartition("=")[2], str(item).rpartition(":")[0])
+        for path in (item,) if isinstance(item, Path) else (Path(name) for name in named if name):
             folder = path.parent if path.name in IN_FOLDER else path
             yield from (path, *(folder / name for name in IN_FOLDER))
 
 
 class AsJson(Options):
-    """Whether an answer is printed as JSON."""
+    """Option to print an answer as JSON."""
 
     json_: bool = Option(False, help="Print the result as JSON on stdout.")
 
 
 def opt(help: str, default: Any = None, *names: str, **how: Any) -> Any:
-    """Return an option of typer's, as the default of a field; called after the field, if no names are given."""
+    """Return an option of typer's, as the default of a field; named after the field, if no names are given."""
     return Option(default, *names, help=help, **how)
 
 
@@ -263,11 +263,11 @@ class Shared:
     local_gravity = opt("Local gravity, m/s², if it is not 9.80665.", min=1.0)
 
 
-NOT_ASKED: Any = None  # of what a command has no option for
+NO_OPTION: Any = None  # for settings without an option in a command
 
 
 class ColumnOptions(Options):
-    """How the columns of the files are to be understood."""
+    """Options of reading the columns of files."""
 
     columns: Texts = opt("output=gyro_x: our column = the file's; repeat, also where files differ.")
     unit: Texts = opt("gyro_x=rad/s: unit of a column; repeat for more.")
@@ -287,43 +287,43 @@ class ColumnOptions(Options):
     save_mapping: Path | None = opt("TOML file to keep these options in, for --mapping.")
 
     def for_read(self) -> dict[str, Any]:
-        """Return them as arguments of `read`; those of the mapping where no option says otherwise.
+        """Return the options as arguments of `read`; those of the mapping where no option overrides it.
 
         Raises:
             InputError: an option is not of its form, or the mapping cannot be used.
         """
         saved = {} if self.mapping is None else load_mapping(self.mapping)
-        columns = said_values(self.columns, "--columns")
-        own: dict[str, dict[str, Any]] = {
+        columns = parse_values(self.columns, "--columns")
+        repeated: dict[str, dict[str, Any]] = {
             "columns": {n: v[0] if len(v) == 1 else v for n, v in columns.items()},
             "units": named_values(self.unit, "--unit"),
             "unwrap": named_values(self.unwrap, "--unwrap"),
             "begin": {f: t for f, _, t in (b.rpartition("=") for b in self.begin or ())},
         }
-        saved |= {name: saved.get(name, {}) | values for name, values in own.items()}
+        saved |= {name: saved.get(name, {}) | values for name, values in repeated.items()}
         single = (
             "local_gravity local_field missing decimal date_order nominal_scale nominal_zero ignore"
         )
-        given = {n: v for n in single.split() if (v := getattr(self, n)) is not None}
-        return {"missing": "refuse", "decimal": "", **saved, **given}
+        single_values = {n: v for n in single.split() if (v := getattr(self, n)) is not None}
+        return {"missing": "refuse", "decimal": "", **saved, **single_values}
 
     def keep(self) -> None:
-        """Save the mapping, where that is asked for, once the files have been read with it."""
+        """Save the mapping, if --save-mapping is given, once the files have been read with it."""
         if self.save_mapping is not None:
             save_mapping(self.save_mapping, self.for_read())
 
 
 class ReadRequest(ColumnOptions):
-    """What a command is asked to fit: files, how these are understood, and of which model, what it has options for."""
+    """Options of a fit: files, their columns, and the model."""
 
     files: list[Path] = Shared.files
-    fix = reference = add = structure = effects_file = typed = average = NOT_ASKED
+    fix = reference = add = structure = effects_file = typed = average = NO_OPTION
     keep_spikes = False  # single readings far from both neighbours are set aside
     instrument = ""
 
 
 class ModelOptions(Options):
-    """Which model of an instrument: its structure, effects added, coefficients fixed, constants of the bases."""
+    """Options of model of an instrument: its structure, effects added, coefficients fixed, constants of the bases."""
 
     fix: Texts = opt("bias.temperature=0.041: hold an unknown at a value, in its unit; repeat.")
     reference: Texts = Shared.reference
@@ -334,7 +334,7 @@ class ModelOptions(Options):
 
 
 class SearchRequest(ModelOptions, ReadRequest):
-    """What a command is asked to search, and how."""
+    """Options of a search."""
 
     instrument: str = Shared.instrument
     average: str | None = Shared.average
@@ -351,7 +351,7 @@ class SearchRequest(ModelOptions, ReadRequest):
     seed: int = Shared.seed
 
     def settings(self) -> dict[str, Any]:
-        """Return what a search takes by the same names, on the command line and in a browser."""
+        """Return the settings of a search that have the same names on the command line and in a browser."""
         return {
             "max_effects": self.max_effects,
             "keep_spikes": self.keep_spikes,
@@ -361,7 +361,7 @@ class SearchRequest(ModelOptions, ReadRequest):
 
 
 class OwnParts(Options):
-    """What a saved calibration needs that is not installed: effects and an instrument of the user's own."""
+    """Options of a saved calibration that needs effects and an instrument of the user's own."""
 
     effects_file: Path | None = Shared.effects
     instrument_file: str | None = opt(
@@ -372,7 +372,7 @@ class OwnParts(Options):
 
 
 class UsedParts(OwnParts):
-    """The same where a number leaves: it comes from all structures that share the probability, or from one."""
+    """Options of a result in use, which is averaged over the probable structures, or of the best one."""
 
     one_structure: str = opt(
         "'average' over the probable structures, or 'best' of them.", "average", "--structure"
@@ -380,22 +380,22 @@ class UsedParts(OwnParts):
 
 
 class InUse(UsedParts):
-    """The same of an instrument in use: which run, cell or device it is."""
+    """Options of an instrument in use: its run, cell or device."""
 
     member: Texts = opt("device=A17: which device is used; repeat for more.")
 
     @property
     def members(self) -> dict[str, str]:
-        """Group → its member."""
+        """Return group → its member."""
         return named_values(self.member, "--member")
 
 
 class DecisionRule(Options):
-    """By which rule it is decided whether a limit is met."""
+    """Options of the decision rule for limits."""
 
     rule: str = opt("guarded, simple or shared-risk, as agreed on beforehand.", "guarded")
     false_accept: float = opt("Probability of false acceptance of 'guarded'.", 0.025)
 
     def deciding(self) -> dict[str, Any]:
-        """Return it as `decide` takes it."""
+        """Return the options as `decide` takes them."""
         return {"rule": self.rule, "false_accept": self.false_accept}

@@ -1,6 +1,6 @@
-"""What the options ask for: an instrument, a model, readings, a method; saved calibrations and what is made of them.
+"""Objects that options request: an instrument, a model, readings, a method; saved calibrations and corrections.
 
-A bad file is refused before JAX loads; no sampler loads here, and what is heavy with the first calibration.
+A bad file is refused before JAX loads; samplers and other heavy modules load with the first calibration.
 """
 
 from __future__ import annotations
@@ -42,11 +42,11 @@ if TYPE_CHECKING:
     from bayescal._report.result_json import Chapter
     from bayescal._use.compensation_program import CorrectionInUse
 
-LONG_LOG = 20_000  # readings, beyond which means over short times say as much and are sooner done
+LONG_LOG_READINGS = 20_000  # beyond, means over short times have as much information
 
 
 def open_request(asked: ReadRequest) -> tuple[Instrument, Model, Measurements]:
-    """Return instrument, model and readings that are asked for; the instrument tailored to the readings."""
+    """Return the requested instrument, model and readings; the instrument tailored to the readings."""
     _, models, readings = open_channels((), asked)
     return models[""].instrument, models[""], readings[""]
 
@@ -54,35 +54,31 @@ def open_request(asked: ReadRequest) -> tuple[Instrument, Model, Measurements]:
 def open_channels(
     names: Sequence[str], asked: ReadRequest
 ) -> tuple[Instrument, dict[str, Model], dict[str, Measurements]]:
-    """Return instrument, models and readings of the channels of one unit; a model has it tailored to its readings.
+    """Return instrument, models and readings of a unit's channels; each model's instrument is tailored to its readings.
 
     Args:
         names: of the channels; none: a single output, called "".
-        asked: what is.
+        asked: the command's options.
 
     Raises:
-        InputError, ModelError: something in it cannot be used; says what.
+        InputError, ModelError: an option, file or effect cannot be used.
     """
     general = instrument_named(asked.instrument)
-    found = _read(asked.files, general, asked, names)
+    records = _read(asked.files, general, asked, names)
     if not asked.typed and general.tailor is None:  # what is typed may need the readings
         compose(general, asked, user_effects(asked.effects_file))
-    for one in found.values():
-        # Rests are looked for in the log of a triad: it is averaged over them.
-        if (
-            len(one) > LONG_LOG
-            and asked.average is None
-            and one.has("time")
-            and not general.outputs
-        ):
-            mean = f"--average TIME, means of {-(-len(one) // LONG_LOG)} or more"
-            said = f"{len(one):,} readings: {mean}, leaves nearly the same information"
-            print_notes([f"{one.file}: {said}"])
-    readings = {n: averaged(one, asked.average, asked.keep_spikes) for n, one in found.items()}
+    for record in records.values():
+        # The log of a triad is averaged over its rests.
+        averages = asked.average is not None or general.outputs
+        if len(record) > LONG_LOG_READINGS and record.has("time") and not averages:
+            mean = f"--average TIME, means of {-(-len(record) // LONG_LOG_READINGS)} or more"
+            note = f"{len(record):,} readings: {mean}, leaves nearly the same information"
+            print_notes([f"{record.file}: {note}"])
+    readings = {n: averaged(r, asked.average, asked.keep_spikes) for n, r in records.items()}
     models = {}
-    for name, one in readings.items():
-        tailored = general.for_readings(one)
-        models[name] = compose(tailored, asked, own_effects(asked, tailored, one))
+    for name, record in readings.items():
+        tailored = general.for_readings(record)
+        models[name] = compose(tailored, asked, own_effects(asked, tailored, record))
     asked.keep()
     return general, models, readings
 
@@ -90,9 +86,9 @@ def open_channels(
 def own_effects(
     asked: Any, instrument: Instrument, readings: Measurements | None
 ) -> tuple[Effect, ...]:
-    """Return effects of the user's own: of a file, and typed; refuse a file that fails, a formula that is none."""
-    made = (bc.effect(t, readings=readings, instrument=instrument) for t in asked.typed or ())
-    return (*user_effects(asked.effects_file), *made)
+    """Load effects of the user's own: of a file, and typed; raise InputError for a file or a formula with an error."""
+    typed = (bc.effect(t, readings=readings, instrument=instrument) for t in asked.typed or ())
+    return (*user_effects(asked.effects_file), *typed)
 
 
 def _read(
@@ -100,14 +96,14 @@ def _read(
 ) -> dict[str, Measurements]:
     outputs: dict[str, Any] = {"outputs": list(names)} if names else {}
     with stage("reading"):
-        found = bc.read(list(files), of, **asked.for_read(), **outputs)
-    return found if names else {"": found}  # pyright: ignore[reportReturnType]
+        readings = bc.read(list(files), of, **asked.for_read(), **outputs)
+    return readings if names else {"": readings}  # pyright: ignore[reportReturnType]
 
 
 def averaged(
     readings: Measurements, average: str | None, keep_spikes: bool = False
 ) -> Measurements:
-    """Return the means that --average asks for; clipped readings and spikes are set aside before: a mean hides them."""
+    """Average readings by --average; clipped readings and spikes are set aside before, as a mean hides them."""
     if average is None:
         return readings
     from bayescal._data.set_aside import set_aside
@@ -116,8 +112,8 @@ def averaged(
 
 
 def compose(instrument: Instrument, asked: Any, own: Sequence[Effect] = ()) -> Model:
-    """Return the model that is asked for: a structure or the baseline, effects added, coefficients fixed."""
-    known = {effect.name: effect for effect in own}
+    """Compose the requested model: a structure or the baseline, effects added, coefficients fixed."""
+    effects = {effect.name: effect for effect in own}
     structures = {"": instrument.baseline, **dict(instrument.structures)}
     chosen = asked.structure or ""
     if chosen not in structures:
@@ -127,12 +123,12 @@ def compose(instrument: Instrument, asked: Any, own: Sequence[Effect] = ()) -> M
         )
     model = structures[chosen]()
     for name in asked.add or []:
-        model = model + known.get(name, name)
+        model = model + effects.get(name, name)
     return model.fix(named_numbers(asked.fix, "--fix"))
 
 
 def law_named(name: str, model: Model, readings: Measurements) -> Noise:
-    """Return a noise law by its name: the model's own, or one of those that a search would weigh on these readings."""
+    """Return noise law by its name: the model's own, or one of those that a search would compare on these readings."""
     from bayescal._model.frame import build_frame
     from bayescal._model.frame import reference_of as constants_of
     from bayescal._search.noise_laws import laws_over
@@ -155,26 +151,26 @@ def method_named(name: str) -> Method:
 def searched(
     names: Sequence[str], asked: SearchRequest
 ) -> tuple[dict[str, Model], dict[str, Measurements], dict[str, Measurements]]:
-    """Return models, readings and hold-out data by channel ("" where there is one output); say what is to be noted."""
+    """Return models, readings and hold-out data by channel ("" for one output); print the readings' flags."""
     general, models, readings = open_channels(names, asked)
-    kept = {}
+    holdout = {}
     if asked.holdout:
         of = general if names else models[""].instrument
-        found = _read(asked.holdout, of, asked, names)
-        kept = {n: averaged(one, asked.average, asked.keep_spikes) for n, one in found.items()}
+        records = _read(asked.holdout, of, asked, names)
+        holdout = {n: averaged(r, asked.average, asked.keep_spikes) for n, r in records.items()}
     print_notes(flags_of(readings))
-    return models, readings, kept
+    return models, readings, holdout
 
 
 def flags_of(readings: Mapping[str, Measurements]) -> list[str]:
-    """Return notes on the readings of channels: what holds for all once, the others with the channel's name."""
-    said = dict[str, list[str]]()
-    for name, one in readings.items():
-        for flag in one.flags:
-            said.setdefault(flag, []).append(name)
+    """Return the flags of channels: those of all channels once, the others with the channel's name."""
+    names_by_flag = dict[str, list[str]]()
+    for name, record in readings.items():
+        for flag in record.flags:
+            names_by_flag.setdefault(flag, []).append(name)
     return [
         flag if len(names) == len(readings) else f"{', '.join(names)}: {flag}"
-        for flag, names in said.items()
+        for flag, names in names_by_flag.items()
     ]
 
 
@@ -183,36 +179,36 @@ def each_device(readings: Mapping[str, Measurements]) -> dict[str, Measurements]
     from bayescal._data.header_matching import BEGINNINGS, plain
     from bayescal._data.unit_conversion import is_convertible
 
-    found = dict(readings)
+    split = dict(readings)
     for group in ("device", "axis"):
-        before, found = found, {}
-        for name, one in before.items():
-            levels, codes = one.groups(group)
+        before, split = split, {}
+        for name, record in before.items():
+            levels, codes = record.groups(group)
             if len(levels) == 1:
-                found[name] = one
+                split[name] = record
                 continue
-            unit = one.unit(one.output) or ""
+            unit = record.unit(record.output) or ""
             for code, label in enumerate(levels):
-                found[f"{name}, {group} {label}"] = one.select(codes == code)
+                split[f"{name}, {group} {label}"] = record.select(codes == code)
                 kinds = (k for k, words in BEGINNINGS.items() if plain(label).startswith(words))
                 if any(not is_convertible(kind, unit) for kind in kinds):
                     raise InputError(
-                        f"{one.file}: the column {group!r} names {label!r}, whose output is not in "
+                        f"{record.file}: the column {group!r} names {label!r}, whose output is not in "
                         f"{unit or 'no unit'}: give the readings of each sensor in a file of their own"
                     )
-    return found
+    return split
 
 
 # saved calibrations ---------------------------------------------------------------------------------------------------
 
 
 def reliable(given: Mapping[str, bc.Compensator | CorrectionInUse]) -> dict[str, Any]:
-    """Return whether what was written is of results that may be used, as an `Answer` has it."""
-    told = [f"{name} {one.why_not}".strip() for name, one in given.items() if one.why_not]
-    return {"ok": not told, "why": "; ".join(told)}
+    """Return whether the results written may be used, as keyword arguments of `Answer`."""
+    reasons = [f"{name} {c.why_not}".strip() for name, c in given.items() if c.why_not]
+    return {"ok": not reasons, "why": "; ".join(reasons)}
 
 
-def _own(parts: OwnParts) -> dict[str, Any]:
+def _own_parts(parts: OwnParts) -> dict[str, Any]:
     """Return the user's own effects and instrument, as `bc.load` takes them."""
     named = parts.instrument_file
     instruments = () if named is None else (instrument_named(named),)
@@ -242,21 +238,21 @@ def load_saved(path: Path, own: OwnParts) -> bc.Calibration:
         if own.one_structure == "average" and AVERAGED in files_of(path.parent):
             path = path.with_name(AVERAGED)
     refuse_mixed(path.parent, path.name)
-    return bc.load(path, **_own(own))
+    return bc.load(path, **_own_parts(own))
 
 
 def compensator_from(path: Path, own: InUse) -> bc.Compensator:
-    """Return the compensator of a saved calibration of one output, or one exported as JSON."""
-    found = correction_from(path, own)
-    if not isinstance(found, bc.Compensator):
+    """Load the compensator of a saved calibration of one output, or one exported as JSON."""
+    correction = correction_from(path, own)
+    if not isinstance(correction, bc.Compensator):
         raise InputError(
             f"{path} is of three axes: `bayescal export` writes its correction, in Python bc.vector_correction makes it"
         )
-    return found
+    return correction
 
 
 def correction_from(path: Path, own: InUse) -> bc.Compensator | CorrectionInUse:
-    """Return what corrects readings, of one output or three axes: of a saved calibration, or exported as JSON."""
+    """Load a correction, of one output or three axes: of a saved calibration, or exported as JSON."""
     if path.suffix.lower() == ".json":
         from bayescal._use.compensation_program import CompensationProgram
         from bayescal._use.correction_files import load_correction
@@ -265,9 +261,9 @@ def correction_from(path: Path, own: InUse) -> bc.Compensator | CorrectionInUse:
             raise InputError(
                 f"{path.name} is an export, made for its members: give the calibration"
             )
-        found = load_correction(path)
-        one = isinstance(found, CompensationProgram)
-        return bc.Compensator(loaded=found) if one else found
+        correction = load_correction(path)
+        single = isinstance(correction, CompensationProgram)
+        return bc.Compensator(loaded=correction) if single else correction
     calibration = load_saved(path, own)
     if calibration.model.instrument.vector is None:
         return bc.compensator(calibration, members=own.members)
@@ -275,18 +271,18 @@ def correction_from(path: Path, own: InUse) -> bc.Compensator | CorrectionInUse:
 
 
 def of_units(paths: list[Path], file: str = "") -> list[Path]:
-    """Return a unit's channels' folders, or a file in each, in place of its folder."""
-    found: list[Path] = []
+    """Replace the folder of a unit by its channels' folders, or by a file in each."""
+    folders: list[Path] = []
     for path in paths:
         unit = (path / CHANNELS).is_file()
-        found += [path / name / file for name in channel_folders(path)] if unit else [path]
-    return found
+        folders += [path / name / file for name in channel_folders(path)] if unit else [path]
+    return folders
 
 
 def chapters_from(paths: list[Path], own: OwnParts) -> list[Chapter]:
-    """Return what a report is of: saved calibrations, and folders with the search that led to one."""
+    """Load the chapters of a report: saved calibrations, and folders with the search that led to one."""
     from bayescal._report.result_json import chapters, of_folder
 
-    parts = _own(own)
-    given = (of_folder(p, **parts) if p.is_dir() else load_saved(p, own) for p in of_units(paths))
-    return chapters(given, parts["effects"])
+    parts = _own_parts(own)
+    loaded = (of_folder(p, **parts) if p.is_dir() else load_saved(p, own) for p in of_units(paths))
+    return chapters(loaded, parts["effects"])

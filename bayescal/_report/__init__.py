@@ -1,1 +1,1 @@
-"""What is shown and kept of a result: result.json, its folder, pictures, tables, the report."""
+"""Presentation and storage of results: result.json, its folder, pictures, tables, the report."""

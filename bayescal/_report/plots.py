@@ -1,6 +1,6 @@
-"""Every picture but those of draws, which ArviZ draws: where a model fails, what is missing, the error, noise.
+"""Pictures of residuals, missing effects, errors and noise (those of draws are ArviZ's).
 
-Pictures of the search are drawn from results, or from what `result.json` says of them.
+Pictures of the search are drawn from results, or from the data in `result.json`.
 """
 
 from __future__ import annotations
@@ -30,22 +30,22 @@ from bayescal._report.plot_colours import BLUE, CYCLE, GREEN, GREY, ORANGE, PALE
 from bayescal._search.discover import Discovery, is_quiet
 from bayescal._search.search_path import SearchPath
 
-LABEL_LETTERS = 32  # letters of a label; what is longer leaves no room for the picture
+MAX_LETTERS = 32  # of a label: a longer one leaves no room for the picture
 DRAWING = RLock()  # held while something is drawn
 
 
 @contextmanager
-def own_style(**more: Any) -> Iterator[None]:
-    """What is drawn inside is drawn by Matplotlib's defaults and these, whatever settings a file of its has.
+def own_style(**settings: Any) -> Iterator[None]:
+    """Apply Matplotlib's defaults and `settings` inside the block, whatever a configuration file has.
 
-    Its settings are the whole process's: one thread draws at a time.
+    Its settings are of the whole process: one thread draws at a time.
     """
-    with DRAWING, style.context(["default", more]):
+    with DRAWING, style.context(["default", settings]):
         yield
 
 
 def new_figure(width: float, height: float) -> Figure:
-    """An empty figure that no window knows of; inches."""
+    """Make an empty figure without a window; inches."""
     figure = Figure(figsize=(width, height), layout="constrained")
     FigureCanvasAgg(figure)
     return figure
@@ -59,22 +59,22 @@ def axes_of(ax: Any, width: float, height: float) -> Any:
 
 
 def plain(text: str) -> str:
-    """A text from a file as a label: cut short, and its dollar signs begin no formula."""
-    return no_formula(text if len(text) <= LABEL_LETTERS else f"{text[: LABEL_LETTERS - 1]}…")
+    """Format text from a file as a label: shortened, and its dollar signs escaped."""
+    return no_formula(text if len(text) <= MAX_LETTERS else f"{text[: MAX_LETTERS - 1]}…")
 
 
 def no_formula(text: str) -> str:
-    """A text as Matplotlib draws it: its dollar signs begin no formula."""
+    """Escape dollar signs, so that Matplotlib draws no formula."""
     return text.replace("$", r"\$")
 
 
 def axis_label(name: str, unit: str) -> str:
-    """A name with its unit, "temperature [°C]"; a pure number is in units of one, "[1]"."""
+    """Format a name with its unit, "temperature [°C]"; a pure number has "[1]"."""
     return f"{plain(name)} [{unit_label(unit) or '1'}]"
 
 
 def save(figure: Figure, path: Path) -> Path:
-    """Write a PNG, beside and then renamed.
+    """Write a PNG atomically.
 
     Raises:
         InputError: no such folder, or a place that cannot be written to.
@@ -88,15 +88,15 @@ def save(figure: Figure, path: Path) -> Path:
     return path
 
 
-MOST_PANELS = 6  # of residuals
-IMAGE_READINGS = 3000  # readings from which points become one image within a vector picture
+MAX_PANELS = 6  # of residuals
+MIN_IMAGE_READINGS = 3000  # from which points become one image within a vector picture
 NO_UNIT = {"order": "row"}  # covariates that count
 
 
 def residuals(
     calibration: Calibration, found: Check | None = None, against: str | None = None
 ) -> Figure:
-    """Residuals against every covariate: runs by colour, the noise in grey, the worst region in red.
+    """Plot residuals against every covariate: runs by colour, the noise in grey, the worst region in red.
 
     Args:
         calibration: a fit.
@@ -104,7 +104,7 @@ def residuals(
         against: one covariate alone; at most six, the worst first, if none is named.
     """
     found = check(calibration) if found is None else found
-    entries = [e for e in found.entries if not e.by_group][:MOST_PANELS]
+    entries = [e for e in found.entries if not e.by_group][:MAX_PANELS]
     if against is not None:
         entries = [e for e in found.entries if e.against == against]
     columns, rows = min(3, max(1, len(entries))), -(-len(entries) // 3) or 1
@@ -118,32 +118,32 @@ def residuals(
 
 
 def residual_panel(
-    ax: Any, calibration: Calibration, found: Check, entry: Entry, title: str = ""
+    ax: Any, calibration: Calibration, checked: Check, entry: Entry, title: str = ""
 ) -> None:
-    """Residuals against one covariate."""
+    """Plot residuals against one covariate."""
     values = next(b.values for b in covariates_of(calibration) if b.name == entry.against)
     levels, codes = calibration.readings.groups("run")
     for run in np.unique(codes):
-        own = codes == run
+        rows = codes == run
         label = f"run {plain(levels[int(run)])}" if len(levels) > 1 else None
         ax.plot(
-            values[own],
-            found.residuals[own],
+            values[rows],
+            checked.residuals[rows],
             ".",
             ms=4,
             color=CYCLE[int(run) % len(CYCLE)],
             alpha=0.7,
             label=label,
-            rasterized=len(values) > IMAGE_READINGS,
+            rasterized=len(values) > MIN_IMAGE_READINGS,
         )
-    ax.axhspan(-found.noise, found.noise, color=GREY, alpha=0.18, lw=0)
+    ax.axhspan(-checked.noise, checked.noise, color=GREY, alpha=0.18, lw=0)
     ax.axhline(0, color=GREY, lw=0.8)
     if entry.log_bayes_factor > 0:
         ax.axvspan(entry.worst.low, entry.worst.high, color=RED, alpha=0.13, lw=0)
     unit = entry.worst.covariate_unit or NO_UNIT.get(entry.against, "")
     name = f"{entry.against} [{unit}]" if unit == "row" else axis_label(entry.against, unit)
     ax.set_xlabel(name)
-    ax.set_ylabel(axis_label("residual", found.unit))
+    ax.set_ylabel(axis_label("residual", checked.unit))
     factor = f"log Bayes factor {entry.log_bayes_factor:z.1f}".replace("-", "−")
     ax.set_title(f"{title} ({factor})" if title else factor, fontsize=10, loc="left")
     ax.locator_params(axis="x", nbins=6)
@@ -153,7 +153,7 @@ def residual_panel(
         ax.legend(frameon=False, fontsize=8, ncols=len(levels), markerscale=2, loc="upper left")
 
 
-MOST_CANDIDATES = 12  # in one picture: bars and names stay readable
+MAX_CANDIDATES = 12  # in one picture: bars and names stay readable
 BELOW = 0.45  # inch, from an axis to its legend: its numbers and its label stand between
 # No line runs through the words.
 ON_GROUND = {"facecolor": "white", "edgecolor": "none", "pad": 0.5}
@@ -161,10 +161,10 @@ KINDS = {"finding": RED, "lead": ORANGE, "not visible": PALE}
 
 
 def trail(found: SearchPath | Mapping[str, Any], ax: Any = None) -> Figure:
-    """The error of each step, with the fall from the step before, and the noise floor.
+    """Plot the error of each step, with the decrease from the step before, and the noise floor.
 
     Args:
-        found: a trail, or what its result.json holds.
+        found: a trail, or its data in result.json.
         ax: where to draw; a figure of its own if not given.
     """
     steps = [s.errors() for s in found.steps] if isinstance(found, SearchPath) else found["steps"]
@@ -183,9 +183,9 @@ def trail(found: SearchPath | Mapping[str, Any], ax: Any = None) -> Figure:
     height = 0.66 / len(series)
     for i, (label, values, colour) in enumerate(series):
         at = np.arange(len(steps)) + (i + 0.5) * height
-        shown = np.array([np.nan if v is None else v for v in values], float)
-        ax.barh(at, shown, height * 0.9, label=no_formula(label), color=colour)
-        for y, value in zip(at, shown, strict=True):
+        lengths = np.array([np.nan if v is None else v for v in values], float)
+        ax.barh(at, lengths, height * 0.9, label=no_formula(label), color=colour)
+        for y, value in zip(at, lengths, strict=True):
             if np.isfinite(value):
                 at = value + 0.01 * largest
                 ax.text(at, y, number(value), va="center", fontsize=7.5, bbox=ON_GROUND)
@@ -206,14 +206,14 @@ def trail(found: SearchPath | Mapping[str, Any], ax: Any = None) -> Figure:
 
 
 def _legend_below(ax: Any, handles: list[Any], columns: int) -> None:
-    """A legend below the axis' label, however tall the axes are."""
+    """Place a legend below the axis' label, however tall the axes are."""
     below = ax.transAxes + ScaledTranslation(0, -BELOW, ax.figure.dpi_scale_trans)
     how = {"loc": "upper center", "bbox_to_anchor": (0.5, 0), "bbox_transform": below}
     ax.legend(handles=handles, frameon=False, fontsize=8, ncols=columns, **how)
 
 
 def missing(found: Discovery | Mapping[str, Any], ax: Any = None) -> Figure:
-    """Log Bayes factor of each candidate for being missing.
+    """Plot the log Bayes factor of each candidate for being missing.
 
     Args:
         found: a discovery, or one entry of `missing` in result.json.
@@ -222,12 +222,12 @@ def missing(found: Discovery | Mapping[str, Any], ax: Any = None) -> Figure:
     memory = isinstance(found, Discovery)
     everyone = [vars(c) for c in found.candidates] if memory else found["candidates"]
     tested = [c for c in everyone if c["log_bayes_factor"] is not None and not is_quiet(c)]
-    shown = sorted(tested, key=lambda c: (c["kind"] == "finding", c["log_bayes_factor"]))
-    shown = shown[-MOST_CANDIDATES:]
-    ax = axes_of(ax, 5.6, 0.3 * len(shown) + 1.3)
-    values = [c["log_bayes_factor"] for c in shown]
-    colours = [KINDS.get(c["kind"] or "", BLUE) for c in shown]
-    ax.barh([plain(c["effect"]) for c in shown], values, color=colours)
+    bars = sorted(tested, key=lambda c: (c["kind"] == "finding", c["log_bayes_factor"]))
+    bars = bars[-MAX_CANDIDATES:]
+    ax = axes_of(ax, 5.6, 0.3 * len(bars) + 1.3)
+    values = [c["log_bayes_factor"] for c in bars]
+    colours = [KINDS.get(c["kind"] or "", BLUE) for c in bars]
+    ax.barh([plain(c["effect"]) for c in bars], values, color=colours)
     ax.set_xscale("symlog", linthresh=5)
     low, high = min([0.0, *values]), max([0.0, *values])
     powers = [10.0**k for k in range(1, 7)]  # on either side of zero
@@ -237,16 +237,16 @@ def missing(found: Discovery | Mapping[str, Any], ax: Any = None) -> Figure:
     ax.xaxis.set_major_formatter(lambda value, _: f"{value:g}".replace("-", "−"))
     ax.axvline(0, color=GREY, lw=0.8)
     ax.set_xlabel("log Bayes factor of adding one alone [no unit]")
-    kinds = list(dict.fromkeys(c["kind"] for c in shown[::-1]))
-    rest = "not needed beside the findings" if "finding" in kinds else "no evidence"
-    names = [Patch(color=KINDS.get(k or "", BLUE), label=no_formula(k or rest)) for k in kinds]
+    kinds = list(dict.fromkeys(c["kind"] for c in bars[::-1]))
+    otherwise = "not needed beside the findings" if "finding" in kinds else "no evidence"
+    names = [Patch(color=KINDS.get(k or "", BLUE), label=no_formula(k or otherwise)) for k in kinds]
     if names:
         _legend_below(ax, names, len(names))
     return ax.figure
 
 
 def loop(found: SearchPath) -> Figure:
-    """The loop in one picture: residuals before and after, what is missing, the error falling."""
+    """Plot the loop in one picture: residuals before and after, missing effects, the error of each step."""
     lower = max(3.7, 0.9 + 0.8 * len(found.steps))  # inch: four bars and a title for each step
     figure = new_figure(11.0, 3.7 + lower)
     (upper, bars), (after, falls) = figure.subplots(2, 2, height_ratios=(3.7, lower))
@@ -270,19 +270,19 @@ def loop(found: SearchPath) -> Figure:
 
 
 def allan(found: AllanDeviation) -> Figure:
-    """Allan deviation over averaging time with its 95 % intervals, as `bc.allan_deviation` returned it."""
+    """Plot an Allan deviation over averaging time with its 95 % intervals, as `bc.allan_deviation` returned it."""
     ax = axes_of(None, 5.2, 3.6)
     _measured(ax, found, fmt="o-", lw=1.2, label="readings")
     return _labelled(ax, found.unit, [])
 
 
 def noise(found: SensorNoise) -> Figure:
-    """Allan deviation of the record with its 95 % intervals; the law's posterior band, and that of such records.
+    """Plot the Allan deviation of a record with its 95 % intervals; the law's posterior band, and that of such records.
 
     Args:
-        found: what `bc.noise` returned.
+        found: the result of `bc.noise`.
     """
-    told = [
+    terms = [
         f"{f.symbol} = {number(f.value)} {unit_label(f.unit)}"
         for f in found.figures
         if f.symbol and not f.bound
@@ -296,7 +296,7 @@ def noise(found: SensorNoise) -> Figure:
         ax.fill_between(tau, low, high, color=colour, alpha=alpha, lw=0, label=label)
     ax.plot(tau, found.expected, "--", color=ORANGE, lw=1.2, label=found.law)
     _measured(ax, found.measured, fmt="o", lw=1, label="readings")
-    return _labelled(ax, found.unit, told)
+    return _labelled(ax, found.unit, terms)
 
 
 def _measured(ax: Any, m: AllanDeviation, **how: Any) -> None:
@@ -304,12 +304,12 @@ def _measured(ax: Any, m: AllanDeviation, **how: Any) -> None:
     ax.errorbar(m.tau, m.deviation, yerr=error, ms=4, capsize=2, color=BLUE, **how)
 
 
-def _labelled(ax: Any, unit: str, told: Sequence[str]) -> Figure:
-    """The figure of an Allan deviation in `unit`, with what is told of it above."""
+def _labelled(ax: Any, unit: str, terms: Sequence[str]) -> Figure:
+    """Label the figure of an Allan deviation in `unit`, with terms of noise in the title."""
     ax.set_xscale("log")
     ax.set_yscale("log")
     ax.set_xlabel(axis_label("averaging time τ", "s"))
     ax.set_ylabel(axis_label("Allan deviation", unit))
-    ax.set_title(", ".join(told), fontsize=9, loc="left")
+    ax.set_title(", ".join(terms), fontsize=9, loc="left")
     ax.legend(frameon=False, fontsize=8)
     return ax.figure

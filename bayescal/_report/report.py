@@ -1,7 +1,7 @@
-"""The report for sign-off: one HTML file that needs nothing else.
+"""The report for sign-off: one self-contained HTML file.
 
-Everything that comes from files (names of files, devices, effects) is escaped; nothing in the page is run. Figures are
-SVG within the page: one colour with its text, names of their own, nothing from elsewhere.
+Everything that comes from files (names of files, devices, effects) is escaped; no script runs in the page. Figures are
+SVG within the page: in the colour of its text, with ids of their own and no external reference.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ from bayescal._use.budget import Budget, budget
 from bayescal._use.compensation_program import averaged_over
 
 SVG = {"svg.fonttype": "none", "svg.hashsalt": "bayescal", "font.size": 9.0}
-RESIDUAL_PANELS = 4  # of residuals
+MAX_RESIDUAL_PANELS = 4  # pictures of residuals in a chapter
 
 
 @dataclass(frozen=True)
@@ -50,7 +50,7 @@ class Picture:
 
 
 class Pictures:
-    """Draws the pictures of one page, so that no two share an id."""
+    """Pictures of one page, with unique ids."""
 
     def __init__(self, refused: tuple[type[Exception], ...] = ()) -> None:
         self.count, self.refused, self.failed = 0, (InputError, *refused), list[NotDrawn]()
@@ -64,25 +64,25 @@ class Pictures:
                 )
         except self.refused:
             raise
-        except Exception as error:  # whatever it is, all else of the page can be read
+        except Exception as error:  # whatever it is, the rest of the page can be read
             self.failed.append(NotDrawn(f"A picture ({caption})", error))
             return Picture(Markup("<p>{}.</p>").format(self.failed[-1]), caption)
 
     def residuals(self, calibration: Calibration, found: Check) -> list[Picture]:
-        """Residuals of the last model against the covariates, the worst first, a picture each."""
+        """Draw the residuals of the last model against each covariate, the worst first."""
 
         def panel(against: str) -> Figure:
             figure = plots.residuals(calibration, found, against)
             figure.set_size_inches(4.6, 2.9)
             return figure
 
-        names = [e.against for e in found.entries if not e.by_group][:RESIDUAL_PANELS]
+        names = [e.against for e in found.entries if not e.by_group][:MAX_RESIDUAL_PANELS]
         return [
             self.draw(partial(panel, n), f"Residuals of the last model against {n}") for n in names
         ]
 
     def error(self, steps: Sequence[dict[str, Any]]) -> Picture:
-        """The errors of steps, as in result.json."""
+        """Draw the errors of steps, as in result.json."""
         return self.draw(lambda: plots.trail({"steps": steps}), "The error, step by step")
 
 
@@ -90,20 +90,20 @@ ELSEWHERE = ". The tables of this report hold the same."
 
 
 def as_svg(figure: Figure) -> str:
-    """A figure as an SVG without a background."""
+    """Render a figure as an SVG without a background."""
     for patch in (figure.patch, *(ax.patch for ax in figure.axes)):
         patch.set_visible(False)
     out = io.StringIO()
-    nothing = dict.fromkeys(("Date", "Creator", "Format", "Type"))
-    FigureCanvasSVG(figure).print_svg(out, metadata=nothing)  # `savefig` would draw it twice
+    metadata = dict.fromkeys(("Date", "Creator", "Format", "Type"))
+    FigureCanvasSVG(figure).print_svg(out, metadata=metadata)  # `savefig` would draw it twice
     return out.getvalue()
 
 
 def inline(svg: str, prefix: str, alt: str) -> Markup:
-    """An SVG, as Matplotlib writes it with labels escaped, as part of a page.
+    """Convert an SVG, as Matplotlib writes it with labels escaped, to a part of a page.
 
-    Black becomes the colour of the page's text, fonts the page's, ids are prefixed, and all that names another place
-    (document type, metadata) goes, and the comments, which repeat the labels.
+    Black becomes the colour of the page's text, fonts the page's, ids are prefixed, and external references (document
+    type, metadata) are removed, and the comments, which repeat the labels.
     """
     body = svg[svg.index("<svg") :]
     body = re.sub(r"<metadata>.*?</metadata>|<!--.*?-->", "", body, flags=re.DOTALL)
@@ -113,19 +113,19 @@ def inline(svg: str, prefix: str, alt: str) -> Markup:
     body = re.sub(r"font: (\w+ )?([\d.]+)px [^;\"]+", r"font-size: \2px", body)
     size = re.search(r'viewBox="0 0 ([\d.]+)', body)
     width = float(size[1]) * 4 / 3 if size else 600.0  # points to CSS pixels
-    opening, rest = body.split(">", 1)
+    opening, content = body.split(">", 1)
     view = re.search(r'viewBox="[^"]*"', opening)
     head = f'<svg role="img" aria-label="{escape(alt)}" style="max-width:{width:.0f}px"'
-    return Markup(f"{head} {view[0] if view else ''}>{rest}")
+    return Markup(f"{head} {view[0] if view else ''}>{content}")
 
 
-# What the layout meets where a result.json is not as it was written, beside errors of its template.
-OF_DAMAGE = (LookupError, TypeError, ValueError, AttributeError, ArithmeticError)
+# Exceptions of the layout for a damaged result.json, beside errors of its template.
+DAMAGE_ERRORS = (LookupError, TypeError, ValueError, AttributeError, ArithmeticError)
 NO_STIMULUS = (
     "There is no budget: nothing is measured with this instrument in use, so that the uncertainties are those of its "
     "coefficients."
 )
-MOST_ROWS = 60  # rows of a table of candidates or coefficients that are shown
+MAX_ROWS = 60  # of a table of candidates or coefficients
 
 
 def report(
@@ -140,12 +140,12 @@ def report(
     """Write the report for sign-off.
 
     Args:
-        given: a calibration or a trail, or several, a chapter each. What a calibration lacks is looked for, which
-            takes a few seconds; a trail brings all that with it.
+        given: a calibration or a trail, or several, a chapter each. Missing effects of a calibration are searched,
+            which takes a few seconds; a trail includes them.
         path: of the file, ending in .html.
         title: of the report.
-        effects: of your own, candidates where what a calibration lacks is looked for; its own are so anyway.
-        certificate: TOML file of what a certificate states beside the numbers: device, serial number, place,
+        effects: of your own, further candidates in that search.
+        certificate: TOML file of a certificate's statements beside the numbers: device, serial number, place,
             operator, ambient conditions, standards, dates.
         decisions: about limits, as `bc.decide` made them: they stand before everything else, with their rule.
 
@@ -153,9 +153,9 @@ def report(
         The path.
 
     Raises:
-        InputError: nothing to report of, another suffix, a place that cannot be written to, or a certificate that
-            states something unknown; a folder's result that is not as it was written.
-        NotDrawn: a picture could not be drawn; the page is written, and says so in its place.
+        InputError: no calibration, another suffix, a place that cannot be written to, or a certificate with an
+            unknown entry; a folder's result that is damaged.
+        NotDrawn: a picture could not be drawn; the page is written, with a note in its place.
     """
     path = Path(path)
     if path.suffix.lower() not in (".html", ".htm"):
@@ -169,13 +169,13 @@ def report(
     if isinstance(certificate, str | Path):
         certificate = first_offered("certificate", "certificate=")(certificate)
     several = given if isinstance(given, list | tuple) else [given]
-    found = chapters(several, effects)
-    before = [one.foreword(found) for one in (certificate, decisions) if one is not None]
-    folders = [str(c.folder) for c in found if c.folder is not None]
-    pictures = Pictures(OF_DAMAGE if folders else ())
+    parts = chapters(several, effects)
+    before = [part.foreword(parts) for part in (certificate, decisions) if part is not None]
+    folders = [str(c.folder) for c in parts if c.folder is not None]
+    pictures = Pictures(DAMAGE_ERRORS if folders else ())
     try:
-        text = page(found, pictures, title, before)
-    except (TemplateError, *OF_DAMAGE) as e:
+        text = page(parts, pictures, title, before)
+    except (TemplateError, *DAMAGE_ERRORS) as e:
         if not folders:
             raise
         raise InputError(
@@ -189,12 +189,12 @@ def report(
 
 
 def page(
-    found: list[Chapter],
+    parts: list[Chapter],
     pictures: Pictures,
     title: str = "",
     before: Sequence[Foreword] = (),
 ) -> str:
-    """The report as HTML."""
+    """Render the report as HTML."""
     filters = {
         "number": number,
         "unit_label": unit_label,
@@ -206,23 +206,23 @@ def page(
     return template("bayescal._report", "report.html.j2", filters, autoescape=True).render(
         title=title or "Calibration report",
         written=datetime.now(UTC).strftime("%Y-%m-%d %H:%M UTC"),
-        chapters=[_chapter(c, pictures) for c in found],
+        chapters=[_chapter(c, pictures) for c in parts],
         k=report_text.K,
         before=before,
     )
 
 
 def _chapter(chapter: Chapter, pictures: Pictures) -> dict[str, Any]:
-    """All that the template lays out for one set of readings."""
+    """Collect the template's variables for one set of readings."""
     c, data = chapter.calibration, chapter.data
     rows = report_text.coefficients(chapter)
     signed = report_text.signed(rows, c.model)
-    found, no_budget = _budget(chapter)
+    total, no_budget = _budget(chapter)
     ends = sorted({0, len(data["steps"]) - 1})
     checks = [check_table([r for r in data["check"] if r["step"] == step]) for step in ends]
-    own, readings = ("conclusion", "effects", "files", "steps", "convergence"), c.readings
+    names, readings = ("conclusion", "effects", "files", "steps", "convergence"), c.readings
     return {
-        **{name: getattr(report_text, name)(chapter) for name in own},
+        **{name: getattr(report_text, name)(chapter) for name in names},
         "instrument": c.model.instrument,
         "ok": data["verdict"]["ok"],
         "devices": readings.groups("device")[0] if readings.has("device") else (),
@@ -239,48 +239,48 @@ def _chapter(chapter: Chapter, pictures: Pictures) -> dict[str, Any]:
         "ranges": report_text.ranges_table(report_text.ranges(chapter.used)),
         "noise": c.model.noise.in_words,
         "reference": [(n, f"{v:g} {unit_label(u)}") for n, (v, u) in c.held_at.items()],
-        "coefficients": replace(rows, rows=rows.rows[: 4 * MOST_ROWS]),
+        "coefficients": replace(rows, rows=rows.rows[: 4 * MAX_ROWS]),
         "further_tables": [pair for make in offered("coefficient_tables") for pair in make(data)],
         "check": chapter.check,
         "checks": [*zip(ends, checks, strict=True)],
         "discoveries": [_discovery(m, data, pictures) for m in data["missing"]],
-        "budget": found,
-        "budget_tables": found and [replace(t, rows=t.rows[:MOST_ROWS]) for t in found.tables()],
+        "budget": total,
+        "budget_tables": total and [replace(t, rows=t.rows[:MAX_ROWS]) for t in total.tables()],
         "no_budget": no_budget,
         "pictures": _pictures(chapter, pictures),
     }
 
 
 def _groups(data: dict[str, Any]) -> str:
-    """How many runs, cells, axes and devices, where there are several."""
+    """Format the numbers of runs, cells, axes and devices, where there are several."""
     counted = [(k, data["readings"]["groups"].get(k, 0)) for k in GROUPS]
     plural = {"axis": "axes"}
     return ", ".join(f"{n} {plural.get(k, k + 's')}" for k, n in counted if n > 1)
 
 
-def _discovery(found: dict[str, Any], data: dict[str, Any], pictures: Pictures) -> dict[str, Any]:
-    """What was missing from one step."""
-    title = data["steps"][found["step"]]["title"]
-    tested = [c for c in found["candidates"] if c["kind"] != "not testable"]
-    shown = candidates_table(found["candidates"])
+def _discovery(missing: dict[str, Any], data: dict[str, Any], pictures: Pictures) -> dict[str, Any]:
+    """Collect the template's variables for the effects missing from one step."""
+    title = data["steps"][missing["step"]]["title"]
+    tested = [c for c in missing["candidates"] if c["kind"] != "not testable"]
+    table = candidates_table(missing["candidates"])
     return {
-        "step": found["step"],
+        "step": missing["step"],
         "title": title,
-        "nothing": found["nothing_missing_probability"],
-        "unstated": found.get("unstated", ""),
-        "sets": found["sets"],
+        "nothing": missing["nothing_missing_probability"],
+        "unstated": missing.get("unstated", ""),
+        "sets": missing["sets"],
         "leads": [c["effect"] for c in tested if c["kind"] == "lead"],
-        "table": replace(shown, rows=shown.rows[:MOST_ROWS]),
-        "alike": [", ".join(group) for group in confounded(found["candidates"])],
-        "not_testable": not_tested(found["candidates"]),
-        "picture": pictures.draw(lambda: plots.missing(found), f"What is missing from {title}")
-        if any(c["log_bayes_factor"] is not None for c in found["candidates"])
+        "table": replace(table, rows=table.rows[:MAX_ROWS]),
+        "alike": [", ".join(group) for group in confounded(missing["candidates"])],
+        "not_testable": not_tested(missing["candidates"]),
+        "picture": pictures.draw(lambda: plots.missing(missing), f"What is missing from {title}")
+        if any(c["log_bayes_factor"] is not None for c in missing["candidates"])
         else None,
     }
 
 
 def _budget(chapter: Chapter) -> tuple[Budget | None, str]:
-    """The budget at the middle of what was covered; or why there is none."""
+    """Compute the budget at the middle of the covered ranges; or the reason why there is none."""
     if not chapter.data["verdict"]["ok"]:
         return None, "There is no budget of a result that is not reliable."
     if chapter.used.model.instrument.use is None:

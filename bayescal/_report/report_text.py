@@ -30,7 +30,7 @@ from bayescal._search.gate import WORSE
 from bayescal._search.search_path import rises, steps_table
 
 K = 2.0  # coverage factor of every expanded uncertainty in a report
-SUMMARY = 14  # coefficients on the page that is signed
+MAX_SIGNED = 14  # coefficients on the page that is signed
 UNUSED = "recorded; the model does not use it"
 READ = "what was read"
 FOLLOWS = "follows from the above"
@@ -41,17 +41,17 @@ def measured(value: float, unit: str, digits: int = 4) -> str:
 
 
 def ranges(calibration: Calibration) -> list[dict[str, Any]]:
-    """What was covered: each numeric covariate and each rate of a temperature, with its range and part."""
+    """Return the covered range of each numeric covariate and each rate of a temperature, with its role."""
     readings, model = calibration.readings, calibration.model
     used = {c for e in model.effects for c in e.columns} | {*model.noise.needs}
     used |= columns_read(model.instrument, calibration.frame)
-    about, found = {c.name: c.meaning for c in model.instrument.columns}, []
+    about, rows = {c.name: c.meaning for c in model.instrument.columns}, []
 
     def add(name: str, meaning: str, values: np.ndarray, unit: str, part: str) -> None:
         low, high = float(np.nanmin(values)), float(np.nanmax(values))
         ends = {"low": number(low, 4).replace("-", "−"), "high": number(high, 4).replace("-", "−")}
-        own = {"unit": unit_label(unit), "part": part, "constant": low == high}
-        found.append({"name": name, "meaning": meaning, **ends, **own})
+        role = {"unit": unit_label(unit), "part": part, "constant": low == high}
+        rows.append({"name": name, "meaning": meaning, **ends, **role})
 
     parts = {"output": READ}
     if model.instrument.use is not None:
@@ -70,7 +70,7 @@ def ranges(calibration: Calibration) -> list[dict[str, Any]]:
     if readings.has("time"):
         span = np.asarray(calibration.frame.columns["elapsed"])
         add("elapsed", "time since the start of a run", span, "s", FOLLOWS)
-    return found
+    return rows
 
 
 def ranges_table(rows: Sequence[dict[str, Any]]) -> ResultTable:
@@ -85,37 +85,37 @@ def ranges_table(rows: Sequence[dict[str, Any]]) -> ResultTable:
 
 
 def files(chapter: Chapter) -> ResultTable:
-    """Each file that was read, and the hold-out data."""
+    """List the files that were read, and the hold-out data."""
 
-    def listed_(one: str | list[str]) -> str:
-        return one if isinstance(one, str) else ", ".join(one)
+    def listed_(names: str | list[str]) -> str:
+        return names if isinstance(names, str) else ", ".join(names)
 
     rows = [[s.file, str(s.rows), s.sha256] for s in sources_of(chapter.calibration.readings)]
-    if apart := chapter.data["holdout"]:
-        names = f"hold-out: {listed_(apart['file']) or 'arrays'}"
-        rows.append([names, str(apart["rows"]), listed_(apart["sha256"])])
+    if holdout := chapter.data["holdout"]:
+        names = f"hold-out: {listed_(holdout['file']) or 'arrays'}"
+        rows.append([names, str(holdout["rows"]), listed_(holdout["sha256"])])
     return plain_table(["file", "readings", "SHA-256"], rows, fold=1)
 
 
 def coefficients(chapter: Chapter) -> ResultTable:
-    """Coefficients, then hyperparameters: k = 2 interval and 95 % credible interval, apart."""
+    """Tabulate coefficients, then hyperparameters, with k = 2 interval and 95 % credible interval."""
     untold = coefficients_not_measured(chapter.used)
-    known, rows = {r["name"]: r for r in chain(*summary(chapter.used))}, list[dict[str, Any]]()
+    summaries, rows = {r["name"]: r for r in chain(*summary(chapter.used))}, list[dict[str, Any]]()
     for key, (name, value, unit, *_) in unknown_rows(chapter.used).items():
         none = dict.fromkeys(("u", "k2", "credible"), "–")
-        if (r := known.get(key)) is None:  # a curve, a large group: its coefficients mean nothing
+        if (r := summaries.get(key)) is None:  # a curve or a large group
             value = f"{value} {unit}".rstrip()
             rows.append({"name": name, "unit": "", "value": value, "contraction": None, **none})
             continue
-        mean, sd, likely, given = r["mean"], r["sd"], r["probability"], if_present(r, K)
-        held = not sd > 1e-9 * abs(mean)
-        note = " (held)" * held + " (mostly its prior)" * (name in untold)
-        note += f" (if it is there {given})" if given else ""
-        note += f" (probability {probability(likely)})" * (likely < 1 and not given)
+        mean, sd, likely, condition = r["mean"], r["sd"], r["probability"], if_present(r, K)
+        is_held = not sd > 1e-9 * abs(mean)
+        note = " (held)" * is_held + " (mostly its prior)" * (name in untold)
+        note += f" (if it is there {condition})" if condition else ""
+        note += f" (probability {probability(likely)})" * (likely < 1 and not condition)
         ends = (mean - K * sd, mean + K * sd), r["interval95"]
-        k2, credible = ("–" if held else interval(*pair, mean, sd) for pair in ends)
-        own = {"u": "held" if held else number(sd, 2), "k2": k2, "credible": credible}
-        rows.append({**r, "value": with_error(mean, K * sd), "note": note, **own})
+        k2, credible = ("–" if is_held else interval(*pair, mean, sd) for pair in ends)
+        uncertainty = {"u": "held" if is_held else number(sd, 2), "k2": k2, "credible": credible}
+        rows.append({**r, "value": with_error(mean, K * sd), "note": note, **uncertainty})
     columns = (
         TableColumn("unknown", "name"),
         TableColumn("unit", "unit", unit_label, left=True),
@@ -128,13 +128,13 @@ def coefficients(chapter: Chapter) -> ResultTable:
     return ResultTable(columns, rows)
 
 
-def signed(every: ResultTable, model: Model) -> ResultTable:
-    """Unknowns on the page that is signed, time constants and other shapes among them; and what is fixed."""
-    own = [r for r in every.rows if "(" not in r["name"]]
+def signed(table: ResultTable, model: Model) -> ResultTable:
+    """Tabulate the unknowns on the page that is signed, with time constants and other shapes, and fixed unknowns."""
+    chosen = [r for r in table.rows if "(" not in r["name"]]
     shapes = {e.shape_name(shape) for e in model.effects for shape in e.shapes}
-    last = [r for r in own if r["name"] in shapes][:SUMMARY]
-    own = [r for r in own if r["name"] not in shapes][: SUMMARY - len(last)] + last
-    rows = [[r["name"], r["value"] + r["note"], unit_label(r["unit"])] for r in own]
+    last = [r for r in chosen if r["name"] in shapes][:MAX_SIGNED]
+    chosen = [r for r in chosen if r["name"] not in shapes][: MAX_SIGNED - len(last)] + last
+    rows = [[r["name"], r["value"] + r["note"], unit_label(r["unit"])] for r in chosen]
     rows += [[name, f"{number(value, 6)} (fixed)", ""] for name, value in model.fixed]
     return plain_table(["unknown", f"value ± U (k = {K:g})", "unit"], rows)
 
@@ -146,7 +146,7 @@ def _percent(share: float | None) -> str:
 
 
 def steps(chapter: Chapter) -> ResultTable:
-    """The errors of every step, as `SearchPath` prints them."""
+    """Tabulate the errors of every step, as `SearchPath` prints them."""
     of = chapter.data["steps"]
     complete = {m["step"]: m["nothing_missing_probability"] for m in chapter.data["missing"]}
     rows = [
@@ -162,7 +162,7 @@ def steps(chapter: Chapter) -> ResultTable:
 
 
 def convergence(chapter: Chapter) -> ResultTable:
-    """How each fit ended."""
+    """Tabulate the convergence of each fit."""
 
     def of(key: str) -> Callable[[Any], Any]:
         return lambda row: row[1]["verdict"][key]
@@ -180,7 +180,7 @@ def convergence(chapter: Chapter) -> ResultTable:
 
 
 def effects(chapter: Chapter) -> ResultTable:
-    """Each effect of the model: equation, unknowns with their priors, source, the step that brought it."""
+    """Tabulate the effects of the model: equation, unknowns with their priors, source, the step that added it."""
     since = dict[str, str]()
     for i, step in enumerate(chapter.data["steps"]):
         for name in step["effects"]:
@@ -197,7 +197,7 @@ def effects(chapter: Chapter) -> ResultTable:
 
 
 def _unknowns(effect: Effect) -> list[str]:
-    found = []
+    lines = []
     for i, c in enumerate(effect.coefficients):
         prior = _prior(c.prior if c.group_sd is None else c.group_sd)
         if c.group_sd is not None:
@@ -207,14 +207,14 @@ def _unknowns(effect: Effect) -> list[str]:
             prior = f"prior 0 ± a part of {' and '.join(f'{effect.name}.{s}' for s in sizes)}"
         per = f", one for each {c.per}" if c.per else ""
         if effect.is_placeholder and len(effect.coefficients) > 1:
-            found.append(f"{len(effect.coefficients)} weights of a curve: {prior}{per}")
+            lines.append(f"{len(effect.coefficients)} weights of a curve: {prior}{per}")
             break
-        found.append(f"{effect.coefficient_name(i)} [{unit_label(c.unit) or '1'}]: {prior}{per}")
+        lines.append(f"{effect.coefficient_name(i)} [{unit_label(c.unit) or '1'}]: {prior}{per}")
     for s in effect.shapes:
         share = "between" if s.scale == "bounded" else "95 % between"
         ends = f"{number(s.low)} and {number(s.high)}"
-        found.append(f"{effect.shape_name(s)} [{unit_label(s.unit) or '1'}]: {share} {ends}")
-    return found
+        lines.append(f"{effect.shape_name(s)} [{unit_label(s.unit) or '1'}]: {share} {ends}")
+    return lines
 
 
 PRIORS: dict[type, Callable[[Any], str]] = {
@@ -231,24 +231,24 @@ def _prior(prior: Any) -> str:
     return PRIORS.get(type(prior), repr)(prior)
 
 
-NAMED = 4  # effects of the first model, unknowns of one that is found, that are named
+MAX_NAMED = 4  # effects of the first model, unknowns of an effect found, that are named
 
 
 def conclusion(chapter: Chapter) -> str:
-    """What was found, the error before and after, what is left, what was not looked at, what is not decided."""
-    said = [*_against(chapter), _found(chapter), _error(chapter), _left(chapter)]
-    return " ".join([*said, *_not_looked_at(chapter), *_not_decided(chapter)])
+    """Summarise the effects found, the error before and after, the residuals, and open questions, in one paragraph."""
+    parts = [*_failed_checks(chapter), _effects(chapter), _error(chapter), _residuals(chapter)]
+    return " ".join([*parts, *_not_looked_at(chapter), *_not_decided(chapter)])
 
 
-def _against(chapter: Chapter) -> Iterator[str]:
+def _failed_checks(chapter: Chapter) -> Iterator[str]:
     gate = chapter.data["gate"]
-    claims = [one["in_words"] for one in gate.get("claims", ())]
+    claims = [claim["in_words"] for claim in gate.get("claims", ())]
     if reasons := [*claims, *chapter.data["verdict"]["reasons"]]:
         yield f"Not to be used as it is: {reasons[0]}"  # the rest stands at the gate
 
 
-def _found(chapter: Chapter) -> str:
-    """What the last model has more than the first; sizes are those that are signed for."""
+def _effects(chapter: Chapter) -> str:
+    """Format the effects that the last model has more than the first, with the sizes that are signed for."""
     c, data = chapter.calibration, chapter.data
     latent = [set(m.get("latent", ())) for m in data["missing"]] or [set()]
     first = set(data["steps"][0]["effects"]) | latent[0] & latent[-1]
@@ -260,18 +260,19 @@ def _found(chapter: Chapter) -> str:
         if not data["missing"]:
             weighed = "Nothing was looked for beside"
         names = [n for n in c.model.names if n not in latent[-1]]
-        model = f"{len(names)} effects" if len(names) > NAMED else ", ".join(names) or "no effect"
+        many = len(names) > MAX_NAMED
+        model = f"{len(names)} effects" if many else ", ".join(names) or "no effect"
         return f"{weighed} the first model ({model})."
-    found = []
+    texts = []
     for effect in added:
         likely, how = _probability(chapter, effect), ""
         if likely is not None and likely < settings().found_probability:
             how = f"probably ({likely:.2f}) "
-        found.append(how + _in_numbers(chapter.used, effect))
-    return f"Found beside the first model: {'; '.join(found)}."
+        texts.append(how + _describe_effect(chapter.used, effect))
+    return f"Found beside the first model: {'; '.join(texts)}."
 
 
-PHYSICS = {  # what an effect is, by the form of its dependence
+PHYSICS = {  # description of an effect by the form of its dependence
     "linear": "a slope along",
     "quadratic": "a bend along",
     "cubic": "a cubic term along",
@@ -288,8 +289,8 @@ PHYSICS = {  # what an effect is, by the form of its dependence
 }
 
 
-def _in_numbers(c: Calibration, effect: Effect) -> str:
-    """What an effect is, with its name and size: of a curve its extent, else its unknowns, given that it is there."""
+def _describe_effect(c: Calibration, effect: Effect) -> str:
+    """Describe an effect with its name and size: of a curve its extent, else its unknowns, given that it is present."""
     of = c.model.instrument.known.get(effect.reported, effect)  # a form is what its family is
     along = effect.covariate if effect.is_placeholder else of.columns[-1] if of.columns else ""
     what = f"{PHYSICS[of.kind]} {along.replace('_', ' ')}, " if of.kind in PHYSICS else ""
@@ -301,43 +302,43 @@ def _in_numbers(c: Calibration, effect: Effect) -> str:
 def _numbers(c: Calibration, effect: Effect) -> str:
     if effect.is_placeholder:
         _, largest, covariate, at = curve_extent(c, effect.name)
-        there = place_of(c, covariate, at)
-        return f"{effect.name}, up to {measured(abs(largest), c.unit, 2)}, most at {there}"
-    told = list[str]()
+        place = place_of(c, covariate, at)
+        return f"{effect.name}, up to {measured(abs(largest), c.unit, 2)}, most at {place}"
+    texts = list[str]()
     for row in chain(*summary(c)):
         name = row["name"].removeprefix(effect.name).removeprefix(".")
         if row["effect"] == effect.name and not {*"[("} & {*name}:
             value = with_error(row["given"]["mean"], row["given"]["sd"])
-            told.append(f"{name} {value} {unit_label(row['unit'])}".strip())
-    told[NAMED:] = [f"{len(told) - NAMED} more"] * (len(told) > NAMED)
-    return f"{effect.name} ({', '.join(told)})" if told else effect.name
+            texts.append(f"{name} {value} {unit_label(row['unit'])}".strip())
+    texts[MAX_NAMED:] = [f"{len(texts) - MAX_NAMED} more"] * (len(texts) > MAX_NAMED)
+    return f"{effect.name} ({', '.join(texts)})" if texts else effect.name
 
 
 def _probability(chapter: Chapter, effect: Effect) -> float | None:
-    """That an effect is missing from the first model, alone or as one of several; None where that was not asked."""
+    """Return the probability that an effect, alone or in a set, is missing from the first model; None if unknown."""
     if not chapter.data["missing"]:
         return None
     first = chapter.data["missing"][0]
-    if any(effect.family in one["effects"] for one in first["sets"]):
+    if any(effect.family in group["effects"] for group in first["sets"]):
         return 1.0
-    known = {c["effect"]: c["probability"] for c in first["candidates"]}
-    return known.get(effect.family)
+    probabilities = {c["effect"]: c["probability"] for c in first["candidates"]}
+    return probabilities.get(effect.family)
 
 
 def _error(chapter: Chapter) -> str:
-    """The error of the first model and of the last, where it says most: hold-out data, left-out groups, the fit."""
+    """Format the errors of the first and the last model: on hold-out data, else left-out groups, else as fitted."""
     steps, unit = chapter.data["steps"], unit_label(chapter.calibration.unit)
     first, last = steps[0], steps[-1]
     outs = [s["leave_one_group_out"] for s in (first, last)]
     # A group may be predicted worse because it lacks its past, or where readings weigh little: no loss to the gate.
     rose = all(outs) and outs[1]["rmse"] > outs[0]["rmse"]
-    told = not rose or any(c["code"] == WORSE for c in chapter.data["gate"].get("claims", ()))
+    comparable = not rose or any(c["code"] == WORSE for c in chapter.data["gate"].get("claims", ()))
 
     def of(step: dict[str, Any]) -> tuple[str, float | None]:
         left_out = step["leave_one_group_out"]
         if step["holdout_rmse"] is not None:
             return "on the hold-out data", step["holdout_rmse"]
-        if left_out is not None and told:
+        if left_out is not None and comparable:
             group = left_out["group"].replace("_", " ")
             return f"of each {group}, predicted from the others,", left_out["rmse"]
         return "as fitted", step["rmse_fitted"]
@@ -348,13 +349,12 @@ def _error(chapter: Chapter) -> str:
     then, now = number(before, 2), number(after, 2)
     if then == now:
         return f"The rms error {where} stayed at {now} {unit}."
-    return (
-        f"The rms error {where} {'fell' if after < before else 'rose'} from {then} to {now} {unit}."
-    )
+    change = "fell" if after < before else "rose"
+    return f"The rms error {where} {change} from {then} to {now} {unit}."
 
 
-def _left(chapter: Chapter) -> str:
-    """What the residuals look like."""
+def _residuals(chapter: Chapter) -> str:
+    """Describe the residuals."""
     c, gate = chapter.calibration, chapter.data["gate"]
     strong = settings().strong_evidence
     depends = [e.against for e in chapter.check.entries if e.log_bayes_factor > strong]
@@ -375,25 +375,25 @@ def _last_candidates(chapter: Chapter) -> list[dict[str, Any]]:
 
 
 def _not_looked_at(chapter: Chapter) -> Iterator[str]:
-    """Columns that were left out, and effects for which a column is lacking."""
+    """Yield sentences on columns that were left out, and effects without a required column."""
     flags = (f for f in chapter.calibration.readings.flags if isinstance(f, Flag))
     if names := [name for f in flags if f.code == "column.ignored" for name in f.of]:
         yield f"Not looked at: {', '.join(names)}."
     if by_reason := not_tested(_last_candidates(chapter)):
-        told = "; ".join(f"{listed(names)} ({reason})" for reason, names in by_reason.items())
-        yield f"Not tested: {told}."
+        untested = "; ".join(f"{listed(names)} ({reason})" for reason, names in by_reason.items())
+        yield f"Not tested: {untested}."
 
 
 def _not_decided(chapter: Chapter) -> Iterator[str]:
-    """What these readings leave open between."""
+    """Yield sentences on alternatives that these readings do not decide between."""
     in_model, confounders = set(chapter.calibration.model.names), chapter.calibration.confounders
-    sets = [list(one["effects"]) for missing in chapter.data["missing"] for one in missing["sets"]]
+    sets = [list(s["effects"]) for missing in chapter.data["missing"] for s in missing["sets"]]
     open_ = [" or ".join(names) for names in sets if len(names) > 1 and in_model & set(names)]
     leads = [c["effect"] for c in _last_candidates(chapter) if c["kind"] == "lead"]
     open_ += [f"whether there is {name} as well" for name in leads if name not in in_model]
-    parts = [(one, listed(one.coefficients)) for one in confounders if not one.step]
-    open_ += [f"how much of {names} is {one.column}'s" for one, names in parts]
-    open_ += [f"whether {one.column} was rounded or cut off" for one in confounders if one.step]
+    parts = [(c, listed(c.coefficients)) for c in confounders if not c.step]
+    open_ += [f"how much of {names} is {c.column}'s" for c, names in parts]
+    open_ += [f"whether {c.column} was rounded or cut off" for c in confounders if c.step]
     if open_:
         yield f"Not decided: {'; '.join(dict.fromkeys(open_))}."
     if chapter.data["other_path"] is not None:
@@ -404,5 +404,5 @@ def _not_decided(chapter: Chapter) -> Iterator[str]:
 
 
 def listed(words: list[str]) -> str:
-    """As words of a sentence: "a, b and c"."""
+    """Join words for a sentence: "a, b and c"."""
     return words[0] if len(words) == 1 else f"{', '.join(words[:-1])} and {words[-1]}"

@@ -1,4 +1,4 @@
-"""A trail as data, `result.json`, and what a report is of: chapters of trails in memory, or read back from a folder.
+"""Data of a trail, `result.json`, and chapters of a report: of trails in memory, or read back from a folder.
 
 The schema is bayescal.result/2; numbers that are not finite become null. A chapter is of one
 calibration, or of the search that led to it.
@@ -59,7 +59,7 @@ PACKAGES = (
 
 
 def result(trail: SearchPath) -> dict[str, Any]:
-    """Everything that a calibration found, as plain data."""
+    """Convert all results of a calibration to plain data."""
     final = trail.final.calibration
     further = {*trail.calibration.model.names} - {*final.model.names}
     coefficients, hyperparameters = (
@@ -69,12 +69,12 @@ def result(trail: SearchPath) -> dict[str, Any]:
         averaged = {k: row[k] for k in OVER_STRUCTURES}
         row["averaged"] = None if trail.average is None else averaged
         del row["probability"], row["given"]  # of a single structure: one, and the same
-    found: dict[str, list[dict[str, Any]]] = {k: [] for k in ("check", "pairs", "missing")}
+    tables: dict[str, list[dict[str, Any]]] = {k: [] for k in ("check", "pairs", "missing")}
     for i, step in enumerate(trail.steps):
-        found["check"] += [{"step": i, **row} for row in step.check.data()]
-        found["pairs"] += [{"step": i, **as_json(pair)} for pair in step.check.pairs]
+        tables["check"] += [{"step": i, **row} for row in step.check.data()]
+        tables["pairs"] += [{"step": i, **as_json(pair)} for pair in step.check.pairs]
         if step.discovery is not None:
-            found["missing"].append(missing_data(step.discovery, i, step.check))
+            tables["missing"].append(missing_data(step.discovery, i, step.check))
     verdict = final.verdict
     reasons = [*verdict.reasons, *([] if trail.gate.ok else [trail.gate.reason])]
     return as_json(
@@ -95,7 +95,7 @@ def result(trail: SearchPath) -> dict[str, Any]:
             "gate": {
                 "ok": trail.gate.ok,
                 "reason": trail.gate.reason,
-                "claims": [one.data() for one in trail.gate.claims],
+                "claims": [claim.data() for claim in trail.gate.claims],
             },
             "other_path": None
             if trail.other_path is None
@@ -105,7 +105,7 @@ def result(trail: SearchPath) -> dict[str, Any]:
             },
             "search": search_data(trail),
             "steps": [step_data(s) for s in trail.steps],
-            **found,
+            **tables,
             "coefficients": coefficients,
             "hyperparameters": hyperparameters,
             **{k: v for add in offered("result") for k, v in add(final, trail.average).items()},
@@ -120,7 +120,7 @@ def result(trail: SearchPath) -> dict[str, Any]:
 
 
 def search_data(trail: SearchPath) -> dict[str, Any] | None:
-    """The structures that were weighed, and why the search ended."""
+    """Convert the structures that were compared, and the end of the search, to plain data."""
     search = trail.search
     if search is None:
         return None
@@ -143,19 +143,19 @@ def search_data(trail: SearchPath) -> dict[str, Any] | None:
 
 @cache
 def versions() -> dict[str, str]:
-    found = {"python": platform.python_version()}
+    numbers = {"python": platform.python_version()}
     for name in PACKAGES:
         try:
-            found[name] = version(name)
+            numbers[name] = version(name)
         except PackageNotFoundError:
-            found[name] = "not installed"
-    return found
+            numbers[name] = "not installed"
+    return numbers
 
 
 def _source(readings: Measurements) -> dict[str, Any]:
-    """The files of readings and the hashes of their bytes: one each, or lists where there are several."""
+    """Return the files of readings and the hashes of their bytes: one each, or lists where there are several."""
     files, sums = [s.file for s in readings.sources], [s.sha256 for s in readings.sources]
-    file, sha256 = (own[0] if len(own) == 1 else own for own in (files, sums))
+    file, sha256 = (names[0] if len(names) == 1 else names for names in (files, sums))
     return {"file": file, "sha256": sha256, "rows": len(readings)}
 
 
@@ -170,9 +170,9 @@ def step_data(step: Step) -> dict[str, Any]:
     calibration = step.calibration
     evidence = calibration.log_evidence
     law = set(calibration.model.noise.parameters())
-    held = {k: np.asarray(v) for k, v in calibration.model.fixed if k in law}
+    fixed = {k: np.asarray(v) for k, v in calibration.model.fixed if k in law}
     names = (u.name for u in calibration.unknowns if u.kind == "noise")
-    noise = {**{n: calibration.samples(n) for n in names}, **held}
+    noise = {**{n: calibration.samples(n) for n in names}, **fixed}
     noise |= calibration.model.noise.derived(noise)
     mean = {n: float(values.mean()) for n, values in noise.items()}
     return {
@@ -189,18 +189,18 @@ def step_data(step: Step) -> dict[str, Any]:
     }
 
 
-def missing_data(found: Discovery, step: int, check: Check) -> dict[str, Any]:
+def missing_data(discovery: Discovery, step: int, check: Check) -> dict[str, Any]:
     return {
         "step": step,
-        "nothing_missing_probability": found.nothing_missing,
-        "unnamed": list(found.unnamed),
-        "latent": list(found.latent),
-        "equivalent": [one.data() for one in found.equivalent],
-        "unstated": found.unstated,
-        "correlated_noise": found.correlated_noise,
-        "noise_laws": found.noise,
-        "sets": found.sets,
-        "candidates": found.candidates,
+        "nothing_missing_probability": discovery.nothing_missing,
+        "unnamed": list(discovery.unnamed),
+        "latent": list(discovery.latent),
+        "equivalent": [claim.data() for claim in discovery.equivalent],
+        "unstated": discovery.unstated,
+        "correlated_noise": discovery.correlated_noise,
+        "noise_laws": discovery.noise,
+        "sets": discovery.sets,
+        "candidates": discovery.candidates,
         "unknown": [
             {
                 "column": e.against,
@@ -215,20 +215,20 @@ def missing_data(found: Discovery, step: int, check: Check) -> dict[str, Any]:
     }
 
 
-def experiment_data(found: NextExperiment) -> dict[str, Any]:
+def experiment_data(ranking: NextExperiment) -> dict[str, Any]:
     def expected(e: Any) -> list[dict[str, Any]]:
-        each = e.expected.items()
-        return [{"truth": truth, "rival": rival, "value": value} for (truth, rival), value in each]
+        pairs = e.expected.items()
+        return [{"truth": truth, "rival": rival, "value": value} for (truth, rival), value in pairs]
 
     return {
-        "members": list(found.members),
+        "members": list(ranking.members),
         "experiments": [
             {
                 "name": e.name,
                 "least_expected_log_bayes_factor": e.worst,
                 "expected_log_bayes_factors": expected(e),
             }
-            for e in found.experiments
+            for e in ranking.experiments
         ],
     }
 
@@ -238,21 +238,21 @@ PICTURE = "loop.png"
 
 @dataclass(frozen=True)
 class Foreword:
-    """A section that stands before all chapters."""
+    """A section before all chapters."""
 
     name: str  # its id in the page
     title: str  # above it
     note: str  # in small print below it
-    verdict: str = ""  # what it comes to, in a box, with what it rests on; empty for none
-    bad: bool = False  # whether that is against what is reported of
-    why: str = ""  # what the verdict rests on
+    verdict: str = ""  # its conclusion, in a box; empty for none
+    bad: bool = False  # whether that is negative
+    why: str = ""  # the reason of the verdict
     # headings, with labels and texts below each
     lists: tuple[tuple[str, list[tuple[str, str]]], ...] = ()
     table: tuple[str, ResultTable] | None = None  # with its caption
 
 
 class Foreworded(Protocol):
-    """What has something to say before a report: what a laboratory states, what is decided about limits."""
+    """Source of a section before a report: a laboratory's statements, decisions about limits."""
 
     def foreword(self, chapters: Sequence[Chapter]) -> Foreword: ...
 
@@ -262,43 +262,43 @@ class Chapter:
     """One set of readings."""
 
     calibration: Calibration  # the last model's
-    check: Check  # where it fails
-    data: dict[str, Any]  # everything that was found, as in result.json
-    folder: Path | None = None  # that it was read from; None for what was found in memory
+    check: Check  # of its residuals
+    data: dict[str, Any]  # all results, as in result.json
+    folder: Path | None = None  # that it was read from; None for a result in memory
     # the last model's calibration averaged over structures; None where one has nearly all probability
     average: Calibration | None = None
 
     @property
     def used(self) -> Calibration:
-        """What is signed for, and all numbers are of: the average over structures, where several are probable."""
+        """Return calibration of all numbers of the report: the average over structures, where several are probable."""
         return self.calibration if self.average is None else self.average
 
 
 def chapters(given: Iterable[Any], effects: Iterable[Effect] = ()) -> list[Chapter]:
-    """Chapters of what is given, in its order.
+    """Make the chapters of a report, in the order given.
 
     Args:
         given: calibrations, trails, chapters, or errors that ended a fit and carry its calibration.
         effects: of the user's own.
 
     Raises:
-        InputError: nothing is given, or something else.
+        InputError: nothing is given, or another type.
     """
-    own, known = tuple(effects), (Calibration, SearchPath, Chapter)
+    own_effects, accepted = tuple(effects), (Calibration, SearchPath, Chapter)
     ended = ((g, g.calibration if isinstance(g, NotConverged) else None) for g in given)
     several = [g if calibration is None else calibration for g, calibration in ended]
-    wrong = [type(g).__name__ for g in several if not isinstance(g, known)]
+    wrong = [type(g).__name__ for g in several if not isinstance(g, accepted)]
     if wrong or not several:
         raise InputError(
             f"a report is of calibrations or trails, not of {', '.join(wrong) or 'nothing'}: give what bc.fit, "
             "bc.calibrate or bc.load returned"
         )
-    trails = (trail_of(g, own) if isinstance(g, Calibration) else g for g in several)
-    return [one if isinstance(one, Chapter) else of_trail(one) for one in trails]
+    trails = (trail_of(g, own_effects) if isinstance(g, Calibration) else g for g in several)
+    return [t if isinstance(t, Chapter) else of_trail(t) for t in trails]
 
 
 def of_trail(trail: SearchPath) -> Chapter:
-    """The chapter of a trail in memory."""
+    """Make the chapter of a trail in memory."""
     final = trail.final
     return Chapter(final.calibration, final.check, result(trail), average=trail.average)
 
@@ -306,7 +306,7 @@ def of_trail(trail: SearchPath) -> Chapter:
 def of_folder(
     folder: Path, effects: Iterable[Effect] = (), instruments: Iterable[Instrument] = ()
 ) -> Chapter:
-    """The chapter of a folder that `bayescal calibrate --out` wrote.
+    """Read the chapter of a folder that `bayescal calibrate --out` wrote.
 
     Raises:
         InputError: it does not hold both files, they cannot be read, or they do not belong together.
@@ -319,12 +319,12 @@ def of_folder(
         )
     data = _read_result(folder / RESULT)
     refuse_mixed(folder)
-    own = {"effects": tuple(effects), "instruments": tuple(instruments)}
-    calibration = load(folder / CALIBRATION, **own)
-    fitted, told, listed = identity(calibration), data.get("calibration"), files_of(folder)
-    if not {RESULT, CALIBRATION} <= listed.keys() and told != fitted:  # one manifest is of one run
+    parts = {"effects": tuple(effects), "instruments": tuple(instruments)}
+    calibration = load(folder / CALIBRATION, **parts)
+    fitted, stated, listed = identity(calibration), data.get("calibration"), files_of(folder)
+    if not {RESULT, CALIBRATION} <= listed.keys() and stated != fitted:  # no manifest of one run
         raise InputError(
-            f"{RESULT} and {CALIBRATION} in {folder} are of different fits: identity {told} and {fitted}. Calibrate "
+            f"{RESULT} and {CALIBRATION} in {folder} are of different fits: identity {stated} and {fitted}. Calibrate "
             f"again, or give {CALIBRATION} alone"
         )
     return Chapter(
@@ -332,7 +332,7 @@ def of_folder(
         check(calibration),
         data,
         folder=folder,
-        average=load(folder / AVERAGED, **own) if AVERAGED in listed else None,
+        average=load(folder / AVERAGED, **parts) if AVERAGED in listed else None,
     )
 
 
@@ -356,9 +356,9 @@ def _read_result(path: Path) -> dict[str, Any]:
 
 
 def trail_of(calibration: Calibration, effects: tuple[Effect, ...] = ()) -> SearchPath:
-    """The trail of one calibration, checked and asked what it lacks; effects of the user's own are candidates."""
-    known = calibration.model.instrument.known
-    own = (*(e for e in calibration.model.effects if e.name not in known), *effects)
-    asked = discover(calibration, effects=own) if calibration.verdict.ok else None
-    step = replace(step_of(calibration), discovery=asked)
+    """Make the trail of one calibration, with its check and missing effects; the user's own effects are candidates."""
+    own_names = calibration.model.instrument.known
+    candidates = (*(e for e in calibration.model.effects if e.name not in own_names), *effects)
+    discovery = discover(calibration, effects=candidates) if calibration.verdict.ok else None
+    step = replace(step_of(calibration), discovery=discovery)
     return SearchPath((step,), gate([step]), None)

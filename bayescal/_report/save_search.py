@@ -1,7 +1,7 @@
-"""A search to a folder: result.json, the last calibration, the picture of the loop. Offered as `trail.save(folder)`.
+"""Saving of a search to a folder: result.json, the last calibration, the picture of the loop: `trail.save(folder)`.
 
-Of a unit's channels a folder for each, and channels.json with what they share. Trails and channels stand below what
-they are saved as, so the methods are attached here, and `bayescal` takes them from this module.
+For a unit's channels a folder each, and channels.json with their shared effects. Trails and channels are defined in
+rooms below this one, so the methods are attached here, and `bayescal` takes them from this module.
 """
 
 from __future__ import annotations
@@ -36,16 +36,16 @@ CHANNELS_SCHEMA = "bayescal.channels/1"
 def save_search(self: SearchPath | Channels, folder: Path) -> None:
     """Write result.json, calibration.nc, loop.png, manifest.json to an existing folder; of channels to a folder each.
 
-    calibration.nc is of the last step; averaged.nc, where several structures share the probability, is what is to be
-    used: predictions, compensation, budgets and exports of the folder are made with it. Beside the folders of channels
-    stands channels.json; results of another unit's channels, of a run before, are removed, unless they were changed.
+    calibration.nc is of the last step; averaged.nc, where several structures share the probability, is the one to
+    use: predictions, compensation, budgets and exports of the folder are made with it. Beside the folders of channels
+    is channels.json; results of another unit's channels, of a run before, are removed, unless they were changed.
 
-    All take their place in one step; what else stands in the folder stays. Pictures are drawn after that. Where a time
-    limit has come, or Ctrl-C, they are left out.
+    All files are replaced in one step; other files in the folder stay. Pictures are drawn after that, and left out
+    after a time limit or Ctrl-C.
 
     Raises:
-        InputError: there is no such folder, or it cannot be written; what stood there is as it was.
-        NotDrawn: a picture could not be drawn; all else is written.
+        InputError: there is no such folder, or it cannot be written; its files are unchanged.
+        NotDrawn: a picture could not be drawn; all other files are written.
     """
     folder, searches = Path(folder), dict[str, SearchPath]()  # by their places in it
     if isinstance(self, Channels):
@@ -65,7 +65,7 @@ def save_search(self: SearchPath | Channels, folder: Path) -> None:
 
 
 def draw_search(searches: Mapping[str, SearchPath], folder: Path) -> None:
-    """Draw the picture of each search, by the folder in this one that its results stand in; unless time is up.
+    """Draw the picture of each search (subfolder → search), unless time is up.
 
     Raises:
         NotDrawn: one could not be drawn.
@@ -81,7 +81,7 @@ def draw_search(searches: Mapping[str, SearchPath], folder: Path) -> None:
 
 
 def write_search(trail: SearchPath, folder: Path) -> None:
-    """Write what `SearchPath.save` does, but for the picture, to a folder that is not seen yet.
+    """Write the files of `SearchPath.save`, except the picture, to a hidden folder.
 
     Raises:
         OSError: it cannot be written.
@@ -100,9 +100,9 @@ SearchPath.in_short = property(  # pyright: ignore[reportAttributeAccessIssue]
 )
 
 
-def channels_data(found: Channels) -> dict[str, Any]:
-    """What a unit's channels are and share, as plain data; what each found is in its own result.json."""
-    folders = folders_of(found.trails)
+def channels_data(channels: Channels) -> dict[str, Any]:
+    """Convert the channels of a unit and their shared effects to plain data; results of each are in its result.json."""
+    folders = folders_of(channels.trails)
     return as_json(
         {
             "schema": CHANNELS_SCHEMA,
@@ -117,7 +117,7 @@ def channels_data(found: Channels) -> dict[str, Any]:
                     "ok": trail.ok,
                     "reason": trail.gate.reason,
                 }
-                for name, trail in found.trails.items()
+                for name, trail in channels.trails.items()
             },
             "shared": [
                 {
@@ -128,8 +128,8 @@ def channels_data(found: Channels) -> dict[str, Any]:
                     **dict(zip(("middle", "low", "high"), s.posterior, strict=True)),
                     "log_bayes_factors": {n: s.evidence(n) for n in s.says},
                 }
-                for s in found.shared
+                for s in channels.shared
             ],
-            "ok": found.ok,
+            "ok": channels.ok,
         }
     )

@@ -1,6 +1,6 @@
-"""A folder of results is one run's: written to a hidden folder in it, then moved, with `manifest.json` of it all last.
+"""Folders of results of one run: written to a hidden subfolder, then moved, with their `manifest.json` last.
 
-A reader refuses files that do not agree with the manifest: what a process left that was killed while it moved them is
+A reader refuses files that do not agree with the manifest, so that files of a process killed while moving them are
 never taken for results.
 """
 
@@ -29,7 +29,7 @@ AGAIN = "Take a copy of the whole folder, or calibrate again"
 
 @dataclass(frozen=True)
 class Manifest:
-    """What manifest.json holds."""
+    """Content of manifest.json."""
 
     schema: str
     files: dict[str, str]  # name → SHA-256
@@ -38,19 +38,19 @@ class Manifest:
 
 
 def folders_of(names: Iterable[str]) -> dict[str, str]:
-    """A folder's name for each channel: its own, without what a file system may not take."""
-    found: dict[str, str] = {}
+    """Name a folder for each channel, without characters that a file system may not accept."""
+    folders: dict[str, str] = {}
     for name in names:
         plain = re.sub(r"[^\w.-]+", "_", name).strip("._") or "channel"
-        taken, folder, number = set(found.values()), plain, 2
-        while folder in taken:
+        used, folder, number = set(folders.values()), plain, 2
+        while folder in used:
             folder, number = f"{plain}_{number}", number + 1
-        found[name] = folder
-    return found
+        folders[name] = folder
+    return folders
 
 
 def channel_folders(folder: Path) -> list[str]:
-    """Names of the folders of a unit's channels, in the one that its results are in."""
+    """Return the names of the folders of a unit's channels, in the folder of its results."""
     listed = folder / CHANNELS
     try:
         names = [c["folder"] for c in read_json(listed)["channels"].values()]
@@ -62,20 +62,20 @@ def channel_folders(folder: Path) -> list[str]:
 
 
 def is_inside(name: str) -> bool:
-    """Whether a name that stands in a file is that of something in the file's own folder, on any system."""
+    """Return whether a name in a file is of an entry in the file's own folder, on any system."""
     return name not in ("", ".", "..") and not set(name) & set("/\\:\0")
 
 
 @contextmanager
 def whole_folder(folder: Path, *, more: bool = False) -> Iterator[Path]:
-    """A hidden folder to write to, whose files are moved to `folder` once all are written.
+    """Yield a hidden folder to write to, whose files are moved to `folder` once all are written.
 
-    What else stands in `folder` stays, but for the unchanged results of a run before. The same holds in folders that
-    are made in the hidden one, each with a manifest of its own; one that ends empty is not there.
+    Other files in `folder` stay, except the unchanged results of a run before. The same holds in folders that are made
+    in the hidden one, each with a manifest of its own; one that remains empty is removed.
 
     Args:
         folder: an existing one.
-        more: whether results that stand there stay, and what is written belongs to them.
+        more: whether the results there stay, and the new files belong to them.
 
     Raises:
         InputError: it cannot be written, or there is no room; the folder is as it was.
@@ -83,8 +83,8 @@ def whole_folder(folder: Path, *, more: bool = False) -> Iterator[Path]:
     visible = Path(folder).resolve()
     hidden = visible / f".results.{os.getpid()}.partial"
     try:
-        for left in (hidden, *left_behind(visible / "results")):
-            shutil.rmtree(left, ignore_errors=True)
+        for leftover in (hidden, *left_behind(visible / "results")):
+            shutil.rmtree(leftover, ignore_errors=True)
         visible.mkdir(exist_ok=True)
         hidden.mkdir()
         yield hidden
@@ -99,7 +99,7 @@ def whole_folder(folder: Path, *, more: bool = False) -> Iterator[Path]:
 
 @contextmanager
 def drawing(what: str) -> Iterator[None]:
-    """Pictures and pages, made once the result that they show is written.
+    """Convert any exception of drawing to NotDrawn; the result that is drawn is written before.
 
     Raises:
         NotDrawn: they cannot be, whatever the reason: a font, LaTeX, the library that draws, a full disk.
@@ -111,7 +111,7 @@ def drawing(what: str) -> Iterator[None]:
 
 
 def files_of(folder: Path) -> dict[str, str]:
-    """Return what belongs to the results in a folder, name → SHA-256; nothing where there is no manifest.
+    """Return the files of the results in a folder, name → SHA-256; {} where there is no manifest.
 
     Raises:
         InputError: the manifest cannot be read.
@@ -130,7 +130,7 @@ def files_of(folder: Path) -> dict[str, str]:
 
 
 def refuse_mixed(folder: Path, *names: str) -> None:
-    """Files that do not belong to the results of their folder, if it has a manifest.
+    """Raise InputError for files that do not belong to the results of their folder, if it has a manifest.
 
     Args:
         folder: which may have one.
@@ -149,26 +149,26 @@ def refuse_mixed(folder: Path, *names: str) -> None:
 
 
 def _results(folder: Path) -> dict[str, str]:
-    """Return what a run before left and nobody changed, name → SHA-256."""
+    """Return the unchanged files of a run before, name → SHA-256."""
     try:
         listed = files_of(folder)
     except InputError:
         return {}
-    there = {n: d for n, d in listed.items() if (folder / n).is_file()}
-    return {n: d for n, d in there.items() if sha256_of(folder / n) == d}
+    present = {n: d for n, d in listed.items() if (folder / n).is_file()}
+    return {n: d for n, d in present.items() if sha256_of(folder / n) == d}
 
 
-def _move(hidden: Path, visible: Path, more: bool) -> None:
-    """Move what is written to its place, each manifest last; results of a run before go, unless there is to be more."""
+def _move(hidden: Path, visible: Path, keep_results: bool) -> None:
+    """Move the files to their place, each manifest last; remove results of a run before, unless `keep_results`."""
     places = [*(p.name for p in hidden.iterdir() if p.is_dir()), "."]
     for entry in (e for place in places for e in (hidden / place).iterdir()):
-        there = visible / entry.relative_to(hidden)
-        if there.is_symlink() or there.is_file() if entry.is_dir() else there.is_dir():
+        path = visible / entry.relative_to(hidden)
+        if path.is_symlink() or path.is_file() if entry.is_dir() else path.is_dir():
             stands = "a file or a link" if entry.is_dir() else "a folder"
             raise InputError(
-                f"{there} cannot be written: {stands} stands in its place. Move it, or choose another --out"
+                f"{path} cannot be written: {stands} stands in its place. Move it, or choose another --out"
             )
-    manifests = {place: _list_files(hidden / place, visible / place, more) for place in places}
+    manifests = {p: _list_files(hidden / p, visible / p, keep_results) for p in places}
     for place, (new, gone) in manifests.items():
         source, target = hidden / place, visible / place
         target.mkdir(exist_ok=True)
@@ -180,17 +180,17 @@ def _move(hidden: Path, visible: Path, more: bool) -> None:
             target.rmdir()
 
 
-def _list_files(source: Path, target: Path, more: bool) -> tuple[list[str], list[str]]:
-    """Write the manifest of the files in a folder, and have all of them put on the disk.
+def _list_files(source: Path, target: Path, keep_results: bool) -> tuple[list[str], list[str]]:
+    """Write the manifest of the files in a folder, and flush all of them to the disk.
 
     Returns:
-        Names of the files to be moved to the folder `target`, the manifest last, and of those that go there.
+        Names of the files to move to the folder `target`, the manifest last, and of those to remove there.
     """
     paths, old = sorted(p for p in source.iterdir() if p.is_file()), _results(target)
     new = {p.name: sha256_of(p) for p in paths}
     if not new:
-        return [], [] if more else [*old, *[MANIFEST] * bool(old)]
-    write_json({"schema": SCHEMA, "files": (old if more else {}) | new}, source / MANIFEST)
+        return [], [] if keep_results else [*old, *[MANIFEST] * bool(old)]
+    write_json({"schema": SCHEMA, "files": (old if keep_results else {}) | new}, source / MANIFEST)
     for path in (*paths, source / MANIFEST, source):
         to_disk(path)
-    return [*new, MANIFEST], [] if more else [*(old.keys() - new.keys())]
+    return [*new, MANIFEST], [] if keep_results else [*(old.keys() - new.keys())]

@@ -116,7 +116,7 @@ def _time_of_day(text: str, longest: int) -> float | None:
     return whole + int((parts or "0").ljust(9, "0")) * 1e-9
 
 
-def has_zone(text: str) -> bool:
+def has_time_zone(text: str) -> bool:
     """Return whether a date has a time zone."""
     return bool(re.search(r"(?:Z|[+-]\d\d:?\d\d)$", text.strip())) and ":" in text
 
@@ -228,9 +228,9 @@ def dates_of(texts: np.ndarray, order: str = "") -> tuple[Cells, dict[str, np.nd
     for i, text in enumerate(map(cell_text, texts)):
         if dates := unix_seconds(text):
             rows[:, i] = [dates.get("", dates.get(name, np.nan)) for name in ORDERS]
-            has_zone = has_zone(text) if has_zone is None else has_zone
+            has_zone = has_time_zone(text) if has_zone is None else has_zone
             unambiguous &= "" in dates
-        wrong = has_zone(text) != has_zone if dates else not is_missing(text)
+        wrong = has_time_zone(text) != has_zone if dates else not is_missing(text)
         if wrong and len(bad) < MAX_BAD:
             bad[i] = text
     if unambiguous:
