@@ -95,24 +95,32 @@ def page(all_: dict[str, list[dict[str, Any]]]) -> str:
         parts += [
             f"## {name}\n",
             "| effect | plausible | needed | residuals depend on | neighbours | taken for |",
+            "|---|---|---|---|---|---|",
+            *(_row(entry) for entry in entries if "leans_on" in entry),
+            "",
         ]
-        parts.append("|---|---|---|---|---|---|")
-        parts += [_line(entry) for entry in entries]
-        parts.append("")
+        remarks = dict.fromkeys(entry["remark"] for entry in entries if "leans_on" not in entry)
+        for remark in remarks:
+            alike = ", ".join(_with_size(e) for e in entries if e["remark"] == remark)
+            parts += [f"{alike}: {remark}.", ""]
     return "\n".join(parts)
 
 
-def _line(entry: dict[str, Any]) -> str:
-    unit = unit_label(entry["unit"])
-    cells = [f"`{entry['effect']}`", f"{number(entry['plausible'], 2)} {unit}"]
-    cells.append("–" if entry["needed"] is None else f"{number(entry['needed'], 2)} {unit}")
-    if "leans_on" in entry:
-        leans = ", ".join(f"{a} ({f:.0f})" for a, f in entry["leans_on"]) or "nothing clearly"
-        cells += [leans, f"{entry['autocorrelation']:.2f}"]
-        cells.append(", ".join(f"`{n}`" for n in entry["confused_with"]) or "–")
-    else:
-        cells += [entry["remark"] or "not detectable in this experiment", "", ""]
-    return "| " + " | ".join(cell.strip() for cell in cells) + " |"
+def _row(entry: dict[str, Any]) -> str:
+    leans = ", ".join(f"{a} ({f:.0f})" for a, f in entry["leans_on"]) or "nothing clearly"
+    confused = ", ".join(f"`{n}`" for n in entry["confused_with"]) or "–"
+    cells = [f"`{entry['effect']}`", _size(entry, "plausible"), _size(entry, "needed")]
+    return "| " + " | ".join([*cells, leans, f"{entry['autocorrelation']:.2f}", confused]) + " |"
+
+
+def _with_size(entry: dict[str, Any]) -> str:
+    """The effect that has no row, and the size that it would need."""
+    needed = f" ({_size(entry, 'needed')} needed)" if entry["needed"] is not None else ""
+    return f"`{entry['effect']}`{needed}"
+
+
+def _size(entry: dict[str, Any], which: str) -> str:
+    return f"{number(entry[which], 2)} {unit_label(entry['unit'])}"
 
 
 def main(names: list[str]) -> None:
