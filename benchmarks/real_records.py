@@ -2,8 +2,8 @@
 
 A record of NIST's Statistical Reference Datasets has an instrument of its own: a constant and a line, a parabola and a
 cubic as candidates, sizes from the range of the sensor. The channels of an inertial unit on a temperature ramp are read
-by `still_sensor`. Every second block is held out, in the order of what drives the record. The records are no part of
-the repository: they are looked for in `../shared/data`, or in `data` of the folder that BAYESCAL_SHARED names.
+by `still_sensor`. Every second block is held out, in the order of what drives the record. The ramp is no part of the
+repository: it is looked for in `../shared/data`, or in `data` of the folder that BAYESCAL_SHARED names.
 """
 
 from __future__ import annotations
@@ -18,6 +18,7 @@ from scipy.signal import lfilter
 
 import bayescal as bc
 from bayescal import effects
+from bayescal._annexes.validation import nist_strd
 from bayescal_models import still_sensor
 from benchmarks import pages
 from benchmarks.record import REFERENCE_DATA, read, today, write
@@ -115,16 +116,15 @@ def instrument_of(record: PublicRecord) -> bc.Instrument:
 def measured() -> Iterator[tuple[str, dict[str, Any]]]:
     """Give each record that is there with what was found."""
     for title, record in RECORDS.items():
-        path = REFERENCE_DATA / "nist_strd" / record.file
-        if path.is_file():
-            y, x = np.genfromtxt(path, delimiter=",", skip_header=1, unpack=True)
-            rank = np.argsort(np.argsort(x, kind="stable"))
-            holdout = (rank * BLOCKS // x.size) % 2 == 1
-            whole = bc.Measurements.from_arrays(
-                instrument_of(record), **{record.driver: x, "output": y}
-            )
-            row = calibrated(instrument_of(record), whole, holdout) | peers(x, y, holdout)
-            yield title, {"known": record.known, "unit": record.output_unit, **row}
+        path = nist_strd.FOLDER / record.file
+        y, x = np.genfromtxt(path, delimiter=",", skip_header=1, unpack=True)
+        rank = np.argsort(np.argsort(x, kind="stable"))
+        holdout = (rank * BLOCKS // x.size) % 2 == 1
+        whole = bc.Measurements.from_arrays(
+            instrument_of(record), **{record.driver: x, "output": y}
+        )
+        row = calibrated(instrument_of(record), whole, holdout) | peers(x, y, holdout)
+        yield title, {"known": record.known, "unit": record.output_unit, **row}
     path = REFERENCE_DATA / RAMP
     for axis, unit in AXES.items() if path.is_file() else ():
         columns, units = (

@@ -15,7 +15,7 @@ ROOT = Path(__file__).resolve().parents[1]
 DOCS = ROOT / "docs"
 RESULTS = ROOT / "benchmarks" / "results"
 CERTIFIED_DATA = ROOT / "tests" / "data"
-# Public records, which are no part of the repository: beside the checkout, unless BAYESCAL_SHARED names their folder.
+# Public records that are no part of the repository: beside the checkout, unless BAYESCAL_SHARED names their folder.
 REFERENCE_DATA = Path(os.environ.get("BAYESCAL_SHARED", ROOT.parent / "shared")) / "data"
 PACKAGES = ("bayescal", "jax", "numpy", "scipy", "optimistix")
 

@@ -91,7 +91,7 @@ COMMANDS = (
     *("instruments", "effects", "simulate", "pairs", "demo", "calibrate"),
     *("fit", "check", "discover", "compare", "predict", "noise"),
     *("compensate", "export", "budget", "report"),
-    *("batch", "triad", "imu", "decide", "workbench"),  # of annexes
+    *("batch", "triad", "imu", "decide", "validate", "workbench"),  # of annexes
 )
 
 

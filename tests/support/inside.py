@@ -20,6 +20,8 @@ from bayescal._annexes.metrology.conformity import DrawnQuantity as DrawnQuantit
 from bayescal._annexes.metrology.conformity import Limits as Limits
 from bayescal._annexes.metrology.conformity import acceptance as acceptance
 from bayescal._annexes.metrology.conformity import global_risks as global_risks
+from bayescal._annexes.validation import nist_strd as nist_strd
+from bayescal._annexes.validation import validation_record as validation_record
 from bayescal._annexes.workbench.session import Session as Session
 from bayescal._annexes.workbench.session_store import Origin as Origin
 from bayescal._calibration.check import autocorrelation as autocorrelation

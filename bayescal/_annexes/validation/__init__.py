@@ -1,0 +1,1 @@
+"""Validation on one's own installation: clauses of standards that the package answers, with certified values."""

@@ -1,0 +1,203 @@
+"""Kinds of examples that standards give, answered by public functions; clauses.toml holds what each example needs."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+import bayescal as bc
+from bayescal import effects
+from bayescal import workshop as ws
+from bayescal._annexes.validation.regressions import evaluate, fit
+
+DATA = Path(__file__).parent / "data"
+DRAWS = 100_000  # of a propagation of distributions: probabilities are known to 0.0016
+
+
+def pick(found: Any, path: str) -> Any:
+    """Return what stands at a path of attributes, keys and items, such as "corrected.value.0"."""
+    if isinstance(found, Mapping) and path in found:
+        return found[path]
+    part, _, rest = path.partition(".")
+    if isinstance(found, Mapping) or part.isdigit():
+        found = found[part if isinstance(found, Mapping) else int(part)]
+    else:
+        found = getattr(found, part)
+    return pick(found, rest) if rest else found
+
+
+def resolve(value: Any) -> Any:
+    """Return the data that a text names, "iso28037/examples.json ex1_equal.x", or the value itself."""
+    file, _, path = str(value).partition(" ")
+    if not isinstance(value, str) or not file.endswith((".csv", ".json")):
+        return value
+    if file.endswith(".csv"):
+        return np.loadtxt(DATA / file, delimiter=",", skiprows=1)[:, int(path)]
+    return pick(json.loads((DATA / file).read_text("utf-8")), path)
+
+
+def regression(
+    y: Any,
+    x: Any = None,
+    u: Any = None,
+    *,
+    centre: float = 0.0,
+    x_u: float = 0.0,
+    at: float = 0.0,
+    output: float | None = None,
+    output_u: float = 0.0,
+    limit: str = "",
+    method: str = "",
+    prior: Sequence[float] = (),
+) -> dict[str, Any]:
+    """Fit a constant, or a line in x − centre; calculate it there, or x for an output; decide about a limit.
+
+    Args:
+        y, x, u, x_u: readings, and standard uncertainties of y and x.
+        centre, at: of x; x − centre for which the line is calculated.
+        output, output_u: a reading for which x is calculated, and its standard uncertainty.
+        limit: on the line.
+        method, prior: of the fit; mean and standard deviation of a normal prior of the coefficients.
+    """
+    columns = {"x0": np.ones(len(y))} | ({} if x is None else {"x1": np.asarray(x) - centre})
+    more = [effects.uncertain_input("x1", x_u, source="stated")] if x_u else []
+    chosen = bc.Marginal(draws=20_000) if method == "Marginal" else bc.LeastSquares(draws=DRAWS)
+    stimulus = "value" if output is None else "x1"
+    priors = bc.Normal(*prior) if prior else bc.Flat()
+    fitted = fit(y, columns, u=u, prior=priors, stimulus=stimulus, more=more, method=chosen)
+    draws = np.array([fitted.samples(f"line.b[{name}]") for name in columns])
+    covariance = np.atleast_2d(np.cov(draws))
+    sd, of_both = np.sqrt(np.diag(covariance)), covariance[0, -1]
+    place = {name: at if name == "x1" else 1.0 for name in columns if name != stimulus}
+    reading: Any = {
+        "output": output or 0.0,
+        "output_uncertainty": output_u,
+        "noise": output is not None,
+    }
+    how: Any = {"method": "first order", "warn": False}
+    found = {
+        "b": draws.mean(axis=1),
+        "u": sd,
+        "covariance": of_both,
+        "r": of_both / (sd[0] * sd[-1]),
+    }
+    found |= {
+        "corrected": bc.compensator(fitted)(**reading, **place, **how),
+        "chi_squared": fitted.chi_squared,
+    }
+    if u is None:
+        found["s"] = fitted.samples("noise.white")[0]
+    if output is None:
+        found["budget"] = bc.budget(fitted, {"value": 0.0, **place})
+        found["type_b"] = sum(s.share for s in found["budget"].sources if s.kind == "B")
+    return found | ({"decision": bc.decide(fitted, limit).decisions[0]} if limit else {})
+
+
+def _fit_known(
+    y: Any, u: float, columns: Mapping[str, Any], *given: Any, **how: Any
+) -> bc.Calibration:
+    """Fit two readings of each y, by u above and below it: together they have y, and its standard uncertainty u."""
+    twice = {name: np.tile(values, 2) for name, values in columns.items()}
+    both = np.concatenate([np.asarray(y) - u, np.asarray(y) + u])
+    return fit(both, twice, *given, u=u * 2**0.5, method=bc.LeastSquares(draws=DRAWS), **how)
+
+
+def conformity(mean: float, u: float, limit: str, **how: Any) -> Any:
+    """Decide about a quantity of which an estimate and its standard uncertainty are known."""
+    found = _fit_known([mean], u, {"x0": np.ones(1)})
+    return bc.decide(found, f"line.b[x0]: {limit}", **how).decisions[0]
+
+
+def propagation(
+    values: list[str],
+    *,
+    mean: Any = None,
+    u: float = 1.0,
+    r: float = 0.0,
+    observations: Any = None,
+    correlated: bool = True,
+    method: Any = "draws",
+) -> dict[str, Any]:
+    """Propagate inputs b1, b2, … to several values, their correlations by the uncertainties of sums of two.
+
+    Args:
+        values: equations.
+        mean, u, r: of the inputs; the correlation of each two.
+        observations: whose means, and covariances if `correlated`, they have instead, a row for each input.
+        method: "draws" (JCGM 101) or "first order" (JCGM 100).
+    """
+    if observations is not None:
+        mean, covariance = (
+            np.mean(observations, axis=1),
+            np.cov(observations) / len(observations[0]),
+        )
+        covariance = covariance if correlated else np.diag(np.diag(covariance))
+    else:
+        covariance = u**2 * (np.full((len(mean), len(mean)), r) + (1 - r) * np.eye(len(mean)))
+    count = len(values)
+    root = np.linalg.inv(np.linalg.cholesky(covariance))  # of readings with unit variance
+    columns = {f"x{i}": c for i, c in enumerate(root.T, 1)}
+    expected = " + ".join(f"b{i}*{name}" for i, name in enumerate(columns, 1))
+    columns |= {f"w{k}": np.zeros(len(mean)) for k in range(count)}
+    value = " + ".join(f"w{k}*({text})" for k, text in enumerate(values))
+    fitted = _fit_known(root @ mean, 1.0, columns, mean, expected, value=value)
+    pairs = [(i, j) for i in range(count) for j in range(i)]
+    weights = np.vstack([np.eye(count), *(np.eye(count)[[pair]].sum(axis=1) for pair in pairs)])
+    given: Any = {f"w{k}": w for k, w in enumerate(weights.T)}
+    given |= {"output": np.zeros(len(weights)), "noise": False, "warn": False}
+    found = bc.compensator(fitted, draws=DRAWS)(**given, method=method)
+    sd = found.uncertainty
+    both = zip(sd[count:], pairs, strict=True)
+    r_each = [(s**2 - sd[i] ** 2 - sd[j] ** 2) / (2 * sd[i] * sd[j]) for s, (i, j) in both]
+    return {"y": found.value, "u": sd, "r": r_each}
+
+
+def first_order_beside_draws(**given: Any) -> list[float]:
+    """Return how far y − 2u and y + 2u of the law of propagation are from those by draws."""
+    first, drawn = (propagation(**given, method=method) for method in ("first order", "draws"))
+    y, u = (first[key][0] - drawn[key][0] for key in ("y", "u"))
+    return [abs(y - 2 * u), abs(y + 2 * u)]
+
+
+def _at_rest(output: np.ndarray, step: float) -> bc.Measurements:
+    time, still = step * np.arange(len(output)), ws.instrument_named("still_sensor")
+    return bc.Measurements.from_arrays(still, units={"output": "deg/s"}, time=time, output=output)
+
+
+def noise(seed: int, n: int, step: float, true: Mapping[str, float]) -> dict[str, float]:
+    """Find the noise coefficients of a simulated record: N, K, B in °/s and s, `angle` the step of an angle in °."""
+    random, found = np.random.default_rng(seed), dict.fromkeys(("K", "angle"), 0.0) | dict(true)
+    rate = found["N"] / step**0.5 * random.standard_normal(n)
+    rate += found["K"] * step**0.5 * np.cumsum(random.standard_normal(n))
+    rate += np.diff(found["angle"] * random.uniform(-0.5, 0.5, n + 1)) / step
+    if "B" in true:  # of the spectrum B²/(2πf)
+        size = true["B"] * np.sqrt(n / (2 * np.pi * np.fft.rfftfreq(2 * n)[1:]))
+        drawn = random.standard_normal((n, 2)) @ [1, 1j]
+        rate += np.fft.irfft(np.append(0.0, size * drawn), 2 * n)[:n]
+    return {f.symbol: f.value for f in bc.noise(_at_rest(rate, step)).figures}
+
+
+def allan_deviation(seed: int, n: int) -> bc.AllanDeviation:
+    """Compute the Allan deviation of numbers of the generator in NIST SP 1065, section 12."""
+    drawn = [seed]
+    while len(drawn) < n:
+        drawn.append(16807 * drawn[-1] % 2147483647)
+    return bc.allan_deviation(_at_rest(np.array(drawn) / 2147483647, 1.0))
+
+
+def instrument(
+    name: str, grid: Any, output: str, true: Any, u: float, add: Any = ()
+) -> dict[str, float]:
+    """Fit an installed instrument to exact outputs by its equation, at all combinations of some columns."""
+    chosen = ws.instrument_named(name)
+    columns = dict(zip(grid, (m.ravel() for m in np.meshgrid(*grid.values())), strict=True))
+    y = evaluate(output, columns | true)
+    columns["output_uncertainty"] = np.full(len(y), u)
+    readings = bc.Measurements.from_arrays(chosen, output=y, **columns)
+    model = (chosen.baseline() + list(add)).fix({"noise.white": 0.0})
+    found = bc.fit(model, readings, bc.LeastSquares(), strict=False, reference={"T0": 25.0})
+    return {n: float(found.samples(n).mean()) for n in model.names}

@@ -1,0 +1,127 @@
+"""NIST's Statistical Reference Datasets for regression: how they are fitted, and how well their certificates are met.
+
+By fit with LeastSquares, nonlinear sets by the equation that their certificate prints, from both starts; largest
+relative errors. Of Filip and the Wamplers, whose powers of x are nearly parallel to a double, Legendre polynomials are
+fitted and multiplied out. P = log10(1 + e/(κ·η)) is how many figures are lost beyond those that every stable algorithm
+loses: e the error of the parameters, κ the condition number of the Jacobian times the parameters, η = 2.2e-16 (M. Cox
+and P. Harris, SSfM Best Practice Guide 6, NPL 1999). Certificates of nonlinear sets have eleven digits, which bounds P
+from below. Of data without noise, standard deviations are rounding and not compared.
+
+Source: NIST StRD (www.itl.nist.gov/div898/strd).
+"""
+
+from __future__ import annotations
+
+import itertools
+import json
+import math
+from functools import cache
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.polynomial import Legendre, Polynomial
+from numpy.polynomial.legendre import legvander
+
+import bayescal as bc
+from bayescal._annexes.validation.regressions import evaluate, fit
+
+FOLDER = Path(__file__).parent / "data" / "nist_strd"
+MAX_DIGITS = 16.0  # digits to which doubles can agree
+# Ranges of x, over which Legendre polynomials are fitted.
+LEGENDRE = {"filip": (-9.0, -3.0)} | {f"wampler{i}": (0.0, 20.0) for i in range(1, 6)}
+NOISELESS = ("Lanczos1", "wampler1", "wampler2")  # their standard deviations are rounding
+
+ABOUT = " ".join(str(__doc__).split("\n\n")[1].split())
+
+
+@cache
+def certificates(kind: str) -> dict[str, Any]:
+    """Return what is certified of the "linear" or the "nonlinear" sets, by their names."""
+    return json.loads((FOLDER / kind / f"certified_{kind}.json").read_text("utf-8"))
+
+
+class Estimate(NamedTuple):
+    """What a fit gives of a set, in the order of its certificate, and what is certified."""
+
+    parameters: np.ndarray
+    sd: np.ndarray
+    residual_sd: float
+    converged: bool
+    certified: tuple[np.ndarray, np.ndarray, float]  # the first three
+    condition: float  # κ
+
+    @property
+    def errors(self) -> tuple[float, ...]:
+        """Largest relative error of parameters, standard deviations and residual standard deviation."""
+        return tuple(map(relative_error, self[:3], self.certified))
+
+    @property
+    def performance(self) -> float:
+        """P, figures of accuracy lost."""
+        return math.log10(1 + self.errors[0] / (self.condition * float(np.finfo(float).eps)))
+
+
+def estimates(name: str) -> list[Estimate]:
+    """Fit a set by least squares: a linear one once, a nonlinear one from both of its starts."""
+    kind = "linear" if name in certificates("linear") else "nonlinear"
+    table = np.loadtxt(FOLDER / kind / f"{name}.csv", delimiter=",", skiprows=1)
+    return (_linear if kind == "linear" else _nonlinear)(name, table[:, 0], table[:, 1:])
+
+
+def _linear(name: str, y: np.ndarray, x: np.ndarray) -> list[Estimate]:
+    known = certificates("linear")[name]
+    degrees = [int(t[2:]) for t in known["terms"] if t.startswith("x^")]
+    design = x ** np.array(degrees) if degrees else np.insert(x, 0, 1.0, axis=1)
+    matrix, fitted = np.eye(design.shape[1]), design
+    if name in LEGENDRE:
+        low, high = LEGENDRE[name]
+        fitted = legvander((2 * x[:, 0] - low - high) / (high - low), degrees[-1])
+        for k in degrees:  # β = matrix·γ, of powers by Legendre polynomials
+            own = Legendre.basis(k, domain=[low, high]).convert(domain=[-1, 1], kind=Polynomial)
+            matrix[: k + 1, k] = own.coef
+    found = fit(y, {f"x{i}": column for i, column in enumerate(fitted.T)})
+    draws = found.draws()[0] @ matrix.T
+    best = matrix @ (found.mode.x + found.layout.origin_of_x)  # the mean of draws but for rounding
+    said = [np.array(known[f"{key}_exact"], float) for key in ("beta", "sd", "residual_sd")]
+    return [_estimate(found, best, draws, said, design * said[0])]
+
+
+def _nonlinear(name: str, y: np.ndarray, x: np.ndarray) -> list[Estimate]:
+    known = certificates("nonlinear")[name]
+    lines = itertools.takewhile(lambda line: not line.startswith("Starting"), known["model"][2:])
+    text = " ".join(lines)
+    response, _, equation = text[text.index("y") :].partition("=")
+    expected = equation.strip().removesuffix("e").rstrip(" +")
+    y = np.log(y) if "]" in response else y  # of Nelson, log[y]
+    columns = dict(zip(("x1", "x2") if x.shape[1] > 1 else ("x",), x.T, strict=True))
+    said = np.array(known["certified"]), np.array(known["sd"]), known["residual_sd"]
+
+    def shifted(i: int) -> Any:
+        b = said[0] * (1 + 1e-30j * (np.arange(len(said[0])) == i))  # a complex step
+        return evaluate(expected, columns | {f"b{k}": value for k, value in enumerate(b, 1)})
+
+    slopes = np.transpose([np.imag(shifted(i)) * 1e30 for i in range(len(said[0]))])
+    found = []
+    for start in (known["start1"], known["start2"]):
+        one = fit(y, columns, start, expected, method=bc.LeastSquares(draws=512))
+        draws = start + one.draws()[0] + one.layout.origin_of_x  # which have the moments of the fit
+        found.append(_estimate(one, draws.mean(axis=0), draws, said, slopes))
+    return found
+
+
+def _estimate(found: bc.Calibration, best: Any, draws: Any, said: Any, slopes: Any) -> Estimate:
+    noise, condition = float(found.samples("noise.white")[0]), float(np.linalg.cond(slopes))
+    return Estimate(best, draws.std(axis=0, ddof=1), noise, found.verdict.ok, said, condition)
+
+
+def relative_error(found: Any, certified: Any) -> float:
+    """Largest relative error; beside a certified zero, the error itself."""
+    true = np.asarray(certified, float)
+    error = float(np.max(np.abs(found - true) / np.where(true == 0, 1.0, np.abs(true))))
+    return math.inf if math.isnan(error) else error
+
+
+def digits(error: float) -> float:
+    """Return to how many digits values of a relative error agree."""
+    return MAX_DIGITS if error < 10.0**-MAX_DIGITS else max(0.0, -math.log10(error))

@@ -1,0 +1,36 @@
+"""What the annex of validation offers: the command. Heavy modules load inside it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import bayescal as bc
+from bayescal import workshop as ws
+
+
+class ValidateCommand(ws.AsJson, ws.Command):
+    """Compare this installation with certified values of standards.
+
+    Exit status: 0 where every value is within its tolerance; 1 where one is not.
+    """
+
+    example = "bayescal validate --out validation.pdf --out validation.html"
+    out: list[Path] | None = ws.opt("PDF or HTML file to write; repeat.", None, "--out", "-o")
+    standard: list[str] | None = ws.opt('Such as "JCGM 100", else all; repeat for more.')
+
+    def answer(self) -> ws.Answer:
+        from bayescal._annexes.validation.document import WRITERS
+        from bayescal._annexes.validation.validation_record import validate
+
+        paths = self.out or []
+        for path in paths:
+            if path.suffix.lower() not in WRITERS:
+                raise bc.InputError(f"--out {path}: name it ….pdf or ….html")
+        found = validate(self.standard or ())
+        for path in paths:
+            WRITERS[path.suffix.lower()](found, path)
+        why = f"{len(found.failed)} of {len(found.rows)} values are not as certified"
+        return ws.Answer(found, ok=not found.failed, why=why, written=", ".join(map(str, paths)))
+
+
+ANNEX = {"commands": (ValidateCommand,)}

@@ -1,0 +1,202 @@
+"""The validation record: values as certified and as found, NIST's sets, and the installation that they are of."""
+
+from __future__ import annotations
+
+import hashlib
+import math
+import platform
+import tomllib
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from functools import cache
+from importlib.metadata import PackageNotFoundError, version
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import bayescal as bc
+from bayescal import workshop as ws
+from bayescal._annexes.validation import examples, nist_strd
+
+PACKAGES = ("numpy", "scipy", "jax", "jaxlib", "numpyro", "arviz-base", "arviz-stats")
+NIST = "NIST StRD"
+PARAMETER_RTOL, SD_RTOL = (
+    1e-7,
+    1e-6,
+)  # ten times what is met by the worst set, as processors round differently
+HEAD = ("clause", "what is tested", "quantity", "certified", "found", "difference", "tolerance", "")
+WIDTHS = (0.1, 0.34, 0.15, 0.09, 0.09, 0.09, 0.08, 0.06)  # of the page
+NIST_HEAD = ("set", "κ", "P", "parameters", "tolerance", "", "standard deviations", "tolerance", "")
+
+
+class Row(NamedTuple):
+    """A value beside what is certified."""
+
+    standard: str
+    clause: str
+    tested: str
+    quantity: str
+    certified: float
+    found: float
+    tolerance: float
+
+    @property
+    def passed(self) -> bool:
+        return abs(self.found - self.certified) <= self.tolerance
+
+    @property
+    def cells(self) -> list[str]:
+        """The row as printed."""
+        values = (ws.number(value, 7) for value in (self.certified, self.found))
+        small = (ws.number(v, 2) for v in (self.found - self.certified, self.tolerance))
+        outcome = "passed" if self.passed else "FAILED"
+        return [self.clause, self.tested, self.quantity, *values, *small, outcome]
+
+
+class Section(NamedTuple):
+    """A part of the document: a table, with the widths of its columns as shares of the page."""
+
+    title: str
+    notes: Sequence[str]
+    head: Sequence[str]
+    rows: Sequence[Sequence[str]]
+    widths: Sequence[float]
+
+
+@cache
+def content() -> dict[str, Any]:
+    """Return clauses.toml."""
+    return tomllib.loads(Path(__file__).with_name("clauses.toml").read_text("utf-8"))
+
+
+@dataclass(frozen=True)
+class ValidationRecord:
+    """What a validation found.
+
+    Attributes:
+        rows: all values.
+        nist: condition number κ and performance P of each of NIST's sets.
+        asked: the standards.
+        installation: date, versions, machine and digests.
+    """
+
+    rows: tuple[Row, ...]
+    nist: dict[str, tuple[float, float]]
+    asked: tuple[str, ...]
+    installation: dict[str, str]
+
+    @property
+    def failed(self) -> list[Row]:
+        return [row for row in self.rows if not row.passed]
+
+    def of(self, standard: str) -> list[Row]:
+        return [row for row in self.rows if row.standard == standard]
+
+    def __str__(self) -> str:
+        own = ((name, self.of(name)) for name in self.asked)
+        counts = (
+            (n, len({r.clause for r in o}), len(o), sum(not r.passed for r in o)) for n, o in own
+        )
+        head = ["standard", "clauses", "values", "failed"]
+        table = ws.plain_table(head, [[*map(str, row)] for row in counts])
+        return "\n".join([str(table), *(" ".join((r.standard, *r.cells)) for r in self.failed)])
+
+    def data(self) -> dict[str, Any]:
+        """As JSON."""
+        rows = [{**row._asdict(), "passed": row.passed} for row in self.rows]
+        nist = {name: {"condition": k, "performance": p} for name, (k, p) in self.nist.items()}
+        head = {"schema": "bayescal.validation/1", "passed": not self.failed}
+        return head | {"installation": self.installation, "rows": rows, "nist": nist}
+
+    def sections(self) -> Iterator[Section]:
+        """Give the parts of the document: the installation, each standard, NIST's sets."""
+        said = f"{len(self.rows)} values: {len(self.failed) or 'none'} failed."
+        yield Section("Installation", [said], ["", ""], [*self.installation.items()], [0.2, 0.8])
+        for one in content()["standards"]:
+            rows = self.of(one["name"])
+            before = [None, *(row.tested for row in rows)]
+            same = [row.tested == other for row, other in zip(rows, before, strict=False)]
+            cells = [
+                ["", "", *r.cells[2:]] if s else r.cells for r, s in zip(rows, same, strict=True)
+            ]
+            missing = [f"Not answered: {text}." for text in one["not_answered"]]
+            if rows:
+                yield Section(one["title"], missing, HEAD, cells, WIDTHS)
+        sets = {name: [name, f"{k:.1e}", f"{p:.2f}"] for name, (k, p) in self.nist.items()}
+        for row in self.of(NIST):
+            sets[row.clause] += [f"{row.found:.1e}", f"{row.tolerance:.0e}", row.cells[-1]]
+        rows = [[*cells, *[""] * (len(NIST_HEAD) - len(cells))] for cells in sets.values()]
+        if rows:
+            title, widths = "NIST Statistical Reference Datasets, regression", [1 / 9] * 9
+            yield Section(title, [nist_strd.ABOUT], NIST_HEAD, rows, widths)
+
+
+def validate(asked: Sequence[str] = ()) -> ValidationRecord:
+    """Run the examples of some standards, or of all.
+
+    Raises:
+        InputError: a name that is no standard here.
+    """
+    names = [*(one["name"] for one in content()["standards"]), NIST]
+    if strange := [name for name in asked if name not in names]:
+        raise bc.InputError(f"--standard {strange[0]!r} is not one of {', '.join(names)}")
+    chosen = tuple(name for name in names if name in (asked or names))
+    rows = [
+        row for one in content()["clauses"] if one["standard"] in chosen for row in _clause(one)
+    ]
+    performance = dict[str, tuple[float, float]]()
+    kinds = ("linear", "nonlinear") if NIST in chosen else ()
+    for name in (name for kind in kinds for name in nist_strd.certificates(kind)):
+        with ws.stage(f"{NIST}, {name}"):
+            found = nist_strd.estimates(name)
+        performance[name] = found[0].condition, max(one.performance for one in found)
+        worst = [max(errors) for errors in zip(*(one.errors for one in found), strict=True)]
+        of = NIST, name, "largest relative error, from every start"
+        rows.append(Row(*of, "parameters", 0.0, worst[0], PARAMETER_RTOL))
+        if name not in nist_strd.NOISELESS:
+            rows.append(Row(*of, "standard deviations", 0.0, worst[1], SD_RTOL))
+    return ValidationRecord(tuple(rows), performance, chosen, installation())
+
+
+def _clause(one: dict[str, Any]) -> Iterator[Row]:
+    """Give the values of a clause; not a number where its example is refused."""
+    given = {name: examples.resolve(value) for name, value in one["given"].items()}
+    found, refused = None, ""
+    with ws.stage(f"{one['standard']}, {one['clause']}"):
+        try:
+            found = getattr(examples, one["example"])(**given)
+        except bc.BayescalError as error:
+            refused = f" ({error})"
+    for quantity, path, certified, tolerance in one["rows"]:
+        value = math.nan if refused else float(examples.pick(found, path))
+        of = one["standard"], one["clause"], one["tested"] + refused, quantity
+        yield Row(*of, float(examples.resolve(certified)), value, tolerance)
+
+
+def installation() -> dict[str, str]:
+    """Return date, versions, machine and digests."""
+    found = {"date": datetime.now(UTC).isoformat(timespec="seconds"), "bayescal": bc.__version__}
+    found["Python"] = f"{platform.python_implementation()} {platform.python_version()}"
+    for name in PACKAGES:
+        try:
+            found[name] = version(name)
+        except PackageNotFoundError:
+            found[name] = "not installed"
+    found["machine"] = f"{platform.machine()}, {platform.platform()}"
+    places = (find_spec(name) for name in ("bayescal", "bayescal_models"))
+    roots = [Path(str(spec.origin)).parent for spec in places if spec is not None]
+    found["SHA-256 of the package's files"] = digest(*roots)
+    found["SHA-256 of the certified data"] = digest(examples.DATA)
+    return found
+
+
+def digest(*folders: Path) -> str:
+    """Return a SHA-256 over paths and digests of all files of some folders, in the order of their paths."""
+    total = hashlib.sha256()
+    for folder in folders:
+        for file in sorted(folder.rglob("*")):
+            if file.is_file() and "__pycache__" not in file.parts:
+                path = file.relative_to(folder.parent).as_posix()
+                total.update(f"{path} {hashlib.sha256(file.read_bytes()).hexdigest()}\n".encode())
+    return total.hexdigest()
