@@ -30,7 +30,8 @@ class Pages:
 
     def __init__(self) -> None:
         self.figures, self.y = list[Figure](), 0.0
-        self.head, self.widths = list[str](), (1.0,)
+        self.head: Sequence[str] = ()
+        self.widths: Sequence[float] = (1.0,)
 
     def add(self, cells: Sequence[str], size: float = 1.0, weight: str = "normal") -> None:
         """Add a row of cells, each folded to its column."""
@@ -66,7 +67,7 @@ def write_pdf(record: ValidationRecord, path: Path) -> None:
         pages = Pages()
         pages.add([TITLE], size=2.0)
         for section in record.sections():
-            pages.head, pages.widths = [], (*section.widths,)
+            pages.head, pages.widths = (), section.widths
             if pages.y < MARGIN + SECTION_LINES * LINE_INCHES:
                 pages.y = 0.0
             pages.add([""])
@@ -74,7 +75,7 @@ def write_pdf(record: ValidationRecord, path: Path) -> None:
             for note in section.notes:
                 pages.add([note])
             pages.add(section.head, weight="bold")
-            pages.head = [*section.head]
+            pages.head = section.head
             for row in section.rows:
                 pages.add(row)
         pages.write(path)

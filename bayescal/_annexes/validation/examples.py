@@ -194,7 +194,9 @@ def instrument(
 ) -> dict[str, float]:
     """Fit an installed instrument to exact outputs by its equation, at all combinations of some columns."""
     chosen = ws.instrument_named(name)
-    columns = dict(zip(grid, (m.ravel() for m in np.meshgrid(*grid.values())), strict=True))
+    columns: dict[str, Any] = dict(
+        zip(grid, (m.ravel() for m in np.meshgrid(*grid.values())), strict=True)
+    )
     y = evaluate(output, columns | true)
     columns["output_uncertainty"] = np.full(len(y), u)
     readings = bc.Measurements.from_arrays(chosen, output=y, **columns)

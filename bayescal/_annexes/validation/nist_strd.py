@@ -94,7 +94,9 @@ def _nonlinear(name: str, y: np.ndarray, x: np.ndarray) -> list[Estimate]:
     response, _, equation = text[text.index("y") :].partition("=")
     expected = equation.strip().removesuffix("e").rstrip(" +")
     y = np.log(y) if "]" in response else y  # of Nelson, log[y]
-    columns = dict(zip(("x1", "x2") if x.shape[1] > 1 else ("x",), x.T, strict=True))
+    columns: dict[str, Any] = dict(
+        zip(("x1", "x2") if x.shape[1] > 1 else ("x",), x.T, strict=True)
+    )
     said = np.array(known["certified"]), np.array(known["sd"]), known["residual_sd"]
 
     def shifted(i: int) -> Any:
