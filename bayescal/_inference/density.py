@@ -6,6 +6,7 @@ From a table of products where one tells them (`Tabulated`), else from the readi
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any

@@ -35,7 +35,6 @@ BOX_SD = 5.0  # standard deviations of a Gaussian fit of φ, up to which polynom
 DEGREES = {1: (6, 12, 20), 2: (4, 8, 12, 17), 3: (3, 5, 7, 9)}
 LISTED = 8  # coordinates whose columns are listed together
 MOST_PLACES = 8  # about which Taylor series are kept
-
 _NUMBERS = itertools.count()
 _ORDERS = np.arange(COUNT)
 _TRIED = np.array([-0.93, -0.31, 0.47, 0.98])  # where a series is tried
