@@ -403,8 +403,8 @@ class PredictCommand(ColumnOptions, UsedParts, AsJson, Command):
 
     def answer(self) -> Answer:
         loaded = request.load_saved(self.calibration, self)
-        how = self.for_read()
-        readings = bc.read(self.files, loaded.model.instrument, like=loaded.readings, **how)
+        how = {**self.for_read(), "allow_one_temperature": True, "like": loaded.readings}
+        readings = bc.read(self.files, loaded.model.instrument, **how)
         readings = request.averaged(readings, self.average)
         self.keep()
         print_notes(readings.flags)

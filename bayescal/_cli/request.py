@@ -92,11 +92,11 @@ def own_effects(
 
 
 def _read(
-    files: Sequence[Path], of: Any, asked: ReadRequest, names: Sequence[str]
+    files: Sequence[Path], of: Any, asked: ReadRequest, names: Sequence[str], **more: Any
 ) -> dict[str, Measurements]:
-    outputs: dict[str, Any] = {"outputs": list(names)} if names else {}
+    more |= {"outputs": list(names)} if names else {}
     with stage("reading"):
-        readings = bc.read(list(files), of, **asked.for_read(), **outputs)
+        readings = bc.read(list(files), of, **asked.for_read(), **more)
     return readings if names else {"": readings}  # pyright: ignore[reportReturnType]
 
 
@@ -156,7 +156,7 @@ def searched(
     holdout = {}
     if asked.holdout:
         of = general if names else models[""].instrument
-        records = _read(asked.holdout, of, asked, names)
+        records = _read(asked.holdout, of, asked, names, allow_one_temperature=True)
         holdout = {n: averaged(r, asked.average, asked.keep_spikes) for n, r in records.items()}
     print_notes(flags_of(readings))
     return models, readings, holdout

@@ -236,7 +236,7 @@ def missing(found: Discovery | Mapping[str, Any], ax: Any = None) -> Figure:
     ax.minorticks_off()
     ax.xaxis.set_major_formatter(lambda value, _: f"{value:g}".replace("-", "−"))
     ax.axvline(0, color=GREY, lw=0.8)
-    ax.set_xlabel("log Bayes factor of adding one alone [no unit]")
+    ax.set_xlabel("log Bayes factor of adding one (below 0: evidence against it)")
     kinds = list(dict.fromkeys(c["kind"] for c in bars[::-1]))
     otherwise = "not needed beside the findings" if "finding" in kinds else "no evidence"
     names = [Patch(color=KINDS.get(k or "", BLUE), label=no_formula(k or otherwise)) for k in kinds]
@@ -258,14 +258,13 @@ def loop(found: SearchPath) -> Figure:
         last = next(e for e in final.check.entries if e.against == entry.against)
         title = "3  the same, with what was found"
         residual_panel(after, final.calibration, final.check, last, title)
-        after.set_ylim(upper.get_ylim())
+        after.set_ylabel(axis_label("residual, on a scale of its own", final.check.unit))
     if first.discovery is not None:
         missing(first.discovery, bars)
-    bars.set_title(
-        "2  what is missing: each alone, beside the first model", fontsize=10, loc="left"
-    )
+    bars.set_title("2  what is missing: one added to the first model", fontsize=10, loc="left")
     trail(found, falls)
-    falls.set_title("4  the error falls", fontsize=10, loc="left")
+    change = "falls" if final.rmse_fitted <= first.rmse_fitted else "rises"
+    falls.set_title(f"4  the error {change}", fontsize=10, loc="left")
     return figure
 
 

@@ -198,8 +198,9 @@ def effects(chapter: Chapter) -> ResultTable:
 
 def _unknowns(effect: Effect) -> list[str]:
     lines = []
-    for i, c in enumerate(effect.coefficients):
-        prior = _prior(c.prior if c.group_sd is None else c.group_sd)
+    for i, c in ((i, c) for i, c in enumerate(effect.coefficients) if not c.known):
+        prior = c.prior if c.group_sd is None else c.group_sd
+        prior = PRIORS.get(type(prior), repr)(prior)
         if c.group_sd is not None:
             prior = f"between-group standard deviation estimated, {prior}"
         if effect.weights is not None:
@@ -225,10 +226,6 @@ PRIORS: dict[type, Callable[[Any], str]] = {
     LogUniform: lambda p: f"log-uniform prior from {number(p.low)} to {number(p.high)}",
     Flat: lambda p: "flat prior",
 }
-
-
-def _prior(prior: Any) -> str:
-    return PRIORS.get(type(prior), repr)(prior)
 
 
 MAX_NAMED = 4  # effects of the first model, unknowns of an effect found, that are named
