@@ -236,7 +236,7 @@ def missing(found: Discovery | Mapping[str, Any], ax: Any = None) -> Figure:
     ax.minorticks_off()
     ax.xaxis.set_major_formatter(lambda value, _: f"{value:g}".replace("-", "−"))
     ax.axvline(0, color=GREY, lw=0.8)
-    ax.set_xlabel("log Bayes factor of adding one (below 0: evidence against it)")
+    ax.set_xlabel("log Bayes factor (below 0: against it) [no unit]")
     kinds = list(dict.fromkeys(c["kind"] for c in bars[::-1]))
     otherwise = "not needed beside the findings" if "finding" in kinds else "no evidence"
     names = [Patch(color=KINDS.get(k or "", BLUE), label=no_formula(k or otherwise)) for k in kinds]

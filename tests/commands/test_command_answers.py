@@ -49,7 +49,8 @@ def test_a_saved_calibration_is_checked_discovered_and_predicted(
     residual = written["residual [deg/s]"].to_numpy()
     assert said["rows"] == len(written) == 18
     assert said["rmse"] == pytest.approx(float(np.sqrt(np.mean(residual**2))))
-    text = run("predict", saved, TABLE).out
+    pd.read_csv(TABLE).iloc[[0, 0]].to_csv(out, index=False)  # at one temperature
+    assert "2 readings: rms error" in run("predict", saved, out).out
 
 
 def test_columns_and_units_can_be_named(saved: Path, tmp_path: Path) -> None:
