@@ -108,10 +108,11 @@ def render() -> pages.Texts:
     groups, further = results(), results(SIXTY)
     days = [row["day"] for rows in (*groups.values(), *further.values()) for row in rows]
     claims = [(kind, partial(_cell, kind=kind)) for kind in KINDS]
-    lines = [("all that are spoilt", _total), *claims]
-    sixty = pages.claims_table(further, [("right/said/wrong", _total)], "records")
+    totals = pages.claims_table(groups, [("all that are spoilt", _total)], "records")
     text = (
         "Sixty further kinds: faults of thermometer, clock, hold-out and logger; a random sample."
     )
-    table = pages.claims_table(groups, lines, "records")
-    return pages.page("gauntlet", "Spoilt records", "gauntlet", days, ABOUT, table, text, sixty)
+    sixty = pages.claims_table(further, [("right/said/wrong", _total)], "records")
+    together = {"all instruments": [row for rows in groups.values() for row in rows]}
+    parts = (totals, text, sixty, "By kind:", pages.claims_table(together, claims, "records"))
+    return pages.page("gauntlet", "Spoilt records", "gauntlet", days, ABOUT, *parts)

@@ -16,7 +16,7 @@ from tests.support.command_line import write_bent_table
 from tests.support.inside import result_of, write_plain_json
 
 PAGE = (Path(__file__).resolve().parents[2] / "docs" / "result_schema.md").read_text("utf-8")
-DOCUMENTED = dict(re.findall(r"^\| `([^`]+)` \| ([a-z ]+) \|", PAGE, re.MULTILINE))
+DOCUMENTED = dict(re.findall(r"^- `([^`]+)` \(([a-z ]+)\)", PAGE, re.MULTILINE))
 KNOWN = {"noise.white": 0.1}  # °/s
 TYPES = {
     "string": str,
