@@ -157,7 +157,7 @@ def summary(calibration: Fitted) -> tuple[list[dict[str, Any]], list[dict[str, A
         present = calibration.having.get(u.effect, np.ones(len(values), dtype=bool))
         conditional = values[present] if present.sum() > 1 else values
         low, high = np.quantile(values, [0.025, 0.975])
-        sd, prior = float(values.std(ddof=1)), u.prior_sd
+        sd, prior = float(values.std(ddof=1)) * bool(np.ptp(values)), u.prior_sd  # equal ones round
         row = {
             "name": u.name,
             "effect": u.effect,

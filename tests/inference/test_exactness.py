@@ -263,7 +263,7 @@ def test_noise_that_is_best_at_zero_stays_a_number() -> None:
 # Pareto smoothing against ArviZ's.
 
 
-@pytest.mark.parametrize("count", [25, 225, 226, 4000])
+@pytest.mark.parametrize("count", [30, 225, 226, 4000])  # ArviZ 1.3 smooths none of fewer
 @pytest.mark.parametrize("freedom", [2, 30])
 @pytest.mark.parametrize("size", [1e-3, 0.3, 3.0])
 def test_smoothed_weights_are_those_of_arviz(count: int, freedom: float, size: float) -> None:
