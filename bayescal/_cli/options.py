@@ -40,19 +40,19 @@ def parse_values(texts: Texts, option: str) -> dict[str, list[str]]:
     return values
 
 
-def named_values(given: Texts, option: str) -> dict[str, str]:
+def named_values(pairs: Texts, option: str) -> dict[str, str]:
     """Parse name=value options to a dictionary; raise InputError for a name with two values."""
-    values_by_name = parse_values(given, option)
+    values_by_name = parse_values(pairs, option)
     for name, values in values_by_name.items():
         if len(values) > 1:
             raise InputError(f"{option} says {name} twice, {' and '.join(values)}: say it once")
     return {name: value for name, (value,) in values_by_name.items()}
 
 
-def named_numbers(given: Texts, option: str) -> dict[str, float]:
+def named_numbers(pairs: Texts, option: str) -> dict[str, float]:
     """Parse name=number options to a dictionary; raise InputError for a value that is no finite number."""
     numbers = {}
-    for name, value in named_values(given, option).items():
+    for name, value in named_values(pairs, option).items():
         try:
             numbers[name] = float(value)
         except ValueError:
@@ -62,9 +62,9 @@ def named_numbers(given: Texts, option: str) -> dict[str, float]:
     return numbers
 
 
-def names_in(given: str | None) -> list[str]:
+def names_in(texts: str | None) -> list[str]:
     """Split names at commas."""
-    return [name for part in (given or "").split(",") if (name := part.strip())]
+    return [name for part in (texts or "").split(",") if (name := part.strip())]
 
 
 def optional_names(text: str | None) -> list[str] | None:
@@ -72,12 +72,12 @@ def optional_names(text: str | None) -> list[str] | None:
     return None if text is None else names_in(text)
 
 
-def channel_names(given: str | None) -> list[str]:
+def channel_names(texts: str | None) -> list[str]:
     """Split the names of --channels, [] where it is not given; raise InputError for fewer than two, or one twice."""
-    names = names_in(given)
-    if given is not None and (len(names) < 2 or len(set(names)) < len(names)):
+    names = names_in(texts)
+    if texts is not None and (len(names) < 2 or len(set(names)) < len(names)):
         raise InputError(
-            f"--channels {given!r}: give two names or more, each once, as gyro_x,gyro_y"
+            f"--channels {texts!r}: give two names or more, each once, as gyro_x,gyro_y"
         )
     return names
 

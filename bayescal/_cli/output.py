@@ -116,8 +116,8 @@ def _headed(head: str, *parts: object) -> str:
 class ConsoleReporter:
     """Printer of a search's progress: the first table at once, a line where the best changes or every ten seconds."""
 
-    def __init__(self, begun: bool, verbose: bool = False) -> None:
-        self.begun, self.verbose = begun, verbose
+    def __init__(self, started: bool, verbose: bool = False) -> None:
+        self.begun, self.verbose = started, verbose
         self._printed = dict[str, tuple[int, str]]()
 
     def follow(self, name: str, trail: SearchPath) -> None:
@@ -141,16 +141,16 @@ def search_shown(search: SearchPath | Channels, as_data: bool, **how: Any) -> An
     return channels_data(search) if as_data else "\n".join([f"{search}\n\nIN SHORT\n", *texts])
 
 
-def loop_text(trail: SearchPath, begun: bool = False, verbose: bool = False) -> str:
+def loop_text(trail: SearchPath, started: bool = False, verbose: bool = False) -> str:
     """Format the output of `calibrate` from its first model to its last.
 
     Args:
         trail: its result.
-        begun: whether the first table was printed already.
+        started: whether the first table was printed already.
         verbose: with all candidates of every step, and drafts of effects.
     """
     final = trail.final
-    parts = [""] if begun else [first_text(trail, verbose)]
+    parts = [""] if started else [first_text(trail, verbose)]
     if final.discovery and (sets := final.discovery.equivalent):
         lines = [f"{claim.of[0]} and {' + '.join(claim.numbers['beside'])}" for claim in sets]
         parts.append(_headed("WHAT THESE READINGS CANNOT TELL APART", *map(folded, lines)))

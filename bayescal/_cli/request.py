@@ -45,58 +45,58 @@ if TYPE_CHECKING:
 LONG_LOG_READINGS = 20_000  # beyond, means over short times have as much information
 
 
-def open_request(asked: ReadRequest) -> tuple[Instrument, Model, Measurements]:
+def open_request(request: ReadRequest) -> tuple[Instrument, Model, Measurements]:
     """Return the requested instrument, model and readings; the instrument tailored to the readings."""
-    _, models, readings = open_channels((), asked)
+    _, models, readings = open_channels((), request)
     return models[""].instrument, models[""], readings[""]
 
 
 def open_channels(
-    names: Sequence[str], asked: ReadRequest
+    names: Sequence[str], request: ReadRequest
 ) -> tuple[Instrument, dict[str, Model], dict[str, Measurements]]:
     """Return instrument, models and readings of a unit's channels; each model's instrument is tailored to its readings.
 
     Args:
         names: of the channels; none: a single output, called "".
-        asked: the command's options.
+        request: the command's options.
 
     Raises:
         InputError, ModelError: an option, file or effect cannot be used.
     """
-    general = instrument_named(asked.instrument)
-    records = _read(asked.files, general, asked, names)
-    if not asked.typed and general.tailor is None:  # what is typed may need the readings
-        compose(general, asked, user_effects(asked.effects_file))
+    general = instrument_named(request.instrument)
+    records = _read(request.files, general, request, names)
+    if not request.typed and general.tailor is None:  # what is typed may need the readings
+        compose(general, request, user_effects(request.effects_file))
     for record in records.values():
         # The log of a triad is averaged over its rests.
-        averages = asked.average is not None or general.outputs
+        averages = request.average is not None or general.outputs
         if len(record) > LONG_LOG_READINGS and record.has("time") and not averages:
             mean = f"--average TIME, means of {-(-len(record) // LONG_LOG_READINGS)} or more"
             note = f"{len(record):,} readings: {mean}, leaves nearly the same information"
             print_notes([f"{record.file}: {note}"])
-    readings = {n: averaged(r, asked.average, asked.keep_spikes) for n, r in records.items()}
+    readings = {n: averaged(r, request.average, request.keep_spikes) for n, r in records.items()}
     models = {}
     for name, record in readings.items():
         tailored = general.for_readings(record)
-        models[name] = compose(tailored, asked, own_effects(asked, tailored, record))
-    asked.keep()
+        models[name] = compose(tailored, request, own_effects(request, tailored, record))
+    request.keep()
     return general, models, readings
 
 
 def own_effects(
-    asked: Any, instrument: Instrument, readings: Measurements | None
+    request: Any, instrument: Instrument, readings: Measurements | None
 ) -> tuple[Effect, ...]:
     """Load effects of the user's own: of a file, and typed; raise InputError for a file or a formula with an error."""
-    typed = (bc.effect(t, readings=readings, instrument=instrument) for t in asked.typed or ())
-    return (*user_effects(asked.effects_file), *typed)
+    typed = (bc.effect(t, readings=readings, instrument=instrument) for t in request.typed or ())
+    return (*user_effects(request.effects_file), *typed)
 
 
 def _read(
-    files: Sequence[Path], of: Any, asked: ReadRequest, names: Sequence[str], **more: Any
+    files: Sequence[Path], of: Any, request: ReadRequest, names: Sequence[str], **options: Any
 ) -> dict[str, Measurements]:
-    more |= {"outputs": list(names)} if names else {}
+    options |= {"outputs": list(names)} if names else {}
     with stage("reading"):
-        readings = bc.read(list(files), of, **asked.for_read(), **more)
+        readings = bc.read(list(files), of, **request.for_read(), **options)
     return readings if names else {"": readings}  # pyright: ignore[reportReturnType]
 
 
@@ -111,20 +111,20 @@ def averaged(
     return set_aside(readings, keep_spikes).average(average)
 
 
-def compose(instrument: Instrument, asked: Any, own: Sequence[Effect] = ()) -> Model:
+def compose(instrument: Instrument, request: Any, added: Sequence[Effect] = ()) -> Model:
     """Compose the requested model: a structure or the baseline, effects added, coefficients fixed."""
-    effects = {effect.name: effect for effect in own}
+    effects = {effect.name: effect for effect in added}
     structures = {"": instrument.baseline, **dict(instrument.structures)}
-    chosen = asked.structure or ""
+    chosen = request.structure or ""
     if chosen not in structures:
         raise InputError(
             f"instrument {instrument.name!r} has no structure {chosen!r}; "
             f"it has: {', '.join([*structures][1:])}"
         )
     model = structures[chosen]()
-    for name in asked.add or []:
+    for name in request.add or []:
         model = model + effects.get(name, name)
-    return model.fix(named_numbers(asked.fix, "--fix"))
+    return model.fix(named_numbers(request.fix, "--fix"))
 
 
 def law_named(name: str, model: Model, readings: Measurements) -> Noise:
@@ -149,15 +149,15 @@ def method_named(name: str) -> Method:
 
 
 def searched(
-    names: Sequence[str], asked: SearchRequest
+    names: Sequence[str], request: SearchRequest
 ) -> tuple[dict[str, Model], dict[str, Measurements], dict[str, Measurements]]:
     """Return models, readings and hold-out data by channel ("" for one output); print the readings' flags."""
-    general, models, readings = open_channels(names, asked)
+    general, models, readings = open_channels(names, request)
     holdout = {}
-    if asked.holdout:
+    if request.holdout:
         of = general if names else models[""].instrument
-        records = _read(asked.holdout, of, asked, names, allow_one_temperature=True)
-        holdout = {n: averaged(r, asked.average, asked.keep_spikes) for n, r in records.items()}
+        records = _read(request.holdout, of, request, names, allow_one_temperature=True)
+        holdout = {n: averaged(r, request.average, request.keep_spikes) for n, r in records.items()}
     print_notes(flags_of(readings))
     return models, readings, holdout
 
@@ -202,9 +202,9 @@ def each_device(readings: Mapping[str, Measurements]) -> dict[str, Measurements]
 # saved calibrations ---------------------------------------------------------------------------------------------------
 
 
-def reliable(given: Mapping[str, bc.Compensator | CorrectionInUse]) -> dict[str, Any]:
+def reliable(names: Mapping[str, bc.Compensator | CorrectionInUse]) -> dict[str, Any]:
     """Return whether the results written may be used, as keyword arguments of `Answer`."""
-    reasons = [f"{name} {c.why_not}".strip() for name, c in given.items() if c.why_not]
+    reasons = [f"{name} {c.why_not}".strip() for name, c in names.items() if c.why_not]
     return {"ok": not reasons, "why": "; ".join(reasons)}
 
 
@@ -215,12 +215,12 @@ def _own_parts(parts: OwnParts) -> dict[str, Any]:
     return {"effects": user_effects(parts.effects_file), "instruments": instruments}
 
 
-def load_saved(path: Path, own: OwnParts) -> bc.Calibration:
+def load_saved(path: Path, user: OwnParts) -> bc.Calibration:
     """Load a saved calibration, or the one of a folder of results.
 
     Args:
         path: of the file or folder.
-        own: the user's own effects and instrument; and whether the average over structures stands for it, where the
+        user: the user's own effects and instrument; and whether the average over structures stands for it, where the
             folder has one.
 
     Raises:
@@ -231,19 +231,19 @@ def load_saved(path: Path, own: OwnParts) -> bc.Calibration:
             f"{path} holds several channels: name the folder of one, such as {of_units([path])[0]}"
         )
     path = inside if (inside := path / CALIBRATION).is_file() else path
-    if isinstance(own, UsedParts) and path.name == CALIBRATION:
-        if own.one_structure not in ("average", "best"):
-            raise InputError(f"--structure {own.one_structure!r} is neither 'average' nor 'best'")
+    if isinstance(user, UsedParts) and path.name == CALIBRATION:
+        if user.one_structure not in ("average", "best"):
+            raise InputError(f"--structure {user.one_structure!r} is neither 'average' nor 'best'")
         refuse_mixed(path.parent, CALIBRATION)
-        if own.one_structure == "average" and AVERAGED in files_of(path.parent):
+        if user.one_structure == "average" and AVERAGED in files_of(path.parent):
             path = path.with_name(AVERAGED)
     refuse_mixed(path.parent, path.name)
-    return bc.load(path, **_own_parts(own))
+    return bc.load(path, **_own_parts(user))
 
 
-def compensator_from(path: Path, own: InUse) -> bc.Compensator:
+def compensator_from(path: Path, user: InUse) -> bc.Compensator:
     """Load the compensator of a saved calibration of one output, or one exported as JSON."""
-    correction = correction_from(path, own)
+    correction = correction_from(path, user)
     if not isinstance(correction, bc.Compensator):
         raise InputError(
             f"{path} is of three axes: `bayescal export` writes its correction, in Python bc.vector_correction makes it"
@@ -251,22 +251,22 @@ def compensator_from(path: Path, own: InUse) -> bc.Compensator:
     return correction
 
 
-def correction_from(path: Path, own: InUse) -> bc.Compensator | CorrectionInUse:
+def correction_from(path: Path, user: InUse) -> bc.Compensator | CorrectionInUse:
     """Load a correction, of one output or three axes: of a saved calibration, or exported as JSON."""
     if path.suffix.lower() == ".json":
         from bayescal._use.compensation_program import CompensationProgram
         from bayescal._use.correction_files import load_correction
 
-        if own.member:
+        if user.member:
             raise InputError(
                 f"{path.name} is an export, made for its members: give the calibration"
             )
         correction = load_correction(path)
         single = isinstance(correction, CompensationProgram)
         return bc.Compensator(loaded=correction) if single else correction
-    calibration = load_saved(path, own)
+    calibration = load_saved(path, user)
     if calibration.model.instrument.vector is None:
-        return bc.compensator(calibration, members=own.members)
+        return bc.compensator(calibration, members=user.members)
     return first_offered("corrected", f"{path} is of three axes: to correct them")(calibration)
 
 
@@ -279,10 +279,10 @@ def of_units(paths: list[Path], file: str = "") -> list[Path]:
     return folders
 
 
-def chapters_from(paths: list[Path], own: OwnParts) -> list[Chapter]:
+def chapters_from(paths: list[Path], user: OwnParts) -> list[Chapter]:
     """Load the chapters of a report: saved calibrations, and folders with the search that led to one."""
     from bayescal._report.result_json import chapters, of_folder
 
-    parts = _own_parts(own)
-    loaded = (of_folder(p, **parts) if p.is_dir() else load_saved(p, own) for p in of_units(paths))
+    parts = _own_parts(user)
+    loaded = (of_folder(p, **parts) if p.is_dir() else load_saved(p, user) for p in of_units(paths))
     return chapters(loaded, parts["effects"])

@@ -474,14 +474,14 @@ def assemble(
     return Measurements(values, units, sources, tuple(flags), output, scale, channels, since)
 
 
-def _held_columns(frame: Any, more: dict[str, Any]) -> tuple[dict[str, Any], dict[str, str]]:
+def _held_columns(frame: Any, columns: dict[str, Any]) -> tuple[dict[str, Any], dict[str, str]]:
     """Return the columns of a mapping or a data frame as bare arrays, and the units that they carry."""
     names = [*getattr(frame, "coords", ()), *getattr(frame, "columns", frame)]
-    found = {str(name): frame[name] for name in names} | more
+    table = {str(name): frame[name] for name in names} | columns
     if (name := getattr(getattr(frame, "index", None), "name", None)) is not None:
-        found.setdefault(str(name), frame.index)
-    units = {name: unit for name, values in found.items() if (unit := _unit_of(values))}
-    return {n: getattr(v, "magnitude", getattr(v, "value", v)) for n, v in found.items()}, units
+        table.setdefault(str(name), frame.index)
+    units = {name: unit for name, values in table.items() if (unit := _unit_of(values))}
+    return {n: getattr(v, "magnitude", getattr(v, "value", v)) for n, v in table.items()}, units
 
 
 def _unit_of(values: Any) -> str | None:

@@ -124,13 +124,13 @@ def _find_wrong(readings: Measurements, needed: Collection[str], total: int) -> 
 def _leaves_enough(columns: Columns, odd: checks.Anomaly, total: int) -> bool:
     """Return whether enough remains without the wrong rows: half of the readings; of a held column, each value once."""
     count = len(columns[odd.column])
-    kept = np.setdiff1d(np.arange(count), odd.wrong)
+    remaining = np.setdiff1d(np.arange(count), odd.wrong)
     least = checks.MIN_CHANGES if odd.code == "held" and count == total else 0.5 * total
-    if not len(odd.wrong) or len(kept) < least:
+    if not len(odd.wrong) or len(remaining) < least:
         return False
     labels = [n for n in RECORD if n != "run" and n in columns]
-    complete = all(set(columns[n][kept]) == set(columns[n]) for n in labels)
-    return complete and bool(np.ptp(columns[odd.column][kept]) > settings().temperature_span)
+    complete = all(set(columns[n][remaining]) == set(columns[n]) for n in labels)
+    return complete and bool(np.ptp(columns[odd.column][remaining]) > settings().temperature_span)
 
 
 def find_spikes(readings: Measurements) -> np.ndarray:

@@ -274,18 +274,18 @@ class Chapter:
         return self.calibration if self.average is None else self.average
 
 
-def chapters(given: Iterable[Any], effects: Iterable[Effect] = ()) -> list[Chapter]:
-    """Make the chapters of a report, in the order given.
+def chapters(results: Iterable[Any], effects: Iterable[Effect] = ()) -> list[Chapter]:
+    """Make the chapters of a report, in their order.
 
     Args:
-        given: calibrations, trails, chapters, or errors that ended a fit and carry its calibration.
+        results: calibrations, trails, chapters, or errors that ended a fit and carry its calibration.
         effects: of the user's own.
 
     Raises:
-        InputError: nothing is given, or another type.
+        InputError: no results, or another type.
     """
     own_effects, accepted = tuple(effects), (Calibration, SearchPath, Chapter)
-    ended = ((g, g.calibration if isinstance(g, NotConverged) else None) for g in given)
+    ended = ((g, g.calibration if isinstance(g, NotConverged) else None) for g in results)
     several = [g if calibration is None else calibration for g, calibration in ended]
     wrong = [type(g).__name__ for g in several if not isinstance(g, accepted)]
     if wrong or not several:

@@ -72,7 +72,7 @@ def draw_search(searches: Mapping[str, SearchPath], folder: Path) -> None:
     """
     if deadline.current().over:
         return
-    with drawing(PICTURE), whole_folder(folder, more=True) as hidden:
+    with drawing(PICTURE), whole_folder(folder, leaving=True) as hidden:
         from bayescal._report.plots import loop, own_style, save
 
         for place, trail in searches.items():

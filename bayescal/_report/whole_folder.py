@@ -67,7 +67,7 @@ def is_inside(name: str) -> bool:
 
 
 @contextmanager
-def whole_folder(folder: Path, *, more: bool = False) -> Iterator[Path]:
+def whole_folder(folder: Path, *, leaving: bool = False) -> Iterator[Path]:
     """Yield a hidden folder to write to, whose files are moved to `folder` once all are written.
 
     Other files in `folder` stay, except the unchanged results of a run before. The same holds in folders that are made
@@ -75,7 +75,7 @@ def whole_folder(folder: Path, *, more: bool = False) -> Iterator[Path]:
 
     Args:
         folder: an existing one.
-        more: whether the results there stay, and the new files belong to them.
+        leaving: whether the results there stay, and the new files belong to them.
 
     Raises:
         InputError: it cannot be written, or there is no room; the folder is as it was.
@@ -88,7 +88,7 @@ def whole_folder(folder: Path, *, more: bool = False) -> Iterator[Path]:
         visible.mkdir(exist_ok=True)
         hidden.mkdir()
         yield hidden
-        _move(hidden, visible, more)
+        _move(hidden, visible, leaving)
     except OSError as error:
         raise InputError(f"the folder {folder} cannot be written: {why(error)}") from error
     except InputError as error:  # of a file in it, which the user knows by its place

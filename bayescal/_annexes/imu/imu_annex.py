@@ -247,7 +247,7 @@ def _draw_triads(trails: Mapping[str, Any], folder: Path) -> bool:
     outcomes = [ws.drawn(ws.draw_search, trails, folder)]
 
     def reports() -> None:
-        with ws.drawing(REPORT), ws.whole_folder(folder, more=True) as hidden:
+        with ws.drawing(REPORT), ws.whole_folder(folder, leaving=True) as hidden:
             for place, trail in trails.items():
                 (hidden / place).mkdir(exist_ok=True)
                 outcomes.append(ws.drawn(bc.report, trail, hidden / place / REPORT))

@@ -18,16 +18,16 @@ DATA = Path(__file__).parent / "data"
 DRAWS = 100_000  # of a propagation of distributions: probabilities are known to 0.0016
 
 
-def pick(found: Any, path: str) -> Any:
+def pick(value: Any, path: str) -> Any:
     """Return what stands at a path of attributes, keys and items, such as "corrected.value.0"."""
-    if isinstance(found, Mapping) and path in found:
-        return found[path]
-    part, _, rest = path.partition(".")
-    if isinstance(found, Mapping) or part.isdigit():
-        found = found[part if isinstance(found, Mapping) else int(part)]
+    if isinstance(value, Mapping) and path in value:
+        return value[path]
+    part, _, remainder = path.partition(".")
+    if isinstance(value, Mapping) or part.isdigit():
+        value = value[part if isinstance(value, Mapping) else int(part)]
     else:
-        found = getattr(found, part)
-    return pick(found, rest) if rest else found
+        value = getattr(value, part)
+    return pick(value, remainder) if remainder else value
 
 
 def resolve(value: Any) -> Any:
@@ -64,11 +64,11 @@ def regression(
         method, prior: of the fit; mean and standard deviation of a normal prior of the coefficients.
     """
     columns = {"x0": np.ones(len(y))} | ({} if x is None else {"x1": np.asarray(x) - centre})
-    more = [effects.uncertain_input("x1", x_u, source="stated")] if x_u else []
+    uncertain = [effects.uncertain_input("x1", x_u, source="stated")] if x_u else []
     chosen = bc.Marginal(draws=20_000) if method == "Marginal" else bc.LeastSquares(draws=DRAWS)
     stimulus = "value" if output is None else "x1"
     priors = bc.Normal(*prior) if prior else bc.Flat()
-    fitted = fit(y, columns, u=u, prior=priors, stimulus=stimulus, more=more, method=chosen)
+    fitted = fit(y, columns, u=u, prior=priors, stimulus=stimulus, further=uncertain, method=chosen)
     draws = np.array([fitted.samples(f"line.b[{name}]") for name in columns])
     covariance = np.atleast_2d(np.cov(draws))
     sd, of_both = np.sqrt(np.diag(covariance)), covariance[0, -1]
@@ -79,37 +79,37 @@ def regression(
         "noise": output is not None,
     }
     how: Any = {"method": "first order", "warn": False}
-    found = {
+    answer = {
         "b": draws.mean(axis=1),
         "u": sd,
         "covariance": of_both,
         "r": of_both / (sd[0] * sd[-1]),
     }
-    found |= {
+    answer |= {
         "corrected": bc.compensator(fitted)(**reading, **place, **how),
         "chi_squared": fitted.chi_squared,
     }
     if u is None:
-        found["s"] = fitted.samples("noise.white")[0]
+        answer["s"] = fitted.samples("noise.white")[0]
     if output is None:
-        found["budget"] = bc.budget(fitted, {"value": 0.0, **place})
-        found["type_b"] = sum(s.share for s in found["budget"].sources if s.kind == "B")
-    return found | ({"decision": bc.decide(fitted, limit).decisions[0]} if limit else {})
+        answer["budget"] = bc.budget(fitted, {"value": 0.0, **place})
+        answer["type_b"] = sum(s.share for s in answer["budget"].sources if s.kind == "B")
+    return answer | ({"decision": bc.decide(fitted, limit).decisions[0]} if limit else {})
 
 
 def _fit_known(
-    y: Any, u: float, columns: Mapping[str, Any], *given: Any, **how: Any
+    y: Any, u: float, columns: Mapping[str, Any], *arguments: Any, **how: Any
 ) -> bc.Calibration:
     """Fit two readings of each y, by u above and below it: together they have y, and its standard uncertainty u."""
     twice = {name: np.tile(values, 2) for name, values in columns.items()}
     both = np.concatenate([np.asarray(y) - u, np.asarray(y) + u])
-    return fit(both, twice, *given, u=u * 2**0.5, method=bc.LeastSquares(draws=DRAWS), **how)
+    return fit(both, twice, *arguments, u=u * 2**0.5, method=bc.LeastSquares(draws=DRAWS), **how)
 
 
 def conformity(mean: float, u: float, limit: str, **how: Any) -> Any:
     """Decide about a quantity of which an estimate and its standard uncertainty are known."""
-    found = _fit_known([mean], u, {"x0": np.ones(1)})
-    return bc.decide(found, f"line.b[x0]: {limit}", **how).decisions[0]
+    fitted = _fit_known([mean], u, {"x0": np.ones(1)})
+    return bc.decide(fitted, f"line.b[x0]: {limit}", **how).decisions[0]
 
 
 def propagation(
@@ -147,33 +147,33 @@ def propagation(
     fitted = _fit_known(root @ mean, 1.0, columns, mean, expected, value=value)
     pairs = [(i, j) for i in range(count) for j in range(i)]
     weights = np.vstack([np.eye(count), *(np.eye(count)[[pair]].sum(axis=1) for pair in pairs)])
-    given: Any = {f"w{k}": w for k, w in enumerate(weights.T)}
-    given |= {"output": np.zeros(len(weights)), "noise": False, "warn": False}
-    found = bc.compensator(fitted, draws=DRAWS)(**given, method=method)
-    sd = found.uncertainty
+    inputs: Any = {f"w{k}": w for k, w in enumerate(weights.T)}
+    inputs |= {"output": np.zeros(len(weights)), "noise": False, "warn": False}
+    corrected = bc.compensator(fitted, draws=DRAWS)(**inputs, method=method)
+    sd = corrected.uncertainty
     both = zip(sd[count:], pairs, strict=True)
     r_each = [(s**2 - sd[i] ** 2 - sd[j] ** 2) / (2 * sd[i] * sd[j]) for s, (i, j) in both]
-    return {"y": found.value, "u": sd, "r": r_each}
+    return {"y": corrected.value, "u": sd, "r": r_each}
 
 
-def first_order_beside_draws(**given: Any) -> list[float]:
+def first_order_beside_draws(**inputs: Any) -> list[float]:
     """Return how far y − 2u and y + 2u of the law of propagation are from those by draws."""
-    first, drawn = (propagation(**given, method=method) for method in ("first order", "draws"))
+    first, drawn = (propagation(**inputs, method=method) for method in ("first order", "draws"))
     y, u = (first[key][0] - drawn[key][0] for key in ("y", "u"))
     return [abs(y - 2 * u), abs(y + 2 * u)]
 
 
 def _at_rest(output: np.ndarray, step: float) -> bc.Measurements:
-    time, still = step * np.arange(len(output)), ws.instrument_named("still_sensor")
-    return bc.Measurements.from_arrays(still, units={"output": "deg/s"}, time=time, output=output)
+    time, sensor = step * np.arange(len(output)), ws.instrument_named("still_sensor")
+    return bc.Measurements.from_arrays(sensor, units={"output": "deg/s"}, time=time, output=output)
 
 
 def noise(seed: int, n: int, step: float, true: Mapping[str, float]) -> dict[str, float]:
     """Find the noise coefficients of a simulated record: N, K, B in °/s and s, `angle` the step of an angle in °."""
-    random, found = np.random.default_rng(seed), dict.fromkeys(("K", "angle"), 0.0) | dict(true)
-    rate = found["N"] / step**0.5 * random.standard_normal(n)
-    rate += found["K"] * step**0.5 * np.cumsum(random.standard_normal(n))
-    rate += np.diff(found["angle"] * random.uniform(-0.5, 0.5, n + 1)) / step
+    random, size_of = (np.random.default_rng(seed), dict.fromkeys(("K", "angle"), 0.0) | dict(true))
+    rate = size_of["N"] / step**0.5 * random.standard_normal(n)
+    rate += size_of["K"] * step**0.5 * np.cumsum(random.standard_normal(n))
+    rate += np.diff(size_of["angle"] * random.uniform(-0.5, 0.5, n + 1)) / step
     if "B" in true:  # of the spectrum B²/(2πf)
         size = true["B"] * np.sqrt(n / (2 * np.pi * np.fft.rfftfreq(2 * n)[1:]))
         drawn = random.standard_normal((n, 2)) @ [1, 1j]
@@ -201,5 +201,5 @@ def instrument(
     columns["output_uncertainty"] = np.full(len(y), u)
     readings = bc.Measurements.from_arrays(chosen, output=y, **columns)
     model = (chosen.baseline() + list(add)).fix({"noise.white": 0.0})
-    found = bc.fit(model, readings, bc.LeastSquares(), strict=False, reference={"T0": 25.0})
-    return {n: float(found.samples(n).mean()) for n in model.names}
+    fitted = bc.fit(model, readings, bc.LeastSquares(), strict=False, reference={"T0": 25.0})
+    return {n: float(fitted.samples(n).mean()) for n in model.names}

@@ -70,26 +70,26 @@ def estimates(name: str) -> list[Estimate]:
 
 
 def _linear(name: str, y: np.ndarray, x: np.ndarray) -> list[Estimate]:
-    known = certificates("linear")[name]
-    degrees = [int(t[2:]) for t in known["terms"] if t.startswith("x^")]
+    printed = certificates("linear")[name]
+    degrees = [int(t[2:]) for t in printed["terms"] if t.startswith("x^")]
     design = x ** np.array(degrees) if degrees else np.insert(x, 0, 1.0, axis=1)
     matrix, fitted = np.eye(design.shape[1]), design
     if name in LEGENDRE:
         low, high = LEGENDRE[name]
         fitted = legvander((2 * x[:, 0] - low - high) / (high - low), degrees[-1])
         for k in degrees:  # β = matrix·γ, of powers by Legendre polynomials
-            own = Legendre.basis(k, domain=[low, high]).convert(domain=[-1, 1], kind=Polynomial)
-            matrix[: k + 1, k] = own.coef
-    found = fit(y, {f"x{i}": column for i, column in enumerate(fitted.T)})
-    draws = found.draws()[0] @ matrix.T
-    best = matrix @ (found.mode.x + found.layout.origin_of_x)  # the mean of draws but for rounding
-    said = [np.array(known[f"{key}_exact"], float) for key in ("beta", "sd", "residual_sd")]
-    return [_estimate(found, best, draws, said, design * said[0])]
+            powers = Legendre.basis(k, domain=[low, high]).convert(domain=[-1, 1], kind=Polynomial)
+            matrix[: k + 1, k] = powers.coef
+    c = fit(y, {f"x{i}": column for i, column in enumerate(fitted.T)})
+    draws = c.draws()[0] @ matrix.T
+    best = matrix @ (c.mode.x + c.layout.origin_of_x)  # the mean of draws but for rounding
+    certified = [np.array(printed[f"{key}_exact"], float) for key in ("beta", "sd", "residual_sd")]
+    return [_estimate(c, best, draws, certified, design * certified[0])]
 
 
 def _nonlinear(name: str, y: np.ndarray, x: np.ndarray) -> list[Estimate]:
-    known = certificates("nonlinear")[name]
-    lines = itertools.takewhile(lambda line: not line.startswith("Starting"), known["model"][2:])
+    printed = certificates("nonlinear")[name]
+    lines = itertools.takewhile(lambda line: not line.startswith("Starting"), printed["model"][2:])
     text = " ".join(lines)
     response, _, equation = text[text.index("y") :].partition("=")
     expected = equation.strip().removesuffix("e").rstrip(" +")
@@ -97,30 +97,30 @@ def _nonlinear(name: str, y: np.ndarray, x: np.ndarray) -> list[Estimate]:
     columns: dict[str, Any] = dict(
         zip(("x1", "x2") if x.shape[1] > 1 else ("x",), x.T, strict=True)
     )
-    said = np.array(known["certified"]), np.array(known["sd"]), known["residual_sd"]
+    certified = (np.array(printed["certified"]), np.array(printed["sd"]), printed["residual_sd"])
 
     def shifted(i: int) -> Any:
-        b = said[0] * (1 + 1e-30j * (np.arange(len(said[0])) == i))  # a complex step
+        b = certified[0] * (1 + 1e-30j * (np.arange(len(certified[0])) == i))  # a complex step
         return evaluate(expected, columns | {f"b{k}": value for k, value in enumerate(b, 1)})
 
-    slopes = np.transpose([np.imag(shifted(i)) * 1e30 for i in range(len(said[0]))])
-    found = []
-    for start in (known["start1"], known["start2"]):
-        one = fit(y, columns, start, expected, method=bc.LeastSquares(draws=512))
-        draws = start + one.draws()[0] + one.layout.origin_of_x  # which have the moments of the fit
-        found.append(_estimate(one, draws.mean(axis=0), draws, said, slopes))
-    return found
+    slopes = np.transpose([np.imag(shifted(i)) * 1e30 for i in range(len(certified[0]))])
+    each_start = []
+    for start in (printed["start1"], printed["start2"]):
+        c = fit(y, columns, start, expected, method=bc.LeastSquares(draws=512))
+        draws = start + c.draws()[0] + c.layout.origin_of_x  # which have the moments of the fit
+        each_start.append(_estimate(c, draws.mean(axis=0), draws, certified, slopes))
+    return each_start
 
 
-def _estimate(found: bc.Calibration, best: Any, draws: Any, said: Any, slopes: Any) -> Estimate:
-    noise, condition = float(found.samples("noise.white")[0]), float(np.linalg.cond(slopes))
-    return Estimate(best, draws.std(axis=0, ddof=1), noise, found.verdict.ok, said, condition)
+def _estimate(c: bc.Calibration, best: Any, draws: Any, certified: Any, slopes: Any) -> Estimate:
+    noise, condition = float(c.samples("noise.white")[0]), float(np.linalg.cond(slopes))
+    return Estimate(best, draws.std(axis=0, ddof=1), noise, c.verdict.ok, certified, condition)
 
 
-def relative_error(found: Any, certified: Any) -> float:
+def relative_error(value: Any, certified: Any) -> float:
     """Largest relative error; beside a certified zero, the error itself."""
     true = np.asarray(certified, float)
-    error = float(np.max(np.abs(found - true) / np.where(true == 0, 1.0, np.abs(true))))
+    error = float(np.max(np.abs(value - true) / np.where(true == 0, 1.0, np.abs(true))))
     return math.inf if math.isnan(error) else error
 
 

@@ -12,10 +12,10 @@ import numpy as np
 
 import bayescal as bc
 
-KNOWN: dict[str, Any] = {
+FUNCTIONS: dict[str, Any] = {
     name: getattr(bc.xp, name) for name in ("arctan", "cos", "exp", "log", "sin")
 }
-KNOWN |= {"__builtins__": {}, "pi": math.pi}
+FUNCTIONS |= {"__builtins__": {}, "pi": math.pi}
 LINE = "line"  # the sum of all columns, each times its coefficient
 
 
@@ -26,7 +26,7 @@ def _compiled(text: str) -> CodeType:
 
 def evaluate(text: str, values: Mapping[str, Any]) -> Any:
     """Evaluate an equation of this package's own data, such as "b1*(1-exp[-b2*x])"."""
-    return eval(_compiled(text), KNOWN, dict(values))
+    return eval(_compiled(text), FUNCTIONS, dict(values))
 
 
 def fit(
@@ -39,7 +39,7 @@ def fit(
     prior: Any = None,
     value: str = LINE,
     stimulus: str = "value",
-    more: Sequence[bc.Effect] = (),
+    further: Sequence[bc.Effect] = (),
     method: Any = None,
 ) -> bc.Calibration:
     """Fit y by columns (n,): the effect "line.b" of one coefficient for each, or an equation in b1, b2, ….
@@ -49,41 +49,43 @@ def fit(
         start, expected: of b1, b2, …, and the equation.
         prior: of the coefficients of columns; flat if not given.
         value, stimulus: what is calculated in use, in the same names; or the column that is asked for.
-        more, method: effects; least squares if not given.
+        further, method: effects; least squares if not given.
     """
-    begun = {f"b{i}": float(b) for i, b in enumerate(start, 1)} or {LINE: 0.0}
+    starts = {f"b{i}": float(b) for i, b in enumerate(start, 1)} or {LINE: 0.0}
 
     def coefficient(size: float = 1.0, part: str = "") -> bc.Coefficient:
         return bc.Coefficient("1", prior or bc.Flat(size), part=part)
 
     if len(start):
-        sizes = {slot: (coefficient(abs(b) or 1.0),) for slot, b in begun.items()}
-        own = [
+        sizes = {slot: (coefficient(abs(b) or 1.0),) for slot, b in starts.items()}
+        terms = [
             bc.Effect(f"{s}.constant", s, lambda r: 1.0, c, source="ours") for s, c in sizes.items()
         ]
     else:
-        each = tuple(coefficient(part=name) for name in columns)
+        coefficients = tuple(coefficient(part=name) for name in columns)
         table = lambda r: bc.xp.stack([r[name] for name in columns], axis=1)  # noqa: E731
-        own = [bc.Effect("line.b", LINE, table, each, columns=tuple(columns), source="ours")]
+        terms = [
+            bc.Effect("line.b", LINE, table, coefficients, columns=tuple(columns), source="ours")
+        ]
 
     def of(text: str, slots: Any, r: Any) -> Any:
         used = {name: r[name] for name in columns if name in _compiled(text).co_names}
-        return evaluate(text, used | {slot: slots[slot] + b for slot, b in begun.items()})
+        return evaluate(text, used | {slot: slots[slot] + b for slot, b in starts.items()})
 
     equation = None if stimulus in columns else lambda v, slots, r: v - of(value, slots, r)
     instrument = bc.Instrument(
         "regression",
         "a regression",
         columns=tuple(bc.Column(name, "1") for name in (*columns, "output")),
-        slots=tuple(bc.Slot(slot, "1") for slot in begun),
+        slots=tuple(bc.Slot(slot, "1") for slot in starts),
         response=lambda slots, r: of(expected, slots, r),
-        effects=(*own, *more),
+        effects=(*terms, *further),
         noise=bc.White(bc.Flat()),
         use=bc.Use(stimulus, "1", equation=equation),
     )
-    model, given = instrument.baseline(), dict(columns)
+    model, data = instrument.baseline(), dict(columns)
     if u is not None:
-        given["output_uncertainty"] = np.broadcast_to(np.asarray(u, float), np.shape(y))
+        data["output_uncertainty"] = np.broadcast_to(np.asarray(u, float), np.shape(y))
         model = model.fix({"noise.white": 0.0})
-    readings = bc.Measurements.from_arrays(instrument, output=np.asarray(y, float), **given)
+    readings = bc.Measurements.from_arrays(instrument, output=np.asarray(y, float), **data)
     return bc.fit(model, readings, method or bc.LeastSquares(), strict=False, seed=1)

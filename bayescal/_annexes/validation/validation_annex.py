@@ -26,11 +26,11 @@ class ValidateCommand(ws.AsJson, ws.Command):
         for path in paths:
             if path.suffix.lower() not in WRITERS:
                 raise bc.InputError(f"--out {path}: name it ….pdf or ….html")
-        found = validate(self.standard or ())
+        record = validate(self.standard or ())
         for path in paths:
-            WRITERS[path.suffix.lower()](found, path)
-        why = f"{len(found.failed)} of {len(found.rows)} values are not as certified"
-        return ws.Answer(found, ok=not found.failed, why=why, written=", ".join(map(str, paths)))
+            WRITERS[path.suffix.lower()](record, path)
+        why = f"{len(record.failed)} of {len(record.rows)} values are not as certified"
+        return ws.Answer(record, ok=not record.failed, why=why, written=", ".join(map(str, paths)))
 
 
 ANNEX = {"commands": (ValidateCommand,)}

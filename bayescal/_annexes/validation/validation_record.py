@@ -38,18 +38,18 @@ class Row(NamedTuple):
     tested: str
     quantity: str
     certified: float
-    found: float
+    value: float
     tolerance: float
 
     @property
     def passed(self) -> bool:
-        return abs(self.found - self.certified) <= self.tolerance
+        return abs(self.value - self.certified) <= self.tolerance
 
     @property
     def cells(self) -> list[str]:
         """The row as printed."""
-        values = (ws.number(value, 7) for value in (self.certified, self.found))
-        small = (ws.number(v, 2) for v in (self.found - self.certified, self.tolerance))
+        values = (ws.number(value, 7) for value in (self.certified, self.value))
+        small = (ws.number(v, 2) for v in (self.value - self.certified, self.tolerance))
         outcome = "passed" if self.passed else "FAILED"
         return [self.clause, self.tested, self.quantity, *values, *small, outcome]
 
@@ -77,13 +77,13 @@ class ValidationRecord:
     Attributes:
         rows: all values.
         nist: condition number κ and performance P of each of NIST's sets.
-        asked: the standards.
+        standards: those that were run.
         installation: date, versions, machine and digests.
     """
 
     rows: tuple[Row, ...]
     nist: dict[str, tuple[float, float]]
-    asked: tuple[str, ...]
+    standards: tuple[str, ...]
     installation: dict[str, str]
 
     @property
@@ -94,16 +94,17 @@ class ValidationRecord:
         return [row for row in self.rows if row.standard == standard]
 
     def __str__(self) -> str:
-        own = ((name, self.of(name)) for name in self.asked)
+        by_standard = ((name, self.of(name)) for name in self.standards)
         counts = (
-            (n, len({r.clause for r in o}), len(o), sum(not r.passed for r in o)) for n, o in own
+            (n, len({r.clause for r in o}), len(o), sum(not r.passed for r in o))
+            for n, o in by_standard
         )
         head = ["standard", "clauses", "values", "failed"]
         table = ws.plain_table(head, [[*map(str, row)] for row in counts])
         return "\n".join([str(table), *(" ".join((r.standard, *r.cells)) for r in self.failed)])
 
     def data(self) -> dict[str, Any]:
-        """As JSON."""
+        """Return the record as JSON data."""
         rows = [{**row._asdict(), "passed": row.passed} for row in self.rows]
         nist = {name: {"condition": k, "performance": p} for name, (k, p) in self.nist.items()}
         head = {"schema": "bayescal.validation/1", "passed": not self.failed}
@@ -111,47 +112,47 @@ class ValidationRecord:
 
     def sections(self) -> Iterator[Section]:
         """Give the parts of the document: the installation, each standard, NIST's sets."""
-        said = f"{len(self.rows)} values: {len(self.failed) or 'none'} failed."
-        yield Section("Installation", [said], ["", ""], [*self.installation.items()], [0.2, 0.8])
-        for one in content()["standards"]:
-            rows = self.of(one["name"])
+        summary = f"{len(self.rows)} values: {len(self.failed) or 'none'} failed."
+        yield Section("Installation", [summary], ["", ""], [*self.installation.items()], [0.2, 0.8])
+        for standard in content()["standards"]:
+            rows = self.of(standard["name"])
             before = [None, *(row.tested for row in rows)]
             same = [row.tested == other for row, other in zip(rows, before, strict=False)]
             cells = [
                 ["", "", *r.cells[2:]] if s else r.cells for r, s in zip(rows, same, strict=True)
             ]
-            missing = [f"Not answered: {text}." for text in one["not_answered"]]
+            missing = [f"Not answered: {text}." for text in standard["not_answered"]]
             if rows:
-                yield Section(one["title"], missing, HEAD, cells, WIDTHS)
+                yield Section(standard["title"], missing, HEAD, cells, WIDTHS)
         sets = {name: [name, f"{k:.1e}", f"{p:.2f}"] for name, (k, p) in self.nist.items()}
         for row in self.of(NIST):
-            sets[row.clause] += [f"{row.found:.1e}", f"{row.tolerance:.0e}", row.cells[-1]]
+            sets[row.clause] += [f"{row.value:.1e}", f"{row.tolerance:.0e}", row.cells[-1]]
         rows = [[*cells, *[""] * (len(NIST_HEAD) - len(cells))] for cells in sets.values()]
         if rows:
             title, widths = "NIST Statistical Reference Datasets, regression", [1 / 9] * 9
             yield Section(title, [nist_strd.ABOUT], NIST_HEAD, rows, widths)
 
 
-def validate(asked: Sequence[str] = ()) -> ValidationRecord:
+def validate(standards: Sequence[str] = ()) -> ValidationRecord:
     """Run the examples of some standards, or of all.
 
     Raises:
         InputError: a name that is no standard here.
     """
-    names = [*(one["name"] for one in content()["standards"]), NIST]
-    if strange := [name for name in asked if name not in names]:
+    names = [*(item["name"] for item in content()["standards"]), NIST]
+    if strange := [name for name in standards if name not in names]:
         raise bc.InputError(f"--standard {strange[0]!r} is not one of {', '.join(names)}")
-    chosen = tuple(name for name in names if name in (asked or names))
+    chosen = tuple(name for name in names if name in (standards or names))
     rows = [
-        row for one in content()["clauses"] if one["standard"] in chosen for row in _clause(one)
+        row for item in content()["clauses"] if item["standard"] in chosen for row in _clause(item)
     ]
     performance = dict[str, tuple[float, float]]()
     kinds = ("linear", "nonlinear") if NIST in chosen else ()
     for name in (name for kind in kinds for name in nist_strd.certificates(kind)):
         with ws.stage(f"{NIST}, {name}"):
-            found = nist_strd.estimates(name)
-        performance[name] = found[0].condition, max(one.performance for one in found)
-        worst = [max(errors) for errors in zip(*(one.errors for one in found), strict=True)]
+            estimates = nist_strd.estimates(name)
+        performance[name] = estimates[0].condition, max(item.performance for item in estimates)
+        worst = [max(errors) for errors in zip(*(item.errors for item in estimates), strict=True)]
         of = NIST, name, "largest relative error, from every start"
         rows.append(Row(*of, "parameters", 0.0, worst[0], PARAMETER_RTOL))
         if name not in nist_strd.NOISELESS:
@@ -159,36 +160,36 @@ def validate(asked: Sequence[str] = ()) -> ValidationRecord:
     return ValidationRecord(tuple(rows), performance, chosen, installation())
 
 
-def _clause(one: dict[str, Any]) -> Iterator[Row]:
+def _clause(clause: dict[str, Any]) -> Iterator[Row]:
     """Give the values of a clause; not a number where its example is refused."""
-    given = {name: examples.resolve(value) for name, value in one["given"].items()}
-    found, refused = None, ""
-    with ws.stage(f"{one['standard']}, {one['clause']}"):
+    inputs = {name: examples.resolve(value) for name, value in clause["given"].items()}
+    answer, refused = None, ""
+    with ws.stage(f"{clause['standard']}, {clause['clause']}"):
         try:
-            found = getattr(examples, one["example"])(**given)
+            answer = getattr(examples, clause["example"])(**inputs)
         except bc.BayescalError as error:
             refused = f" ({error})"
-    for quantity, path, certified, tolerance in one["rows"]:
-        value = math.nan if refused else float(examples.pick(found, path))
-        of = one["standard"], one["clause"], one["tested"] + refused, quantity
+    for quantity, path, certified, tolerance in clause["rows"]:
+        value = math.nan if refused else float(examples.pick(answer, path))
+        of = clause["standard"], clause["clause"], clause["tested"] + refused, quantity
         yield Row(*of, float(examples.resolve(certified)), value, tolerance)
 
 
 def installation() -> dict[str, str]:
     """Return date, versions, machine and digests."""
-    found = {"date": datetime.now(UTC).isoformat(timespec="seconds"), "bayescal": bc.__version__}
-    found["Python"] = f"{platform.python_implementation()} {platform.python_version()}"
+    entries = {"date": datetime.now(UTC).isoformat(timespec="seconds"), "bayescal": bc.__version__}
+    entries["Python"] = f"{platform.python_implementation()} {platform.python_version()}"
     for name in PACKAGES:
         try:
-            found[name] = version(name)
+            entries[name] = version(name)
         except PackageNotFoundError:
-            found[name] = "not installed"
-    found["machine"] = f"{platform.machine()}, {platform.platform()}"
+            entries[name] = "not installed"
+    entries["machine"] = f"{platform.machine()}, {platform.platform()}"
     places = (find_spec(name) for name in ("bayescal", "bayescal_models"))
     roots = [Path(str(spec.origin)).parent for spec in places if spec is not None]
-    found["SHA-256 of the package's files"] = digest(*roots)
-    found["SHA-256 of the certified data"] = digest(examples.DATA)
-    return found
+    entries["SHA-256 of the package's files"] = digest(*roots)
+    entries["SHA-256 of the certified data"] = digest(examples.DATA)
+    return entries
 
 
 def digest(*folders: Path) -> str:
