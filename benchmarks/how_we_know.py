@@ -16,7 +16,7 @@ from benchmarks.wrong_model import coverage as foreign
 
 ABOUT = """
 What was tried, on whose numbers, and what came of it; brackets hold exact 95 % binomial intervals. What follows
-from it for your own result: [what it will not tell you](limits.md). Not tried: a laboratory of our own (every
+from it for your own result: [limitations](limits.md). Not tried: a laboratory of our own (every
 campaign with a known truth is simulated; records of others come without their truth), instruments with an error
 that nobody wrote into a simulator, more than a few thousand campaigns (a rate below one in a thousand is not
 known), whether you read the result as it is meant.
@@ -47,14 +47,14 @@ def lines() -> Iterator[Line]:
     yield (
         "public records of eleven sensors",
         "each beside what is customary",
-        "[records of others](records_of_others.md)",
+        "[public records](records_of_others.md)",
     )
     yield from _ordinary()
     yield from _hidden()
     yield from _spoilt()
     all_rows = [row for rows in foreign.results().values() for row in rows]
     for words, say in foreign.CLAIMS[:2]:
-        page = "[where the model may be wrong](wrong_model.md)"
+        page = "[model misspecification](wrong_model.md)"
         yield (
             f"{len(all_rows)} campaigns whose physics is foreign to the catalogue, {words}",
             say(all_rows),
@@ -70,7 +70,7 @@ def _coverage() -> Iterator[Line]:
     )
     farthest = max(instrument["largest_distance"] for instrument in instruments.values())
     words = f"{sets:,} data sets drawn from the priors of {len(instruments)} instruments, {unknowns} unknowns: ranks"
-    page = "[mathematics](mathematics.md#what-is-measured-and-what-is-not)"
+    page = "[mathematics](mathematics.md#identifiability)"
     yield (
         f"{words} of the truth (simulation-based calibration)",
         f"within {farthest:.2f} of uniform",
@@ -79,7 +79,7 @@ def _coverage() -> Iterator[Line]:
 
 
 def _ordinary() -> Iterator[Line]:
-    rows, page = ordinary.whole("ordinary_test"), "[the ordinary test](ordinary_test.md)"
+    rows, page = ordinary.whole("ordinary_test"), "[simulated chamber tests](ordinary_test.md)"
     good, strange = ordinary.whole("good_records"), ordinary.strange(ordinary.whole("no_family"))
     yield (
         f"{len(rows)} chamber tests: what is hidden and clear is named",
@@ -123,7 +123,7 @@ def _spoilt() -> Iterator[Line]:
         yield (
             f"{count.total():,} files spoilt as laboratories have them, of kinds {words}",
             three,
-            "[spoilt records](gauntlet.md)",
+            "[corrupted records](gauntlet.md)",
         )
 
 
@@ -141,4 +141,4 @@ def render() -> pages.Texts:
         r["day"] for rows in (*bank.results().values(), *spoilt.results().values()) for r in rows
     ]
     table = pages.table(["tried", "came out", "more"], lines())
-    return pages.page("how_we_know", "How we know", "render", days, ABOUT, table)
+    return pages.page("how_we_know", "Validation", "render", days, ABOUT, table)

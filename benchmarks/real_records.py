@@ -217,4 +217,4 @@ public domain.
 """
     table = pages.table([*head, "within 2 u", "reliable"], body)
     days = [row["day"] for row in rows.values()]
-    return pages.page("records_of_others", "Records of others", "real_records", days, about, table)
+    return pages.page("records_of_others", "Public records", "real_records", days, about, table)

@@ -83,7 +83,7 @@ def looks(instrument: bc.Instrument, effect: str, size: float) -> dict[str, Any]
 def page(all_: dict[str, list[dict[str, Any]]]) -> str:
     """The gallery in Markdown."""
     parts = [
-        "# Faults, and what they look like\n",
+        "# Signatures of missing effects\n",
         "Drawn up by `python docs/faults.py`. Each effect alone "
         "was hidden in its instrument's standard campaign, at "
         "three times the size *needed* (the smallest that is found with 80 % power), and the baseline fitted. "

@@ -16,7 +16,7 @@ from benchmarks.record import DOCS
 ALL = (*INSTRUMENTS, "accelerometer_dividing_head", "accelerometer_triad", "gyro_triad")
 ALL = (*ALL, "magnetometer_triad")
 SEED = 1
-HEAD = """# Effects that a test cannot tell apart
+HEAD = """# Collinear effects
 
 Rendered by `python -m benchmarks equivalent`, of one campaign (seed {seed}) of each instrument's simulator as it is.
 

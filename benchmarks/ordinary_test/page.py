@@ -155,4 +155,4 @@ def render() -> pages.Texts:
         GOOD,
         pages.claims_table(by(good, "instrument"), GOOD_CLAIMS, "records"),
     )
-    return pages.page("ordinary_test", "The ordinary test", again, days, ABOUT, *parts)
+    return pages.page("ordinary_test", "Simulated chamber tests", again, days, ABOUT, *parts)

@@ -115,4 +115,4 @@ def render() -> pages.Texts:
     sixty = pages.claims_table(further, [("right/said/wrong", _total)], "records")
     together = {"all instruments": [row for rows in groups.values() for row in rows]}
     parts = (totals, text, sixty, "By kind:", pages.claims_table(together, claims, "records"))
-    return pages.page("gauntlet", "Spoilt records", "gauntlet", days, ABOUT, *parts)
+    return pages.page("gauntlet", "Corrupted records", "gauntlet", days, ABOUT, *parts)

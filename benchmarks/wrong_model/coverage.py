@@ -233,7 +233,7 @@ def render() -> pages.Texts:
     """Return the page from the results that stand."""
     groups = results()
     days = [row["day"] for rows in groups.values() for row in rows]
-    title = "Where the model may be wrong"
+    title = "Model misspecification"
     return pages.page(
         "wrong_model", title, "wrong_model", days, ABOUT, pages.claims_table(groups, CLAIMS)
     )

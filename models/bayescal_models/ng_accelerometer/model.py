@@ -286,7 +286,7 @@ TIDES = "periods: the constituents' own; ±200 nrad in all: source 0; the shares
 ONE_SECOND = "source 0: the table's angle is good to 1″"
 
 EFFECTS = EffectTable.of(
-    "PHYSICS §1 after source 0; size ours",
+    "after source 0; size ours",
     baseline=(
         ("bias.constant", catalogue.constant, 5000.0, "ug"),
         ("bias.temperature", catalogue.linear, 50.0, "ug/degC"),
