@@ -16,8 +16,7 @@ from bayescal._annexes.validation.validation_record import ValidationRecord
 
 WIDTH, HEIGHT, MARGIN = 11.69, 8.27, 0.6  # inches, A4 across
 POINTS = 7.5  # size of letters
-LINE_INCHES = 1.35 * POINTS / 72  # from line to line
-LETTER_INCHES = 0.56 * POINTS / 72
+LINE_INCHES, LETTER_INCHES = 1.35 * POINTS / 72, 0.56 * POINTS / 72  # from line to line; a letter
 SECTION_LINES = 12  # below which a section begins on a new page
 SETTINGS = {"pdf.fonttype": 42, "font.family": "DejaVu Sans", "text.parse_math": False}
 TITLE = "Validation of bayescal on this installation"
