@@ -87,6 +87,7 @@ def campaign(case: tuple[str, int]) -> dict[str, Any]:
         "final": [n for n in best.model.names if n not in instrument.baseline().names],
         "shares": [[list(e), p] for e, p in shares.items()],
         "inclusion": inclusion,
+        "stated": {name: p for name, p in path.added.items() if p is not None},
         "missing": {}
         if discovery is None
         else {c.effect: c.probability for c in discovery.candidates if c.probability},
@@ -169,6 +170,8 @@ def _effects(rows: Rows, low: float, high: float) -> str:
         stated, hidden = dict[str, float](), set(map(_family, row["hidden"]))
         for name, p in row["inclusion"].items():
             stated[_family(name)] = min(1.0, stated.get(_family(name), 0.0) + p)
+        # What is said of an effect that was added is the probability that its name is right.
+        stated |= {_family(name): p for name, p in row.get("stated", {}).items()}
         for name, p in row["missing"].items():
             stated.setdefault(_family(name), p)
         pairs += [(p, e in hidden) for e, p in stated.items() if "(" not in e]
