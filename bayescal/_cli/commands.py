@@ -258,7 +258,7 @@ class CalibrateCommand(SearchRequest, AsJson, Command):
             fitted = {n: t.final.calibration.readings for n, t in trails.items()}
             before = request.flags_of(readings)
             print_notes(flag for flag in request.flags_of(fitted) if flag not in before)
-            text = {"begun": reporter.begun, "verbose": self.verbose}
+            text = {"started": reporter.begun, "verbose": self.verbose}
             content = search_shown(searched, self.json_, **text)
             why = searched.reason if isinstance(searched, bc.Channels) else searched.gate.reason
             return Answer(content, ok=searched.ok, why=why, made=drawn_all, written=written)
