@@ -244,7 +244,10 @@ class _Channel:
             searched, news = searched or likelier, news | {n} if changed else news
         if not news:
             return False
-        candidates, heard = dict(before.candidates), {**self.heard, **{n: others[n] for n in news}}
+        # Where the shape says nothing new its range stays; all odds are what the others say now.
+        own = {n: {"low": h.low, "high": h.high} for n, h in self.heard.items() if n not in news}
+        heard = {n: others[n]._replace(**own.get(n, {})) for n in self.shared}
+        candidates = dict(before.candidates)
         for name in news:
             # A posterior range becomes the prior of the next round: from the others alone, so that no channel hears
             # itself.
@@ -254,19 +257,27 @@ class _Channel:
         earlier = {**before.earlier, **before.visited}
         anew = {"odds": odds, "earlier": earlier, "visited": {}, "expected": {}}
         after = replace(before, candidates=candidates, **anew)
-        known = before.expected | {s: w.total for s, w in before.visited.items()}
-        # Only a shape moved: totals of the former round, corrected by what the prior odds changed, are what to
-        # expect.
-        for s, total in () if searched else known.items():
-            after.expect(s, total + after.log_prior(s) - before.log_prior(s))
         for s, weighed in before.visited.items():
             if s.effects.isdisjoint(news):
                 changed = weighed.log_prior + (after.log_prior(s) - before.log_prior(s))
                 after.visited[s] = replace(weighed, log_prior=changed)
         leaders = sorted(before.visited.values(), key=lambda w: -w.total)[:BEAM_STRUCTURES]
-        for structure in (Structure(), *(w.structure for w in leaders)):
+        gained: dict[frozenset[str], float] = {}
+        for weighed in reversed(leaders):
             deadline.current().ask()
-            after.weigh(structure)
+            now = after.weigh(weighed.structure)
+            gained[now.structure.effects & news] = now.log_evidence - weighed.log_evidence
+        after.weigh(Structure())
+        # Totals of the former round are what to expect: with what the prior odds changed, and with what the shape's
+        # range changed in the most probable structure that has the same of the effects.
+        for s, weighed in earlier.items():
+            evidence = weighed.log_evidence + gained.get(s.effects & news, 0.0)
+            log_prior = weighed.log_prior + after.log_prior(s) - before.log_prior(s)
+            earlier[s] = replace(weighed, log_evidence=evidence, log_prior=log_prior)
+            after.expect(s, earlier[s].total)
+        for s in before.expected.keys() - earlier.keys():
+            odds_changed = after.log_prior(s) - before.log_prior(s)
+            after.expect(s, before.expected[s] + odds_changed + gained.get(s.effects & news, 0.0))
         loop = replace(self.loop, library=Library(after))
         if searched:
             loop.look()

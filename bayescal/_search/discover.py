@@ -357,7 +357,7 @@ def discovery_at(
         candidate = replace(
             candidate,
             # Without a score, a walk that ended early may have met no structure with it: nothing is known of it then.
-            probability=posterior.inclusion(name) or (0.0 if own else None),
+            probability=posterior.right(name) or (0.0 if own else None),
             indistinguishable_from=tuple(sorted(near)),
         )
         effect = structures.candidates[own[0].effect] if own else None

@@ -15,6 +15,9 @@ from bayescal._search.structures import Structure, Structures, Weighed
 
 SHOWN_STRUCTURES = 20  # structures kept of a search
 NEXT_TO_NOTHING = 1e-3  # probability of a structure, which moves no digit of what is printed
+# Probability that a name is right where a description without a name is needed beside it: what has no formula here may
+# be of one cause with what has (docs/wrong_model.md).
+NAME_BESIDE_DESCRIPTION = 0.55
 
 
 @dataclass(frozen=True)
@@ -77,20 +80,25 @@ class Posterior:
         """
         structures, given = self.space, Structure(self.given)
         further = {*unseen, *structures.latent(given)}
-        rest = structures.reported(given) | structures.families(further)
-        found, each = [], zip(self.structures, self.reported, self.probability, strict=True)
-        for s, own, probability in each:
-            unnamed = {n for n in s.effects if structures.candidates[n].unnamed}
+        reported = structures.reported(given) | structures.families(further)
+        each = zip(self.structures, self.reported, self.described, strict=True)
+        laws = [s in self.refitted and self.refitted[s].noise_describes for s in self.structures]
+        named = [not d and own - self._unnamed(s) <= reported for s, own, d in each]
+        return self._of_any([n and not law for n, law in zip(named, laws, strict=True)])
+
+    @cached_property
+    def described(self) -> list[bool]:
+        """Whether each structure needs a description of something without a name."""
+
+        def needed(s: Structure, probability: float) -> bool:
             weighed = self.refitted.get(s)
-            if weighed is not None and weighed.noise_describes:
-                found.append(False)
-            elif not own - unnamed <= rest or not unnamed:
-                found.append(own <= rest)
-            elif weighed is None or probability < NEXT_TO_NOTHING:
-                found.append(False)
-            else:
-                found.append(not structures.matters(weighed))
-        return self._of_any(found)
+            unknown = weighed is None or probability < NEXT_TO_NOTHING
+            return bool(self._unnamed(s)) and (unknown or bool(self.space.matters(weighed)))
+
+        return [needed(*each) for each in zip(self.structures, self.probability, strict=True)]
+
+    def _unnamed(self, structure: Structure) -> set[str]:
+        return {n for n in structure.effects if self.space.candidates[n].unnamed}
 
     def noise(self, name: str) -> float:
         """Probability of a noise law."""
@@ -101,6 +109,18 @@ class Posterior:
         # At least one: probabilities of structures are added, not those of effects, which are not independent.
         wanted = self.space.families(names)
         return self._of_any([not wanted.isdisjoint(own) for own in self.reported])
+
+    def right(self, *names: str) -> float:
+        """Return the probability that at least one of these effects is missing, and is what its name says."""
+        found = self.inclusion(*names)
+        if any(self.space.candidates[n].unnamed for n in names if n in self.space.candidates):
+            return found
+        wanted = self.space.families(names)
+        beside = [
+            d and not wanted.isdisjoint(o)
+            for d, o in zip(self.described, self.reported, strict=True)
+        ]
+        return found - (1 - NAME_BESIDE_DESCRIPTION) * self._of_any(beside)
 
     @cached_property
     def _of_forms(self) -> dict[str, float]:
@@ -137,7 +157,7 @@ class Posterior:
                 own = [self.space.families(s.effects) for s in self.structures]
                 share = {n: self._of_any([n in there for there in own]) for n in members}
                 order = sorted(members, key=lambda n: -share[n])
-                found.append(Found(tuple(order), self.inclusion(*members)))
+                found.append(Found(tuple(order), self.right(*members)))
         return tuple(sorted(found, key=lambda f: (-self.inclusion(f.effects[0]), len(f.effects))))
 
     def _substitute(self, members: list[str]) -> str | None:

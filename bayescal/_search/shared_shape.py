@@ -160,8 +160,9 @@ def evidence_of(structures: Structures, name: str, shape: Shape) -> ShapeEvidenc
     """What a channel says of a shape by the structures weighed of it."""
     own = structures.candidates[name].shared_shape
     assert own is not None
-    known = [w for w in structures.visited.values() if math.isfinite(w.total)]
-    known.sort(key=lambda w: -w.total)
+    # What was refitted in an earlier round, and not since, counts by what is expected of it now.
+    known = {**structures.earlier, **structures.visited}.values()
+    known = sorted((w for w in known if math.isfinite(w.total)), key=lambda w: -w.total)
     holding = [w for w in known if name in w.structure.effects][:ASKED_STRUCTURES]
     without = [w for w in known if name not in w.structure.effects][:ASKED_STRUCTURES]
     v = _grid(shape, own, holding[:1], f"{name}.{shape.name}")
@@ -179,7 +180,8 @@ def evidence_of(structures: Structures, name: str, shape: Shape) -> ShapeEvidenc
         with_it.append(total + gains - np.logaddexp.reduce(gains + log_mass(u)))
     for weighed in without:
         scored = name in fine.points and name not in structures.barred(weighed.structure)
-        if scored and weighed.structure.plus(name) not in structures.visited:
+        with_name = weighed.structure.plus(name)
+        if scored and with_name not in structures.visited and with_name not in structures.earlier:
             with_it.append(weighed.total + _gains(fine, weighed, name))
     totals = [w.total for w in without]
     return ShapeEvidence(v, np.logaddexp.reduce(with_it, axis=0) - np.logaddexp.reduce(totals))
@@ -188,14 +190,14 @@ def evidence_of(structures: Structures, name: str, shape: Shape) -> ShapeEvidenc
 def _grid(shape: Shape, own: Shape, best: Sequence[Weighed], name: str) -> Float[np.ndarray, "k"]:
     """Coordinates: even ones, over the channel's own range too, and closer about what it found."""
     even = np.arange(-REACH, REACH, RAGGED_STEP if shape.ragged else STEP)
-    there = [even, np.arange(-REACH, REACH, STEP)]
+    values = [own.prior.value(np.arange(-REACH, REACH, STEP))]
     for weighed in best:
         at = weighed.problem.layout.index_in_phi[name]
         sd = math.sqrt(weighed.mode.covariance[at, at])
         # About what the channel found the evidence may have a peak narrower than the even step.
-        there.append(weighed.mode.v[at] + np.clip(sd, FINEST_SD, 1.0) * CLOSE_SD)
-    values = own.prior.value(np.concatenate(there[1:]))
-    moved = [shape.prior.coordinate(float(value)) for value in values]
+        close = weighed.mode.v[at] + np.clip(sd, FINEST_SD, 1.0) * CLOSE_SD
+        values.append(weighed.problem.hypers[at].prior.value(close))
+    moved = [shape.prior.coordinate(float(value)) for value in np.concatenate(values)]
     return _apart(np.concatenate([even, moved]))
 
 
@@ -211,14 +213,16 @@ def _gains(fine: Library, at: Weighed, name: str) -> Float[np.ndarray, "k"]:
     Of one that corrects a column, which has no score, the density of φ along its shape, all else held.
     """
     if name not in fine.points:
-        return _along(at, name, fine.grids[name][:, 0])
+        shape = fine.structures.candidates[name].column_shapes[0]
+        return _along(at, name, shape.prior.value(fine.grids[name][:, 0]))
     scored = View(fine, at).without(name).scores([name])[name]
     return np.array([s.gain for s in sorted(scored, key=lambda s: s.point.at.start)])
 
 
-def _along(at: Weighed, name: str, coordinates: Float[np.ndarray, "k"]) -> Float[np.ndarray, "k"]:
-    """Log density of φ along an effect's one shape, without its prior there, all else as it is."""
+def _along(at: Weighed, name: str, values: Float[np.ndarray, "k"]) -> Float[np.ndarray, "k"]:
+    """Return the log density of φ at values of an effect's one shape, without its prior there, all else as it is."""
     own = at.model.effect(name).column_shapes[0]
+    coordinates = np.array([own.prior.coordinate(float(value)) for value in values])
     place = at.problem.layout.index_in_phi[f"{name}.{own.name}"]
     vs = np.tile(at.mode.v, (len(coordinates), 1))
     vs[:, place] = coordinates

@@ -266,6 +266,8 @@ def _is_open(structures: Structures, to: Structure, at: Weighed) -> bool:
     law = structures.noise(to)
     if to in structures.visited:
         return True
+    if to in structures.earlier:
+        return structures.total(to) > structures.best.total - NEAR_NATS
     if structures.thrifty and (gain := _beside_another(structures, to, at.structure)) is not None:
         structures.expect(to, at.total + gain)
         return at.total + gain > structures.best.total
