@@ -11,6 +11,7 @@ Two tables split the same variance, correlations included:
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass, fields, replace
 from typing import Any
@@ -150,9 +151,9 @@ class Budget(Printed):
         parts = [
             f"Uncertainty budget of {b.stimulus} at {b.place}",
             replace(by_coefficient, rows=printed),
-            "Shares count correlations and add up to 100 %; a negative share reduces the variance."
+            "Shares count correlations and add up to 100 %; one below 0 or above 100 % is of correlated coefficients."
             + note * (omitted > 0),
-            by_source,
+            replace(by_source, rows=[r for r in b.sources if abs(r.share) >= LEAST_VARIANCE_SHARE]),
             f"Combined standard uncertainty {combined}; with the noise of one reading ({noise}): {both}.",
             f"Expanded uncertainty (k = {b.k:g}): {number(b.expanded)} {unit}; with the noise of one reading: "
             f"{number(b.expanded_reading)} {unit}.",
@@ -172,9 +173,12 @@ class Budget(Printed):
 
     @property
     def place(self) -> str:
-        """Return the operating point, in words."""
-        units = {n: unit_label(unit) for n, unit in self.at_units.items()}
-        return ", ".join(f"{n} = {number(v, 4)} {units[n]}".strip() for n, v in self.at.items())
+        """Return the operating point, in words; lags of one value are named once."""
+        values: dict[tuple[str, str], str] = {}
+        for name, v in self.at.items():
+            value = f"{number(v, 4)} {unit_label(self.at_units[name])}".strip()
+            values.setdefault((re.sub(r"_lag_\d+$", "_lag", name), value), name)
+        return ", ".join(f"{name} = {value}" for (_, value), name in values.items())
 
     def tables(self) -> tuple[ResultTable, ResultTable]:
         """Return the tables by coefficient and by source."""
@@ -345,11 +349,10 @@ def notes_on(chosen: Compensator, of_correction: bool = True) -> tuple[Claim, ..
     """Return claims of a budget's short coverage and omissions, for a correction or a slot alone."""
     notes = clock_note(chosen.equation)
     learned = _learned_group_sds(chosen.equation)
-    for block in (b for b in chosen.equation.blocks if b.name in learned):
-        per = str(block.coefficient.per)
+    for per in (str(b.coefficient.per) for b in chosen.equation.blocks if b.name in learned):
         count = len(chosen.calibration.levels.get(per, ()))
         if count < limit("budget.few_groups", "groups"):
-            notes.append(Claim("budget.few_groups", block.name, group=per, count=count))
+            notes.append(Claim("budget.few_groups", group=per, count=count))
     if of_correction and not chosen.equation.slope_calibrated:
         notes.append(Claim("use.bias_only", chosen.stimulus))
     return (*dict.fromkeys(notes), Claim("budget.shared_errors"))

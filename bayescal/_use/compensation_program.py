@@ -298,12 +298,14 @@ def notes_on_use(equation: OperatingEquation, has_range: bool) -> tuple[Claim, .
         places = tuple(f"{n} = {v:.6g} {unit_label(unit)}".rstrip() for n, v, unit in constants)
         numbers = {"places": places, "rms": equation.left_out(), "unit": calibration.unit}
         notes.append(Claim("use.held_inputs", *(name for name, *_ in constants), **numbers))
-    for lag in equation.lags:
-        if lag.shape and lag.name in equation.inputs:
-            multiple = lag.tau / equation.shapes[lag.shape]
-            share = "" if multiple == 1.0 else f"{multiple:.3g} · "
-            numbers = {"time": f"{share}{lag.shape}", "tau": lag.tau, "slope": lag.slope}
-            notes.append(Claim("use.lag", lag.name, **numbers))
+    lags = [lag for lag in equation.lags if lag.shape and lag.name in equation.inputs]
+    if lags:
+        multiples = ((lag, lag.tau / equation.shapes[lag.shape]) for lag in lags)
+        times = tuple(
+            f"{lag.name} ({'' if m == 1.0 else f'{m:.3g} · '}{lag.shape} = {lag.tau:.4g} s)"
+            for lag, m in multiples
+        )
+        notes.append(Claim("use.lags", *(lag.name for lag in lags), times=times))
     stimulus = equation.use.stimulus
     if not equation.slope_calibrated:
         notes.append(Claim("use.bias_only", stimulus))
