@@ -28,7 +28,7 @@ from bayescal._search.calibrate import Loop, prepared
 from bayescal._search.library import Library
 from bayescal._search.search_path import SearchPath
 from bayescal._search.shared_shape import FromOthers, ShapeEvidence, SharedShape, evidence_of
-from bayescal._search.structures import Structure, Structures
+from bayescal._search.structures import Structure, Structures, Weighed
 from bayescal._search.walk import BEAM_STRUCTURES
 
 ROUNDS = 3  # of hearing the others, at most
@@ -257,13 +257,18 @@ class _Channel:
         earlier = {**before.earlier, **before.visited}
         anew = {"odds": odds, "earlier": earlier, "visited": {}, "expected": {}}
         after = replace(before, candidates=candidates, **anew)
-        for s, weighed in before.visited.items():
-            if s.effects.isdisjoint(news):
-                changed = weighed.log_prior + (after.log_prior(s) - before.log_prior(s))
-                after.visited[s] = replace(weighed, log_prior=changed)
-        leaders = sorted(before.visited.values(), key=lambda w: -w.total)[:BEAM_STRUCTURES]
-        gained: dict[frozenset[str], float] = {}
-        for weighed in reversed(leaders):
+
+        def odds_changed(s: Structure) -> float:
+            return after.log_prior(s) - before.log_prior(s)
+
+        def corrected(w: Weighed, gain: float = 0.0) -> Weighed:
+            log_prior = w.log_prior + odds_changed(w.structure)
+            return replace(w, log_prior=log_prior, log_evidence=w.log_evidence + gain)
+
+        same = (w for s, w in before.visited.items() if s.effects.isdisjoint(news))
+        after.visited.update({w.structure: corrected(w) for w in same})
+        leaders, gained = sorted(before.visited.values(), key=lambda w: -w.total), {}
+        for weighed in reversed(leaders[:BEAM_STRUCTURES]):
             deadline.current().ask()
             now = after.weigh(weighed.structure)
             gained[now.structure.effects & news] = now.log_evidence - weighed.log_evidence
@@ -271,13 +276,11 @@ class _Channel:
         # Totals of the former round are what to expect: with what the prior odds changed, and with what the shape's
         # range changed in the most probable structure that has the same of the effects.
         for s, weighed in earlier.items():
-            evidence = weighed.log_evidence + gained.get(s.effects & news, 0.0)
-            log_prior = weighed.log_prior + after.log_prior(s) - before.log_prior(s)
-            earlier[s] = replace(weighed, log_evidence=evidence, log_prior=log_prior)
+            earlier[s] = corrected(weighed, gained.get(s.effects & news, 0.0))
             after.expect(s, earlier[s].total)
         for s in before.expected.keys() - earlier.keys():
-            odds_changed = after.log_prior(s) - before.log_prior(s)
-            after.expect(s, before.expected[s] + odds_changed + gained.get(s.effects & news, 0.0))
+            gain = odds_changed(s) + gained.get(s.effects & news, 0.0)
+            after.expect(s, before.expected[s] + gain)
         loop = replace(self.loop, library=Library(after))
         if searched:
             loop.look()

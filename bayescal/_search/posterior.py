@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from bayescal._calibration.claim import Claim
 from bayescal._core.settings import settings
 from bayescal._search.structures import Structure, Structures, Weighed
 
@@ -219,17 +220,9 @@ class OtherPath:
     correlated: bool = False  # whether one of the two laws alone is correlated in time
 
     def __str__(self) -> str:
-        what = " and ".join(self.added) if self.added else "nothing"
-        said = (
-            f"The runner-up model is nearly as probable: noise law {self.in_words}, with {what} added (log "
-            f"Bayes factor {self.log_bayes_factor:.1f})"
-        )
-        if not self.correlated:
-            return f"{said}. A repeat of the campaign would decide."
-        return (
-            f"{said}: a dependence on time can look like correlated noise, and correlated noise like an effect. A "
-            "repeat of the campaign would decide: correlated noise differs from record to record, an effect does not."
-        )
+        told = {"law": self.in_words, "added": self.added or ("nothing",)}
+        cure = "correlated" if self.correlated else "other"
+        return str(Claim("path.other", **told, nats=self.log_bayes_factor, cure=cure))
 
 
 @dataclass(frozen=True)
