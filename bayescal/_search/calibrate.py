@@ -201,15 +201,11 @@ class Loop:
         named = {name: model.effect(name) for name in away}
         if any(e.shapes or e.is_placeholder or e.coefficients[0].per for e in named.values()):
             return ()
-        # As wide as the next power of ten above the distance: the width is part of the evidence, and to be stated,
-        # not tuned.
+        # As wide as the next power of ten above the distance: the width is part of the evidence, stated, not tuned.
         return tuple(freed(e, 10 ** math.ceil(math.log10(away[n]))) for n, e in named.items())
 
     def quick(self, model: Model) -> Method | None:
-        """How steps on the way are fitted: not sampled, for their errors and evidence need no draws.
-
-        Under a heavy-tailed law they do, if there is time.
-        """
+        """Return the method of steps on the way: least squares, but under a heavy-tailed law if there is time."""
         limited = deadline.current().ends_at < math.inf
         return QUICK if model.noise.gaussian or limited else self.method
 
@@ -242,8 +238,7 @@ class Loop:
     def way(
         self, goal: Structure, start: Structure = BASE
     ) -> Iterator[tuple[Structure | None, Structure, discover.Discovery | None]]:
-        """Yield the structures from one to a goal, each after the one before, with what is missing from it; fewer where
-        time is short."""
+        """Yield (previous structure, structure, what is missing from it) up to a goal; fewer where time is short."""
         assert self.library is not None
         asked = self.max_effects > 0 and self.steps[0].calibration.verdict.ok
         here, steps = None, [start, goal]
@@ -288,7 +283,7 @@ class Loop:
             last = last.noted([note] * bool(left))
         used, shares = last.calibration, ()
         if self.max_effects > 0 and used.verdict.ok:
-            try:  # what is used is an average over the structures
+            try:
                 used, shares = averaged(used, structures, goal.noise, self.seed)
             except deadline.TimeIsUp as early:
                 last = last.noted([NOT_AVERAGED.format(early)])
@@ -351,8 +346,7 @@ class Loop:
         added, last = sum(s.added is not None for s in steps), steps[-1]
         candidates = last.discovery.candidates if last.discovery else ()
         tested = any(c.probability is not None for c in candidates)
-        # At the bound, P(complete) is of what may be added no more: it would be high because nothing further is
-        # allowed.
+        # At the bound P(complete) would be high because nothing further is allowed.
         if 0 < self.max_effects <= added and tested:
             most = f"the {added} effects that it may (--max-effects)"
             return f"not stated, as the search added {most}"

@@ -249,8 +249,7 @@ class _Channel:
         heard = {n: others[n]._replace(**own.get(n, {})) for n in self.shared}
         candidates = dict(before.candidates)
         for name in news:
-            # A posterior range becomes the prior of the next round: from the others alone, so that no channel hears
-            # itself.
+            # A posterior range becomes the next prior: from the others alone, so that no channel hears itself.
             range_ = {self.shared[name].name: (heard[name].low, heard[name].high)}
             candidates[name] = candidates[name].ranging(range_)
         odds = {n: now.log_odds for n, now in heard.items()}
@@ -325,8 +324,7 @@ def _said(
     """What the channels that can say something of each effect say of it."""
     found = {}
     for n, shape in shapes.items():
-        # A share that is uniform has the mean ½: a unit has the effect twice as probably as one of its channels shows
-        # it.
+        # A uniform share has the mean ½: a unit has the effect twice as probably as one of its channels shows it.
         says = {c.name: c.says[n] for c in channels if n in c.says}
         found[n] = SharedShape.of(n, shape, min(2 * alone[n], 0.5), says)
     return found

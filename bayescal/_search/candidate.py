@@ -22,8 +22,7 @@ from bayescal._search.structures import Structures, Weighed
 
 # Probability from which what is not found is named as a lead: odds of 1 to 4, worth a further run.
 LEAD_PROBABILITY = 0.2
-# Cosine of two fitted contributions from which they are one to these readings: 0.95 leaves a tenth of the squares to
-# tell them apart by.
+# Cosine of two fitted contributions from which readings cannot tell them apart: 0.95 leaves a tenth of the squares.
 ALIKE_COSINE = 0.95
 # Plausible sizes that an effect would need to be seen, beyond which this experiment cannot test it; a plausible size
 # is known to an order of magnitude.
@@ -99,10 +98,7 @@ def judge(
     at: Weighed,
     with_it: Weighed | None,
 ) -> Candidate:
-    """Return what is known of one candidate, a family, in its most probable form.
-
-    That is by its scores beside a structure and, where it was evaluated, by that structure `with_it`.
-    """
+    """Return one candidate, a family in its most probable form, by its scores and, if evaluated, by the refit."""
     structures = library.structures
     scored, several = points[0].effect if points else form, len(structures.forms[name]) > 1
     effect = structures.candidates[scored]
@@ -202,8 +198,7 @@ def _spread(
 
 
 def _main(point: ScoredPoint, group: bool) -> tuple[np.ndarray, np.ndarray]:
-    """Score and information of what speaks for the effect, in plausible sizes: all members of a group, or the first
-    coefficient with its companions marginalised."""
+    """Return score and information, in plausible sizes, of a group's members or of the first coefficient, marginal."""
     u, information = point.standard
     if group or len(u) == 1:
         return u, information
@@ -241,8 +236,7 @@ def _minimum_detectable(library: Library, point: ScoredPoint) -> float | None:
     if i <= 1e-12:
         return None
     # With z = u/√i the log Bayes factor is ½·z²·i/(1 + i) − ½·log(1 + i): solved for z. A coefficient of c sizes
-    # makes z normal about c·√i, which passes the threshold with the power asked for when it stands that quantile
-    # beyond.
+    # makes z normal about c·√i, which passes the threshold with that power when it stands its quantile beyond.
     threshold = np.sqrt(2 * (needed + 0.5 * np.log1p(i)) * (1 + i) / i)
     return float((threshold + ndtri(settings().power)) / np.sqrt(i) * point.size.sd[0])
 

@@ -326,10 +326,9 @@ def discovery_at(
     stopped: str = "",
     scored: bool = True,
 ) -> Discovery:
-    """What the posterior over structures says is missing from one of them.
+    """Return what is missing from a structure by the posterior, candidates `scored` beside it, which takes time.
 
-    Of a walk that `stopped` early nothing further is evaluated, and P(complete) is not stated. Candidates are `scored`
-    beside that structure, which takes time with many readings.
+    Of a walk that `stopped` early nothing further is evaluated, and P(complete) is not stated.
     """
     structures = library.structures
     posterior = Posterior.of(structures, at.effects)
@@ -351,8 +350,7 @@ def discovery_at(
             if scored and not stopped:
                 structures.weigh(at.plus(form), here)
         candidate = judge(library, name, form, own, here, structures.visited.get(at.plus(form)))
-        # Confounded are those whose fitted contributions are parallel, and those that take each other's place in a
-        # finding.
+        # Confounded are those whose fitted contributions are parallel, and those that share a finding.
         near = same.get(name, set()).union(in_sets.get(name, ())) - {name}
         candidate = replace(
             candidate,

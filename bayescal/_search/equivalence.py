@@ -167,8 +167,7 @@ def said_of_equivalents(structures: Structures, at: Structure) -> tuple[Claim, .
 
 
 def separating_experiments(structures: Structures) -> dict[Equivalent, dict[str, Any]]:
-    """Which of the instrument's experiments tells each set of equivalent effects apart best, by how many nats of the
-    first one; computed once."""
+    """Return the experiment that separates each set of equivalent effects best, and by how many nats; cached."""
     if structures.experiments:
         return structures.experiments
     instrument, sets = structures.base.instrument, equivalents(structures.spans)

@@ -81,8 +81,7 @@ def freed(steps: Sequence[Step]) -> Iterator[Claim]:
 
 
 def _followed(steps: Sequence[Step]) -> list[TakenOver]:
-    """Return terms of the first model in the last, the one that moved the most first; what has no name is compared
-    with the last model without such."""
+    """Return terms of the first model, most moved first; placeholders are compared with the last model without any."""
     last, found = steps[-1].calibration, list[TakenOver]()
     unnamed = {e.name for e in last.model.effects if e.unnamed}
     plain = [s.calibration for s in steps[:-1] if unnamed.isdisjoint(s.calibration.model.names)]
@@ -229,8 +228,7 @@ def left_out_better(last: Step, earlier: Sequence[Step]) -> Step | None:
     error, best = min(known, key=lambda one: one[0], default=(math.inf, last))
     if out.error(out.variance) <= WORSE_RATIO * error or best.left_out is None:
         return None
-    # Of densities of whole groups, joint over their readings: correlated noise makes readings of one group no
-    # separate evidence.
+    # Densities are of whole groups: correlated noise makes readings of one group no separate evidence.
     ratio = float(np.sum(best.left_out.log_score - out.log_score))
     return None if ratio <= -math.log(settings().holdout_p) else best
 

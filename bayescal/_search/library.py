@@ -67,8 +67,7 @@ class Library:
         points: of each candidate.
         sizes: of each candidate.
         width: columns in all.
-        blurred: candidates that change within means: they are looked over by all readings, as are those of a short
-            record.
+        blurred: candidates that change within means: they are scored by all readings.
     """
 
     structures: Structures
@@ -132,8 +131,7 @@ class Library:
     ) -> Float[np.ndarray, "n k"]:
         """∂μ/∂θ at some points, output unit per reported unit, where the output has the slopes of a linear model.
 
-        What depends on a column that is corrected is of the corrected one: beside a body a quadratic is of its
-        temperature.
+        What depends on a column that is corrected is of the corrected one, such as the temperature of a body.
         """
         made, size = [], line.problem.record.size
         for name, own in itertools.groupby(points, lambda p: p.effect):

@@ -38,8 +38,7 @@ def laws_over(model: Model, frame: Frame) -> dict[str, Noise]:
 
     Correlated, where there is time, and sums of such terms if asked for; heavy tails; scatter that follows a column.
     """
-    # Coefficients of single readings are noise by another name: beside them, or with the noise held, no law is
-    # weighed.
+    # Coefficients of single readings are noise by another name: beside them, or with the noise held, none is weighed.
     together = any(c.per == READING for e in model.effects for c in e.coefficients)
     fixed = any(name in model.noise.parameters() for name, _ in model.fixed)
     if together or fixed or frame.size < FEWEST_FOR_NOISE or not model.noise.first:

@@ -75,9 +75,7 @@ class Posterior:
     def complete(self, unseen: Iterable[str] = ()) -> float:
         """Probability that the given effects are all that is there, under any noise law.
 
-        A description that carries more than a small part stands for something that has no name here: a structure with
-        one is not complete, also where the description is among the given, or the noise. One that does not counts for
-        nothing.
+        A structure is not complete where a description, given, added or of the noise, carries more than a small part.
         """
         structures, given = self.space, Structure(self.given)
         further = {*unseen, *structures.latent(given)}
@@ -144,8 +142,7 @@ class Posterior:
         Each begins with an effect of the most probable structure and goes on with what can take its place.
         """
         found, rivals = [], self.space.rivals(self.best)
-        # Greedy: each step takes the effect with the most probability of those structures that lack all members so
-        # far.
+        # Greedy: each step takes the effect with the most probability of structures without any member so far.
         for effect in self.best.effects - self.given:
             name = self.space.family(effect)
             members = [name, *sorted(self.space.families(rivals[effect]) - {name})]
@@ -181,9 +178,8 @@ class Posterior:
         effects = frozenset(self.given)
         inside = list(zip(self.structures, self.probability.tolist(), strict=True))
         while True:
-            # Conditional inclusion: of the structures that hold what was chosen so far, which further effect most of
-            # them have, in any form; then which form. Without the condition two substitutes of one half each would both
-            # be out.
+            # Conditional inclusion: of the structures that hold what was chosen so far, the effect that most of them
+            # have, then its form. Without the condition two substitutes of one half each would both be out.
             further, each = [s.effects - effects for s, _ in inside], [p for _, p in inside]
             of_form, share = _mass(further, each), _mass(map(self.space.families, further), each)
             likely = max(share, key=lambda n: (share[n], n), default="")

@@ -1,7 +1,6 @@
 """Every addition and every pair at once, in closed form, at a structure's φ̂: in which order moves are tried.
 
-A score is the log Bayes factor of a linear model that was fitted before; what it says is only where to look. The
-answer is always a refit's.
+A score is the log Bayes factor of a linear model that was fitted before: it says where to look; a refit answers.
 """
 
 from __future__ import annotations
@@ -74,8 +73,7 @@ class ScoredPoint:
 class View:
     """A structure as a linear model about its mode, all candidates beside it: what may be added, dropped, exchanged.
 
-    Everything is products that are computed once, of some candidates at a time: columns of all at all points may be
-    more than memory holds.
+    Products are computed once, of some candidates at a time: memory may not hold columns of all at all points.
 
     Attributes:
         line: the structure on the readings.
@@ -134,8 +132,7 @@ class View:
         squares = line.rest + own + float(z @ of_start) - shapes
         inner = self.inner[np.ix_(kept, kept)] + np.diag(line.weight[kept])
         chol = np.linalg.cholesky(inner + 1e-12 * np.diag(np.diag(inner)))
-        # Nuisances fitted anew, those that are kept: L·Lᵀ = AᵀA + W, what they take of r₀ and of each column by
-        # L⁻¹Aᵀ.
+        # Kept nuisances fitted anew: L·Lᵀ = AᵀA + W, what they take of r₀ and of each column by L⁻¹Aᵀ.
         half = solve_triangular(chol, of_start[kept], lower=True)
         inside = solve_triangular(chol, self.cross[kept], lower=True)
         return WithoutNuisances(

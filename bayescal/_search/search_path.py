@@ -33,9 +33,7 @@ class Step:
     """One model of the sequence, with its errors in the output unit."""
 
     calibration: Calibration  # the fit
-    # effect that this step added, or several where there was no time for each; None for the first and where something
-    # else was changed
-    added: str | None
+    added: str | None  # effect, or several where time was short; None for the first and a change of noise
     rmse: float  # of the fitted readings, group deviations at zero (what an unseen group would see)
     rmse_fitted: float  # the same with group deviations as fitted
     holdout_rmse: float | None  # of the hold-out data; None without them

@@ -121,8 +121,7 @@ def averaged(
             deadline.current().ask()
             count = max(1, round(COUNT * share.probability))
             if frozenset(share.effects) == own:
-                # The last structure was sampled already: its own draws again, without repetition where there are
-                # enough.
+                # The last structure was sampled already: its draws again, without repetition where there are enough.
                 x, v = last.draws()
                 pick = random.choice(len(x), count, replace=count > len(x))
                 parts.append(_by_name(last.layout, x[pick], v[pick]))
@@ -197,8 +196,7 @@ def shares_of(structures: Structures, noise: str) -> tuple[StructureShare, ...]:
     posterior, mass = Posterior.of(structures), dict[frozenset[str], float]()
     for s, probability in zip(posterior.structures, posterior.probability, strict=True):
         if s in posterior.refitted:
-            # Noise laws are summed over: coefficients hang on the effects, and all are drawn under the law of the
-            # last model.
+            # Noise laws are summed over: all coefficients are drawn under the law of the last model.
             mass[s.effects] = mass.get(s.effects, 0.0) + float(probability)
     barred = structures.barred(Structure(noise=noise))
     found = [frozenset(f.effects) for f in posterior.findings]
@@ -256,8 +254,7 @@ def _together(
     layout = replace(last.layout, model=model, counts=(*last.layout.counts, *members), promoted=())
     counts = [len(next(iter(part.values()))) for part in parts]
     total = sum(counts)
-    # Zeros are the point: an effect that a structure lacks has the coefficient zero in its draws, not its prior's
-    # mean.
+    # An effect that a structure lacks has the coefficient zero in its draws, not its prior's mean.
     x, v = np.zeros((total, layout.size)), np.full((total, len(layout.hypers)), np.nan)
     for own, part, end, count in zip(models, parts, np.cumsum(counts), counts, strict=True):
         at = slice(end - count, end)

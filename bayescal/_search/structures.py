@@ -1,9 +1,8 @@
 """Structures: which effects and which noise law may make up a model, how probable each is, before and after.
 
 Each candidate is in or out, independently, with odds such that P(model complete) is one half; placeholders share a
-tenth of the prior. A candidate is a family of forms, of which a structure has one at most and which share its odds: a
-form more makes nothing more probable. A plausible size is known to an order of magnitude: evidence is averaged over it
-times 1, 3 and 10.
+tenth of the prior. A candidate is a family of forms, of which a structure has one at most and which share its odds. A
+plausible size is known to an order of magnitude: evidence is averaged over it times 1, 3 and 10.
 
 Evidence says nothing of a candidate that readings cannot tell from the effects of a structure: it is latent in the
 structure's model, with its prior.
@@ -143,8 +142,7 @@ class Structures:
         floor: noise that no model removes, output unit.
         spans: which candidates these readings cannot tell from which.
         earlier: structures weighed with other ranges of shapes: where refits begin.
-        thrifty: whether forms that no score tells of are weighed near the best alone, and other noise laws beside it or
-            where they would lead; structures under these are then looked around only when they do.
+        thrifty: whether forms without a score, and other noise laws, are weighed near the best structure alone.
     """
 
     base: Model
@@ -171,9 +169,8 @@ class Structures:
         each = {}
         for families, part in ((unknown, share), (named, 1 - share if unknown else 1.0)):
             for names in families:
-                # k candidates of odds o, each in or out by itself, are all out with probability (1 + o)⁻ᵏ. That this
-                # is `nothing` to the power of the group's part gives o = nothing^(−part/k) − 1, and the product over
-                # both groups is `nothing`.
+                # k candidates of odds o are all out with probability (1 + o)⁻ᵏ: prior_complete to the power of the
+                # group's part, so that the product over both groups is prior_complete.
                 odds = math.expm1(-math.log(settings().prior_complete) * part / len(families))
                 for name in names:
                     each[name] = self.odds.get(name, math.log(odds / len(names)))
@@ -202,8 +199,7 @@ class Structures:
         return same and one.noise == other.noise
 
     def moves_a_column(self, name: str) -> bool:
-        """Whether a candidate corrects a column of the readings, as the temperature of a body does: all that depends on
-        the column changes with it, so that no score beside the others says what it is worth."""
+        """Return whether a candidate corrects a column on which others depend (a body's temperature): no score."""
         return self.candidates[name].slot not in self.record.slots
 
     @cached_property
@@ -259,8 +255,7 @@ class Structures:
         return self.laws.get(structure.noise, self.base.noise)
 
     def barred(self, structure: Structure) -> set[str]:
-        """Candidates that a structure may not have: beside correlated noise, a free curve in time; another form of what
-        it has; a second body in the place of the same thermometer."""
+        """Return candidates barred: other forms, a second body, and beside correlated noise a curve in time."""
         found = set[str]()
         if not self.noise(structure).independent:
             own = self.candidates.items()
@@ -370,8 +365,7 @@ class Structures:
     def _moves_coefficients(
         self, line: LinearModel, own: np.ndarray, white: Float[np.ndarray, "n"]
     ) -> bool:
-        """Whether a coefficient of a named effect would stand elsewhere without a contribution, beyond its
-        uncertainty."""
+        """Return whether a named effect's coefficient would move beyond its uncertainty without a contribution."""
         others = np.flatnonzero(~own)
         beside = line.white_nuisance[:, others]
         inner = beside.T @ beside + np.diag(line.weight[others])

@@ -22,8 +22,7 @@ from bayescal._search.noise_laws import log_prior
 from bayescal._search.scores import HINTS, ScoredPoint, View, gain_of
 from bayescal._search.structures import NEAR_NATS, OTHER_LAW_NATS, Structure, Structures, Weighed
 
-# Most probable structures whose neighbours are looked at before the walk ends; with 4 it finds what enumeration finds
-# in tests/search/test_structures.py.
+# Most probable structures whose neighbours are looked at; 4 find what enumeration finds (tests/search).
 BEAM_STRUCTURES = 4
 # Neighbours that are refitted of each structure looked at, at least and at most.
 REFITTED_NEIGHBOURS = (2, 10)
@@ -209,8 +208,7 @@ def _look_around(
 ) -> Evaluated:
     """Weigh the neighbours of a structure that may come near the best; of the others keep what is expected."""
     structures, here = library.structures, at.structure
-    # The same effects under each law: which effects are probable hangs on the law, and the walk would otherwise have
-    # to find them anew under each.
+    # The same effects under each law: otherwise the walk would have to find them anew under each.
     for law in filter(among.has, ("", *correlated_laws(structures))):
         other = here.under(law)
         other = other.minus(*structures.barred(other))
@@ -222,8 +220,7 @@ def _look_around(
     gained = (yield from _weigh_forms(structures, at)) if all_laws else {}
     changes = [m for m in _changes_of_noise(structures, at) if among.has(m.to.noise)]
     moves = [*_moves(view(at), max_effects, among)]
-    # Without what moves a column nothing that depends on it is what it was: what may stand in its place is seen beside
-    # a refit without it.
+    # Substitutes of what corrects a column are seen beside a refit without it, on which all that depends moves.
     for name in sorted(filter(structures.moves_a_column, here.effects)):
         yield (rest := structures.weigh(here.minus(name), at))
         if math.isfinite(rest.total):
@@ -392,8 +389,7 @@ def _finer_laws(
     correlated = not here.independent and (plain is None or at.total > plain.total)
     if not (correlated and finer and math.isfinite(at.total)):
         return
-    # Evidence of either law on the residuals alone: what both leave out, the coefficients' volume, is nearly the
-    # same.
+    # Evidence of either law on the residuals alone: the coefficients' volume is nearly the same.
     own = structures.law_on_residuals(at, at.structure.noise)
     for name in finer:
         found = structures.law_on_residuals(at, name)
