@@ -126,8 +126,8 @@ class Loop:
     reference: Reference | None
     max_effects: int
     accepted: frozenset[str]
-    begun: float = 0.0  # when the first step stood, by `time.monotonic`, s
-    given: tuple[Effect, ...] = ()  # of the model given, to be weighed anew
+    started: float = 0.0  # when the first step stood, by `time.monotonic`, s
+    reconsidered: tuple[Effect, ...] = ()  # of the model given, to be weighed anew
     steps: list[Step] = field(default_factory=list)  # models fitted so far
     library: Library | None = None  # structures evaluated; None where nothing can be looked for
     shut: Sequence[Candidate] = ()  # candidates that these readings cannot test
@@ -139,47 +139,47 @@ class Loop:
         Whether an effect belongs there is what the search is to say: kept because the search began with it, it would
         hide rivals that the same search finds from the baseline.
         """
-        known = (*model.names, *model.instrument.known, *(e.name for e in effects), "noise")
+        known_names = (*model.names, *model.instrument.known, *(e.name for e in effects), "noise")
         for name in self.accepted:
-            if not any(name == k or name.startswith((f"{k}[", f"{k}.")) for k in known):
+            if not any(name == k or name.startswith((f"{k}[", f"{k}.")) for k in known_names):
                 has = ", ".join(model.names)
                 raise InputError(
                     f"no effect or coefficient is called {name!r}; the model has {has}"
                 )
         # Where nothing is looked for, nothing is weighed.
         looked_at = model.effects if self.max_effects > 0 else ()
-        self.given = tuple(e for e in looked_at if self.weighs(e, model))
-        model = reduce(sub, self.given, model)
+        self.reconsidered = tuple(e for e in looked_at if self.is_reconsidered(e, model))
+        model = reduce(sub, self.reconsidered, model)
         with deadline.finishing():  # whatever the time limit
             first = self.step(model, self.quick(model))
         deadline.current().defer_interrupt()
-        self.max_effects = max(self.max_effects, len(self.given))
+        self.max_effects = max(self.max_effects, len(self.reconsidered))
         self.reference = first.calibration.reference
-        self.steps, more = [first], self.freed(first)
-        if more or not first.against:
-            self.open(first, (*effects, *more), widen_noise)
+        self.steps, freed_effects = [first], self.freed(first)
+        if freed_effects or not first.against:
+            self.open(first, (*effects, *freed_effects), widen_noise)
 
-    def weighs(self, effect: Effect, model: Model) -> bool:
+    def is_reconsidered(self, effect: Effect, model: Model) -> bool:
         """Return whether an effect of a model is weighed anew."""
         instrument, readings = model.instrument, self.readings
         if effect.is_placeholder:
             return effect.name in {e.name for e in discover.placeholders(model, readings)}
         on_the_way = {e.name for e in instrument.effects} <= {*model.names}
-        kept = (*instrument.effects, *instrument.nuisances)
-        catalogued = {*instrument.known} - {e.name for e in kept}
+        baseline_effects = (*instrument.effects, *instrument.nuisances)
+        catalogued = {*instrument.known} - {e.name for e in baseline_effects}
         free = (model - effect).fixed == model.fixed
         testable_here = testable(effect, readings) is None
         return on_the_way and effect.name in catalogued and free and testable_here
 
     def open(self, first: Step, effects: Sequence[Effect], widen_noise: bool) -> None:
         """Have structures to look at beyond a step that is fitted."""
-        self.begun = time.monotonic()
+        self.started = time.monotonic()
         self.steps, c, fixed = [first], first.calibration, first.check.fixed
         # Without convergence there are no probabilities; and a published calibration that fails is not saved.
         if not c.verdict.ok or (fixed is not None and fixed.wrong):
             self.max_effects, widen_noise = 0, False
         # Of the same name as one of the catalogue, the given one counts: its size may be the user's own.
-        named = [e for e in self.given if not e.is_placeholder]
+        named = [e for e in self.reconsidered if not e.is_placeholder]
         how = {"widen_noise": widen_noise, "latent": self.max_effects > 0}
         structures, self.shut = discover.structures_over(
             c.model, self.readings, c.reference, effects=(*effects, *named), **how
@@ -187,17 +187,17 @@ class Loop:
         self.library = Library(structures)
 
     def freed(self, first: Step) -> tuple[Effect, ...]:
-        """Effects of the first model once more, free of stated values that the readings contradict.
+        """Return the effects of the first model whose stated values the readings contradict, with wide priors.
 
         None where something else stands against the model. A contradiction is a finding: the value is wrong, or an
         effect is missing that it stands in for, and the search weighs both.
         """
-        if any(one.code != judgement.PRIOR for one in first.against):
+        if any(claim.code != judgement.PRIOR for claim in first.against):
             return ()
         model, away = first.calibration.model, dict[str, float]()
-        for one in first.against:
-            effect = one.of[1]
-            away[effect] = max(one.numbers["away"], away.get(effect, 0.0))
+        for claim in first.against:
+            effect = claim.of[1]
+            away[effect] = max(claim.numbers["away"], away.get(effect, 0.0))
         named = {name: model.effect(name) for name in away}
         if any(e.shapes or e.is_placeholder or e.coefficients[0].per for e in named.values()):
             return ()
@@ -212,21 +212,21 @@ class Loop:
     def look(self, follow: Callable[[], None] = lambda: None) -> None:
         """Walk over the structures, to the end or the deadline."""
         if self.library is not None:
-            given, known = Structure(frozenset(e.name for e in self.given)), self.structures
-            candidates = given.effects and given.effects <= {*known.candidates}
-            may_be = candidates and given.effects.isdisjoint(known.barred(given))
-            start = given if may_be else None
+            effects, known = frozenset(e.name for e in self.reconsidered), self.structures
+            start = Structure(effects) if effects and effects <= {*known.candidates} else None
+            if start and not effects.isdisjoint(known.barred(start)):
+                start = None
             self.stopped = explore(self.library, self.max_effects, start, follow)
 
     @property
     def structures(self) -> Structures:
-        """Those that were opened, with what is known of each."""
+        """Return the structures over the first model, with what was evaluated of each."""
         assert self.library is not None
         return self.library.structures
 
     @property
     def goal(self) -> Structure:
-        """The structure to use: of a walk that ended early the best that it evaluated."""
+        """Return the structure to use; of a walk that ended early the best that it evaluated."""
         posterior = Posterior.of(self.structures)
         return posterior.best if self.stopped else posterior.chosen
 
@@ -240,14 +240,14 @@ class Loop:
     ) -> Iterator[tuple[Structure | None, Structure, discover.Discovery | None]]:
         """Yield (previous structure, structure, what is missing from it) up to a goal; fewer where time is short."""
         assert self.library is not None
-        asked = self.max_effects > 0 and self.steps[0].calibration.verdict.ok
-        here, steps = None, [start, goal]
+        with_discovery = self.max_effects > 0 and self.steps[0].calibration.verdict.ok
+        previous, steps = None, [start, goal]
         with suppress(deadline.TimeIsUp), deadline.sooner(1 / 2) as half:
             steps = steps if self.stopped else path(self.library, goal, start)
         for at in dict.fromkeys(steps):
-            if here is None or at == goal or not half.over:
-                yield here, at, self.missing(at) if asked else None
-                here = at
+            if previous is None or at == goal or not half.over:
+                yield previous, at, self.missing(at) if with_discovery else None
+                previous = at
 
     def to_best(self, follow: Callable[[SearchPath], None] = lambda _: None) -> SearchPath:
         """Fit the models on the way to the structure to use; of a walk that ended early, the best one alone."""
@@ -257,30 +257,31 @@ class Loop:
             return SearchPath(*judged(self.steps), self.holdout, None, search)
         # What was the best when the walk ended is what is returned: nothing is evaluated after that.
         search = self.search(stopped=self.stopped) if self.stopped else None
-        goal, found = self.goal, list[discover.Discovery | None]()
+        goal, discoveries = self.goal, list[discover.Discovery | None]()
         for before, at, is_missing in self.way(goal):
-            found.append(is_missing)
+            discoveries.append(is_missing)
             if before is not None:
                 self.steps.append(self.fitted(at, before, last=at == goal))
                 follow(self.trail(search))
         if len(self.steps) == 1 and self.method != QUICK:
             self.steps = [self.fitted(goal, None, last=True)]
-        steps = [replace(s, discovery=one) for s, one in zip(self.steps, found, strict=True)]
-        return self.averaged(steps, goal, search)
+        pairs = zip(self.steps, discoveries, strict=True)
+        return self.averaged([replace(s, discovery=d) for s, d in pairs], goal, search)
 
     def averaged(
         self, steps: Sequence[Step], goal: Structure, search: Search | None = None
     ) -> SearchPath:
         """Judge the last of some steps, and average it over the structures that were weighed."""
         structures, (*before, last) = self.structures, steps
-        if (found := last.discovery) is not None:
+        if (discovery := last.discovery) is not None:
             if why := "" if self.stopped else self.incomplete(steps):
-                last = replace(last, discovery=found.not_stated(why))
-            known = {c.effect: c.probability for c in found.candidates}
-            given = [e.name for e in self.given if e.name not in last.calibration.model.names]
-            left = ", ".join(f"{n} (probability {probability(known.get(n))})" for n in given)
-            note = f"Weighed anew and left out of the model given: {left}."
-            last = last.noted([note] * bool(left))
+                last = replace(last, discovery=discovery.not_stated(why))
+            probabilities = {c.effect: c.probability for c in discovery.candidates}
+            names = {e.name: probabilities.get(e.name) for e in self.reconsidered}
+            dropped = {n: p for n, p in names.items() if n not in last.calibration.model.names}
+            listing = ", ".join(f"{n} (probability {probability(p)})" for n, p in dropped.items())
+            note = f"Weighed anew and left out of the model given: {listing}."
+            last = last.noted([note] * bool(listing))
         used, shares = last.calibration, ()
         if self.max_effects > 0 and used.verdict.ok:
             try:
@@ -288,61 +289,63 @@ class Loop:
             except deadline.TimeIsUp as early:
                 last = last.noted([NOT_AVERAGED.format(early)])
                 used = last.calibration
-            own, used = with_latent(last.calibration, used, structures, goal)
-            last = replace(last, calibration=own)
-        one = last.calibration is used
-        steps, gate = judged([*before, self.held_against(last, used, structures)])
+            single, used = with_latent(last.calibration, used, structures, goal)
+            last = replace(last, calibration=single)
+        is_single = last.calibration is used
+        steps, gate = judged([*before, self.with_holdout_test(last, used, structures)])
         if self.max_effects > 0 and used.verdict.ok:
-            found = last.discovery
-            complete = found.nothing_missing if found and gate.ok else None
+            discovery = last.discovery
+            complete = discovery.nothing_missing if discovery and gate.ok else None
             *before, last = steps
-            own, used = (with_form(c, complete, structures, goal) for c in (last.calibration, used))
-            steps = [*before, replace(last, calibration=own)]
+            pair = last.calibration, used
+            single, used = (with_form(c, complete, structures, goal) for c in pair)
+            steps = [*before, replace(last, calibration=single)]
         search = search or self.search(complete=not self.stopped, stopped=self.stopped)
         how = {"other_path": _other_path(structures), "search": search, "shares": shares}
         trail = SearchPath(tuple(steps), gate, self.holdout, **how)
-        if one:
+        if is_single:
             return trail
         verdict = trail.final.calibration.verdict
         notes = dict.fromkeys((*verdict.notes, *used.verdict.notes))
         of_last = {"against": verdict.against, "checked": verdict.checked}
         return replace(trail, average=used.with_verdict(**of_last, notes=tuple(notes)))
 
-    def held_against(self, step: Step, used: Calibration, structures: Structures) -> Step:
-        """The last step, whose hold-out data are held against what is used of it."""
+    def with_holdout_test(self, step: Step, used: Calibration, structures: Structures) -> Step:
+        """Return the last step with the hold-out data tested against the calibration in use."""
         if self.holdout is None or step.holdout_test is None:
             return step
-        known = {c.effect: c for c in (step.discovery.candidates if step.discovery else ())}
+        candidates = step.discovery.candidates if step.discovery else ()
+        tested = (c for c in candidates if c.kind != "not testable")
+        detectable = {c.effect: c.minimum_detectable for c in tested}
         unseen = []
         for name, effect in structures.base.instrument.known.items():
             c = effect.coefficients[0]
             if c.per != "run" or c.group_sd is None or effect.shapes or name in used.model.names:
                 continue
-            seen = known.get(name)
-            least = None if seen is None or seen.kind == "not testable" else seen.minimum_detectable
+            least = detectable.get(name)
             unseen.append((effect, c.size if least is None else min(c.size, least)))
-        found = predict(used, self.holdout)
-        return replace(step, holdout_test=HoldoutTest(used, self.holdout, found, tuple(unseen)))
+        test = HoldoutTest(used, self.holdout, predict(used, self.holdout), tuple(unseen))
+        return replace(step, holdout_test=test)
 
     def fitted(self, at: Structure, before: Structure | None, last: bool = False) -> Step:
         """Fit and check a structure, which follows another; the last one by the method asked for."""
         weighed = self.structures.weigh(at)
         model = weighed.sized_model
-        found = self.step(model, self.method if last else self.quick(model), weighed.phi)
+        step = self.step(model, self.method if last else self.quick(model), weighed.phi)
         added, changed = None, ""
         if before is not None:
             added = " + ".join(sorted(at.effects - before.effects)) or None
             changed = f"noise widened: {model.noise.in_words}" if at.noise != before.noise else ""
-        return replace(found, added=added, changed=changed)
+        return replace(step, added=added, changed=changed)
 
     def trail(self, search: Search | None = None, steps: Sequence[Step] = ()) -> SearchPath:
-        """The trail while it grows: its last model says that it is not the end."""
+        """Return the trail so far; its last model's verdict says that the search is under way."""
         *before, last = steps or self.steps
         steps = (*before, last.judged((UNDER_WAY.reason,)))
         return SearchPath(steps, UNDER_WAY, self.holdout, None, search or self.search())
 
     def incomplete(self, steps: Sequence[Step]) -> str:
-        """Why the last model may not be called complete, whatever its probability; empty where it may."""
+        """Return why P(complete) of the last model is not to be stated; empty where it may be."""
         added, last = sum(s.added is not None for s in steps), steps[-1]
         candidates = last.discovery.candidates if last.discovery else ()
         tested = any(c.probability is not None for c in candidates)
@@ -364,10 +367,10 @@ class Loop:
             return step_of(calibration, self.holdout, self.accepted)
 
     def search(self, *, complete: bool = False, stopped: str = "") -> Search | None:
-        """How the search stands."""
+        """Return a summary of the search so far."""
         if self.library is None:
             return None
-        how = {"seconds": time.monotonic() - self.begun, "max_effects": self.max_effects}
+        how = {"seconds": time.monotonic() - self.started, "max_effects": self.max_effects}
         return Search.of(self.library.structures, complete=complete, stopped=stopped, **how)
 
 
@@ -375,18 +378,18 @@ def step_of(
     calibration: Calibration, holdout: Measurements | None = None, accepted: Collection[str] = ()
 ) -> Step:
     """Check a fit, and give it with its errors as a step; refuse readings without noise."""
-    if said := judgement.noiseless(calibration):
-        raise InputError(said)
-    checked, floor, kept, test = check(calibration), noise_floor(calibration), None, None
+    if message := judgement.noiseless(calibration):
+        raise InputError(message)
+    checked, floor, prediction, test = check(calibration), noise_floor(calibration), None, None
     if holdout is not None:
-        kept = predict(calibration, holdout)
-        test = HoldoutTest(calibration, holdout, kept)
+        prediction = predict(calibration, holdout)
+        test = HoldoutTest(calibration, holdout, prediction)
     return Step(
         calibration=calibration,
         added=None,
         rmse=predict(calibration).rmse,
         rmse_fitted=float(np.sqrt(np.mean(checked.residuals**2))),
-        holdout_rmse=None if kept is None else kept.rmse,
+        holdout_rmse=None if prediction is None else prediction.rmse,
         holdout_test=test,
         left_out=leave_one_group_out(calibration),
         noise_floor=floor,
@@ -411,20 +414,20 @@ def prepared(
     if holdout is None:
         return used, None
     model.require(holdout)
-    found = "what may be found, such as a drift" * readings.has("time")
-    dated = holdout.on_clock(readings.since, lambda: found)
-    kept = set_aside(dated, keep_spikes, model.columns)
-    said = said_of(used, kept)
-    if not said and (going := used.continued_in(kept)):
-        said = (
+    finding = "what may be found, such as a drift" * readings.has("time")
+    dated = holdout.on_clock(readings.since, lambda: finding)
+    heldout = set_aside(dated, keep_spikes, model.columns)
+    flag = said_of(used, heldout)
+    if not flag and (going := used.continued_in(heldout)):
+        flag = (
             f"{used.file}: {sum(map(len, going.values()))} readings of the hold-out data continue its run "
             f"{', '.join(going)}: they are predicted with the record's past (lags, hysteresis, correlated noise)"
         )
-    return (replace(used, flags=(*used.flags, said)) if said else used), kept
+    return (replace(used, flags=(*used.flags, flag)) if flag else used), heldout
 
 
 def _other_path(structures: Structures) -> OtherPath | None:
-    """The runner-up model: the best under another noise law, if it differs and is nearly as probable."""
+    """Return the runner-up model: the best under another noise law, if it differs and is nearly as probable."""
     best = structures.best
     ends = [w for w in structures.visited.values() if w.structure.noise != best.structure.noise]
     other = max(ends, key=lambda w: w.total, default=None)

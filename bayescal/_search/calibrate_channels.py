@@ -51,7 +51,7 @@ class Channels(Printed):
 
     @property
     def ok(self) -> bool:
-        """Whether every channel's result is reliable."""
+        """Return whether every channel's result is reliable."""
         return all(trail.ok for trail in self.trails.values())
 
     if TYPE_CHECKING:
@@ -61,12 +61,12 @@ class Channels(Printed):
 
     @property
     def reason(self) -> str:
-        """Why not, channel by channel; empty if all may be."""
+        """Return why some are not, channel by channel; empty if all are."""
         return " ".join(f"{n}: {t.gate.reason}" for n, t in self.trails.items() if not t.ok)
 
     @property
     def effects(self) -> tuple[str, ...]:
-        """Effects that some channel's last model holds, in the order of the models."""
+        """Return the effects of all channels' last models, in the order of the models."""
         models = (t.final.calibration.model for t in self.trails.values())
         return tuple(dict.fromkeys(n for model in models for n in model.names))
 
@@ -90,7 +90,7 @@ class Channels(Printed):
         return f"{', '.join(self.trails)}; effects {', '.join(self.effects) or 'none'}"
 
     def _columns(self) -> dict[str, list[Any]]:
-        """A row for each channel's last model: errors in its unit, mean sizes of effects in theirs."""
+        """Return a row for each channel's last model: errors in its unit, mean sizes of effects in theirs."""
         finals = [trail.final for trail in self.trails.values()]
         return {
             "channel": list(self.trails),
@@ -106,19 +106,19 @@ class Channels(Printed):
 
     def _errors(self) -> list[list[str]]:
         trails, columns = self.trails.values(), self._columns()
-        shown = ["as fitted, first model", "as fitted, last"]
+        row_names = ["as fitted, first model", "as fitted, last"]
         if any(t.final.rmse > APART_RATIO * t.final.rmse_fitted for t in trails):
-            shown.append("new run, last")
+            row_names.append("new run, last")
         if any(t.holdout is not None for t in trails):
-            shown += ["held out, first", "held out, last"]
+            row_names += ["held out, first", "held out, last"]
             columns["held out, first"] = [t.steps[0].holdout_rmse for t in trails]
             columns["held out, last"] = columns["held out"]
-        rows = [[name, *map(number, columns[name])] for name in (*shown, "noise floor")]
+        rows = [[name, *map(number, columns[name])] for name in (*row_names, "noise floor")]
         return [["unit", *map(unit_label, columns["unit"])], *rows]
 
 
 def _size(trail: SearchPath, name: str) -> tuple[float | None, float]:
-    """Of an effect, and its uncertainty, as they leave; None where the channel's model lacks it."""
+    """Return an effect's posterior mean and standard deviation; None and 0 where the model lacks it."""
     model = trail.final.calibration.model
     if name not in model.names:
         return None, 0.0
@@ -129,7 +129,7 @@ def _size(trail: SearchPath, name: str) -> tuple[float | None, float]:
 
 
 def _shared_text(s: SharedShape) -> str:
-    """One line on what the unit has."""
+    """Return one line on an effect that the channels share."""
     (middle, low, high), unit = s.posterior, unit_label(s.shape.unit)
     strong = [n for n in s.says if s.evidence(n) > settings().strong_evidence]
     showing = ", ".join(strong) or "none alone"
@@ -176,10 +176,11 @@ def calibrate_channels(
         InputError: fewer than two channels, or models, readings and holdout of different ones.
         ModelError: the readings lack what a model needs.
     """
-    for given in (readings, holdout):
-        if given is not None and set(given) != set(models):
+    for records in (readings, holdout):
+        if records is not None and set(records) != set(models):
             raise InputError(
-                f"models are given for {', '.join(models)}; readings for {', '.join(given)}: give both for each channel"
+                f"models are given for {', '.join(models)}; readings for {', '.join(records)}: "
+                "give both for each channel"
             )
     if len(models) < 2:
         raise InputError("a unit has two channels or more: use `calibrate` for one")
@@ -187,8 +188,8 @@ def calibrate_channels(
     trails, shared = dict[str, SearchPath](), list[SharedShape]()
     with deadline.until(time_limit):
         for name, model in models.items():
-            own = readings[name], None if holdout is None else holdout[name]
-            used = prepared(model, *own, keep_spikes, ignore, covariates)
+            pair = readings[name], None if holdout is None else holdout[name]
+            used = prepared(model, *pair, keep_spikes, ignore, covariates)
             how = method, seed_of(seed), reference, max_effects
             loop = Loop(*used, *how, frozenset(accept_conflicts))
             with stage(name):
@@ -199,8 +200,8 @@ def calibrate_channels(
             with stage(c.name), deadline.sooner(1 / (2 * count - i)):
                 c.loop.look(lambda c=c: follow(c.name, c.loop.trail()))
         with suppress(deadline.TimeIsUp), deadline.sooner(1 / 2):
-            for one in _shared(channels, follow):
-                shared = one
+            for update in _exchange_evidence(channels, follow):
+                shared = update
         for i, c in enumerate(channels):
             with stage(c.name), deadline.sooner(1 / (count - i)):
                 trails[c.name] = c.loop.to_best(partial(follow, c.name))
@@ -245,8 +246,8 @@ class _Channel:
         if not news:
             return False
         # Where the shape says nothing new its range stays; all odds are what the others say now.
-        own = {n: {"low": h.low, "high": h.high} for n, h in self.heard.items() if n not in news}
-        heard = {n: others[n]._replace(**own.get(n, {})) for n in self.shared}
+        ranges = {n: {"low": h.low, "high": h.high} for n, h in self.heard.items() if n not in news}
+        heard = {n: others[n]._replace(**ranges.get(n, {})) for n in self.shared}
         candidates = dict(before.candidates)
         for name in news:
             # A posterior range becomes the next prior: from the others alone, so that no channel hears itself.
@@ -285,16 +286,16 @@ class _Channel:
             loop.look()
             if loop.stopped:
                 raise deadline.TimeIsUp(loop.stopped)
-        self.says = self.said(after)
+        self.says = self.evaluate_shapes(after)
         self.loop, self.heard = loop, heard
         return True
 
-    def said(self, structures: Structures) -> dict[str, ShapeEvidence]:
-        """What it says of the shared shapes by its structures."""
+    def evaluate_shapes(self, structures: Structures) -> dict[str, ShapeEvidence]:
+        """Return the channel's evidence on each shared shape by its evaluated structures."""
         return {n: evidence_of(structures, n, shape) for n, shape in self.shared.items()}
 
 
-def _shared(channels: Sequence[_Channel], follow: Follow) -> Iterator[list[SharedShape]]:
+def _exchange_evidence(channels: Sequence[_Channel], follow: Follow) -> Iterator[list[SharedShape]]:
     """Have the channels hear each other until nothing new is said; what they say at first, and whenever it changes."""
     shapes = {n: shape for c in channels for n, shape in c.shared.items()}
     alone: dict[str, float] = {}  # prior probability of each effect in one channel
@@ -302,29 +303,29 @@ def _shared(channels: Sequence[_Channel], follow: Follow) -> Iterator[list[Share
         for n, now in c.heard.items():
             alone[n] = max(alone.get(n, 0.0), float(expit(now.log_odds)))
         if c.loop.library is not None:
-            c.says = c.said(c.loop.library.structures)
-    yield list(_said(channels, shapes, alone).values())
+            c.says = c.evaluate_shapes(c.loop.library.structures)
+    yield list(_combine_evidence(channels, shapes, alone).values())
     # Coordinate ascent on a joint posterior: each channel given what all others say now.
     for _ in range(ROUNDS):
         moved = []
         for c in channels:  # one by one: told all at once, they would swap opinions
-            found = _said(channels, shapes, alone)
+            shared = _combine_evidence(channels, shapes, alone)
             with stage(c.name):
-                moved.append(c.hear({n: found[n].from_others(c.name) for n in c.shared}))
+                moved.append(c.hear({n: shared[n].from_others(c.name) for n in c.shared}))
             if moved[-1]:
                 follow(c.name, c.loop.trail())
-                yield list(_said(channels, shapes, alone).values())
+                yield list(_combine_evidence(channels, shapes, alone).values())
         if not any(moved):
             break
 
 
-def _said(
+def _combine_evidence(
     channels: Sequence[_Channel], shapes: Mapping[str, Shape], alone: Mapping[str, float]
 ) -> dict[str, SharedShape]:
-    """What the channels that can say something of each effect say of it."""
-    found = {}
+    """Return the combined evidence of all channels on each shared shape, by effect."""
+    shared = {}
     for n, shape in shapes.items():
         # A uniform share has the mean ½: a unit has the effect twice as probably as one of its channels shows it.
         says = {c.name: c.says[n] for c in channels if n in c.says}
-        found[n] = SharedShape.of(n, shape, min(2 * alone[n], 0.5), says)
-    return found
+        shared[n] = SharedShape.of(n, shape, min(2 * alone[n], 0.5), says)
+    return shared

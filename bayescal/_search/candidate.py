@@ -74,20 +74,20 @@ class Candidate:
 
     @property
     def unseen(self) -> bool:
-        """Whether these readings say nothing of it, so that it may well be there."""
+        """Return whether these readings say nothing of it."""
         return self.kind in ("not visible", "not testable")
 
 
 def best_form(
     structures: Structures, points: Mapping[str, Sequence[ScoredPoint]]
 ) -> dict[str, Sequence[ScoredPoint]]:
-    """By family, the scores of the form that gains most."""
-    found: dict[str, Sequence[ScoredPoint]] = {}
-    for name, own in points.items():
+    """Return, by family, the scores of the form that gains most."""
+    best: dict[str, Sequence[ScoredPoint]] = {}
+    for name, scores in points.items():
         family = structures.family(name)
-        if family not in found or gain_of(own) > gain_of(found[family]):
-            found[family] = own
-    return found
+        if family not in best or gain_of(scores) > gain_of(best[family]):
+            best[family] = scores
+    return best
 
 
 def judge(
@@ -102,12 +102,12 @@ def judge(
     structures = library.structures
     scored, several = points[0].effect if points else form, len(structures.forms[name]) > 1
     effect = structures.candidates[scored]
-    own = {"unit": effect.coefficients[0].unit, "role": effect.role, "frees": effect.frees}
-    found = Candidate(effect=name, form=form if several else "", **own)
+    labels = {"unit": effect.coefficients[0].unit, "role": effect.role, "frees": effect.frees}
+    candidate = Candidate(effect=name, form=form if several else "", **labels)
     if points:
         top, before = points[0], float(np.trace(points[0].products))
-        found = replace(
-            found,
+        candidate = replace(
+            candidate,
             log_bayes_factor=gain_of(points),
             z=_z(top, library.grouped(scored)),
             shape={**top.point.shapes, **top.size.scales},
@@ -117,37 +117,37 @@ def judge(
     if with_it is not None and math.isfinite(with_it.log_evidence):
         # A refit averages over sizes and finds its shapes, where a score says where it began.
         factor = with_it.log_evidence - at.log_evidence
-        told = _by_refit(structures.candidates[form], with_it)
-        return replace(found, log_bayes_factor=factor, source="refit", **told)
+        refitted = _by_refit(structures.candidates[form], with_it)
+        return replace(candidate, log_bayes_factor=factor, source="refit", **refitted)
     if not points:
-        return found
+        return candidate
     mean, variance = _size(library, points)
-    return replace(found, size=mean, size_sd=math.sqrt(variance))
+    return replace(candidate, size=mean, size_sd=math.sqrt(variance))
 
 
-def too_small_or_large(
+def off_scale_claims(
     library: Library, points: Mapping[str, Sequence[ScoredPoint]], at: Weighed
 ) -> tuple[Claim, ...]:
-    """Candidates that at their plausible size are far off the scale of these readings."""
-    structures, found = library.structures, []
+    """Return claims on candidates whose plausible size is far off the scale of these readings."""
+    structures, claims = library.structures, []
     noise = math.sqrt(float(np.median(structures.line(at).variance)))
     for top, *_ in points.values():
         effect = structures.candidates[top.effect]
         largest = float(np.max(np.abs(top.view.columns(top.view.line, [top.point])[:, 0])))
         most = largest * effect.coefficients[0].size
-        found += off_scale(effect, most, noise, structures.base.instrument.unit)
-    return tuple(found)
+        claims += off_scale(effect, most, noise, structures.base.instrument.unit)
+    return tuple(claims)
 
 
 def _by_refit(effect, with_it: Weighed) -> dict:
-    """Size with its uncertainty, and shapes, at the refit's mode."""
+    """Return the size with its uncertainty, and the shapes, at the refit's mode."""
     problem, mode = with_it.problem, with_it.mode
     hyper = problem.hyper(mode.v)
     shapes = {s.name: float(hyper[effect.shape_name(s)]) for s in effect.shapes}
     if effect.held:  # a body: what is to be known of it is its time
-        own = effect.shapes[0]
-        size, sd = problem.value_and_sd(effect.shape_name(own), mode.v, mode.covariance)
-        return {"size": size, "size_sd": sd, "shape": shapes, "unit": own.unit}
+        first_shape = effect.shapes[0]
+        size, sd = problem.value_and_sd(effect.shape_name(first_shape), mode.v, mode.covariance)
+        return {"size": size, "size_sd": sd, "shape": shapes, "unit": first_shape.unit}
     if learned := learned_size(effect, problem, mode):
         return {"size": learned[0], "size_sd": learned[1], "shape": shapes}
     term = next(t for t in problem.in_x if t.effect.name == effect.name)
@@ -158,13 +158,13 @@ def _by_refit(effect, with_it: Weighed) -> dict:
 
 
 def _size(library: Library, points: Sequence[ScoredPoint]) -> tuple[float, float]:
-    """Expected size and its variance by score, over the grid: of the first coefficient, a spread or an amplitude."""
+    """Return mean and variance of the first coefficient, spread or amplitude by score, over the grid."""
     gains = np.array([p.gain for p in points])
     # Mean and variance over the grid: variance of a point's mean plus mean of its variance (law of total variance).
     share = np.exp(gains - logsumexp(gains))
-    each = np.array([_at_point(library, p) for p in points])
-    mean = float(share @ each[:, 0])
-    return mean, float(share @ (each[:, 1] + (each[:, 0] - mean) ** 2))
+    moments = np.array([_at_point(library, p) for p in points])
+    mean = float(share @ moments[:, 0])
+    return mean, float(share @ (moments[:, 1] + (moments[:, 0] - mean) ** 2))
 
 
 def _at_point(library: Library, point: ScoredPoint) -> tuple[float, float]:
@@ -182,15 +182,14 @@ def _at_point(library: Library, point: ScoredPoint) -> tuple[float, float]:
 def _spread(
     information: np.ndarray, u: np.ndarray, scale: float, prior: float
 ) -> tuple[float, float]:
-    """Expected spread of a group and its variance, under its half-normal prior."""
+    """Return mean and variance of a group's spread under its half-normal prior."""
     values, vectors = np.linalg.eigh(information)
     values, along = np.maximum(values, 0.0), (vectors.T @ u) ** 2
     square, size = FINE[:, None] ** 2, FINE * scale
     # Along an eigenvector of the members' information K a spread τ makes the score one of variance λ + λ²τ²: the log
     # Bayes factor of τ is a sum over eigenvectors.
-    factor = 0.5 * np.sum(
-        along * square / (1 + values * square) - np.log1p(values * square), axis=1
-    )
+    logs = along * square / (1 + values * square) - np.log1p(values * square)
+    factor = 0.5 * np.sum(logs, axis=1)
     factor += np.log(size) - 0.5 * (size / prior) ** 2  # the prior, by the logarithm
     weight = np.exp(factor - logsumexp(factor))
     mean = float(weight @ size)
@@ -203,8 +202,8 @@ def _main(point: ScoredPoint, group: bool) -> tuple[np.ndarray, np.ndarray]:
     if group or len(u) == 1:
         return u, information
     # Schur complement: companions, of prior variance one, are integrated out of score and information.
-    rest = information[1:, 1:] + np.eye(len(u) - 1)
-    pull = np.linalg.solve(rest, np.column_stack([information[1:, :1], u[1:]]))
+    companions = information[1:, 1:] + np.eye(len(u) - 1)
+    pull = np.linalg.solve(companions, np.column_stack([information[1:, :1], u[1:]]))
     cross = information[:1, 1:]
     return u[:1] - cross @ pull[:, 1], information[:1, :1] - cross @ pull[:, :1]
 
@@ -221,12 +220,12 @@ def _z(point: ScoredPoint, group: bool) -> float:
 
 
 def _minimum_detectable(library: Library, point: ScoredPoint) -> float | None:
-    """Size found with 80 % power: the log Bayes factor reaches what a finding needs under its prior odds."""
-    found, group = settings().found_probability, library.grouped(point.effect)
+    """Return the size that is found with 80 % power under its prior odds; None where none is."""
+    probability, group = settings().found_probability, library.grouped(point.effect)
     structures = library.structures
     forms = structures.forms[structures.family(point.effect)]  # by any of which it is found
     odds = float(logsumexp([structures.log_odds[n] for n in forms]))
-    needed = math.log(found / (1 - found)) - odds
+    needed = math.log(probability / (1 - probability)) - odds
     _, information = _main(point, group)
     if group:
         measure = library.structures.candidates[point.effect].measure
@@ -242,7 +241,7 @@ def _minimum_detectable(library: Library, point: ScoredPoint) -> float | None:
 
 
 def _detectable_amplitude(information: np.ndarray, amplitude: float, needed: float) -> float | None:
-    """For a group: the amplitude whose members' draws reach the needed log Bayes factor in 80 % of cases."""
+    """Return the amplitude of a group that reaches the needed log Bayes factor in 80 % of draws."""
     values = np.maximum(np.linalg.eigvalsh(information), 0.0)
     if values.max(initial=0.0) <= 1e-12:
         return None
@@ -257,10 +256,10 @@ def _detectable_amplitude(information: np.ndarray, amplitude: float, needed: flo
     return None
 
 
-def alike(points: Mapping[str, Sequence[ScoredPoint]]) -> dict[str, set[str]]:
-    """Which candidates' fitted contributions are one and the same to these readings."""
+def indistinguishable(points: Mapping[str, Sequence[ScoredPoint]]) -> dict[str, set[str]]:
+    """Return, for each candidate, those whose fitted contributions are parallel to its own."""
     outside, inside = [], []
-    tops = [own[0] for own in points.values()]
+    tops = [scores[0] for scores in points.values()]
     rows = tops[0].view.rows([p.point for p in tops])
     for p in tops:
         sd = p.size.sd
@@ -280,9 +279,9 @@ def alike(points: Mapping[str, Sequence[ScoredPoint]]) -> dict[str, set[str]]:
     }
 
 
-def kind_of(candidate: Candidate, found: bool, effect: Effect | None) -> Candidate:
+def kind_of(candidate: Candidate, is_found: bool, effect: Effect | None) -> Candidate:
     """Return the candidate with its kind: whether it is found, a lead, or not to be seen by the effect of its score."""
-    if found:
+    if is_found:
         return replace(candidate, kind="finding")
     if (candidate.probability or 0.0) >= LEAD_PROBABILITY:
         return replace(candidate, kind="lead")

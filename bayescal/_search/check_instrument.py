@@ -59,7 +59,7 @@ class InstrumentCheck(Printed):
 
     @property
     def ok(self) -> bool:
-        """Whether nothing is wrong."""
+        """Return whether the check found no error."""
         return not self.errors
 
     def _parts(self) -> list[str | ResultTable]:
@@ -76,17 +76,17 @@ class InstrumentCheck(Printed):
             TableColumn("unit", "unit", unit_label),
             TableColumn("remark", "remark"),
         )
-        shown = [ResultTable(columns, self.data()["rows"], fold=24)] if self.rows else []
-        said = [f"error: {e}" for e in self.errors] + [f"note: {n}" for n in self.notes]
+        tables = [ResultTable(columns, self.data()["rows"], fold=24)] if self.rows else []
+        messages = [f"error: {e}" for e in self.errors] + [f"note: {n}" for n in self.notes]
         many = f"{len(self.errors)} error(s)" if self.errors else "no error"
         end = f"{self.instrument}, with noise of {number(self.noise)} {unit}".rstrip()
-        return [*shown, *said, f"{end}: {many}"]
+        return [*tables, *messages, f"{end}: {many}"]
 
     def _brief(self) -> str:
         return f"{self.instrument}: {len(self.rows)} unknowns, {len(self.errors)} errors"
 
     def data(self) -> dict[str, Any]:
-        """As JSON."""
+        """Return all results as JSON-serialisable data."""
         return {**vars(self), "rows": [row._asdict() for row in self.rows], "ok": self.ok}
 
 
@@ -112,7 +112,7 @@ def check_instrument(
             f"instrument {instrument.name!r} has no simulator, or takes its unit from readings: give some (--readings "
             "FILE, in Python readings=)"
         )
-    found = InstrumentCheck(instrument.name, instrument.unit)
+    check = InstrumentCheck(instrument.name, instrument.unit)
     readings = instrument.simulate({}, seed=seed) if readings is None else readings
     baseline = Model(instrument, instrument.effects, instrument.noise)
     trials = [
@@ -124,23 +124,23 @@ def check_instrument(
             first, names = model is baseline, ", ".join(e.name for e in effects)
             if not first and (reason := testable(effects[0], readings)) is not None:
                 unit, remark = effects[0].coefficients[0].unit, f"not tested, {reason}"
-                found.rows.append(Recovery(names, KINDS[False], unit, remark=remark))
+                check.rows.append(Recovery(names, KINDS[False], unit, remark=remark))
                 continue
             try:
-                _recover(found, model, effects, readings, seed)
+                _recover(check, model, effects, readings, seed)
                 continue
             except BayescalError as error:
-                found.errors.append(f"{names or 'the response'}: {error}")
+                check.errors.append(f"{names or 'the response'}: {error}")
             except Exception as error:  # of the author's functions: said, not shown as a traceback
-                found.errors.append(f"{names or 'the response'} fails: {in_one_line(error)}")
+                check.errors.append(f"{names or 'the response'} fails: {in_one_line(error)}")
             if first:
                 break
-    found.errors, found.notes = ([*dict.fromkeys(one)] for one in (found.errors, found.notes))
-    return found
+    check.errors, check.notes = [*dict.fromkeys(check.errors)], [*dict.fromkeys(check.notes)]
+    return check
 
 
 def _recover(
-    found: InstrumentCheck,
+    check: InstrumentCheck,
     model: Model,
     effects: Sequence[Effect],
     readings: Measurements,
@@ -158,9 +158,9 @@ def _recover(
         signs[b.at] = 1 - 2 * (n % 2) if alone else random.standard_normal(b.size)
     x = forward.prior_mean(layout) + forward.prior_sd(layout, hyper) * signs
     # The second of two: a seed stands for the readings that it always gave.
-    key = jax.random.split(jax.random.fold_in(jax.random.key(seed), len(found.rows)))[1]
+    key = jax.random.split(jax.random.fold_in(jax.random.key(seed), len(check.rows)))[1]
     output = np.asarray(forward.draw_readings(layout, frame, x, v, key))
-    found.noise = float(np.median(np.sqrt(np.asarray(model.noise.variance(hyper, frame)))))
+    check.noise = float(np.median(np.sqrt(np.asarray(model.noise.variance(hyper, frame)))))
     if bad := int((~np.isfinite(output)).sum()):
         raise ModelError(
             f"the output is not finite in {bad} of {output.size} readings: is a logarithm, root or quotient out of its "
@@ -182,10 +182,10 @@ def _recover(
         truth, mean, sd = float(truth), float(draws.mean()), float(draws.std())
         if (b := u.block) is not None:
             c, adds = b.coefficient, b.coefficient.size * float(slopes[:, b.at].max(initial=0.0))
-            found.errors += off_scale(b.effect, adds, found.noise, found.unit)
+            check.errors += off_scale(b.effect, adds, check.noise, check.unit)
             if adds == 0.0:
                 remark = "changes no reading"
-                found.errors.append(
+                check.errors.append(
                     f"{name} {remark}: is its basis zero (a label that is not as in the file, or not declared, "
                     f"allowed=(…); columns: {', '.join(b.effect.columns) or 'none'}), or is {b.slot!r} not in the "
                     f"response, as slots[{b.slot!r}]?"
@@ -195,10 +195,10 @@ def _recover(
             elif remark == "" and abs(mean - truth) > BACK_SD * sd:
                 remark = "did not come back"
                 came = f"{number(truth)} simulated, {with_error(mean, sd)} found"
-                found.errors.append(f"{name} {remark}: {came}")
+                check.errors.append(f"{name} {remark}: {came}")
         name, kind = name + f", one a {u.group}" * (u.group is not None), KINDS[is_baseline]
-        found.rows.append(Recovery(name, kind, u.unit, adds, truth, mean, sd, remark))
+        check.rows.append(Recovery(name, kind, u.unit, adds, truth, mean, sd, remark))
     if not fitted.verdict.ok:
-        found.notes.append(f"{', '.join(sorted(names))}: {' '.join(fitted.verdict.reasons)}")
+        check.notes.append(f"{', '.join(sorted(names))}: {' '.join(fitted.verdict.reasons)}")
     if is_baseline:
-        found.notes += [f"baseline: {one}" for one in null_directions(fitted)]
+        check.notes += [f"baseline: {direction}" for direction in null_directions(fitted)]

@@ -32,16 +32,16 @@ from bayescal._model.parameters import bind
 from bayescal._model.unknown_effect import FORMS, IN_TIME
 from bayescal._search.candidate import (
     Candidate,
-    alike,
     best_form,
+    indistinguishable,
     judge,
     kind_of,
-    too_small_or_large,
+    off_scale_claims,
 )
-from bayescal._search.equivalence import said_of_equivalents, with_spans
+from bayescal._search.equivalence import claims_of_equivalents, with_spans
 from bayescal._search.library import Library
 from bayescal._search.noise_laws import laws_over
-from bayescal._search.posterior import Found, Posterior
+from bayescal._search.posterior import Finding, Posterior
 from bayescal._search.scores import View
 from bayescal._search.structure_average import averaged, with_form, with_latent
 from bayescal._search.structures import Structure, Structures
@@ -88,7 +88,7 @@ class Discovery(Printed):
     """
 
     nothing_missing: float | None
-    sets: tuple[Found, ...]
+    sets: tuple[Finding, ...]
     candidates: tuple[Candidate, ...]
     best: tuple[Effect, ...]
     rivals: tuple[Effect, ...] = ()
@@ -102,7 +102,7 @@ class Discovery(Printed):
     _average: Callable[..., Calibration] | None = field(default=None, repr=False, compare=False)
 
     def __getstate__(self) -> dict[str, Any]:
-        """What was found, as pickle writes it: the structures that it was found among stay where they are."""
+        """Return the state without the structures that were searched, for pickle."""
         return {**vars(self), "_average": None}
 
     def fit(self, method: Method | None = None, *, seed: Any = 0) -> Calibration:
@@ -126,40 +126,40 @@ class Discovery(Printed):
         return self._average(method, seed)
 
     def not_stated(self, why: str) -> Discovery:
-        """The same without a probability that the model is complete."""
+        """Return the discovery without a probability that the model is complete."""
         return replace(self, nothing_missing=None, unstated=why)
 
     @property
     def unseen(self) -> tuple[str, ...]:
-        """Named candidates that may be missing for all that these readings tell."""
+        """Return named candidates that these readings can say nothing of."""
         return tuple(c.effect for c in self.candidates if c.unseen and c.role != "unnamed")
 
     @property
     def complete_in_words(self) -> str:
-        """Probability that the model is complete, and how many effects it says nothing of."""
-        said = self.unstated or probability(self.nothing_missing)
+        """Return in words the probability that the model is complete, and how many effects are unseen."""
+        text = self.unstated or probability(self.nothing_missing)
         if self.unstated or not self.unseen:
-            return said
-        return f"{said}, as far as this experiment can see; effects that it cannot see: {len(self.unseen)}"
+            return text
+        return f"{text}, as far as this experiment can see; effects that it cannot see: {len(self.unseen)}"
 
     @property
     def correlated_noise(self) -> float | None:
-        """Probability of correlated noise, of any such law; None where the readings cannot tell."""
-        found = [n.probability for n in self.noise if Noise.correlates(n.law)]
-        return sum(found) if found else None
+        """Return the probability of correlated noise, of any law; None where the readings cannot tell."""
+        probabilities = [n.probability for n in self.noise if Noise.correlates(n.law)]
+        return sum(probabilities) if probabilities else None
 
     def _parts(self) -> list[str | ResultTable]:
-        """What is missing, and every candidate, the most probable first."""
-        lines: list[str | ResultTable] = [folded(one) for one in self.equivalent]
+        """Return what is missing and the table of candidates, the most probable first."""
+        lines: list[str | ResultTable] = [folded(claim) for claim in self.equivalent]
         lines += _findings(self)
         if self.noise:
-            shown = [n for n in self.noise if n.probability >= SHOWN_PROBABILITY]
-            lines.append(folded(f"noise law (probability): {', '.join(map(str, shown))}"))
+            laws = [n for n in self.noise if n.probability >= SHOWN_PROBABILITY]
+            lines.append(folded(f"noise law (probability): {', '.join(map(str, laws))}"))
         lines += [self.stopped, *(folded(f"unit? {w}", "") for w in self.off_scale)]
         everyone = [vars(c) for c in self.candidates]
-        shown = candidates_table(everyone)
-        lines += [shown] if shown.rows else []
-        if any(c["source"] == "refit" for c in shown.rows):
+        table = candidates_table(everyone)
+        lines += [table] if table.rows else []
+        if any(c["source"] == "refit" for c in table.rows):
             lines.append("* log Bayes factor by refit; the others by score")
         lines += [folded(f"confounded: {', '.join(group)}") for group in confounded(everyone)]
         by_reason = not_tested(everyone).items()
@@ -170,7 +170,7 @@ class Discovery(Printed):
         return "; ".join(_findings(self))
 
     def _columns(self) -> dict[str, list[Any]]:
-        """A row for each candidate, also for those that are not printed; sizes in `unit`."""
+        """Return a row for each candidate, also for those that are not printed; sizes in `unit`."""
         names = ("effect", "probability", "log_bayes_factor", "size", "size_sd", "unit")
         names = (*names, "minimum_detectable", "kind", "reason")
         return {name: [getattr(c, name) for c in self.candidates] for name in names}
@@ -186,7 +186,7 @@ def discover(
     ignore: Collection[str] = (),
     covariates: Collection[str] | None = None,
 ) -> Discovery:
-    """Which effect is missing from a fitted model.
+    """Find the effects that are missing from a fitted model.
 
     Args:
         calibration: a converged fit.
@@ -211,8 +211,9 @@ def discover(
         library = Library(structures)
         with deadline.sooner(SEARCH):
             stopped = explore(library, max_effects)
-        found = missing(library, Structure(), shut, stopped)
-        held, goal = structures.unsized(model, found.latent), Posterior.of(structures).chosen
+        discovery = missing(library, Structure(), shut, stopped)
+        with_latent_effects = structures.unsized(model, discovery.latent)
+        goal = Posterior.of(structures).chosen
 
         def average(method: Method | None, seed: Any) -> Calibration:
             at, of = structures.weigh(goal), calibration.reference
@@ -222,12 +223,12 @@ def discover(
             complete = missing(library, goal, shut, stopped).nothing_missing
             return with_form(used, complete, structures, goal)
 
-        best = (*(held.effect(n) for n in found.latent), *found.best)
-        return replace(found, best=best, _average=average)
+        best = (*(with_latent_effects.effect(n) for n in discovery.latent), *discovery.best)
+        return replace(discovery, best=best, _average=average)
 
 
 def missing(library: Library, at: Structure, shut: Sequence[Candidate], stopped: str) -> Discovery:
-    """What is missing from a structure; where there is no time to score candidates, by what was evaluated alone."""
+    """Return what is missing from a structure; without time for scores, by the evaluated structures alone."""
     with suppress(deadline.TimeIsUp), deadline.sooner(1 / 2) as end:
         end.ask()
         return discovery_at(library, at, shut, stopped)
@@ -244,15 +245,15 @@ def structures_over(
     widen_noise: bool = True,
     latent: bool = True,
 ) -> tuple[Structures, list[Candidate]]:
-    """All structures over a model, and the families of which these readings can test no form, each with the reason.
+    """Return all structures over a model, and families that these readings cannot test, with reasons.
 
     They hold what these readings cannot tell from their effects, if `latent`.
     """
     instrument = model.instrument
     listed = (*instrument.candidates, *instrument.effects)
-    known = {e.name: e for e in with_forms((*listed, *effects))}
-    known |= {e.name: e for e in placeholders(model, readings) if e.name not in known}
-    own = {e.name for e in effects}  # who gives an effect says what it depends on
+    by_name = {e.name: e for e in with_forms((*listed, *effects))}
+    by_name |= {e.name: e for e in placeholders(model, readings) if e.name not in by_name}
+    given_names = {e.name for e in effects}  # who gives an effect says what it depends on
     slots = {s.name for s in instrument.slots}
 
     def untestable(effect: Effect) -> str | None:
@@ -260,18 +261,18 @@ def structures_over(
         if any((c.slot or effect.slot) not in slots or c.per == READING for c in unknown):
             return "corrects a column or single readings, which no search weighs: add it yourself"
         gone = sorted(readings.no_causes.intersection(effect.columns))
-        if gone and effect.name not in own:
+        if gone and effect.name not in given_names:
             return f"the column {', '.join(gone)} is left out"
         return testable(effect, readings)
 
     # Of a family that the model has in one form, no other is missing.
     had = {e.reported for e in model.effects}
-    reasons = {n: untestable(e) for n, e in known.items() if e.reported not in had}
-    open_ = {n: known[n] for n, reason in reasons.items() if reason is None}
-    tested, shut = {known[n].reported for n in open_}, dict[str, Candidate]()
+    reasons = {n: untestable(e) for n, e in by_name.items() if e.reported not in had}
+    open_ = {n: by_name[n] for n, reason in reasons.items() if reason is None}
+    tested, shut = {by_name[n].reported for n in open_}, dict[str, Candidate]()
     for name, reason in reasons.items():
-        family = known[name].reported
-        if reason and not known[name].is_placeholder and family not in tested:
+        family = by_name[name].reported
+        if reason and not by_name[name].is_placeholder and family not in tested:
             shut.setdefault(family, Candidate(family, kind="not testable", reason=reason))
     record = record_of(instrument, readings, reference)
     frame = record.frame
@@ -281,11 +282,11 @@ def structures_over(
     record.require_finite((*open_.values(), *model.effects))
     laws = laws_over(model, frame) if widen_noise else {}
     layout = bind(model, readings, open_.values(), reference)[0]
-    found = Structures(model, layout, record, open_, laws)
+    structures = Structures(model, layout, record, open_, laws)
     if latent:
         with deadline.finishing():  # what is latent is in the first model, whatever the time limit
-            found = with_spans(found, plausible[0] * math.sqrt(record.size))
-    return found, list(shut.values())
+            structures = with_spans(structures, plausible[0] * math.sqrt(record.size))
+    return structures, list(shut.values())
 
 
 def with_causes(
@@ -300,14 +301,14 @@ def with_causes(
     if covariates is not None:
         for name in covariates:
             readings[name]
-        known = {c.name for c in instrument.columns} | {"output_uncertainty"}
-        further = {n for n in readings.columns if n not in known and readings.unit(n) is not None}
+        of_instrument = {c.name for c in instrument.columns} | {"output_uncertainty"}
+        further = {n for n in readings.columns if readings.unit(n) is not None} - of_instrument
         readings = readings.without_causes(further - {*covariates}, others=False)
     return readings.without_causes(ignore)
 
 
 def placeholders(model: Model, readings: Measurements) -> list[Effect]:
-    """An unknown dependence on each covariate in its forms, a step and a periodic form in time."""
+    """Return unknown dependences on each covariate, in all their forms."""
     instrument = model.instrument
     if all(s.unit != instrument.unit for s in instrument.slots):
         return []
@@ -332,80 +333,80 @@ def discovery_at(
     """
     structures = library.structures
     posterior = Posterior.of(structures, at.effects)
-    here = structures.weigh(at)
+    base = structures.weigh(at)
     had = posterior.space.families(at.effects | structures.latent(at))
     names = [n for n in library.points if scored and structures.family(n) not in had]
-    points = View(library, here).without().scores(names) if names else {}
+    points = View(library, base).without().scores(names) if names else {}
     # Of forms that have a score the one that has the best speaks for its family.
     points = best_form(structures, points)
-    same = alike(points) if points else {}
-    found = posterior.findings
-    in_sets = {name: set(f.effects) for f in found for name in f.effects}
+    same = indistinguishable(points) if points else {}
+    findings = posterior.findings
+    in_sets = {name: set(f.effects) for f in findings for name in f.effects}
     unscored = structures.unscored if scored else structures.candidates
     judged = []
     for name in (*points, *sorted(posterior.space.families(unscored) - had)):
-        own, form = points.get(name, ()), posterior.form(name)
-        if not own:
+        scores, form = points.get(name, ()), posterior.form(name)
+        if not scores:
             form = form if form in structures.candidates else structures.forms[name][0]
             if scored and not stopped:
-                structures.weigh(at.plus(form), here)
-        candidate = judge(library, name, form, own, here, structures.visited.get(at.plus(form)))
+                structures.weigh(at.plus(form), base)
+        candidate = judge(library, name, form, scores, base, structures.visited.get(at.plus(form)))
         # Confounded are those whose fitted contributions are parallel, and those that share a finding.
         near = same.get(name, set()).union(in_sets.get(name, ())) - {name}
         candidate = replace(
             candidate,
             # Without a score, a walk that ended early may have met no structure with it: nothing is known of it then.
-            probability=posterior.right(name) or (0.0 if own else None),
+            probability=posterior.probability_of_names(name) or (0.0 if scores else None),
             indistinguishable_from=tuple(sorted(near)),
         )
-        effect = structures.candidates[own[0].effect] if own else None
+        effect = structures.candidates[scores[0].effect] if scores else None
         judged.append(kind_of(candidate, name in in_sets, effect))
     ranked = sorted(judged, key=lambda c: (-(c.probability or 0.0), -(c.log_bayes_factor or 0.0)))
     chosen = posterior.best if stopped else posterior.chosen
-    new, made = chosen.effects - at.effects, structures.weigh(chosen)
-    best = [made.sized_model.effect(name) for name in structures.candidates if name in new]
+    new, model = chosen.effects - at.effects, structures.weigh(chosen).sized_model
+    best = [model.effect(name) for name in structures.candidates if name in new]
     stated = scored and not stopped
     # What another experiment should tell apart, the most probable first.
-    first = list(found[0].effects) if found else []
+    first = list(findings[0].effects) if findings else []
     leads = [c.effect for c in ranked if c.kind == "lead"] if len(first) < 2 else []
     rivals = list(dict.fromkeys(first + leads))[:RIVALS]
     laws = {"": structures.base.noise, **structures.laws} if structures.laws else {}
-    each = [LawProbability(n.name, n.in_words, posterior.noise(k)) for k, n in laws.items()]
-    unseen, noise = [c.effect for c in judged if c.unseen], here.problem.noise.name
+    law_rows = [LawProbability(n.name, n.in_words, posterior.noise(k)) for k, n in laws.items()]
+    unseen, noise = [c.effect for c in judged if c.unseen], base.problem.noise.name
     return Discovery(
         nothing_missing=posterior.complete(unseen) if stated else None,
-        unnamed=(*sorted(structures.matters(here)), *[f"{noise} noise"] * here.noise_describes),
-        latent=tuple(sorted(structures.latent(here.structure))),
-        equivalent=said_of_equivalents(structures, here.structure),
-        sets=found,
+        unnamed=(*sorted(structures.matters(base)), *[f"{noise} noise"] * base.noise_describes),
+        latent=tuple(sorted(structures.latent(base.structure))),
+        equivalent=claims_of_equivalents(structures, base.structure),
+        sets=findings,
         candidates=(*ranked, *shut),
         best=tuple(best),
         rivals=tuple(structures.candidates[posterior.form(n)] for n in rivals),
-        noise=tuple(sorted(each, key=lambda law: -law.probability)),
+        noise=tuple(sorted(law_rows, key=lambda law: -law.probability)),
         stopped=stopped,
         unstated="" if stated else ENDED,
-        off_scale=too_small_or_large(library, points, here),
+        off_scale=off_scale_claims(library, points, base),
     )
 
 
-def _findings(found: Discovery) -> list[str]:
-    lines = [f"probability that the model is complete: {found.complete_in_words}"]
-    if found.unnamed:
+def _findings(discovery: Discovery) -> list[str]:
+    lines = [f"probability that the model is complete: {discovery.complete_in_words}"]
+    if discovery.unnamed:
         lines.append(
-            f"something is missing that has no name here: {' and '.join(found.unnamed)} "
-            f"{'stands' if len(found.unnamed) == 1 else 'stand'} for it"
+            f"something is missing that has no name here: {' and '.join(discovery.unnamed)} "
+            f"{'stands' if len(discovery.unnamed) == 1 else 'stand'} for it"
         )
-    for s in found.sets:
+    for s in discovery.sets:
         names = " or ".join(s.effects)
         tail = "" if len(s.effects) == 1 else "  (one of these; these readings cannot tell which)"
-        form = next((c.form for c in found.candidates if (c.effect,) == s.effects), "")
+        form = next((c.form for c in discovery.candidates if (c.effect,) == s.effects), "")
         if form not in ("", *s.effects):
             tail = f"  (in the form {form.removeprefix(f'{s.effects[0]}.')})"
         lines.append(f"missing: {names}, probability {probability(s.probability)}{tail}")
-    for c in found.candidates:
+    for c in discovery.candidates:
         if c.role == "freed" and c.probability is not None:
-            likely = [r for r in found.candidates if (r.probability or 0.0) >= SHOWN_PROBABILITY]
-            rivals = [r for r in likely if r.role != "freed"][:1]
+            others = (r for r in discovery.candidates if r.role != "freed")
+            rivals = [r for r in others if (r.probability or 0.0) >= SHOWN_PROBABILITY][:1]
             lines.append(
                 f"{c.frees} contradicts its prior: its stated value is wrong "
                 f"({probability(c.probability)})"
@@ -416,12 +417,12 @@ def _findings(found: Discovery) -> list[str]:
 
 
 def candidates_table(candidates: Sequence[Mapping[str, Any]]) -> ResultTable:
-    """Candidates that the readings can test, as they stand in result.json; curves without evidence are left out."""
+    """Return the table of testable candidates of a result.json, without curves that lack evidence."""
 
     def factor(c: Mapping[str, Any]) -> str:
         value = c["log_bayes_factor"]
-        shown = "–" if value is None else f"{value:z.1f}"
-        return shown + ("*" if c["source"] == "refit" else " ")
+        text = "–" if value is None else f"{value:z.1f}"
+        return text + ("*" if c["source"] == "refit" else " ")
 
     def size(c: Mapping[str, Any]) -> str:
         value = with_error(c["size"] or 0.0, c["size_sd"] or 0.0)
@@ -443,24 +444,24 @@ def candidates_table(candidates: Sequence[Mapping[str, Any]]) -> ResultTable:
 
 
 def is_quiet(c: Mapping[str, Any]) -> bool:
-    """Whether a candidate is an unknown dependence without evidence, which gets no line and no bar."""
+    """Return whether a candidate is an unknown dependence without evidence, left out of tables and plots."""
     return c["role"] == "unnamed" and c["kind"] in (None, "not visible")
 
 
 def confounded(candidates: Sequence[Mapping[str, Any]]) -> list[tuple[str, ...]]:
-    """Groups of candidates, as they stand in result.json, that the readings cannot tell apart; none within another."""
+    """Return maximal groups of candidates, of a result.json, that the readings cannot tell apart."""
     groups: list[tuple[str, ...]] = []
     for c in candidates:
         members = (c["effect"], *c["indistinguishable_from"])
-        if len(members) > 1 and not any({*members} <= {*known} for known in groups):
+        if len(members) > 1 and not any({*members} <= {*group} for group in groups):
             groups.append(members)
     return groups
 
 
 def not_tested(candidates: Sequence[Mapping[str, Any]]) -> dict[str, list[str]]:
-    """Reason → the candidates, as they stand in result.json, that it kept from being tested."""
-    found: dict[str, list[str]] = {}
+    """Return, by reason, the candidates of a result.json that could not be tested."""
+    by_reason: dict[str, list[str]] = {}
     for c in candidates:
         if c["kind"] == "not testable":
-            found.setdefault(c["reason"], []).append(c["effect"])
-    return found
+            by_reason.setdefault(c["reason"], []).append(c["effect"])
+    return by_reason

@@ -45,14 +45,14 @@ def draft_effect(calibration: Calibration, name: str) -> str:
     some = np.argsort(x, kind="stable")[:: -(-x.size // MAX_POINTS)]
     words, basis = _closest(x[some], curve[some])
     slot, word = effect.slot, identifier(covariate)[:40]
-    known = (*model.instrument.known.values(), *model.effects)
-    word += "_own" if f"{slot}.{word}" in {e.name for e in known} else ""
+    known_effects = (*model.instrument.known.values(), *model.effects)
+    word += "_own" if f"{slot}.{word}" in {e.name for e in known_effects} else ""
     measured = measured_column(covariate)
     column = python_string(measured)
     value = f"r[{column}]" if measured == covariate else f"r.rate({column})"
     if covariate == "elapsed":
         value, column = "r.elapsed", '"time"'
-    own, slot, unit = map(python_string, (f"{slot}.{word}", slot, calibration.unit))
+    label, slot, unit = map(python_string, (f"{slot}.{word}", slot, calibration.unit))
     size = float(f"{2 * max(curve.std(), 1e-300):.2g}")
     return f"""\
 # {python_words(name)}: {words}
@@ -64,7 +64,7 @@ def {word}(r):  # columns in the units of the instrument, others in base units, 
     return {basis}
 
 
-effect = bc.Effect({own}, {slot}, {word}, (bc.Coefficient({unit}, bc.Normal(0.0, {size:g})),), columns=({column},))"""
+effect = bc.Effect({label}, {slot}, {word}, (bc.Coefficient({unit}, bc.Normal(0.0, {size:g})),), columns=({column},))"""
 
 
 def _closest(x: np.ndarray, curve: np.ndarray) -> tuple[str, str]:
@@ -93,5 +93,5 @@ def _closest(x: np.ndarray, curve: np.ndarray) -> tuple[str, str]:
 def _fitted(curve: np.ndarray, *columns: np.ndarray) -> tuple[float, np.ndarray]:
     """Return the share of a curve's variance that a constant and columns have, and their coefficients."""
     matrix = np.column_stack([np.ones_like(curve), *columns])
-    found = np.linalg.lstsq(matrix, curve, rcond=None)[0]
-    return 1 - float((curve - matrix @ found).var() / max(curve.var(), 1e-300)), found
+    coefficients = np.linalg.lstsq(matrix, curve, rcond=None)[0]
+    return 1 - float((curve - matrix @ coefficients).var() / max(curve.var(), 1e-300)), coefficients

@@ -48,27 +48,27 @@ class Equivalent(NamedTuple):
 
 
 def with_spans(structures: Structures, floor: float) -> Structures:
-    """Structures that know which candidates these readings cannot tell from the base's effects, or from one another.
+    """Return structures with the spans of candidates that readings cannot tell from the base or each other.
 
     Candidates with shapes, and of groups, are left to evidence, which sums over them.
     """
-    structures = replace(structures, floor=min(floor, _left_by_all(structures)))
+    structures = replace(structures, floor=min(floor, _residual_sd(structures)))
     line, columns = _columns(structures)
-    latent, kept = dict[str, tuple[str, ...]](), dict[str, np.ndarray]()
-    for name, own in columns.items():
-        if not undecided(own.beside_groups, own.beside_all):
-            kept[name] = own.beside_all
-        elif widened := _coefficients(line, RMS_SIZE * own.white):
+    latent, separable = dict[str, tuple[str, ...]](), dict[str, np.ndarray]()
+    for name, whitened in columns.items():
+        if not undecided(whitened.beside_groups, whitened.beside_all):
+            separable[name] = whitened.beside_all
+        elif widened := _coefficients(line, RMS_SIZE * whitened.white):
             latent[name] = widened
-    if kept:  # the triangle of a QR has the products of all columns, in few rows
-        ends = np.cumsum([c.shape[1] for c in kept.values()])[:-1]
-        triangle = np.linalg.qr(np.column_stack([*kept.values()]), mode="r")
-        kept = dict(zip(kept, np.split(triangle, ends, axis=1), strict=True))
-    return replace(structures, spans=Spans(kept, latent))
+    if separable:  # the triangle of a QR has the products of all columns, in few rows
+        ends = np.cumsum([c.shape[1] for c in separable.values()])[:-1]
+        triangle = np.linalg.qr(np.column_stack([*separable.values()]), mode="r")
+        separable = dict(zip(separable, np.split(triangle, ends, axis=1), strict=True))
+    return replace(structures, spans=Spans(separable, latent))
 
 
-def _left_by_all(structures: Structures) -> float:
-    """Standard deviation of what the base and named candidates without shapes leave of the output, by least squares."""
+def _residual_sd(structures: Structures) -> float:
+    """Return the residual sd of a least-squares fit of the base and named candidates without shapes."""
     layout = replace(structures.layout, model=structures.base)
     line = about_priors(Problem(layout, structures.record))
     library = Library(structures)
@@ -77,9 +77,9 @@ def _left_by_all(structures: Structures) -> float:
     columns = np.column_stack([line.nuisance, library.columns(line, points, {})])
     axes, values, _ = np.linalg.svd(columns * column_scale(columns), full_matrices=False)
     axes = axes[:, values > RANK * values.max(initial=0.0)]
-    left = line.residual - axes @ (axes.T @ line.residual)
+    residual = line.residual - axes @ (axes.T @ line.residual)
     free = line.size - axes.shape[1]
-    return float(np.sqrt(left @ left / free)) if free > 0 else math.inf
+    return float(np.sqrt(residual @ residual / free)) if free > 0 else math.inf
 
 
 Array = Float[np.ndarray, "n k"]
@@ -94,33 +94,33 @@ class _Columns(NamedTuple):
 
 
 def _columns(structures: Structures) -> tuple[LinearModel, dict[str, _Columns]]:
-    """The base about its priors' means, and candidates' columns."""
+    """Return the base linearised at its priors' means, and the candidates' whitened columns."""
     layout = replace(structures.layout, model=structures.base)
     line = about_priors(Problem(layout, structures.record), structures.floor)
     random = np.zeros(len(line.owners), dtype=bool)
     for t in line.problem.in_x:
         random[t.at] = t.group_sd_name is not None or t.effect.weights is not None
     # Of many readings some, each in the place of several.
-    every = -(-line.size // MAX_ROWS)
-    white = math.sqrt(every) * line.white_nuisance[::every]
+    stride = -(-line.size // MAX_ROWS)
+    white = math.sqrt(stride) * line.white_nuisance[::stride]
     unstated = FLAT_NORM / np.maximum(np.linalg.norm(white, axis=0), 1 / FLAT_NORM)
     white = white * np.where(line.weight == 0, unstated, 1.0)
-    of_groups = _beside(white[:, random])
-    of_all = _beside(of_groups(white[:, ~random]))
-    library, found = Library(structures), dict[str, _Columns]()
+    of_groups = _group_whitening(white[:, random])
+    of_all = _group_whitening(of_groups(white[:, ~random]))
+    library, by_name = Library(structures), dict[str, _Columns]()
     for name, (point, *others) in library.points.items():
         effect = structures.candidates[name]
         per_member = any(c.group_sd for c in effect.coefficients)
         if not (others or per_member or effect.frees) and has_size(effect):
             columns = library.columns(line, [point], {}) * library.sizes[name][0].sd
             whole = line.whiten(columns)
-            beside = of_groups(math.sqrt(every) * whole[::every])
-            found[name] = _Columns(whole, beside, of_all(beside))
-    return line, found
+            beside_groups = of_groups(math.sqrt(stride) * whole[::stride])
+            by_name[name] = _Columns(whole, beside_groups, of_all(beside_groups))
+    return line, by_name
 
 
-def _beside(columns: Float[np.ndarray, "n q"]) -> Callable[[Array], Array]:
-    """Whitening by noise of covariance 1 + C·Cᵀ, C columns of standard normal coefficients."""
+def _group_whitening(columns: Float[np.ndarray, "n q"]) -> Callable[[Array], Array]:
+    """Return the whitening by noise of covariance 1 + C·Cᵀ, C columns of standard normal coefficients."""
     # Along the axes of C of sizes s what is whitened becomes 1/√(1 + s²) of what it was.
     axes, sizes, _ = np.linalg.svd(columns, full_matrices=False)
     lost = axes * (1 - 1 / np.sqrt(1 + sizes**2))
@@ -128,42 +128,42 @@ def _beside(columns: Float[np.ndarray, "n q"]) -> Callable[[Array], Array]:
 
 
 def _coefficients(line: LinearModel, columns: Float[np.ndarray, "n k"]) -> tuple[str, ...]:
-    """Names of the coefficients of a model that would be less certain beside an effect of these columns."""
+    """Return names of coefficients that would be less certain beside an effect of these columns."""
     wider = is_widened_by(line, np.linalg.norm(shifts(line, columns), axis=1))
     blocks = line.problem.layout.x_blocks
     return tuple(b.name for b in blocks if wider[b.start : b.start + b.size].any())
 
 
 def equivalents(spans: Spans) -> list[Equivalent]:
-    """Sets of two or three candidates, and of one and the model's effects, none within another."""
-    found = [Equivalent((name,), own) for name, own in spans.latent.items()]
+    """Return minimal sets of two or three equivalent candidates, and of one and the model's effects."""
+    sets = [Equivalent((name,), coefficients) for name, coefficients in spans.latent.items()]
     spanned = [n for n in spans.left if spans.within(n, {*spans.left} - {n})]
     for count, name in itertools.product(range(MAX_SPANNING, 0, -1), spanned):
         for others in itertools.combinations([n for n in spans.left if n != name], count):
-            fewer, one = itertools.combinations(others, count - 1), (name, *others)
+            fewer, members = itertools.combinations(others, count - 1), (name, *others)
             least = spans.within(name, others) and not any(spans.within(name, f) for f in fewer)
-            if least and not any({*one} <= {*known.effects} for known in found):
-                found.append(Equivalent(one))
-    return found
+            if least and not any({*members} <= {*equivalent.effects} for equivalent in sets):
+                sets.append(Equivalent(members))
+    return sets
 
 
-def said_of_equivalents(structures: Structures, at: Structure) -> tuple[Claim, ...]:
-    """Sets of equivalent effects, those of a structure's model first: whether it is decided what acts, what would tell.
+def claims_of_equivalents(structures: Structures, at: Structure) -> tuple[Claim, ...]:
+    """Return claims on sets of equivalent effects, those of a structure's model first.
 
     It stands against a model where the readings do not say which of its terms act in use.
     """
     latent = structures.latent(at)
-    found = dict[str, list[Claim]](undecided=[], latent=[], candidates=[])
-    for one in equivalents(structures.spans):
-        first, *rest = one.effects
-        told, state = {"beside": one.coefficients or (*rest,)}, "candidates"
-        if latent.intersection(one.effects) and {*one.effects} <= at.effects | latent:
-            acting = {_acts_in_use(structures, name) for name in one.effects}
-            open_ = acting == {True, False} or (acting == {True} and not rest)
+    claims = dict[str, list[Claim]](undecided=[], latent=[], candidates=[])
+    for equivalent in equivalents(structures.spans):
+        first, *others = equivalent.effects
+        details, state = {"beside": equivalent.coefficients or (*others,)}, "candidates"
+        if latent.intersection(equivalent.effects) and {*equivalent.effects} <= at.effects | latent:
+            acting = {_acts_in_use(structures, name) for name in equivalent.effects}
+            open_ = acting == {True, False} or (acting == {True} and not others)
             state = "undecided" if open_ else "latent"
-            told |= separating_experiments(structures)[one]
-        found[state].append(Claim(f"equivalent.{state}", first, *rest, **told))
-    return (*found["undecided"], *found["latent"], *found["candidates"])
+            details |= separating_experiments(structures)[equivalent]
+        claims[state].append(Claim(f"equivalent.{state}", first, *others, **details))
+    return (*claims["undecided"], *claims["latent"], *claims["candidates"])
 
 
 def separating_experiments(structures: Structures) -> dict[Equivalent, dict[str, Any]]:
@@ -171,27 +171,27 @@ def separating_experiments(structures: Structures) -> dict[Equivalent, dict[str,
     if structures.experiments:
         return structures.experiments
     instrument, sets = structures.base.instrument, equivalents(structures.spans)
-    found: dict[Equivalent, dict[str, Any]] = {one: {"cure": "none"} for one in sets}
+    best: dict[Equivalent, dict[str, Any]] = {equivalent: {"cure": "none"} for equivalent in sets}
     for name, columns in instrument.experiments:
         readings = Measurements.from_arrays(instrument, **columns())
-        every = -(-len(readings) // MAX_EXPERIMENT_READINGS)
-        readings = readings.select(np.arange(0, len(readings), every))
-        named = {n: structures.candidates[n] for one in sets for n in one.effects}
-        own = {n: effect for n, effect in named.items() if testable(effect, readings) is None}
+        stride = -(-len(readings) // MAX_EXPERIMENT_READINGS)
+        readings = readings.select(np.arange(0, len(readings), stride))
+        named = {n: structures.candidates[n] for equivalent in sets for n in equivalent.effects}
+        candidates = {n: e for n, e in named.items() if testable(e, readings) is None}
         reference = reference_of(readings)
-        layout = bind(structures.base, readings, own.values(), reference)[0]
+        layout = bind(structures.base, readings, candidates.values(), reference)[0]
         record = record_of(instrument, readings, reference)
-        there = replace(structures, layout=layout, record=record, candidates=own)
-        columns = _columns(there)[1]
-        for one in sets:
-            if {*one.effects} <= {*own}:
-                first, *others = (columns[n].beside_all for n in one.effects)
+        restricted = replace(structures, layout=layout, record=record, candidates=candidates)
+        columns = _columns(restricted)[1]
+        for equivalent in sets:
+            if {*equivalent.effects} <= {*candidates}:
+                first, *others = (columns[n].beside_all for n in equivalent.effects)
                 span = np.column_stack([np.zeros((len(first), 1)), *others])
-                told = nats(beyond(first, span))
-                if told > found[one].get("nats", UNDECIDED_NATS):
-                    found[one] = {"cure": "test", "experiment": name, "nats": told}
-    structures.experiments.update(found)
-    return found
+                information = nats(beyond(first, span))
+                if information > best[equivalent].get("nats", UNDECIDED_NATS):
+                    best[equivalent] = {"cure": "test", "experiment": name, "nats": information}
+    structures.experiments.update(best)
+    return best
 
 
 def _acts_in_use(structures: Structures, name: str) -> bool:

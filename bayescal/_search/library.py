@@ -95,7 +95,7 @@ class Library:
                 self.width += sum(widths)
 
     def grouped(self, name: str) -> bool:
-        """Whether a candidate's size is that of many coefficients together: learned, or an amplitude."""
+        """Return whether a candidate's size is shared by many coefficients: a learned spread, or an amplitude."""
         effect = self.structures.candidates[name]
         return effect.is_placeholder or effect.coefficients[0].group_sd is not None
 
@@ -114,9 +114,9 @@ class Library:
 
     def blocks(self, size: int) -> Iterator[list[GridPoint]]:
         """Yield all points, those apart that need all readings: as many as have columns of a length held together."""
-        for needed, own in itertools.groupby(self.points, lambda name: name in self.blurred):
+        for needed, names in itertools.groupby(self.points, lambda name: name in self.blurred):
             block, rows = list[GridPoint](), self.structures.record.size if needed else size
-            for point in itertools.chain.from_iterable(self.points[name] for name in own):
+            for point in itertools.chain.from_iterable(self.points[name] for name in names):
                 if block and (point.at.stop - block[0].at.start) * rows > BLOCK_NUMBERS:
                     yield block
                     block = []
@@ -129,15 +129,15 @@ class Library:
         points: Iterable[GridPoint],
         acting: Mapping[Correction, tuple[float, ...]],
     ) -> Float[np.ndarray, "n k"]:
-        """∂μ/∂θ at some points, output unit per reported unit, where the output has the slopes of a linear model.
+        """Return ∂μ/∂θ at some points, output unit per reported unit, by the slopes of a linear model.
 
         What depends on a column that is corrected is of the corrected one, such as the temperature of a body.
         """
-        made, size = [], line.problem.record.size
-        for name, own in itertools.groupby(points, lambda p: p.effect):
+        parts, size = [], line.problem.record.size
+        for name, candidate_points in itertools.groupby(points, lambda p: p.effect):
             deadline.current().ask()
-            made.append(self._along(line, name, list(own), acting).reshape(-1, size))
-        return made[0].T if len(made) == 1 else np.concatenate([*made, np.empty((0, size))]).T
+            parts.append(self._along(line, name, list(candidate_points), acting).reshape(-1, size))
+        return parts[0].T if len(parts) == 1 else np.concatenate([*parts, np.empty((0, size))]).T
 
     def _along(
         self,
@@ -146,7 +146,7 @@ class Library:
         points: list[GridPoint],
         acting: Mapping[Correction, tuple[float, ...]],
     ) -> Float[np.ndarray, "points k n"]:
-        """A candidate's columns at some of its points; of a short record those at all of them are kept.
+        """Return a candidate's columns at some of its points; of a short record all are cached.
 
         As measured, and beside the latest correction.
         """
@@ -154,33 +154,34 @@ class Library:
         effect, counts = self.structures.candidates[name], dict(self.structures.layout.counts)
         # Chain rule: the output by the slot, and the slot by the coefficient (a factor of units, and the basis).
         by_slot = np.array([line.slopes[c.slot or effect.slot] for c in effect.coefficients])
-        needed, held = self._needed(name, acting), self._columns.get(name, {})
-        if known := held.get(bool(needed)):
-            same = known[0] is record and known[1] == needed
-            if same and np.array_equal(known[2], by_slot):
-                return known[3][[p.index for p in points]]
-        kept = self.width * record.size <= HELD_NUMBERS
-        at = np.transpose([[*p.shapes.values()] for p in (self.points[name] if kept else points)])
+        needed, cached = self._needed(name, acting), self._columns.get(name, {})
+        if entry := cached.get(bool(needed)):
+            same = entry[0] is record and entry[1] == needed
+            if same and np.array_equal(entry[2], by_slot):
+                return entry[3][[p.index for p in points]]
+        is_small = self.width * record.size <= HELD_NUMBERS
+        needed_points = self.points[name] if is_small else points
+        at = np.transpose([[*p.shapes.values()] for p in needed_points])
         bases = record.columns_of_draws(
             ColumnsOf.of(effect).on([*needed]), [*at, *itertools.chain(*needed.values())], {}
         )
         bases = bases[None] if bases.ndim == 2 else bases
         ends = np.cumsum([0, *(_members(c, counts) for c in effect.coefficients)])
-        made = np.empty((len(bases), ends[-1], record.size))
+        columns = np.empty((len(bases), ends[-1], record.size))
         for i, c in enumerate(effect.coefficients):
             slope = by_slot[i] * factor_of(instrument, effect, c)
-            codes, own = None if c.per is None else record.codes[c.per], slice(*ends[i : i + 2])
-            spread = by_member(slope * bases[..., i], codes, own.stop - own.start)
-            made[:, own] = np.moveaxis(spread, -1, 1)
-        if not kept:
-            return made
-        self._columns.setdefault(name, {})[bool(needed)] = record, needed, by_slot, made
-        return made[[p.index for p in points]]
+            codes, members = None if c.per is None else record.codes[c.per], slice(*ends[i : i + 2])
+            spread = by_member(slope * bases[..., i], codes, members.stop - members.start)
+            columns[:, members] = np.moveaxis(spread, -1, 1)
+        if not is_small:
+            return columns
+        self._columns.setdefault(name, {})[bool(needed)] = record, needed, by_slot, columns
+        return columns[[p.index for p in points]]
 
     def _needed(
         self, name: str, acting: Mapping[Correction, tuple[float, ...]]
     ) -> dict[Correction, tuple[float, ...]]:
-        """Corrections of the columns that a candidate depends on, with their shapes on a grid.
+        """Return the corrections of columns that a candidate depends on, with their shapes on a grid.
 
         Structures that find nearly the same share what is scored beside them.
         """
@@ -196,10 +197,10 @@ def _at_ends(points: Sequence[GridPoint]) -> list[GridPoint]:
 
 
 def _nearby(correction: Correction, at: tuple[float, ...]) -> tuple[float, ...]:
-    """A correction's shapes, each at the next of even steps of its coordinate."""
-    each = zip(correction.of.priors, at, strict=True)
+    """Return a correction's shapes, rounded to even steps of their coordinates."""
+    pairs = zip(correction.of.priors, at, strict=True)
     return tuple(
-        float(p.value(round(p.coordinate(x) / ACTING_STEP) * ACTING_STEP)) for p, x in each
+        float(p.value(round(p.coordinate(x) / ACTING_STEP) * ACTING_STEP)) for p, x in pairs
     )
 
 
@@ -209,7 +210,7 @@ def _members(coefficient: Coefficient, counts: Mapping[str, int]) -> int:
 
 @lru_cache(KEPT_EFFECTS)
 def _sizes(effect: Effect, widths: tuple[int, ...]) -> list[Size]:
-    """Plausible sizes of an effect whose coefficients have so many columns each."""
+    """Return plausible sizes of an effect whose coefficients have so many columns each."""
     at = np.cumsum([0, *widths])
     plain = np.zeros(at[-1])
     for i, c in enumerate(effect.coefficients):
@@ -217,14 +218,15 @@ def _sizes(effect: Effect, widths: tuple[int, ...]) -> list[Size]:
     levels = (np.arange(LEVELS) + 0.5) / LEVELS
     if effect.weights is not None:
         scales = [s for s in effect.shapes if s.name in effect.weight_shapes]
-        made = []
+        sizes = []
         # Of an amplitude and a length: a grid at the middles of equal parts of their priors, each point as probable.
         for v in itertools.product(ndtri(levels), repeat=len(scales)):
-            named = {s.name: float(s.prior.value(one)) for s, one in zip(scales, v, strict=True)}
+            pairs = [*zip(scales, map(float, v), strict=True)]
+            named = {s.name: float(s.prior.value(c)) for s, c in pairs}
             weights = np.broadcast_to(effect.weights(**named), (len(effect.coefficients),))
-            hint = {effect.shape_name(s): float(one) for s, one in zip(scales, v, strict=True)}
-            made.append(Size(plain * weights, hint, named, -len(scales) * math.log(LEVELS)))
-        return made
+            hint = {effect.shape_name(s): c for s, c in pairs}
+            sizes.append(Size(plain * weights, hint, named, -len(scales) * math.log(LEVELS)))
+        return sizes
     learned = [i for i, c in enumerate(effect.coefficients) if c.group_sd is not None]
     of_spread = np.repeat([c.group_sd is not None for c in effect.coefficients], np.diff(at))
     spreads = ndtri(0.5 + 0.5 * levels) if learned else np.ones(1)  # a half-normal's quantiles
@@ -246,14 +248,14 @@ Place = tuple[dict[str, float], dict[str, float]]
 
 
 def _at(effect: Effect, grid: np.ndarray) -> list[Place]:
-    """An effect's shapes, and coordinates of φ, at some coordinates of the shapes (points, shapes)."""
+    """Return an effect's shapes, and coordinates of φ, at coordinates of the shapes (points, shapes)."""
     shapes, count = effect.column_shapes, len(grid)
     names, full = [s.name for s in shapes], [effect.shape_name(s) for s in shapes]
-    each = zip(shapes, grid.T, strict=True)
-    values = np.transpose([s.prior.value(v) for s, v in each]).reshape(count, -1)
+    pairs = zip(shapes, grid.T, strict=True)
+    values = np.transpose([s.prior.value(v) for s, v in pairs]).reshape(count, -1)
     return [
-        (dict(zip(names, own, strict=True)), dict(zip(full, v, strict=True)))
-        for own, v in zip(values.tolist(), grid.tolist(), strict=True)
+        (dict(zip(names, row, strict=True)), dict(zip(full, v, strict=True)))
+        for row, v in zip(values.tolist(), grid.tolist(), strict=True)
     ]
 
 
@@ -263,7 +265,7 @@ def _usual_grid(effect: Effect) -> list[Place]:
 
 
 def _grid(shapes: Sequence[Shape]) -> np.ndarray:
-    """Coordinates of shapes (points, shapes), equally probable under their priors."""
+    """Return coordinates of shapes (points, shapes), equally probable under their priors."""
     if not shapes:
         return np.zeros((1, 0))
     count = SHAPE_POINTS if len(shapes) == 1 else SEVERAL_SHAPES
@@ -276,10 +278,10 @@ def _grid(shapes: Sequence[Shape]) -> np.ndarray:
 
 
 def sobol_points(count: int) -> Float[np.ndarray, "k count"]:
-    """Scrambled Sobol points in so many dimensions, always the same; those of two and three stand in a file."""
-    with np.load(SOBOL) as kept:  # SciPy's take half a second to load
-        if str(count) in kept:
-            return kept[str(count)]
+    """Return scrambled Sobol points of a dimension, always the same; those of two and three from a file."""
+    with np.load(SOBOL) as tables:  # SciPy's take half a second to load
+        if str(count) in tables:
+            return tables[str(count)]
     from scipy.stats import qmc
 
     return qmc.Sobol(count, scramble=True, rng=0).random(RAGGED_SHAPES)

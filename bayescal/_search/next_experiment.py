@@ -47,12 +47,12 @@ class Experiment:
 
     @property
     def worst(self) -> float:
-        """The least expected log Bayes factor of a truth against a rival: what it is ranked by."""
+        """Return the least expected log Bayes factor of a truth against a rival, which ranks it."""
         return self.expected[self.hardest]
 
     @property
     def hardest(self) -> tuple[str, str]:
-        """The truth and the rival of which that is."""
+        """Return the truth and the rival of the least expected log Bayes factor."""
         return min(self.expected, key=lambda pair: self.expected[pair])
 
 
@@ -67,7 +67,7 @@ class NextExperiment(Printed):
         return f"to tell apart {', '.join(self.members)}: {self.experiments[0].name}"
 
     def _parts(self) -> list[str | ResultTable]:
-        """Feasible experiments, the most telling first."""
+        """Return the feasible experiments, the most telling first."""
         columns = (
             TableColumn("experiment", lambda e: e.name),
             TableColumn("log Bayes factor", lambda e: e.worst, "{:.1f}".format),
@@ -117,15 +117,16 @@ def next_experiment(
     with stage("fitting each possibility"):
         method = LeastSquares(draws=DRAWS)
         how: dict[str, Any] = {"reference": calibration.reference, "strict": False}
-        model, own = calibration.model, calibration.readings
-        fits = {e.name: fit(model + e, own, method, **how) for e in chosen}
+        model, fitted_readings = calibration.model, calibration.readings
+        fits = {e.name: fit(model + e, fitted_readings, method, **how) for e in chosen}
     with stage("expecting the outcome of each experiment"):
-        found = list[Experiment]()
+        campaigns = list[Experiment]()
         for name, readings in plans.items():
-            seen = {n: outlook(c, readings) for n, c in fits.items()}
-            factors = {pair: divergence(*(seen[n] for n in pair)) for pair in permutations(fits, 2)}
-            found.append(Experiment(name, factors, readings))
-    return NextExperiment(tuple(fits), tuple(sorted(found, key=lambda e: -e.worst)))
+            outlooks = {n: outlook(c, readings) for n, c in fits.items()}
+            pairs = permutations(fits, 2)
+            factors = {pair: divergence(*(outlooks[n] for n in pair)) for pair in pairs}
+            campaigns.append(Experiment(name, factors, readings))
+    return NextExperiment(tuple(fits), tuple(sorted(campaigns, key=lambda e: -e.worst)))
 
 
 @dataclass(frozen=True)
@@ -137,14 +138,14 @@ class Outlook:
 
 
 def divergence(truth: Outlook, rival: Outlook) -> float:
-    """Kullback–Leibler divergence of two normals: the expected log density ratio if the first is true, nats."""
+    """Return the Kullback–Leibler divergence of two normals, nats: the expected log density ratio."""
     # ½·(tr Σ₂⁻¹Σ₁ + dᵀΣ₂⁻¹d − n + log|Σ₂|/|Σ₁|) by Cholesky factors: own = L₂⁻¹L₁ has the trace as its sum of squares
     # and half of −log|Σ₂|/|Σ₁| as the logarithms of its diagonal.
     root = np.linalg.cholesky(rival.covariance)
-    own = np.linalg.solve(root, np.linalg.cholesky(truth.covariance))
+    whitened = np.linalg.solve(root, np.linalg.cholesky(truth.covariance))
     gap = np.linalg.solve(root, rival.mean - truth.mean)
-    logs = np.sum(np.log(np.abs(np.diag(own))))  # both factors are triangular: so is `own`
-    return float(0.5 * (np.sum(own**2) + gap @ gap - gap.size) - logs)
+    logs = np.sum(np.log(np.abs(np.diag(whitened))))  # both factors are triangular: so is `own`
+    return float(0.5 * (np.sum(whitened**2) + gap @ gap - gap.size) - logs)
 
 
 @on_one_thread
@@ -159,8 +160,8 @@ def outlook(calibration: Calibration, readings: Measurements) -> Outlook:
     frame = build_frame(readings, calibration.reference)
     # Members of groups in a campaign to come are new ones: their codes are taken away from the means, and their
     # deviations come back as covariance between readings of one member.
-    codes = {group: np.asarray(own) for group, own in frame.codes.items()}
-    unseen = replace(frame, codes={group: np.full_like(own, -1) for group, own in codes.items()})
+    codes = {group: np.asarray(code) for group, code in frame.codes.items()}
+    unseen = replace(frame, codes={group: np.full_like(code, -1) for group, code in codes.items()})
     problem = calibration.problem_on(unseen)
     record, (x, v) = problem.record, calibration.draws(DRAWS)
     means = problem.expected(x, problem.hyper(v.T))
@@ -169,11 +170,11 @@ def outlook(calibration: Calibration, readings: Measurements) -> Outlook:
     hyper = problem.hyper(np.median(v, axis=0))
     white = whitening(problem.noise, hyper, record)(np.eye(record.size))
     middle = x.mean(axis=0)[None]
-    beside = np.broadcast_to(problem.expected_and_extra(middle, hyper)[1], (1, record.size))[0]
-    covariance = np.linalg.inv(white.T @ white) + np.diag(beside)
-    own = [t for t in problem.terms if t.per is not None and t.place != "fixed"]
-    _, slopes = problem.expected_with_slopes(middle, hyper, own)
-    for t, slope in zip(own, slopes, strict=True):
+    variance = np.broadcast_to(problem.expected_and_extra(middle, hyper)[1], (1, record.size))[0]
+    covariance = np.linalg.inv(white.T @ white) + np.diag(variance)
+    grouped_terms = [t for t in problem.terms if t.per is not None and t.place != "fixed"]
+    _, slopes = problem.expected_with_slopes(middle, hyper, grouped_terms)
+    for t, slope in zip(grouped_terms, slopes, strict=True):
         sd = t.prior_sd if t.group_sd_name is None else hyper[t.group_sd_name]
         column = np.reshape(slope, -1) * sd
         member = codes[str(t.per)]

@@ -34,7 +34,7 @@ LEVELS = (-2.0, 0.0, 1.0)
 
 
 def laws_over(model: Model, frame: Frame) -> dict[str, Noise]:
-    """Further noise laws of a model on a record, by name; none where its own is not white, or readings are too few.
+    """Return further noise laws of a model, by name; none where its own is not white or readings are few.
 
     Correlated, where there is time, and sums of such terms if asked for; heavy tails; scatter that follows a column.
     """
@@ -50,7 +50,7 @@ def laws_over(model: Model, frame: Frame) -> dict[str, Noise]:
 
 
 def log_prior(laws: Mapping[str, Noise], name: str) -> float:
-    """Of a law against the model's own, which is right with probability one half.
+    """Return a law's log prior odds against the model's own, which has probability one half.
 
     The other kinds share the other half, columns that the scatter may follow one of these shares.
     """
@@ -74,7 +74,7 @@ NO_FIT = OnResiduals(-math.inf, {})
 
 @on_one_thread
 def on_residuals(law: Noise, record: Record, near: OnResiduals = NO_FIT) -> OnResiduals:
-    """A law on what an expected output leaves of the readings (`Record.of_noise`), by Laplace: a fit without effects.
+    """Fit a law to residuals (`Record.of_noise`) by Laplace, without effects.
 
     There is no evidence where nothing is left. Its maximum on other residuals may be `near`.
     """
@@ -86,8 +86,8 @@ def on_residuals(law: Noise, record: Record, near: OnResiduals = NO_FIT) -> OnRe
     alone = Problem(Layout(Model(CHANNEL, (), law), ()), record)
     like = None
     if near.covariance is not None:
-        there = np.array([near.hint[n] for n in priors])
-        like = Nearby(there, np.linalg.inv(near.covariance), True)
+        coordinates = np.array([near.hint[n] for n in priors])
+        like = Nearby(coordinates, np.linalg.inv(near.covariance), True)
     density = Density(alone, alone.start, np.ones(0), like=like)
     # What is only a hint is found to a hundredth of a nat.
     mode = at_mode(density, climb(density, best(density, at), math.inf), 0.0)
@@ -96,7 +96,7 @@ def on_residuals(law: Noise, record: Record, near: OnResiduals = NO_FIT) -> OnRe
 
 
 def _starts(law: Noise, record: Record, near: Mapping[str, float]) -> list[dict[str, float]]:
-    """Coordinates of a law's parameters, by name, where a climb may begin; none where nothing is left of the readings.
+    """Return starting coordinates of a law's parameters, by name; none where all residuals are zero.
 
     What is known of some, beside every combination of levels of the others; where a maximum was on other residuals,
     that, and it with one parameter at another level.
@@ -105,26 +105,26 @@ def _starts(law: Noise, record: Record, near: Mapping[str, float]) -> list[dict[
     if near and np.any(record.y):
         one_hill = law.independent and law.gaussian
         others = () if one_hill else ({n: level} for n in priors for level in LEVELS)
-        return [{**near, **one} for one in ({}, *others)]
-    known = [{n: priors[n].coordinate(v) for n, v in s.items()} for s in _stated(law, record)]
+        return [{**near, **point} for point in ({}, *others)]
+    stated = [{n: priors[n].coordinate(v) for n, v in s.items()} for s in _stated(law, record)]
     return [
-        dict(zip(priors, one, strict=True))
-        for some in known
-        for one in itertools.product(*([some[n]] if n in some else LEVELS for n in priors))
+        dict(zip(priors, point, strict=True))
+        for some in stated
+        for point in itertools.product(*([some[n]] if n in some else LEVELS for n in priors))
     ]
 
 
 def _stated(law: Noise, record: Record) -> list[dict[str, float]]:
-    """Values of some of a law's parameters where its maximum may be; none where nothing is left of the readings."""
-    left = record.y
-    scale = float(np.sqrt(np.mean(left**2)))
+    """Return starting values of some of a law's parameters; none where all residuals are zero."""
+    residuals = record.y
+    scale = float(np.sqrt(np.mean(residuals**2)))
     if law.independent:
         # 1.5 times the median absolute value is the standard deviation that outliers have not widened; the rms is
         # that of the law without outliers. One of them is near the maximum.
-        scales = (scale, 1.5 * float(np.median(np.abs(left))))
+        scales = (scale, 1.5 * float(np.median(np.abs(residuals))))
         return [{next(iter(law.parameters())): s} for s in scales if s > 0]
     # Slow noise hardly moves from one reading to the next: differences of neighbours are about the white part's.
-    in_time = left[record.in_time[0]]
+    in_time = residuals[record.in_time[0]]
     narrow = float(np.median(np.abs(np.diff(in_time)))) or scale
-    known = law.starts(record.frame.in_time(), in_time) if narrow > 0 else []
-    return [{WHITE: narrow, **some} for some in known]
+    starts = law.starts(record.frame.in_time(), in_time) if narrow > 0 else []
+    return [{WHITE: narrow, **some} for some in starts]

@@ -96,11 +96,11 @@ def own_file_line(error: BaseException) -> tuple[str, int]:
     lines = [(f.filename, f.lineno) for f in extract_tb(error.__traceback__)]
     if isinstance(error, SyntaxError):
         lines.append((error.filename or "", error.lineno))
-    own = {file for file, _ in _RAN}
-    return next(((file, n) for file, n in reversed(lines) if file in own and n), ("", 0))
+    user_files = {file for file, _ in _RAN}
+    return next(((file, n) for file, n in reversed(lines) if file in user_files and n), ("", 0))
 
 
 def in_one_line(error: BaseException) -> str:
     """Return an error of a user's own file as text: its kind and what it says."""
-    said = error.msg if isinstance(error, SyntaxError) else str(error)
-    return f"{type(error).__name__}{': ' if said else ''}{said}"
+    message = error.msg if isinstance(error, SyntaxError) else str(error)
+    return f"{type(error).__name__}{': ' if message else ''}{message}"

@@ -22,7 +22,7 @@ NAME_BESIDE_DESCRIPTION = 0.55
 
 
 @dataclass(frozen=True)
-class Found:
+class Finding:
     """One of these effects, each in some form, is missing; the readings cannot tell which."""
 
     effects: tuple[str, ...]
@@ -37,113 +37,111 @@ class Posterior:
     """
 
     space: Structures
-    given: frozenset[str]
+    condition: frozenset[str]
     structures: tuple[Structure, ...]
     total: np.ndarray
     probability: np.ndarray
     refitted: dict[Structure, Weighed]
 
     @classmethod
-    def of(cls, structures: Structures, given: Iterable[str] = ()) -> Posterior:
-        held = frozenset(given)
+    def of(cls, structures: Structures, condition: Iterable[str] = ()) -> Posterior:
+        required = frozenset(condition)
         refitted = {s: w for s, w in structures.visited.items() if math.isfinite(w.total)}
         refitted = {s: w for s, w in refitted.items() if not structures.is_special_case(s)}
-        most = max((w.total for s, w in refitted.items() if held <= s.effects))
+        most = max((w.total for s, w in refitted.items() if required <= s.effects))
         # What was only expected may not lead: it would have been refitted.
         expected = structures.expected.items()
         totals = {s: min(t, most) for s, t in expected if not structures.is_special_case(s)}
         totals |= {s: w.total for s, w in refitted.items()}
-        inside = [s for s in totals if held <= s.effects]
+        inside = [s for s in totals if required <= s.effects]
         inside = sorted(inside, key=lambda s: (-totals[s], s not in refitted))
         total = np.array([totals[s] for s in inside])
         # Probabilities are relative evidence times prior: what was never weighed nor expected has none, so that the
         # walk must have looked wherever they could be.
         weight = np.exp(total - total[0])
-        return cls(structures, held, tuple(inside), total, weight / weight.sum(), refitted)
+        return cls(structures, required, tuple(inside), total, weight / weight.sum(), refitted)
 
     @cached_property
     def reported(self) -> tuple[frozenset[str], ...]:
-        """Of each structure, the families of its effects and of what takes their place for all that readings tell."""
+        """Return, of each structure, the families of its effects and of their equivalents."""
         return tuple(map(self.space.reported, self.structures))
 
     @property
     def best(self) -> Structure:
-        """The most probable of those refitted."""
+        """Return the most probable refitted structure."""
         # A structure that was only expected has no mode, and cannot be used.
         return next(s for s in self.structures if s in self.refitted)
 
     def complete(self, unseen: Iterable[str] = ()) -> float:
-        """Probability that the given effects are all that is there, under any noise law.
+        """Return the probability that the given effects are all that is there, under any noise law.
 
         A structure is not complete where a description, given, added or of the noise, carries more than a small part.
         """
-        structures, given = self.space, Structure(self.given)
-        further = {*unseen, *structures.latent(given)}
-        reported = structures.reported(given) | structures.families(further)
-        each = zip(self.structures, self.reported, self.described, strict=True)
+        structures, conditioned = self.space, Structure(self.condition)
+        further = {*unseen, *structures.latent(conditioned)}
+        reported = structures.reported(conditioned) | structures.families(further)
+        triples = zip(self.structures, self.reported, self.described, strict=True)
         laws = [s in self.refitted and self.refitted[s].noise_describes for s in self.structures]
-        named = [not d and own - self._unnamed(s) <= reported for s, own, d in each]
+        named = [not d and families - self._unnamed(s) <= reported for s, families, d in triples]
         return self._of_any([n and not law for n, law in zip(named, laws, strict=True)])
 
     @cached_property
     def described(self) -> list[bool]:
-        """Whether each structure needs a description of something without a name."""
+        """Return whether each structure needs a description of something without a name."""
 
         def needed(s: Structure, probability: float) -> bool:
             weighed = self.refitted.get(s)
             unknown = weighed is None or probability < NEXT_TO_NOTHING
             return bool(self._unnamed(s)) and (unknown or bool(self.space.matters(weighed)))
 
-        return [needed(*each) for each in zip(self.structures, self.probability, strict=True)]
+        return [needed(*pairs) for pairs in zip(self.structures, self.probability, strict=True)]
 
     def _unnamed(self, structure: Structure) -> set[str]:
         return {n for n in structure.effects if self.space.candidates[n].unnamed}
 
     def noise(self, name: str) -> float:
-        """Probability of a noise law."""
+        """Return the probability of a noise law."""
         return self._of_any([s.noise == name for s in self.structures])
 
     def inclusion(self, *names: str) -> float:
-        """Probability that at least one of these effects is missing."""
+        """Return the probability that at least one of these effects is missing."""
         # At least one: probabilities of structures are added, not those of effects, which are not independent.
-        wanted = self.space.families(names)
-        return self._of_any([not wanted.isdisjoint(own) for own in self.reported])
+        families = self.space.families(names)
+        return self._of_any([not families.isdisjoint(reported) for reported in self.reported])
 
-    def right(self, *names: str) -> float:
+    def probability_of_names(self, *names: str) -> float:
         """Return the probability that at least one of these effects is missing, and is what its name says."""
-        found = self.inclusion(*names)
+        probability = self.inclusion(*names)
         if any(self.space.candidates[n].unnamed for n in names if n in self.space.candidates):
-            return found
-        wanted = self.space.families(names)
-        beside = [
-            d and not wanted.isdisjoint(o)
-            for d, o in zip(self.described, self.reported, strict=True)
-        ]
-        return found - (1 - NAME_BESIDE_DESCRIPTION) * self._of_any(beside)
+            return probability
+        families = self.space.families(names)
+        pairs = zip(self.described, self.reported, strict=True)
+        with_description = [d and not families.isdisjoint(reported) for d, reported in pairs]
+        return probability - (1 - NAME_BESIDE_DESCRIPTION) * self._of_any(with_description)
 
     @cached_property
     def _of_forms(self) -> dict[str, float]:
-        """Probability of each candidate."""
+        """Return the probability of each candidate."""
         return _mass([s.effects for s in self.structures], self.probability)
 
     def form(self, name: str) -> str:
-        """The most probable form of a family; its own name where no structure has any."""
+        """Return the most probable form of a family; its own name where no structure has any."""
         mass = self._of_forms
-        own = [n for n in mass if self.space.family(n) == name]
-        return max(own, key=mass.__getitem__, default=name)
+        forms = [n for n in mass if self.space.family(n) == name]
+        return max(forms, key=mass.__getitem__, default=name)
 
     def _of_any(self, inside: Sequence[bool]) -> float:
         return float(min(1.0, self.probability[np.array(inside, dtype=bool)].sum()))
 
     @property
-    def findings(self) -> tuple[Found, ...]:
-        """Smallest sets of effects of which at least one is missing, of `found_probability`, the most probable first.
+    def findings(self) -> tuple[Finding, ...]:
+        """Return the smallest sets of effects of which one is missing with `found_probability`.
 
         Each begins with an effect of the most probable structure and goes on with what can take its place.
         """
-        found, rivals = [], self.space.rivals(self.best)
+        findings, rivals = [], self.space.rivals(self.best)
         # Greedy: each step takes the effect with the most probability of structures without any member so far.
-        for effect in self.best.effects - self.given:
+        for effect in self.best.effects - self.condition:
             name = self.space.family(effect)
             members = [name, *sorted(self.space.families(rivals[effect]) - {name})]
             while self.inclusion(*members) < settings().found_probability:
@@ -152,41 +150,43 @@ class Posterior:
                     break
                 members.append(further)
             if self.inclusion(*members) >= settings().found_probability:
-                own = [self.space.families(s.effects) for s in self.structures]
-                share = {n: self._of_any([n in there for there in own]) for n in members}
+                by_structure = [self.space.families(s.effects) for s in self.structures]
+                share = {n: self._of_any([n in f for f in by_structure]) for n in members}
                 order = sorted(members, key=lambda n: -share[n])
-                found.append(Found(tuple(order), self.right(*members)))
-        return tuple(sorted(found, key=lambda f: (-self.inclusion(f.effects[0]), len(f.effects))))
+                findings.append(Finding(tuple(order), self.probability_of_names(*members)))
+        findings.sort(key=lambda f: (-self.inclusion(f.effects[0]), len(f.effects)))
+        return tuple(findings)
 
     def _substitute(self, members: list[str]) -> str | None:
-        """The likeliest effect in the members' place: of the structures that have none of them."""
+        """Return the most probable effect of structures that have none of the members."""
         # Effects that are in for other reasons are nobody's substitutes.
-        best, given = map(self.space.families, (self.best.effects, self.given))
-        settled = (best - {members[0]}) | given
+        best, condition = map(self.space.families, (self.best.effects, self.condition))
+        settled = (best - {members[0]}) | condition
         others = [r - settled if r.isdisjoint(members) else frozenset() for r in self.reported]
         mass = _mass(others, self.probability)
         return max(mass, key=mass.__getitem__, default=None)
 
     @property
     def chosen(self) -> Structure:
-        """The one structure to use: effect by effect what is more probable in than out, given those before.
+        """Return the structure to use: effects more probable in than out, given those chosen before.
 
         Of effects that one of is found, and none is in so, the most probable structure's is. What is used need not be
         found: that is for the word "missing". The noise law is that of the most probable structure that has all of it.
         Source: M. Barbieri and J. Berger, Ann. Statist. 32 (2004) 870 (the median probability model predicts best).
         """
-        effects = frozenset(self.given)
+        effects = frozenset(self.condition)
         inside = list(zip(self.structures, self.probability.tolist(), strict=True))
         while True:
             # Conditional inclusion: of the structures that hold what was chosen so far, the effect that most of them
             # have, then its form. Without the condition two substitutes of one half each would both be out.
-            further, each = [s.effects - effects for s, _ in inside], [p for _, p in inside]
-            of_form, share = _mass(further, each), _mass(map(self.space.families, further), each)
+            further, masses = [s.effects - effects for s, _ in inside], [p for _, p in inside]
+            of_form = _mass(further, masses)
+            share = _mass(map(self.space.families, further), masses)
             likely = max(share, key=lambda n: (share[n], n), default="")
-            if not likely or share[likely] <= 0.5 * sum(each):
+            if not likely or share[likely] <= 0.5 * sum(masses):
                 break
-            own = [n for n in of_form if self.space.family(n) == likely]
-            likeliest = max(own, key=lambda n: (of_form[n], n))
+            forms = [n for n in of_form if self.space.family(n) == likely]
+            likeliest = max(forms, key=lambda n: (of_form[n], n))
             effects |= {likeliest}
             inside = [(s, p) for s, p in inside if likeliest in s.effects]
         for finding in self.findings:
@@ -216,9 +216,9 @@ class OtherPath:
     correlated: bool = False  # whether one of the two laws alone is correlated in time
 
     def __str__(self) -> str:
-        told = {"law": self.in_words, "added": self.added or ("nothing",)}
+        details = {"law": self.in_words, "added": self.added or ("nothing",)}
         cure = "correlated" if self.correlated else "other"
-        return str(Claim("path.other", **told, nats=self.log_bayes_factor, cure=cure))
+        return str(Claim("path.other", **details, nats=self.log_bayes_factor, cure=cure))
 
 
 @dataclass(frozen=True)
@@ -252,14 +252,14 @@ class Search:
 
     @classmethod
     def of(cls, structures: Structures, *, complete: bool, **counts: Any) -> Search:
-        """Of the structures weighed so far; `counts` are the other fields."""
-        weighed, shown = structures.visited.values(), ()
+        """Summarise the structures evaluated so far; `counts` are the other fields."""
+        weighed, summaries = structures.visited.values(), ()
         if any(math.isfinite(w.total) for w in weighed):
             posterior = Posterior.of(structures)
-            each = zip(posterior.structures, posterior.probability, strict=True)
-            refitted = [(posterior.refitted[s], p) for s, p in each if s in posterior.refitted]
+            pairs = zip(posterior.structures, posterior.probability, strict=True)
+            refitted = [(posterior.refitted[s], p) for s, p in pairs if s in posterior.refitted]
             rms = float(np.sqrt(np.mean(structures.line(refitted[0][0]).residual ** 2)))
-            shown = tuple(
+            summaries = tuple(
                 ShownStructure(
                     effects=tuple(sorted(w.structure.effects)),
                     noise=w.structure.noise,
@@ -269,4 +269,4 @@ class Search:
                 )
                 for i, (w, p) in enumerate(refitted[:SHOWN_STRUCTURES])
             )
-        return cls(shown, len(weighed), complete, **counts)
+        return cls(summaries, len(weighed), complete, **counts)

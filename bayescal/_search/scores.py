@@ -51,12 +51,12 @@ class ScoredPoint:
 
     @property
     def hint(self) -> dict[str, float]:
-        """Coordinates of φ by name, to begin a refit at."""
+        """Return coordinates of φ by name, to begin a refit at."""
         return {**self.point.hint, **self.size.hint}
 
     @property
     def products(self) -> Float[np.ndarray, "k k"]:
-        """Of these columns."""
+        """Return the Gram matrix of these whitened columns."""
         return self.view.products[self.effect][self.point.index]
 
     @cached_property
@@ -65,7 +65,7 @@ class ScoredPoint:
 
     @cached_property
     def standard(self) -> tuple[Float[np.ndarray, "k"], Float[np.ndarray, "k k"]]:
-        """Score and information of standard normal coefficients: in units of the plausible sizes."""
+        """Return score and information in units of the plausible sizes: of standard normal coefficients."""
         sd = self.size.sd
         return sd * self.u, sd[:, None] * self.information * sd
 
@@ -103,43 +103,43 @@ class View:
             self.cross[:, block] = nuisance.T @ white
             self.u[block] = white.T @ residual
             for p in points:
-                own = white[:, p.at.start - begin : p.at.stop - begin]
-                products[p.effect].append(own.T @ own)
-        self.products = {name: np.stack(own) for name, own in products.items()}
+                columns = white[:, p.at.start - begin : p.at.stop - begin]
+                products[p.effect].append(columns.T @ columns)
+        self.products = {name: np.stack(matrices) for name, matrices in products.items()}
         self.volume = 0.0
         self.volume = self.without().volume
 
     def rows(self, points: Sequence[GridPoint]) -> LinearModel:
-        """What candidates at some points are looked over by: means, where none changes within these."""
+        """Return the linear model that scores these points: on means, unless a candidate changes within them."""
         blurred = any(p.effect in self.library.blurred for p in points)
         return self.line if blurred else self.means
 
     def columns(self, rows: LinearModel, points: Sequence[GridPoint]) -> Float[np.ndarray, "n k"]:
-        """Columns of candidates at some points."""
+        """Return the columns of candidates at some points."""
         return self.library.columns(rows, points, self.at.acting)
 
     def without(self, *names: str) -> WithoutNuisances:
-        """What is left where some of its effects are dropped; φ held."""
+        """Return the structure without some of its effects, φ held."""
         line, gone = self.line, {*names}
-        kept = np.array([owner not in gone for owner in line.owners], dtype=bool)
+        is_kept = np.array([owner not in gone for owner in line.owners], dtype=bool)
         # z: of what is dropped. Without its coefficients its shapes move nothing. With these at their prior's mean, all
         # else where it is, r becomes r₀ = r + A·z; at the mode Aᵀr = W·z, so that |r₀|² = |r|² + 2·zᵀWz + zᵀAᵀA·z, and
         # what is kept is pulled by AᵀA·z alone.
-        of_x = np.arange(kept.size) < line.problem.size
-        z = np.where(kept | ~of_x, 0.0, line.z)
-        own, of_start = float(line.weight @ z**2), self.inner @ z
-        shapes = float(line.weight[~kept & ~of_x] @ line.z[~kept & ~of_x] ** 2)
-        squares = line.rest + own + float(z @ of_start) - shapes
-        inner = self.inner[np.ix_(kept, kept)] + np.diag(line.weight[kept])
+        of_x = np.arange(is_kept.size) < line.problem.size
+        z = np.where(is_kept | ~of_x, 0.0, line.z)
+        prior_squares, of_start = float(line.weight @ z**2), self.inner @ z
+        shapes = float(line.weight[~is_kept & ~of_x] @ line.z[~is_kept & ~of_x] ** 2)
+        squares = line.rest + prior_squares + float(z @ of_start) - shapes
+        inner = self.inner[np.ix_(is_kept, is_kept)] + np.diag(line.weight[is_kept])
         chol = np.linalg.cholesky(inner + 1e-12 * np.diag(np.diag(inner)))
         # Kept nuisances fitted anew: L·Lᵀ = AᵀA + W, what they take of r₀ and of each column by L⁻¹Aᵀ.
-        half = solve_triangular(chol, of_start[kept], lower=True)
-        inside = solve_triangular(chol, self.cross[kept], lower=True)
+        half = solve_triangular(chol, of_start[is_kept], lower=True)
+        inside = solve_triangular(chol, self.cross[is_kept], lower=True)
         return WithoutNuisances(
             view=self,
             inside=inside,
             u=self.u + self.cross.T @ z - inside.T @ half,
-            rest=squares - float(half @ half),
+            rss=squares - float(half @ half),
             volume=float(np.sum(np.log(np.diag(chol)))),
         )
 
@@ -153,13 +153,13 @@ class WithoutNuisances(NamedTuple):
     view: View
     inside: Float[np.ndarray, "q P"]
     u: Float[np.ndarray, "P"]
-    rest: float
+    rss: float
     volume: float
 
     @on_one_thread
     def scores(self, names: Sequence[str]) -> dict[str, list[ScoredPoint]]:
-        """Every grid point of these candidates, each candidate's most probable first."""
-        found = {}
+        """Return every grid point of these candidates, each candidate's most probable first."""
+        by_name = {}
         for name in names:
             points = self.view.library.points[name]
             # Most candidates have one column: their points are scored in one array, without a matrix for each.
@@ -167,16 +167,16 @@ class WithoutNuisances(NamedTuple):
             gains = self._of_columns(name) if alone else self._of_blocks(name)
             totals, best = np.logaddexp.reduce(gains, axis=1), np.argmax(gains, axis=1)
             sizes, order = self.view.library.sizes[name], np.argsort(-totals, kind="stable")
-            found[name] = [
+            by_name[name] = [
                 ScoredPoint(
                     p, float(total), sizes[b], self.view, self.inside[:, p.at], self.u[p.at]
                 )
                 for p, total, b in ((points[i], totals[i], best[i]) for i in order)
             ]
-        return found
+        return by_name
 
     def _of_columns(self, name: str) -> Float[np.ndarray, "points sizes"]:
-        """Log Bayes factors of a candidate of one column, at each point and size."""
+        """Return log Bayes factors of a candidate of one column, at each point and size."""
         library = self.view.library
         at = slice(library.points[name][0].at.start, library.points[name][-1].at.stop)
         information = self.view.products[name][:, 0, 0] - np.sum(self.inside[:, at] ** 2, axis=0)
@@ -185,11 +185,11 @@ class WithoutNuisances(NamedTuple):
         # A coefficient of prior sd s and information K: log Bayes factor ½·s²u²/(1 + s²K) − ½·log(1 + s²K), the
         # squares as `_gain` has them. All points and sizes in one array.
         inner = 1 + np.maximum(information, 0.0)[:, None] * square
-        taken = self.u[at, None] ** 2 * square / inner
-        return self._gain(0.5 * np.log(inner), taken) + weight
+        explained = self.u[at, None] ** 2 * square / inner
+        return self._gain(0.5 * np.log(inner), explained) + weight
 
     def _of_blocks(self, name: str) -> Float[np.ndarray, "points sizes"]:
-        """The same for a candidate of several columns."""
+        """Return log Bayes factors of a candidate of several columns, at each point and size."""
         library, places = self.view.library, [p.at for p in self.view.library.points[name]]
         inside = np.stack([self.inside[:, at] for at in places])
         u = np.stack([self.u[at] for at in places])[:, None]
@@ -200,43 +200,40 @@ class WithoutNuisances(NamedTuple):
 
     @property
     def dropped(self) -> float:
-        """Log Bayes factor of what is left against the whole structure."""
+        """Return the log Bayes factor of the reduced against the whole structure."""
         return float(self._gain(0.0, 0.0))
 
     def gain(
         self, u: Float[np.ndarray, "*b k"], information: Float[np.ndarray, "*b k k"]
     ) -> Float[np.ndarray, "*b"]:
-        """Log Bayes factor, against the whole structure, of what is left with columns of standard normal coefficients.
+        """Return the log Bayes factor of the reduced structure with standard normal columns against the whole.
 
         The noise is taken as large as it then is likely to be.
         """
         return self._gain(*taken_up(u, information))
 
-    def _gain(self, volume: Any, taken: Any) -> Any:
-        """By log volumes, and by the squares that columns take."""
+    def _gain(self, volume: Any, explained: Any) -> Any:
+        """Return the log Bayes factor by the columns' log volume and explained sum of squares."""
         # With the noise's variance at its likeliest, squares/n, the log likelihood is −½·n·log(squares) but for
         # constants: a column that takes most of the squares gains more than under the noise as it was.
-        left = np.maximum((self.rest - taken) / self.view.line.rest, 1e-12)
-        return self.lost - volume - 0.5 * self.view.line.size * np.log(left)
+        rss_ratio = np.maximum((self.rss - explained) / self.view.line.rest, 1e-12)
+        return self.lost - volume - 0.5 * self.view.line.size * np.log(rss_ratio)
 
     @property
     def lost(self) -> float:
-        """What dropping did to the volumes: part of every gain, beside the squares."""
+        """Return the change of log volume by dropping, part of every gain."""
         return self.view.volume - self.volume
 
     @on_one_thread
     def pairs(
-        self, found: Mapping[str, list[ScoredPoint]]
+        self, scores: Mapping[str, list[ScoredPoint]]
     ) -> list[tuple[float, ScoredPoint, ScoredPoint]]:
-        """Log Bayes factors of two candidates at once, the best first."""
-        points = [p for own in found.values() for p in own[:IN_PAIRS]]
+        """Return log Bayes factors of two candidates at once, the best first."""
+        points = [p for candidate_scores in scores.values() for p in candidate_scores[:IN_PAIRS]]
         family = self.view.library.structures.family
         families = [family(p.effect) for p in points]
-        together = [
-            (i, j)
-            for i, j in itertools.combinations(range(len(points)), 2)
-            if families[i] != families[j]
-        ]
+        indices = itertools.combinations(range(len(points)), 2)
+        together = [(i, j) for i, j in indices if families[i] != families[j]]
         if not together:
             return []
         # Columns of all points side by side, and one of zeros, which changes no gain: it fills those of fewer up.
@@ -256,10 +253,10 @@ class WithoutNuisances(NamedTuple):
         at = np.where(step < counts[:, None], start[:, None] + step, len(sd) - 1)
         both = at[np.array(together)].reshape(len(together), -1)
         gains = self.gain(u[both], information[both[:, :, None], both[:, None]]).tolist()
-        made = [(gain, points[i], points[j]) for gain, (i, j) in zip(gains, together, strict=True)]
-        return sorted(made, key=lambda m: -m[0])
+        pairs = zip(gains, together, strict=True)
+        return sorted(((g, points[i], points[j]) for g, (i, j) in pairs), key=lambda m: -m[0])
 
 
 def gain_of(points: Sequence[ScoredPoint]) -> float:
-    """A candidate's log Bayes factor by score, averaged over its grid."""
+    """Return a candidate's log Bayes factor by score, averaged over its grid."""
     return float(np.logaddexp.reduce([p.gain for p in points]) - math.log(len(points)))

@@ -33,7 +33,7 @@ class Step:
     """One model of the sequence, with its errors in the output unit."""
 
     calibration: Calibration  # the fit
-    added: str | None  # effect, or several where time was short; None for the first and a change of noise
+    added: str | None  # effect or effects; None for the first step and a change of noise
     rmse: float  # of the fitted readings, group deviations at zero (what an unseen group would see)
     rmse_fitted: float  # the same with group deviations as fitted
     holdout_rmse: float | None  # of the hold-out data; None without them
@@ -50,37 +50,37 @@ class Step:
     different: tuple[Claim, ...] = ()
 
     def judged(self, against: Sequence[str]) -> Step:
-        """The same, whose calibration knows why it is not to be used."""
-        told = {"against": tuple(against), "checked": True}
-        return replace(self, calibration=self.calibration.with_verdict(**told))
+        """Return the step, whose calibration has this verdict against it."""
+        verdict = {"against": tuple(against), "checked": True}
+        return replace(self, calibration=self.calibration.with_verdict(**verdict))
 
     def noted(self, notes: Sequence[str]) -> Step:
-        """The same, whose calibration says this beside how it was fitted."""
-        said = (*dict.fromkeys((*self.calibration.verdict.notes, *notes)),)
-        return replace(self, calibration=self.calibration.with_verdict(notes=said))
+        """Return the step, whose calibration has these notes too."""
+        all_notes = (*dict.fromkeys((*self.calibration.verdict.notes, *notes)),)
+        return replace(self, calibration=self.calibration.with_verdict(notes=all_notes))
 
     @cached_property
     def doubts(self) -> tuple[Claim, ...]:
-        """Why the Gaussian fit about its mode does not describe the posterior; empty for most."""
+        """Return why a Gaussian about the mode does not describe the posterior; empty for most."""
         return tuple(multimodality(self.calibration))
 
     @property
     def title(self) -> str:
-        """The step in a few words."""
+        """Return the step in a few words."""
         return self.changed or "baseline" if self.added is None else f"+ {self.added}"
 
     def row(self, before: Step | None) -> dict[str, Any]:
-        """What a table of steps has of it: its errors, whether the one held out rises, evidence, P(complete)."""
-        evidence, found = self.calibration.log_evidence, self.discovery
+        """Return the step's row of a table: errors, whether the hold-out error rises, evidence, P(complete)."""
+        evidence, discovery = self.calibration.log_evidence, self.discovery
         return {
             **self.errors(),
             "rises": before is not None and rises(self.holdout_rmse, before.holdout_rmse),
             "log_evidence": evidence and {"value": evidence[0], "se": evidence[1]},
-            "nothing_missing": found and found.nothing_missing,
+            "nothing_missing": discovery and discovery.nothing_missing,
         }
 
     def errors(self) -> dict[str, Any]:
-        """Title and errors as plain data, output unit: what result.json says of them, and what pictures show."""
+        """Return title and errors as plain data, output unit, for result.json and plots."""
         out = self.left_out
         return {
             "title": self.title,
@@ -122,7 +122,7 @@ class SearchPath(Printed):
 
     @property
     def calibration(self) -> Calibration:
-        """What is to be used: averaged over the structures, where several share the probability."""
+        """Return the calibration to use: averaged, where several structures share the probability."""
         return self.final.calibration if self.average is None else self.average
 
     @property
@@ -131,12 +131,12 @@ class SearchPath(Printed):
 
     @property
     def complete(self) -> bool:
-        """Whether nothing is left to search: not under way, not ended early."""
+        """Return whether the search has ended, and not early."""
         return self.search is None or self.search.complete
 
     @property
     def progress(self) -> str:
-        """How far the search is: time, structures weighed, the best so far; empty before the first is weighed."""
+        """Return the search's progress in words: time, structures, the best; empty before the first."""
         search, unit = self.search, unit_label(self.final.calibration.unit)
         if search is None or not search.structures:
             return ""
@@ -151,11 +151,11 @@ class SearchPath(Printed):
 
     @property
     def ending(self) -> str:
-        """Why the search ended where it did: time, a bound on the effects, or that nothing more is probable enough."""
-        search, found = self.search, self.final.discovery
+        """Return why the search ended: time, the bound on effects, or nothing else probable enough."""
+        search, discovery = self.search, self.final.discovery
         if search is None or not (search.complete or search.stopped):
             return ""
-        if found is None:
+        if discovery is None:
             reliable = self.steps[0].calibration.verdict.ok
             why = "no effect was to be added" if reliable else "the fit is not reliable"
             return search.stopped or f"Nothing was looked for: {why}."
@@ -164,7 +164,8 @@ class SearchPath(Printed):
         if not said and added >= most > 0:
             said.append(f"The search has added the {most} effects that it may (--max-effects).")
         # Of candidates that these readings can test, the nearest one says how far the search was from another end.
-        tested = {c.effect: c.probability for c in found.candidates if c.probability is not None}
+        probabilities = {c.effect: c.probability for c in discovery.candidates}
+        tested = {n: p for n, p in probabilities.items() if p is not None}
         nearest = max(tested, key=tested.__getitem__, default="")
         sure = settings().found_probability
         if not nearest:
@@ -180,22 +181,22 @@ class SearchPath(Printed):
 
         @property
         def in_short(self) -> str:
-            """The result in one paragraph; `save_search` attaches it."""
+            """Return the result in one paragraph; `save_search` attaches it."""
             ...
 
         def save(self, folder: Path) -> None:
             """Write result.json, calibration.nc (of the last step) and loop.png; `save_search` attaches it."""
 
     def _parts(self) -> list[str | ResultTable]:
-        """The error, step by step: as fitted, of a new run, held out, and the floor."""
+        """Return the table of errors by step, and the effects found."""
         rows = self.rows
         note = f"{RISES.strip()} held-out error more than a twentieth above that of the step before"
         lines = [steps_table(rows), *[note] * any(r["rises"] for r in rows)]
-        found = {n: p for n, p in self.added.items() if p is not None}
-        sure = [n for n, p in found.items() if p >= settings().found_probability]
-        rest = {n: p for n, p in found.items() if n not in sure}
-        likely = [f"{n} ({probability(p)})" for n, p in rest.items() if p > 0.5]
-        others = [f"{n} ({probability(p)})" for n, p in rest.items() if p <= 0.5]
+        probabilities = {n: p for n, p in self.added.items() if p is not None}
+        sure = [n for n, p in probabilities.items() if p >= settings().found_probability]
+        unsure = {n: p for n, p in probabilities.items() if n not in sure}
+        likely = [f"{n} ({probability(p)})" for n, p in unsure.items() if p > 0.5]
+        others = [f"{n} ({probability(p)})" for n, p in unsure.items() if p <= 0.5]
         head = "found" if self.complete else "best when the search ended"
         lines += [f"{head}: {', '.join(sure)}"] if sure else []
         lines += [f"more probable than not: {', '.join(likely)}"] if likely else []
@@ -204,19 +205,18 @@ class SearchPath(Printed):
 
     @property
     def rows(self) -> list[dict[str, Any]]:
-        """Each step as plain data: its errors, log evidence, and the probability that its model is complete."""
-        own = [step.row(before) for before, step in pairwise([None, *self.steps])]
-        return [{"number": i, **row} for i, row in enumerate(own)]
+        """Return each step as plain data: its errors, log evidence, and P(complete)."""
+        step_rows = [step.row(before) for before, step in pairwise([None, *self.steps])]
+        return [{"number": i, **row} for i, row in enumerate(step_rows)]
 
     @property
     def added(self) -> dict[str, float | None]:
-        """Effects that the last model has beyond the first, with the probability that each was missing from it, in
-        whatever form; none where probabilities would not be honest."""
+        """Return effects added to the first model, by name with their probability (in any form) or None."""
         first, last = self.steps[0], self.final.calibration.model
-        had, found = set(first.calibration.model.names), first.discovery
+        had, discovery = set(first.calibration.model.names), first.discovery
         had |= {*self.final.discovery.latent} if self.final.discovery else set()
-        known = {c.effect: c.probability for c in found.candidates} if found else {}
-        return {e.name: known.get(e.reported) for e in last.effects if e.name not in had}
+        probabilities = {c.effect: c.probability for c in discovery.candidates} if discovery else {}
+        return {e.name: probabilities.get(e.reported) for e in last.effects if e.name not in had}
 
     def _brief(self) -> str:
         unit = unit_label(self.final.calibration.unit)
@@ -226,19 +226,19 @@ class SearchPath(Printed):
 
 
 def rises(now: float | None, then: float | None) -> bool:
-    """Whether a hold-out error is more than a twentieth above another."""
+    """Return whether a hold-out error is more than a twentieth above another."""
     return now is not None and then is not None and now > WORSE_RATIO * then
 
 
 def steps_table(rows: Sequence[Mapping[str, Any]]) -> ResultTable:
-    """The errors of steps, one below the other, by `Step.row` or the steps of a result.json."""
+    """Return the table of errors by step, of `Step.row` or the steps of a result.json."""
     unit = unit_label(rows[-1]["unit"])
     group = next((r["leave_one_group_out"]["group"] for r in rows if r["leave_one_group_out"]), "")
 
     def held_out(row: Mapping[str, Any]) -> str:
         return f"{number(row['holdout_rmse'])}{RISES * row['rises']}"
 
-    apart = [TableColumn("held-out", held_out, name="")]
+    holdout_columns = [TableColumn("held-out", held_out, name="")]
     columns = (
         TableColumn("step", lambda r: r["title"], None),
         TableColumn("step", lambda r: f"{r['number']} {r['title']}", name=""),
@@ -250,7 +250,7 @@ def steps_table(rows: Sequence[Mapping[str, Any]]) -> ResultTable:
             number,
             name="left-out",
         ),
-        *(apart if any(r["holdout_rmse"] is not None for r in rows) else []),
+        *(holdout_columns if any(r["holdout_rmse"] is not None for r in rows) else []),
         TableColumn("held-out", "holdout_rmse", None),
         TableColumn("floor", "noise_floor", number),
         TableColumn("unit", "unit", None),

@@ -51,7 +51,7 @@ class ShapeEvidence(NamedTuple):
         """Return what the channel concludes of the effect where the others say this."""
         low, high = (shape.prior.coordinate(end) for end in (others.low, others.high))
         middle, sd = (low + high) / 2, (high - low) / (2 * CENTRAL_95)
-        v = _apart(np.concatenate([self.v, middle + sd * CLOSE_SD]))
+        v = _distinct(np.concatenate([self.v, middle + sd * CLOSE_SD]))
         # Prior mass as the others have it times the channel's own ratio; the grid is refined where that prior lies,
         # which may be narrower than any step of the channel's grid.
         joint = np.interp(v, self.v, self.log_ratio) + log_mass(v, middle, sd)
@@ -94,32 +94,33 @@ class SharedShape:
 
     @classmethod
     def of(
-        cls, effect: str, shape: Shape, prior: float, said: Mapping[str, ShapeEvidence]
+        cls, effect: str, shape: Shape, prior: float, evidence: Mapping[str, ShapeEvidence]
     ) -> SharedShape:
-        """Of what each channel said, on the points of all."""
-        v = _apart(np.concatenate([one.v for one in said.values()]))
-        says = {name: np.interp(v, one.v, one.log_ratio) for name, one in said.items()}
+        """Interpolate the evidence of each channel on the points of all."""
+        v = _distinct(np.concatenate([ratio.v for ratio in evidence.values()]))
+        says = {name: np.interp(v, ratio.v, ratio.log_ratio) for name, ratio in evidence.items()}
         return cls(effect, shape, v, prior, says)
 
     def _joint(self, names: Iterable[str]) -> Float[np.ndarray, "shares k"]:
-        """Log prior mass of share and shape times what these channels say, where the unit has the effect."""
+        """Return log prior of share and shape plus these channels' log likelihood, if the unit has it."""
         # A channel shows the effect with probability s, the share: it says (1 − s)·1 + s·ratio(v). Channels multiply,
         # since given v and s they are independent.
-        shown = (np.logaddexp(np.log1p(-SHARES), np.log(SHARES) + self.says[n]) for n in names)
-        return log_mass(self.v) - math.log(SHARES.size) + sum(shown) + math.log(self.prior)
+        logs = (np.logaddexp(np.log1p(-SHARES), np.log(SHARES) + self.says[n]) for n in names)
+        return log_mass(self.v) - math.log(SHARES.size) + sum(logs) + math.log(self.prior)
 
     def from_others(self, channel: str) -> FromOthers:
-        """What all but one channel say of the effect there."""
+        """Return what all but one channel say of the effect in that channel."""
         joint = self._joint(n for n in self.says if n != channel)
-        here, not_here = joint + np.log(SHARES), joint + np.log1p(-SHARES)
+        with_effect, without_effect = joint + np.log(SHARES), joint + np.log1p(-SHARES)
         # The channel has the effect with probability s in units that have it, never in units that have not.
-        without = np.logaddexp(np.logaddexp.reduce(not_here, axis=None), math.log1p(-self.prior))
-        log_odds = np.logaddexp.reduce(here, axis=None) - without
-        _, low, high = self._range(here)
+        log_without = np.logaddexp.reduce(without_effect, axis=None)
+        log_odds = np.logaddexp.reduce(with_effect, axis=None)
+        log_odds -= np.logaddexp(log_without, math.log1p(-self.prior))
+        _, low, high = self._range(with_effect)
         return FromOthers(float(log_odds), low, high)
 
     def evidence(self, channel: str) -> float:
-        """Log Bayes factor of the effect in one channel, its shape as the others have it."""
+        """Return the log Bayes factor of the effect in one channel, its shape as the others have it."""
         joint = self._joint(n for n in self.says if n != channel)
         # The shape as the others leave it is the prior, over which this channel's ratio is averaged.
         mass = np.logaddexp.reduce(joint + np.log(SHARES), axis=0)
@@ -127,13 +128,13 @@ class SharedShape:
 
     @property
     def probability(self) -> float:
-        """That the unit has the effect."""
+        """Return the probability that the unit has the effect."""
         with_it = float(np.logaddexp.reduce(self._joint(self.says), axis=None))
         return math.exp(with_it - np.logaddexp(with_it, math.log1p(-self.prior)))
 
     @property
     def posterior(self) -> tuple[float, float, float]:
-        """Middle of the shape and the ends of its central 95 %, in its unit, if the unit has the effect."""
+        """Return the shape's middle and central 95 % interval, in its unit, if the unit has the effect."""
         return self._range(self._joint(self.says))
 
     def _range(self, joint: Float[np.ndarray, "shares k"]) -> tuple[float, float, float]:
@@ -149,7 +150,7 @@ class SharedShape:
 
 
 def log_mass(v: Float[np.ndarray, "k"], mean: float = 0.0, sd: float = 1.0) -> np.ndarray:
-    """Log of a normal prior's mass about each point of a grid."""
+    """Return the log of a normal prior's mass about each point of a grid."""
     # Points are uneven: each stands for half the way to both its neighbours.
     width = np.gradient(v)
     log_density = -0.5 * ((v - mean) / sd) ** 2 + np.log(width)
@@ -157,16 +158,16 @@ def log_mass(v: Float[np.ndarray, "k"], mean: float = 0.0, sd: float = 1.0) -> n
 
 
 def evidence_of(structures: Structures, name: str, shape: Shape) -> ShapeEvidence:
-    """What a channel says of a shape by the structures weighed of it."""
-    own = structures.candidates[name].shared_shape
-    assert own is not None
+    """Return a channel's evidence on a shape by the structures evaluated with and without it."""
+    own_shape = structures.candidates[name].shared_shape
+    assert own_shape is not None
     # What was refitted in an earlier round, and not since, counts by what is expected of it now.
-    known = {**structures.earlier, **structures.visited}.values()
-    known = sorted((w for w in known if math.isfinite(w.total)), key=lambda w: -w.total)
-    holding = [w for w in known if name in w.structure.effects][:ASKED_STRUCTURES]
-    without = [w for w in known if name not in w.structure.effects][:ASKED_STRUCTURES]
-    v = _grid(shape, own, holding[:1], f"{name}.{shape.name}")
-    u = np.array([own.prior.coordinate(float(shape.prior.value(x))) for x in v])
+    evaluated = {**structures.earlier, **structures.visited}.values()
+    evaluated = sorted((w for w in evaluated if math.isfinite(w.total)), key=lambda w: -w.total)
+    holding = [w for w in evaluated if name in w.structure.effects][:ASKED_STRUCTURES]
+    without = [w for w in evaluated if name not in w.structure.effects][:ASKED_STRUCTURES]
+    v = _grid(shape, own_shape, holding[:1], f"{name}.{shape.name}")
+    u = np.array([own_shape.prior.coordinate(float(shape.prior.value(x))) for x in v])
     fine = Library(structures, {name: u[:, None]})
     # Where it was not worth a refit, it is as improbable as makes none worth while.
     with_it = [np.full(len(v), structures.best.total - OTHER_LAW_NATS)]
@@ -187,10 +188,10 @@ def evidence_of(structures: Structures, name: str, shape: Shape) -> ShapeEvidenc
     return ShapeEvidence(v, np.logaddexp.reduce(with_it, axis=0) - np.logaddexp.reduce(totals))
 
 
-def _grid(shape: Shape, own: Shape, best: Sequence[Weighed], name: str) -> Float[np.ndarray, "k"]:
-    """Coordinates: even ones, over the channel's own range too, and closer about what it found."""
+def _grid(shape: Shape, local: Shape, best: Sequence[Weighed], name: str) -> np.ndarray:
+    """Return coordinates: even ones, over the channel's own range too, and closer about its mode."""
     even = np.arange(-REACH, REACH, RAGGED_STEP if shape.ragged else STEP)
-    values = [own.prior.value(np.arange(-REACH, REACH, STEP))]
+    values = [local.prior.value(np.arange(-REACH, REACH, STEP))]
     for weighed in best:
         at = weighed.problem.layout.index_in_phi[name]
         sd = math.sqrt(weighed.mode.covariance[at, at])
@@ -198,17 +199,17 @@ def _grid(shape: Shape, own: Shape, best: Sequence[Weighed], name: str) -> Float
         close = weighed.mode.v[at] + np.clip(sd, FINEST_SD, 1.0) * CLOSE_SD
         values.append(weighed.problem.hypers[at].prior.value(close))
     moved = [shape.prior.coordinate(float(value)) for value in np.concatenate(values)]
-    return _apart(np.concatenate([even, moved]))
+    return _distinct(np.concatenate([even, moved]))
 
 
-def _apart(v: Float[np.ndarray, "k"]) -> Float[np.ndarray, "k"]:
-    """Sorted, within reach, none twice."""
+def _distinct(v: Float[np.ndarray, "k"]) -> Float[np.ndarray, "k"]:
+    """Return sorted distinct coordinates within reach."""
     v = np.sort(v[np.abs(v) <= REACH])
     return v[np.insert(np.diff(v) > 1e-6, 0, True)]
 
 
 def _gains(fine: Library, at: Weighed, name: str) -> Float[np.ndarray, "k"]:
-    """Log Bayes factor by score of an effect at each point of its grid, in the order of the grid, but for a constant.
+    """Return an effect's log Bayes factor by score at each point of its grid, up to a constant.
 
     Of one that corrects a column, which has no score, the density of φ along its shape, all else held.
     """
@@ -221,11 +222,11 @@ def _gains(fine: Library, at: Weighed, name: str) -> Float[np.ndarray, "k"]:
 
 def _along(at: Weighed, name: str, values: Float[np.ndarray, "k"]) -> Float[np.ndarray, "k"]:
     """Return the log density of φ at values of an effect's one shape, without its prior there, all else as it is."""
-    own = at.model.effect(name).column_shapes[0]
-    coordinates = np.array([own.prior.coordinate(float(value)) for value in values])
-    place = at.problem.layout.index_in_phi[f"{name}.{own.name}"]
+    own_shape = at.model.effect(name).column_shapes[0]
+    coordinates = np.array([own_shape.prior.coordinate(float(value)) for value in values])
+    place = at.problem.layout.index_in_phi[f"{name}.{own_shape.name}"]
     vs = np.tile(at.mode.v, (len(coordinates), 1))
     vs[:, place] = coordinates
-    prior = np.asarray(own.prior.log_density(coordinates))
+    prior = np.asarray(own_shape.prior.log_density(coordinates))
     density = Density(at.problem, at.mode.x, at.mode.flat, at.mode.v)
     return density.values(vs) - prior

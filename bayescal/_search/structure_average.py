@@ -66,16 +66,16 @@ def with_form(
         complete: that probability; None where it is not known, or something speaks against it.
         structures: that it is of, `at` the most probable.
     """
-    known = complete or 0.0
-    factor = math.sqrt(known + (1 - known) * INCOMPLETE_FACTOR**2)
+    p_complete = complete or 0.0
+    factor = math.sqrt(p_complete + (1 - p_complete) * INCOMPLETE_FACTOR**2)
     why = "unknown" if complete is None else f"{complete:.2f}"
-    said = (
+    note = (
         f"Form of the model: the probability that it is complete is {why}; the expected output's standard uncertainty "
         f"counts {factor:.2f} times."
     )
-    found = calibration.with_verdict(notes=(*calibration.verdict.notes, said))
-    own = _of_new_runs(calibration, structures, at)
-    return replace(found, form_factor=factor, unfound_spreads=own)
+    noted = calibration.with_verdict(notes=(*calibration.verdict.notes, note))
+    spreads = _of_new_runs(calibration, structures, at)
+    return replace(noted, form_factor=factor, unfound_spreads=spreads)
 
 
 def _of_new_runs(
@@ -85,7 +85,7 @@ def _of_new_runs(
 
     Below its plausible size a spread that was not found is of any order of magnitude: its logarithm is uniform.
     """
-    found, open_to = dict[str, float](), {*at.effects, *structures.open_to(at)}
+    spreads, open_to = dict[str, float](), {*at.effects, *structures.open_to(at)}
     open_to &= calibration.model.instrument.known.keys()  # in which a name is looked up
     for name, effect in structures.candidates.items():
         lacking = 1 - calibration.inclusion.get(name, 0.0)
@@ -99,8 +99,8 @@ def _of_new_runs(
             density = Density(problem, mode.x, mode.flat, mode.v).values(along) - LOG_SPREADS  # 1/τ
             weight = np.exp(density - density.max())
             squares = problem.hypers[place].prior.value(LOG_SPREADS) ** 2
-            found[name] = float(np.sqrt(lacking * (weight @ squares) / weight.sum()))
-    return {name: size for name, size in found.items() if np.isfinite(size)}
+            spreads[name] = float(np.sqrt(lacking * (weight @ squares) / weight.sum()))
+    return {name: size for name, size in spreads.items() if np.isfinite(size)}
 
 
 _Values = dict[str, np.ndarray]  # draws of each unknown by name, (s,) or (s, members)
@@ -110,9 +110,9 @@ _Values = dict[str, np.ndarray]  # draws of each unknown by name, (s,) or (s, me
 def averaged(
     last: Calibration, structures: Structures, noise: str, seed: int
 ) -> tuple[Calibration, tuple[StructureShare, ...]]:
-    """The last model's calibration averaged over the structures, and what each has of it."""
+    """Average the last model's calibration over the structures; return it with their shares."""
     shares = shares_of(structures, noise)
-    own = frozenset(last.model.names) - frozenset(structures.base.names)
+    last_effects = frozenset(last.model.names) - frozenset(structures.base.names)
     if len(shares) < 2:
         return last, shares
     random, parts, models = np.random.default_rng(seed), [], []
@@ -120,7 +120,7 @@ def averaged(
         for share in shares:
             deadline.current().ask()
             count = max(1, round(COUNT * share.probability))
-            if frozenset(share.effects) == own:
+            if frozenset(share.effects) == last_effects:
                 # The last structure was sampled already: its draws again, without repetition where there are enough.
                 x, v = last.draws()
                 pick = random.choice(len(x), count, replace=count > len(x))
@@ -130,18 +130,18 @@ def averaged(
             weighed = structures.weigh(Structure(frozenset(share.effects), noise))
             parts.append(_drawn(weighed, count, share.probability, seed))
             models.append(weighed.sized_model)
-    found = _together(last, _union(structures, models), models, parts)
-    each = [f"{' + '.join(s.effects) or 'nothing added'} {s.probability:.2f}" for s in shares]
-    said = f"Averaged over {len(shares)} structures with their probabilities: {', '.join(each)}."
-    found = found.with_verdict(notes=(*last.verdict.notes, said))
-    return replace(found, method=f"{last.method}, averaged"), shares
+    mixture = _together(last, _union(structures, models), models, parts)
+    words = [f"{' + '.join(s.effects) or 'nothing added'} {s.probability:.2f}" for s in shares]
+    note = f"Averaged over {len(shares)} structures with their probabilities: {', '.join(words)}."
+    mixture = mixture.with_verdict(notes=(*last.verdict.notes, note))
+    return replace(mixture, method=f"{last.method}, averaged"), shares
 
 
 @on_one_thread
 def with_latent(
     last: Calibration, used: Calibration, structures: Structures, at: Structure
 ) -> tuple[Calibration, Calibration]:
-    """Calibrations in which effects are latent that the readings cannot tell from those of a structure.
+    """Return calibrations with the latent effects that readings cannot tell from a structure's.
 
     Draws that lack them are those of the others given that they are zero. Linear in them, the others then stand where
     they are to be given what they are; all of one span have the prior of a size that nobody knows.
@@ -149,44 +149,43 @@ def with_latent(
     latent, spanning = structures.latent(at), structures.spans.spanning(at.effects)
     if not latent:
         return last, used
-    every = [n for n in structures.candidates if n in latent | spanning]
-    whole = _beside(last, structures.unsized(last.model, every))
+    names = [n for n in structures.candidates if n in latent | spanning]
+    whole = _extended(last, structures.unsized(last.model, names))
     line, layout = whole.linear, whole.layout
     inside, covariance = np.isin(line.owners, [*latent]), line.root @ line.root.T
-    own = covariance[np.ix_(inside, inside)]
+    latent_covariance = covariance[np.ix_(inside, inside)]
     # By how much each unknown stands elsewhere for each unit of what is latent.
-    moves = np.linalg.solve(own, covariance[inside]) * line.sd
+    moves = np.linalg.solve(latent_covariance, covariance[inside]) * line.sd
     by_name = {b.name: moves[:, b.start : b.start + b.size] for b in layout.x_blocks}
-    by_name |= {
-        layout.hypers[i].name: moves[:, layout.size + k] for k, i in enumerate(layout.moving)
-    }
+    hypers = ((layout.hypers[i].name, layout.size + k) for k, i in enumerate(layout.moving))
+    by_name |= {name: moves[:, column] for name, column in hypers}
 
     def moved(calibration: Calibration) -> Calibration:
-        found = _beside(calibration, structures.unsized(calibration.model, every))
-        x, v = (a.copy() for a in found.draws())
-        random = np.random.default_rng([found.seed, 4])
-        values = random.standard_normal((len(x), len(own))) @ np.linalg.cholesky(own).T
-        values += line.z[inside]
-        there = calibration.having
+        extended = _extended(calibration, structures.unsized(calibration.model, names))
+        x, v = (a.copy() for a in extended.draws())
+        random = np.random.default_rng([extended.seed, 4])
+        root = np.linalg.cholesky(latent_covariance)
+        values = random.standard_normal((len(x), len(root))) @ root.T + line.z[inside]
+        inclusion = calibration.having
         for name in spanning:
-            values *= there[name][:, None]
-        for name in latent & there.keys():
-            values *= ~there[name][:, None]
-        for b in found.layout.x_blocks:
+            values *= inclusion[name][:, None]
+        for name in latent & inclusion.keys():
+            values *= ~inclusion[name][:, None]
+        for b in extended.layout.x_blocks:
             if b.name in by_name:
-                has = 1.0 if b.effect.name in latent else there[b.effect.name][:, None]
+                has = 1.0 if b.effect.name in latent else inclusion[b.effect.name][:, None]
                 x[:, b.start : b.start + b.size] += has * (values @ by_name[b.name])
-        for name in by_name.keys() & found.layout.index_in_phi:
-            v[:, found.layout.index_in_phi[name]] += values @ by_name[name]
-        mode = _mode(calibration, found.layout, x, v)
-        return replace(found, joint=Draws.of(x, v), mode=mode)
+        for name in by_name.keys() & extended.layout.index_in_phi:
+            v[:, extended.layout.index_in_phi[name]] += values @ by_name[name]
+        mode = _mode(calibration, extended.layout, x, v)
+        return replace(extended, joint=Draws.of(x, v), mode=mode)
 
     whole = moved(last)
     return whole, whole if used is last else moved(used)
 
 
-def _beside(calibration: Calibration, model: Model) -> Calibration:
-    """A calibration as one of a model with more effects, which are zero in all draws."""
+def _extended(calibration: Calibration, model: Model) -> Calibration:
+    """Return a calibration of a model with more effects, which are zero in all draws."""
     draws = _by_name(calibration.layout, *calibration.draws())
     return _together(calibration, model, [calibration.model], [draws], shuffled=False)
 
@@ -199,44 +198,45 @@ def shares_of(structures: Structures, noise: str) -> tuple[StructureShare, ...]:
             # Noise laws are summed over: all coefficients are drawn under the law of the last model.
             mass[s.effects] = mass.get(s.effects, 0.0) + float(probability)
     barred = structures.barred(Structure(noise=noise))
-    found = [frozenset(f.effects) for f in posterior.findings]
-    kept, total, whole = dict[frozenset[str], float](), 0.0, sum(mass.values())
+    findings = [frozenset(f.effects) for f in posterior.findings]
+    shares, total, whole = dict[frozenset[str], float](), 0.0, sum(mass.values())
     for effects, part in sorted(mass.items(), key=lambda m: -m[1]):
-        there = posterior.space.families(effects)
+        families = posterior.space.families(effects)
         likely = total < settings().found_probability and part >= settings().averaged_probability
-        if likely and effects.isdisjoint(barred) and not any(f.isdisjoint(there) for f in found):
-            kept[effects] = part
+        holds_all = not any(f.isdisjoint(families) for f in findings)
+        if likely and effects.isdisjoint(barred) and holds_all:
+            shares[effects] = part
         total += part / whole
-    averaged = sum(kept.values())
-    return tuple(StructureShare(tuple(sorted(e)), p / averaged) for e, p in kept.items())
+    averaged = sum(shares.values())
+    return tuple(StructureShare(tuple(sorted(e)), p / averaged) for e, p in shares.items())
 
 
 def _drawn(weighed: Weighed, count: int, probability: float, seed: int) -> _Values:
-    """Draws of a structure about its mode, by importance sampling."""
+    """Draw from a structure about its mode, by importance sampling."""
     # All structures together have as many proposals as one alone: the average is as well known as that would be.
-    found = weighted_draws(weighed.problem, weighed.mode, seed, None, ROUNDS, part=probability)
-    weights, _ = smoothed(found.log_weight)
+    sample = weighted_draws(weighed.problem, weighed.mode, seed, None, ROUNDS, part=probability)
+    weights, _ = smoothed(sample.log_weight)
     pick = resample(weights, count, seed)
-    return _by_name(weighed.problem.layout, found.x[pick], found.v[pick])
+    return _by_name(weighed.problem.layout, sample.x[pick], sample.v[pick])
 
 
 def _by_name(layout: Layout, x: np.ndarray, v: np.ndarray) -> _Values:
-    """Of coefficients the value, also where a structure holds it in units of its spread: so the union does."""
+    """Return draws by unknown; coefficients as values, also where held in units of their spread."""
     unknowns = Unknowns.of(layout)
     values = unknowns.values(x, v)
     return {key: unknowns.select(values, key) for key in unknowns.by_key}
 
 
 def _union(structures: Structures, models: Sequence[Model]) -> Model:
-    """The model that holds the effects of all, each as the most probable structure has it."""
-    known: dict[str, Effect] = {}
+    """Return the model with the effects of all, each as in the most probable structure."""
+    by_name: dict[str, Effect] = {}
     for model in models:
         for effect in model.effects:
             always = all(effect.name in m.names for m in models)
-            known.setdefault(effect.name, effect if always else effect.averaged)
+            by_name.setdefault(effect.name, effect if always else effect.averaged)
     # In the catalogue's order, so that equal structures are equal models whatever the order they were found in.
     places = {n: i for i, n in enumerate([*structures.base.names, *structures.candidates])}
-    effects = sorted(known.values(), key=lambda e: places.get(e.name, len(places)))
+    effects = sorted(by_name.values(), key=lambda e: places.get(e.name, len(places)))
     return Model(models[0].instrument, tuple(effects), models[0].noise, models[0].fixed)
 
 
@@ -247,7 +247,7 @@ def _together(
     parts: Sequence[_Values],
     shuffled: bool = True,
 ) -> Calibration:
-    """The draws of all structures as those of one model, in a random order."""
+    """Return the draws of all structures as those of one model, in a random order."""
     # Groups of labels that the last model knows nothing of, but another structure.
     further = {g: last.readings.groups(g)[0] for g in model.groups if g not in last.levels}
     members = tuple((group, len(names)) for group, names in further.items())
@@ -256,12 +256,12 @@ def _together(
     total = sum(counts)
     # An effect that a structure lacks has the coefficient zero in its draws, not its prior's mean.
     x, v = np.zeros((total, layout.size)), np.full((total, len(layout.hypers)), np.nan)
-    for own, part, end, count in zip(models, parts, np.cumsum(counts), counts, strict=True):
+    for member, part, end, count in zip(models, parts, np.cumsum(counts), counts, strict=True):
         at = slice(end - count, end)
         for b in layout.x_blocks:
             if b.name in part:
                 x[at, b.start : b.start + b.size] = part[b.name].reshape(count, -1) - b.origin
-            elif b.index in b.effect.held and b.effect.name in own.names:
+            elif b.index in b.effect.held and b.effect.name in member.names:
                 x[at, b.start] = b.coefficient.mean
         for i, h in enumerate(layout.hypers):
             if h.name in part:
@@ -285,7 +285,7 @@ def _together(
 
 
 def _mode(last: Calibration, layout: Layout, x, v) -> Mode:
-    """Where the average is linearised: at the means of the draws."""
+    """Return the expansion point of the average: the means of the draws."""
     blocks = last.layout.x_blocks
     scales = {b.name: last.mode.flat[b.start : b.start + b.size] for b in blocks}
     flat = [scales.get(b.name, np.ones(b.size)) for b in layout.x_blocks]

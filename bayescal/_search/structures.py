@@ -101,31 +101,32 @@ class Weighed:
 
     @property
     def phi(self) -> dict[str, float]:
-        """Shapes, noise parameters and spreads at the mode, by name."""
+        """Return shapes, noise parameters and spreads at the mode, by name."""
         return {name: float(value) for name, value in self.problem.hyper(self.mode.v).items()}
 
     @property
     def noise_describes(self) -> bool:
-        """Whether its noise stands for something without a name."""
+        """Return whether its noise stands for something without a name."""
         noise = self.problem.noise
         return not noise.independent and describes(noise, self.phi)
 
     @cached_property
     def acting(self) -> dict[Correction, tuple[float, ...]]:
-        """What columns of the readings are corrected by, as by the temperature of a body; its shapes at the mode."""
+        """Return the corrections of columns, as by a body's temperature, with their shapes at the mode."""
         phi = self.phi
         corrections = (c for t in self.problem.terms for c in t.columns.corrections)
         return {c: tuple(phi[n] for n in c.shape_names) for c in corrections}
 
     @property
     def sized_model(self) -> Model:
-        """The model with the plausible sizes of the instrument's own effects at the likeliest."""
-        found, own = self.model, {e.name for e in with_forms(self.model.instrument.candidates)}
+        """Return the model with the most probable sizes of the instrument's own effects."""
+        model = self.model
+        candidates = {e.name for e in with_forms(model.instrument.candidates)}
         for name, factor in (self.problem.size_factors or {}).items():
-            first = found.effect(name).coefficients[0]
-            if factor != 1.0 and name in own and not first.flat:
-                found = found.resize(name, factor * first.size)
-        return found
+            first = model.effect(name).coefficients[0]
+            if factor != 1.0 and name in candidates and not first.flat:
+                model = model.resize(name, factor * first.size)
+        return model
 
 
 @dataclass(eq=False)
@@ -161,42 +162,42 @@ class Structures:
 
     @cached_property
     def log_odds(self) -> dict[str, float]:
-        """Prior log odds of each candidate to be missing, in this form."""
+        """Return prior log odds of each candidate to be missing, in this form."""
         forms = self.forms.values()
         unknown = [f for f in forms if self.candidates[f[0]].is_placeholder]
         named = [f for f in forms if not self.candidates[f[0]].is_placeholder]
         share = UNKNOWN_SHARE if named else 1.0
-        each = {}
+        log_odds = {}
         for families, part in ((unknown, share), (named, 1 - share if unknown else 1.0)):
             for names in families:
                 # k candidates of odds o are all out with probability (1 + o)⁻ᵏ: prior_complete to the power of the
                 # group's part, so that the product over both groups is prior_complete.
                 odds = math.expm1(-math.log(settings().prior_complete) * part / len(families))
                 for name in names:
-                    each[name] = self.odds.get(name, math.log(odds / len(names)))
-        return each
+                    log_odds[name] = self.odds.get(name, math.log(odds / len(names)))
+        return log_odds
 
     @cached_property
     def forms(self) -> dict[str, tuple[str, ...]]:
-        """The candidates of each family, by the name that it is reported under."""
-        found: dict[str, tuple[str, ...]] = {}
+        """Return the candidates of each family, by the name under which it is reported."""
+        forms: dict[str, tuple[str, ...]] = {}
         for name, effect in self.candidates.items():
-            found[effect.reported] = (*found.get(effect.reported, ()), name)
-        return found
+            forms[effect.reported] = (*forms.get(effect.reported, ()), name)
+        return forms
 
     def family(self, name: str) -> str:
-        """The name under which a candidate, or an effect of the base, is reported."""
+        """Return the name under which a candidate, or an effect of the base, is reported."""
         effect = self.candidates.get(name)
         return name if effect is None else effect.reported
 
     def families(self, names: Iterable[str]) -> frozenset[str]:
-        """The names under which effects are reported."""
+        """Return the names under which effects are reported."""
         return frozenset(map(self.family, names))
 
-    def alike(self, one: Structure, other: Structure) -> bool:
-        """Whether two structures have the same effects, in whatever form, and the same noise law."""
-        same = self.families(one.effects) == self.families(other.effects)
-        return same and one.noise == other.noise
+    def have_same_effects(self, first: Structure, second: Structure) -> bool:
+        """Return whether two structures have the same families of effects and noise law."""
+        same = self.families(first.effects) == self.families(second.effects)
+        return same and first.noise == second.noise
 
     def moves_a_column(self, name: str) -> bool:
         """Return whether a candidate corrects a column on which others depend (a body's temperature): no score."""
@@ -204,36 +205,35 @@ class Structures:
 
     @cached_property
     def unscored(self) -> tuple[str, ...]:
-        """Candidates of families that have no score in any form: a body by itself."""
-        own = (f for f in self.forms.values() if all(map(self.moves_a_column, f)))
-        return tuple(name for forms in own for name in forms)
+        """Return candidates of families without a score in any form: a body by itself."""
+        families = (f for f in self.forms.values() if all(map(self.moves_a_column, f)))
+        return tuple(name for forms in families for name in forms)
 
     def other_forms(self, structure: Structure, name: str) -> list[Structure]:
-        """The structure with other forms of one of its effects."""
-        rest = structure.minus(name)
-        forms = self.forms[self.family(name)]
-        return [rest.plus(n) for n in forms if n != name and n in self.open_to(rest)]
+        """Return the structures with other forms of one of its effects."""
+        reduced, forms = structure.minus(name), self.forms[self.family(name)]
+        return [reduced.plus(n) for n in forms if n != name and n in self.open_to(reduced)]
 
     def is_special_case(self, structure: Structure) -> bool:
-        """Whether a structure has a form at one value of a shape, and that with the shape free was weighed."""
+        """Return whether an effect's general form, its shape free, was evaluated in its place."""
         for name in structure.effects:
             general = self.candidates[name].general
-            found = self.visited.get(structure.minus(name).plus(general)) if general else None
-            if found is not None and math.isfinite(found.total):
+            evaluated = self.visited.get(structure.minus(name).plus(general)) if general else None
+            if evaluated is not None and math.isfinite(evaluated.total):
                 return True
         return False
 
     def log_prior(self, structure: Structure) -> float:
-        """Of a structure, against that of the base."""
+        """Return a structure's log prior odds against the base."""
         of_law = log_prior(self.laws, structure.noise)
         return of_law + sum(self.log_odds[name] for name in structure.effects)
 
     def latent(self, structure: Structure) -> frozenset[str]:
-        """Candidates that these readings cannot tell from the effects of a structure."""
+        """Return candidates that these readings cannot tell from the effects of a structure."""
         return self.spans.implied(structure.effects)
 
     def unsized(self, model: Model, names: Iterable[str]) -> Model:
-        """A model with some candidates, in it or not, of which readings tell no size: their prior is that of any."""
+        """Return a model with these candidates, their priors wide since readings tell no size."""
         for name in names:
             effect = self.candidates[name]
             model = model if name in model.names else model + effect
@@ -241,13 +241,13 @@ class Structures:
         return model
 
     def rivals(self, structure: Structure) -> dict[str, frozenset[str]]:
-        """For each effect of a structure those that take its place, alone or together, for all that readings tell."""
-        own = structure.effects
-        sets = self.spans.generators(own)
-        return {n: frozenset().union(*(one - own for one in sets if n not in one)) for n in own}
+        """Return, for each effect of a structure, its equivalents on these readings, alone or together."""
+        effects = structure.effects
+        sets = self.spans.generators(effects)
+        return {n: frozenset().union(*(s - effects for s in sets if n not in s)) for n in effects}
 
     def reported(self, structure: Structure) -> frozenset[str]:
-        """Families of the effects of a structure, and of those that take their place."""
+        """Return the families of a structure's effects and of their equivalents."""
         named = structure.effects.union(*self.rivals(structure).values())
         return self.families(named)
 
@@ -256,24 +256,21 @@ class Structures:
 
     def barred(self, structure: Structure) -> set[str]:
         """Return candidates barred: other forms, a second body, and beside correlated noise a curve in time."""
-        found = set[str]()
+        candidates, barred = self.candidates.items(), set[str]()
         if not self.noise(structure).independent:
-            own = self.candidates.items()
-            found = {n for n, e in own if e.kind == "curve" and e.covariate == "time"}
+            barred = {n for n, e in candidates if e.kind == "curve" and e.covariate == "time"}
         moved = {self.candidates[n].slot for n in structure.effects if self.moves_a_column(n)}
         for name in structure.effects:
-            found |= {n for n in self.forms[self.family(name)] if n != name}
-        return (
-            found | {n for n, e in self.candidates.items() if e.slot in moved} - structure.effects
-        )
+            barred |= {n for n in self.forms[self.family(name)] if n != name}
+        return barred | {n for n, e in candidates if e.slot in moved} - structure.effects
 
     def open_to(self, structure: Structure) -> list[str]:
-        """Candidates that may be added to it."""
+        """Return candidates that may be added to a structure."""
         barred = structure.effects | self.barred(structure)
         return [n for n in self.candidates if n not in barred]
 
     def model(self, structure: Structure) -> Model:
-        """A structure as a model, effects in the catalogue's order."""
+        """Return a structure as a model, effects in the catalogue's order."""
         added = [e for name, e in self.candidates.items() if name in structure.effects]
         effects = (*self.base.effects, *added)
         return Model(self.base.instrument, effects, self.noise(structure), self.base.fixed)
@@ -284,52 +281,53 @@ class Structures:
         near: Weighed | None = None,
         hints: Sequence[Mapping[str, float]] = (),
     ) -> Weighed:
-        """The evidence of a structure by a full refit, from the φ̂ of one near and coordinates by name as `hints`."""
-        found = self.visited.get(structure)
-        if found is None:
+        """Return a structure's evidence by a refit, cached; from the φ̂ of one near and from `hints`."""
+        evaluated = self.visited.get(structure)
+        if evaluated is None:
             # A structure of an earlier round, weighed with another range of a shape, is nearer than any neighbour.
             near = self.earlier.get(structure, near)
-            found = self.visited[structure] = self._refitted(structure, near, hints)
-        return found
+            evaluated = self.visited[structure] = self._refitted(structure, near, hints)
+        return evaluated
 
     @cached_property
     def line(self) -> Callable[[Weighed], LinearModel]:
-        """A structure about its mode; the latest few are kept, since a walk asks for the same one time and again."""
+        """Return a structure linearised at its mode; the latest few are cached."""
         return lru_cache(maxsize=4)(lambda weighed: linear_model(weighed.problem, weighed.mode))
 
     @cached_property
     def law_on_residuals(self) -> Callable[[Weighed, str], OnResiduals]:
-        """A noise law, by name, on what a structure's fit leaves of the readings; each asked for once."""
+        """Return a fit of a noise law, by name, to a structure's residuals; cached."""
         laws, latest = {"": self.base.noise, **self.laws}, dict[str, OnResiduals]()
 
         @cache
-        def found(weighed: Weighed, name: str) -> OnResiduals:
+        def fit_law(weighed: Weighed, name: str) -> OnResiduals:
             deadline.current().ask()
             # Residuals of another structure are much alike: where their maximum is, the climb is shorter.
             near = latest.get(name, NO_FIT)
             latest[name] = on_residuals(laws[name], self.line(weighed).at_rest, near)
             return latest[name]
 
-        return found
+        return fit_law
 
     def _refitted(self, structure, near, hints) -> Weighed:
         problem = self._bound(structure, near)
         log_prior = self.log_prior(structure)
         # Of what is that far behind nothing is asked but that it is.
-        wanted = self.best.total - log_prior - ROUGHLY_NATS if self.visited else -math.inf
+        coarse_below = self.best.total - log_prior - ROUGHLY_NATS if self.visited else -math.inf
         if near is None:
-            found = find_mode(problem, still=STILL_SD, wanted_from=wanted)
+            first_mode = find_mode(problem, still=STILL_SD, wanted_from=coarse_below)
         else:
-            known = carried(problem, near.problem, near.mode)
-            begin = starts(problem, near.problem, known, hints)
-            x, alike = problem.x_of(near.problem, near.mode.x), None
+            coordinates = carried(problem, near.problem, near.mode)
+            begin = starts(problem, near.problem, coordinates, hints)
+            x, curvature = problem.x_of(near.problem, near.mode.x), None
             if self.record.nodes(problem.noise) is None:
                 # As near to the best as that its own curvature was found.
                 exact = near.mode.log_density > self.best.total - near.log_prior - ROUGHLY_NATS
-                alike = nearby(problem, near.problem, near.mode, exact)
-            found = find_mode(problem, begin, x, STILL_SD, wanted_from=wanted, near=alike)
+                curvature = nearby(problem, near.problem, near.mode, exact)
+            how: dict[str, Any] = {"wanted_from": coarse_below, "near": curvature}
+            first_mode = find_mode(problem, begin, x, STILL_SD, **how)
         sized = [e for n, e in self.candidates.items() if n in structure.effects and has_size(e)]
-        problem, mode, log_evidence = averaged(problem, found, sized, wanted)
+        problem, mode, log_evidence = averaged(problem, first_mode, sized, coarse_below)
         weighed = Weighed(structure, log_evidence, log_prior, problem, mode)
         # Something without a name, whose share of the prior is that of curves.
         if weighed.noise_describes:
@@ -337,41 +335,41 @@ class Structures:
         return weighed
 
     def _bound(self, structure, near: Weighed | None) -> Problem:
-        """A structure on the record, its effects' sizes as another structure has them."""
-        known = near.problem.size_factors if near is not None else None
+        """Bind a structure to the record, its effects' sizes as in another structure."""
+        factors = near.problem.size_factors if near is not None else None
         # A refit at the sizes of its neighbour begins nearly at its mode; `averaged` then tries the others.
-        sizes = {n: factor for n, factor in (known or {}).items() if n in structure.effects}
+        sizes = {n: factor for n, factor in (factors or {}).items() if n in structure.effects}
         layout = replace(self.layout, model=self.model(structure))
         return Problem(layout, self.record, sizes)
 
     def matters(self, weighed: Weighed) -> frozenset[str]:
-        """Descriptions of a structure, such as a curve, that carry more than a small part of it.
+        """Return a structure's descriptions without a name (curves) that carry more than a small part.
 
         What one explains that the rest of the structure cannot, rms over the noise; or what it moves a coefficient of a
         named effect by, over its standard uncertainty: where both are small, all that has a name is there.
         """
         unnamed = [n for n in weighed.structure.effects if self.candidates[n].unnamed]
-        found = set[str]()
+        substantial = set[str]()
         for name in unnamed:
             line = self.line(weighed)
-            own = np.array([owner == name for owner in line.owners])
+            is_own = np.array([owner == name for owner in line.owners])
             white = line.whiten(line.contribution(name)[:, None])[:, 0]
-            left = line.beyond(white, ~own)
-            share = math.sqrt(float(left @ left) / line.size)
-            if share > NAMELESS_RMS or self._moves_coefficients(line, own, white):
-                found.add(name)
-        return frozenset(found)
+            residual = line.beyond(white, ~is_own)
+            share = math.sqrt(float(residual @ residual) / line.size)
+            if share > NAMELESS_RMS or self._moves_coefficients(line, is_own, white):
+                substantial.add(name)
+        return frozenset(substantial)
 
     def _moves_coefficients(
-        self, line: LinearModel, own: np.ndarray, white: Float[np.ndarray, "n"]
+        self, line: LinearModel, is_own: np.ndarray, white: Float[np.ndarray, "n"]
     ) -> bool:
         """Return whether a named effect's coefficient would move beyond its uncertainty without a contribution."""
-        others = np.flatnonzero(~own)
-        beside = line.white_nuisance[:, others]
-        inner = beside.T @ beside + np.diag(line.weight[others])
+        others = np.flatnonzero(~is_own)
+        columns = line.white_nuisance[:, others]
+        inner = columns.T @ columns + np.diag(line.weight[others])
         # Without it the others would take up what they can of it: (AᵀA + W)⁻¹Aᵀc, prior standard deviations.
-        moved = np.zeros(len(own))
-        moved[others] = np.linalg.lstsq(inner, beside.T @ white, rcond=1e-12)[0] * line.sd[others]
+        moved = np.zeros(len(is_own))
+        moved[others] = np.linalg.lstsq(inner, columns.T @ white, rcond=1e-12)[0] * line.sd[others]
         plain = (
             t.at.start
             for t in line.problem.in_x
@@ -385,13 +383,13 @@ class Structures:
             self.expected[structure] = max(total, self.expected.get(structure, -math.inf))
 
     def total(self, structure: Structure) -> float:
-        """Of a refit, else what was expected of it."""
-        found = self.visited.get(structure)
-        return self.expected.get(structure, -math.inf) if found is None else found.total
+        """Return a structure's total by refit, else the expected one."""
+        evaluated = self.visited.get(structure)
+        return self.expected.get(structure, -math.inf) if evaluated is None else evaluated.total
 
     @property
     def near(self) -> float:
-        """Nats behind the best, up to which a structure is refitted."""
+        """Return the nats behind the best up to which a structure is refitted."""
         return NEAR_NATS / 2 if self.thrifty else NEAR_NATS
 
     @property
@@ -400,54 +398,57 @@ class Structures:
 
 
 def carried(problem: Problem, near: Problem, mode: Mode) -> dict[str, float]:
-    """Another structure's φ̂ by name, in coordinates of this one's priors."""
-    found, places = {}, near.layout.index_in_phi
+    """Return another structure's φ̂ by name, in coordinates of this one's priors."""
+    coordinates, places = {}, near.layout.index_in_phi
     for hyper in problem.hypers:
         if (j := places.get(hyper.name)) is not None:
-            own, other, v = hyper.prior, near.hypers[j].prior, mode.v[j]
-            found[hyper.name] = float(v if own == other else own.coordinate(other.value(v)))
-    return found
+            prior, other, v = hyper.prior, near.hypers[j].prior, mode.v[j]
+            v = v if prior == other else prior.coordinate(other.value(v))
+            coordinates[hyper.name] = float(v)
+    return coordinates
 
 
 def nearby(problem: Problem, near: Problem, mode: Mode, exact: bool) -> Nearby | None:
-    """The curvature of another structure at its mode, by name, in coordinates that both have; `exact` there."""
+    """Return another structure's curvature at its mode, in the coordinates that both have."""
     if not np.all(np.isfinite(mode.covariance)):
         return None
     names, priors = problem.layout.index_in_phi, {h.name: h.prior for h in problem.hypers}
     shared = [(i, h.name) for i, h in enumerate(near.hypers) if priors.get(h.name) == h.prior]
-    there, here = np.array([(i, names[n]) for i, n in shared], dtype=int).reshape(-1, 2).T
-    v, curvature, known = np.zeros(len(names)), np.eye(len(names)), np.zeros(len(names), dtype=bool)
-    v[here] = mode.v[there]
-    curvature[np.ix_(here, here)] = np.linalg.inv(mode.covariance)[np.ix_(there, there)]
-    known[here] = exact and not mode.indefinite and problem.noise == near.noise
-    return Nearby(v, curvature, known)
+    source, target = np.array([(i, names[n]) for i, n in shared], dtype=int).reshape(-1, 2).T
+    count = len(names)
+    v, curvature, is_exact = np.zeros(count), np.eye(count), np.zeros(count, dtype=bool)
+    v[target] = mode.v[source]
+    curvature[np.ix_(target, target)] = np.linalg.inv(mode.covariance)[np.ix_(source, source)]
+    is_exact[target] = exact and not mode.indefinite and problem.noise == near.noise
+    return Nearby(v, curvature, is_exact)
 
 
 def starts(
     problem: Problem,
     near: Problem,
-    known: Mapping[str, float],
+    coordinates: Mapping[str, float],
     hints: Sequence[Mapping[str, float]],
 ) -> list[Float[np.ndarray, "d"]]:
-    """Coordinates to begin at: the other structure's (`carried`), the hints, and others along each shape."""
+    """Return coordinates to begin at: the neighbour's (`carried`), the hints, and others along each shape."""
     names, priors = problem.layout.index_in_phi, {h.name: h.prior for h in near.hypers}
-    here = {n: known.get(n, 0.0) for n in names}
-    found = [here, *({**here, **{n: v for n, v in hint.items() if n in names}} for hint in hints)]
+    first = {n: coordinates.get(n, 0.0) for n in names}
+    inside = ({n: v for n, v in hint.items() if n in names} for hint in hints)
+    points = [first, *({**first, **hint} for hint in inside)]
     for h in problem.hypers:
         # Shapes are tried to either side, as a neighbour's effects may have shifted them; a spread or a parameter of
         # the noise that is new, below and above its scale.
         further: tuple[float, ...] = ()
-        if h.kind == "shape" and h.name in known:
+        if h.kind == "shape" and h.name in coordinates:
             same = h.prior == priors[h.name]
-            further = (here[h.name] - 1.0, here[h.name] + 1.0) if same else (0.0,)
-        elif h.kind in ("group_sd", "noise") and h.name not in known:
+            further = (first[h.name] - 1.0, first[h.name] + 1.0) if same else (0.0,)
+        elif h.kind in ("group_sd", "noise") and h.name not in coordinates:
             further = (-1.5, 1.0)
-        found += [{**here, h.name: v} for v in further]
-    return [np.array([start[n] for n in names]) for start in found]
+        points += [{**first, h.name: v} for v in further]
+    return [np.array([start[n] for n in names]) for start in points]
 
 
 def has_size(effect: Effect) -> bool:
-    """Whether its size is a prior's standard deviation, and not learned."""
+    """Return whether an effect's size is a prior's standard deviation, and not learned."""
     return not effect.is_placeholder and any(
         c.group_sd is None and not (c.flat or c.known) for c in effect.coefficients
     )
@@ -465,28 +466,28 @@ def averaged(
         sized: effects with a plausible size.
         wanted_from: log density, below which the fit that the climb left will do.
     """
-    begun = {e.name: (problem.size_factors or {}).get(e.name, 1.0) for e in sized}
-    gains = SizeGains.of(problem, mode, begun)
+    initial = {e.name: (problem.size_factors or {}).get(e.name, 1.0) for e in sized}
+    gains = SizeGains.of(problem, mode, initial)
     if gains is None:
         return problem, mode, -math.inf
     chosen = gains.likeliest()
-    here = gains.at(chosen)
-    if mode.log_density + here < wanted_from:
-        log_evidence = mode.log_evidence + here
+    gain = gains.at(chosen)
+    if mode.log_density + gain < wanted_from:
+        log_evidence = mode.log_evidence + gain
     else:
-        if chosen != begun:
+        if chosen != initial:
             problem = Problem(problem.layout, problem.record, dict(chosen))
-            alike = nearby(problem, problem, mode, True)
-            mode = find_mode(problem, [mode.v], mode.x, STILL_SD, near=alike)
+            curvature = nearby(problem, problem, mode, True)
+            mode = find_mode(problem, [mode.v], mode.x, STILL_SD, near=curvature)
             gains = SizeGains.of(problem, mode, chosen)
             if gains is None:
                 return problem, mode, -math.inf
-            here = gains.at(chosen)
+            gain = gains.at(chosen)
         log_evidence = mode.log_evidence
     # Σ over the sizes of one effect, the others at their likeliest: as if ratios of evidence multiplied. They do
     # where effects do not overlap; where they do, one of them mostly has its size by the other's.
     for name in chosen:
-        log_evidence += float(np.logaddexp.reduce([*gains.along(name, chosen).values()])) - here
+        log_evidence += float(np.logaddexp.reduce([*gains.along(name, chosen).values()])) - gain
     return problem, mode, log_evidence
 
 
@@ -503,31 +504,31 @@ class SizeGains(NamedTuple):
         mean, covariance: of their z.
     """
 
-    begun: dict[str, float]
+    initial: dict[str, float]
     owner: np.ndarray
     mean: np.ndarray
     covariance: np.ndarray
 
     @classmethod
-    def of(cls, problem: Problem, mode: Mode, begun: Mapping[str, float]) -> SizeGains | None:
+    def of(cls, problem: Problem, mode: Mode, initial: Mapping[str, float]) -> SizeGains | None:
         """Return those at a mode; None where there is no density."""
-        found = Density(problem, mode.x, mode.flat, mode.v).at(mode.v)[1]
-        if found is None or not math.isfinite(mode.log_evidence):
+        gaussian = Density(problem, mode.x, mode.flat, mode.v).at(mode.v)[1]
+        if gaussian is None or not math.isfinite(mode.log_evidence):
             return None
         # Learned spreads are no plausible sizes: φ has them, and the evidence is averaged over them already.
-        names, owner = [*begun], np.full(problem.size, -1)
+        names, owner = [*initial], np.full(problem.size, -1)
         for t in problem.in_x:
-            if t.effect.name in begun and t.group_sd_name is None:
+            if t.effect.name in initial and t.group_sd_name is None:
                 owner[t.at] = names.index(t.effect.name)
-        own = np.flatnonzero(owner >= 0)
-        root = found.root_of_z[own]
-        return cls(dict(begun), owner[own], found.z[own], root @ root.T)
+        sized = np.flatnonzero(owner >= 0)
+        root = gaussian.root_of_z[sized]
+        return cls(dict(initial), owner[sized], gaussian.z[sized], root @ root.T)
 
     def at(self, factors: Mapping[str, float]) -> float:
         """Return the gain at some sizes, against those begun at, without their probabilities."""
-        if not self.begun:
+        if not self.initial:
             return 0.0
-        ratio = np.array([factors[n] / f for n, f in self.begun.items()])[self.owner]
+        ratio = np.array([factors[n] / f for n, f in self.initial.items()])[self.owner]
         delta = 1 / ratio**2 - 1
         inner = np.eye(len(delta)) + delta[:, None] * self.covariance
         squares = self.mean @ np.linalg.solve(inner, delta * self.mean)
@@ -543,7 +544,7 @@ class SizeGains(NamedTuple):
 
     def likeliest(self) -> dict[str, float]:
         """Return the likeliest sizes, by coordinate ascent: one that overlaps another may take its size back."""
-        chosen = dict(self.begun)
+        chosen = dict(self.initial)
         for _ in range(2):
             before = dict(chosen)
             for name in chosen:

@@ -37,15 +37,15 @@ class TakenOver(NamedTuple):
 
     term: Effect  # the first model's
     by: tuple[Effect, ...]  # effects that were added
-    left: float  # of its squares beside the first model's others, what these leave
+    tolerance: float  # of its squares beside the first model's others, what these leave
     moved: float  # of its coefficient, former standard uncertainties
-    kept: float  # its coefficient, in parts of what it was
+    ratio: float  # its coefficient, in parts of what it was
     runs: int  # how many the readings have
     another: str  # the run that would tell
 
     @property
     def measured(self) -> bool:
-        """Whether the last model's coefficient is still that of the term.
+        """Return whether the last model's coefficient is still that of the term.
 
         A named effect is a cause of its own, and may well correct what the first model took for the term: it stands for
         the term if it halved the coefficient, or left next to nothing of it, and moved it beyond chance, which grows
@@ -54,40 +54,40 @@ class TakenOver(NamedTuple):
         """
         # Estimates with and without further columns, whose effect is zero, differ by √(1/left − 1) former standard
         # uncertainties by chance (J. Hausman, Econometrica 46 (1978) 1251): below 1/√left.
-        by_chance = self.moved**2 * min(self.left, 1.0) <= MOVED_SD**2
+        by_chance = self.moved**2 * min(self.tolerance, 1.0) <= MOVED_SD**2
         if self.unnamed:
             return by_chance and not self.confounded
-        return by_chance or not (self.confounded or self.kept < CORRECTED_SHARE)
+        return by_chance or not (self.confounded or self.ratio < CORRECTED_SHARE)
 
     @property
     def unnamed(self) -> bool:
-        """Whether a description that may repeat from run to run is among what was added."""
+        """Return whether a description that may repeat from run to run was added."""
         return any(e.unnamed and e.along != "time" for e in self.by)
 
     @property
     def confounded(self) -> bool:
-        """Whether the readings hardly tell the term from what was added."""
-        return self.left < LEFT_SHARE
+        """Return whether the readings hardly tell the term from what was added."""
+        return self.tolerance < LEFT_SHARE
 
     @property
     def claim(self) -> Claim:
-        """Why the term's coefficient is not measured, or what its uncertainty holds."""
+        """Return why the term's coefficient is not measured, or what its uncertainty holds."""
         by, column = tuple(e.name for e in self.by), self.term.varies
-        told = {"by": by, "column": column, "left": self.left}
+        details = {"by": by, "column": column, "left": self.tolerance}
         if self.measured:
-            return Claim("term.confounded", self.term.name, **told)
-        code = "term.replaced" if self.kept < CORRECTED_SHARE else "term.replaceable"
-        told |= {"cure": "runs" if self.runs > 1 else "one run", "another": self.another}
-        return Claim(code, self.term.name, **told, kept=self.kept, moved=self.moved)
+            return Claim("term.confounded", self.term.name, **details)
+        code = "term.replaced" if self.ratio < CORRECTED_SHARE else "term.replaceable"
+        details |= {"cure": "runs" if self.runs > 1 else "one run", "another": self.another}
+        return Claim(code, self.term.name, **details, kept=self.ratio, moved=self.moved)
 
 
 def taken_over(
     first: Calibration, last: Calibration, latent: Collection[str] = ()
 ) -> list[TakenOver]:
-    """Terms of the first model that what was added may stand for, the one that moved the most first."""
+    """Return terms of the first model that added effects may replace, the most shifted first."""
     had = {e.name for e in first.model.effects}.union(latent)
     added = [e for e in last.model.effects if e.name not in had]
-    found: list[TakenOver] = []
+    terms: list[TakenOver] = []
     for term in last.model.effects:
         if term.name not in first.model.names or term.shapes or len(term.coefficients) != 1:
             continue
@@ -95,12 +95,12 @@ def taken_over(
             continue
         by = [e for e in added if not _own_columns(e) & _own_columns(term)]
         if by:
-            found.append(_followed(term, by, first, last))
-    return sorted(found, key=lambda one: -one.moved)
+            terms.append(_followed(term, by, first, last))
+    return sorted(terms, key=lambda taken: -taken.moved)
 
 
 def _own_columns(effect: Effect) -> set[str]:
-    """Columns of numbers that an effect depends on, but for the time that its lags and rates need."""
+    """Return numeric columns that an effect depends on, without the time of lags and rates."""
     named = set(effect.varies) | (set(effect.columns) - {"time"})
     along = measured_column(effect.along or "")
     return named | ({along} if along not in ("", "elapsed") else set())
@@ -110,52 +110,53 @@ def _followed(
     term: Effect, by: Sequence[Effect], before: Calibration, after: Calibration
 ) -> TakenOver:
     first, last = before.linear, after.linear
-    own = np.array([owner == term.name for owner in last.owners])
+    is_term = np.array([owner == term.name for owner in last.owners])
     theirs = np.isin(last.owners, [e.name for e in by])
-    others = np.isin(last.owners, first.owners) & ~own
-    column = last.white_nuisance[:, own].sum(axis=1)
+    others = np.isin(last.owners, first.owners) & ~is_term
+    column = last.white_nuisance[:, is_term].sum(axis=1)
     # Tolerance beside the first model's others over that beside these and what was added: what the addition alone
     # took. Ridge regression by the priors' weights: c less what the others take of it, times c.
     both = others, others | theirs
-    without, beside = (float(column @ last.beyond(column, taken)) for taken in both)
+    without, with_added = (float(column @ last.beyond(column, is_other)) for is_other in both)
     # Where its one coefficient stands, in the unit of its prior.
     i, j = first.owners.index(term.name), last.owners.index(term.name)
     m0, m1 = float(first.z[i] * first.sd[i]), float(last.z[j] * last.sd[j])
-    kept = abs(m1) / abs(m0) if m0 else np.inf
-    left, moved = beside / max(without, 1e-300), abs(m1 - m0) / first.uncertainty(i)
+    ratio = abs(m1) / abs(m0) if m0 else np.inf
+    tolerance, moved = with_added / max(without, 1e-300), abs(m1 - m0) / first.uncertainty(i)
     runs = len(after.readings.records.rows) if after.readings.has("time") else 1
-    return TakenOver(term, tuple(by), left, moved, kept, runs, another_run(after, term.varies))
+    another = another_run(after, term.varies)
+    return TakenOver(term, tuple(by), tolerance, moved, ratio, runs, another)
 
 
 def repeated(readings: Measurements, column: str) -> bool:
-    """Whether a temperature is the same function of the time within a run in all runs, two or more."""
+    """Return whether a temperature has the same profile over time in all runs, two or more."""
     if not (readings.has("time") and readings.has(column)):
         return False
     if len(readings.records.rows) < 2:
         return False
     clock, values_of = readings["time"], readings[column]
-    each = ((clock[rows] - clock[rows[0]], values_of[rows]) for rows in readings.records.in_time)
-    ((first, known), *others), alike = each, limit("profile.one", "correlation")
+    profiles = ((clock[r] - clock[r[0]], values_of[r]) for r in readings.records.in_time)
+    ((first, first_values), *others), correlation = profiles, limit("profile.one", "correlation")
     for time, values in others:
         inside = time <= first[-1]
         if inside.sum() < 3 or np.ptp(values[inside]) == 0:
             return False
-        other = np.interp(time[inside], first, known)
-        if np.ptp(other) == 0 or np.corrcoef(other, values[inside])[0, 1] < alike:
+        other = np.interp(time[inside], first, first_values)
+        if np.ptp(other) == 0 or np.corrcoef(other, values[inside])[0, 1] < correlation:
             return False
     return True
 
 
-def said_of_profiles(calibration: Calibration) -> list[Claim]:
-    """That all runs have one profile, where the model has something that changes within them, and what would tell."""
+def claims_of_profiles(calibration: Calibration) -> list[Claim]:
+    """Return a claim where all runs have one profile and the model changes within runs."""
     readings, model = calibration.readings, calibration.model
     thermal = [e for e in model.effects if "time" in e.columns or e.along == "elapsed"]
     warm = [n for n in sorted(model.columns) if readings.has(n) and readings.unit(n) == "degC"]
     warm = [n for n in warm if n != "temperature_point" and repeated(readings, n)]
     if not (thermal and warm):
         return []
-    told = {"column": warm[0], "another": another_run(calibration, warm[:1])}
-    return [Claim("profile.one", *(e.name for e in thermal), **told)]
+    details = {"column": warm[0], "another": another_run(calibration, warm[:1])}
+    return [Claim("profile.one", *(e.name for e in thermal), **details)]
 
 
 def another_run(calibration: Calibration, columns: Sequence[str]) -> str:

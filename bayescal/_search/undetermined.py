@@ -86,7 +86,7 @@ class Undetermined(Printed):
 
 
 def undetermined(model: Model, readings: Measurements) -> Undetermined:
-    """What planned readings would not tell of a model; nothing is fitted, and outputs count as nominal.
+    """Find the coefficients that planned readings would not determine; nothing is fitted.
 
     Args:
         model: with its priors: what is not determined against these.
@@ -109,29 +109,29 @@ def undetermined(model: Model, readings: Measurements) -> Undetermined:
     in_moves = readings.has(TURNED[0])  # what it takes is a log with further moves, about any axis
     count = len(readings) // (3 if readings.has(ACROSS[0]) and not in_moves else 1)
     directions = null_vectors(planned, exactly=False)[1] if layout.size else []
-    said = null_claims(planned, levels, exactly=False)[: len(directions)]  # none of a rig's errors
-    found = tuple(said)
+    claims = null_claims(planned, levels, exactly=False)
+    combinations = tuple(claims[: len(directions)])  # none of a rig's errors
     if vector is None or not directions or in_moves:
-        return Undetermined(count, found)
+        return Undetermined(count, combinations)
     poses, rows = _candidates(model, vector, readings)
     basis = np.linalg.qr(np.array(directions).T)[0]
     columns = linear(rows).white_nuisance[:, : len(basis)] @ basis
     effort = [sum(d != 0 for d in p.direction) for p in poses]
-    chosen, left = _greedy(columns.reshape(len(poses), -1, basis.shape[1]), effort)
-    return Undetermined(count, found, tuple(poses[i] for i in chosen), left)
+    chosen, open_count = _greedy(columns.reshape(len(poses), -1, basis.shape[1]), effort)
+    return Undetermined(count, combinations, tuple(poses[i] for i in chosen), open_count)
 
 
 def _candidates(
     model: Model, vector: Vector, readings: Measurements
 ) -> tuple[list[AddedPose], Measurements]:
-    """Poses that may be added, and readings of them, in all else as the first."""
+    """Return poses that may be added, and readings of them, in all else as the first."""
     warm: list[float | None] = [None]
     if any("temperature" in effect.columns for effect in model.effects):
         low, high = float(readings["temperature"].min()), float(readings["temperature"].max())
         warm = [low, high if high > low else low + WARMER]
-    each, first, rate = 1, 0, None
+    per_pose, first, rate = 1, 0, None
     if vector.acting is not None:
-        each, rate = 3, float(np.max(np.abs(readings[RATE]))) or TURNING
+        per_pose, rate = 3, float(np.max(np.abs(readings[RATE]))) or TURNING
     elif readings.has(ACROSS[0]):  # a magnitude: what an unknown direction leaves
         first = int(np.argmin(np.any([readings[n] != 0 for n in ACROSS], axis=0)))
     poses = [AddedPose((d[0], d[1], d[2]), t, rate) for t in warm for d in DIRECTIONS.tolist()]
@@ -147,14 +147,14 @@ def _candidates(
         size = float(magnitude(readings)[0])
         columns |= {"output": np.full(len(poses), size)}
         columns |= {name: size * units[:, i] for i, name in enumerate(vector.outputs)}
-    rows = readings.select(np.tile(first + np.arange(each), len(poses)))
+    rows = readings.select(np.tile(first + np.arange(per_pose), len(poses)))
     for name, values in columns.items():
-        rows = rows.with_column(name, np.repeat(values, each))
+        rows = rows.with_column(name, np.repeat(values, per_pose))
     return poses, rows
 
 
 def _greedy(columns: Float[np.ndarray, "c r k"], effort: list[int]) -> tuple[list[int], int]:
-    """Candidates that determine k directions, one after the other, and how many directions none determines.
+    """Choose candidates that determine k directions; return them and the count of directions left.
 
     Of whitened columns, one set a candidate; those of less effort are taken where they add nearly as much.
     """

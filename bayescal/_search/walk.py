@@ -40,7 +40,7 @@ NOT_BEGUN = "There was no time to search ({}): no structure but the first was ev
 def explore(
     library: Library,
     max_effects: int,
-    given: Structure | None = None,
+    start: Structure | None = None,
     follow: Callable[[], None] = lambda: None,
 ) -> str:
     """Walk until the end or the deadline, and return why the walk ended early; empty where it did not.
@@ -49,7 +49,7 @@ def explore(
         library, max_effects, given: of `walk`. The first structure is evaluated in any case.
         follow: called at times, and last of all.
     """
-    begun, followed, structures, ended = time.monotonic(), 0.0, library.structures, ""
+    started, followed, structures, ended = time.monotonic(), 0.0, library.structures, ""
     end = deadline.current()
     with deadline.finishing():
         structures.weigh(Structure())
@@ -57,13 +57,13 @@ def explore(
     try:
         with stage("looking for missing effects"):
             end.ask()
-            for _ in walk(library, max_effects, given):
+            for _ in walk(library, max_effects, start):
                 if time.monotonic() > followed + FOLLOWED_SECONDS:
                     follow()
                     followed = time.monotonic()
                 end.ask()
     except deadline.TimeIsUp as early:
-        ended = (STOPPED if end.interrupted else LIMIT).format(time.monotonic() - begun)
+        ended = (STOPPED if end.interrupted else LIMIT).format(time.monotonic() - started)
         if len(structures.visited) == 1:
             ended = NOT_BEGUN.format(early)
         if end.interrupted:
@@ -77,7 +77,7 @@ def explore(
 Evaluated = Generator[Weighed, None, None]
 
 
-def walk(library: Library, max_effects: int, given: Structure | None = None) -> Evaluated:
+def walk(library: Library, max_effects: int, start: Structure | None = None) -> Evaluated:
     """Evaluate structures until the most probable ones have no neighbour left to look at; yield each.
 
     Args:
@@ -93,10 +93,10 @@ def walk(library: Library, max_effects: int, given: Structure | None = None) -> 
     # A fourth power costs nothing to look for, and what is wrong with it the second walk exchanges.
     known = structures.candidates.items()
     named = frozenset(n for n, e in known if not (e.is_placeholder and e.unnamed))
-    physics, every = Scope(named, ("",)), Scope(frozenset(structures.candidates))
-    looked: dict[Scope, set[Structure]] = {physics: set(), every: set()}
+    physics, everything = Scope(named, ("",)), Scope(frozenset(structures.candidates))
+    expanded: dict[Scope, set[Structure]] = {physics: set(), everything: set()}
     view = lru_cache(BEAM_STRUCTURES)(partial(View, library))  # of either scope
-    for among, later in ((physics, None), (every, None), (every, given)):
+    for among, later in ((physics, None), (everything, None), (everything, start)):
         # From the base under a correlated law an effect is seen that slow residuals would otherwise hide.
         for law in () if among is physics else correlated_laws(structures):
             yield structures.weigh(Structure(noise=law), root)
@@ -106,18 +106,18 @@ def walk(library: Library, max_effects: int, given: Structure | None = None) -> 
         # A structure that overtakes the others joins the beam when its turn comes: `_next` sorts anew each time. Finer
         # forms and laws come last: on what a missing effect leaves, each would be fitted for nothing.
         while True:
-            if fresh := _next(structures, looked[among], among):
-                here, known = fresh.structure, [*looked[among]] if structures.thrifty else []
-                looked[among].add(here)
-                if alike := [s for s in known if structures.alike(s, here)]:
-                    yield from _follow(structures, fresh, alike[0])
+            if fresh := _next(structures, expanded[among], among):
+                structure, known = fresh.structure, [*expanded[among]] if structures.thrifty else []
+                expanded[among].add(structure)
+                if similar := [s for s in known if structures.have_same_effects(s, structure)]:
+                    yield from _follow(structures, fresh, similar[0])
                 else:
                     yield from _look_around(library, fresh, max_effects, among, view)
             elif among is physics:
                 # Forms that no score tells of come last, as finer ones do.
                 before = len(structures.visited)
-                own = (w for w in structures.visited.values() if physics.holds(w.structure))
-                yield from _weigh_forms(structures, max(own, key=lambda w: w.total))
+                evaluated = (w for w in structures.visited.values() if physics.holds(w.structure))
+                yield from _weigh_forms(structures, max(evaluated, key=lambda w: w.total))
                 if len(structures.visited) == before:
                     break
             else:
@@ -133,33 +133,33 @@ def path(library: Library, to: Structure, start: Structure | None = None) -> lis
     structures, steps, at = library.structures, [start or Structure()], None
     while True:
         deadline.current().ask()
-        here = steps[-1]
-        at = structures.weigh(here, at)
-        if here == to:
+        current = steps[-1]
+        at = structures.weigh(current, at)
+        if current == to:
             return steps
-        names, totals = sorted(to.effects - here.effects), dict[Structure, float]()
+        names, totals = sorted(to.effects - current.effects), dict[Structure, float]()
         view = View(library, at).without() if names and math.isfinite(at.total) else None
         for name in names:
-            further = here.plus(name)
+            further = current.plus(name)
             if view is None or further in structures.visited or name not in library.points:
                 totals[further] = structures.weigh(further, at).total
             else:
                 # Without a refit the score does: it decides only the order in which steps are shown.
                 gain = gain_of(view.scores([name])[name])
                 totals[further] = at.total + structures.log_odds[name] + gain
-        if here.noise != to.noise:
-            totals[here.under(to.noise)] = structures.weigh(here.under(to.noise), at).total
+        if current.noise != to.noise:
+            totals[current.under(to.noise)] = structures.weigh(current.under(to.noise), at).total
         steps.append(max(totals, key=totals.__getitem__))
 
 
-def _next(structures: Structures, looked: set[Structure], among: Scope) -> Weighed | None:
-    """The most probable structure of the beam that was not looked at, of those within a scope.
+def _next(structures: Structures, expanded: set[Structure], among: Scope) -> Weighed | None:
+    """Return the most probable structure of the beam that was not expanded yet, within a scope.
 
     Of the beam is also the best under each noise law: from the best under another one it would take several changes at
     once to come there.
     """
-    own = [w for w in structures.visited.values() if among.holds(w.structure)]
-    ordered = sorted(own, key=lambda w: -w.total)
+    evaluated = [w for w in structures.visited.values() if among.holds(w.structure)]
+    ordered = sorted(evaluated, key=lambda w: -w.total)
     of_law = {w.structure.noise: w for w in reversed(ordered)}
     for i, w in enumerate(ordered):
         # Farther behind than `near` a structure has no part of the probability that is printed: it is left alone.
@@ -168,7 +168,7 @@ def _next(structures: Structures, looked: set[Structure], among: Scope) -> Weigh
         in_beam = i < BEAM_STRUCTURES or of_law[w.structure.noise] is w
         if structures.thrifty:
             in_beam = i < BEAM_STRUCTURES and w.structure.noise == ordered[0].structure.noise
-        if in_beam and w.structure not in looked:
+        if in_beam and w.structure not in expanded:
             return w
     return None
 
@@ -207,10 +207,10 @@ def _look_around(
     view: Callable[[Weighed], View],
 ) -> Evaluated:
     """Weigh the neighbours of a structure that may come near the best; of the others keep what is expected."""
-    structures, here = library.structures, at.structure
+    structures, structure = library.structures, at.structure
     # The same effects under each law: otherwise the walk would have to find them anew under each.
     for law in filter(among.has, ("", *correlated_laws(structures))):
-        other = here.under(law)
+        other = structure.under(law)
         other = other.minus(*structures.barred(other))
         if _is_open(structures, other, at):
             yield structures.weigh(other, at)
@@ -221,14 +221,14 @@ def _look_around(
     changes = [m for m in _changes_of_noise(structures, at) if among.has(m.to.noise)]
     moves = [*_moves(view(at), max_effects, among)]
     # Substitutes of what corrects a column are seen beside a refit without it, on which all that depends moves.
-    for name in sorted(filter(structures.moves_a_column, here.effects)):
-        yield (rest := structures.weigh(here.minus(name), at))
-        if math.isfinite(rest.total):
-            moves += _moves(View(library, rest), max_effects, among)
+    for name in sorted(filter(structures.moves_a_column, structure.effects)):
+        yield (reduced := structures.weigh(structure.minus(name), at))
+        if math.isfinite(reduced.total):
+            moves += _moves(View(library, reduced), max_effects, among)
     # What no score tells of is looked at by a refit.
-    if len(here.effects) < max_effects:
-        open_ = among.effects.intersection(structures.unscored, structures.open_to(here))
-        moves += [Move(here.plus(name), at.total) for name in sorted(open_)]
+    if len(structure.effects) < max_effects:
+        open_ = among.effects.intersection(structures.unscored, structures.open_to(structure))
+        moves += [Move(structure.plus(name), at.total) for name in sorted(open_)]
     for move in (*moves, *changes):
         structures.expect(move.to, move.total)
     # Of another law a refit tells little more than was expected, unless it is to be used.
@@ -243,18 +243,18 @@ def _look_around(
         near = move.total > structures.best.total - structures.near
         near = near or i < REFITTED_NEIGHBOURS[0]
         if near and _is_open(structures, move.to, at):
-            yield (found := structures.weigh(move.to, at, move.hints))
+            yield (evaluated := structures.weigh(move.to, at, move.hints))
             if all_laws:
-                yield from _weigh_forms(structures, found, gained)
+                yield from _weigh_forms(structures, evaluated, gained)
     # What a dropped effect explained correlated noise may take up, as no score says that holds the noise.
-    if at is structures.best and not structures.noise(here).independent:
-        for name in sorted(here.effects):
-            if _is_open(structures, here.minus(name), at):
-                yield structures.weigh(here.minus(name), at)
+    if at is structures.best and not structures.noise(structure).independent:
+        for name in sorted(structure.effects):
+            if _is_open(structures, structure.minus(name), at):
+                yield structures.weigh(structure.minus(name), at)
 
 
 def _is_open(structures: Structures, to: Structure, at: Weighed) -> bool:
-    """Whether a neighbour is to be refitted: not where enough is known of it without, and that is little.
+    """Return whether a neighbour is to be refitted: unless it is known to be improbable without.
 
     Under a law that no table tells a refit passes over the readings a hundred times, and what an effect is worth hangs
     little on the finer form: it is known by the law that this refines. Of many devices a change is known by what it
@@ -278,29 +278,28 @@ def _is_open(structures: Structures, to: Structure, at: Weighed) -> bool:
     return total > structures.best.total - NEAR_NATS
 
 
-def _beside_another(structures: Structures, to: Structure, here: Structure) -> float | None:
-    """What a change gained elsewhere: a form in place of another, or what else beside other forms of the same effects;
-    None where that was never tried."""
-    come, gone = to.effects - here.effects, here.effects - to.effects
-    own = structures.families(here.effects)
-    of_form = come and structures.families(to.effects) == own
+def _beside_another(structures: Structures, to: Structure, structure: Structure) -> float | None:
+    """Return what a change gained beside other forms of the same effects; None if never tried."""
+    come, gone = to.effects - structure.effects, structure.effects - to.effects
+    own_families = structures.families(structure.effects)
+    of_form = come and structures.families(to.effects) == own_families
     for s, other in structures.visited.items():
-        if s.noise != here.noise or not gone <= s.effects or come & s.effects:
+        if s.noise != structure.noise or not gone <= s.effects or come & s.effects:
             continue
         families = structures.families(s.effects)
-        if families == own or (of_form and families < own):
-            found = structures.visited.get(Structure(s.effects - gone | come, to.noise))
-            if found is not None and math.isfinite(found.total):
-                return found.total - other.total
+        if families == own_families or (of_form and families < own_families):
+            evaluated = structures.visited.get(Structure(s.effects - gone | come, to.noise))
+            if evaluated is not None and math.isfinite(evaluated.total):
+                return evaluated.total - other.total
     return None
 
 
-def _follow(structures: Structures, at: Weighed, one: Structure) -> Evaluated:
+def _follow(structures: Structures, at: Weighed, similar: Structure) -> Evaluated:
     """Weigh what came near the best beside other forms of the same effects: no more than that does beside these."""
-    gone, come = one.effects - at.structure.effects, at.structure.effects - one.effects
-    for s, beside in [*structures.visited.items()]:
-        near = beside.total > structures.best.total - structures.near
-        if near and gone <= s.effects and len(s.effects ^ one.effects) == 1:
+    gone, come = similar.effects - at.structure.effects, at.structure.effects - similar.effects
+    for s, evaluated in [*structures.visited.items()]:
+        near = evaluated.total > structures.best.total - structures.near
+        if near and gone <= s.effects and len(s.effects ^ similar.effects) == 1:
             yield structures.weigh(Structure(s.effects - gone | come, s.noise), at)
 
 
@@ -322,10 +321,10 @@ def _weigh_forms(
     Returns:
         What each form gained.
     """
-    found = dict[str, float]()
+    gains = dict[str, float]()
     behind = structures.near if structures.thrifty else OTHER_LAW_NATS
     if not at.total > structures.best.total - behind:
-        return found
+        return gains
     for name in sorted(at.structure.effects):
         for to in structures.other_forms(at.structure, name):
             (other,) = to.effects - at.structure.effects
@@ -339,15 +338,15 @@ def _weigh_forms(
             elif _is_open(structures, to, at):
                 # Its shapes may be where those of the same name are in the form that the structure has.
                 places = at.problem.layout.index_in_phi
-                alike = {f"{other}.{s.name}": f"{name}.{s.name}" for s in shapes}
-                hint = {n: float(at.mode.v[places[o]]) for n, o in alike.items() if o in places}
+                pairs = ((f"{other}.{s.name}", f"{name}.{s.name}") for s in shapes)
+                hint = {n: float(at.mode.v[places[o]]) for n, o in pairs if o in places}
                 yield structures.weigh(to, at, [hint])
-            found[other] = structures.total(to) - at.total
-    return found
+            gains[other] = structures.total(to) - at.total
+    return gains
 
 
 def correlated_laws(structures: Structures) -> list[str]:
-    """Names of the further laws under which readings are correlated: nothing but a refit tells of these."""
+    """Return names of further correlated noise laws, which only a refit can judge."""
     return [n for n, law in structures.laws.items() if not law.independent and not law.refines]
 
 
@@ -360,9 +359,9 @@ def _refine(structures: Structures) -> Generator[Weighed, None, bool]:
     moves = sorted(_finer_laws(structures, best), key=lambda m: -m.total)
     chosen = [(move, best) for move in moves if move.total > best.total]
     plain = Structure(noise=best.structure.noise)
-    beside = {best.structure.minus(name) for name in best.structure.effects} - {plain}
+    reduced = {best.structure.minus(name) for name in best.structure.effects} - {plain}
     likeliest = [move.to.noise for move in moves[:LIKELIEST]]
-    for fewer in (plain, *sorted(beside, key=lambda s: sorted(s.effects))) if moves else ():
+    for fewer in (plain, *sorted(reduced, key=lambda s: sorted(s.effects))) if moves else ():
         at = structures.visited.get(fewer)
         if at is not None and at is not best:
             laws = None if fewer == plain else likeliest
@@ -378,67 +377,67 @@ def _refine(structures: Structures) -> Generator[Weighed, None, bool]:
 def _finer_laws(
     structures: Structures, at: Weighed, among: Sequence[str] | None = None
 ) -> Iterator[Move]:
-    """Finer forms of the correlated law that a structure is under, by what they gain on the residuals under it.
+    """Yield finer forms of a structure's correlated law, by their gain on the residuals under it.
 
     None where the noise is as probably not correlated at all; of `among` alone, if given.
     """
-    here, plain = structures.noise(at.structure), structures.visited.get(at.structure.under(""))
-    family = here.refines or here.name
-    finer = [n for n, law in structures.laws.items() if law.refines == family and n != here.name]
+    current, plain = structures.noise(at.structure), structures.visited.get(at.structure.under(""))
+    family = current.refines or current.name
+    finer = [n for n, law in structures.laws.items() if law.refines == family and n != current.name]
     finer = [n for n in finer if among is None or n in among]
-    correlated = not here.independent and (plain is None or at.total > plain.total)
+    correlated = not current.independent and (plain is None or at.total > plain.total)
     if not (correlated and finer and math.isfinite(at.total)):
         return
     # Evidence of either law on the residuals alone: the coefficients' volume is nearly the same.
-    own = structures.law_on_residuals(at, at.structure.noise)
+    evidence = structures.law_on_residuals(at, at.structure.noise)
     for name in finer:
-        found = structures.law_on_residuals(at, name)
-        odds = log_prior(structures.laws, name) - log_prior(structures.laws, here.name)
-        gain = found.log_evidence - own.log_evidence
-        yield Move(at.structure.under(name), at.total + gain + odds, (found.hint,))
+        fit = structures.law_on_residuals(at, name)
+        odds = log_prior(structures.laws, name) - log_prior(structures.laws, current.name)
+        gain = fit.log_evidence - evidence.log_evidence
+        yield Move(at.structure.under(name), at.total + gain + odds, (fit.hint,))
 
 
 def _changes_of_noise(structures: Structures, at: Weighed) -> Iterator[Move]:
-    """Other independent noise laws beside the same effects, by what they gain on the residuals under the given law."""
+    """Yield other independent noise laws, by their gain on the residuals under the given law."""
     plain = structures.visited.get(at.structure.under(""))
     if not structures.laws or plain is None or not math.isfinite(plain.total):
         return
-    own = structures.law_on_residuals(plain, "")
+    evidence = structures.law_on_residuals(plain, "")
     for name, law in structures.laws.items():
         if law.independent and name != at.structure.noise:
-            found = structures.law_on_residuals(plain, name)
+            fit = structures.law_on_residuals(plain, name)
             # The law is judged on residuals of the fit under the given law, coefficients held: an outlier has pulled
             # these, so that the gain is rather too low.
-            total = plain.total + found.log_evidence - own.log_evidence
+            total = plain.total + fit.log_evidence - evidence.log_evidence
             to = at.structure.under(name)
-            yield Move(to, total + log_prior(structures.laws, name), (found.hint,))
+            yield Move(to, total + log_prior(structures.laws, name), (fit.hint,))
 
 
 def _moves(view: View, max_effects: int, among: Scope) -> Iterator[Move]:
-    """Additions, pairs, drops and exchanges, with their expected totals."""
+    """Yield additions, pairs, drops and exchanges, with their expected totals."""
     structures, at = view.library.structures, view.at
-    here, odds = at.structure, structures.log_odds
-    known = [n for n in view.library.points if n in among.effects]
-    open_ = [n for n in structures.open_to(here) if n in known]
-    room = max_effects - len(here.effects)
+    structure, odds = at.structure, structures.log_odds
+    names = [n for n in view.library.points if n in among.effects]
+    open_ = [n for n in structures.open_to(structure) if n in names]
+    room = max_effects - len(structure.effects)
     if room > 0 and open_:
-        rest = view.without()
-        found = rest.scores(open_)
-        for name, points in found.items():
-            yield _addition(here.plus(name), at.total + odds[name], points)
+        reduced = view.without()
+        scores = reduced.scores(open_)
+        for name, points in scores.items():
+            yield _addition(structure.plus(name), at.total + odds[name], points)
         if room > 1:
-            named = {n: p for n, p in found.items() if not structures.candidates[n].is_placeholder}
-            for gain, a, b in rest.pairs(named)[:REFITTED_PAIRS]:
+            named = {n: p for n, p in scores.items() if not structures.candidates[n].is_placeholder}
+            for gain, a, b in reduced.pairs(named)[:REFITTED_PAIRS]:
                 total = at.total + gain + odds[a.effect] + odds[b.effect]
-                yield Move(here.plus(a.effect, b.effect), total, ({**a.hint, **b.hint},))
+                yield Move(structure.plus(a.effect, b.effect), total, ({**a.hint, **b.hint},))
     # Dropping and exchanging start from what is left without the effect; a drop costs no column's volume.
-    for name in sorted(n for n in here.effects if n in view.library.points):
-        left = view.without(name)
-        yield Move(here.minus(name), at.total + left.dropped - odds[name])
-        others = set(structures.open_to(here.minus(name))) - {name}
-        for other, points in left.scores([n for n in known if n in others]).items():
+    for name in sorted(n for n in structure.effects if n in view.library.points):
+        without = view.without(name)
+        yield Move(structure.minus(name), at.total + without.dropped - odds[name])
+        others = set(structures.open_to(structure.minus(name))) - {name}
+        for other, points in without.scores([n for n in names if n in others]).items():
             total = at.total + odds[other] - odds[name]
-            yield _addition(here.minus(name).plus(other), total, points)
+            yield _addition(structure.minus(name).plus(other), total, points)
 
 
 def _addition(to: Structure, total: float, points: list[ScoredPoint]) -> Move:

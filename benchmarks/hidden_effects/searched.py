@@ -17,7 +17,7 @@ from bayescal._inference.record import Record
 from bayescal._model.frame import build_frame, reference_of
 from bayescal._model.parameters import bind
 from bayescal._search.discover import structures_over
-from bayescal._search.posterior import Found, Posterior
+from bayescal._search.posterior import Finding, Posterior
 from bayescal._search.scores import Library
 from bayescal._search.structures import Structure, Structures, Weighed
 from bayescal._search.walk import explore
@@ -66,7 +66,7 @@ class Searched:
         return self.posterior.chosen
 
     @property
-    def sets(self) -> tuple[Found, ...]:
+    def sets(self) -> tuple[Finding, ...]:
         return self.posterior.findings
 
     @property

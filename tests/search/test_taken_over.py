@@ -51,7 +51,7 @@ def test_a_function_of_the_time_in_runs_that_repeat_stands_for_a_bad_thermometer
     (found,) = taken_over(*of_a_bad_thermometer())
     assert found.term.name == "bias.temperature"
     assert not found.measured
-    assert found.kept < 0.1
+    assert found.ratio < 0.1
     assert (found.claim.code, found.claim.of) == ("term.replaced", ("bias.temperature",))
     assert found.claim.numbers["by"] == ("unknown(elapsed)",)
 
@@ -89,7 +89,7 @@ def test_a_description_that_moves_a_coefficient_beyond_chance_leaves_it_unmeasur
     """A cause with a name may; which of both values is right, what has none does not tell."""
     (found,) = taken_over(*of_a_bad_thermometer())
     for moved, left, measured in ((3.0, 0.9, True), (8.0, 0.9, False), (8.0, 0.2, True)):
-        one = found._replace(moved=moved, left=left, kept=0.9)
+        one = found._replace(moved=moved, tolerance=left, ratio=0.9)
         assert (one.unnamed, one.measured) == (True, measured)
 
 

@@ -368,7 +368,7 @@ class Session:
             follow: told how it goes on; a search that was stopped goes on only where somebody follows.
         """
         first, loop = self.states[0], self._loop
-        effects = [e for e in first.model.effects if loop.weighs(e, first.model)]
+        effects = [e for e in first.model.effects if loop.is_reconsidered(e, first.model)]
         search = self._searched(reduce(sub, effects, first.model), effects, follow)
         if (at := _structure_of(state.model, search)) is None:
             search, at = self._searched(state.model, (), follow), ws.Structure()
