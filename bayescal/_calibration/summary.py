@@ -146,19 +146,16 @@ def summary(calibration: Fitted) -> tuple[list[dict[str, Any]], list[dict[str, A
     """Summarise coefficients, and hyperparameters (noise, group standard deviations, shapes), as rows.
 
     Each has its name, effect, unit, mean, sd, interval95 and contraction; in an average over structures also the
-    inclusion `probability` of its effect and, conditional on inclusion, its mean and sd: `given`. A shape is
-    summarised conditional on inclusion.
+    inclusion `probability` of its effect and, conditional on inclusion, its mean and sd: `given`. All of a shape is so.
 
-    Contraction is 1 − (posterior variance)/(prior variance): 1 if measured, 0 if the posterior is the prior; None where
-    the prior is flat or has no variance, and for a held value.
+    Contraction is 1 − (posterior variance)/(prior variance), 0 if both are one; None of flat and of held ones.
     """
     coefficients, hyperparameters = list[dict[str, Any]](), list[dict[str, Any]]()
     for u in (u for u in calibration.unknowns if not u.held):
         values = calibration.samples(u.name)
         present = calibration.having.get(u.effect, np.ones(len(values), dtype=bool))
         conditional = values[present] if present.sum() > 1 else values
-        if u.kind == "shape":  # where its effect is absent a shape has no value
-            values = conditional
+        values = conditional if u.kind == "shape" else values  # absent, a shape has no value
         low, high = np.quantile(values, [0.025, 0.975])
         sd, prior = float(values.std(ddof=1)) * bool(np.ptp(values)), u.prior_sd  # equal ones round
         row = {

@@ -13,7 +13,7 @@ from tests.support.inside import CRITERIA, Claim, as_claim
 
 FILE = Path(bc.__file__).with_name("_calibration") / "claims.toml"
 WHOLE = ("count", "free", "members")  # numbers that are whole
-SEVERAL = ("values", "named", "columns", "taus", "places")  # names, or numbers in words
+SEVERAL = ("values", "named", "columns", "taus", "times", "places")  # names, or numbers in words
 
 
 @pytest.mark.parametrize("code", CRITERIA)
