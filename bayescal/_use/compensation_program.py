@@ -300,11 +300,9 @@ def notes_on_use(equation: OperatingEquation, has_range: bool) -> tuple[Claim, .
         notes.append(Claim("use.held_inputs", *(name for name, *_ in constants), **numbers))
     lags = [lag for lag in equation.lags if lag.shape and lag.name in equation.inputs]
     if lags:
-        multiples = ((lag, lag.tau / equation.shapes[lag.shape]) for lag in lags)
-        times = tuple(
-            f"{lag.name} ({'' if m == 1.0 else f'{m:.3g} · '}{lag.shape} = {lag.tau:.4g} s)"
-            for lag, m in multiples
-        )
+        multiples = (lag.tau / equation.shapes[lag.shape] for lag in lags)
+        pairs = zip(lags, ("" if m == 1.0 else f"{m:.3g} · " for m in multiples), strict=True)
+        times = tuple(f"{lag.name} ({m}{lag.shape} = {lag.tau:.4g} s)" for lag, m in pairs)
         notes.append(Claim("use.lags", *(lag.name for lag in lags), times=times))
     stimulus = equation.use.stimulus
     if not equation.slope_calibrated:
