@@ -27,7 +27,7 @@ from bayescal._core.result_table import Printed, ResultTable, TableColumn
 from bayescal._core.settings import settings
 from bayescal._data.unit_conversion import unit_label
 from bayescal._inference.least_squares import LeastSquares
-from bayescal._inference.linear_model import taken_up
+from bayescal._inference.linear_model import explained_sum_of_squares
 from bayescal._model.unknown_effect import RESOLUTION, process_columns, process_weights
 
 SIGNIFICANT_P = 1e-3  # p-value of the tests without a Bayes factor
@@ -406,7 +406,9 @@ def log_bayes_factors(
     for covariate in covariates:
         u, information = calibration.linear.score(covariate.columns * noise)
         sizes = np.concatenate([np.outer(AMPLITUDES, weight) for weight in covariate.weights])
-        volume, squares = taken_up(sizes * u, sizes[:, :, None] * information * sizes[:, None, :])
+        volume, squares = explained_sum_of_squares(
+            sizes * u, sizes[:, :, None] * information * sizes[:, None, :]
+        )
         terms = 0.5 * squares - volume
         factors.append(float(logsumexp(terms) - np.log(np.size(terms))))
     return factors

@@ -141,7 +141,7 @@ class Fitted:
         if frame is fitted.frame:
             return self.problem
         if all(frame.columns[n] is column for n, column in fitted.frame.columns.items()):
-            return Problem(self.layout, fitted.beside(frame))
+            return Problem(self.layout, fitted.with_frame(frame))
         record = Record(self.model.instrument, frame, np.asarray(frame["output"]))
         return Problem(self.layout, record)
 

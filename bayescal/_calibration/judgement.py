@@ -117,7 +117,7 @@ def priors_contradicted_by_data(subject: Subject) -> list[Claim]:
     problem = Problem(fit.layout, fit.problem.record, dict.fromkeys(freed, FREE_SIZES))
     starts = [fit.mode.v, np.zeros_like(fit.mode.v)]
     near = Nearby(fit.mode.v, np.linalg.pinv(fit.mode.covariance))
-    mode = find_mode(problem, starts, fit.mode.x, still=0.01, near=near)
+    mode = find_mode(problem, starts, fit.mode.x, xtol=0.01, near=near)
     _, posterior = Density(problem, mode.x, mode.flat, mode.v).at(mode.v)
     if posterior is None:
         return []
@@ -329,7 +329,7 @@ def multimodality(fit: Fitted) -> list[Claim]:
     near = Nearby(mode.v, np.linalg.pinv(mode.covariance), True)
     for start in np.array(starts)[np.argsort(-density.values(np.array(starts)))[:STARTS_TRIED]]:
         least = mode.log_density - 20.0
-        other = find_mode(problem, [start], mode.x, still=0.1, wanted_from=least, near=near)
+        other = find_mode(problem, [start], mode.x, xtol=0.1, coarse_below=least, near=near)
         behind = mode.log_evidence - other.log_evidence
         if far(other.v).any() and behind < limit("mode.two", "nats"):
             names = [problem.hypers[i].name for i in np.array(shapes)[far(other.v)]]

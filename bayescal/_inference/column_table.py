@@ -53,11 +53,11 @@ class ColumnTable:
         """Forget a block, and what was made of it."""
         number = self._numbers.pop(key)
         self._blocks.pop(number, None)
-        for made in self._made.values():
-            if (block := made.pop(number, None)) is not None:
+        for products_by_block in self._made.values():
+            if (block := products_by_block.pop(number, None)) is not None:
                 for other in block.products:
-                    if other in made:
-                        made[other].products.pop(number, None)
+                    if other in products_by_block:
+                        products_by_block[other].products.pop(number, None)
 
     def take(self, numbers: Sequence[int]) -> None:
         """Take what some blocks explain out of the residual, by least squares; once, nearly none of what they share."""
@@ -77,40 +77,42 @@ class ColumnTable:
 
     def products(self, nodes: OneNode, numbers: Sequence[int]) -> Products:
         """Return the products of some blocks' columns, side by side."""
-        made = self._made.setdefault(nodes, {})
+        blocks = self._made.setdefault(nodes, {})
         for i in numbers:
-            if i not in made:
-                own = nodes.transform(self._blocks[i])
-                made[i] = _Block(own, nodes.end_products(own), {})
+            if i not in blocks:
+                transformed = nodes.transform(self._blocks[i])
+                blocks[i] = _Block(transformed, nodes.end_products(transformed), {})
                 self._bytes += self._blocks[i].nbytes
         ends = np.cumsum([0, *map(self.width, numbers)])
         at = [slice(a, b) for a, b in itertools.pairwise(ends)]
-        found = np.empty((nodes.count, ends[-1], ends[-1]))
+        gram = np.empty((nodes.count, ends[-1], ends[-1]))
         for a, i in enumerate(numbers):
-            beside, own = numbers[: a + 1], made[i]
+            partners, block = numbers[: a + 1], blocks[i]
             # Side by side: one after another would cost several times as much.
-            if lacking := [j for j in beside if j not in own.products]:
-                runs = zip(*(made[j].columns for j in lacking), strict=True)
+            if lacking := [j for j in partners if j not in block.products]:
+                runs = zip(*(blocks[j].columns for j in lacking), strict=True)
                 products = nodes.products(
-                    own.columns, [np.concatenate(run, axis=1) for run in runs]
+                    block.columns, [np.concatenate(run, axis=1) for run in runs]
                 )
                 ends = np.cumsum([self.width(j) for j in lacking])[:-1]
                 for j, part in zip(lacking, np.split(products, ends, axis=2), strict=True):
-                    own.products[j] = np.ascontiguousarray(part)
-                    made[j].products[i] = own.products[j].transpose(0, 2, 1)
+                    block.products[j] = np.ascontiguousarray(part)
+                    blocks[j].products[i] = block.products[j].transpose(0, 2, 1)
                     self._bytes += part.nbytes
-            for b, j in enumerate(beside):
-                found[:, at[a], at[b]] = own.products[j]
-                found[:, at[b], at[a]] = made[j].products[i]
-        looks = {k: np.concatenate([made[i].ends[k] for i in numbers], axis=2) for k in own.ends}
+            for b, j in enumerate(partners):
+                gram[:, at[a], at[b]] = block.products[j]
+                gram[:, at[b], at[a]] = blocks[j].products[i]
+        looks = {
+            k: np.concatenate([blocks[i].ends[k] for i in numbers], axis=2) for k in block.ends
+        }
         if self._bytes > KEPT_BYTES:
             self.forget()
-        return Products(found, looks)
+        return Products(gram, looks)
 
     def forget(self) -> None:
         """Forget all but what the residual was taken by."""
-        kept = {RESIDUAL, *self.taken}
-        self._blocks = {i: block for i, block in self._blocks.items() if i in kept}
+        permanent = {RESIDUAL, *self.taken}
+        self._blocks = {i: block for i, block in self._blocks.items() if i in permanent}
         self._made, self._bytes = {}, 0
 
 

@@ -45,8 +45,8 @@ class Density(ByValues):
     problem: Problem
     x: Float[np.ndarray, "p"]
     flat: Float[np.ndarray, "p"]
-    there: Float[np.ndarray, "d"] | None = None
-    held: Float[np.ndarray, "n"] | None = None
+    expansion_point: Float[np.ndarray, "d"] | None = None
+    input_variance: Float[np.ndarray, "n"] | None = None
     like: Nearby | None = None
 
     scale = 1.0  # of φ's coordinates, in which priors are about standard normal
@@ -64,8 +64,10 @@ class Density(ByValues):
         nodes = None
         if not (problem.corrected or problem.noisy or any(t.place == "phi" for t in problem.terms)):
             nodes = problem.record.nodes(problem.noise)
-        there = np.zeros(len(problem.hypers)) if self.there is None else self.there
-        return None if nodes is None else Tabulated(problem, nodes, self.x, there)
+        point = (
+            np.zeros(len(problem.hypers)) if self.expansion_point is None else self.expansion_point
+        )
+        return None if nodes is None else Tabulated(problem, nodes, self.x, point)
 
     @property
     def origin(self) -> Float[np.ndarray, "p"]:
@@ -93,9 +95,11 @@ class Density(ByValues):
             new = {k: v for k, v in zip(keys, some, strict=True) if k not in self._lines}
             if problem.affine and not problem.noisy and len(new) > 1:
                 at = np.tile(self.x, (len(new), 1))
-                made = problem.linearise(at, problem.hyper(np.array([*new.values()]).T))
+                linearised = problem.linearise(at, problem.hyper(np.array([*new.values()]).T))
                 for i, key in enumerate(new):
-                    self._lines[key] = Linearised(made.mean[i], made.jacobian[i], made.inputs)
+                    self._lines[key] = Linearised(
+                        linearised.mean[i], linearised.jacobian[i], linearised.inputs
+                    )
             for key, v in zip(keys, some, strict=True):
                 yield self._lines.get(key) or self._line(v, problem.hyper(v))
 
@@ -105,7 +109,7 @@ class Density(ByValues):
 
     def _extra(self, line: Linearised) -> Float[np.ndarray, "n"] | float:
         """Variance that noise on inputs adds to each reading."""
-        return self.problem.extra(line) if self.held is None else self.held
+        return self.problem.extra(line) if self.input_variance is None else self.input_variance
 
     def _white(self, line: Linearised, hyper: Values) -> Whitening | Independent:
         return whitening(self.problem.noise, hyper, self.problem.record, self._extra(line))
@@ -122,7 +126,7 @@ class Density(ByValues):
     def gram(self, v: np.ndarray, hyper: Values) -> Gram:
         """Weighted products of the readings at φ."""
         if not self.problem.noise.gaussian:
-            return Gram(*(one[0] for one in self._about_modes(v[None])))
+            return Gram(*(part[0] for part in self._about_modes(v[None])))
         line = self._line(v, hyper)
         white, logdet = self._white(line, hyper).both(self._table(line))
         return Gram.of(white.T @ white, logdet)
@@ -137,22 +141,22 @@ class Density(ByValues):
             return self.tabulated.grams(vs)
         if not problem.noise.gaussian:
             parts = range(0, len(vs), self._together)
-            made = [self._about_modes(vs[i : i + self._together]) for i in parts]
-            return Gram(*map(np.concatenate, zip(*made, strict=True)))
+            grams = [self._about_modes(vs[i : i + self._together]) for i in parts]
+            return Gram(*map(np.concatenate, zip(*grams, strict=True)))
         # Spreads are the prior's alone: φ that differ by these have the same products.
         acts = [k != "group_sd" or i in problem.moving for i, k in enumerate(problem.kinds)]
         _, first, which = np.unique(vs[:, acts], axis=0, return_index=True, return_inverse=True)
-        made = self._whitened_together(vs[first])
-        return Gram(*(np.stack([np.asarray(g[i]) for g in made])[which.ravel()] for i in range(4)))
+        grams = self._whitened_together(vs[first])
+        return Gram(*(np.stack([np.asarray(g[i]) for g in grams])[which.ravel()] for i in range(4)))
 
     def _whitened_together(self, vs: Float[np.ndarray, "b d"]) -> list[Gram]:
         """Weighted products at several φ; of those with one noise a filter passes over each column once."""
-        noise, alike = np.array([kind == "noise" for kind in self.problem.kinds]), {}
+        noise, by_noise = np.array([kind == "noise" for kind in self.problem.kinds]), {}
         for i, v in enumerate(vs):
-            alike.setdefault(i if self.problem.noisy else tuple(v[noise]), []).append(i)
+            by_noise.setdefault(i if self.problem.noisy else tuple(v[noise]), []).append(i)
         most, groups = max(1, WIDEST // (self.problem.size + 1)), list[list[int]]()
-        for own in sorted(alike.values(), key=len):
-            groups += [own[k : k + most] for k in range(0, len(own), most)]
+        for members in sorted(by_noise.values(), key=len):
+            groups += [members[k : k + most] for k in range(0, len(members), most)]
         places = list[list[list[int]]]()
 
         def tables() -> Iterator[tuple[Whitening | Independent, np.ndarray]]:
@@ -161,22 +165,22 @@ class Density(ByValues):
             for group in groups:
                 before, line = line, next(lines)
                 first = first if line is before else self._table(line)
-                columns, own = [*first.T], [[*range(first.shape[1])]]
+                columns, places_in_group = [*first.T], [[*range(first.shape[1])]]
                 for _ in group[1:]:
-                    own.append([*own[0]])
+                    places_in_group.append([*places_in_group[0]])
                     table = self._table(next(lines))
                     for j in np.flatnonzero(np.any(table != first, axis=0)):
-                        own[-1][j] = len(columns)
+                        places_in_group[-1][j] = len(columns)
                         columns.append(table[:, j])
-                places.append(own)
+                places.append(places_in_group)
                 white = self._white(line, self.problem.hyper(vs[group[0]]))
                 yield white, first if len(group) == 1 else np.column_stack(columns)
 
-        found: dict[int, Gram] = {}
+        grams: dict[int, Gram] = {}
         for k, (products, logdet) in enumerate(products_of_several(tables())):
-            for i, own in zip(groups[k], places[k], strict=True):
-                found[i] = Gram.of(products[np.ix_(own, own)], logdet)
-        return [found[i] for i in range(len(vs))]
+            for i, members in zip(groups[k], places[k], strict=True):
+                grams[i] = Gram.of(products[np.ix_(members, members)], logdet)
+        return [grams[i] for i in range(len(vs))]
 
     def _about_modes(self, vs: Float[np.ndarray, "b d"]) -> Gram:
         """The products that stand for a law that is not Gaussian: of the quadratic about the mode of x given each φ.
@@ -186,8 +190,8 @@ class Density(ByValues):
         Source: L. Tierney and J. Kadane, JASA 81 (1986) 82 (Laplace).
         """
         problem, noise, record, x = self.problem, self.problem.noise, self.problem.record, self.x
-        each = problem.hyper(vs.T)
-        prior = problem.prior(each, self.flat, (len(vs),))
+        hyper = problem.hyper(vs.T)
+        prior = problem.prior(hyper, self.flat, (len(vs),))
         lines = [self._line(v, problem.hyper(v)) for v in vs]
         jacobian = np.stack([line.jacobian for line in lines])
         residual = record.y - np.stack([line.mean for line in lines])
@@ -200,50 +204,50 @@ class Density(ByValues):
 
         def look(some: np.ndarray, move: np.ndarray) -> list[np.ndarray]:
             """What is to be least, its slope and curvature by what is left, weights of a mixture, z; at some φ."""
-            left = of(residual, some) - (of(jacobian, some) @ move[:, :, None])[:, :, 0]
-            own = {name: np.broadcast_to(v, (len(vs),))[some] for name, v in each.items()}
-            beside = extra[some] if np.ndim(extra) else extra
-            terms = density_terms(noise, own, record, left, beside)
+            remaining = of(residual, some) - (of(jacobian, some) @ move[:, :, None])[:, :, 0]
+            phi = {name: np.broadcast_to(v, (len(vs),))[some] for name, v in hyper.items()}
+            variance = extra[some] if np.ndim(extra) else extra
+            terms = density_terms(noise, phi, record, remaining, variance)
             z = prior.weight * (x + move - prior.mean) / width[some]
             least = terms.squares + np.sum(z**2, axis=1)
-            weight = terms.weight(left)
+            weight = terms.weight(remaining)
             each_of = terms.slope, terms.curvature, weight, z, terms.logdet
             return [least, *map(np.array, each_of)]
 
         def products(some: np.ndarray, weight: np.ndarray) -> np.ndarray:
-            own = of(jacobian, some)
-            return (own * weight[:, :, None]).transpose(0, 2, 1) @ own
+            columns = of(jacobian, some)
+            return (columns * weight[:, :, None]).transpose(0, 2, 1) @ columns
 
         move = np.tile(self._mode - x, (len(vs), 1))
-        value, *rest = look(np.arange(len(vs)), move)
+        value, *state = look(np.arange(len(vs)), move)
         left_over = np.arange(len(vs)) if problem.size else np.zeros(0, dtype=int)
         for _ in range(NEWTON_STEPS):
             if not len(left_over):
                 break
-            slope, curvature, weight, z, _ = (a[left_over] for a in rest)
+            slope, curvature, weight, z, _ = (a[left_over] for a in state)
             sd = prior.sd[left_over]
             pull = (
                 sd * (of(jacobian, left_over).transpose(0, 2, 1) @ slope[:, :, None])[:, :, 0] - z
             )
             trying, before = np.arange(len(left_over)), value[left_over]
             for weights in (curvature, weight):
-                own = left_over[trying]
-                inner = products(own, weights[trying]) * sd[trying, :, None] * sd[trying, None, :]
+                tried = left_over[trying]
+                inner = products(tried, weights[trying]) * sd[trying, :, None] * sd[trying, None, :]
                 # No factor, and no step, where the curvature bends up: Newton's would end on a saddle.
                 chol = factors(inner + np.diag(prior.weight))
                 step = solve(chol, solve(chol, pull[trying]), upper=True)
-                there = look(own, move[own] + sd[trying] * step)
-                better = there[0] <= value[own]
-                put = own[better]
+                trial = look(tried, move[tried] + sd[trying] * step)
+                better = trial[0] <= value[tried]
+                put = tried[better]
                 move[put] += (sd[trying] * step)[better]
-                for whole, new in zip((value, *rest), there, strict=True):
+                for whole, new in zip((value, *state), trial, strict=True):
                     whole[put] = new[better]
                 trying = trying[~better]
                 if not len(trying):
                     break
             left_over = left_over[before - value[left_over] > NEWTON_NATS]
         self._mode = x + move[0]
-        slope, curvature, _, z, logdet = rest
+        slope, curvature, _, z, logdet = state
         jtj = products(np.arange(len(vs)), curvature)
         jtr = (jacobian.transpose(0, 2, 1) @ slope[:, :, None])[:, :, 0]
         # The quadratic about the mode, rtr − 2·jtrᵀ(δ − m) + (δ − m)ᵀ·jtj·(δ − m), with its powers of δ collected:
@@ -260,8 +264,8 @@ class Density(ByValues):
         # For a law with outliers: −2·log of the density against that of no residual at all, zero at best as squares
         # are.
         line = self.problem.linearise(self.x, hyper)
-        left = record.y - line.mean
-        return density_terms(noise, hyper, record, left, self._extra(line)).squares
+        residual = record.y - line.mean
+        return density_terms(noise, hyper, record, residual, self._extra(line)).squares
 
     def evaluate(self, v: np.ndarray, exact: bool = False) -> Any:
         """Return log density, gradient and curvature, an `exact` one or about right; None where there is none."""
@@ -275,22 +279,26 @@ class Density(ByValues):
         """Return the log density at a coordinate that a climb may go on from."""
         if self.tabulated is None:
             return super().value(v)
-        found = self.evaluate(v)
-        return NOWHERE if found is None else found.log_density
+        evaluated = self.evaluate(v)
+        return NOWHERE if evaluated is None else evaluated.log_density
 
     def at(self, v: np.ndarray) -> tuple[float, Conditional | None]:
         """The log density at a coordinate, and x given φ there; none where there is no density."""
         problem = self.problem
         if self.tabulated is not None:
-            made = self.tabulated.evaluate(v, self.flat, False)
-            return (NOWHERE, None) if made is None else (made.log_density, made.given)
+            evaluation = self.tabulated.evaluate(v, self.flat, False)
+            return (
+                (NOWHERE, None)
+                if evaluation is None
+                else (evaluation.log_density, evaluation.conditional)
+            )
         hyper = problem.hyper(v)
         prior, gram = problem.prior(hyper, self.flat), self.gram(v, hyper)
         if not math.isfinite(gram.rtr + gram.logdet) or not np.all(np.isfinite(prior.sd)):
             return NOWHERE, None
-        found = condition(gram, problem.record.size, prior, self.x)
-        value = math.nan if found is None else found.log_marginal + problem.log_prior(v)
-        return (value, found) if math.isfinite(value) else (NOWHERE, None)
+        conditional = condition(gram, problem.record.size, prior, self.x)
+        value = math.nan if conditional is None else conditional.log_marginal + problem.log_prior(v)
+        return (value, conditional) if math.isfinite(value) else (NOWHERE, None)
 
     def values(self, vs: Float[np.ndarray, "k d"]) -> Float[np.ndarray, "k"]:
         """The log density at several coordinates."""
@@ -298,8 +306,8 @@ class Density(ByValues):
         if not len(vs):
             return np.zeros(0)
         if self.tabulated is not None or problem.terms:
-            found = problem.drawn(self.grams(vs), vs, self.flat, self.origin).log_marginal
+            log_density = problem.drawn(self.grams(vs), vs, self.flat, self.origin).log_marginal
         else:  # of a noise law alone: one column
             law, record = problem.noise, problem.record
-            found = total_log_density(law, record, record.y[None], problem.hyper(vs.T))
-        return np.nan_to_num(found + problem.log_priors(vs), nan=NOWHERE, neginf=NOWHERE)
+            log_density = total_log_density(law, record, record.y[None], problem.hyper(vs.T))
+        return np.nan_to_num(log_density + problem.log_priors(vs), nan=NOWHERE, neginf=NOWHERE)

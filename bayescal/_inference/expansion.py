@@ -71,8 +71,8 @@ class Expansion:
 
     def distance(self, v: Float[np.ndarray, "d"]) -> float:
         """Return how far a coordinate is from the middle, in half widths."""
-        apart = float(np.max(np.abs(v - self.middle), initial=0.0))
-        return apart / self.half if self.half else np.inf if apart else 0.0
+        distance = float(np.max(np.abs(v - self.middle), initial=0.0))
+        return distance / self.half if self.half else np.inf if distance else 0.0
 
     def shares(self, v: Float[np.ndarray, "d"]) -> Shares:
         """Return the factors of the columns at a coordinate inside."""
@@ -133,8 +133,10 @@ class Polynomials:
     def terms(self, coordinates: Float[np.ndarray, "b m"]) -> Float[np.ndarray, "b t"]:
         """Return the terms at coordinates; beyond the box, where they mean nothing, at its edge towards its centre."""
         t = self._round(coordinates)
-        one = polynomials(t / np.maximum(1.0, np.max(np.abs(t), axis=1))[:, None], self.degree + 1)
-        return np.prod([one[:, j, self._powers[:, j]] for j in range(self.dim)], axis=0)
+        values = polynomials(
+            t / np.maximum(1.0, np.max(np.abs(t), axis=1))[:, None], self.degree + 1
+        )
+        return np.prod([values[:, j, self._powers[:, j]] for j in range(self.dim)], axis=0)
 
 
 class PolynomialColumns(Expansion):
@@ -193,60 +195,66 @@ class Expansions:
         """Return expansions that hold at several coordinates, and which of them is for each, (b,)."""
         if not self.dim:
             return [self.at(v[0], False)], np.zeros(len(v), dtype=int)
-        found, which = list[Expansion](), np.full(len(v), -1)
+        expansions, which = list[Expansion](), np.full(len(v), -1)
         for box in self._boxes:
             inside = (which < 0) & (np.abs(v[:, 0] - box.middle[0]) <= box.half)
             if inside.any():
-                which[inside] = len(found)
-                found.append(box)
-        left = np.flatnonzero(which < 0)
+                which[inside] = len(expansions)
+                expansions.append(box)
+        uncovered = np.flatnonzero(which < 0)
         # Each once: a coordinate that stood there twice would count twice.
-        apart, of = np.unique(v[left], axis=0, return_inverse=True)
-        for start in range(0, len(apart), LISTED):
-            some = apart[start : start + LISTED]
-            which[left[(of >= start) & (of < start + LISTED)]] = len(found)
-            found.append(ListedColumns(np.moveaxis(self._columns(some), 0, 2), some))
-        return found, which
+        places, of = np.unique(v[uncovered], axis=0, return_inverse=True)
+        for start in range(0, len(places), LISTED):
+            some = places[start : start + LISTED]
+            which[uncovered[(of >= start) & (of < start + LISTED)]] = len(expansions)
+            expansions.append(ListedColumns(np.moveaxis(self._columns(some), 0, 2), some))
+        return expansions, which
 
     def fitted(self, draws: Float[np.ndarray, "s d"]) -> PolynomialColumns | None:
         """Return columns as the best polynomials where some draws of the free shapes are; None where they are none."""
-        best, found = np.inf, None
+        best, fit = np.inf, None
         for degree in DEGREES.get(self.dim, ()):
             polynomials = Polynomials(draws, degree)
             count = len(polynomials.points)
-            made = self._columns(np.concatenate([polynomials.points, draws[:TRIED_DRAWS]]))
-            values, there = made[:count].reshape(count, -1), made[count:].reshape(TRIED_DRAWS, -1)
-            if not np.all(np.isfinite(made)):
+            computed = self._columns(np.concatenate([polynomials.points, draws[:TRIED_DRAWS]]))
+            values, exact = (
+                computed[:count].reshape(count, -1),
+                computed[count:].reshape(TRIED_DRAWS, -1),
+            )
+            if not np.all(np.isfinite(computed)):
                 break
             coefficients = np.linalg.pinv(polynomials.terms(polynomials.points)) @ values
-            error = polynomials.terms(draws[:TRIED_DRAWS]) @ coefficients - there
-            apart = np.max(np.abs(error), initial=0.0) / np.max(np.abs(values), initial=1e-300)
-            if apart >= best:
+            error = polynomials.terms(draws[:TRIED_DRAWS]) @ coefficients - exact
+            misfit = np.max(np.abs(error), initial=0.0) / np.max(np.abs(values), initial=1e-300)
+            if misfit >= best:
                 break
             # As few columns as span these: principal directions of the coefficients.
             size, vectors = np.linalg.eigh(coefficients @ coefficients.T)
             shares = vectors[:, size > KEPT_SHARE**2 * size[-1]]
-            columns = (shares.T @ coefficients).reshape(-1, *made.shape[1:])
-            best, found = apart, PolynomialColumns(np.moveaxis(columns, 0, 2), polynomials, shares)
+            columns = (shares.T @ coefficients).reshape(-1, *computed.shape[1:])
+            best, fit = misfit, PolynomialColumns(np.moveaxis(columns, 0, 2), polynomials, shares)
             if best <= TOLERANCE:
                 break
-        return found
+        return fit
 
     def _box(self, v: Float[np.ndarray, "d"]) -> Expansion | None:
         """Return the largest box that a series describes; None where there is none."""
         for halvings in range(self._halvings, HALVINGS + 1) if self._failures < FAILURES else ():
             half = 0.5 * BOX_WIDTH * 2.0**-halvings
-            made = self._columns(v + half * np.append(points(COUNT), _TRIED)[:, None])
-            nodes, there = made[:COUNT].reshape(COUNT, -1), made[COUNT:].reshape(len(_TRIED), -1)
+            computed = self._columns(v + half * np.append(points(COUNT), _TRIED)[:, None])
+            nodes, exact = (
+                computed[:COUNT].reshape(COUNT, -1),
+                computed[COUNT:].reshape(len(_TRIED), -1),
+            )
             coefficients = to_coefficients(COUNT) @ nodes
             largest = np.max(np.abs(nodes), initial=1e-300)
-            error = np.max(np.abs(polynomials(_TRIED, COUNT) @ coefficients - there), initial=0.0)
+            error = np.max(np.abs(polynomials(_TRIED, COUNT) @ coefficients - exact), initial=0.0)
             if error <= TOLERANCE * largest:
                 self._halvings = halvings
                 size = np.max(np.abs(coefficients), axis=1, initial=0.0)
-                kept = np.flatnonzero((size > KEPT_TERM * largest) | (_ORDERS == 0))
-                parts = coefficients[kept].reshape(-1, *made.shape[1:])
-                return Expansion(np.moveaxis(parts, 0, 2), v, half, kept)
+                orders = np.flatnonzero((size > KEPT_TERM * largest) | (_ORDERS == 0))
+                parts = coefficients[orders].reshape(-1, *computed.shape[1:])
+                return Expansion(np.moveaxis(parts, 0, 2), v, half, orders)
         self._failures += 1
         return None
 
@@ -256,12 +264,12 @@ class Expansions:
         unit = h * np.eye(dim)
         mixed = [unit[i] + unit[j] for i, j in _pairs(dim) if i != j]
         shifts = np.array([np.zeros(dim), *unit, *-unit, *mixed, *np.negative(mixed)])
-        made = self._columns(v + shifts.reshape(-1, dim))
-        here, up, down = made[0], made[1 : 1 + dim], made[1 + dim : 1 + 2 * dim]
-        across = iter(made[1 + 2 * dim :].reshape(2, -1, *here.shape).sum(axis=0))
-        parts = [here, *((up - down) / (2 * h))]
+        computed = self._columns(v + shifts.reshape(-1, dim))
+        middle, up, down = computed[0], computed[1 : 1 + dim], computed[1 + dim : 1 + 2 * dim]
+        across = iter(computed[1 + 2 * dim :].reshape(2, -1, *middle.shape).sum(axis=0))
+        parts = [middle, *((up - down) / (2 * h))]
         for i, j in _pairs(dim):
-            bend = up[i] - 2 * here + down[i]
+            bend = up[i] - 2 * middle + down[i]
             if i != j:
                 bend = 0.5 * (next(across) - bend - up[j] - down[j])
             parts.append(bend / h**2)

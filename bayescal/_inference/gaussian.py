@@ -43,7 +43,7 @@ class Prior(NamedTuple):
     sd: Float[np.ndarray, "*b p"]
     weight: Float[np.ndarray, "p"]
 
-    def from_point(self, at: Any, told: Any) -> tuple[Any, Any]:
+    def from_point(self, at: Any, information: Any) -> tuple[Any, Any]:
         """Where the prior's mean is from a point: by a step to take first, and in its own standard deviations.
 
         The step, where the prior tells a coefficient better than readings (`told`, the diagonal of JᵀΣ⁻¹J): one of no
@@ -51,7 +51,7 @@ class Prior(NamedTuple):
         mean and as far a way back has no digits left.
         """
         off = self.weight * (self.mean - at)
-        inside = self.sd**2 * told > 1
+        inside = self.sd**2 * information > 1
         return np.where(inside, 0.0, off), np.where(
             inside, off / np.where(inside, self.sd, 1.0), 0.0
         )
@@ -74,7 +74,7 @@ class Conditional:
     sd: Float[np.ndarray, "p"]  # of the prior
     chol: Float[np.ndarray, "p p"]  # L, the lower factor of the precision of z
     z: Float[np.ndarray, "p"]  # the mean, in standard deviations from that of the prior
-    rest: float  # sum of squares at the mean, the prior's share included
+    penalised_rss: float  # sum of squares at the mean, the prior's share included
     squares: float  # of the whitened residuals at the mean alone
 
     @cached_property
@@ -120,17 +120,17 @@ def condition(
     # share.
     move, z = offset + sd * t, t - far
     squares = gram.rtr - move @ (2 * gram.jtr - gram.jtj @ move)
-    rest = squares + weight @ (z * z)
-    if not rest > 0:  # no digits left: noise far below any residual
+    penalised_rss = squares + weight @ (z * z)
+    if not penalised_rss > 0:  # no digits left: noise far below any residual
         return None
     # |Σ + J·S²·Jᵀ| = |Σ|·|A| (Sylvester's determinant identity), and |A| is the squared product of L's diagonal.
     volume = gram.logdet + 2 * float(np.log(chol.diagonal()).sum())
     flat = 0.0 if weight.all() else float(prior.flat_volume)
-    log_marginal = flat - 0.5 * (size * LOG_2PI + volume + rest)
+    log_marginal = flat - 0.5 * (size * LOG_2PI + volume + penalised_rss)
     if not math.isfinite(log_marginal):
         return None
-    own = float(rest), float(squares)
-    return Conditional(float(log_marginal), at + move, sd, chol, z, *own)
+    sums = float(penalised_rss), float(squares)
+    return Conditional(float(log_marginal), at + move, sd, chol, z, *sums)
 
 
 class Drawn(NamedTuple):
@@ -163,15 +163,17 @@ def draw(
     mean = solve(chol, solve(chol, pulled), upper=True)
     move, from_prior = offset + sd * mean, mean - far
     across = np.einsum("bij,bj->bi", grams.jtj, move)
-    rest = grams.rtr - np.sum(move * (2 * grams.jtr - across), axis=1) + from_prior**2 @ weight
+    penalised_rss = (
+        grams.rtr - np.sum(move * (2 * grams.jtr - across), axis=1) + from_prior**2 @ weight
+    )
     # Half of log|A|; L⁻ᵀε below has the covariance A⁻¹ = (L·Lᵀ)⁻¹.
     halves = np.sum(np.log(np.diagonal(chol, axis1=1, axis2=2)), axis=1)
     flat = np.broadcast_to(prior.flat_volume, len(sd))
-    log_marginal = flat - 0.5 * (size * LOG_2PI + grams.logdet + 2 * halves + rest)
+    log_marginal = flat - 0.5 * (size * LOG_2PI + grams.logdet + 2 * halves + penalised_rss)
     away = solve(chol, normal, upper=True)
     log_sd = np.sum(np.log(np.where(weight > 0, 1.0, sd)), axis=1)
     return Drawn(
-        np.where(np.isfinite(log_marginal) & (rest > 0), log_marginal, -np.inf),
+        np.where(np.isfinite(log_marginal) & (penalised_rss > 0), log_marginal, -np.inf),
         at + move + sd * away,
         (from_prior + away) ** 2 @ weight,
         log_sd - halves,
@@ -185,7 +187,7 @@ def factors(matrices: Float[np.ndarray, "*b p p"]) -> Float[np.ndarray, "*b p p"
     except np.linalg.LinAlgError:
         if matrices.ndim == 2:
             return np.full_like(matrices, np.nan)
-        return np.stack([factors(one) for one in matrices])
+        return np.stack([factors(matrix) for matrix in matrices])
 
 
 def solve(

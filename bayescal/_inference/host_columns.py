@@ -39,9 +39,9 @@ class HostColumns:
         """
         if basis not in self._programs:
             try:
-                made = self._matrix(basis, shapes, moves)
-                if not is_traced(made):
-                    return made
+                columns = self._matrix(basis, shapes, moves)
+                if not is_traced(columns):
+                    return columns
             except ModelError:
                 raise
             except Exception:  # of arrays of NumPy's that it cannot take
@@ -60,33 +60,35 @@ class HostColumns:
         lengths = [len(v) for v in shapes.values()] + [len(m) for m in moves.values() if m.ndim > 1]
         size = max(lengths, default=1)
         parts = []
-        for here in np.array_split(np.arange(size), -(-size * self.frame.size // NUMBERS_AT_ONCE)):
-            own = {n: np.broadcast_to(v, (size,))[here] for n, v in shapes.items()}
-            moved = {n: m[here] if m.ndim > 1 else m for n, m in moves.items()}
-            parts.append(self._part(basis, own, moved, len(here)))
+        for part in np.array_split(np.arange(size), -(-size * self.frame.size // NUMBERS_AT_ONCE)):
+            values = {n: np.broadcast_to(v, (size,))[part] for n, v in shapes.items()}
+            moved = {n: m[part] if m.ndim > 1 else m for n, m in moves.items()}
+            parts.append(self._part(basis, values, moved, len(part)))
         return np.concatenate(parts)
 
     def _part(
         self, basis: Basis, shapes: Mapping[str, Any], moves: Mapping[str, Any], size: int
     ) -> Float[np.ndarray, "s n k"]:
-        def one(i: int) -> Float[np.ndarray, "n k"]:
+        def column_at(i: int) -> Float[np.ndarray, "n k"]:
             moved = {n: m[i] if m.ndim > 1 else m for n, m in moves.items()}
             return self.at(basis, {n: v[i] for n, v in shapes.items()}, moved)
 
         if size > 1 and self._together.get(basis, True):
             try:
                 leading = {n: v[:, None] for n, v in shapes.items()}
-                made = self._matrix(basis, leading, moves, (size,))
+                columns = self._matrix(basis, leading, moves, (size,))
             except Exception:  # written for one value
-                made = None
+                columns = None
             # Such a basis may return the right shape by chance.
-            if made is not None and basis not in self._together:
-                alike = np.allclose(made[-1], one(size - 1), rtol=1e-12, atol=0, equal_nan=True)
-                self._together[basis] = alike and basis not in self._programs
-            if made is not None and self._together[basis]:
-                return made
+            if columns is not None and basis not in self._together:
+                is_same = np.allclose(
+                    columns[-1], column_at(size - 1), rtol=1e-12, atol=0, equal_nan=True
+                )
+                self._together[basis] = is_same and basis not in self._programs
+            if columns is not None and self._together[basis]:
+                return columns
             self._together[basis] = False
-        return np.array([one(i) for i in range(size)])
+        return np.array([column_at(i) for i in range(size)])
 
     def _matrix(
         self,

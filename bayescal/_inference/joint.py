@@ -19,7 +19,7 @@ Batch = Mapping[str, np.ndarray | float]  # φ by name, one value a draw, or one
 
 def correction(
     problem: Problem,
-    found: Drawn,
+    drawn: Drawn,
     normal: Float[np.ndarray, "b p"],
     hyper: Batch,
     exact: bool,
@@ -31,17 +31,17 @@ def correction(
     x was drawn by these normal numbers, Student-t if `heavy`; `exact`: the closed form was that of φ itself.
     """
     if problem.affine and exact:
-        return np.zeros(len(found.x))
+        return np.zeros(len(drawn.x))
     # x = shift + S·L⁻ᵀ·ε has the density of ε over |S·L⁻ᵀ|, the volume of the map.
     squares = np.sum(normal**2, axis=1)
-    log_drawn = _log_density(squares, normal.shape[1], heavy) - found.log_volume
-    expected, extra = problem.expected_and_extra(found.x, hyper)
-    prior = -0.5 * (found.squares + LOG_2PI * np.sum(problem.weight_of_x))
+    log_drawn = _log_density(squares, normal.shape[1], heavy) - drawn.log_volume
+    expected, extra = problem.expected_and_extra(drawn.x, hyper)
+    prior = -0.5 * (drawn.squares + LOG_2PI * np.sum(problem.weight_of_x))
     # The weight of φ holds p(y|φ) of the linearised model already: it is divided out, with the density that x was
     # drawn from, and the true likelihood and prior of x put in its place.
-    left = problem.record.y - expected
-    true = total_log_density(problem.noise, problem.record, left, hyper, extra)
-    return true + prior - log_drawn - found.log_marginal
+    residual = problem.record.y - expected
+    true = total_log_density(problem.noise, problem.record, residual, hyper, extra)
+    return true + prior - log_drawn - drawn.log_marginal
 
 
 def normal_numbers(size: int, count: int, heavy: bool, random: np.random.Generator) -> np.ndarray:

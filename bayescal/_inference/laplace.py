@@ -49,9 +49,9 @@ def find_mode(
     problem: Problem,
     starts: Iterable[np.ndarray] | None = None,
     x: Float[np.ndarray, "p"] | None = None,
-    still: float = STILL_SD,
+    xtol: float = STILL_SD,
     start: Mapping[str, float] = NOTHING_KNOWN,
-    wanted_from: float = -math.inf,
+    coarse_below: float = -math.inf,
     near: Nearby | None = None,
 ) -> Mode:
     """The mode, from the best of some coordinates of φ. Deterministic.
@@ -67,20 +67,20 @@ def find_mode(
     """
     x, dim = _start(problem) if x is None else x, len(problem.hypers)
     flat = flat_scales(problem, x, np.zeros(dim))
-    wanted = prior_draws(problem) if starts is None else list(starts)
+    candidates = prior_draws(problem) if starts is None else list(starts)
     if starts is None and problem.kinds == ["noise"]:  # one hill
-        wanted = wanted[:5]
+        candidates = candidates[:5]
     if start:
-        known = np.zeros(dim)
+        stated = np.zeros(dim)
         for i, h in enumerate(problem.hypers):
-            known[i] = h.prior.coordinate(start[h.name]) if h.name in start else 0.0
-        wanted = [known, *wanted]
+            stated[i] = h.prior.coordinate(start[h.name]) if h.name in start else 0.0
+        candidates = [stated, *candidates]
 
     def climbed(starts: Sequence[np.ndarray], x: np.ndarray) -> _Summit:
-        return _climbed(problem, starts, x, flat, still, wanted_from, near)
+        return _climbed(problem, starts, x, flat, xtol, coarse_below, near)
 
     highest = partial(max, key=attrgetter("value"))
-    top = climbed(wanted if dim else wanted[:1], x)
+    top = climbed(candidates if dim else candidates[:1], x)
     if starts is None:
         # A product a·b is that of −a and −b: its density has two hills, and which one the prior draws met was chance.
         promoted = np.array([h.kind == "promoted" for h in problem.hypers], dtype=bool)
@@ -88,19 +88,21 @@ def find_mode(
             top = highest(top, climbed([np.where(promoted, -top.v, top.v)], x))
         for along in across(problem, top.v):  # and one of many maxima may be higher
             top = highest(top, climbed([*along], top.x))
-    return at_mode(top.density, top.v, top.change, top.x, top.value > wanted_from)
+    return at_mode(top.density, top.v, top.change, top.x, top.value > coarse_below)
 
 
 def _start(problem: Problem) -> Float[np.ndarray, "p"]:
     """Where x̂ may be, nothing known: at its prior mean, or of three axes as `Vector.with_directions` has it."""
     record, start = problem.record, problem.start
     vector = record.instrument.vector
-    known = None if vector is None else vector.with_directions(record.frame, record.y)
-    if known is None:
+    directed = None if vector is None else vector.with_directions(record.frame, record.y)
+    if directed is None:
         return start
-    there = Problem(problem.layout, Record(record.instrument, *known), problem.size_factors)
+    problem_there = Problem(
+        problem.layout, Record(record.instrument, *directed), problem.size_factors
+    )
     middle = np.zeros(len(problem.hypers))
-    return mode_of_x(there, start, middle, flat_scales(there, start, middle))
+    return mode_of_x(problem_there, start, middle, flat_scales(problem_there, start, middle))
 
 
 def flat_scales(
@@ -127,8 +129,8 @@ def _climbed(
     starts: Sequence[np.ndarray],
     x: np.ndarray,
     flat: np.ndarray,
-    still: float,
-    wanted_from: float,
+    xtol: float,
+    coarse_below: float,
     near: Nearby | None,
 ) -> _Summit:
     """The mode of φ from the best of some starts.
@@ -137,37 +139,37 @@ def _climbed(
     way: rounds that lost again what they had gained could go in circles.
     """
     # A step of `still` standard deviations gains about still²/2 nats.
-    nothing = max(NOTHING_LEFT, 0.5 * still**2)
+    least_gain = max(NOTHING_LEFT, 0.5 * xtol**2)
     # The curvature at a point hangs more on where that is than the density does.
-    ftol = max(CONVERGED_NATS, 0.01 * nothing)
+    ftol = max(CONVERGED_NATS, 0.01 * least_gain)
     density = Density(problem, x, flat, starts[0], like=near)
     # Where the output is affine the linearisation is exact wherever it is made: one climb, no alternation.
     if problem.affine:
-        v = climb(density, best(density, starts), wanted_from, ftol)
-        value, found = density.at(v)
-        return _Summit(value, 0.0, v, x if found is None else found.mean, density)
+        v = climb(density, best(density, starts), coarse_below, ftol)
+        value, conditional = density.at(v)
+        return _Summit(value, 0.0, v, x if conditional is None else conditional.mean, density)
     v, change = best(density, starts), math.inf
-    density, value = _about_x(problem, x, v, flat, still, near)
+    density, value = _about_x(problem, x, v, flat, xtol, near)
     for _ in range(ROUNDS):
-        goal = climb(density, v, wanted_from, ftol)
+        goal = climb(density, v, coarse_below, ftol)
         for _ in range(HALVINGS):
-            there, higher = _about_x(problem, density.x, goal, flat, still, density.nearby)
-            if higher > value - nothing:
+            trial, higher = _about_x(problem, density.x, goal, flat, xtol, density.nearby)
+            if higher > value - least_gain:
                 break
             goal = v + 0.3 * (goal - v)
         else:
             break
         change = float(np.max(np.abs(goal - v), initial=0.0))
-        v, density, value = goal, there, higher
-        if change < still:
+        v, density, value = goal, trial, higher
+        if change < xtol:
             break
     return _Summit(value, change, v, density.x, density)
 
 
 def best(density: Density, starts: Sequence[np.ndarray]) -> np.ndarray:
     """Return the most probable of some coordinates."""
-    found = int(np.argmax(density.values(np.array(starts)))) if len(starts) > 1 else 0
-    return starts[found]
+    index = int(np.argmax(density.values(np.array(starts)))) if len(starts) > 1 else 0
+    return starts[index]
 
 
 def _about_x(
@@ -175,23 +177,23 @@ def _about_x(
     x: np.ndarray,
     v: np.ndarray,
     flat: np.ndarray,
-    still: float,
+    xtol: float,
     like: Nearby | None,
 ) -> tuple[Density, float]:
     """The density of φ about x̂ given φ, and its value there."""
-    density = Density(problem, mode_of_x(problem, x, v, flat, still), flat, v, like=like)
+    density = Density(problem, mode_of_x(problem, x, v, flat, xtol), flat, v, like=like)
     return density, density.at(v)[0]
 
 
 def across(problem: Problem, v: np.ndarray) -> list[Float[np.ndarray, "k d"]]:
     """For each shape whose evidence has many maxima: coordinates along it, all else as it is."""
-    names, made = problem.layout.index_in_phi, []
+    names, grids = problem.layout.index_in_phi, []
     shapes = ((e, s) for e in problem.layout.model.effects for s in e.column_shapes if s.ragged)
     for e, s in shapes:
         if (name := e.shape_name(s)) in names:
-            made.append(np.tile(v, (len(AHEAD), 1)))
-            made[-1][:, names[name]] = AHEAD
-    return made
+            grids.append(np.tile(v, (len(AHEAD), 1)))
+            grids[-1][:, names[name]] = AHEAD
+    return grids
 
 
 def prior_draws(problem: Problem) -> list[np.ndarray]:
@@ -206,7 +208,7 @@ def mode_of_x(
     x: Float[np.ndarray, "p"],
     v: np.ndarray,
     flat: np.ndarray,
-    still: float = STILL_SD,
+    xtol: float = STILL_SD,
 ) -> Float[np.ndarray, "p"]:
     """x̂ given φ: Gauss–Newton on the residuals and the prior's, each step halved until the sum falls.
 
@@ -217,37 +219,37 @@ def mode_of_x(
     prior = problem.prior(hyper, flat)
 
     def look(at: np.ndarray, extra: Any = None) -> tuple[float, Conditional | None]:
-        density = Density(problem, at, flat, held=extra)
+        density = Density(problem, at, flat, input_variance=extra)
         gram = density.gram(v, hyper)
         if not math.isfinite(gram.rtr + gram.logdet):
             return math.inf, None
         # Squares at the point itself, not at the linear model's minimum.
         z = prior.weight * (at - prior.mean) / np.where(prior.sd > 0, prior.sd, 1.0)
-        found = condition(gram, problem.record.size, prior, at)
-        return density.squares(hyper, gram) + float(z @ z), found
+        at_point = condition(gram, problem.record.size, prior, at)
+        return density.squares(hyper, gram) + float(z @ z), at_point
 
-    squares, found = look(x)
+    squares, conditional = look(x)
     for _ in range(50):
-        if found is None:
+        if conditional is None:
             return x
-        goal, share = found.mean, 1.0
+        goal, share = conditional.mean, 1.0
         # At rest where a whole Gauss–Newton step moves nothing by a tenth of `still` posterior standard deviations.
-        width = np.sqrt(np.diag(found.covariance)) + 1e-300
-        if np.max(np.abs((goal - x) / width), initial=0.0) < 0.1 * still:
+        width = np.sqrt(np.diag(conditional.covariance)) + 1e-300
+        if np.max(np.abs((goal - x) / width), initial=0.0) < 0.1 * xtol:
             return x
         extra = problem.extra(problem.linearise(x, hyper)) if problem.noisy else None
         for _ in range(HALVINGS):
             trial = x + share * (goal - x)
-            there, found = look(trial, extra)
-            if there <= squares or not math.isfinite(squares):
+            trial_squares, conditional = look(trial, extra)
+            if trial_squares <= squares or not math.isfinite(squares):
                 break
             share *= 0.5
         else:
             return x
-        gain, squares, x = squares - there, there, trial
+        gain, squares, x = squares - trial_squares, trial_squares, trial
         if problem.noisy:
-            squares, found = look(x)
-        elif share == 1.0 and gain < still**2:
+            squares, conditional = look(x)
+        elif share == 1.0 and gain < xtol**2:
             return x
     return x
 
@@ -269,5 +271,12 @@ def at_mode(
     if fit.log_density <= NOWHERE:
         fit = fit._replace(log_evidence=-math.inf, indefinite=True)
         change = math.inf
-    own = fit.covariance, fit.log_density, fit.log_evidence, change, density.flat, fit.indefinite
-    return Mode(x, v, *own)
+    rest_of_fields = (
+        fit.covariance,
+        fit.log_density,
+        fit.log_evidence,
+        change,
+        density.flat,
+        fit.indefinite,
+    )
+    return Mode(x, v, *rest_of_fields)

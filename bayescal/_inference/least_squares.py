@@ -59,13 +59,13 @@ class LeastSquares(Method):
         with stage("least squares"):
             mode = find_mode(problem, start=start)
             # From where the mode is known to be, the last digits are a few steps of Gauss–Newton away.
-            found = refine(problem, mode, self.curvature == "hessian", by_optimistix=not start)
-        return self.outcome(problem.layout, found, seed)
+            solution = refine(problem, mode, self.curvature == "hessian", by_optimistix=not start)
+        return self.outcome(problem.layout, solution, seed)
 
-    def outcome(self, layout: Layout, found: Solution, seed: int) -> Outcome:
+    def outcome(self, layout: Layout, solution: Solution, seed: int) -> Outcome:
         """What a solution comes to: draws of the Gaussian approximation about it, and whether to trust it."""
-        reasons = [] if found.converged else [trust.NOT_CONVERGED]
-        reasons += [] if np.all(np.isfinite(found.covariance)) else [trust.SINGULAR]
+        reasons = [] if solution.converged else [trust.NOT_CONVERGED]
+        reasons += [] if np.all(np.isfinite(solution.covariance)) else [trust.SINGULAR]
         kind = "Gauss–Newton" if self.curvature == "gauss-newton" else "full-Hessian"
         notes = [
             f"{kind} covariance; noise and between-group standard deviations held at their estimates, so that "
@@ -73,33 +73,33 @@ class LeastSquares(Method):
         ]
         return Outcome(
             layout=layout,
-            draws=gaussian_draws(layout, found, self.draws, seed),
-            mode=found.mode,
+            draws=gaussian_draws(layout, solution, self.draws, seed),
+            mode=solution.mode,
             verdict=Verdict(not reasons, tuple(reasons), tuple(notes), "least squares"),
-            log_evidence=None if layout.improper else (float(found.mode.log_evidence), None),
+            log_evidence=None if layout.improper else (float(solution.mode.log_evidence), None),
         )
 
 
 @on_one_thread  # else the last digits would hang on how many cores there are
-def gaussian_draws(layout: Layout, found: Solution, count: int, seed: int) -> Draws:
+def gaussian_draws(layout: Layout, solution: Solution, count: int, seed: int) -> Draws:
     """Draws of the Gaussian approximation about a solution."""
     # An unknown function's amplitude and length are not among these: fitted together with the function, the amplitude
     # would run away and its coefficients to zero. They stay where the marginal likelihood has its maximum.
     places = layout.positions("shape", "promoted")
     random = np.random.default_rng(seed)
-    covariance = np.where(np.isfinite(found.covariance), found.covariance, 0.0)
+    covariance = np.where(np.isfinite(solution.covariance), solution.covariance, 0.0)
     sd = np.sqrt(np.diag(covariance))
     sd = np.where(sd > 0, sd, 1.0)  # scaled by it, so that a small variance beside a large counts
     values, vectors = np.linalg.eigh(0.5 * (covariance + covariance.T) / np.outer(sd, sd))
     root = sd[:, None] * vectors * np.sqrt(np.maximum(values, 0))
-    centre = np.concatenate([found.mode.x, found.mode.v[places]])
+    centre = np.concatenate([solution.mode.x, solution.mode.v[places]])
     count = CHAINS * max(1, count // CHAINS)
     normal = random.standard_normal((count, len(centre)))
     # So that means and covariances read from the draws are those of the fit, not of the draws' luck:
     if count > 4 * len(centre) and len(centre):
         normal = _exact_moments(normal)
     theta = centre + normal @ root.T
-    v = np.tile(found.mode.v, (count, 1)).copy()  # of an empty v, tile gives a view
+    v = np.tile(solution.mode.v, (count, 1)).copy()  # of an empty v, tile gives a view
     v[:, places] = theta[:, layout.size :]
     return Draws.of(theta[:, : layout.size], v)
 
@@ -107,8 +107,8 @@ def gaussian_draws(layout: Layout, found: Solution, count: int, seed: int) -> Dr
 def _exact_moments(normal: np.ndarray) -> np.ndarray:
     """Normal draws moved linearly so that their mean is exactly 0 and their covariance exactly 1."""
     # With Z − mean = U·s·Vᵀ the matrix U·Vᵀ is the nearest to it with orthonormal columns (polar decomposition).
-    own = np.linalg.svd(normal - normal.mean(axis=0), full_matrices=False)
-    return own.U @ own.Vh * np.sqrt(len(normal) - 1)
+    svd = np.linalg.svd(normal - normal.mean(axis=0), full_matrices=False)
+    return svd.U @ svd.Vh * np.sqrt(len(normal) - 1)
 
 
 class QR(NamedTuple):
@@ -153,7 +153,7 @@ class Solution(NamedTuple):
     converged: bool
 
 
-class _Given(NamedTuple):
+class _Conditional(NamedTuple):
     """θ integrated out of the model linearised somewhere, given φ."""
 
     theta: Float[np.ndarray, "q"]
@@ -172,8 +172,8 @@ def refine(
     """
     fit = _Refinement(problem, mode)
     # Where JᵀJ has no Cholesky factor the mode is nowhere; from the prior's centre, QR may find it.
-    found = np.all(np.isfinite(mode.x)) and math.isfinite(mode.log_evidence)
-    x = mode.x if found else problem.start
+    is_finite = np.all(np.isfinite(mode.x)) and math.isfinite(mode.log_evidence)
+    x = mode.x if is_finite else problem.start
     v = np.where(np.isfinite(mode.v), mode.v, 0.0)
     theta, converged = np.concatenate([x, v[fit.places]]), False
     if by_optimistix and (fit.places or not problem.affine):  # what is linear is one step of QR
@@ -185,13 +185,15 @@ def refine(
         v = moved
         if not change > ROUND_CHANGE:
             break
-    given = fit.conditional(theta, v)(v)
+    conditional = fit.conditional(theta, v)(v)
     # What counts is whether a Gauss–Newton step would still move anything.
-    covariance = given.root @ given.root.T
+    covariance = conditional.root @ conditional.root.T
     sd = np.sqrt(np.diag(covariance))
-    converged = converged or bool(np.max(np.abs(given.theta - theta) / sd, initial=0.0) < STILL_SD)
+    converged = converged or bool(
+        np.max(np.abs(conditional.theta - theta) / sd, initial=0.0) < STILL_SD
+    )
     if (full_hessian or not fit.gaussian) and np.all(np.isfinite(covariance)):
-        covariance = fit.curved(theta, v, given.root)
+        covariance = fit.curved(theta, v, conditional.root)
     return Solution(mode._replace(x=theta[: problem.size], v=v), covariance, converged)
 
 
@@ -206,19 +208,19 @@ class _Refinement:
         # All scales stay where the marginal likelihood of the mode has them, but for one standard deviation of all
         # readings; where coefficients of stated sizes explain any readings its prior alone says how large it is.
         stated = sum(b.size for b in layout.x_blocks if b.coefficient.group_sd is None)
-        one = self.gaussian and self.even and problem.record.size > stated
-        noise = layout.positions("noise") if one else []
+        has_one_sd = self.gaussian and self.even and problem.record.size > stated
+        noise = layout.positions("noise") if has_one_sd else []
         self.noise_place = noise[0] if len(noise) == 1 else None
         self.places = layout.moving
 
     def prior(self, v: Float[np.ndarray, "d"]) -> Prior:
         """Of θ: that of x given φ, and the standard normal one of w."""
-        own = self.problem.prior(self.problem.hyper(v), self.mode.flat)
+        of_x = self.problem.prior(self.problem.hyper(v), self.mode.flat)
         further = np.ones(len(self.places))
         return Prior(
-            np.append(own.mean, 0 * further),
-            np.append(own.sd, further),
-            np.append(own.weight, further),
+            np.append(of_x.mean, 0 * further),
+            np.append(of_x.sd, further),
+            np.append(of_x.weight, further),
         )
 
     def table(self, theta: np.ndarray, v: np.ndarray) -> tuple[np.ndarray, np.ndarray | float]:
@@ -235,25 +237,25 @@ class _Refinement:
 
         line, x = linearised(theta), theta[:size]
         moved = differences(lambda w: linearised(np.append(x, w)).mean, theta[size:], SHIFT)
-        rest, extra = problem.record.y - line.mean, problem.extra(line)
-        found = np.column_stack([line.jacobian, *moved, rest])
+        residual, extra = problem.record.y - line.mean, problem.extra(line)
+        table = np.column_stack([line.jacobian, *moved, residual])
         if problem.noisy:
             total = variance(problem.noise, problem.hyper(v), problem.record) + extra
             steps = SHIFT * self.prior(v).sd
             by_theta = differences(lambda at: problem.extra(linearised(at)), theta, steps)
-            found[:, :-1] += 0.5 * (rest / total)[:, None] * by_theta.T
-        return found, extra
+            table[:, :-1] += 0.5 * (residual / total)[:, None] * by_theta.T
+        return table, extra
 
-    def whiten(self, v: np.ndarray, extra: Any, left: np.ndarray) -> Whitening | Independent:
+    def whiten(self, v: np.ndarray, extra: Any, residual: np.ndarray) -> Whitening | Independent:
         problem = self.problem
-        return whitening(problem.noise, problem.hyper(v), problem.record, extra, left)
+        return whitening(problem.noise, problem.hyper(v), problem.record, extra, residual)
 
     def fit_theta(self, theta: np.ndarray, v: np.ndarray) -> tuple[np.ndarray, bool]:
         """θ by least squares of the whitened residuals and the prior's, given the scales in v."""
         if not theta.size:
             return theta, True
         prior = self.prior(v)
-        own = np.diag(prior.weight)
+        weight = np.diag(prior.weight)
 
         def look(at: np.ndarray) -> tuple[float, QR]:
             plain, extra = self.table(at, v)
@@ -261,26 +263,28 @@ class _Refinement:
             table = white(plain)
             # The prior is rows beside the readings: in steps of z = (θ − m)/s, [A·S; W]·step = [r; −z].
             z = prior.weight * (at - prior.mean) / np.where(prior.sd > 0, prior.sd, 1.0)
-            whole = np.concatenate([table * np.append(prior.sd, 1.0), np.column_stack([own, -z])])
+            whole = np.concatenate(
+                [table * np.append(prior.sd, 1.0), np.column_stack([weight, -z])]
+            )
             if not np.all(np.isfinite(whole)):
                 return math.inf, qr(np.zeros_like(whole))
             beyond = white.beyond if isinstance(white, Independent) else 0.0
             return float(whole[:, -1] @ whole[:, -1]) + beyond, qr(whole)
 
-        cost, found = look(theta)
-        damping, best = 0.0, float(np.linalg.norm(found.inside))
+        cost, factor = look(theta)
+        damping, best = 0.0, float(np.linalg.norm(factor.inside))
         for _ in range(ROUND_STEPS):
-            if not found.determined:
+            if not factor.determined:
                 return theta, False
-            trial = theta + prior.sd * found.damped(damping)
-            there, further = look(trial)
-            left = float(np.linalg.norm(further.inside))
+            trial = theta + prior.sd * factor.damped(damping)
+            trial_cost, further = look(trial)
+            offset = float(np.linalg.norm(further.inside))
             # Relative offset: what of the residuals lies in the tangent plane, against all of them, has no units and
             # knows of no step length (D. Bates and D. Watts, Technometrics 23 (1981) 179).
             near = best <= GOOD_SHARE * math.sqrt(cost)
-            settles = left < 0.8 * best and there < cost * (1 + 1e-6)
-            if settles or (not near and there < cost):
-                theta, cost, found, best = trial, there, further, left
+            settles = offset < 0.8 * best and trial_cost < cost * (1 + 1e-6)
+            if settles or (not near and trial_cost < cost):
+                theta, cost, factor, best = trial, trial_cost, further, offset
                 damping = 0.0 if damping < 1e-6 else 0.1 * damping
                 continue
             if near or damping > 1e12:
@@ -303,48 +307,50 @@ class _Refinement:
             scale[b.at] = b.coefficient.size
         record = problem.record
         # Padded to one of a few lengths, for each of which it is compiled once.
-        there = np.arange(record.padded_size) < record.size
-        readings = jnp.asarray(record.longer(record.y)), jnp.asarray(there, float)
+        is_reading = np.arange(record.padded_size) < record.size
+        readings = jnp.asarray(record.longer(record.y)), jnp.asarray(is_reading, float)
         steps = _by_optimistix(
             layout, record.padded, readings, v, prior, begin, scale, tuple(self.places)
         )
-        there = begin + scale * np.asarray(steps)
-        return there if np.all(np.isfinite(there)) else begin
+        theta = begin + scale * np.asarray(steps)
+        return theta if np.all(np.isfinite(theta)) else begin
 
-    def conditional(self, theta: np.ndarray, v: np.ndarray) -> Callable[..., _Given]:
+    def conditional(self, theta: np.ndarray, v: np.ndarray) -> Callable[..., _Conditional]:
         """A function of φ's coordinates: θ integrated out of the model linearised here, by QR."""
         table, extra = self.table(theta, v)
         # With one variance for all readings R of the plain table stands for it: whitening only divides by σ.
         even = self.even
         upper = np.triu(dgeqrf(table)[0][: table.shape[1]]) if even else table
         lost = np.full((theta.size, theta.size), np.nan)
-        nowhere = _Given(np.full(theta.size, np.nan), lost, np.nan, np.nan)
+        nowhere = _Conditional(np.full(theta.size, np.nan), lost, np.nan, np.nan)
 
-        def given(v: np.ndarray) -> _Given:
+        def condition_at(v: np.ndarray) -> _Conditional:
             prior = self.prior(v)
             if even:
                 variance = float(self.problem.noise.shared_variance(self.problem.hyper(v)))
                 if not variance > np.finfo(float).tiny:
                     return nowhere
-                made = upper / math.sqrt(variance)
+                white = upper / math.sqrt(variance)
             else:
-                made = self.whiten(v, extra, table[:, -1])(upper)
-            offset, far = prior.from_point(theta, np.sum(made[:, :-1] ** 2, axis=0))
-            own = np.column_stack([made[:, :-1] * prior.sd, made[:, -1] - made[:, :-1] @ offset])
+                white = self.whiten(v, extra, table[:, -1])(upper)
+            offset, far = prior.from_point(theta, np.sum(white[:, :-1] ** 2, axis=0))
+            scaled = np.column_stack(
+                [white[:, :-1] * prior.sd, white[:, -1] - white[:, :-1] @ offset]
+            )
             rows = np.column_stack([np.diag(prior.weight), far])
-            found = qr(np.concatenate([own, rows]))
-            if not found.determined:
+            factor = qr(np.concatenate([scaled, rows]))
+            if not factor.determined:
                 return nowhere
-            step = found.solution
+            step = factor.solution
             z = step - far
-            inverse = dtrtri(found.root)[0] if z.size else found.root
-            squares = found.outside**2 - float(prior.weight @ z**2)
+            inverse = dtrtri(factor.root)[0] if z.size else factor.root
+            squares = factor.outside**2 - float(prior.weight @ z**2)
             # Degrees of freedom: the trace of the hat matrix, q − tr W·var z; all q where priors say nothing.
             spent = z.size - float(prior.weight @ np.sum(inverse**2, axis=1))
             mean = theta + offset + prior.sd * step
-            return _Given(mean, prior.sd[:, None] * inverse, squares, spent)
+            return _Conditional(mean, prior.sd[:, None] * inverse, squares, spent)
 
-        return given
+        return condition_at
 
     def fit_noise(self, theta: np.ndarray, v: np.ndarray) -> np.ndarray:
         """v with the one standard deviation of independent noise: squares over the degrees of freedom left.
@@ -353,14 +359,14 @@ class _Refinement:
         """
         if self.noise_place is None:
             return v
-        given, place, y = self.conditional(theta, v), self.noise_place, self.problem.record.y
+        condition_at, place, y = self.conditional(theta, v), self.noise_place, self.problem.record.y
         least = (np.finfo(float).eps * float(np.max(np.abs(y)))) ** 2  # what the digits can tell
         # Its maximum is σ² = squares/(n − spent); priors make `spent` follow σ, hence the rounds.
         for _ in range(100):
-            found = given(v)
-            if not (left := len(y) - found.spent) > 0:
+            conditional = condition_at(v)
+            if not (freedom := len(y) - conditional.spent) > 0:
                 return v
-            ratio = max(found.squares / left, least)  # of variances
+            ratio = max(conditional.squares / freedom, least)  # of variances
             prior = self.problem.hypers[place].prior
             step = 0.5 * math.log(ratio) * float(prior.value(v[place]) / slope(prior, v[place]))
             v = put(v[place] + step, [place], v)
@@ -393,19 +399,19 @@ class _Refinement:
 
 
 @compiled
-def _by_optimistix(layout, frame, own, v, prior, begin, scale, places):
+def _by_optimistix(layout, frame, readings, v, prior, begin, scale, places):
     """Steps (q,), in parts of `scale`, to the least squares of the whitened residuals and of the prior's."""
     import optimistix as optx  # a sixth of a second that only this needs
 
-    (y, real), noise, size = own, layout.model.noise, layout.size
+    (y, real), noise, size = readings, layout.model.noise, layout.size
     at_shapes = jnp.asarray(places, dtype=int)
 
     def residuals(z: Any, _: Any) -> Any:
         at = begin + scale * z
         hyper = forward.hyper_values(layout, v.at[at_shapes].set(at[size:]))
         mean, extra = forward.with_inputs(layout, frame, at[:size], hyper)
-        ordered, left = in_time(noise, frame, y - mean)
-        white, _ = noise.whiten(left[:, None], 0.0 if extra is None else extra, hyper, ordered)
+        ordered, residual = in_time(noise, frame, y - mean)
+        white, _ = noise.whiten(residual[:, None], 0.0 if extra is None else extra, hyper, ordered)
         return jnp.append(real * white[:, 0], prior.weight * (at - prior.mean) / prior.sd)
 
     none, solver = jnp.zeros(len(begin)), optx.LevenbergMarquardt(rtol=TOLERANCE, atol=TOLERANCE)

@@ -38,8 +38,8 @@ GAUSS_NEWTON = 4  # linearisations of the expected output: enough for an order o
 def learned_size(effect: Effect, problem: Problem, mode: Mode) -> tuple[float, float] | None:
     """Spread or amplitude that says how large an effect is, with its standard uncertainty; None if nothing does."""
     learned = effect.measure_name or effect.group_sd_name(0)
-    known = learned in problem.layout.index_in_phi
-    return problem.value_and_sd(learned, mode.v, mode.covariance) if known else None
+    names = learned in problem.layout.index_in_phi
+    return problem.value_and_sd(learned, mode.v, mode.covariance) if names else None
 
 
 @dataclass(frozen=True, eq=False)
@@ -88,8 +88,8 @@ class LinearModel:
 
     def contribution(self, name: str) -> Float[np.ndarray, "n"]:
         """What an effect's coefficients add to the expected output, against their priors' means, output unit."""
-        own = np.array([owner == name for owner in self.owners])
-        x = np.flatnonzero(own[: self.problem.size])
+        is_own = np.array([owner == name for owner in self.owners])
+        x = np.flatnonzero(is_own[: self.problem.size])
         return self.nuisance[:, x] @ self.z[x]
 
     @cached_property
@@ -101,8 +101,8 @@ class LinearModel:
         size = np.sqrt(np.diag(inner))
         size = np.where(size > 0, size, 1.0)
         weights, vectors = np.linalg.eigh(inner / size / size[:, None])
-        known = weights > RANK * weights[-1:]
-        root = np.where(known, 1 / np.sqrt(np.where(known, weights, 1.0)), 0.0)
+        is_known = weights > RANK * weights[-1:]
+        root = np.where(is_known, 1 / np.sqrt(np.where(is_known, weights, 1.0)), 0.0)
         root = vectors * root / size[:, None]
         return root, white @ root
 
@@ -160,7 +160,7 @@ class LinearModel:
         return variance(self.problem.noise, hyper, self.problem.record) + extra
 
     @cached_property
-    def rest(self) -> float:
+    def rss(self) -> float:
         """Sum of squares, the prior's share included."""
         white = self.decorrelate(self.residual[:, None])
         return float(np.sum(white**2)) + float(self.weight @ self.z**2)
@@ -169,11 +169,11 @@ class LinearModel:
         """What of whitened columns the nuisances take, P = Gᵀ·C: the information left is CᵀC − PᵀP."""
         return self.directions.T @ columns
 
-    def beyond(self, column: Float[np.ndarray, "n"], rest: np.ndarray) -> Float[np.ndarray, "n"]:
+    def beyond(self, column: Float[np.ndarray, "n"], mask: np.ndarray) -> Float[np.ndarray, "n"]:
         """What some nuisances (a mask) leave of a whitened column: what they could take up only with implausible
         coefficients is left, since their priors count."""
-        others = self.white_nuisance[:, rest]
-        inner = others.T @ others + np.diag(self.weight[rest])
+        others = self.white_nuisance[:, mask]
+        inner = others.T @ others + np.diag(self.weight[mask])
         return column - others @ np.linalg.lstsq(inner, others.T @ column, rcond=1e-12)[0]
 
     def score(
@@ -185,9 +185,9 @@ class LinearModel:
         score u = XᵀV⁻¹r and the information XᵀV⁻¹X.
         """
         white = self.whiten(columns)
-        taken = self.projected(white)
+        projection = self.projected(white)
         # V⁻¹r is Σ⁻¹ times the residuals at the fit.
-        return white.T @ self.white_settled, white.T @ white - taken.T @ taken
+        return white.T @ self.white_settled, white.T @ white - projection.T @ projection
 
     @cached_property
     def slopes(self) -> dict[str, np.ndarray]:
@@ -195,7 +195,7 @@ class LinearModel:
         return self.problem.slopes(self.mode.x, self.problem.hyper(self.mode.v))
 
 
-def taken_up(
+def explained_sum_of_squares(
     u: Float[np.ndarray, "*b k"], information: Float[np.ndarray, "*b k k"]
 ) -> tuple[Float[np.ndarray, "*b"], Float[np.ndarray, "*b"]]:
     """What columns of standard normal coefficients take up, by their score and information after the nuisances.
@@ -219,9 +219,9 @@ def linear_model(problem: Problem, mode: Mode) -> LinearModel:
     hyper = problem.hyper(mode.v)
     line = problem.linearise(mode.x, hyper)
     prior = problem.prior(hyper, mode.flat)
-    _, found = density.at(mode.v)
+    _, conditional = density.at(mode.v)
     # The variance that noise on inputs adds moves with x, which a step of Gauss–Newton does not know.
-    x = mode.x if found is None or problem.noisy else found.mean
+    x = mode.x if conditional is None or problem.noisy else conditional.mean
     residual = problem.record.y - line.mean - line.jacobian @ (x - mode.x)
 
     def mean(shapes: np.ndarray) -> np.ndarray:
@@ -235,7 +235,7 @@ def linear_model(problem: Problem, mode: Mode) -> LinearModel:
     nuisance.T[problem.size :] = slopes if len(slopes) else 0.0
     # Where x stands in units of its prior: a prior of no width has its coefficient at the mean.
     z = np.where(prior.sd > 0, (x - prior.mean) / np.where(prior.sd > 0, prior.sd, 1.0), 0.0)
-    own = [t.effect.name for t in problem.in_x for _ in range(t.at.start, t.at.stop)]
+    owners = [t.effect.name for t in problem.in_x for _ in range(t.at.start, t.at.stop)]
     extra = problem.extra(line)
     return LinearModel(
         problem=problem,
@@ -245,7 +245,7 @@ def linear_model(problem: Problem, mode: Mode) -> LinearModel:
         nuisance=nuisance,
         weight=np.append(prior.weight, np.ones(len(slopes))),
         sd=np.append(prior.sd, np.ones(len(slopes))),
-        owners=(*own, *(problem.hypers[i].effect for i in problem.moving)),
+        owners=(*owners, *(problem.hypers[i].effect for i in problem.moving)),
         z=np.append(prior.weight * z, mode.v[problem.moving]),
         whiten=whitening(problem.noise, hyper, problem.record, extra, residual),
         extra=extra,
@@ -288,15 +288,15 @@ def sized(model: Model, readings: Measurements, record: Record) -> Model:
 def amplitudes(model: Model, readings: Measurements, record: Record) -> tuple[float, float]:
     """Plausible amplitudes of what a model lacks, output unit: see `sized`."""
     frame, y = record.frame, record.y
-    left = _left(Problem(bind(model, readings)[0], record.beside()))
+    residual = _least_squares_residual(Problem(bind(model, readings)[0], record.with_frame()))
     # Neighbours differ by √2 of white noise's standard deviation, which is 1.4826 times its median absolute value;
     # what the model lacks hardly changes from one reading to the next.
-    change, step = np.diff(left[np.asarray(frame.order)]), np.asarray(frame.step)[1:]
+    change, step = np.diff(residual[np.asarray(frame.order)]), np.asarray(frame.step)[1:]
     change = change[step > 0] if np.any(step > 0) else change
     noise = 1.4826 * float(np.median(np.abs(change))) / math.sqrt(2) if len(change) else 0.0
-    rest = _half_range(left) or _half_range(y) or 1.0
-    low = (noise or rest) / math.sqrt(len(left))
-    return tuple(float(f"{v:.2g}") for v in (min(low, rest), 10 * rest))  # pyright: ignore
+    half_range = _half_range(residual) or _half_range(y) or 1.0
+    low = (noise or half_range) / math.sqrt(len(residual))
+    return tuple(float(f"{v:.2g}") for v in (min(low, half_range), 10 * half_range))  # pyright: ignore
 
 
 def _half_range(values: Float[np.ndarray, "n"]) -> float:
@@ -305,19 +305,19 @@ def _half_range(values: Float[np.ndarray, "n"]) -> float:
     return 0.5 * float(high - low)
 
 
-def _left(problem: Problem) -> Float[np.ndarray, "n"]:
+def _least_squares_residual(problem: Problem) -> Float[np.ndarray, "n"]:
     """What the effects leave of the output at least, shapes and deviations of groups at their priors' middle."""
     hyper = problem.hyper(np.zeros(len(problem.hypers)))
     x, y = problem.start, problem.record.y
     plain = [t.at.start for t in problem.in_x if t.per is None and t.group_sd_name is None]
-    left = y - np.mean(y)
+    residual = y - np.mean(y)
     for _ in range(GAUSS_NEWTON):
         line = problem.linearise(x, hyper)
         if not np.all(np.isfinite(line.mean)):
             break
-        left = y - line.mean
+        residual = y - line.mean
         columns = line.jacobian[:, plain]
         # Columns of unit size: `RANK` is then of directions, not of units or of how wide a prior is.
         size = column_scale(columns)
-        x[plain] += size * np.linalg.lstsq(columns * size, left, rcond=RANK)[0]
-    return left
+        x[plain] += size * np.linalg.lstsq(columns * size, residual, rcond=RANK)[0]
+    return residual

@@ -88,11 +88,11 @@ class Marginal(Method):
         self, problem: Problem, mode: Mode, seed: int, notes: tuple[str, ...], why: str
     ) -> Outcome:
         """What there is before anything is sampled: the Gaussian approximation about the mode."""
-        found = LeastSquares(draws=self.draws).outcome(
+        outcome = LeastSquares(draws=self.draws).outcome(
             problem.layout, refine(problem, mode, False), seed
         )
-        notes = (*notes, NOT_SAMPLED.format(why), *found.verdict.notes)
-        return replace(found, verdict=replace(found.verdict, notes=notes))
+        notes = (*notes, NOT_SAMPLED.format(why), *outcome.verdict.notes)
+        return replace(outcome, verdict=replace(outcome.verdict, notes=notes))
 
     def _sampled(
         self, problem: Problem, mode: Mode, seed: int, heavy: bool = False
@@ -104,10 +104,10 @@ class Marginal(Method):
         model, where the usual bound of k̂ holds.
         """
         proposals, most = self.proposals, MOST_DRAWS
-        found = None
+        draws = None
         while True:
-            found = weighted_draws(problem, mode, seed, proposals, self.rounds, heavy, found)
-            judged = _judged(found, heavy)
+            draws = weighted_draws(problem, mode, seed, proposals, self.rounds, heavy, draws)
+            judged = _judged(draws, heavy)
             tried = len(judged.weights)
             limit = PROPOSALS if self.proposals is None else 0
             expected = effective_size(judged.weights) / tried * most
@@ -122,7 +122,7 @@ class Marginal(Method):
 
     def _from_weights(self, layout, judged: _Judged, notes, seed, why: str) -> Outcome:
         """Draws by weights that are sound or, if `why` leaves no time for better ones, as they are."""
-        found, weights, k_hat = judged.found, judged.weights, judged.k_hat
+        weighted, weights, k_hat = judged.draws, judged.weights, judged.k_hat
         effective, reasons = effective_size(weights), ()
         if why and trust.unevenness(weights, k_hat, limit=judged.limit, enough=FEWEST_DRAWS):
             reasons = (NO_MORE.format(judged.why_not, why),)
@@ -131,50 +131,52 @@ class Marginal(Method):
         # Never more draws than the effective sample size: repeated draws would pass for information.
         count = CHAINS * max(1, int(min(self.draws, effective)) // CHAINS)
         pick = resample(weights, count, seed)
-        evidence = (float(found.log_evidence), float(found.log_evidence_error))
+        evidence = (float(weighted.log_evidence), float(weighted.log_evidence_error))
         return Outcome(
             layout=layout,
-            draws=Draws.of(found.x[pick], found.v[pick]),
-            mode=found.mode,
-            verdict=trust.weights_verdict(weights, k_hat, notes, found.mode, reasons),
+            draws=Draws.of(weighted.x[pick], weighted.v[pick]),
+            mode=weighted.mode,
+            verdict=trust.weights_verdict(weights, k_hat, notes, weighted.mode, reasons),
             log_evidence=None if layout.improper else evidence,
         )
 
     def _exact(self, problem: Problem, mode: Mode, seed: int, notes) -> Outcome:
         """NUTS; for a while only where neither it nor a time limit was asked for."""
-        layout, asked = problem.layout, self.sampler == "nuts"
+        layout, is_unlimited = problem.layout, self.sampler == "nuts"
         log_density, unpack, start, covariance = nuts_chains.whitened(problem, mode)
         plan = nuts_chains.Plan(800, self.draws // CHAINS, CHAINS, start.size < 40)
-        asked = asked or deadline.current().ends_at < math.inf
+        is_unlimited = is_unlimited or deadline.current().ends_at < math.inf
         with stage("NUTS on whitened unknowns"):
-            with deadline.until(None if asked else nuts_chains.PATIENCE, words=PATIENCE):
+            with deadline.until(None if is_unlimited else nuts_chains.PATIENCE, words=PATIENCE):
                 ran = nuts_chains.run(log_density, start, covariance, jax.random.key(seed), plan)
-            place = jax.jit(lambda q: jax.lax.map(lambda one: unpack(one)[:2], q, batch_size=64))
+            place = jax.jit(
+                lambda q: jax.lax.map(lambda point: unpack(point)[:2], q, batch_size=64)
+            )
             x, v = place(ran.draws.reshape(-1, start.size))
-        known = not layout.improper and np.isfinite(mode.log_evidence)
+        has_evidence = not layout.improper and np.isfinite(mode.log_evidence)
         return Outcome(
             layout=layout,
             draws=Draws.of(x, v),
             mode=mode,
             verdict=trust.chain_verdict(ran, "NUTS on whitened unknowns", notes),
-            log_evidence=(float(mode.log_evidence), None) if known else None,
+            log_evidence=(float(mode.log_evidence), None) if has_evidence else None,
         )
 
 
 class _Judged(NamedTuple):
     """Joint draws, their weights smoothed, Pareto's k̂ and the largest to trust, and why the weights are not sound."""
 
-    found: WeightedDraws
+    draws: WeightedDraws
     weights: Float[np.ndarray, "s"]
     k_hat: float
     limit: float
     why_not: str
 
 
-def _judged(found: WeightedDraws, heavy: bool = False) -> _Judged:
-    weights, k_hat = smoothed(found.log_weight)
-    of_phi, _ = smoothed(found.log_weight_phi)
-    correction = found.log_weight - found.log_weight_phi
+def _judged(draws: WeightedDraws, heavy: bool = False) -> _Judged:
+    weights, k_hat = smoothed(draws.log_weight)
+    of_phi, _ = smoothed(draws.log_weight_phi)
+    correction = draws.log_weight - draws.log_weight_phi
     limit = K_HAT if heavy else trust.largest_k_hat(correction, of_phi)
     why_not = trust.unevenness(weights, k_hat, limit=limit)
-    return _Judged(found, weights, k_hat, limit, why_not)
+    return _Judged(draws, weights, k_hat, limit, why_not)

@@ -43,13 +43,13 @@ class Means:
         clock = mean_rows(np.cumsum(np.maximum(frame.step, 0.0)), begins)
         step = np.where(frame.step[begins] < 0, -1.0, np.diff(clock, prepend=0.0))
         short = frame.reordered(begins, np.arange(len(begins)), step)
-        found = {
+        averaged = {
             n: {k: mean_rows(a, begins) for k, a in getattr(frame, n).items()}
             for n in BY_READING
             if n not in ("codes", "labels")  # the same in each
         }
         y = mean_rows(record.y[record.in_time[0]], begins)
-        return cls(record, Record(record.instrument, replace(short, **found), y), begins, count)
+        return cls(record, Record(record.instrument, replace(short, **averaged), y), begins, count)
 
     @cached_property
     def counts(self) -> Int[np.ndarray, "m"]:
@@ -65,18 +65,20 @@ class Means:
         """Return the share of each column's variance that is within means."""
         centred = rows - rows.mean(axis=0)
         total = np.sum(centred**2, axis=0)
-        kept = self.counts @ self(centred) ** 2
-        return np.where(total > 0, 1 - kept / np.where(total > 0, total, 1.0), 0.0)
+        between = self.counts @ self(centred) ** 2
+        return np.where(total > 0, 1 - between / np.where(total > 0, total, 1.0), 0.0)
 
     def line(self, line: LinearModel) -> LinearModel:
         """Return a linear model of the means about the mode of the readings."""
         problem, whiten = line.problem, line.whiten
         if isinstance(whiten, Independent):
             precision = 1 / whiten.sd**2
-            each = self(precision)
-            whiten = Independent(1 / np.sqrt(self.counts * each))
-            residual = self(precision * line.residual) / each
-            nuisance = np.transpose([self(precision * own) / each for own in line.nuisance.T])
+            mean_precision = self(precision)
+            whiten = Independent(1 / np.sqrt(self.counts * mean_precision))
+            residual = self(precision * line.residual) / mean_precision
+            nuisance = np.transpose(
+                [self(precision * column) / mean_precision for column in line.nuisance.T]
+            )
         else:
             residual, nuisance = self(line.residual), self(line.nuisance)
             values = problem.hyper(line.mode.v)
@@ -84,6 +86,6 @@ class Means:
             extra = self(np.broadcast_to(line.extra, line.size)) / self.count
             whiten = Whitening(problem.noise, values, self.record, extra)
         short = Problem(problem.layout, self.record, problem.size_factors)
-        made = replace(line, problem=short, residual=residual, nuisance=nuisance, whiten=whiten)
-        vars(made)["slopes"] = {n: self(s) for n, s in line.slopes.items()}
-        return made
+        of_means = replace(line, problem=short, residual=residual, nuisance=nuisance, whiten=whiten)
+        vars(of_means)["slopes"] = {n: self(s) for n, s in line.slopes.items()}
+        return of_means

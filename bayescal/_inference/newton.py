@@ -49,7 +49,7 @@ class Nearby(NamedTuple):
 
     v: Float[np.ndarray, "d"]
     curvature: Float[np.ndarray, "d d"]
-    known: Bool[np.ndarray, "d"] | bool = False
+    reliable: Bool[np.ndarray, "d"] | bool = False
 
 
 class GaussianFit(NamedTuple):
@@ -65,7 +65,7 @@ class GaussianFit(NamedTuple):
 def climb(
     density: ByValues,
     v: Float[np.ndarray, "d"],
-    wanted_from: float = -math.inf,
+    coarse_below: float = -math.inf,
     ftol: float = CONVERGED_NATS,
 ) -> Float[np.ndarray, "d"]:
     """Return the mode uphill from v, to `ftol` nats; below `wanted_from` to a hundredth of a nat.
@@ -75,19 +75,19 @@ def climb(
     """
     scale, doubtful, reach = np.broadcast_to(density.scale, v.shape), False, LONGEST_STEP
     for _ in range(STEPS if len(v) else 0):
-        if (here := density.evaluate(v, exact=doubtful)) is None:
+        if (current := density.evaluate(v, exact=doubtful)) is None:
             break
-        bend, vectors = np.linalg.eigh(scale[:, None] * here.curvature * scale)
-        slope = scale * here.gradient
+        bend, vectors = np.linalg.eigh(scale[:, None] * current.curvature * scale)
+        slope = scale * current.gradient
         step = vectors @ (vectors.T @ slope / np.maximum(np.abs(bend), LEAST_CURVATURE))
         gain = float(step @ slope)
-        if 0.5 * gain < (ftol if here.log_density > wanted_from else ROUGHLY):
+        if 0.5 * gain < (ftol if current.log_density > coarse_below else ROUGHLY):
             break
         length = float(np.max(np.abs(step)))
         share = whole = min(1.0, reach / length)
         for _ in range(SHORTENINGS):
             further = v + share * scale * step
-            gained = density.value(further) - here.log_density
+            gained = density.value(further) - current.log_density
             # Sufficient increase: some of what the slope promised (same, eq. 3.4).
             if gained >= 1e-4 * share * gain:
                 break
@@ -118,11 +118,11 @@ def gaussian_fit(
     Not `exact`: with the curvature that a climb carried on.
     Source: L. Tierney and J. Kadane, JASA 81 (1986) 82 (Laplace).
     """
-    found = density.evaluate(v, exact)
-    if found is None:  # a step away the density is nowhere: no hill that a Gaussian describes
+    slopes = density.evaluate(v, exact)
+    if slopes is None:  # a step away the density is nowhere: no hill that a Gaussian describes
         return GaussianFit(v, np.full((len(v), len(v)), np.nan), density.value(v), -math.inf, True)
     scale = np.broadcast_to(density.scale, v.shape)
-    weights, vectors = np.linalg.eigh(scale[:, None] * found.curvature * scale)
+    weights, vectors = np.linalg.eigh(scale[:, None] * slopes.curvature * scale)
     # Less than a twentieth is no hill but the flank of one, such as a spread's way to zero: mended, its proposals stay
     # finite.
     mended = np.maximum(weights, LEAST_CURVATURE)
@@ -130,7 +130,7 @@ def gaussian_fit(
     volume = 0.5 * len(v) * LOG_2PI - 0.5 * float(np.sum(np.log(mended / scale**2)))
     share = np.sum(vectors[~np.broadcast_to(spreads, len(v))] ** 2, axis=0)
     indefinite = bool(np.any((weights < LEAST_CURVATURE) & (share > SPREAD_SHARE)))
-    covariance, value = 0.5 * (covariance + covariance.T), found.log_density
+    covariance, value = 0.5 * (covariance + covariance.T), slopes.log_density
     return GaussianFit(v, covariance, value, value + volume, indefinite)
 
 
@@ -163,8 +163,8 @@ class ByValues:
 
     def value(self, v: Float[np.ndarray, "d"]) -> float:
         # Most steps of a climb are taken, and their ends evaluated: all at once.
-        found = self.evaluate(v)
-        return float(self.values(v[None])[0]) if found is None else found.log_density
+        value = self.evaluate(v)
+        return float(self.values(v[None])[0]) if value is None else value.log_density
 
     def evaluate(self, v: Float[np.ndarray, "d"], exact: bool = False) -> Slopes | None:
         """Return value, gradient and curvature; the latest are kept. None where the density is nowhere."""
@@ -176,16 +176,16 @@ class ByValues:
         if near is not None:
             bends = np.maximum(np.diag(near.curvature) * scale**2, LEAST_CURVATURE)
             steps = DIFFERENCE * scale / np.sqrt(bends)
-        found = None
-        if last is not None and not exact and self._like and np.any(self._like.known):
-            found = self._one_sided(v, ONE_SIDED * steps, last[1])
-        found = found or self._differences(v, steps, exact)
-        if near is not None and found is not None and not exact:
-            curvature = _carried(near.curvature, last, v, found, LEAST_CURVATURE / scale**2)
-            found = found._replace(curvature=curvature)
-        if found is not None:
-            self._last, self._exact = (v.copy(), found), exact
-        return found
+        slopes = None
+        if last is not None and not exact and self._like and np.any(self._like.reliable):
+            slopes = self._one_sided(v, ONE_SIDED * steps, last[1])
+        slopes = slopes or self._differences(v, steps, exact)
+        if near is not None and slopes is not None and not exact:
+            curvature = _carried(near.curvature, last, v, slopes, LEAST_CURVATURE / scale**2)
+            slopes = slopes._replace(curvature=curvature)
+        if slopes is not None:
+            self._last, self._exact = (v.copy(), slopes), exact
+        return slopes
 
     def _one_sided(
         self, v: Float[np.ndarray, "d"], steps: Float[np.ndarray, "d"], last: Slopes
@@ -231,32 +231,36 @@ class ByValues:
 
     def _bent(self, v: Float[np.ndarray, "d"], bends: Float[np.ndarray, "d"]) -> np.ndarray:
         """Return second differences: along the axes, between them by correlations nearby; NaN where none are known."""
-        found, near = np.full((len(v), len(v)), np.nan), self._like
+        bends_matrix, near = np.full((len(v), len(v)), np.nan), self._like
         if near is not None:
             size = np.sqrt(np.maximum(np.diag(near.curvature), np.finfo(float).tiny))
-            there, known = near.curvature / np.outer(size, size), near.known & (bends > 0)
+            curvature, is_known = near.curvature / np.outer(size, size), near.reliable & (bends > 0)
             unmoved = np.abs(v - near.v) * size < UNMOVED
-            kept = np.outer(known, known) & ((np.abs(there) < LOOSE) | np.outer(unmoved, unmoved))
-            found[kept] = (there * np.sqrt(np.abs(np.outer(bends, bends))))[kept]
-        np.fill_diagonal(found, bends)
-        return found
+            is_carried = np.outer(is_known, is_known) & (
+                (np.abs(curvature) < LOOSE) | np.outer(unmoved, unmoved)
+            )
+            bends_matrix[is_carried] = (curvature * np.sqrt(np.abs(np.outer(bends, bends))))[
+                is_carried
+            ]
+        np.fill_diagonal(bends_matrix, bends)
+        return bends_matrix
 
 
 def _carried(
     curvature: Float[np.ndarray, "d d"],
     last: tuple[np.ndarray, Slopes] | None,
     v: Float[np.ndarray, "d"],
-    found: Slopes,
+    slopes: Slopes,
     least: Float[np.ndarray, "d"],
 ) -> Float[np.ndarray, "d d"]:
     """Return a curvature as it is at v: with the bends along the axes there and, by BFGS, what the gradient changed."""
-    own, new = np.diag(curvature), np.diag(found.curvature)
-    fit = (new > least) & (own > 0)
-    ratio = np.sqrt(np.where(fit, new, 1.0) / np.where(fit, own, 1.0))
+    before, new = np.diag(curvature), np.diag(slopes.curvature)
+    fit = (new > least) & (before > 0)
+    ratio = np.sqrt(np.where(fit, new, 1.0) / np.where(fit, before, 1.0))
     curvature = ratio[:, None] * curvature * ratio
     if last is None:
         return curvature
-    step, lost = v - last[0], last[1].gradient - found.gradient
+    step, lost = v - last[0], last[1].gradient - slopes.gradient
     bent = curvature @ step
     along, by = float(step @ lost), float(step @ bent)
     if not along > 1e-12 or not by > 1e-12:

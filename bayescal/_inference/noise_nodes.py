@@ -95,12 +95,12 @@ class AlongColumn(OneNode):
         self.rows = self.share.sum(axis=0)
 
     def products(self, a, b):
-        wide = (self.share.T[:, :, None] * a[0]).transpose(0, 2, 1).reshape(-1, self.size)
-        return (wide @ b[0]).reshape(self.count, a[0].shape[1], b[0].shape[1])
+        weighted = (self.share.T[:, :, None] * a[0]).transpose(0, 2, 1).reshape(-1, self.size)
+        return (weighted @ b[0]).reshape(self.count, a[0].shape[1], b[0].shape[1])
 
     def weights(self, law, values):
-        own = {name: np.reshape(np.asarray(v, float), (-1, 1)) for name, v in values.items()}
-        variance = law.variance_along(own, self.nodes)
+        settings = {name: np.reshape(np.asarray(v, float), (-1, 1)) for name, v in values.items()}
+        variance = law.variance_along(settings, self.nodes)
         return Weights(1 / variance, np.log(variance) @ self.rows, {}, {})
 
 
@@ -156,34 +156,34 @@ class InFrequency(OneNode):
         return [np.asfortranarray(dct(columns[r], axis=0, norm="ortho")) for r in self.runs]
 
     def products(self, a, b):
-        found = np.zeros((self.count, a[0].shape[1], b[0].shape[1]))
-        for run, left, right in zip(self.runs, a, b, strict=True):
+        products = np.zeros((self.count, a[0].shape[1], b[0].shape[1]))
+        for run, first, second in zip(self.runs, a, b, strict=True):
             node = self.at[len(run)].start
             for rows, places, share in self.segments[len(run)]:
                 nodes, node = range(node, node + len(places)), node + len(places)
                 if share.shape[0] == share.shape[1]:  # each frequency is a node
-                    found[nodes.start : nodes.stop] += left[rows, :, None] * right[rows, None]
+                    products[nodes.start : nodes.stop] += first[rows, :, None] * second[rows, None]
                     continue
-                count = max(1, CHUNK_NUMBERS // left[rows].size)  # nodes side by side
+                count = max(1, CHUNK_NUMBERS // first[rows].size)  # nodes side by side
                 for c in range(0, len(nodes), count):
                     some = share[:, c : c + count].T
-                    wide = (some[:, None] * left[rows].T).reshape(-1, len(share))
+                    weighted = (some[:, None] * first[rows].T).reshape(-1, len(share))
                     at = slice(nodes[c], nodes[c] + len(some))
-                    found[at] += (wide @ right[rows]).reshape(len(some), left.shape[1], -1)
-        return found
+                    products[at] += (weighted @ second[rows]).reshape(len(some), first.shape[1], -1)
+        return products
 
     def end_products(self, a):
-        found = {}
+        products = {}
         for n, sign in self.end_squares:
             end = end_transform(n, sign)[:, None]
-            own = [t for run, t in zip(self.runs, a, strict=True) if len(run) == n]
-            found[n, sign] = np.array([self._onto_nodes(n, end * t) for t in own])
-        return found
+            columns = [t for run, t in zip(self.runs, a, strict=True) if len(run) == n]
+            products[n, sign] = np.array([self._onto_nodes(n, end * t) for t in columns])
+        return products
 
     def weights(self, law, values):
-        own = {name: np.reshape(np.asarray(v, float), (-1, 1)) for name, v in values.items()}
-        terms = law.spectrum(own, self.step, self.lam)
-        diagonal = own[WHITE] ** 2 + sum((t.symbol for t in terms), np.zeros_like(self.lam))
+        settings = {name: np.reshape(np.asarray(v, float), (-1, 1)) for name, v in values.items()}
+        terms = law.spectrum(settings, self.step, self.lam)
+        diagonal = settings[WHITE] ** 2 + sum((t.symbol for t in terms), np.zeros_like(self.lam))
         inverse, count = 1 / diagonal, len(diagonal)
         log_det = np.log(diagonal) @ self.rows
         ends, inner = {}, {}
@@ -193,15 +193,15 @@ class InFrequency(OneNode):
         u = np.stack(functions, axis=1)  # (s, q, j)
         whitened = u * inverse[:, None]
         for (n, sign), squares in self.end_squares.items():
-            here = self.at[n]
+            nodes = self.at[n]
             m = _block_diagonal([t.correction(n, sign) for t in terms], count)
-            z = (whitened[:, :, here] * squares) @ u[:, :, here].transpose(0, 2, 1)
+            z = (whitened[:, :, nodes] * squares) @ u[:, :, nodes].transpose(0, 2, 1)
             core = np.eye(u.shape[1]) - m @ z
             positive, log_core = np.linalg.slogdet(core)
             log_det = log_det + self.times[n] * np.where(positive > 0, log_core, np.inf)
             core = np.where(np.isfinite(core), core, np.eye(len(core[0])))
             inner[n, sign] = np.linalg.solve(core, m)
-            ends[n, sign] = whitened[:, :, here]
+            ends[n, sign] = whitened[:, :, nodes]
         return Weights(inverse, log_det, ends, inner)
 
     def whitened(self, law: Noise, values: Values, columns: Columns) -> Columns:
@@ -209,23 +209,23 @@ class InFrequency(OneNode):
 
         A run's Σ⁻¹ is E·(I + V·K·Vᵀ)·E with E = D^(−½); I + V·K·Vᵀ, of few columns V, has a root of the same form.
         """
-        own = {name: np.reshape(np.asarray(v, float), (1, 1)) for name, v in values.items()}
-        weights, roots, found = self.weights(law, values), dict[int, Any](), []
+        settings = {name: np.reshape(np.asarray(v, float), (1, 1)) for name, v in values.items()}
+        weights, roots, parts = self.weights(law, values), dict[int, Any](), []
         for run in self.runs:
             n = len(run)
             if n not in roots:
-                terms = law.spectrum(own, self.step, eigenvalues(n, np.arange(n)))
-                scale = 1 / np.sqrt(own[WHITE] ** 2 + sum(t.symbol for t in terms))[0]
+                terms = law.spectrum(settings, self.step, eigenvalues(n, np.arange(n)))
+                scale = 1 / np.sqrt(settings[WHITE] ** 2 + sum(t.symbol for t in terms))[0]
                 u = np.array([np.broadcast_to(e, (1, n))[0] for t in terms for e in t.ends])
                 ends = np.concatenate([scale * u * end_transform(n, sign) for sign in SIGNS])
                 base, r = np.linalg.qr(ends.T)
                 inner = block_diag(*(weights.inner[n, sign][0] for sign in SIGNS))
                 size, vectors = np.linalg.eigh(r @ inner @ r.T)
                 roots[n] = scale[:, None], base @ vectors, np.sqrt(1 + size)[:, None] - 1
-            scale, base, more = roots[n]
+            scale, base, gain = roots[n]
             whitened = scale * dct(columns[run], axis=0, norm="ortho")
-            found.append(whitened + base @ (more * (base.T @ whitened)))
-        return np.concatenate(found)
+            parts.append(whitened + base @ (gain * (base.T @ whitened)))
+        return np.concatenate(parts)
 
 
 def in_frequency(order: Int[np.ndarray, "n"], step: Float[np.ndarray, "n"]) -> InFrequency | None:
@@ -243,9 +243,9 @@ def in_frequency(order: Int[np.ndarray, "n"], step: Float[np.ndarray, "n"]) -> I
     # Each run's times as a line through their indices, about its middle.
     clocks = [t - t.mean() for t in np.split(np.cumsum(np.maximum(step, 0.0)), first[1:])]
     places = [np.arange(len(t)) - 0.5 * (len(t) - 1) for t in clocks]
-    one = sum(map(np.dot, places, clocks)) / sum(i @ i for i in places)
-    late = max(float(np.ptp(t - one * i)) for t, i in zip(clocks, places, strict=True))
-    return InFrequency(runs, one) if late <= WRITTEN_STEPS * one else None
+    period = sum(map(np.dot, places, clocks)) / sum(i @ i for i in places)
+    late = max(float(np.ptp(t - period * i)) for t, i in zip(clocks, places, strict=True))
+    return InFrequency(runs, period) if late <= WRITTEN_STEPS * period else None
 
 
 class Products:
@@ -279,39 +279,39 @@ class Products:
 
     def gram(self, weights: Weights, settings: slice = slice(None)) -> Float[np.ndarray, "s r r"]:
         """Return TᵀΣ⁻¹T at some of the settings."""
-        found = (weights.inverse[settings] @ self._flat).reshape(-1, self.width, self.width)
+        gram = (weights.inverse[settings] @ self._flat).reshape(-1, self.width, self.width)
         both = [*self._at_ends(weights, settings)]
         if both:
-            left, right = (
-                np.concatenate([a.reshape(len(a), -1, self.width) for a in each], axis=1)
-                for each in zip(*both, strict=True)
+            first, second = (
+                np.concatenate([a.reshape(len(a), -1, self.width) for a in arrays], axis=1)
+                for arrays in zip(*both, strict=True)
             )
-            found += left.transpose(0, 2, 1) @ right
-        return found
+            gram += first.transpose(0, 2, 1) @ second
+        return gram
 
     def traces(self, weights: Weights, e: Float[np.ndarray, "r r"]) -> Float[np.ndarray, "s"]:
         """Return tr(E·TᵀΣ⁻¹T) at all settings."""
-        found = weights.inverse @ (self._flat @ e.ravel())
+        traces = weights.inverse @ (self._flat @ e.ravel())
         for at_ends, by in self._at_ends(weights, slice(None)):
-            each = at_ends.reshape(*at_ends.shape[:2], -1, self.width) @ e
-            found = found + np.sum(by * each.reshape(by.shape), axis=(1, 2))
-        return found
+            product = at_ends.reshape(*at_ends.shape[:2], -1, self.width) @ e
+            traces = traces + np.sum(by * product.reshape(by.shape), axis=(1, 2))
+        return traces
 
 
 def _segments(n: int) -> Iterator[Segment]:
     """Cut the frequencies of a run into segments: the lowest alone, decades of the others."""
-    every, start = eigenvalues(n, np.arange(n)), 0
+    symbol, start = eigenvalues(n, np.arange(n)), 0
     while start < n:
         if start == 0:
             stop = min(SINGLE_FREQUENCIES, n)
         else:
-            stop = max(start + 1, int(np.searchsorted(every, every[start] * SEGMENT_RATIO)))
+            stop = max(start + 1, int(np.searchsorted(symbol, symbol[start] * SEGMENT_RATIO)))
             stop = n if stop > 0.8 * n else stop
         rows, places = slice(start, stop), np.arange(start, stop)
         if start == 0 or len(places) <= SEGMENT_NODES + 2:
             yield Segment(rows, places, np.eye(len(places)))
         else:
-            x = np.log(every[rows])
+            x = np.log(symbol[rows])
             nodes, share = nodes_and_shares(x[0], x[-1], SEGMENT_NODES, x)
             angle = np.arcsin(0.5 * np.exp(0.5 * nodes))
             yield Segment(rows, 2 * n / np.pi * angle, share)
@@ -353,11 +353,11 @@ def _graded(n: int) -> Iterator[int]:
 def _block_diagonal(parts: Sequence[Any], count: int) -> Float[np.ndarray, "s q q"]:
     """Return blocks (k, k, s) along the diagonal."""
     size, at = sum(map(len, parts)), 0
-    found = np.zeros((count, size, size))
+    matrices = np.zeros((count, size, size))
     for part in parts:
         k = at + len(part)
-        found[:, at:k, at:k], at = np.moveaxis(part, -1, 0), k
-    return found
+        matrices[:, at:k, at:k], at = np.moveaxis(part, -1, 0), k
+    return matrices
 
 
 class EvenSpectrum:
@@ -384,20 +384,20 @@ class EvenSpectrum:
 
     def log_likelihood(self, law: Noise, values: Values) -> Float[np.ndarray, "s"]:
         """Return the restricted log likelihood of a stationary law at settings (s,), but for a constant."""
-        own = {name: np.reshape(np.asarray(v, float), -1) for name, v in values.items()}
-        each = max(1, CHUNK_NUMBERS // (12 * self._nodes.count))
-        chunks = [slice(at, at + each) for at in range(0, len(own[WHITE]), each)]
+        settings = {name: np.reshape(np.asarray(v, float), -1) for name, v in values.items()}
+        chunk = max(1, CHUNK_NUMBERS // (12 * self._nodes.count))
+        chunks = [slice(at, at + chunk) for at in range(0, len(settings[WHITE]), chunk)]
         with np.errstate(all="ignore"):
-            found = [self._of_chunk(law, {n: v[c] for n, v in own.items()}) for c in chunks]
-        return np.concatenate(found)
+            parts = [self._of_chunk(law, {n: v[c] for n, v in settings.items()}) for c in chunks]
+        return np.concatenate(parts)
 
     def _of_chunk(self, law: Noise, values: Values) -> Float[np.ndarray, "s"]:
         weights = self._nodes.weights(law, values)
         gram, log_det = self._products.gram(weights), weights.log_det
         rss = gram[:, -1, -1]
         if self._width > 1:
-            known, cross = gram[:, :-1, :-1], gram[:, :-1, -1:]
-            known = np.where(np.isfinite(known), known, np.eye(self._width - 1))
-            log_det = log_det + np.linalg.slogdet(known)[1]
-            rss = rss - (cross.swapaxes(1, 2) @ np.linalg.solve(known, cross))[:, 0, 0]
+            inner, cross = gram[:, :-1, :-1], gram[:, :-1, -1:]
+            inner = np.where(np.isfinite(inner), inner, np.eye(self._width - 1))
+            log_det = log_det + np.linalg.slogdet(inner)[1]
+            rss = rss - (cross.swapaxes(1, 2) @ np.linalg.solve(inner, cross))[:, 0, 0]
         return -0.5 * (log_det + rss)

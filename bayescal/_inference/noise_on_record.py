@@ -44,8 +44,8 @@ class Whitening(NamedTuple):
 
     def both(self, table: Float[np.ndarray, "n m"]) -> tuple[Float[np.ndarray, "n m"], float]:
         """L⁻¹ times a table, and log|Σ|."""
-        ((made, logdet),) = _filtered([(self, table)])
-        return _back(self.law, self.record, made), logdet
+        ((white, logdet),) = _filtered([(self, table)])
+        return _back(self.law, self.record, white), logdet
 
 
 class Independent(NamedTuple):
@@ -66,7 +66,7 @@ def whitening(
     values: Values,
     record: Record,
     extra: Float[np.ndarray, "n"] | float = 0.0,
-    left: Float[np.ndarray, "n"] | None = None,
+    residual: Float[np.ndarray, "n"] | None = None,
 ) -> Whitening | Independent:
     """What makes readings independent and of unit variance under a law at its parameters, φ by name.
 
@@ -75,16 +75,16 @@ def whitening(
     """
     if not law.independent:
         return Whitening(law, values, record, extra)
-    if law.gaussian or left is None:
+    if law.gaussian or residual is None:
         return Independent(np.sqrt(variance(law, values, record) + extra))
-    terms = density_terms(law, values, record, left, extra)
+    terms = density_terms(law, values, record, residual, extra)
     # Under a scale mixture a reading with the residual e has the expected precision −f′(e)/e (K. Lange, R. Little and
     # J. Taylor, JASA 84 (1989) 881): what lowers the weighted squares lowers −2·log density too.
-    weight = np.maximum(terms.weight(left), np.finfo(float).tiny)
+    weight = np.maximum(terms.weight(residual), np.finfo(float).tiny)
     total = terms.squares + terms.logdet
     logdet = -float(np.sum(np.log(weight)))
     # `beyond` is what makes squares, log volume and itself −2·log density whatever the weights are.
-    return Independent(1 / np.sqrt(weight), total - logdet - float(left @ (weight * left)))
+    return Independent(1 / np.sqrt(weight), total - logdet - float(residual @ (weight * residual)))
 
 
 def _forth(law: Noise, record: Record, array: np.ndarray, axis: int) -> np.ndarray:
@@ -98,17 +98,17 @@ def _back(law: Noise, record: Record, array: Float[np.ndarray, "n ..."]) -> np.n
     """The other way round."""
     if law.independent or record.ordered:
         return array
-    found = np.empty_like(array)
-    found[record.in_time[0]] = array
-    return found
+    ordered = np.empty_like(array)
+    ordered[record.in_time[0]] = array
+    return ordered
 
 
 def _padded(law: Noise, record: Record, table: np.ndarray) -> np.ndarray:
     """A table as a law takes it, with rows and columns of zeros up to the padded numbers."""
     n, m = table.shape
-    found = np.zeros((record.padded_size, _width(table)))
-    found[:n, :m] = _forth(law, record, table, 0)
-    return found
+    padded = np.zeros((record.padded_size, _width(table)))
+    padded[:n, :m] = _forth(law, record, table, 0)
+    return padded
 
 
 def _width(table: np.ndarray) -> int:
@@ -122,8 +122,8 @@ def _width(table: np.ndarray) -> int:
 @program
 def _whitened(law: Noise, frame: Frame, tables, extras, values):
     """Tables, or one table under several settings, and the log standard deviations of their innovations."""
-    each = 0 if tables.ndim == 3 else None
-    return jax.vmap(lambda *one: law.whiten(*one, frame), (each, 0, 0))(tables, extras, values)
+    axis = 0 if tables.ndim == 3 else None
+    return jax.vmap(lambda *args: law.whiten(*args, frame), (axis, 0, 0))(tables, extras, values)
 
 
 def products_of_several(
@@ -134,33 +134,33 @@ def products_of_several(
     By a filter of several states some at once, as in `_densities`.
     """
     for _, group in groupby(pairs, lambda pair: _width(pair[1])):
-        for white, table in (alike := iter(group)):
+        for white, table in (members := iter(group)):
             if isinstance(white, Independent):
-                made, logdet = white.both(table)
-                yield made.T @ made, logdet
+                whitened, logdet = white.both(table)
+                yield whitened.T @ whitened, logdet
                 continue
             part: list[Any] = [(white, table)]
             if white.law.several_states and FEWEST_DRAWS_TOGETHER * table.size <= CELLS:
-                part += islice(alike, FEWEST_DRAWS_TOGETHER - 1)
-            yield from ((made.T @ made, logdet) for made, logdet in _filtered(part))
+                part += islice(members, FEWEST_DRAWS_TOGETHER - 1)
+            yield from ((whitened.T @ whitened, logdet) for whitened, logdet in _filtered(part))
 
 
 def _filtered(part: list[tuple[Whitening, np.ndarray]]) -> Iterator[tuple[np.ndarray, float]]:
     """Each whitened table in the order in which the law takes readings, and log|Σ|, of tables of one width."""
     (white, first), record = part[0], part[0][0].record
     # Of one setting or of so many: two programs to compile.
-    more = FEWEST_DRAWS_TOGETHER - len(part) if len(part) > 1 else 0
-    law, each = white.law, part + part[-1:] * more
-    one = all(table is first for _, table in part)
-    tables = [_padded(law, record, table) for _, table in (part[:1] if one else each)]
-    extras = [np.asarray(w.extra, float) for w, _ in each]
+    padding = FEWEST_DRAWS_TOGETHER - len(part) if len(part) > 1 else 0
+    law, pairs = white.law, part + part[-1:] * padding
+    is_one = all(table is first for _, table in part)
+    tables = [_padded(law, record, table) for _, table in (part[:1] if is_one else pairs)]
+    extras = [np.asarray(w.extra, float) for w, _ in pairs]
     if np.ndim(white.extra):
         extras = [record.longer(_forth(law, record, extra, 0)) for extra in extras]
-    values = {n: np.array([float(w.values[n]) for w, _ in each]) for n in law.parameters()}
-    found = tables[0] if one else np.stack(tables), np.stack(extras), values
-    made, log_sd = map(np.asarray, _whitened(*record.for_law(law), *found))
-    for (_, table), own, each_sd in zip(part, made, log_sd, strict=False):
-        yield own[: record.size, : table.shape[1]], 2.0 * float(np.sum(each_sd[: record.size]))
+    values = {n: np.array([float(w.values[n]) for w, _ in pairs]) for n in law.parameters()}
+    args = tables[0] if is_one else np.stack(tables), np.stack(extras), values
+    whitened, log_sd = map(np.asarray, _whitened(*record.for_law(law), *args))
+    for (_, table), result, each_sd in zip(part, whitened, log_sd, strict=False):
+        yield result[: record.size, : table.shape[1]], 2.0 * float(np.sum(each_sd[: record.size]))
 
 
 class Terms(NamedTuple):
@@ -185,47 +185,55 @@ class Terms(NamedTuple):
         """What stands for log|Σ|."""
         return -2 * np.sum(self.highest, axis=-1) - self.highest.shape[-1] * LOG_2PI
 
-    def weight(self, left: Float[np.ndarray, "n"]) -> Float[np.ndarray, "n"]:
+    def weight(self, residual: Float[np.ndarray, "n"]) -> Float[np.ndarray, "n"]:
         """The precision of each reading; at no residual its limit, the curvature."""
-        near = np.abs(left) < 1e-12 * np.max(np.abs(left), axis=-1, keepdims=True, initial=0.0)
-        made = np.where(near, self.curvature, self.slope / np.where(near, 1.0, left))
-        return np.maximum(made, 0.0)
+        near = np.abs(residual) < 1e-12 * np.max(
+            np.abs(residual), axis=-1, keepdims=True, initial=0.0
+        )
+        weight = np.where(near, self.curvature, self.slope / np.where(near, 1.0, residual))
+        return np.maximum(weight, 0.0)
 
 
 def density_terms(
-    law: Noise, values: Values, record: Record, left: Float[np.ndarray, "*b n"], extra: Any = 0.0
+    law: Noise,
+    values: Values,
+    record: Record,
+    residual: Float[np.ndarray, "*b n"],
+    extra: Any = 0.0,
 ) -> Terms:
     """Of what the expected output leaves of the readings, independent of each other given it; at one φ or at several
     (values (b,) each). `extra`: variance of each reading beside the law's, or a single zero."""
-    beside = None if not np.ndim(extra) else np.asarray(extra)
-    frame, own = widened(record.frame, beside), {n: _row(values[n]) for n in law.parameters()}
-    if (known := law.by_residual(left, own, frame)) is not None:
-        density, highest = (law.log_density(e, 0.0 * e, own, frame) for e in (left, 0.0 * left))
-        return Terms(density, highest, *known)
-    h = RESIDUAL_DIFFERENCE * np.sqrt(np.asarray(law.variance(own, frame)))
-    ends = np.stack([left - h, left, left + h, 0.0 * left])
-    low, here, high, highest = np.asarray(law.log_density(record.y, record.y - ends, own, frame))
-    return Terms(here, highest, (low - high) / (2 * h), (2 * here - low - high) / h**2)
+    variance = None if not np.ndim(extra) else np.asarray(extra)
+    frame, phi = widened(record.frame, variance), {n: _row(values[n]) for n in law.parameters()}
+    if (slopes := law.by_residual(residual, phi, frame)) is not None:
+        density, highest = (
+            law.log_density(e, 0.0 * e, phi, frame) for e in (residual, 0.0 * residual)
+        )
+        return Terms(density, highest, *slopes)
+    h = RESIDUAL_DIFFERENCE * np.sqrt(np.asarray(law.variance(phi, frame)))
+    ends = np.stack([residual - h, residual, residual + h, 0.0 * residual])
+    low, middle, high, highest = np.asarray(law.log_density(record.y, record.y - ends, phi, frame))
+    return Terms(middle, highest, (low - high) / (2 * h), (2 * middle - low - high) / h**2)
 
 
 @program
-def _densities(law: Noise, frame: Frame, y, left, extra, values):
-    def of(one):
-        left, extra, own = one
-        return log_density_beside(law, y, y - left, extra, own, frame)
+def _densities(law: Noise, frame: Frame, y, residuals, extra, values):
+    def of(args):
+        residual, extra, phi = args
+        return log_density_beside(law, y, y - residual, extra, phi, frame)
 
     # A step of several states is a few small products, which do for several settings at once.
     some = FEWEST_DRAWS_TOGETHER if law.several_states else None
-    return jax.lax.map(of, (left, extra, values), batch_size=some)
+    return jax.lax.map(of, (residuals, extra, values), batch_size=some)
 
 
 @partial(program, costly=True)  # a random number costs as much as hundreds of sums
 def _samples(law: Noise, frame: Frame, means, keys, values):
-    def one(given):
-        mean, key, own = given
-        return law.sample(jax.random.wrap_key_data(key), mean, own, frame)
+    def draw(args):
+        mean, key, phi = args
+        return law.sample(jax.random.wrap_key_data(key), mean, phi, frame)
 
-    return jax.lax.map(one, (means, keys, values))
+    return jax.lax.map(draw, (means, keys, values))
 
 
 def variance(law: Noise, values: Values, record: Record) -> Float[np.ndarray, "n"]:
@@ -237,21 +245,21 @@ def variance(law: Noise, values: Values, record: Record) -> Float[np.ndarray, "n
 
 def variances(law: Noise, hyper: Each, record: Record) -> Float[np.ndarray, "b n"]:
     """The same for several draws."""
-    own = {n: _row(np.atleast_1d(hyper[n])) for n in law.parameters()}
-    found = np.asarray(law.variance(own, record.frame))
-    return np.broadcast_to(found, (*np.broadcast_shapes(found.shape[:-1], (1,)), record.size))
+    phi = {n: _row(np.atleast_1d(hyper[n])) for n in law.parameters()}
+    variance = np.asarray(law.variance(phi, record.frame))
+    return np.broadcast_to(variance, (*np.broadcast_shapes(variance.shape[:-1], (1,)), record.size))
 
 
 def log_densities(
-    law: Noise, record: Record, left: Float[np.ndarray, "b n"], hyper: Each, extra: Any = 0.0
+    law: Noise, record: Record, residuals: Float[np.ndarray, "b n"], hyper: Each, extra: Any = 0.0
 ) -> Float[np.ndarray, "b n"]:
     """Log density of each reading, given those before it, at what the expected output leaves of it in each draw;
     `extra`: variance of each reading beside the law's (b, n), or a single zero."""
     if law.independent:
-        return _on_host(law, record, left, hyper, extra)
+        return _on_host(law, record, residuals, hyper, extra)
     y = record.longer(_forth(law, record, record.y, 0))
-    beside = extra if np.ndim(extra) else None
-    return _by_draws(_densities, law, record, hyper, left, beside, fixed=(y,))
+    variance = extra if np.ndim(extra) else None
+    return _by_draws(_densities, law, record, hyper, residuals, variance, fixed=(y,))
 
 
 def _row(values: Any) -> Any:
@@ -261,15 +269,15 @@ def _row(values: Any) -> Any:
 
 
 def _on_host(
-    law: Noise, record: Record, left: Float[np.ndarray, "b n"], hyper: Each, extra: Any
+    law: Noise, record: Record, residuals: Float[np.ndarray, "b n"], hyper: Each, extra: Any
 ) -> Float[np.ndarray, "b n"]:
     """`log_densities` of independent readings, without a program."""
     if law.gaussian:
         variance = variances(law, hyper, record) + extra
-        return -0.5 * (left**2 / variance + np.log(variance) + LOG_2PI)
+        return -0.5 * (residuals**2 / variance + np.log(variance) + LOG_2PI)
     frame = widened(record.frame, np.asarray(extra) if np.ndim(extra) else None)
-    own = {n: _row(np.atleast_1d(hyper[n])) for n in law.parameters()}
-    return np.asarray(law.log_density(record.y, record.y - left, own, frame))
+    phi = {n: _row(np.atleast_1d(hyper[n])) for n in law.parameters()}
+    return np.asarray(law.log_density(record.y, record.y - residuals, phi, frame))
 
 
 def samples(
@@ -286,13 +294,13 @@ def samples(
 
 
 def normal_scores(
-    law: Noise, values: Values, record: Record, left: Float[np.ndarray, "n"], extra: Any = 0.0
+    law: Noise, values: Values, record: Record, residual: Float[np.ndarray, "n"], extra: Any = 0.0
 ) -> Float[np.ndarray, "n"]:
     """What is left of readings as independent standard normal numbers, if the law, which is not Gaussian, is right."""
     frame = record.frame if law.independent else record.frame.in_time()
-    beside = _forth(law, record, np.asarray(extra), 0) if np.ndim(extra) else None
-    found = law.normal_scores(_forth(law, record, left, 0), values, widened(frame, beside))
-    return _back(law, record, np.asarray(found))
+    variance = _forth(law, record, np.asarray(extra), 0) if np.ndim(extra) else None
+    scores = law.normal_scores(_forth(law, record, residual, 0), values, widened(frame, variance))
+    return _back(law, record, np.asarray(scores))
 
 
 def _by_draws(
@@ -300,11 +308,11 @@ def _by_draws(
 ) -> Float[np.ndarray, "b n"]:
     """A program of several draws, some at once; the last draw stands in for missing ones."""
     names = list(law.parameters())
-    there = [a for a in arrays if a is not None]
-    count = max([*(np.size(hyper[n]) for n in names), *map(len, there), 1])
-    own = {n: np.broadcast_to(np.asarray(hyper[n], float), (count,)) for n in names}
+    given = [a for a in arrays if a is not None]
+    count = max([*(np.size(hyper[n]) for n in names), *map(len, given), 1])
+    phi = {n: np.broadcast_to(np.asarray(hyper[n], float), (count,)) for n in names}
     arrays = tuple(a if a is None else _forth(law, record, np.asarray(a), 1) for a in arrays)
-    found = np.empty((record.size, count))
+    output = np.empty((record.size, count))
     # One, eight or many at once: three lengths, so that no program is compiled for each number of draws.
     most = max(1, CELLS // record.padded_size)
     few = count <= 8 * FEWEST_DRAWS_TOGETHER
@@ -315,22 +323,25 @@ def _by_draws(
             a if a is None else record.longer(a[pick if len(a) > 1 else 0 * pick]) for a in arrays
         ]
         some += [p[pick] for p in plain]
-        values = {n: v[pick] for n, v in own.items()}
-        made = np.asarray(what(*record.for_law(law), *fixed, *some, values))
+        values = {n: v[pick] for n, v in phi.items()}
+        part = np.asarray(what(*record.for_law(law), *fixed, *some, values))
         stop = min(start + together, count)
-        found[:, start:stop] = made[: stop - start, : record.size].T
-    return _back(law, record, found).T
+        output[:, start:stop] = part[: stop - start, : record.size].T
+    return _back(law, record, output).T
 
 
 def total_log_density(
-    law: Noise, record: Record, left: Float[np.ndarray, "b n"], hyper: Each, extra: Any = 0.0
+    law: Noise, record: Record, residuals: Float[np.ndarray, "b n"], hyper: Each, extra: Any = 0.0
 ) -> Float[np.ndarray, "b"]:
     """The sum of `log_densities` over readings; what is left may be one for all draws (1, n)."""
     names = list(law.parameters())
-    count = max([*(np.size(hyper[n]) for n in names), len(left)])
-    own, found = {n: np.broadcast_to(hyper[n], (count,)) for n in names}, []
+    count = max([*(np.size(hyper[n]) for n in names), len(residuals)])
+    phi, totals = {n: np.broadcast_to(hyper[n], (count,)) for n in names}, []
     for some in np.array_split(np.arange(count), -(-count * record.size // CELLS)):
-        beside = extra[some] if np.ndim(extra) else extra
-        here, values = left[some] if len(left) > 1 else left, {n: v[some] for n, v in own.items()}
-        found.append(log_densities(law, record, here, values, beside).sum(axis=1))
-    return np.concatenate(found)
+        variance = extra[some] if np.ndim(extra) else extra
+        part, values = (
+            residuals[some] if len(residuals) > 1 else residuals,
+            {n: v[some] for n, v in phi.items()},
+        )
+        totals.append(log_densities(law, record, part, values, variance).sum(axis=1))
+    return np.concatenate(totals)

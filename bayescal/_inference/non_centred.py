@@ -24,7 +24,7 @@ def non_centred(model: Callable[..., Any], but: Collection[str] = ()) -> Callabl
     def standard(site: dict[str, Any]) -> LocScaleReparam | None:
         law, done = site["fn"], site["name"].endswith("_decentered")
         law = law.base_dist if isinstance(law, Independent) else law
-        kept = site["is_observed"] or done or site["name"] in but or not isinstance(law, Normal)
-        return None if kept else LocScaleReparam(0.0)
+        is_kept = site["is_observed"] or done or site["name"] in but or not isinstance(law, Normal)
+        return None if is_kept else LocScaleReparam(0.0)
 
     return reparam(model, config=standard)

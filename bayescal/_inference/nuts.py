@@ -83,13 +83,16 @@ def beginning(problem: Problem, mode: Mode) -> Callable[[Any], Any]:
 
     # Of each site: value of a coordinate, its mean and sd.
     starts = dict[str, tuple[Callable[[Any], Any], Any, Any]]()
-    _, found = Density(problem, mode.x, mode.flat, mode.v).at(mode.v)
-    if found is not None and np.all(np.isfinite(mode.covariance)):
+    _, conditional = Density(problem, mode.x, mode.flat, mode.v).at(mode.v)
+    if conditional is not None and np.all(np.isfinite(mode.covariance)):
         prior = problem.prior(problem.hyper(mode.v), mode.flat)
         scale = np.where(prior.weight > 0, np.maximum(prior.sd, 1e-300), 1.0)
-        z, sd = (mode.x - prior.weight * prior.mean) / scale, np.sqrt(np.diag(found.covariance))
-        each = zip(problem.hypers, mode.v, np.sqrt(np.diag(mode.covariance)), strict=True)
-        starts |= {h.name: (h.prior.value, at, wide) for h, at, wide in each}
+        z, sd = (
+            (mode.x - prior.weight * prior.mean) / scale,
+            np.sqrt(np.diag(conditional.covariance)),
+        )
+        triples = zip(problem.hypers, mode.v, np.sqrt(np.diag(mode.covariance)), strict=True)
+        starts |= {h.name: (h.prior.value, at, sd_of_v) for h, at, sd_of_v in triples}
         for b in problem.layout.x_blocks:
             name = b.name if b.coefficient.flat else f"{b.name}.standard"
             starts[name] = (jnp.asarray, z[b.at], (sd / scale)[b.at])
@@ -97,8 +100,8 @@ def beginning(problem: Problem, mode: Mode) -> Callable[[Any], Any]:
     def begin(site: Any) -> Any:
         if site["type"] != "sample" or site["name"] not in starts:
             return init_to_median(site, num_samples=50)
-        value, at, wide = starts[site["name"]]
-        return value(at + wide * jax.random.normal(site["kwargs"]["rng_key"], np.shape(at)))
+        value, at, sd_of_v = starts[site["name"]]
+        return value(at + sd_of_v * jax.random.normal(site["kwargs"]["rng_key"], np.shape(at)))
 
     return partial(begin)
 

@@ -83,7 +83,7 @@ def iterate(kernel: Any, key: Array, arguments: tuple, begin: Any, plan: Plan) -
         TimeIsUp: the deadline came first, or surely would.
     """
 
-    def one(state: Any, _: None) -> tuple[Any, tuple]:
+    def sample(state: Any, _: None) -> tuple[Any, tuple]:
         state = kernel.sample(state, arguments, {})
         return state, (state.z, state.diverging, state.num_steps)
 
@@ -92,25 +92,25 @@ def iterate(kernel: Any, key: Array, arguments: tuple, begin: Any, plan: Plan) -
     keys = jax.random.split(key, plan.chains)
     state = kernel.init(keys, plan.warmup, begin, model_args=arguments, model_kwargs={})
     block = jax.jit(
-        lambda state: jax.lax.scan(one, state, length=BLOCK), compiler_options=known(ALWAYS)
+        lambda state: jax.lax.scan(sample, state, length=BLOCK), compiler_options=known(ALWAYS)
     )
     block = block.lower(state).compile()  # which is no part of what an iteration costs
-    kept = []
+    by_block = []
     for done in range(0, count, BLOCK):
         end.ask()
         since = time.monotonic()
-        state, made = jax.block_until_ready(block(state))
-        kept.append(jax.tree.map(np.asarray, made))
+        state, drawn = jax.block_until_ready(block(state))
+        by_block.append(jax.tree.map(np.asarray, drawn))
         if done == 0:
             # Judged by the smallest tree, so that chains are never given up that would have ended in time.
-            steps = max(1.0, float(np.mean(np.max(np.atleast_2d(kept[0][2]), axis=-1))))
+            steps = max(1.0, float(np.mean(np.max(np.atleast_2d(by_block[0][2]), axis=-1))))
             took = time.monotonic() - since
             least = took / BLOCK * min(1.0, FEWEST_STEPS / steps) * (count - BLOCK)
             if time.monotonic() + least > end.ends_at:
                 words = f"{least:.0f} s" if least < 100 else f"{least / 60:.0f} minutes"
                 raise deadline.TimeIsUp(f"{end.why}, where chains take {words} or more")
     z, diverging, steps = jax.tree.map(
-        lambda *blocks: np.concatenate(blocks)[plan.warmup : count], *kept
+        lambda *blocks: np.concatenate(blocks)[plan.warmup : count], *by_block
     )
     by_chain = jax.tree.map(lambda a: jnp.swapaxes(jnp.asarray(a), 0, 1), z)
     return Chains(by_chain, int(np.sum(diverging)), float(np.mean(steps)))
@@ -125,8 +125,8 @@ def whitened(problem: Problem, mode: Mode):
     layout, record = problem.layout, problem.record
     frame = jax.tree.map(jnp.asarray, record.frame)
     y, d, p = jnp.asarray(record.y), len(layout.hypers), layout.size
-    density, there = Density(problem, mode.x, mode.flat, mode.v), problem.hyper(mode.v)
-    gram, prior = density.gram(mode.v, there), problem.prior(there, mode.flat)
+    density, hyper_at_mode = Density(problem, mode.x, mode.flat, mode.v), problem.hyper(mode.v)
+    gram, prior = density.gram(mode.v, hyper_at_mode), problem.prior(hyper_at_mode, mode.flat)
     pull = gram.jtr - gram.jtj @ (prior.weight * (prior.mean - mode.x))
     middle = jnp.asarray(np.where(prior.weight > 0, prior.mean, mode.x))
     amplitude = next(iter(problem.noise.amplitudes), None)
@@ -137,7 +137,7 @@ def whitened(problem: Problem, mode: Mode):
         # log Jacobian, log|S·L⁻ᵀ|, makes the density of (v, z) exact.
         hyper = forward.hyper_values(layout, v)
         sd = forward.prior_sd(layout, hyper, jnp.asarray(mode.flat))
-        larger = 1.0 if amplitude is None else (hyper[amplitude] / there[amplitude]) ** 2
+        larger = 1.0 if amplitude is None else (hyper[amplitude] / hyper_at_mode[amplitude]) ** 2
         precision = sd[:, None] * gram.jtj * sd / larger + jnp.diag(prior.weight)
         chol = jnp.linalg.cholesky(precision)
         solve = jax.scipy.linalg.solve_triangular

@@ -52,9 +52,12 @@ class Host:
             return record.columns_of_draws(of, shapes, moves), {}
         if not moves:
             return record.columns(of, tuple(map(float, shapes))), {}
-        one = [np.atleast_1d(float(s)) for s in shapes], {n: m[None] for n, m in moves.items()}
-        found, slopes = record.moved_columns_of_draws(of, *one)
-        return found[0], {n: slope[0] for n, slope in slopes.items()}
+        arguments = (
+            [np.atleast_1d(float(s)) for s in shapes],
+            {n: m[None] for n, m in moves.items()},
+        )
+        columns, slopes = record.moved_columns_of_draws(of, *arguments)
+        return columns[0], {n: slope[0] for n, slope in slopes.items()}
 
     def response(self, slots: Moves, moves: Moves) -> np.ndarray:
         return self.record.respond(slots, moves, sloped=False)[0]
@@ -91,15 +94,16 @@ class Problem:
 
     def hyper(self, v: Sequence[float] | np.ndarray) -> Values:
         """The entries of φ at coordinate v, by name; fixed ones included."""
-        found = {
-            name: value(one) for (name, value, _), one in zip(self._coordinates, v, strict=True)
+        free = {
+            name: value(coordinate)
+            for (name, value, _), coordinate in zip(self._coordinates, v, strict=True)
         }
-        return {**self.fixed_values, **found}  # pyright: ignore[reportReturnType]
+        return {**self.fixed_values, **free}  # pyright: ignore[reportReturnType]
 
     def log_prior(self, v: np.ndarray) -> float:
         """Log prior density of φ in its coordinates."""
-        each = zip(self._coordinates, v, strict=True)
-        return float(sum(density(one) for (*_, density), one in each))
+        pairs = zip(self._coordinates, v, strict=True)
+        return float(sum(density(coordinate) for (*_, density), coordinate in pairs))
 
     def drawn(
         self,
@@ -136,18 +140,18 @@ class Problem:
 
     @cached_property
     def mean_of_x(self) -> Float[np.ndarray, "p"]:
-        found = np.zeros(self.size)
+        mean = np.zeros(self.size)
         for t in self.in_x:
-            found[t.at] = t.mean
-        return found
+            mean[t.at] = t.mean
+        return mean
 
     @cached_property
     def weight_of_x(self) -> Float[np.ndarray, "p"]:
-        found = np.ones(self.size)
+        weight = np.ones(self.size)
         for t in self.in_x:
             if t.flat:
-                found[t.at] = 0.0
-        return found
+                weight[t.at] = 0.0
+        return weight
 
     def prior(
         self, hyper: Mapping[str, Any], flat: np.ndarray, count: tuple[int, ...] = ()
@@ -174,11 +178,11 @@ class Problem:
 
     def x_of(self, other: Problem, x: Float[np.ndarray, "q"]) -> Float[np.ndarray, "p"]:
         """Another structure's x in this one's terms; what that one has not stands at its prior mean."""
-        found, theirs = self.start, {(t.effect.name, t.index): t.at for t in other.in_x}
+        x_here, theirs = self.start, {(t.effect.name, t.index): t.at for t in other.in_x}
         for t in self.in_x:
             if (at := theirs.get((t.effect.name, t.index))) is not None:
-                found[t.at] = x[at]
-        return found
+                x_here[t.at] = x[at]
+        return x_here
 
     def value(self, t: Term, x: np.ndarray, hyper: Mapping[str, Any]) -> np.ndarray:
         """A term's coefficient at each reading (…, n), or one for all (…, 1)."""
@@ -197,25 +201,25 @@ class Problem:
         return not self.corrected and self.record.affine is not None
 
     @cached_property
-    def _acting(self) -> tuple[Term, ...]:
+    def _dynamic_terms(self) -> tuple[Term, ...]:
         """The terms to be composed: of an affine output, those whose columns or values φ moves."""
-        still = self.affine
-        return tuple(t for t in self.terms if not still or t.place != "x" or t.shape_names)
+        affine = self.affine
+        return tuple(t for t in self.terms if not affine or t.place != "x" or t.shape_names)
 
     @cached_property
-    def _still(self) -> tuple[Float[np.ndarray, "n p"], Int[np.ndarray, "q"]]:
+    def _static_jacobian(self) -> tuple[Float[np.ndarray, "n p"], Int[np.ndarray, "q"]]:
         """The Jacobian by the others, which is put together once, and where those that act stand in x."""
         places = np.arange(self.size)
-        acting = np.concatenate(
-            [places[:0], *(places[t.at] for t in self._acting if t.place == "x")]
+        dynamic = np.concatenate(
+            [places[:0], *(places[t.at] for t in self._dynamic_terms if t.place == "x")]
         )
-        found = np.zeros((self.record.size, self.size), order="F")
+        jacobian = np.zeros((self.record.size, self.size), order="F")
         if self.affine:
-            kept = [t for t in self.in_x if not t.shape_names]
+            terms = [t for t in self.in_x if not t.shape_names]
             none = np.zeros(self.size), self.fixed_values
-            made = linearised(self.host, kept, self.composed(kept, *none, sloped=True))
-            found[:, np.setdiff1d(places, acting)] = made.jacobian
-        return found, acting
+            static = linearised(self.host, terms, self.composed(terms, *none, sloped=True))
+            jacobian[:, np.setdiff1d(places, dynamic)] = static.jacobian
+        return jacobian, dynamic
 
     def slopes(
         self, x: Float[np.ndarray, "p"], hyper: Values
@@ -226,24 +230,24 @@ class Problem:
 
     def linearise(self, x: Float[np.ndarray, "*b p"], hyper: Mapping[str, Any]) -> Linearised:
         """Expected output and Jacobian at an x, or at those of several draws, output unit per reported unit."""
-        found = self.acted(x, hyper)
+        line = self.linearise_dynamic(x, hyper)
         if not self.affine:
-            return found
-        still, acting = self._still
-        if found.mean.ndim > 1:
-            still = np.tile(still, (len(found.mean), 1, 1))
-        jacobian = still.copy(order="A")
-        jacobian[..., acting] = found.jacobian
-        return Linearised(found.mean + (still @ x[..., None])[..., 0], jacobian, found.inputs)
+            return line
+        static, dynamic = self._static_jacobian
+        if line.mean.ndim > 1:
+            static = np.tile(static, (len(line.mean), 1, 1))
+        jacobian = static.copy(order="A")
+        jacobian[..., dynamic] = line.jacobian
+        return Linearised(line.mean + (static @ x[..., None])[..., 0], jacobian, line.inputs)
 
-    def acted(
+    def linearise_dynamic(
         self,
         x: Float[np.ndarray, "*b p"],
         hyper: Mapping[str, Any],
         terms: Sequence[Term] | None = None,
     ) -> Linearised:
         """The same of the terms that hang on φ alone, where the output is affine: a constant of it rounds nothing."""
-        terms = self._acting if terms is None else terms
+        terms = self._dynamic_terms if terms is None else terms
         return linearised(self.host, terms, self.composed(terms, x, hyper, sloped=True))
 
     def extra(self, line: Linearised) -> Float[np.ndarray, "n"] | float:
@@ -254,10 +258,10 @@ class Problem:
 
     def expected(self, x: Any, hyper: Mapping[str, Any]) -> Float[np.ndarray, "b n"]:
         """Expected output of joint draws, output unit."""
-        found = expected_of(self.host, self.composed(self._acting, x, hyper))
+        mean = expected_of(self.host, self.composed(self._dynamic_terms, x, hyper))
         if self.affine:
-            return found + x @ self._still[0].T
-        return np.broadcast_to(found, (len(x), self.record.size))  # of no term it is one for all
+            return mean + x @ self._static_jacobian[0].T
+        return np.broadcast_to(mean, (len(x), self.record.size))  # of no term it is one for all
 
     def expected_with_slopes(
         self, x: Any, hyper: Mapping[str, Any], terms: Sequence[Term]
@@ -265,11 +269,11 @@ class Problem:
         """Expected output of joint draws, and its slopes by some terms, (n,) or (b, n) each, as if all readings
         belonged to one member of a term's group."""
         sloped = any(t.slot not in self.host.slots for t in terms)  # of a column that is corrected
-        made = self.composed(self.terms, x, hyper, sloped)
-        mean, by_slot = slopes(self.host, self.terms, made)
-        wanted = {id(t) for t in terms}
-        each = zip(self.terms, made.columns, strict=True)
-        return mean, [by_slot[t.slot] * column for t, column in each if id(t) in wanted]
+        composed = self.composed(self.terms, x, hyper, sloped)
+        mean, by_slot = slopes(self.host, self.terms, composed)
+        chosen = {id(t) for t in terms}
+        pairs = zip(self.terms, composed.columns, strict=True)
+        return mean, [by_slot[t.slot] * column for t, column in pairs if id(t) in chosen]
 
     def expected_and_extra(
         self, x: Any, hyper: Mapping[str, Any]
@@ -291,6 +295,6 @@ def differences(f: Callable[[np.ndarray], Any], at: np.ndarray, step: Any) -> np
 
 def put(values: np.ndarray, places: list[int], v: np.ndarray) -> np.ndarray:
     """v with other values in some places."""
-    found = v.copy()
-    found[places] = values
-    return found
+    changed = v.copy()
+    changed[places] = values
+    return changed

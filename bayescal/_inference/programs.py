@@ -37,25 +37,25 @@ def padded_length(size: int) -> int:
 def padded(frame: Frame) -> Frame:
     """The same readings as a program takes them, the last repeated up to the padded length, each time as a run."""
     size = frame.size
-    more = padded_length(size) - size
+    missing = padded_length(size) - size
 
     # A repeated reading is as valid an argument of any effect as the reading itself: no logarithm of a zero that is
     # not there.
     def longer(values: Any) -> np.ndarray:
-        return np.pad(np.asarray(values), (0, more), mode="edge")
+        return np.pad(np.asarray(values), (0, missing), mode="edge")
 
     def all_of(values: Mapping[str, Any]) -> dict[str, Any]:
         return {name: longer(v) for name, v in values.items()}
 
-    codes = {g: np.pad(c, (0, more), constant_values=-1) for g, c in frame.codes.items()}
-    found = replace(
+    codes = {g: np.pad(c, (0, missing), constant_values=-1) for g, c in frame.codes.items()}
+    padded_frame = replace(
         frame,
         **{name: all_of(getattr(frame, name)) for name in ("columns", "labels", "rates", "record")},
         codes=codes,
-        order=np.append(frame.order, np.arange(size, size + more, dtype=np.int32)),
-        step=np.append(frame.step, -np.ones(more)),
+        order=np.append(frame.order, np.arange(size, size + missing, dtype=np.int32)),
+        step=np.append(frame.step, -np.ones(missing)),
     )
-    return jax.tree.map(jnp.asarray, found)
+    return jax.tree.map(jnp.asarray, padded_frame)
 
 
 def program(function: Callable[..., Any], costly: bool = False) -> Callable[..., Any]:
@@ -65,14 +65,15 @@ def program(function: Callable[..., Any], costly: bool = False) -> Callable[...,
     """
 
     @cache
-    def made(optimised: bool) -> Callable[..., Any]:
+    def compile_once(optimised: bool) -> Callable[..., Any]:
         options = known(ALWAYS if optimised else QUICK)
         return jax.jit(function, static_argnums=0, compiler_options=options)
 
     @wraps(function)
     def call(what: Any, frame: Frame, *args: Any) -> Any:
         loops = not getattr(what, "independent", True)  # through all readings, at each φ
-        return made(frame.size >= OPTIMISED_READINGS or loops or costly)(what, frame, *args)
+        optimised = frame.size >= OPTIMISED_READINGS or loops or costly
+        return compile_once(optimised)(what, frame, *args)
 
     return call
 

@@ -78,14 +78,14 @@ class Record:
             self._for_laws[law] = law.plain, frame
         return self._for_laws[law]
 
-    def beside(self, frame: Frame | None = None) -> Record:
+    def with_frame(self, frame: Frame | None = None) -> Record:
         """The same readings once more, with columns that no shape moves, or those of another membership in groups."""
-        own = {"_fixed": self._fixed, "of": self}
-        made = Record(self.instrument, self.frame if frame is None else frame, self.y, **own)
+        shared = {"_fixed": self._fixed, "of": self}
+        record = Record(self.instrument, self.frame if frame is None else frame, self.y, **shared)
         if frame is None:
             same = {"_for_laws": self._for_laws, "_nodes": self._nodes}
-            vars(made).update(codes=self.codes, on_host=self.on_host, **same)
-        return made
+            vars(record).update(codes=self.codes, on_host=self.on_host, **same)
+        return record
 
     def require_finite(self, effects: Iterable[Effect]) -> None:
         """Refuse effects of the user's own that divide by zero, or take the root of a negative number, in a reading.
@@ -93,30 +93,30 @@ class Record:
         Raises:
             ModelError: so one does, at the middle of its shapes.
         """
-        known, shown = self.instrument.known, self.instrument.shown_by(self.frame, effects)
-        for effect in (e for e in shown if not (e.name in known or e.is_placeholder)):
+        catalogue, affected = self.instrument.known, self.instrument.shown_by(self.frame, effects)
+        for effect in (e for e in affected if not (e.name in catalogue or e.is_placeholder)):
             of = ColumnsOf.of(effect)
             middle = tuple(float(prior.value(0.0)) for prior in of.priors)
             lost = np.flatnonzero(~np.isfinite(self.columns(of, middle)).all(axis=1))
             if not len(lost):
                 continue
-            held = [c for c in effect.columns if c in self.frame.columns]
-            at = ", ".join(f"{c} {self.frame[c][lost[0]]:.6g}" for c in held)
+            columns = [c for c in effect.columns if c in self.frame.columns]
+            at = ", ".join(f"{c} {self.frame[c][lost[0]]:.6g}" for c in columns)
             raise ModelError(
                 f"Effect {effect.name!r} is not finite in {len(lost)} of {self.size} readings, first in reading "
                 f"{lost[0] + 1} ({at}): look where it divides by zero, or takes the root of a negative number"
             )
 
-    def of_noise(self, left: Float[np.ndarray, "n"]) -> Record:
+    def of_noise(self, residual: Float[np.ndarray, "n"]) -> Record:
         """What a model leaves of the readings, as the output of a channel at rest: a fit of noise alone."""
-        made = Record(CHANNEL, self.frame, left, _for_laws=self._for_laws, _nodes=self._nodes)
-        one = {slot: np.ones(self.size) for slot in made.slots}
-        vars(made)["affine"] = np.zeros(self.size), one  # nothing to compile
-        return made
+        record = Record(CHANNEL, self.frame, residual, _for_laws=self._for_laws, _nodes=self._nodes)
+        channel = {slot: np.ones(self.size) for slot in record.slots}
+        vars(record)["affine"] = np.zeros(self.size), channel  # nothing to compile
+        return record
 
     @cached_property
     def codes(self) -> dict[str, np.ndarray]:
-        return {name: np.asarray(own, dtype=np.intp) for name, own in self.frame.codes.items()}
+        return {name: np.asarray(codes, dtype=np.intp) for name, codes in self.frame.codes.items()}
 
     @cached_property
     def in_time(self) -> tuple[np.ndarray, np.ndarray]:
@@ -139,24 +139,24 @@ class Record:
         if self.affine is not None:
             self.table.forget()
 
-    def expansions(self, effect: ColumnsOf, held: tuple[float | None, ...]) -> Expansions:
+    def expansions(self, effect: ColumnsOf, fixed: tuple[float | None, ...]) -> Expansions:
         """Return an effect's columns as functions of the coordinates of its free shapes; the others are `held`."""
-        key = effect.key, held
+        key = effect.key, fixed
         if sum(e.nbytes for e in self._expansions.values()) > KEPT_BYTES:
             self._expansions.clear()
         if key not in self._expansions:
 
             def columns(v: Float[np.ndarray, "s d"]) -> Float[np.ndarray, "s n k"]:
-                if not held:
+                if not fixed:
                     return self.columns(effect, ())[None]
                 along = iter(v.T)
                 values = [
                     np.full(len(v), h) if h is not None else prior.value(next(along))
-                    for h, prior in zip(held, effect.priors, strict=True)
+                    for h, prior in zip(fixed, effect.priors, strict=True)
                 ]
                 return self._computed(effect, values, {})
 
-            self._expansions[key] = Expansions(columns, sum(h is None for h in held))
+            self._expansions[key] = Expansions(columns, sum(h is None for h in fixed))
         return self._expansions[key]
 
     def nodes(self, law: Noise) -> OneNode | None:
@@ -201,14 +201,14 @@ class Record:
                 self._fixed[effect.basis] = self.on_host.at(effect.basis, {}, {})
             return self._fixed[effect.basis]
         key = (effect.key, values)
-        found = self._shaped.pop(key, None)
-        if found is None:
-            found = self._computed(effect, [np.array([v]) for v in values], {})[0]
-            self._bytes += found.nbytes
+        columns = self._shaped.pop(key, None)
+        if columns is None:
+            columns = self._computed(effect, [np.array([v]) for v in values], {})[0]
+            self._bytes += columns.nbytes
             while self._bytes > KEPT_BYTES and self._shaped:
                 self._bytes -= self._shaped.popitem(last=False)[1].nbytes
-        self._shaped[key] = found
-        return found
+        self._shaped[key] = columns
+        return columns
 
     def respond(
         self, slots: Mapping[str, np.ndarray], moves: Mapping[str, np.ndarray], sloped: bool = True
@@ -227,9 +227,9 @@ class Record:
 
     def _respond(self, slots: Mapping[str, Any], moves: Mapping[str, np.ndarray]) -> Any:
         """The response by NumPy, columns of the readings moved."""
-        every = {name: slots.get(name, np.zeros(self.size)) for name in self.slots}
-        made = self.instrument.response(every, self.frame.moved(moves))
-        return np.broadcast_to(made, np.broadcast_shapes(np.shape(made), (self.size,)))
+        all_slots = {name: slots.get(name, np.zeros(self.size)) for name in self.slots}
+        output = self.instrument.response(all_slots, self.frame.moved(moves))
+        return np.broadcast_to(output, np.broadcast_shapes(np.shape(output), (self.size,)))
 
     def _moved(
         self, slots: Mapping[str, np.ndarray], moves: Mapping[str, np.ndarray]
@@ -252,9 +252,9 @@ class Record:
         last = self._last
         if last is None or last[0] != key:
             full = {name: slots.get(name, np.zeros(self.size)) for name in self.slots}
-            padded = ({n: self.longer(v) for n, v in own.items()} for own in (full, moves))
-            made = programs.response_slopes(self._what, self.padded, *padded)
-            self._last = last = key, jax.tree.map(lambda a: np.asarray(a)[: self.size], made)
+            padded = ({n: self.longer(v) for n, v in arrays.items()} for arrays in (full, moves))
+            outputs = programs.response_slopes(self._what, self.padded, *padded)
+            self._last = last = key, jax.tree.map(lambda a: np.asarray(a)[: self.size], outputs)
         return last[1]
 
     @cached_property
@@ -265,14 +265,14 @@ class Record:
         """
         if isinstance(self.of, Record):
             return self.of.affine
-        if (found := self._host_affine) is not None:
-            return found
+        if (host := self._host_affine) is not None:
+            return host
         base, slopes = self._response({}, {})
         for slots in self._random_slots(slopes):
-            _, there = self._response(slots, {})
+            _, slopes_there = self._response(slots, {})
             for name in self.slots:
                 scale = np.max(np.abs(slopes[name]), initial=0.0)
-                change = np.abs(there[name] - slopes[name])
+                change = np.abs(slopes_there[name] - slopes[name])
                 # not "larger than": outside of an arcsine there is no slope to compare
                 if not np.max(change, initial=0.0) <= AFFINE * scale:
                     return None
@@ -330,17 +330,19 @@ class Record:
         self, effect: ColumnsOf, values: Sequence[Any]
     ) -> dict[str, Float[np.ndarray, "*b n"]]:
         """What the columns are corrected by that an effect depends on, at values of its shapes."""
-        found, at = dict[str, np.ndarray](), len(effect.own)
+        shifts, at = dict[str, np.ndarray](), len(effect.own)
         for c in effect.corrections:
-            own, at = values[at : at + len(c.of.shapes)], at + len(c.of.shapes)
+            shapes, at = values[at : at + len(c.of.shapes)], at + len(c.of.shapes)
             # One draw is no stretch of draws: it would be computed as often as these are.
-            of_draws = any(np.ndim(v) for v in own)
-            made = (
-                self.columns_of_draws(c.of, own, {}) if of_draws else self.columns(c.of, tuple(own))
+            of_draws = any(np.ndim(v) for v in shapes)
+            columns = (
+                self.columns_of_draws(c.of, shapes, {})
+                if of_draws
+                else self.columns(c.of, tuple(shapes))
             )
-            shift = c.factor * made[..., c.index]
-            found[c.column + PATH] = found.get(c.column + PATH, 0.0) + shift
-        return found
+            shift = c.factor * columns[..., c.index]
+            shifts[c.column + PATH] = shifts.get(c.column + PATH, 0.0) + shift
+        return shifts
 
     def moved_columns_of_draws(self, effect: ColumnsOf, values: Sequence[Any], moves: Any) -> Any:
         """Columns as `columns_of_draws`, and by differences their slopes by the moves, (b, n, k) each."""
@@ -357,9 +359,10 @@ class Record:
     ) -> Any:
         """What a program gives for several draws, some at once; readings are padded, and the last draw repeated."""
         count = max(len(v) for v in (*slots.values(), *moves.values()) if np.ndim(v) > 1)
-        every = {name: slots.get(name, 0.0) for name in self.slots}, moves
+        inputs = {name: slots.get(name, 0.0) for name in self.slots}, moves
         both = [
-            {n: np.broadcast_to(v, (count, self.size)) for n, v in own.items()} for own in every
+            {n: np.broadcast_to(v, (count, self.size)) for n, v in arrays.items()}
+            for arrays in inputs
         ]
         # Full stretches and half ones: two lengths to compile, whatever the number of draws; and a sixth, where
         # computing is what costs.
@@ -370,12 +373,12 @@ class Record:
         for start in range(0, count, together):
             stop = min(start + together, count)
             draws = np.minimum(np.arange(start, start + together), count - 1)[:, None]
-            some = ({n: v[draws, self._to_length] for n, v in own.items()} for own in both)
-            made = program(what, self.padded, *some)
+            some = ({n: v[draws, self._to_length] for n, v in arrays.items()} for arrays in both)
+            outputs = program(what, self.padded, *some)
             if whole is None:
-                whole = jax.tree.map(lambda a: np.empty((count, self.size, *a.shape[2:])), made)
-            for into, own in zip(*map(jax.tree.leaves, (whole, made)), strict=True):
-                into[start:stop] = np.asarray(own)[: stop - start, : self.size]
+                whole = jax.tree.map(lambda a: np.empty((count, self.size, *a.shape[2:])), outputs)
+            for into, arrays in zip(*map(jax.tree.leaves, (whole, outputs)), strict=True):
+                into[start:stop] = np.asarray(arrays)[: stop - start, : self.size]
         return whole
 
     def longer(self, values: Float[np.ndarray, "... n"]) -> Float[np.ndarray, "... m"]:
@@ -404,10 +407,10 @@ def record_of(instrument: Instrument, readings: Measurements, reference: Referen
         frame = build_frame(readings, reference)
         base = _LIVE[key] = Record(instrument, frame, np.asarray(frame["output"]))
         base.of = readings  # held: no others take their place in memory while this lives
-    return base.beside()
+    return base.with_frame()
 
 
 def _as_value(of: Any) -> Any:
     if isinstance(of, Mapping):
-        return tuple(sorted((name, _as_value(own)) for name, own in of.items()))
+        return tuple(sorted((name, _as_value(value)) for name, value in of.items()))
     return of

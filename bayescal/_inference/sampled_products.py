@@ -29,7 +29,7 @@ MOST_MEMBERS = 12  # a group coefficient with more members than this is not prom
 
 
 def choose(
-    problem: Problem, asked: tuple[str, ...] | None, start: Mapping[str, float] = NOTHING_KNOWN
+    problem: Problem, requested: tuple[str, ...] | None, start: Mapping[str, float] = NOTHING_KNOWN
 ) -> tuple[Problem, tuple[str, ...], Mode | None]:
     """The model with what must be promoted, or is `asked` for; what to say about it; its mode where that was sought.
 
@@ -37,14 +37,14 @@ def choose(
         ModelError: a name that was asked for is no coefficient of the model.
     """
     layout, record, notes = problem.layout, problem.record, ()
-    if asked is not None:
-        known = [b.name for b in layout.x_blocks]
-        for name in asked:
-            if name not in known:
+    if requested is not None:
+        names = [b.name for b in layout.x_blocks]
+        for name in requested:
+            if name not in names:
                 raise ModelError(
-                    f"promote: nothing that could be promoted is called {name!r}; there is: {', '.join(known)}"
+                    f"promote: nothing that could be promoted is called {name!r}; there is: {', '.join(names)}"
                 )
-        return Problem(layout.promote(*asked), record), (), None
+        return Problem(layout.promote(*requested), record), (), None
     while problem.size and not problem.affine:
         free, least = MOST_PROMOTED - len(layout.positions("promoted")), PRODUCT_SD
         few = [b for b in layout.x_blocks if b.coefficient.per is None or b.size <= MOST_MEMBERS]
@@ -67,11 +67,11 @@ def choose(
         chosen = parts if sum(b.size for b in parts) <= free else [best]
         layout = layout.promote(*(b.name for b in chosen))
         verb, whose = ("are", "the") if len(chosen) > 1 else ("is", "its")
-        said = (
+        note = (
             f"{', '.join(b.name for b in chosen)} {verb} sampled with the hyper-parameters: {whose} product with other "
             f"unknowns amounts to {strength[best.name]:.2g} noise standard deviations."
         )
-        notes = (*notes, said)
+        notes = (*notes, note)
         problem = Problem(layout, record)
     return problem, notes, None
 
@@ -79,11 +79,11 @@ def choose(
 def _second_order(problem: Problem, mode: Mode) -> Float[np.ndarray, "p"]:
     """For each entry of x the size of its products with the others, in noise standard deviations."""
     hyper = problem.hyper(mode.v)
-    found = Density(problem, mode.x, mode.flat).at(mode.v)[1]
-    if found is None:
+    conditional = Density(problem, mode.x, mode.flat).at(mode.v)[1]
+    if conditional is None:
         return np.zeros(problem.size)
-    variances = np.diag(found.covariance)
-    root = np.linalg.cholesky(found.covariance + 1e-12 * np.diag(variances))
+    variances = np.diag(conditional.covariance)
+    root = np.linalg.cholesky(conditional.covariance + 1e-12 * np.diag(variances))
     noise = np.sqrt(variance(problem.noise, hyper, problem.record))[:, None]
     sizes = []
     # What one posterior standard deviation of xᵢ changes in J, times a root of the covariance of the others: the

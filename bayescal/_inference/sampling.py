@@ -99,13 +99,15 @@ class Mixture(NamedTuple):
         heavy = np.sqrt(self.freedom / random.chisquare(self.freedom, count))[:, None]
         normal = random.standard_normal((count, dim))
         which = random.integers(len(self.centre), size=count)
-        apart = random.random(count) < self.share
+        from_wide = random.random(count) < self.share
         narrow = self.centre[which] + heavy * normal @ self.chol.T
         # A side is as likely as it is wide: by the quantiles of a normal number.
         down, up = self.sides
         below = down * ndtri(np.minimum(ndtr(normal) * (down + up) / (2 * down), 0.5))
         above = -up * ndtri(np.minimum(ndtr(-normal) * (down + up) / (2 * up), 0.5))
-        return np.where(apart[:, None], self.middle + heavy * (below + above) @ self.axes.T, narrow)
+        return np.where(
+            from_wide[:, None], self.middle + heavy * (below + above) @ self.axes.T, narrow
+        )
 
     def log_density(self, v: Float[np.ndarray, "s d"]) -> Float[np.ndarray, "s"]:
         dim = self.centre.shape[1]
@@ -116,13 +118,13 @@ class Mixture(NamedTuple):
         # |z − c|² = |z|² − 2·zᵀc + |c|²: distances to all centres are one product of matrices. Counted from the
         # middle these are numbers of order one, and no digits cancel. Resampled centres repeat.
         z, c = _whitened(self.chol, v - self.middle), _whitened(self.chol, centres - self.middle)
-        c, beside = c.T * (-2 / freedom), 1 + np.sum(c**2, axis=1) / freedom
+        c, offset = c.T * (-2 / freedom), 1 + np.sum(c**2, axis=1) / freedom
         near = np.empty(len(v))
         for start in range(0, len(v), DISTANCES_TOGETHER):  # so many that they stay in the cache
-            one = z[start : start + DISTANCES_TOGETHER]
-            heavy = one @ c
-            heavy += beside
-            heavy += np.sum(one**2, axis=1)[:, None] / freedom
+            block = z[start : start + DISTANCES_TOGETHER]
+            heavy = block @ c
+            heavy += offset
+            heavy += np.sum(block**2, axis=1)[:, None] / freedom
             np.log(np.maximum(heavy, 1.0, out=heavy), out=heavy)
             heavy *= -half
             near[start : start + DISTANCES_TOGETHER] = np.exp(heavy, out=heavy) @ counts
@@ -130,9 +132,9 @@ class Mixture(NamedTuple):
         narrow = np.log(near / len(self.centre) + 1e-300) - _log_volume(self.chol)
         down, up = self.sides
         z = _whitened(self.axes, v - self.middle)
-        apart = -half * np.log1p(np.sum((z / np.where(z < 0, down, up)) ** 2, axis=1) / freedom)
-        apart -= _log_volume(self.axes) + np.sum(np.log(0.5 * (down + up) * np.ones(dim)))
-        return norm + np.logaddexp(narrow + math.log1p(-self.share), apart + math.log(self.share))
+        wide = -half * np.log1p(np.sum((z / np.where(z < 0, down, up)) ** 2, axis=1) / freedom)
+        wide -= _log_volume(self.axes) + np.sum(np.log(0.5 * (down + up) * np.ones(dim)))
+        return norm + np.logaddexp(narrow + math.log1p(-self.share), wide + math.log(self.share))
 
 
 def _whitened(chol: np.ndarray, v: np.ndarray) -> np.ndarray:
@@ -143,7 +145,7 @@ def _log_volume(axes: np.ndarray) -> float:
     return float(np.linalg.slogdet(axes)[1])
 
 
-class ManyPhi:
+class BatchedDensity:
     """The log density of many φ at once, x integrated out, and x given each.
 
     Its `table` of products about the mode is None where each φ costs columns, or a pass over the readings; `exact`:
@@ -167,33 +169,33 @@ class ManyPhi:
     def at(self, v: Float[np.ndarray, "b d"], normal: np.ndarray) -> tuple[np.ndarray, Drawn]:
         """Log density of each φ, and the x that standard normal numbers stand for given it."""
         prior = self.problem.log_priors(v)
-        given = self.mode.flat, self.density.origin
-        found = self.problem.drawn((self.table or self.density).grams(v), v, *given, normal)
+        args = self.mode.flat, self.density.origin
+        drawn = self.problem.drawn((self.table or self.density).grams(v), v, *args, normal)
         computed = np.zeros(len(v), dtype=bool)
         if self.table is not None:
             # A random share of these stands for all: a hill far from the mode is seen, at a bounded cost.
             beyond = ~self.table.reaches(v)
             computed = beyond & (self.random.random(len(v)) < self.far_share)
-            found.log_marginal[beyond] = NOWHERE
+            drawn.log_marginal[beyond] = NOWHERE
             if computed.any():
                 grams, some = self.density.grams(v[computed]), normal[computed]
-                exact = self.problem.drawn(grams, v[computed], *given, some)
-                for all_of_it, new in zip(found, exact, strict=True):
+                exact = self.problem.drawn(grams, v[computed], *args, some)
+                for all_of_it, new in zip(drawn, exact, strict=True):
                     all_of_it[computed] = new
-        total = found.log_marginal + prior
-        there = np.isfinite(total) & (found.log_marginal > NOWHERE)
-        total = np.where(there, total, NOWHERE)
+        total = drawn.log_marginal + prior
+        is_finite = np.isfinite(total) & (drawn.log_marginal > NOWHERE)
+        total = np.where(is_finite, total, NOWHERE)
         if len(v) and total[best := int(np.argmax(total))] > self.highest:
             self.highest, self.top = float(total[best]), v[best]
         total[computed] -= math.log(self.far_share)
-        return total, found
+        return total, drawn
 
     def values(self, v: Float[np.ndarray, "s d"]) -> Float[np.ndarray, "s"]:
-        size, made = self.problem.size, []
+        size, parts = self.problem.size, []
         for part in np.array_split(v, -(-len(v) // self.together)):
             deadline.current().ask()
-            made.append(self.at(part, np.zeros((len(part), size)))[0])
-        return np.concatenate(made)
+            parts.append(self.at(part, np.zeros((len(part), size)))[0])
+        return np.concatenate(parts)
 
 
 class PriorShare(NamedTuple):
@@ -231,11 +233,13 @@ def adapted(
     mixture, tried = around_mode(mode.v, mode.covariance), Rounds(prior)
     for k in range(rounds if len(mode.v) else 0):
         v, log_proposal = propose(mixture, prior, random, proposals)
-        there = values(v)
-        log_weight = there - log_proposal
-        if np.max(there) > higher or effective_size(softmax(log_weight)) > ADAPTED * len(v):
+        log_density = values(v)
+        log_weight = log_density - log_proposal
+        if np.max(log_density) > higher or effective_size(softmax(log_weight)) > ADAPTED * len(v):
             break
-        tried.add(mixture, v, log_proposal, _Placed(v, there, np.zeros((len(v), 0)), there))
+        tried.add(
+            mixture, v, log_proposal, _Placed(v, log_density, np.zeros((len(v), 0)), log_density)
+        )
         mixture = _match(mixture, mode, tried.all.v, tried.log_weight)
         if k + 1 >= USUAL_ROUNDS and smoothed(log_weight)[1] <= K_HAT:
             break
@@ -256,15 +260,17 @@ class Rounds:
         self.counts, self.parts = list[int](), list[_Placed]()
 
     def add(
-        self, mixture: Mixture, v: Float[np.ndarray, "s d"], own: np.ndarray, new: _Placed
+        self, mixture: Mixture, v: Float[np.ndarray, "s d"], log_proposal: np.ndarray, new: _Placed
     ) -> None:
         """A round's draws of a mixture, the log density that they were drawn from, and what there is at each."""
-        here = np.array([*(_log_proposal(m, self.prior, v) for m in self.mixtures), own])
+        proposed = np.array(
+            [*(_log_proposal(m, self.prior, v) for m in self.mixtures), log_proposal]
+        )
         if self.mixtures:
             before = np.vstack([self.proposed, _log_proposal(mixture, self.prior, self.all.v)])
-            here = np.concatenate([before, here], axis=1)
+            proposed = np.concatenate([before, proposed], axis=1)
         self.mixtures.append(mixture)
-        self.proposed = here
+        self.proposed = proposed
         self.counts.append(len(v))
         self.parts.append(new)
 
@@ -330,38 +336,38 @@ def weighted_draws(
     """
     # Further draws have random numbers of their own: the same ones again would tell nothing.
     random = np.random.default_rng(seed if earlier is None else [seed, len(earlier.v)])
-    density, above = ManyPhi(problem, mode), HIGHER_NATS
+    density, above = BatchedDensity(problem, mode), HIGHER_NATS
     share = prior_share([h.prior for h in problem.hypers], problem.log_priors)
     if share is not None and density.table is None:
         share = share._replace(share=COSTLY_PRIOR)
     heavy = heavy or not problem.noise.gaussian
-    known = None if earlier is None else earlier.rounds
+    earlier_rounds = None if earlier is None else earlier.rounds
     while True:
         least = OF_A_PART if density.table is not None else COSTLY_OF_A_PART
         count = proposals or max(least, round(part * proposals_of(density)))
         higher = float(density.mode.log_density) + above
-        pool = Rounds(share) if known is None else known
+        pool = Rounds(share) if earlier_rounds is None else earlier_rounds
         enough = proposals or count // 2, part * settings().effective_draws
         _fill(pool, density, random, count, rounds, heavy, enough, higher)
-        found, start = None, density.top
+        draws, start = None, density.top
         if density.highest <= higher:
-            found = pool.drawn(density.mode)
+            draws = pool.drawn(density.mode)
             # A climb costs what all draws of a small part cost.
-            if part < LARGE_SHARE or not smoothed(found.log_weight)[1] > K_HAT:
-                return found
-            start = found.v[int(np.argmax(found.log_weight_phi))]
+            if part < LARGE_SHARE or not smoothed(draws.log_weight)[1] > K_HAT:
+                return draws
+            start = draws.v[int(np.argmax(draws.log_weight_phi))]
         # No draw of a posterior lies above its mode, and one that counts for many more is on a hill that is not
         # proposed: the climb may have ended on a lower one, and begins anew there.
         mode = find_mode(problem, [start], x=density.mode.x)
         if mode.log_density > higher:
-            density, known = ManyPhi(problem, mode), None
-        elif found is not None:
-            return found
+            density, earlier_rounds = BatchedDensity(problem, mode), None
+        elif draws is not None:
+            return draws
         else:  # higher in the linear form about the old mode alone
-            above, known = math.inf, None
+            above, earlier_rounds = math.inf, None
 
 
-def _as_wide_as_it_is(density: ManyPhi) -> Mixture:
+def _axis_mixture(density: BatchedDensity) -> Mixture:
     """Return the Gaussian fit at the mode, each half of each principal axis as wide as the density falls along it.
 
     A curvature tells of the top alone. Two standard deviations away a Gaussian has lost two nats; where the density has
@@ -375,13 +381,15 @@ def _as_wide_as_it_is(density: ManyPhi) -> Mixture:
     ends = mode.v + np.concatenate([-2 * axes.T, 2 * axes.T])
     lost = np.maximum(float(mode.log_density) - density.values(ends).reshape(2, dim), 1e-9)
     down, up = np.clip(np.sqrt(2 / lost), *AXIS_RATIOS)
-    wide = WIDE_RATIO * np.linalg.cholesky(mode.covariance)
-    return Mixture(mode.v[None], wide, mode.v, axes, 1 - COSTLY_WIDE, (down, up), FREEDOM + dim)
+    wide_root = WIDE_RATIO * np.linalg.cholesky(mode.covariance)
+    return Mixture(
+        mode.v[None], wide_root, mode.v, axes, 1 - COSTLY_WIDE, (down, up), FREEDOM + dim
+    )
 
 
 def _fill(
     pool: Rounds,
-    density: ManyPhi,
+    density: BatchedDensity,
     random: np.random.Generator,
     count: int,
     rounds: int,
@@ -399,7 +407,7 @@ def _fill(
     if not first:
         mixture = _match(pool.mixtures[0], mode, pool.all.v, pool.log_weight)
     elif direct:
-        mixture = _as_wide_as_it_is(density)
+        mixture = _axis_mixture(density)
     else:
         args = density.values, prior, random, count // 2, rounds, higher
         mixture = adapted(mode, *args)
@@ -421,7 +429,7 @@ def _fill(
             mixture = _match(pool.mixtures[0], mode, pool.all.v, log_weight)
 
 
-def proposals_of(density: ManyPhi) -> int:
+def proposals_of(density: BatchedDensity) -> int:
     """How many: fewer where each costs a pass over many readings, or a large matrix."""
     # A pass over many readings for each φ buys fewer proposals in the same time; weights that are uneven ask for
     # more.
@@ -435,7 +443,7 @@ def proposals_of(density: ManyPhi) -> int:
 
 
 def _placed(
-    density: ManyPhi,
+    density: BatchedDensity,
     judged: Corrections,
     v: Float[np.ndarray, "s d"],
     log_proposal: Float[np.ndarray, "s"],
@@ -454,23 +462,23 @@ def _placed(
     for stretch in ([np.arange(first)] if first else []) + parts:
         deadline.current().ask()
         normal = normal_numbers(density.problem.size, len(stretch), heavy, random)
-        log_density[stretch], found = density.at(v[stretch], normal)
+        log_density[stretch], drawn = density.at(v[stretch], normal)
         of_phi = log_density[stretch] - log_proposal[stretch]
         highest = max(highest, float(np.max(of_phi)))
         # e⁻⁴⁰ = 4·10⁻¹⁸ of the largest weight is lost in the rounding of their sum: such a φ needs no x.
         counting = (log_density[stretch] > NOWHERE) & (of_phi > highest - NEGLIGIBLE)
         if not counting.any():
             continue
-        pick, found, normal = stretch[counting], found.of(counting), normal[counting]
+        pick, drawn, normal = stretch[counting], drawn.of(counting), normal[counting]
         if density.exact and judged.alike:  # known, and the same for all
             corrected = np.full(len(pick), judged.mean)
         else:
             hyper = density.problem.hyper(v[pick].T)
-            corrected = correction(density.problem, found, normal, hyper, density.exact, heavy)
+            corrected = correction(density.problem, drawn, normal, hyper, density.exact, heavy)
             if density.exact:
                 judged.add(of_phi[counting], corrected)
         some = np.isfinite(corrected)
-        x[pick[some]] = found.x[some]
+        x[pick[some]] = drawn.x[some]
         corrections[pick[some]] = corrected[some]
     # Of those that were looked at too: their scatter would pass for a tail.
     if judged.alike and density.exact:

@@ -55,7 +55,7 @@ class Evaluation(NamedTuple):
     """
 
     log_density: float
-    given: Conditional
+    conditional: Conditional
     gradient: Float[np.ndarray, "d"] | None = None
     curvature: Float[np.ndarray, "d d"] | None = None
 
@@ -84,29 +84,29 @@ class Tabulated:
         problem: Problem,
         nodes: OneNode,
         x: Float[np.ndarray, "p"],
-        there: Float[np.ndarray, "d"],
+        expansion_point: Float[np.ndarray, "d"],
     ) -> None:
         self.problem, self.nodes = problem, nodes
         self.places = {h.name: i for i, h in enumerate(problem.hypers)}
         self.noise = [i for i, kind in enumerate(problem.kinds) if kind == "noise"]
         self._tables: dict[Any, _StructureRows] = {}
-        self.slopes = problem.slopes(x, problem.hyper(there))
+        self.slopes = problem.slopes(x, problem.hyper(expansion_point))
         if problem.affine:
             self.table: ColumnTable = problem.record.table
             self.parts = self._parts(self.table)
             self.table.take([*self._plain])
         else:
-            self.table = self._about(x, there)
+            self.table = self._about(x, expansion_point)
         self.at = self._counted_from()
 
     def _parts(self, table: ColumnTable) -> list[TabulatedEffect]:
         problem, effects = self.problem, dict[int, list[Term]]()
         for t in problem.terms:
             effects.setdefault(id(t.effect), []).append(t)
-        found = []
+        parts = []
         for terms in effects.values():
             names, fixed = terms[0].shape_names, problem.fixed_values
-            held = tuple(fixed.get(n) for n in names)
+            fixed_shapes = tuple(fixed.get(n) for n in names)
             config = [(t.index, t.slot, t.factor, t.per, t.size) for t in terms]
             owners = [
                 np.arange(t.at.start, t.at.stop)
@@ -115,17 +115,17 @@ class Tabulated:
                 for t in terms
             ]
             amounts = [np.full(t.size, 1.0 if t.place == "x" else -t.value) for t in terms]
-            found.append(
+            parts.append(
                 TabulatedEffect(
-                    table.number((terms[0].columns.key, held, *config)),
-                    problem.record.expansions(terms[0].columns, held),
+                    table.number((terms[0].columns.key, fixed_shapes, *config)),
+                    problem.record.expansions(terms[0].columns, fixed_shapes),
                     tuple(terms),
                     [self.places[n] for n in names if n not in fixed],
                     np.concatenate(owners),
                     np.concatenate(amounts),
                 )
             )
-        return found
+        return parts
 
     def _block(self, part: TabulatedEffect, expansion: Expansion) -> int:
         """Return the number of a part's columns in the table: for each coefficient and member as many as the rank."""
@@ -136,10 +136,10 @@ class Tabulated:
     def _columns(self, part: TabulatedEffect, expansion: Expansion) -> Float[np.ndarray, "n w"]:
         columns = []
         for t in part.terms:
-            own = (self.slopes[t.slot] * t.factor)[:, None] * expansion.columns[:, t.index]
+            column = (self.slopes[t.slot] * t.factor)[:, None] * expansion.columns[:, t.index]
             codes = None if t.per is None else self.problem.record.codes[t.per]
-            spread = by_member(own.T, codes, t.size)  # (r, n, members)
-            columns.append(spread.transpose(1, 2, 0).reshape(len(own), -1))
+            spread = by_member(column.T, codes, t.size)  # (r, n, members)
+            columns.append(spread.transpose(1, 2, 0).reshape(len(column), -1))
         return np.concatenate(columns, axis=1)
 
     @cached_property
@@ -152,23 +152,25 @@ class Tabulated:
             if not part.free and part.terms[0].effect.weights is None
         }
 
-    def _about(self, x: Float[np.ndarray, "p"], there: Float[np.ndarray, "d"]) -> ColumnTable:
+    def _about(
+        self, x: Float[np.ndarray, "p"], expansion_point: Float[np.ndarray, "d"]
+    ) -> ColumnTable:
         """Return the table of a nonlinear output linearised at x: that of plain parts counted from there."""
         problem = self.problem
-        residual = problem.record.y - problem.linearise(x, problem.hyper(there)).mean
+        residual = problem.record.y - problem.linearise(x, problem.hyper(expansion_point)).mean
         self.table = ColumnTable(residual)
         self.parts = self._parts(self.table)
-        taken = dict.fromkeys(self._plain)
+        explained = dict.fromkeys(self._plain)
         for part in self.parts:
-            expansion = part.at(there, False)
+            expansion = part.at(expansion_point, False)
             inside = part.owners < problem.size
             amounts = np.where(inside, np.append(x, 0.0)[part.owners], -part.amounts)
-            if (number := self._block(part, expansion)) in taken:
-                taken[number] = amounts
+            if (number := self._block(part, expansion)) in explained:
+                explained[number] = amounts
             else:
-                share = expansion.shares(there[part.free]).value
+                share = expansion.shares(expansion_point[part.free]).value
                 residual += self._columns(part, expansion) @ np.kron(amounts, share)
-        self.table.taken = taken
+        self.table.taken = explained
         return self.table
 
     def _counted_from(self) -> Float[np.ndarray, "p"]:
@@ -185,8 +187,10 @@ class Tabulated:
         for key, part in self._plain.items():
             if (amounts := self.table.taken.get(key)) is not None:
                 inside = part.owners < problem.size
-                own, amounts = part.owners[inside], amounts[inside]
-                at[own] = np.where(np.abs(amounts - at[own]) < FAR_SD * sd[own], amounts, at[own])
+                places, amounts = part.owners[inside], amounts[inside]
+                at[places] = np.where(
+                    np.abs(amounts - at[places]) < FAR_SD * sd[places], amounts, at[places]
+                )
         return at
 
     def rows(self, expansions: tuple[Expansion, ...]) -> _StructureRows:
@@ -225,19 +229,19 @@ class Tabulated:
         gram = rows.select(grams[0])
         unit = shares[:, None] * rows.owned  # (R, p + 1): of J, output unit per reported unit
         pulled = gram @ unit
-        found = condition(
+        conditional = condition(
             Gram.of(unit.T @ pulled, weights.log_det[0]), problem.record.size, prior, self.at
         )
-        if found is None:
+        if conditional is None:
             return None
         log_prior, prior_slope, prior_bend = self._log_prior(v)
-        value = found.log_marginal + log_prior
+        value = conditional.log_marginal + log_prior
         if not math.isfinite(value):
             return None
         if not sloped:
-            return Evaluation(value, found)
+            return Evaluation(value, conditional)
         scale = np.append(prior.sd, 1.0)
-        C, P = _moments(found, prior, self.at)
+        C, P = _moments(conditional, prior, self.at)
         d = scale[rows.owner] * shares
         U = pulled * scale  # G·D
         P_rows = P[rows.owner[:, None], rows.owner]
@@ -275,9 +279,9 @@ class Tabulated:
             traces = rows.products.traces(weights, rows.spread(E)) + weights.log_det
             B[np.ix_(self.noise, self.noise)] = 0.5 * _second_differences(traces, q)
         # The prior's mean is at f = (mean − at)/sd, which moves with sd: w·f in p and w·f² in ρ with it.
-        t = _from_point(found, prior, self.at)
-        far = prior.weight * (t - found.z)
-        line, z = lines[:, :p], prior.weight * found.z
+        t = _from_point(conditional, prior, self.at)
+        far = prior.weight * (t - conditional.z)
+        line, z = lines[:, :p], prior.weight * conditional.z
         gradient -= line @ (z * far)
         B += (line * (far**2 - z * far)) @ line.T
         B.flat[:: len(v) + 1] += bends[:, :p] @ (z * far)
@@ -286,7 +290,7 @@ class Tabulated:
         X = C @ dM
         H = B - 0.5 * np.einsum("kij,lji->kl", X, X) - pull @ C @ pull.T
         H.flat[:: len(H) + 1] -= prior_bend
-        return Evaluation(value, found, gradient, 0.5 * (H + H.T))
+        return Evaluation(value, conditional, gradient, 0.5 * (H + H.T))
 
     def grams(self, vs: Float[np.ndarray, "b d"]) -> Gram:
         """Return weighted products of J and r, counted from `at`, at several φ."""
@@ -294,16 +298,16 @@ class Tabulated:
         if self.direct:
             return self._from_readings(vs)
         covers = [part.expansions.cover(vs[:, part.free]) for part in self.parts]
-        found, log_det = np.empty((len(vs), p + 1, p + 1)), np.empty(len(vs))
+        products, log_det = np.empty((len(vs), p + 1, p + 1)), np.empty(len(vs))
         boxes = np.array([which for _, which in covers]).reshape(len(covers), len(vs)).T
         for box in np.unique(boxes, axis=0):
-            own = np.flatnonzero(np.all(boxes == box, axis=1))
+            members = np.flatnonzero(np.all(boxes == box, axis=1))
             rows = self.rows(tuple(e[i] for (e, _), i in zip(covers, box, strict=True)))
-            found[own], log_det[own] = self.grams_of(rows, vs[own])
+            products[members], log_det[members] = self.grams_of(rows, vs[members])
         for part, (expansions, _) in zip(self.parts, covers, strict=True):
             for listed in (e for e in expansions if isinstance(e, ListedColumns)):
                 self.table.drop((part.key, listed.number))
-        return Gram.of(found, log_det)
+        return Gram.of(products, log_det)
 
     @cached_property
     def direct(self) -> bool:
@@ -312,23 +316,23 @@ class Tabulated:
         return moved and self.problem.noise.independent and self.problem.affine
 
     def _from_readings(self, vs: Float[np.ndarray, "b d"]) -> Gram:
-        problem, found = self.problem, []
+        problem, products = self.problem, []
         size = problem.record.size * (problem.size + 1)
         for some in np.array_split(vs, min(len(vs), -(-len(vs) * size // NUMBERS_AT_ONCE))):
             hyper = problem.hyper(some.T)
             line = problem.linearise(np.tile(self.at, (len(some), 1)), hyper)
-            left = (problem.record.y - line.mean)[..., None]
+            residual = (problem.record.y - line.mean)[..., None]
             spread = variances(problem.noise, hyper, problem.record)
             spread = np.broadcast_to(spread, line.mean.shape)
-            table = np.concatenate([line.jacobian, left], axis=2) / np.sqrt(spread)[..., None]
-            found.append((table.transpose(0, 2, 1) @ table, np.sum(np.log(spread), axis=1)))
-        return Gram.of(*map(np.concatenate, zip(*found, strict=True)))
+            table = np.concatenate([line.jacobian, residual], axis=2) / np.sqrt(spread)[..., None]
+            products.append((table.transpose(0, 2, 1) @ table, np.sum(np.log(spread), axis=1)))
+        return Gram.of(*map(np.concatenate, zip(*products, strict=True)))
 
     def grams_of(
         self, rows: _StructureRows, vs: Float[np.ndarray, "b d"]
     ) -> tuple[Float[np.ndarray, "b p1 p1"], Float[np.ndarray, "b"]]:
         """Return products of [J r] and log|Σ| at several φ of some rows' boxes."""
-        made = []
+        products = []
         parts = min(len(vs), -(-len(vs) * rows.width**2 // NUMBERS_AT_ONCE))
         for some in np.array_split(vs, parts):
             weights = self.weights(some[:, self.noise])
@@ -336,8 +340,8 @@ class Tabulated:
             if not rows.plain:
                 gram = gram[:, rows.column[:, None], rows.column]
             unit = rows.values(some)[:, :, None] * rows.owned
-            made.append((unit.transpose(0, 2, 1) @ (gram @ unit), weights.log_det))
-        grams, log_det = zip(*made, strict=True)
+            products.append((unit.transpose(0, 2, 1) @ (gram @ unit), weights.log_det))
+        grams, log_det = zip(*products, strict=True)
         return np.concatenate(grams), np.concatenate(log_det)
 
     def about(
@@ -350,32 +354,32 @@ class Tabulated:
         normal = np.random.default_rng(0).standard_normal((400, len(v)))
         draws, expansions = v + normal @ np.linalg.cholesky(covariance).T, list[Expansion]()
         for part in self.parts:
-            own = part.expansions.fitted(draws[:, part.free]) if part.free else None
-            if part.free and own is None:
+            expansion = part.expansions.fitted(draws[:, part.free]) if part.free else None
+            if part.free and expansion is None:
                 return None
-            expansions.append(own or part.at(v, False))
-        found = About(self, tuple(expansions))
-        if self.direct and found.rows.width**2 > DIRECT * self.problem.record.size:
+            expansions.append(expansion or part.at(v, False))
+        about = About(self, tuple(expansions))
+        if self.direct and about.rows.width**2 > DIRECT * self.problem.record.size:
             return None
         if not any(part.free for part in self.parts):
-            return found
+            return about
         some = draws[:TRIED_DRAWS]
-        there, here = (
+        exact, fitted = (
             self.problem.drawn(table.grams(some), some, flat, self.at).log_marginal
-            for table in (self, found)
+            for table in (self, about)
         )
-        error = here - there
+        error = fitted - exact
         return (
-            found if np.max(np.abs(error[np.isfinite(there)]), initial=0.0) < CLOSE_NATS else None
+            about if np.max(np.abs(error[np.isfinite(exact)]), initial=0.0) < CLOSE_NATS else None
         )
 
     def _log_prior(self, v: Float[np.ndarray, "d"]) -> tuple[float, np.ndarray, np.ndarray]:
         """Return the log prior of φ, its slopes and its second slopes."""
-        h, found = DIFFERENCE, np.empty((3, len(v)))
+        h, log_priors = DIFFERENCE, np.empty((3, len(v)))
         for i, hyper in enumerate(self.problem.hypers):
-            found[:, i] = hyper.prior.log_density(v[i] + np.array([-h, 0.0, h]))
-        low, here, high = found
-        return float(here.sum()), (high - low) / (2 * h), (high - 2 * here + low) / h**2
+            log_priors[:, i] = hyper.prior.log_density(v[i] + np.array([-h, 0.0, h]))
+        low, middle, high = log_priors
+        return float(middle.sum()), (high - low) / (2 * h), (high - 2 * middle + low) / h**2
 
     def _log_sizes(
         self, v: Float[np.ndarray, "d"], hyper: Values
@@ -388,18 +392,20 @@ class Tabulated:
         first, second = np.zeros((2, len(v), problem.size + 1))
         for name, members in problem.sizes.members.items():
             if (i := self.places.get(name)) is not None:
-                low, here, high = np.log(problem.hypers[i].prior.value(v[i] + np.array([-h, 0, h])))
+                low, middle, high = np.log(
+                    problem.hypers[i].prior.value(v[i] + np.array([-h, 0, h]))
+                )
                 first[i, :-1] += (high - low) / (2 * h) * members
-                second[i, :-1] += (high - 2 * here + low) / h**2 * members
+                second[i, :-1] += (high - 2 * middle + low) / h**2 * members
         for name in problem.sizes.weighing:
             if (i := self.places.get(name)) is not None:
                 value = problem.hypers[i].prior.value
-                low, here, high = (
+                low, middle, high = (
                     problem.sizes.log_weights(name, {**hyper, name: value(v[i] + s)})
                     for s in (-h, 0.0, h)
                 )
                 first[i, :-1] += (high - low) / (2 * h)
-                second[i, :-1] += (high - 2 * here + low) / h**2
+                second[i, :-1] += (high - 2 * middle + low) / h**2
         return first, second
 
 
@@ -419,11 +425,11 @@ class About:
 
     def reaches(self, vs: Float[np.ndarray, "b d"]) -> np.ndarray:
         """Return whether each φ is where the columns were fitted."""
-        found = np.ones(len(vs), dtype=bool)
+        inside = np.ones(len(vs), dtype=bool)
         for part, expansion in zip(self.whole.parts, self.rows.expansions, strict=True):
             if isinstance(expansion, PolynomialColumns):
-                found &= expansion.reaches(vs[:, part.free])
-        return found
+                inside &= expansion.reaches(vs[:, part.free])
+        return inside
 
 
 class _StructureRows:
@@ -438,9 +444,9 @@ class _StructureRows:
             key = whole._block(part, expansion)
             keys.append(key)
             r = expansion.rank
-            own = first + np.arange(len(part.owners) * r)
-            self.slices.append(slice(first, first + len(own)))
-            column.append(own)
+            columns = first + np.arange(len(part.owners) * r)
+            self.slices.append(slice(first, first + len(columns)))
+            column.append(columns)
             owner.append(np.repeat(part.owners, r))
             amount.append(np.repeat(part.amounts, r))
             # The residual is counted from what was taken; x from `at`.
@@ -451,10 +457,10 @@ class _StructureRows:
             off += table.taken.get(key, 0.0)
             off = np.repeat(off, r)
             put_back = np.flatnonzero(off)
-            column.append(own[put_back])
+            column.append(columns[put_back])
             owner.append(np.full(len(put_back), p))
             amount.append(off[put_back])
-            first += len(own)
+            first += len(columns)
         for key in table.taken.keys() - set(keys):
             width = table.taken[key].size
             keys.append(key)
@@ -479,53 +485,53 @@ class _StructureRows:
         """Return numbers of pairs of rows added up by pairs of columns."""
         if self.plain:
             return e
-        found = np.zeros((self.width, self.width))
-        np.add.at(found, (self.column[:, None], self.column), e)
-        return found
+        sums = np.zeros((self.width, self.width))
+        np.add.at(sums, (self.column[:, None], self.column), e)
+        return sums
 
     @cached_property
     def _moving(self) -> list[tuple[int, np.ndarray, np.ndarray]]:
         """Return each part that moves, its rows, and which of its expansion's columns each is."""
-        found = []
-        for i, (part, own) in enumerate(zip(self.parts, self.slices, strict=True)):
+        moving = []
+        for i, (part, columns) in enumerate(zip(self.parts, self.slices, strict=True)):
             if part.free:
-                at = np.flatnonzero((self.column >= own.start) & (self.column < own.stop))
-                found.append((i, at, (self.column[at] - own.start) % self.expansions[i].rank))
-        return found
+                at = np.flatnonzero((self.column >= columns.start) & (self.column < columns.stop))
+                moving.append((i, at, (self.column[at] - columns.start) % self.expansions[i].rank))
+        return moving
 
     def values(self, vs: Float[np.ndarray, "b d"]) -> Float[np.ndarray, "b R"]:
         """Return each row's factor at several φ in these boxes."""
-        found = np.tile(self.amount, (len(vs), 1))
+        factors = np.tile(self.amount, (len(vs), 1))
         for i, at, which in self._moving:
-            found[:, at] *= self.expansions[i].values(vs[:, self.parts[i].free])[:, which]
-        return found
+            factors[:, at] *= self.expansions[i].values(vs[:, self.parts[i].free])[:, which]
+        return factors
 
     def shares(self, v: Float[np.ndarray, "d"], sloped: bool) -> tuple[np.ndarray, list[Any]]:
         """Return each row's factor; and for each part that moves: rows, entries of φ, first and second slopes."""
-        found, slopes = self.amount.copy(), []
+        factors, slopes = self.amount.copy(), []
         for i, at, which in self._moving:
             free = self.parts[i].free
-            own = self.expansions[i].shares(v[free])
-            found[at] *= own.value[which]
+            shares = self.expansions[i].shares(v[free])
+            factors[at] *= shares.value[which]
             if sloped:
-                first, second = own.first[:, which], own.second[:, :, which]
+                first, second = shares.first[:, which], shares.second[:, :, which]
                 slopes.append((at, free, first * self.amount[at], second * self.amount[at]))
-        return found, slopes
+        return factors, slopes
 
 
 def _from_point(
-    found: Conditional, prior: Prior, at: Float[np.ndarray, "p"]
+    conditional: Conditional, prior: Prior, at: Float[np.ndarray, "p"]
 ) -> Float[np.ndarray, "p"]:
     """Return t: how far the mean of x is from a point, in standard deviations of its prior."""
     off = prior.weight * (prior.mean - at)
-    return found.z + np.where(off == 0, 0.0, off / np.where(prior.sd > 0, prior.sd, 1.0))
+    return conditional.z + np.where(off == 0, 0.0, off / np.where(prior.sd > 0, prior.sd, 1.0))
 
 
 def _moments(
-    found: Conditional, prior: Prior, at: Float[np.ndarray, "p"]
+    conditional: Conditional, prior: Prior, at: Float[np.ndarray, "p"]
 ) -> tuple[Float[np.ndarray, "p p"], Float[np.ndarray, "p1 p1"]]:
     """Return C and P."""
-    root, t, p = found.root_of_z, _from_point(found, prior, at), len(at)
+    root, t, p = conditional.root_of_z, _from_point(conditional, prior, at), len(at)
     C, P = root @ root.T, np.empty((p + 1, p + 1))
     P[:p, :p], P[:p, p], P[p, :p], P[p, p] = C + np.outer(t, t), -t, -t, 1.0
     return C, P
@@ -543,9 +549,9 @@ def _stencil(q: int) -> Float[np.ndarray, "s q"]:
 
 def _second_differences(f: Float[np.ndarray, "s"], q: int) -> Float[np.ndarray, "q q"]:
     """Return second slopes of what was computed on the stencil."""
-    here, up, down = f[0], f[1 : 1 + q], f[1 + q : 1 + 2 * q]
+    middle, up, down = f[0], f[1 : 1 + q], f[1 + q : 1 + 2 * q]
     both = f[1 + 2 * q :].reshape(2, q * (q - 1) // 2).sum(axis=0)
-    found, pairs = np.diag(up - 2 * here + down), [(i, j) for i in range(q) for j in range(i)]
+    bends, pairs = np.diag(up - 2 * middle + down), [(i, j) for i in range(q) for j in range(i)]
     for (i, j), two in zip(pairs, both, strict=True):
-        found[i, j] = found[j, i] = 0.5 * (two - up[i] - down[i] - up[j] - down[j] + 2 * here)
-    return found / DIFFERENCE**2
+        bends[i, j] = bends[j, i] = 0.5 * (two - up[i] - down[i] - up[j] - down[j] + 2 * middle)
+    return bends / DIFFERENCE**2

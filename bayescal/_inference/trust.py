@@ -75,8 +75,8 @@ def weights_verdict(
 ) -> Verdict:
     """Of importance weights that are even enough but for `reasons`, by the mode that they were proposed around."""
     if mode is not None and not mode.change <= MOVING_SD:
-        still = f"The mode was still moving by {float(mode.change):.2g} standard deviations"
-        reasons = (*reasons, f"{still} when the optimiser stopped.")
+        message = f"The mode was still moving by {float(mode.change):.2g} standard deviations"
+        reasons = (*reasons, f"{message} when the optimiser stopped.")
     size = effective_size(weights)
     return Verdict(not reasons, reasons, notes, "importance sampling", pareto_k=k_hat, ess=size)
 
@@ -96,5 +96,5 @@ def chain_verdict(ran: Chains, sampler: str, notes: tuple[str, ...]) -> Verdict:
         reasons.append(f"Only {ess:.0f} effective draws: run longer.")
     if ran.divergences > DIVERGENT_SHARE * draws[0].size:
         reasons.append(f"{ran.divergences} divergent transitions: the posterior has a corner.")
-    known: dict[str, Any] = {"ess": ess, "r_hat": r_hat, "divergences": ran.divergences}
-    return Verdict(not reasons, tuple(reasons), notes, sampler, **known)
+    numbers: dict[str, Any] = {"ess": ess, "r_hat": r_hat, "divergences": ran.divergences}
+    return Verdict(not reasons, tuple(reasons), notes, sampler, **numbers)

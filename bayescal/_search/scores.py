@@ -17,7 +17,7 @@ from jaxtyping import Float
 from scipy.linalg import solve_triangular
 
 from bayescal._core.parallel import on_one_thread
-from bayescal._inference.linear_model import LinearModel, taken_up
+from bayescal._inference.linear_model import LinearModel, explained_sum_of_squares
 from bayescal._search.library import GridPoint, Library, Size
 from bayescal._search.structures import Weighed
 
@@ -129,7 +129,7 @@ class View:
         z = np.where(is_kept | ~of_x, 0.0, line.z)
         prior_squares, of_start = float(line.weight @ z**2), self.inner @ z
         shapes = float(line.weight[~is_kept & ~of_x] @ line.z[~is_kept & ~of_x] ** 2)
-        squares = line.rest + prior_squares + float(z @ of_start) - shapes
+        squares = line.rss + prior_squares + float(z @ of_start) - shapes
         inner = self.inner[np.ix_(is_kept, is_kept)] + np.diag(line.weight[is_kept])
         chol = np.linalg.cholesky(inner + 1e-12 * np.diag(np.diag(inner)))
         # Kept nuisances fitted anew: L·Lᵀ = AᵀA + W, what they take of r₀ and of each column by L⁻¹Aᵀ.
@@ -210,13 +210,13 @@ class WithoutNuisances(NamedTuple):
 
         The noise is taken as large as it then is likely to be.
         """
-        return self._gain(*taken_up(u, information))
+        return self._gain(*explained_sum_of_squares(u, information))
 
     def _gain(self, volume: Any, explained: Any) -> Any:
         """Return the log Bayes factor by the columns' log volume and explained sum of squares."""
         # With the noise's variance at its likeliest, squares/n, the log likelihood is −½·n·log(squares) but for
         # constants: a column that takes most of the squares gains more than under the noise as it was.
-        rss_ratio = np.maximum((self.rss - explained) / self.view.line.rest, 1e-12)
+        rss_ratio = np.maximum((self.rss - explained) / self.view.line.rss, 1e-12)
         return self.lost - volume - 0.5 * self.view.line.size * np.log(rss_ratio)
 
     @property

@@ -315,7 +315,7 @@ class Structures:
         # Of what is that far behind nothing is asked but that it is.
         coarse_below = self.best.total - log_prior - ROUGHLY_NATS if self.visited else -math.inf
         if near is None:
-            first_mode = find_mode(problem, still=STILL_SD, wanted_from=coarse_below)
+            first_mode = find_mode(problem, xtol=STILL_SD, coarse_below=coarse_below)
         else:
             coordinates = carried(problem, near.problem, near.mode)
             begin = starts(problem, near.problem, coordinates, hints)
@@ -324,7 +324,7 @@ class Structures:
                 # As near to the best as that its own curvature was found.
                 exact = near.mode.log_density > self.best.total - near.log_prior - ROUGHLY_NATS
                 curvature = nearby(problem, near.problem, near.mode, exact)
-            how: dict[str, Any] = {"wanted_from": coarse_below, "near": curvature}
+            how: dict[str, Any] = {"coarse_below": coarse_below, "near": curvature}
             first_mode = find_mode(problem, begin, x, STILL_SD, **how)
         sized = [e for n, e in self.candidates.items() if n in structure.effects and has_size(e)]
         problem, mode, log_evidence = averaged(problem, first_mode, sized, coarse_below)
@@ -455,7 +455,7 @@ def has_size(effect: Effect) -> bool:
 
 
 def averaged(
-    problem: Problem, mode: Mode, sized: Sequence[Effect], wanted_from: float = -math.inf
+    problem: Problem, mode: Mode, sized: Sequence[Effect], coarse_below: float = -math.inf
 ) -> tuple[Problem, Mode, float]:
     """Return the structure at its likeliest sizes, its mode there, and its log evidence averaged over all.
 
@@ -472,7 +472,7 @@ def averaged(
         return problem, mode, -math.inf
     chosen = gains.likeliest()
     gain = gains.at(chosen)
-    if mode.log_density + gain < wanted_from:
+    if mode.log_density + gain < coarse_below:
         log_evidence = mode.log_evidence + gain
     else:
         if chosen != initial:

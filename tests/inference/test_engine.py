@@ -23,7 +23,7 @@ from bayescal._inference.linear_model import sized
 from bayescal._inference.noise_on_record import total_log_density, whitening
 from bayescal._inference.problem import Problem
 from bayescal._inference.record import Record, record_of
-from bayescal._inference.sampling import ManyPhi, Mixture, weighted_draws
+from bayescal._inference.sampling import BatchedDensity, Mixture, weighted_draws
 from bayescal._model import composition, forward
 from bayescal._model.parameters import bind
 from bayescal._model.summed_noise import over_record
@@ -151,7 +151,7 @@ def assembled(case: str, *promoted: str) -> Problem:
     record = record_of(model.instrument, readings, constants_of(readings))
     model = sized(model, readings, record)
     layout = bind(model, readings)[0].promote(*promoted)
-    return Problem(layout, record.beside())
+    return Problem(layout, record.with_frame())
 
 
 def bound(model: bc.Model, readings: bc.Measurements) -> Problem:
@@ -297,7 +297,7 @@ def test_table_about_a_mode_is_the_density(case: str) -> None:
     mode = find_mode(a)
     random, root = np.random.default_rng(1), np.linalg.cholesky(mode.covariance)
     vs = mode.v + random.standard_normal((5, len(mode.v))) @ root.T
-    many = ManyPhi(a, mode)
+    many = BatchedDensity(a, mode)
     assert many.table is not None
     found, _ = many.at(vs, np.zeros((5, a.size)))
     np.testing.assert_allclose(found, many.density.values(vs), atol=0.02)
@@ -318,7 +318,7 @@ def test_what_is_held_is_the_same_for_several_draws(monkeypatch, model: bc.Model
     mode = find_mode(a)
     v = mode.v + 0.1 * np.random.default_rng(0).standard_normal((3, len(a.hypers)))
     there = Density(a, mode.x, mode.flat, mode.v)
-    here, _ = ManyPhi(a, mode).at(v, np.zeros((3, a.size)))
+    here, _ = BatchedDensity(a, mode).at(v, np.zeros((3, a.size)))
     np.testing.assert_allclose(here, there.values(v), atol=0.05)
     left = np.tile(a.record.y, (3, 1))
     both = [whitening(a.noise, a.hyper(one), a.record, 0.0).both(left.T) for one in v]

@@ -231,7 +231,7 @@ def _linearised(
 ) -> tuple[Float[np.ndarray, "*b n"], Float[np.ndarray, "*b n p"]]:
     """Return what priors' means leave of the outputs, and the Jacobian."""
     hyper = problem.hyper(np.zeros(len(problem.hypers)))
-    line = problem.acted(problem.mean_of_x, hyper, problem.terms)
+    line = problem.linearise_dynamic(problem.mean_of_x, hyper, problem.terms)
     return problem.record.y - line.mean, line.jacobian
 
 
