@@ -406,11 +406,9 @@ def log_bayes_factors(
     for covariate in covariates:
         u, information = calibration.linear.score(covariate.columns * noise)
         sizes = np.concatenate([np.outer(AMPLITUDES, weight) for weight in covariate.weights])
-        volume, squares = explained_sum_of_squares(
-            sizes * u, sizes[:, :, None] * information * sizes[:, None, :]
-        )
-        terms = 0.5 * squares - volume
-        factors.append(float(logsumexp(terms) - np.log(np.size(terms))))
+        scaled = sizes[:, :, None] * information * sizes[:, None, :]
+        volume, squares = explained_sum_of_squares(sizes * u, scaled)
+        factors.append(float(logsumexp(0.5 * squares - volume) - np.log(np.size(volume))))
     return factors
 
 

@@ -19,7 +19,7 @@ from bayescal._data.measurements import Measurements
 from bayescal._inference.laplace import Mode
 from bayescal._inference.linear_model import LinearModel, linear_model
 from bayescal._inference.method import CHAINS, Draws, Verdict
-from bayescal._inference.noise_on_record import Each, log_densities, samples, variances
+from bayescal._inference.noise_on_record import Batch, log_densities, samples, variances
 from bayescal._inference.problem import Problem
 from bayescal._inference.record import Record, record_of
 from bayescal._inference.trust import CHAIN_DRAWS
@@ -430,7 +430,7 @@ def replicate(
 
 def _chunks(
     problem: Problem, draws: Vectors
-) -> Iterator[tuple[np.ndarray, Problem, Vectors, Each]]:
+) -> Iterator[tuple[np.ndarray, Problem, Vectors, Batch]]:
     """Yield draws in chunks: their indices, their structure's problem, the draws in its terms, φ by name."""
     count = max(1, CELLS // max(1, problem.record.size))
     for places, structure, structure_draws in _by_structure(problem, draws):
@@ -472,7 +472,7 @@ def _with_fixed(effect: Effect) -> Effect:
 
 
 def _mean_and_spreads(
-    problem: Problem, draws: Vectors, hyper: Each, terms: Sequence[Term]
+    problem: Problem, draws: Vectors, hyper: Batch, terms: Sequence[Term]
 ) -> tuple[Float[np.ndarray, "b n"], list[Any]]:
     """Return expected outputs, and the standard deviation that each term adds: noise on an input, or an unknown member
     (zero at readings whose member is known)."""

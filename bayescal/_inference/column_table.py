@@ -50,7 +50,7 @@ class ColumnTable:
         return self._blocks[number].shape[1]
 
     def drop(self, key: Any) -> None:
-        """Forget a block, and what was made of it."""
+        """Forget a block, and its products."""
         number = self._numbers.pop(key)
         self._blocks.pop(number, None)
         for products_by_block in self._made.values():
@@ -102,15 +102,14 @@ class ColumnTable:
             for b, j in enumerate(partners):
                 gram[:, at[a], at[b]] = block.products[j]
                 gram[:, at[b], at[a]] = blocks[j].products[i]
-        looks = {
-            k: np.concatenate([blocks[i].ends[k] for i in numbers], axis=2) for k in block.ends
-        }
+        ends = ((k, [blocks[i].ends[k] for i in numbers]) for k in block.ends)
+        looks = {k: np.concatenate(arrays, axis=2) for k, arrays in ends}
         if self._bytes > KEPT_BYTES:
             self.forget()
         return Products(gram, looks)
 
     def forget(self) -> None:
-        """Forget all but what the residual was taken by."""
+        """Forget all blocks but those taken out of the residual."""
         permanent = {RESIDUAL, *self.taken}
         self._blocks = {i: block for i, block in self._blocks.items() if i in permanent}
         self._made, self._bytes = {}, 0

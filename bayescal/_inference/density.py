@@ -38,8 +38,8 @@ WIDEST = 128  # columns that a filter passes over together
 class Density(ByValues):
     """log p(y, φ) as a function of φ's coordinates, x integrated out of the structure linearised at a point.
 
-    A nonlinear structure is linearised in its shapes at the coordinates `there`. What noise on inputs adds to each
-    variance is `held`, if given. One of another point, or of a structure nearby, bends alike.
+    A nonlinear structure is linearised in its shapes at `expansion_point`. What noise on inputs adds to each
+    variance is held at `input_variance`, if given. One of another point, or of a structure nearby, bends alike.
     """
 
     problem: Problem
@@ -59,19 +59,17 @@ class Density(ByValues):
 
     @cached_property
     def tabulated(self) -> Tabulated | None:
-        """The structure on the record's table of products; None of laws and structures that no table tells."""
+        """Return the structure on the record's table of products; None where no table serves it."""
         problem = self.problem
         nodes = None
         if not (problem.corrected or problem.noisy or any(t.place == "phi" for t in problem.terms)):
             nodes = problem.record.nodes(problem.noise)
-        point = (
-            np.zeros(len(problem.hypers)) if self.expansion_point is None else self.expansion_point
-        )
-        return None if nodes is None else Tabulated(problem, nodes, self.x, point)
+        v = np.zeros(len(problem.hypers)) if self.expansion_point is None else self.expansion_point
+        return None if nodes is None else Tabulated(problem, nodes, self.x, v)
 
     @property
     def origin(self) -> Float[np.ndarray, "p"]:
-        """Where x is counted from in `grams`."""
+        """Return the point that x is counted from in `grams`."""
         return self.x if self.tabulated is None else self.tabulated.at
 
     def _line(self, v: np.ndarray, hyper: Values) -> Linearised:
@@ -83,7 +81,7 @@ class Density(ByValues):
         return self._lines[key]
 
     def _key(self, v: np.ndarray) -> tuple[float, ...]:
-        """What moves J: shapes and promoted coefficients; what else is in φ (noise, sizes) leaves it as it is."""
+        """Return the coordinates of φ that change J: shapes and promoted coefficients."""
         return tuple(float(v[i]) for i in self.problem.moving)
 
     def _linearised(self, vs: Float[np.ndarray, "b d"]) -> Iterator[Linearised]:
@@ -95,11 +93,9 @@ class Density(ByValues):
             new = {k: v for k, v in zip(keys, some, strict=True) if k not in self._lines}
             if problem.affine and not problem.noisy and len(new) > 1:
                 at = np.tile(self.x, (len(new), 1))
-                linearised = problem.linearise(at, problem.hyper(np.array([*new.values()]).T))
+                lines = problem.linearise(at, problem.hyper(np.array([*new.values()]).T))
                 for i, key in enumerate(new):
-                    self._lines[key] = Linearised(
-                        linearised.mean[i], linearised.jacobian[i], linearised.inputs
-                    )
+                    self._lines[key] = Linearised(lines.mean[i], lines.jacobian[i], lines.inputs)
             for key, v in zip(keys, some, strict=True):
                 yield self._lines.get(key) or self._line(v, problem.hyper(v))
 
@@ -108,7 +104,7 @@ class Density(ByValues):
         return max(2, NUMBERS // (self.problem.record.size * (self.problem.size + 1)))
 
     def _extra(self, line: Linearised) -> Float[np.ndarray, "n"] | float:
-        """Variance that noise on inputs adds to each reading."""
+        """Return the variance that noise on inputs adds to each reading."""
         return self.problem.extra(line) if self.input_variance is None else self.input_variance
 
     def _white(self, line: Linearised, hyper: Values) -> Whitening | Independent:
@@ -117,14 +113,14 @@ class Density(ByValues):
     def whitened(
         self, v: np.ndarray, x: Float[np.ndarray, "p"]
     ) -> tuple[Float[np.ndarray, "n"], Float[np.ndarray, "n q"], float]:
-        """Residuals at φ and x, output unit; whitened Jacobian and these residuals beside each other; log|Σ|."""
+        """Return the residuals, the whitened [Jacobian, residuals] and log|Σ| at φ and x, output unit."""
         hyper = self.problem.hyper(v)
         line = self._line(v, hyper)
         residual = self.problem.record.y - line.mean - line.jacobian @ (x - self.x)
         return residual, *self._white(line, hyper).both(np.column_stack([line.jacobian, residual]))
 
     def gram(self, v: np.ndarray, hyper: Values) -> Gram:
-        """Weighted products of the readings at φ."""
+        """Return the weighted products of the readings at φ."""
         if not self.problem.noise.gaussian:
             return Gram(*(part[0] for part in self._about_modes(v[None])))
         line = self._line(v, hyper)
@@ -135,7 +131,7 @@ class Density(ByValues):
         return np.column_stack([line.jacobian, self.problem.record.y - line.mean])
 
     def grams(self, vs: Float[np.ndarray, "b d"]) -> Gram:
-        """Weighted products at several φ, x counted from `origin`."""
+        """Return the weighted products at several φ, x counted from `origin`."""
         problem = self.problem
         if self.tabulated is not None:
             return self.tabulated.grams(vs)
@@ -150,7 +146,7 @@ class Density(ByValues):
         return Gram(*(np.stack([np.asarray(g[i]) for g in grams])[which.ravel()] for i in range(4)))
 
     def _whitened_together(self, vs: Float[np.ndarray, "b d"]) -> list[Gram]:
-        """Weighted products at several φ; of those with one noise a filter passes over each column once."""
+        """Return the products at several φ; of one noise a filter passes over each column once."""
         noise, by_noise = np.array([kind == "noise" for kind in self.problem.kinds]), {}
         for i, v in enumerate(vs):
             by_noise.setdefault(i if self.problem.noisy else tuple(v[noise]), []).append(i)
@@ -183,7 +179,7 @@ class Density(ByValues):
         return [grams[i] for i in range(len(vs))]
 
     def _about_modes(self, vs: Float[np.ndarray, "b d"]) -> Gram:
-        """The products that stand for a law that is not Gaussian: of the quadratic about the mode of x given each φ.
+        """Return the products that stand for a non-Gaussian law: a quadratic about the mode of x given φ.
 
         Newton's steps with the law's own curvature; where one leads down, the step of a Gaussian scale mixture, which
         never does. With the mode's distance m from here, products there become JᵀWJ, JᵀWr + JᵀWJ·m, and so on.
@@ -203,7 +199,7 @@ class Density(ByValues):
             return array if len(some) == len(array) else array[some]
 
         def look(some: np.ndarray, move: np.ndarray) -> list[np.ndarray]:
-            """What is to be least, its slope and curvature by what is left, weights of a mixture, z; at some φ."""
+            """Return objective, slope and curvature by residual, mixture weights, z and log|Σ| at some φ."""
             remaining = of(residual, some) - (of(jacobian, some) @ move[:, :, None])[:, :, 0]
             phi = {name: np.broadcast_to(v, (len(vs),))[some] for name, v in hyper.items()}
             variance = extra[some] if np.ndim(extra) else extra
@@ -257,12 +253,11 @@ class Density(ByValues):
         return Gram(jtj, jtr + across, squares, logdet)
 
     def squares(self, hyper: Values, gram: Gram) -> float:
-        """Of the whitened residuals at the point itself; under a heavy-tailed law what stands in their place."""
+        """Return the sum of squares of the whitened residuals, or what stands for it under heavy tails."""
         noise, record = self.problem.noise, self.problem.record
         if noise.gaussian:
             return gram.rtr
-        # For a law with outliers: −2·log of the density against that of no residual at all, zero at best as squares
-        # are.
+        # For a law with outliers: −2·log of the density against that of no residual at all.
         line = self.problem.linearise(self.x, hyper)
         residual = record.y - line.mean
         return density_terms(noise, hyper, record, residual, self._extra(line)).squares
@@ -283,15 +278,11 @@ class Density(ByValues):
         return NOWHERE if evaluated is None else evaluated.log_density
 
     def at(self, v: np.ndarray) -> tuple[float, Conditional | None]:
-        """The log density at a coordinate, and x given φ there; none where there is no density."""
+        """Return the log density at a coordinate, and x given φ there; None where there is no density."""
         problem = self.problem
         if self.tabulated is not None:
-            evaluation = self.tabulated.evaluate(v, self.flat, False)
-            return (
-                (NOWHERE, None)
-                if evaluation is None
-                else (evaluation.log_density, evaluation.conditional)
-            )
+            at_v = self.tabulated.evaluate(v, self.flat, False)
+            return (NOWHERE, None) if at_v is None else (at_v.log_density, at_v.conditional)
         hyper = problem.hyper(v)
         prior, gram = problem.prior(hyper, self.flat), self.gram(v, hyper)
         if not math.isfinite(gram.rtr + gram.logdet) or not np.all(np.isfinite(prior.sd)):
@@ -301,7 +292,7 @@ class Density(ByValues):
         return (value, conditional) if math.isfinite(value) else (NOWHERE, None)
 
     def values(self, vs: Float[np.ndarray, "k d"]) -> Float[np.ndarray, "k"]:
-        """The log density at several coordinates."""
+        """Return the log density at several coordinates."""
         problem, vs = self.problem, np.asarray(vs)
         if not len(vs):
             return np.zeros(0)

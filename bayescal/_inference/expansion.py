@@ -127,15 +127,14 @@ class Polynomials:
         return np.linalg.solve(self.root, (coordinates - self.centre)[..., None])[..., 0]
 
     def reach(self, coordinates: Float[np.ndarray, "*b m"]) -> np.ndarray:
-        """Whether they are where the polynomials were fitted."""
+        """Return whether coordinates are where the polynomials were fitted."""
         return np.max(np.abs(self._round(coordinates)), axis=-1) <= 1
 
     def terms(self, coordinates: Float[np.ndarray, "b m"]) -> Float[np.ndarray, "b t"]:
         """Return the terms at coordinates; beyond the box, where they mean nothing, at its edge towards its centre."""
         t = self._round(coordinates)
-        values = polynomials(
-            t / np.maximum(1.0, np.max(np.abs(t), axis=1))[:, None], self.degree + 1
-        )
+        inside = t / np.maximum(1.0, np.max(np.abs(t), axis=1))[:, None]
+        values = polynomials(inside, self.degree + 1)
         return np.prod([values[:, j, self._powers[:, j]] for j in range(self.dim)], axis=0)
 
 
@@ -217,10 +216,8 @@ class Expansions:
             polynomials = Polynomials(draws, degree)
             count = len(polynomials.points)
             computed = self._columns(np.concatenate([polynomials.points, draws[:TRIED_DRAWS]]))
-            values, exact = (
-                computed[:count].reshape(count, -1),
-                computed[count:].reshape(TRIED_DRAWS, -1),
-            )
+            values = computed[:count].reshape(count, -1)
+            exact = computed[count:].reshape(TRIED_DRAWS, -1)
             if not np.all(np.isfinite(computed)):
                 break
             coefficients = np.linalg.pinv(polynomials.terms(polynomials.points)) @ values
@@ -242,10 +239,8 @@ class Expansions:
         for halvings in range(self._halvings, HALVINGS + 1) if self._failures < FAILURES else ():
             half = 0.5 * BOX_WIDTH * 2.0**-halvings
             computed = self._columns(v + half * np.append(points(COUNT), _TRIED)[:, None])
-            nodes, exact = (
-                computed[:COUNT].reshape(COUNT, -1),
-                computed[COUNT:].reshape(len(_TRIED), -1),
-            )
+            nodes = computed[:COUNT].reshape(COUNT, -1)
+            exact = computed[COUNT:].reshape(len(_TRIED), -1)
             coefficients = to_coefficients(COUNT) @ nodes
             largest = np.max(np.abs(nodes), initial=1e-300)
             error = np.max(np.abs(polynomials(_TRIED, COUNT) @ coefficients - exact), initial=0.0)

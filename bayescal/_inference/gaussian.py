@@ -32,7 +32,7 @@ class Gram(NamedTuple):
 
     @classmethod
     def of(cls, whole: Float[np.ndarray, "*b q q"], logdet: Any) -> Gram:
-        """Of the products of the whitened table [J r] with itself."""
+        """Split the products of the whitened table [J r] with itself."""
         return cls(whole[..., :-1, :-1], whole[..., :-1, -1], whole[..., -1, -1], logdet)
 
 
@@ -44,9 +44,9 @@ class Prior(NamedTuple):
     weight: Float[np.ndarray, "p"]
 
     def from_point(self, at: Any, information: Any) -> tuple[Any, Any]:
-        """Where the prior's mean is from a point: by a step to take first, and in its own standard deviations.
+        """Return the prior mean relative to a point: as a first step, and in prior standard deviations.
 
-        The step, where the prior tells a coefficient better than readings (`told`, the diagonal of JᵀΣ⁻¹J): one of no
+        The step, where the prior tells more than readings do (`information`, the diagonal of JᵀΣ⁻¹J): a prior of no
         width stands at its mean exactly. In standard deviations, where the readings do: the difference of a far prior
         mean and as far a way back has no digits left.
         """
@@ -58,7 +58,7 @@ class Prior(NamedTuple):
 
     @property
     def flat_volume(self) -> Any:
-        """What flat priors, of density one, add to the log evidence: log s + ½·log 2π each."""
+        """Return the flat priors' part of the log evidence, of density one: log s + ½·log 2π each."""
         # A density of one per unit of x is one of s per unit of z = x/s, and lacks the 1/√(2π) of the standard normal
         # density that the closed form counts for every z.
         log_sd = np.where(self.weight > 0, 0.0, np.log(np.where(self.weight > 0, 1.0, self.sd)))
@@ -79,12 +79,12 @@ class Conditional:
 
     @cached_property
     def root_of_z(self) -> Float[np.ndarray, "p p"]:
-        """L⁻ᵀ, a square root of the covariance of z."""
+        """Return L⁻ᵀ, a square root of the covariance of z."""
         return dtrtri(self.chol, lower=1)[0].T if len(self.z) else self.chol
 
     @property
     def root(self) -> Float[np.ndarray, "p p"]:
-        """A square root of the covariance of x."""
+        """Return a square root of the covariance of x."""
         return self.sd[:, None] * self.root_of_z
 
     @property
@@ -116,8 +116,7 @@ def condition(
     if failed:
         return None
     t = dtrtrs(chol, dtrtrs(chol, pulled, lower=1)[0], lower=1, trans=1)[0]
-    # Completed square: at the posterior mean rᵀΣ⁻¹r has become the square of r − J·move, and zᵀWz is the prior's
-    # share.
+    # Completed square: at the posterior mean rᵀΣ⁻¹r has become the square of r − J·move; zᵀWz is the prior's.
     move, z = offset + sd * t, t - far
     squares = gram.rtr - move @ (2 * gram.jtr - gram.jtj @ move)
     penalised_rss = squares + weight @ (z * z)
@@ -145,14 +144,14 @@ class Drawn(NamedTuple):
     log_volume: Float[np.ndarray, "b"]
 
     def of(self, some: np.ndarray) -> Drawn:
-        """Those of some φ."""
+        """Return the draws of some φ."""
         return Drawn(*(a[some] for a in self))
 
 
 def draw(
     grams: Gram, size: int, prior: Prior, at: Float[np.ndarray, "p"], normal: np.ndarray
 ) -> Drawn:
-    """`condition` of many φ side by side (b, …), and the x that standard normal numbers (b, p) stand for."""
+    """Condition on many φ side by side (b, …), and map standard normal numbers (b, p) to x."""
     sd, weight = prior.sd, prior.weight
     offset, far = prior.from_point(at, np.diagonal(grams.jtj, axis1=1, axis2=2))
     pulled = sd * (grams.jtr - np.einsum("bij,bj->bi", grams.jtj, offset)) + far
@@ -163,9 +162,8 @@ def draw(
     mean = solve(chol, solve(chol, pulled), upper=True)
     move, from_prior = offset + sd * mean, mean - far
     across = np.einsum("bij,bj->bi", grams.jtj, move)
-    penalised_rss = (
-        grams.rtr - np.sum(move * (2 * grams.jtr - across), axis=1) + from_prior**2 @ weight
-    )
+    squares = grams.rtr - np.sum(move * (2 * grams.jtr - across), axis=1)
+    penalised_rss = squares + from_prior**2 @ weight
     # Half of log|A|; L⁻ᵀε below has the covariance A⁻¹ = (L·Lᵀ)⁻¹.
     halves = np.sum(np.log(np.diagonal(chol, axis1=1, axis2=2)), axis=1)
     flat = np.broadcast_to(prior.flat_volume, len(sd))
@@ -181,7 +179,7 @@ def draw(
 
 
 def factors(matrices: Float[np.ndarray, "*b p p"]) -> Float[np.ndarray, "*b p p"]:
-    """Lower Cholesky factors; NaN of a matrix that has none."""
+    """Return lower Cholesky factors; NaN of a matrix that has none."""
     try:
         return np.linalg.cholesky(matrices)
     except np.linalg.LinAlgError:
@@ -193,7 +191,7 @@ def factors(matrices: Float[np.ndarray, "*b p p"]) -> Float[np.ndarray, "*b p p"
 def solve(
     chol: Float[np.ndarray, "b p p"], right: Float[np.ndarray, "b p"], upper: bool = False
 ) -> Float[np.ndarray, "b p"]:
-    """L⁻¹ times vectors, or L⁻ᵀ."""
+    """Return L⁻¹ times vectors, or L⁻ᵀ."""
     # A loop over the few coefficients, each step for all φ at once, in place of a call of LAPACK for each φ.
     z, order = np.empty_like(right), range(right.shape[1])
     for i in reversed(order) if upper else order:
@@ -204,6 +202,6 @@ def solve(
 
 
 def column_scale(jacobian: Float[np.ndarray, "n p"]) -> Float[np.ndarray, "p"]:
-    """A scale for coefficients with a flat prior: the change that moves the output by one unit."""
+    """Return scales of coefficients with flat priors: the change that moves the output by one unit."""
     norm = np.sqrt(np.mean(jacobian**2, axis=0))
     return np.where(norm > 0, 1 / np.where(norm > 0, norm, 1.0), 1.0)

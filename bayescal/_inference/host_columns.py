@@ -81,9 +81,8 @@ class HostColumns:
                 columns = None
             # Such a basis may return the right shape by chance.
             if columns is not None and basis not in self._together:
-                is_same = np.allclose(
-                    columns[-1], column_at(size - 1), rtol=1e-12, atol=0, equal_nan=True
-                )
+                pair, how = (columns[-1], column_at(size - 1)), {"atol": 0, "equal_nan": True}
+                is_same = np.allclose(*pair, rtol=1e-12, **how)
                 self._together[basis] = is_same and basis not in self._programs
             if columns is not None and self._together[basis]:
                 return columns

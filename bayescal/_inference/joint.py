@@ -3,18 +3,16 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 
 import numpy as np
 from jaxtyping import Float
 from scipy.special import gammaln
 
 from bayescal._inference.gaussian import LOG_2PI, Drawn
-from bayescal._inference.noise_on_record import total_log_density
+from bayescal._inference.noise_on_record import Batch, total_log_density
 from bayescal._inference.problem import Problem
 
 FREEDOM = 5  # of the Student-t proposals
-Batch = Mapping[str, np.ndarray | float]  # φ by name, one value a draw, or one for all
 
 
 def correction(
@@ -25,8 +23,7 @@ def correction(
     exact: bool,
     heavy: bool,
 ) -> Float[np.ndarray, "b"]:
-    """Log ratio of the true joint density to what x was drawn from given each φ, times the closed form: that of true to
-    linearised likelihood.
+    """Return the log ratio of true joint density to proposal density of x, times the closed form.
 
     x was drawn by these normal numbers, Student-t if `heavy`; `exact`: the closed form was that of φ itself.
     """
@@ -45,7 +42,7 @@ def correction(
 
 
 def normal_numbers(size: int, count: int, heavy: bool, random: np.random.Generator) -> np.ndarray:
-    """What x is drawn by (b, p): standard normal, or Student-t, where the posterior has heavier tails than its fit."""
+    """Draw the numbers (b, p) that x is proposed by: standard normal, or Student-t if `heavy`."""
     normal = random.standard_normal((count, size))
     if heavy:
         normal *= np.sqrt(FREEDOM / random.chisquare(FREEDOM, count))[:, None]
@@ -53,7 +50,7 @@ def normal_numbers(size: int, count: int, heavy: bool, random: np.random.Generat
 
 
 def _log_density(squares: Float[np.ndarray, "b"], dim: int, heavy: bool) -> np.ndarray:
-    """Of the numbers that x is placed by: standard normal, or Student-t."""
+    """Return the log density of standard normal, or Student-t, numbers."""
     if not heavy:
         return -0.5 * (squares + dim * LOG_2PI)
     # The multivariate t of `normal_numbers`: one χ² for all coordinates, hence the sum of all squares.

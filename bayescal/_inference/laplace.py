@@ -54,15 +54,15 @@ def find_mode(
     coarse_below: float = -math.inf,
     near: Nearby | None = None,
 ) -> Mode:
-    """The mode, from the best of some coordinates of φ. Deterministic.
+    """Find the mode, from the best of some coordinates of φ. Deterministic.
 
     Args:
         starts: coordinates, of which the most probable is begun at; prior draws if not given.
         x: where x̂ may be; its prior mean, or what directions of an ellipsoid give, if not given.
-        still: standard deviations that a round moves anything by, below which the mode is found: the log evidence is
+        xtol: standard deviations that a round moves anything by, below which the mode is found: the log evidence is
             off by about half their square.
         start: φ by name where the mode may be, beside the prior draws; others are at their priors' middle.
-        wanted_from: log density, below which a mode found to a hundredth of a nat will do.
+        coarse_below: log density, below which a mode found to a hundredth of a nat will do.
         near: the curvature of a density that is much alike.
     """
     x, dim = _start(problem) if x is None else x, len(problem.hypers)
@@ -92,23 +92,21 @@ def find_mode(
 
 
 def _start(problem: Problem) -> Float[np.ndarray, "p"]:
-    """Where x̂ may be, nothing known: at its prior mean, or of three axes as `Vector.with_directions` has it."""
+    """Return where x̂ may be: its prior mean, or for three axes that of `Vector.with_directions`."""
     record, start = problem.record, problem.start
     vector = record.instrument.vector
     directed = None if vector is None else vector.with_directions(record.frame, record.y)
     if directed is None:
         return start
-    problem_there = Problem(
-        problem.layout, Record(record.instrument, *directed), problem.size_factors
-    )
-    middle = np.zeros(len(problem.hypers))
+    record, middle = Record(record.instrument, *directed), np.zeros(len(problem.hypers))
+    problem_there = Problem(problem.layout, record, problem.size_factors)
     return mode_of_x(problem_there, start, middle, flat_scales(problem_there, start, middle))
 
 
 def flat_scales(
     problem: Problem, x: Float[np.ndarray, "p"], v: Float[np.ndarray, "d"]
 ) -> Float[np.ndarray, "p"]:
-    """Scales of the coefficients with flat priors; one for others."""
+    """Return scales of the coefficients with flat priors; one for others."""
     if problem.weight_of_x.all():
         return np.ones(problem.size)
     return column_scale(problem.linearise(x, problem.hyper(v)).jacobian)
@@ -133,12 +131,12 @@ def _climbed(
     coarse_below: float,
     near: Nearby | None,
 ) -> _Summit:
-    """The mode of φ from the best of some starts.
+    """Find the mode of φ from the best of some starts.
 
     Each round climbs the density about x̂ given φ, and must raise it about the next x̂. Otherwise it goes part of the
     way: rounds that lost again what they had gained could go in circles.
     """
-    # A step of `still` standard deviations gains about still²/2 nats.
+    # A step of `xtol` standard deviations gains about xtol²/2 nats.
     least_gain = max(NOTHING_LEFT, 0.5 * xtol**2)
     # The curvature at a point hangs more on where that is than the density does.
     ftol = max(CONVERGED_NATS, 0.01 * least_gain)
@@ -180,13 +178,13 @@ def _about_x(
     xtol: float,
     like: Nearby | None,
 ) -> tuple[Density, float]:
-    """The density of φ about x̂ given φ, and its value there."""
+    """Return the density of φ about x̂ given φ, and its value there."""
     density = Density(problem, mode_of_x(problem, x, v, flat, xtol), flat, v, like=like)
     return density, density.at(v)[0]
 
 
 def across(problem: Problem, v: np.ndarray) -> list[Float[np.ndarray, "k d"]]:
-    """For each shape whose evidence has many maxima: coordinates along it, all else as it is."""
+    """Return a grid of coordinates along each shape whose evidence has many maxima."""
     names, grids = problem.layout.index_in_phi, []
     shapes = ((e, s) for e in problem.layout.model.effects for s in e.column_shapes if s.ragged)
     for e, s in shapes:
@@ -197,7 +195,7 @@ def across(problem: Problem, v: np.ndarray) -> list[Float[np.ndarray, "k d"]]:
 
 
 def prior_draws(problem: Problem) -> list[np.ndarray]:
-    """Where the mode may be looked for: the middle of φ's prior, and draws half as wide again. Deterministic."""
+    """Return starting points: the middle of φ's prior, and draws half as wide again. Deterministic."""
     dim = len(problem.hypers)
     draws = 1.5 * np.random.default_rng(0).standard_normal((STARTS, dim))
     return [np.zeros(dim), *draws]
@@ -210,7 +208,7 @@ def mode_of_x(
     flat: np.ndarray,
     xtol: float = STILL_SD,
 ) -> Float[np.ndarray, "p"]:
-    """x̂ given φ: Gauss–Newton on the residuals and the prior's, each step halved until the sum falls.
+    """Find x̂ given φ by Gauss–Newton on residuals and prior, with step halving.
 
     What noise on inputs adds to the variance is held on each step: were it to fall with the residuals, the largest
     slopes would win (effective variance: J. Orear, Am. J. Phys. 50 (1982) 912).
@@ -233,7 +231,7 @@ def mode_of_x(
         if conditional is None:
             return x
         goal, share = conditional.mean, 1.0
-        # At rest where a whole Gauss–Newton step moves nothing by a tenth of `still` posterior standard deviations.
+        # At rest where a whole Gauss–Newton step moves nothing by a tenth of `xtol` posterior standard deviations.
         width = np.sqrt(np.diag(conditional.covariance)) + 1e-300
         if np.max(np.abs((goal - x) / width), initial=0.0) < 0.1 * xtol:
             return x
@@ -261,7 +259,7 @@ def at_mode(
     x: Float[np.ndarray, "p"] | None = None,
     exact: bool = True,
 ) -> Mode:
-    """The Gaussian fit of φ at its mode, and the Laplace evidence; x̂ there is the density's own, if not given.
+    """Return the Gaussian fit of φ at its mode, and the Laplace evidence.
 
     The last round moved it by `change` standard deviations. `exact`: a curvature that is about right will not do.
     """
@@ -271,12 +269,5 @@ def at_mode(
     if fit.log_density <= NOWHERE:
         fit = fit._replace(log_evidence=-math.inf, indefinite=True)
         change = math.inf
-    rest_of_fields = (
-        fit.covariance,
-        fit.log_density,
-        fit.log_evidence,
-        change,
-        density.flat,
-        fit.indefinite,
-    )
-    return Mode(x, v, *rest_of_fields)
+    at_v = fit.covariance, fit.log_density, fit.log_evidence
+    return Mode(x, v, *at_v, change, density.flat, fit.indefinite)

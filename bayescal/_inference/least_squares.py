@@ -63,7 +63,7 @@ class LeastSquares(Method):
         return self.outcome(problem.layout, solution, seed)
 
     def outcome(self, layout: Layout, solution: Solution, seed: int) -> Outcome:
-        """What a solution comes to: draws of the Gaussian approximation about it, and whether to trust it."""
+        """Return draws of the Gaussian approximation about a solution, and its verdict."""
         reasons = [] if solution.converged else [trust.NOT_CONVERGED]
         reasons += [] if np.all(np.isfinite(solution.covariance)) else [trust.SINGULAR]
         kind = "Gauss–Newton" if self.curvature == "gauss-newton" else "full-Hessian"
@@ -82,7 +82,7 @@ class LeastSquares(Method):
 
 @on_one_thread  # else the last digits would hang on how many cores there are
 def gaussian_draws(layout: Layout, solution: Solution, count: int, seed: int) -> Draws:
-    """Draws of the Gaussian approximation about a solution."""
+    """Draw from the Gaussian approximation about a solution."""
     # An unknown function's amplitude and length are not among these: fitted together with the function, the amplitude
     # would run away and its coefficients to zero. They stay where the marginal likelihood has its maximum.
     places = layout.positions("shape", "promoted")
@@ -105,7 +105,7 @@ def gaussian_draws(layout: Layout, solution: Solution, count: int, seed: int) ->
 
 
 def _exact_moments(normal: np.ndarray) -> np.ndarray:
-    """Normal draws moved linearly so that their mean is exactly 0 and their covariance exactly 1."""
+    """Move normal draws linearly so that their mean is exactly 0 and their covariance exactly 1."""
     # With Z − mean = U·s·Vᵀ the matrix U·Vᵀ is the nearest to it with orthonormal columns (polar decomposition).
     svd = np.linalg.svd(normal - normal.mean(axis=0), full_matrices=False)
     return svd.U @ svd.Vh * np.sqrt(len(normal) - 1)
@@ -128,7 +128,7 @@ class QR(NamedTuple):
         return dtrtrs(self.root, self.inside)[0] if self.inside.size else self.inside
 
     def damped(self, damping: float) -> Float[np.ndarray, "q"]:
-        """The step that minimises |R·s − Qᵀr|² + damping·|weight·s|², weight the norms of R's columns."""
+        """Return the step that minimises |R·s − Qᵀr|² + damping·|weight·s|², weight the norms of R's columns."""
         if not damping:
             return self.solution
         # |R·s − Qᵀr|² + λ·|D·s|² is the least-squares problem of R over √λ·D: no product of R with itself, which
@@ -139,7 +139,7 @@ class QR(NamedTuple):
 
 
 def qr(table: Float[np.ndarray, "m q1"]) -> QR:
-    """Of a table whose last column is r."""
+    """Decompose a table whose last column is r."""
     upper, size = np.triu(dgeqrf(table)[0][: table.shape[1]]), table.shape[1] - 1
     last = float(upper[size, size]) if len(upper) > size else 0.0
     return QR(upper[:size, :size], upper[:size, size], last)
@@ -166,7 +166,7 @@ class _Conditional(NamedTuple):
 def refine(
     problem: Problem, mode: Mode, full_hessian: bool, by_optimistix: bool = False
 ) -> Solution:
-    """From the mode: (x, shapes) by least squares and scales by restricted likelihood in turn, until both rest.
+    """Refine the mode: (x, shapes) by least squares, scales by restricted likelihood, until both rest.
 
     `by_optimistix`: begin with its solver where anything is not linear.
     """
@@ -189,9 +189,8 @@ def refine(
     # What counts is whether a Gauss–Newton step would still move anything.
     covariance = conditional.root @ conditional.root.T
     sd = np.sqrt(np.diag(covariance))
-    converged = converged or bool(
-        np.max(np.abs(conditional.theta - theta) / sd, initial=0.0) < STILL_SD
-    )
+    step = np.max(np.abs(conditional.theta - theta) / sd, initial=0.0)
+    converged = converged or bool(step < STILL_SD)
     if (full_hessian or not fit.gaussian) and np.all(np.isfinite(covariance)):
         covariance = fit.curved(theta, v, conditional.root)
     return Solution(mode._replace(x=theta[: problem.size], v=v), covariance, converged)
@@ -214,7 +213,7 @@ class _Refinement:
         self.places = layout.moving
 
     def prior(self, v: Float[np.ndarray, "d"]) -> Prior:
-        """Of θ: that of x given φ, and the standard normal one of w."""
+        """Return the prior of θ: of x given φ, and standard normal of w."""
         of_x = self.problem.prior(self.problem.hyper(v), self.mode.flat)
         further = np.ones(len(self.places))
         return Prior(
@@ -251,7 +250,7 @@ class _Refinement:
         return whitening(problem.noise, problem.hyper(v), problem.record, extra, residual)
 
     def fit_theta(self, theta: np.ndarray, v: np.ndarray) -> tuple[np.ndarray, bool]:
-        """θ by least squares of the whitened residuals and the prior's, given the scales in v."""
+        """Fit θ by least squares of the whitened residuals and the prior's, given the scales in v."""
         if not theta.size:
             return theta, True
         prior = self.prior(v)
@@ -263,9 +262,8 @@ class _Refinement:
             table = white(plain)
             # The prior is rows beside the readings: in steps of z = (θ − m)/s, [A·S; W]·step = [r; −z].
             z = prior.weight * (at - prior.mean) / np.where(prior.sd > 0, prior.sd, 1.0)
-            whole = np.concatenate(
-                [table * np.append(prior.sd, 1.0), np.column_stack([weight, -z])]
-            )
+            rows = np.column_stack([weight, -z])
+            whole = np.concatenate([table * np.append(prior.sd, 1.0), rows])
             if not np.all(np.isfinite(whole)):
                 return math.inf, qr(np.zeros_like(whole))
             beyond = white.beyond if isinstance(white, Independent) else 0.0
@@ -293,10 +291,9 @@ class _Refinement:
         return theta, best <= GOOD_SHARE * math.sqrt(cost)
 
     def solved(self, begin: np.ndarray, v: np.ndarray) -> np.ndarray:
-        """θ by optimistix on the composed residuals, in units of a plausible change of each; `begin` where it fails.
+        """Fit θ by optimistix on the composed residuals, in plausible steps; `begin` where it fails.
 
-        Laws that are not Gaussian have no such residuals, and no derivative forward is known of what correlated noise
-        whitens by.
+        Non-Gaussian laws have no such residuals; of correlated noise no forward derivative is known.
         """
         problem = self.problem
         layout, noise = problem.layout, problem.noise
@@ -316,7 +313,7 @@ class _Refinement:
         return theta if np.all(np.isfinite(theta)) else begin
 
     def conditional(self, theta: np.ndarray, v: np.ndarray) -> Callable[..., _Conditional]:
-        """A function of φ's coordinates: θ integrated out of the model linearised here, by QR."""
+        """Return a function of φ's coordinates: θ integrated out of the model linearised here, by QR."""
         table, extra = self.table(theta, v)
         # With one variance for all readings R of the plain table stands for it: whitening only divides by σ.
         even = self.even
@@ -334,9 +331,8 @@ class _Refinement:
             else:
                 white = self.whiten(v, extra, table[:, -1])(upper)
             offset, far = prior.from_point(theta, np.sum(white[:, :-1] ** 2, axis=0))
-            scaled = np.column_stack(
-                [white[:, :-1] * prior.sd, white[:, -1] - white[:, :-1] @ offset]
-            )
+            a, r = white[:, :-1], white[:, -1]
+            scaled = np.column_stack([a * prior.sd, r - a @ offset])
             rows = np.column_stack([np.diag(prior.weight), far])
             factor = qr(np.concatenate([scaled, rows]))
             if not factor.determined:
@@ -353,7 +349,7 @@ class _Refinement:
         return condition_at
 
     def fit_noise(self, theta: np.ndarray, v: np.ndarray) -> np.ndarray:
-        """v with the one standard deviation of independent noise: squares over the degrees of freedom left.
+        """Return v with the independent noise's standard deviation from squares over degrees of freedom.
 
         θ is integrated out (restricted likelihood: H. Patterson and R. Thompson, Biometrika 58 (1971) 545).
         """
@@ -377,13 +373,12 @@ class _Refinement:
     def curved(
         self, theta: np.ndarray, v: np.ndarray, root: Float[np.ndarray, "q q"]
     ) -> Float[np.ndarray, "q q"]:
-        """Covariance of θ at the maximum, second derivatives of the expected output included.
+        """Return the covariance of θ at the maximum with second derivatives of the expected output.
 
         `root` is that of the covariance by Gauss–Newton.
         """
         prior = self.prior(v)
-        # Slopes of ½·(eᵀΣ⁻¹e + zᵀWz) by θ; their differences hold the second derivatives that Gauss–Newton leaves
-        # out.
+        # Slopes of ½·(eᵀΣ⁻¹e + zᵀWz) by θ: their differences hold the second derivatives.
         tightness = prior.weight / prior.sd**2
 
         def slope(steps: np.ndarray) -> np.ndarray:
@@ -400,7 +395,7 @@ class _Refinement:
 
 @compiled
 def _by_optimistix(layout, frame, readings, v, prior, begin, scale, places):
-    """Steps (q,), in parts of `scale`, to the least squares of the whitened residuals and of the prior's."""
+    """Return steps (q,), in parts of `scale`, to the least squares of residuals and prior."""
     import optimistix as optx  # a sixth of a second that only this needs
 
     (y, real), noise, size = readings, layout.model.noise, layout.size

@@ -36,7 +36,7 @@ GAUSS_NEWTON = 4  # linearisations of the expected output: enough for an order o
 
 
 def learned_size(effect: Effect, problem: Problem, mode: Mode) -> tuple[float, float] | None:
-    """Spread or amplitude that says how large an effect is, with its standard uncertainty; None if nothing does."""
+    """Return the spread or amplitude that an effect's size is, with its uncertainty, or None."""
     learned = effect.measure_name or effect.group_sd_name(0)
     names = learned in problem.layout.index_in_phi
     return problem.value_and_sd(learned, mode.v, mode.covariance) if names else None
@@ -66,7 +66,7 @@ class LinearModel:
 
     @cached_property
     def at_rest(self) -> Record:
-        """What is left of the readings, as the output of a channel at rest: what noise laws are tried on."""
+        """Return the residuals as a record of a channel at rest, on which noise laws are tried."""
         return self.problem.record.of_noise(self.residual)
 
     def decorrelate(self, columns: Float[np.ndarray, "n k"]) -> Float[np.ndarray, "n k"]:
@@ -87,14 +87,14 @@ class LinearModel:
         return self.whiten(self.nuisance)
 
     def contribution(self, name: str) -> Float[np.ndarray, "n"]:
-        """What an effect's coefficients add to the expected output, against their priors' means, output unit."""
+        """Return what an effect adds to the expected output against its priors' means, output unit."""
         is_own = np.array([owner == name for owner in self.owners])
         x = np.flatnonzero(is_own[: self.problem.size])
         return self.nuisance[:, x] @ self.z[x]
 
     @cached_property
     def _eigen(self) -> tuple[np.ndarray, np.ndarray]:
-        """R with R·Rᵀ the inverse of AᵀA + W, A whitened and W the weights, where this has one; and A·R."""
+        """Return R with R·Rᵀ the inverse of AᵀA + W, A whitened and W the weights, where this has one; and A·R."""
         white = self.white_nuisance
         inner = white.T @ white + np.diag(self.weight)
         # Scaled to a unit diagonal, so that `RANK` is of numbers without units.
@@ -108,16 +108,16 @@ class LinearModel:
 
     @property
     def root(self) -> Float[np.ndarray, "q q"]:
-        """R, with R·Rᵀ the covariance of all unknowns in units of their priors."""
+        """Return R, with R·Rᵀ the covariance of all unknowns in units of their priors."""
         return self._eigen[0]
 
     def uncertainty(self, i: int) -> float:
-        """Standard uncertainty of the unknown of a column, its prior counted, in the unit of that."""
+        """Return the standard uncertainty of a column's unknown, its prior counted, in its unit."""
         return float(np.linalg.norm(self.root[i]) * self.sd[i])
 
     @property
     def directions(self) -> Float[np.ndarray, "n q"]:
-        """G: whitened residuals have the covariance I − G·Gᵀ.
+        """Return G: whitened residuals have the covariance I − G·Gᵀ.
 
         That is if the model is right. With A the whitened nuisances and W their weights (0 where flat), whitened
         readings have the covariance I + A·W⁻¹·Aᵀ, and the residuals are (I − H) times them, with the leverages
@@ -127,7 +127,7 @@ class LinearModel:
 
     @cached_property
     def settled(self) -> Float[np.ndarray, "n"]:
-        """Residual once all of θ is fitted together, shapes too, output unit."""
+        """Return the residuals once all of θ is fitted together, shapes too, output unit."""
         # One Gauss–Newton step of all θ from where they stand: (AᵀA + W)⁻¹(Aᵀr − W·z).
         pull = self.white_nuisance.T @ self.white_residual - self.weight * self.z
         return self.residual - self.nuisance @ (self.root @ (self.root.T @ pull))
@@ -138,8 +138,7 @@ class LinearModel:
 
     @cached_property
     def scores(self) -> Float[np.ndarray, "n"]:
-        """Settled residuals as independent standard normal numbers if the noise law is right: whitened, or by their
-        probabilities where it is not Gaussian."""
+        """Return settled residuals as independent standard normal numbers if the noise law is right."""
         problem = self.problem
         if problem.noise.gaussian:
             return self.white_settled
@@ -149,29 +148,28 @@ class LinearModel:
     def along(
         self, columns: Float[np.ndarray, "n k"]
     ) -> tuple[Float[np.ndarray, "k"], Float[np.ndarray, "k k"]]:
-        """CᵀΣ⁻¹r and CᵀΣ⁻¹C of columns and settled residuals: no nuisance is taken out again."""
+        """Return CᵀΣ⁻¹r and CᵀΣ⁻¹C of columns and settled residuals: no nuisance is taken out again."""
         white = self.whiten(np.column_stack([columns, self.settled]))
         return white[:, :-1].T @ white[:, -1], white[:, :-1].T @ white[:, :-1]
 
     @cached_property
     def variance(self) -> Float[np.ndarray, "n"]:
-        """Of each reading about its expected output."""
+        """Return the variance of each reading about its expected output."""
         hyper, extra = self.problem.hyper(self.mode.v), self.extra
         return variance(self.problem.noise, hyper, self.problem.record) + extra
 
     @cached_property
     def rss(self) -> float:
-        """Sum of squares, the prior's share included."""
+        """Return the residual sum of squares, the prior's share included."""
         white = self.decorrelate(self.residual[:, None])
         return float(np.sum(white**2)) + float(self.weight @ self.z**2)
 
     def projected(self, columns: Float[np.ndarray, "n k"]) -> Float[np.ndarray, "q k"]:
-        """What of whitened columns the nuisances take, P = Gᵀ·C: the information left is CᵀC − PᵀP."""
+        """Return the nuisances' part of whitened columns, P = Gᵀ·C: the information left is CᵀC − PᵀP."""
         return self.directions.T @ columns
 
     def beyond(self, column: Float[np.ndarray, "n"], mask: np.ndarray) -> Float[np.ndarray, "n"]:
-        """What some nuisances (a mask) leave of a whitened column: what they could take up only with implausible
-        coefficients is left, since their priors count."""
+        """Project some nuisances (a mask) out of a whitened column, as far as their priors allow."""
         others = self.white_nuisance[:, mask]
         inner = others.T @ others + np.diag(self.weight[mask])
         return column - others @ np.linalg.lstsq(inner, others.T @ column, rcond=1e-12)[0]
@@ -179,7 +177,7 @@ class LinearModel:
     def score(
         self, columns: Float[np.ndarray, "n k"]
     ) -> tuple[Float[np.ndarray, "k"], Float[np.ndarray, "k k"]]:
-        """What the readings say of columns that are not in the model, output unit per prior sd: no refit of each.
+        """Return score and information of columns that are not in the model, output unit per prior sd.
 
         With every nuisance integrated out under its prior (V = Σ + J·D·Jᵀ, spreads and noise at their estimates) the
         score u = XᵀV⁻¹r and the information XᵀV⁻¹X.
@@ -191,14 +189,14 @@ class LinearModel:
 
     @cached_property
     def slopes(self) -> dict[str, np.ndarray]:
-        """Of the expected output by each slot, at the mode."""
+        """Return the slopes of the expected output by each slot, at the mode."""
         return self.problem.slopes(self.mode.x, self.problem.hyper(self.mode.v))
 
 
 def explained_sum_of_squares(
     u: Float[np.ndarray, "*b k"], information: Float[np.ndarray, "*b k k"]
 ) -> tuple[Float[np.ndarray, "*b"], Float[np.ndarray, "*b"]]:
-    """What columns of standard normal coefficients take up, by their score and information after the nuisances.
+    """Return what columns of standard normal coefficients explain, by score and information.
 
     Returns:
         Of each set of columns half a log volume, infinite where there is none, and what of the sum of squares.
@@ -214,7 +212,7 @@ def explained_sum_of_squares(
 
 
 def linear_model(problem: Problem, mode: Mode) -> LinearModel:
-    """A structure about its mode."""
+    """Linearise a structure about its mode."""
     density = Density(problem, mode.x, mode.flat, mode.v)
     hyper = problem.hyper(mode.v)
     line = problem.linearise(mode.x, hyper)
@@ -227,8 +225,7 @@ def linear_model(problem: Problem, mode: Mode) -> LinearModel:
     def mean(shapes: np.ndarray) -> np.ndarray:
         return problem.linearise(x, problem.hyper(put(shapes, problem.moving, mode.v))).mean
 
-    # To first order a shape is one more unknown: the slope of the output by its coordinate is its column, of prior
-    # width one.
+    # To first order a shape is one more unknown: its column is the slope by its coordinate, of prior width one.
     slopes = differences(mean, mode.v[problem.moving], STEP)
     nuisance = np.empty((len(residual), problem.size + len(slopes)))
     np.multiply(line.jacobian, prior.sd, out=nuisance[:, : problem.size])
@@ -253,7 +250,7 @@ def linear_model(problem: Problem, mode: Mode) -> LinearModel:
 
 
 def about_priors(problem: Problem, noise: float | None = None) -> LinearModel:
-    """A structure about the means of its priors; `noise`: standard deviation of the white part, if not that of its."""
+    """Linearise a structure about its priors' means; `noise`: standard deviation of the white part."""
     v, x = np.zeros(len(problem.hypers)), problem.start
     for i, h in enumerate(problem.hypers):
         if h.name == WHITE and noise is not None:
@@ -263,7 +260,7 @@ def about_priors(problem: Problem, noise: float | None = None) -> LinearModel:
 
 
 def sized(model: Model, readings: Measurements, record: Record) -> Model:
-    """The model with the amplitudes of what no named effect describes, where these are open.
+    """Return the model with the open amplitudes of unknown dependences filled in.
 
     They plausibly lie between what the readings could just show, their noise over √n, and an order of magnitude more
     than the other effects leave of the output: these may have taken up a part.
@@ -286,7 +283,7 @@ def sized(model: Model, readings: Measurements, record: Record) -> Model:
 
 
 def amplitudes(model: Model, readings: Measurements, record: Record) -> tuple[float, float]:
-    """Plausible amplitudes of what a model lacks, output unit: see `sized`."""
+    """Return plausible amplitudes of what a model lacks, output unit: see `sized`."""
     frame, y = record.frame, record.y
     residual = _least_squares_residual(Problem(bind(model, readings)[0], record.with_frame()))
     # Neighbours differ by √2 of white noise's standard deviation, which is 1.4826 times its median absolute value;
@@ -300,13 +297,13 @@ def amplitudes(model: Model, readings: Measurements, record: Record) -> tuple[fl
 
 
 def _half_range(values: Float[np.ndarray, "n"]) -> float:
-    """Half of the range, without a hundredth of the values that lie farthest out."""
+    """Return half of the range, without the outermost hundredth of the values."""
     low, high = np.quantile(values, [0.005, 0.995])
     return 0.5 * float(high - low)
 
 
 def _least_squares_residual(problem: Problem) -> Float[np.ndarray, "n"]:
-    """What the effects leave of the output at least, shapes and deviations of groups at their priors' middle."""
+    """Return the residuals of a least-squares fit of the plain coefficients, all else at the prior's middle."""
     hyper = problem.hyper(np.zeros(len(problem.hypers)))
     x, y = problem.start, problem.record.y
     plain = [t.at.start for t in problem.in_x if t.per is None and t.group_sd_name is None]

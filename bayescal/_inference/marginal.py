@@ -87,7 +87,7 @@ class Marginal(Method):
     def about_the_mode(
         self, problem: Problem, mode: Mode, seed: int, notes: tuple[str, ...], why: str
     ) -> Outcome:
-        """What there is before anything is sampled: the Gaussian approximation about the mode."""
+        """Return the Gaussian approximation about the mode, where nothing was sampled."""
         outcome = LeastSquares(draws=self.draws).outcome(
             problem.layout, refine(problem, mode, False), seed
         )
@@ -97,7 +97,7 @@ class Marginal(Method):
     def _sampled(
         self, problem: Problem, mode: Mode, seed: int, heavy: bool = False
     ) -> Iterator[_Judged]:
-        """Joint draws with their weights, and why these are not to be trusted; the last are the best.
+        """Yield joint draws with their weights, and why these are not to be trusted; the last are the best.
 
         Where proposals do not suffice, twice as many are tried: up to the usual number, and beyond it as long as k̂ says
         that the weights are sound. `heavy`: coefficients proposed with tails that are not too thin for a nonlinear
@@ -121,7 +121,7 @@ class Marginal(Method):
             yield from self._sampled(problem, mode, seed, heavy=True)
 
     def _from_weights(self, layout, judged: _Judged, notes, seed, why: str) -> Outcome:
-        """Draws by weights that are sound or, if `why` leaves no time for better ones, as they are."""
+        """Return draws by weights that are sound or, if `why` leaves no time for better ones, as they are."""
         weighted, weights, k_hat = judged.draws, judged.weights, judged.k_hat
         effective, reasons = effective_size(weights), ()
         if why and trust.unevenness(weights, k_hat, limit=judged.limit, enough=FEWEST_DRAWS):
@@ -141,7 +141,7 @@ class Marginal(Method):
         )
 
     def _exact(self, problem: Problem, mode: Mode, seed: int, notes) -> Outcome:
-        """NUTS; for a while only where neither it nor a time limit was asked for."""
+        """Run NUTS; for a while only where neither it nor a time limit was asked for."""
         layout, is_unlimited = problem.layout, self.sampler == "nuts"
         log_density, unpack, start, covariance = nuts_chains.whitened(problem, mode)
         plan = nuts_chains.Plan(800, self.draws // CHAINS, CHAINS, start.size < 40)
@@ -149,9 +149,7 @@ class Marginal(Method):
         with stage("NUTS on whitened unknowns"):
             with deadline.until(None if is_unlimited else nuts_chains.PATIENCE, words=PATIENCE):
                 ran = nuts_chains.run(log_density, start, covariance, jax.random.key(seed), plan)
-            place = jax.jit(
-                lambda q: jax.lax.map(lambda point: unpack(point)[:2], q, batch_size=64)
-            )
+            place = jax.jit(lambda q: jax.lax.map(lambda u: unpack(u)[:2], q, batch_size=64))
             x, v = place(ran.draws.reshape(-1, start.size))
         has_evidence = not layout.improper and np.isfinite(mode.log_evidence)
         return Outcome(

@@ -53,7 +53,7 @@ class Means:
 
     @cached_property
     def counts(self) -> Int[np.ndarray, "m"]:
-        """Readings of each mean."""
+        """Return the number of readings of each mean."""
         return np.diff(self.begins, append=self.of.size)
 
     def __call__(self, rows: Float[np.ndarray, "n *k"]) -> Float[np.ndarray, "m *k"]:
@@ -73,12 +73,10 @@ class Means:
         problem, whiten = line.problem, line.whiten
         if isinstance(whiten, Independent):
             precision = 1 / whiten.sd**2
-            mean_precision = self(precision)
-            whiten = Independent(1 / np.sqrt(self.counts * mean_precision))
-            residual = self(precision * line.residual) / mean_precision
-            nuisance = np.transpose(
-                [self(precision * column) / mean_precision for column in line.nuisance.T]
-            )
+            weight = self(precision)
+            whiten = Independent(1 / np.sqrt(self.counts * weight))
+            residual = self(precision * line.residual) / weight
+            nuisance = np.transpose([self(precision * c) / weight for c in line.nuisance.T])
         else:
             residual, nuisance = self(line.residual), self(line.nuisance)
             values = problem.hyper(line.mode.v)

@@ -48,26 +48,24 @@ class Verdict:
 
     @property
     def reliable(self) -> bool:
-        """Whether the result may be used."""
+        """Return whether the result may be used."""
         return self.ok and not self.against
 
     @property
     def why_not(self) -> str:
-        """Why the result is not to be used, in words; empty where it may be."""
+        """Return why the result is not to be used, in words; empty where it may be."""
         return " ".join(self.reasons if not self.ok else self.against)
 
     @classmethod
     def read(cls, described: dict[str, Any]) -> Verdict:
-        """A verdict that was written as JSON, whose tuples come back as lists.
+        """Read a verdict written as JSON, whose tuples come back as lists.
 
         Raises:
             KeyError: a field is missing.
         """
-        known = (
-            (f.name, {"against": (), "checked": False, **described}[f.name]) for f in fields(cls)
-        )
-        made: dict[str, Any] = {n: tuple(v) if isinstance(v, list) else v for n, v in known}
-        return cls(**made)
+        described = {"against": (), "checked": False, **described}
+        values = {f.name: described[f.name] for f in fields(cls)}
+        return cls(**{n: tuple(v) if isinstance(v, list) else v for n, v in values.items()})
 
     def __str__(self) -> str:
         head, why = (
@@ -85,7 +83,7 @@ class Draws:
 
     @classmethod
     def of(cls, x: ArrayLike, v: ArrayLike) -> Draws:
-        """Of draws one after the other, as many as make `CHAINS` equal parts."""
+        """Return draws in sequence as `CHAINS` equal parts, as many as fit."""
         arrays = (np.asarray(a) for a in (x, v))
         return cls(*(a.reshape(CHAINS, len(a) // CHAINS, *a.shape[1:]) for a in arrays))
 

@@ -68,7 +68,7 @@ def climb(
     coarse_below: float = -math.inf,
     ftol: float = CONVERGED_NATS,
 ) -> Float[np.ndarray, "d"]:
-    """Return the mode uphill from v, to `ftol` nats; below `wanted_from` to a hundredth of a nat.
+    """Return the mode uphill from v, to `ftol` nats; below `coarse_below` to a hundredth of a nat.
 
     Directions that the density bends up along are gone the other way, those that it hardly bends along as if it did
     (J. Nocedal and S. Wright, Numerical Optimization, 2006, §3.4).
@@ -123,8 +123,7 @@ def gaussian_fit(
         return GaussianFit(v, np.full((len(v), len(v)), np.nan), density.value(v), -math.inf, True)
     scale = np.broadcast_to(density.scale, v.shape)
     weights, vectors = np.linalg.eigh(scale[:, None] * slopes.curvature * scale)
-    # Less than a twentieth is no hill but the flank of one, such as a spread's way to zero: mended, its proposals stay
-    # finite.
+    # Less than a twentieth is the flank of a hill, such as a spread's way to zero: mended, proposals stay finite.
     mended = np.maximum(weights, LEAST_CURVATURE)
     covariance = (vectors / mended) @ vectors.T * np.outer(scale, scale)
     volume = 0.5 * len(v) * LOG_2PI - 0.5 * float(np.sum(np.log(mended / scale**2)))
@@ -150,14 +149,14 @@ class ByValues:
         self._begin()
 
     def _begin(self, like: Nearby | None = None) -> None:
-        """Know nothing yet, or the curvature of a density that is much alike."""
+        """Reset, or begin with the curvature of a similar density."""
         self._like, self._last = like, None
         self._exact = False  # whether the latest curvature is by differences
         self._axes: Any = None  # the latest point, steps along the axes, and values there
 
     @property
     def nearby(self) -> Nearby | None:
-        """The latest curvature, for a density that is much alike."""
+        """Return the latest curvature, for a similar density."""
         last: tuple[np.ndarray, Slopes] | None = self._last
         return self._like if last is None else Nearby(last[0], last[1].curvature)
 
@@ -231,19 +230,16 @@ class ByValues:
 
     def _bent(self, v: Float[np.ndarray, "d"], bends: Float[np.ndarray, "d"]) -> np.ndarray:
         """Return second differences: along the axes, between them by correlations nearby; NaN where none are known."""
-        bends_matrix, near = np.full((len(v), len(v)), np.nan), self._like
+        second, near = np.full((len(v), len(v)), np.nan), self._like
         if near is not None:
             size = np.sqrt(np.maximum(np.diag(near.curvature), np.finfo(float).tiny))
             curvature, is_known = near.curvature / np.outer(size, size), near.reliable & (bends > 0)
             unmoved = np.abs(v - near.v) * size < UNMOVED
-            is_carried = np.outer(is_known, is_known) & (
-                (np.abs(curvature) < LOOSE) | np.outer(unmoved, unmoved)
-            )
-            bends_matrix[is_carried] = (curvature * np.sqrt(np.abs(np.outer(bends, bends))))[
-                is_carried
-            ]
-        np.fill_diagonal(bends_matrix, bends)
-        return bends_matrix
+            stays = (np.abs(curvature) < LOOSE) | np.outer(unmoved, unmoved)
+            stays &= np.outer(is_known, is_known)
+            second[stays] = (curvature * np.sqrt(np.abs(np.outer(bends, bends))))[stays]
+        np.fill_diagonal(second, bends)
+        return second
 
 
 def _carried(

@@ -127,7 +127,7 @@ class InFrequency(OneNode):
         step: float,
         segments: Callable[[int], Iterator[Segment]] | None = None,
     ) -> None:
-        """`segments`: of a run's frequencies, by its length; the usual ones if not given."""
+        """Set up nodes; `segments` of a run's frequencies by its length, the usual ones if not given."""
         super().__init__(sum(map(len, runs)))
         self.runs, self.step = list(runs), step
         lengths = [len(run) for run in runs]
@@ -299,7 +299,7 @@ class Products:
 
 
 def _segments(n: int) -> Iterator[Segment]:
-    """Cut the frequencies of a run into segments: the lowest alone, decades of the others."""
+    """Yield segments of a run's frequencies: the lowest alone, decades of the others."""
     symbol, start = eigenvalues(n, np.arange(n)), 0
     while start < n:
         if start == 0:
@@ -319,7 +319,7 @@ def _segments(n: int) -> Iterator[Segment]:
 
 
 def _fine_segments(n: int, lines: Sequence[float]) -> Iterator[Segment]:
-    """Cut the frequencies 1 … n − 1 of a run into segments.
+    """Yield segments of the frequencies 1 … n − 1 of a run.
 
     A spectrum has singular points near λ = 0 (a random walk), λ = 4 (averages of neighbours) and narrow lines. Around
     each of them single frequencies are nodes, then Chebyshev's points in the logarithm of the distance.

@@ -22,7 +22,7 @@ from bayescal._model.frame import Frame
 from bayescal._model.noise_law import LOG_2PI, Noise, log_density_beside, widened
 
 Values = Mapping[str, Any]  # φ by name, one number each
-Each = Mapping[str, Any]  # φ by name, one number a draw, or one for all
+Batch = Mapping[str, Any]  # φ by name, one number a draw, or one for all
 WIDTH = 8  # columns that a table is padded to at least, else to twice as many, and so on
 CELLS = 2_000_000  # numbers in the tables of several draws that are held at once
 FEWEST_DRAWS_TOGETHER = 8  # draws that are worked out together where there are few
@@ -39,11 +39,11 @@ class Whitening(NamedTuple):
     extra: Float[np.ndarray, "n"] | float = 0.0  # variance of each reading beside the law's
 
     def __call__(self, table: Float[np.ndarray, "n m"]) -> Float[np.ndarray, "n m"]:
-        """L⁻¹ times a table; row i belongs to reading i."""
+        """Return L⁻¹ times a table; row i belongs to reading i."""
         return self.both(table)[0]
 
     def both(self, table: Float[np.ndarray, "n m"]) -> tuple[Float[np.ndarray, "n m"], float]:
-        """L⁻¹ times a table, and log|Σ|."""
+        """Return L⁻¹ times a table, and log|Σ|."""
         ((white, logdet),) = _filtered([(self, table)])
         return _back(self.law, self.record, white), logdet
 
@@ -68,10 +68,9 @@ def whitening(
     extra: Float[np.ndarray, "n"] | float = 0.0,
     residual: Float[np.ndarray, "n"] | None = None,
 ) -> Whitening | Independent:
-    """What makes readings independent and of unit variance under a law at its parameters, φ by name.
+    """Return what makes readings independent and of unit variance under a law at its parameters.
 
-    Under a law that is not Gaussian each has the precision that it shows by what the expected output has `left` of it
-    (Gaussian scale mixture); None whitens by the variance.
+    Under a non-Gaussian law each has the precision of its `residual` (scale mixture); None whitens by the variance.
     """
     if not law.independent:
         return Whitening(law, values, record, extra)
@@ -88,14 +87,14 @@ def whitening(
 
 
 def _forth(law: Noise, record: Record, array: np.ndarray, axis: int) -> np.ndarray:
-    """What belongs to readings, in the order in which a law takes these."""
+    """Return an array of readings in the order in which a law takes these."""
     if law.independent or record.ordered:
         return array
     return np.take(array, record.in_time[0], axis=axis)
 
 
 def _back(law: Noise, record: Record, array: Float[np.ndarray, "n ..."]) -> np.ndarray:
-    """The other way round."""
+    """Return an array in a law's order in that of the readings."""
     if law.independent or record.ordered:
         return array
     ordered = np.empty_like(array)
@@ -104,7 +103,7 @@ def _back(law: Noise, record: Record, array: Float[np.ndarray, "n ..."]) -> np.n
 
 
 def _padded(law: Noise, record: Record, table: np.ndarray) -> np.ndarray:
-    """A table as a law takes it, with rows and columns of zeros up to the padded numbers."""
+    """Return a table in a law's order, padded with rows and columns of zeros."""
     n, m = table.shape
     padded = np.zeros((record.padded_size, _width(table)))
     padded[:n, :m] = _forth(law, record, table, 0)
@@ -112,7 +111,7 @@ def _padded(law: Noise, record: Record, table: np.ndarray) -> np.ndarray:
 
 
 def _width(table: np.ndarray) -> int:
-    """The padded number of columns."""
+    """Return the padded number of columns."""
     width = WIDTH
     while width < table.shape[1]:
         width *= 2
@@ -121,7 +120,7 @@ def _width(table: np.ndarray) -> int:
 
 @program
 def _whitened(law: Noise, frame: Frame, tables, extras, values):
-    """Tables, or one table under several settings, and the log standard deviations of their innovations."""
+    """Whiten tables, or one table under several settings; return log sds of innovations too."""
     axis = 0 if tables.ndim == 3 else None
     return jax.vmap(lambda *args: law.whiten(*args, frame), (axis, 0, 0))(tables, extras, values)
 
@@ -146,7 +145,7 @@ def products_of_several(
 
 
 def _filtered(part: list[tuple[Whitening, np.ndarray]]) -> Iterator[tuple[np.ndarray, float]]:
-    """Each whitened table in the order in which the law takes readings, and log|Σ|, of tables of one width."""
+    """Yield each whitened table in the law's order, and log|Σ|, of tables of one width."""
     (white, first), record = part[0], part[0][0].record
     # Of one setting or of so many: two programs to compile.
     padding = FEWEST_DRAWS_TOGETHER - len(part) if len(part) > 1 else 0
@@ -177,41 +176,36 @@ class Terms(NamedTuple):
 
     @property
     def squares(self) -> Any:
-        """What stands for the sum of squares of whitened residuals: twice what the log density lost to them."""
+        """Return what stands for the sum of squares of whitened residuals: twice the lost log density."""
         return 2 * np.sum(self.highest - self.log_density, axis=-1)
 
     @property
     def logdet(self) -> Any:
-        """What stands for log|Σ|."""
+        """Return what stands for log|Σ|."""
         return -2 * np.sum(self.highest, axis=-1) - self.highest.shape[-1] * LOG_2PI
 
     def weight(self, residual: Float[np.ndarray, "n"]) -> Float[np.ndarray, "n"]:
-        """The precision of each reading; at no residual its limit, the curvature."""
-        near = np.abs(residual) < 1e-12 * np.max(
-            np.abs(residual), axis=-1, keepdims=True, initial=0.0
-        )
+        """Return the precision of each reading; at no residual its limit, the curvature."""
+        size = np.abs(residual)
+        near = size < 1e-12 * np.max(size, axis=-1, keepdims=True, initial=0.0)
         weight = np.where(near, self.curvature, self.slope / np.where(near, 1.0, residual))
         return np.maximum(weight, 0.0)
 
 
 def density_terms(
-    law: Noise,
-    values: Values,
-    record: Record,
-    residual: Float[np.ndarray, "*b n"],
-    extra: Any = 0.0,
+    law: Noise, values: Values, record: Record, r: Float[np.ndarray, "*b n"], extra: Any = 0.0
 ) -> Terms:
-    """Of what the expected output leaves of the readings, independent of each other given it; at one φ or at several
-    (values (b,) each). `extra`: variance of each reading beside the law's, or a single zero."""
+    """Return log density terms of independent residuals, at one φ or several (values (b,) each).
+
+    `extra`: variance of each reading beside the law's, or a single zero.
+    """
     variance = None if not np.ndim(extra) else np.asarray(extra)
     frame, phi = widened(record.frame, variance), {n: _row(values[n]) for n in law.parameters()}
-    if (slopes := law.by_residual(residual, phi, frame)) is not None:
-        density, highest = (
-            law.log_density(e, 0.0 * e, phi, frame) for e in (residual, 0.0 * residual)
-        )
+    if (slopes := law.by_residual(r, phi, frame)) is not None:
+        density, highest = (law.log_density(e, 0.0 * e, phi, frame) for e in (r, 0.0 * r))
         return Terms(density, highest, *slopes)
     h = RESIDUAL_DIFFERENCE * np.sqrt(np.asarray(law.variance(phi, frame)))
-    ends = np.stack([residual - h, residual, residual + h, 0.0 * residual])
+    ends = np.stack([r - h, r, r + h, 0.0 * r])
     low, middle, high, highest = np.asarray(law.log_density(record.y, record.y - ends, phi, frame))
     return Terms(middle, highest, (low - high) / (2 * h), (2 * middle - low - high) / h**2)
 
@@ -237,24 +231,26 @@ def _samples(law: Noise, frame: Frame, means, keys, values):
 
 
 def variance(law: Noise, values: Values, record: Record) -> Float[np.ndarray, "n"]:
-    """Of each reading about the expected output, output unit squared."""
+    """Return the variance of each reading about the expected output, output unit squared."""
     if law.even(record.frame):
         return np.full(record.size, float(law.shared_variance(values)))
     return variances(law, values, record)[0]
 
 
-def variances(law: Noise, hyper: Each, record: Record) -> Float[np.ndarray, "b n"]:
-    """The same for several draws."""
+def variances(law: Noise, hyper: Batch, record: Record) -> Float[np.ndarray, "b n"]:
+    """Return the variance of each reading for several draws, output unit squared."""
     phi = {n: _row(np.atleast_1d(hyper[n])) for n in law.parameters()}
     variance = np.asarray(law.variance(phi, record.frame))
     return np.broadcast_to(variance, (*np.broadcast_shapes(variance.shape[:-1], (1,)), record.size))
 
 
 def log_densities(
-    law: Noise, record: Record, residuals: Float[np.ndarray, "b n"], hyper: Each, extra: Any = 0.0
+    law: Noise, record: Record, residuals: Float[np.ndarray, "b n"], hyper: Batch, extra: Any = 0.0
 ) -> Float[np.ndarray, "b n"]:
-    """Log density of each reading, given those before it, at what the expected output leaves of it in each draw;
-    `extra`: variance of each reading beside the law's (b, n), or a single zero."""
+    """Return the log density of each reading's residual in each draw, given those before it.
+
+    `extra`: variance of each reading beside the law's (b, n), or a single zero.
+    """
     if law.independent:
         return _on_host(law, record, residuals, hyper, extra)
     y = record.longer(_forth(law, record, record.y, 0))
@@ -263,15 +259,15 @@ def log_densities(
 
 
 def _row(values: Any) -> Any:
-    """One number a draw as a column, beside readings in a row."""
+    """Return one number a draw as a column, beside readings in a row."""
     values = np.asarray(values, float)
     return values[..., None] if values.ndim else values
 
 
 def _on_host(
-    law: Noise, record: Record, residuals: Float[np.ndarray, "b n"], hyper: Each, extra: Any
+    law: Noise, record: Record, residuals: Float[np.ndarray, "b n"], hyper: Batch, extra: Any
 ) -> Float[np.ndarray, "b n"]:
-    """`log_densities` of independent readings, without a program."""
+    """Return `log_densities` of independent readings, without a program."""
     if law.gaussian:
         variance = variances(law, hyper, record) + extra
         return -0.5 * (residuals**2 / variance + np.log(variance) + LOG_2PI)
@@ -281,9 +277,9 @@ def _on_host(
 
 
 def samples(
-    law: Noise, record: Record, means: Float[np.ndarray, "b n"], hyper: Each, seed: int
+    law: Noise, record: Record, means: Float[np.ndarray, "b n"], hyper: Batch, seed: int
 ) -> Float[np.ndarray, "b n"]:
-    """Readings drawn about expected outputs."""
+    """Draw readings about expected outputs."""
     if law.independent and law.gaussian:
         normal = np.random.default_rng(seed).standard_normal(means.shape)
         return means + np.sqrt(variances(law, hyper, record)) * normal
@@ -296,7 +292,7 @@ def samples(
 def normal_scores(
     law: Noise, values: Values, record: Record, residual: Float[np.ndarray, "n"], extra: Any = 0.0
 ) -> Float[np.ndarray, "n"]:
-    """What is left of readings as independent standard normal numbers, if the law, which is not Gaussian, is right."""
+    """Return residuals as independent standard normal numbers, if the non-Gaussian law is right."""
     frame = record.frame if law.independent else record.frame.in_time()
     variance = _forth(law, record, np.asarray(extra), 0) if np.ndim(extra) else None
     scores = law.normal_scores(_forth(law, record, residual, 0), values, widened(frame, variance))
@@ -304,12 +300,12 @@ def normal_scores(
 
 
 def _by_draws(
-    what, law: Noise, record: Record, hyper: Each, *arrays, fixed: tuple = (), plain: tuple = ()
+    what, law: Noise, record: Record, hyper: Batch, *arrays, fixed: tuple = (), plain: tuple = ()
 ) -> Float[np.ndarray, "b n"]:
-    """A program of several draws, some at once; the last draw stands in for missing ones."""
+    """Run a program for several draws, some at once; the last draw stands in for missing ones."""
     names = list(law.parameters())
-    given = [a for a in arrays if a is not None]
-    count = max([*(np.size(hyper[n]) for n in names), *map(len, given), 1])
+    present = [a for a in arrays if a is not None]
+    count = max([*(np.size(hyper[n]) for n in names), *map(len, present), 1])
     phi = {n: np.broadcast_to(np.asarray(hyper[n], float), (count,)) for n in names}
     arrays = tuple(a if a is None else _forth(law, record, np.asarray(a), 1) for a in arrays)
     output = np.empty((record.size, count))
@@ -331,17 +327,15 @@ def _by_draws(
 
 
 def total_log_density(
-    law: Noise, record: Record, residuals: Float[np.ndarray, "b n"], hyper: Each, extra: Any = 0.0
+    law: Noise, record: Record, residuals: Float[np.ndarray, "b n"], hyper: Batch, extra: Any = 0.0
 ) -> Float[np.ndarray, "b"]:
-    """The sum of `log_densities` over readings; what is left may be one for all draws (1, n)."""
+    """Return the sum of `log_densities` over readings; residuals may be one for all draws (1, n)."""
     names = list(law.parameters())
     count = max([*(np.size(hyper[n]) for n in names), len(residuals)])
     phi, totals = {n: np.broadcast_to(hyper[n], (count,)) for n in names}, []
     for some in np.array_split(np.arange(count), -(-count * record.size // CELLS)):
         variance = extra[some] if np.ndim(extra) else extra
-        part, values = (
-            residuals[some] if len(residuals) > 1 else residuals,
-            {n: v[some] for n, v in phi.items()},
-        )
+        part = residuals[some] if len(residuals) > 1 else residuals
+        values = {n: v[some] for n, v in phi.items()}
         totals.append(log_densities(law, record, part, values, variance).sum(axis=1))
     return np.concatenate(totals)

@@ -87,10 +87,8 @@ def beginning(problem: Problem, mode: Mode) -> Callable[[Any], Any]:
     if conditional is not None and np.all(np.isfinite(mode.covariance)):
         prior = problem.prior(problem.hyper(mode.v), mode.flat)
         scale = np.where(prior.weight > 0, np.maximum(prior.sd, 1e-300), 1.0)
-        z, sd = (
-            (mode.x - prior.weight * prior.mean) / scale,
-            np.sqrt(np.diag(conditional.covariance)),
-        )
+        z = (mode.x - prior.weight * prior.mean) / scale
+        sd = np.sqrt(np.diag(conditional.covariance))
         triples = zip(problem.hypers, mode.v, np.sqrt(np.diag(mode.covariance)), strict=True)
         starts |= {h.name: (h.prior.value, at, sd_of_v) for h, at, sd_of_v in triples}
         for b in problem.layout.x_blocks:
@@ -107,7 +105,7 @@ def beginning(problem: Problem, mode: Mode) -> Callable[[Any], Any]:
 
 
 def law_of(prior: Normal | FlatLine | Positive) -> Any:
-    """A prior of φ, of the value in its own unit, as NumPyro has it."""
+    """Return a prior of φ, of the value in its own unit, as a NumPyro distribution."""
     import numpyro.distributions as dist  # NumPyro only where its program is asked for
 
     match prior:
@@ -126,7 +124,7 @@ def law_of(prior: Normal | FlatLine | Positive) -> Any:
 
 
 def numpyro_program(model: Model, readings: Measurements) -> Callable[[Array], None]:
-    """A model on its readings as a NumPyro program of the output, to take further with NumPyro.
+    """Return a model on its readings as a NumPyro program of the output, to take further.
 
     Its sites are every unknown by name in its reported unit, group coefficients as `name.standard` in units of their
     between-group standard deviation; `numpyro.infer.MCMC(NUTS(program)).run(key, readings["output"])` samples it.
@@ -140,7 +138,7 @@ def numpyro_program(model: Model, readings: Measurements) -> Callable[[Array], N
 
 
 def program(layout: Layout, frame: Frame) -> Callable:
-    """The model as a NumPyro program of the output, non-centred where a spread is learned.
+    """Return the model as a NumPyro program of the output, non-centred where a spread is learned.
 
     Its sites are every unknown by name in its reported unit (group coefficients as `name.standard`, in units
     of their spread), the deterministic vectors `x` and `v`, and the likelihood as a factor.

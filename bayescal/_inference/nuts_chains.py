@@ -43,7 +43,7 @@ class Plan(NamedTuple):
     dense: bool = True
 
     def kernel(self, *model: Any, **how: Any) -> Any:
-        """NumPyro's NUTS of a program or of a `potential_fn`."""
+        """Return NumPyro's NUTS of a program or of a `potential_fn`."""
         import numpyro.infer as infer  # half a second that only chains need
 
         return infer.NUTS(*model, dense_mass=self.dense, target_accept_prob=0.95, **how)
@@ -56,15 +56,14 @@ def run(
     key: Array,
     plan: Plan,
 ) -> Chains:
-    """NumPyro's NUTS on a log density, its chains in parallel, started from a Laplace fit."""
+    """Run NumPyro's NUTS on a log density, its chains in parallel, started from a Laplace fit."""
     k1, k2 = jax.random.split(key)
     # Scaled by the Laplace fit, so that the first mass matrix, the identity, is already right.
     chol = np.linalg.cholesky(np.asarray(covariance)) if start.size else np.zeros((0, 0))
     chol = jnp.asarray(chol)
 
     def potential(q: Array) -> Array:
-        # No density there: a potential so high that no trajectory goes on, where infinity would give slopes that are
-        # no number.
+        # No density there: a potential so high that no trajectory goes on; infinity would give slopes of NaN.
         value = log_density(start + chol @ q)
         return jnp.where(jnp.isfinite(value), -value, 1e300)
 
@@ -117,10 +116,9 @@ def iterate(kernel: Any, key: Array, arguments: tuple, begin: Any, plan: Plan) -
 
 
 def whitened(problem: Problem, mode: Mode):
-    """The exact log density of (v, z), and the map from them to (x, v).
+    """Return the exact log density of (v, z), and the map from them to (x, v).
 
-    z is x in units of its linearised posterior, by the products at the mode and φ's own prior and noise. Any such map
-    is exact.
+    z is x in units of its linearised posterior, by the products at the mode and φ's own prior and noise.
     """
     layout, record = problem.layout, problem.record
     frame = jax.tree.map(jnp.asarray, record.frame)

@@ -52,11 +52,9 @@ class Host:
             return record.columns_of_draws(of, shapes, moves), {}
         if not moves:
             return record.columns(of, tuple(map(float, shapes))), {}
-        arguments = (
-            [np.atleast_1d(float(s)) for s in shapes],
-            {n: m[None] for n, m in moves.items()},
-        )
-        columns, slopes = record.moved_columns_of_draws(of, *arguments)
+        values = [np.atleast_1d(float(s)) for s in shapes]
+        moves = {n: m[None] for n, m in moves.items()}
+        columns, slopes = record.moved_columns_of_draws(of, values, moves)
         return columns[0], {n: slope[0] for n, slope in slopes.items()}
 
     def response(self, slots: Moves, moves: Moves) -> np.ndarray:
@@ -93,15 +91,13 @@ class Problem:
         self._coordinates = [(h.name, h.prior.value, h.prior.log_density) for h in self.hypers]
 
     def hyper(self, v: Sequence[float] | np.ndarray) -> Values:
-        """The entries of φ at coordinate v, by name; fixed ones included."""
-        free = {
-            name: value(coordinate)
-            for (name, value, _), coordinate in zip(self._coordinates, v, strict=True)
-        }
+        """Return the entries of φ at coordinate v, by name; fixed ones included."""
+        pairs = zip(self._coordinates, v, strict=True)
+        free = {name: value(coordinate) for (name, value, _), coordinate in pairs}
         return {**self.fixed_values, **free}  # pyright: ignore[reportReturnType]
 
     def log_prior(self, v: np.ndarray) -> float:
-        """Log prior density of φ in its coordinates."""
+        """Return the log prior density of φ in its coordinates."""
         pairs = zip(self._coordinates, v, strict=True)
         return float(sum(density(coordinate) for (*_, density), coordinate in pairs))
 
@@ -119,12 +115,12 @@ class Problem:
         return draw(gram, self.record.size, prior, origin, normal)
 
     def log_priors(self, v: Float[np.ndarray, "b d"]) -> Float[np.ndarray, "b"]:
-        """Log prior densities of several φ."""
+        """Return log prior densities of several φ."""
         parts = [density(v[:, i]) for i, (*_, density) in enumerate(self._coordinates)]
         return np.sum(parts, axis=0) if parts else np.zeros(len(v))
 
     def value_and_sd(self, name: str, v: np.ndarray, covariance: np.ndarray) -> tuple[float, float]:
-        """One entry of φ and its standard uncertainty, those of its coordinates given."""
+        """Return one entry of φ and its standard uncertainty, by those of its coordinates."""
         i = self.layout.index_in_phi[name]
         prior = self.hypers[i].prior
         return float(prior.value(v[i])), abs(slope(prior, v[i])) * math.sqrt(covariance[i, i])
@@ -135,7 +131,7 @@ class Problem:
 
     @cached_property
     def sizes(self) -> Sizes:
-        """Prior standard deviations of x given φ."""
+        """Return the prior standard deviations of x given φ."""
         return Sizes(self.in_x, self.layout.model.effects, self.size)
 
     @cached_property
@@ -156,7 +152,7 @@ class Problem:
     def prior(
         self, hyper: Mapping[str, Any], flat: np.ndarray, count: tuple[int, ...] = ()
     ) -> Prior:
-        """Of x given φ, or given each of `count`; `flat` are the scales where it is flat."""
+        """Return the prior of x given φ, or given each of `count`; `flat` are the scales where it is flat."""
         sd = np.where(self.weight_of_x > 0, self.sizes.at(hyper, count), flat)
         return Prior(self.mean_of_x, sd, self.weight_of_x)
 
@@ -169,7 +165,7 @@ class Problem:
 
     @property
     def start(self) -> Float[np.ndarray, "p"]:
-        """x at its prior means; a constant that outputs are counted from stands at its origin, near which they are."""
+        """Return x at its prior means; a constant that outputs are counted from at its origin."""
         x = self.mean_of_x.copy()
         for b in self.layout.x_blocks:
             if b.origin:
@@ -177,7 +173,7 @@ class Problem:
         return x
 
     def x_of(self, other: Problem, x: Float[np.ndarray, "q"]) -> Float[np.ndarray, "p"]:
-        """Another structure's x in this one's terms; what that one has not stands at its prior mean."""
+        """Return another structure's x in this one's terms, missing ones at their prior mean."""
         x_here, theirs = self.start, {(t.effect.name, t.index): t.at for t in other.in_x}
         for t in self.in_x:
             if (at := theirs.get((t.effect.name, t.index))) is not None:
@@ -185,30 +181,30 @@ class Problem:
         return x_here
 
     def value(self, t: Term, x: np.ndarray, hyper: Mapping[str, Any]) -> np.ndarray:
-        """A term's coefficient at each reading (…, n), or one for all (…, 1)."""
+        """Return a term's coefficient at each reading (…, n), or one for all (…, 1)."""
         return value(self.host, t, x, hyper)
 
     def composed(
         self, terms: Sequence[Term], x: Any, hyper: Mapping[str, Any], sloped: bool = False
     ) -> Composed:
-        """Some of its terms at an x, or at those of several draws."""
+        """Compose some terms at an x, or at those of several draws."""
         values = [self.value(t, x, hyper) for t in terms]
         return compose(self.host, terms, values, hyper, sloped)
 
     @cached_property
     def affine(self) -> bool:
-        """Whether the expected output is affine in x."""
+        """Return whether the expected output is affine in x."""
         return not self.corrected and self.record.affine is not None
 
     @cached_property
     def _dynamic_terms(self) -> tuple[Term, ...]:
-        """The terms to be composed: of an affine output, those whose columns or values φ moves."""
+        """Return the terms to be composed: of an affine output, those that φ moves."""
         affine = self.affine
         return tuple(t for t in self.terms if not affine or t.place != "x" or t.shape_names)
 
     @cached_property
     def _static_jacobian(self) -> tuple[Float[np.ndarray, "n p"], Int[np.ndarray, "q"]]:
-        """The Jacobian by the others, which is put together once, and where those that act stand in x."""
+        """Return the Jacobian by terms that φ does not move, cached, and the places of the others in x."""
         places = np.arange(self.size)
         dynamic = np.concatenate(
             [places[:0], *(places[t.at] for t in self._dynamic_terms if t.place == "x")]
@@ -224,12 +220,12 @@ class Problem:
     def slopes(
         self, x: Float[np.ndarray, "p"], hyper: Values
     ) -> Mapping[str, Float[np.ndarray, "n"]]:
-        """Of the expected output by each slot and each corrected column, reading by reading."""
+        """Return the slopes of the expected output by each slot and corrected column, reading by reading."""
         terms = () if self.affine else self.terms
         return slopes(self.host, terms, self.composed(terms, x, hyper, sloped=True))[1]
 
     def linearise(self, x: Float[np.ndarray, "*b p"], hyper: Mapping[str, Any]) -> Linearised:
-        """Expected output and Jacobian at an x, or at those of several draws, output unit per reported unit."""
+        """Return expected output and Jacobian at an x, or at those of several draws, output unit per unit."""
         line = self.linearise_dynamic(x, hyper)
         if not self.affine:
             return line
@@ -246,18 +242,18 @@ class Problem:
         hyper: Mapping[str, Any],
         terms: Sequence[Term] | None = None,
     ) -> Linearised:
-        """The same of the terms that hang on φ alone, where the output is affine: a constant of it rounds nothing."""
+        """Return the same by the terms that φ moves alone, where the output is affine."""
         terms = self._dynamic_terms if terms is None else terms
         return linearised(self.host, terms, self.composed(terms, x, hyper, sloped=True))
 
     def extra(self, line: Linearised) -> Float[np.ndarray, "n"] | float:
-        """Variance that noise on inputs adds to each reading, output unit squared."""
+        """Return the variance that noise on inputs adds to each reading, output unit squared."""
         return variance_of_inputs(self.terms, line) if self.noisy else 0.0
 
     # joint draws: x (b, p), φ by name, one value a draw or one for all -----------------------------
 
     def expected(self, x: Any, hyper: Mapping[str, Any]) -> Float[np.ndarray, "b n"]:
-        """Expected output of joint draws, output unit."""
+        """Return the expected output of joint draws, output unit."""
         mean = expected_of(self.host, self.composed(self._dynamic_terms, x, hyper))
         if self.affine:
             return mean + x @ self._static_jacobian[0].T
@@ -266,8 +262,7 @@ class Problem:
     def expected_with_slopes(
         self, x: Any, hyper: Mapping[str, Any], terms: Sequence[Term]
     ) -> tuple[Float[np.ndarray, "b n"], list[np.ndarray]]:
-        """Expected output of joint draws, and its slopes by some terms, (n,) or (b, n) each, as if all readings
-        belonged to one member of a term's group."""
+        """Return expected output of joint draws, and slopes by terms as if all readings were of one member."""
         sloped = any(t.slot not in self.host.slots for t in terms)  # of a column that is corrected
         composed = self.composed(self.terms, x, hyper, sloped)
         mean, by_slot = slopes(self.host, self.terms, composed)
@@ -278,7 +273,7 @@ class Problem:
     def expected_and_extra(
         self, x: Any, hyper: Mapping[str, Any]
     ) -> tuple[Float[np.ndarray, "b n"], Any]:
-        """Expected output of joint draws, and the variance that noise on inputs adds to it, (b, n) or a single zero."""
+        """Return expected output of joint draws, and the variance of noise on inputs, (b, n) or 0."""
         if not self.noisy:
             return self.expected(x, hyper), 0.0
         inputs = [t for t in self.terms if t.place == "input"]
@@ -288,13 +283,13 @@ class Problem:
 
 
 def differences(f: Callable[[np.ndarray], Any], at: np.ndarray, step: Any) -> np.ndarray:
-    """Slopes of a function by each coordinate, from both sides; one step, or one each."""
+    """Return central differences of a function by each coordinate; one step, or one each."""
     shifts = np.diag(np.broadcast_to(step, at.shape))
     return np.array([(f(at + s) - f(at - s)) / (2 * s.sum()) for s in shifts])
 
 
 def put(values: np.ndarray, places: list[int], v: np.ndarray) -> np.ndarray:
-    """v with other values in some places."""
+    """Return v with other values in some places."""
     changed = v.copy()
     changed[places] = values
     return changed

@@ -28,19 +28,18 @@ OPTIMISED_READINGS = 2000
 
 
 def padded_length(size: int) -> int:
-    """The next of a few lengths that records are padded to."""
+    """Return the next of a few lengths that records are padded to."""
     # Lengths grow by a quarter: a record is padded by an eighth on average, and ten lengths cover a decade.
     steps = max(0, math.ceil(math.log(size / SHORTEST_LENGTH, STEP) - 1e-9))
     return max(size, round(SHORTEST_LENGTH * STEP**steps))
 
 
 def padded(frame: Frame) -> Frame:
-    """The same readings as a program takes them, the last repeated up to the padded length, each time as a run."""
+    """Pad readings with copies of the last one, each a run of its own."""
     size = frame.size
     missing = padded_length(size) - size
 
-    # A repeated reading is as valid an argument of any effect as the reading itself: no logarithm of a zero that is
-    # not there.
+    # A repeated reading is as valid an argument of any effect as the reading itself: no logarithm of zero.
     def longer(values: Any) -> np.ndarray:
         return np.pad(np.asarray(values), (0, missing), mode="edge")
 
@@ -86,7 +85,7 @@ ByName = dict[str, Array]
 def responses(
     response: Callable[..., Any], frame: Frame, slots: ByName, moves: ByName
 ) -> Float[Array, "b n"]:
-    """Expected outputs of several sets of slots, columns of the readings moved for each."""
+    """Return expected outputs of several sets of slots, columns of the readings moved for each."""
     return jax.vmap(partial(_respond, response, frame))((slots, moves))
 
 
@@ -101,7 +100,7 @@ class Responding(NamedTuple):
 def response_slopes(
     what: Responding, frame: Frame, slots: ByName, moves: ByName
 ) -> tuple[Array, dict[str, Array]]:
-    """Expected output, and its derivatives by each slot and by each moved column, reading by reading."""
+    """Return the expected output, and its derivatives by each slot and moved column, by reading."""
 
     def respond(slots: ByName, moves: ByName) -> Array:
         return _respond(what.response, frame, (slots, moves))
@@ -113,7 +112,7 @@ def response_slopes(
 def slopes_of_draws(
     what: Responding, frame: Frame, slots: ByName, moves: ByName
 ) -> tuple[Array, dict[str, Array]]:
-    """Expected outputs of several sets of slots and moved columns, and their derivatives by each of these."""
+    """Return expected outputs of several sets of slots and moved columns, and their derivatives."""
     return jax.vmap(partial(response_slopes.__wrapped__, what, frame))(slots, moves)
 
 

@@ -68,7 +68,7 @@ class Record:
         return HostColumns(self.frame)
 
     def for_law(self, law: Noise) -> tuple[Noise, Frame]:
-        """A noise law as its programs have it, and what it takes of the readings, in the order of time if that matters.
+        """Return a noise law and its part of the readings, padded and in its order, for programs.
 
         Each array that is handed to a program costs as much as small programs compute in.
         """
@@ -79,7 +79,7 @@ class Record:
         return self._for_laws[law]
 
     def with_frame(self, frame: Frame | None = None) -> Record:
-        """The same readings once more, with columns that no shape moves, or those of another membership in groups."""
+        """Return the same readings as a further record, with shared fixed columns, or another frame."""
         shared = {"_fixed": self._fixed, "of": self}
         record = Record(self.instrument, self.frame if frame is None else frame, self.y, **shared)
         if frame is None:
@@ -108,7 +108,7 @@ class Record:
             )
 
     def of_noise(self, residual: Float[np.ndarray, "n"]) -> Record:
-        """What a model leaves of the readings, as the output of a channel at rest: a fit of noise alone."""
+        """Return residuals as the record of a channel at rest: to fit noise alone."""
         record = Record(CHANNEL, self.frame, residual, _for_laws=self._for_laws, _nodes=self._nodes)
         channel = {slot: np.ones(self.size) for slot in record.slots}
         vars(record)["affine"] = np.zeros(self.size), channel  # nothing to compile
@@ -120,27 +120,27 @@ class Record:
 
     @cached_property
     def in_time(self) -> tuple[np.ndarray, np.ndarray]:
-        """The order of time within runs, and the steps in it, s; −1 at a run's first reading."""
+        """Return the order of time within runs, and the steps in it, s; −1 at a run's first reading."""
         return np.asarray(self.frame.order), np.asarray(self.frame.step)
 
     @cached_property
     def ordered(self) -> bool:
-        """Whether readings stand in the order of time already."""
+        """Return whether readings stand in the order of time already."""
         return bool(np.all(np.diff(self.in_time[0]) == 1))
 
     @cached_property
     def table(self) -> ColumnTable:
-        """Columns of an affine output that structures share, and their products at nodes of noise laws."""
+        """Return the columns of an affine output that structures share, with products at nodes of noise laws."""
         return ColumnTable(self.y - self.affine[0])  # pyright: ignore[reportOptionalSubscript]
 
     def forget(self) -> None:
-        """Forget columns at shapes and the table that structures share; where they are asked for they are made anew."""
+        """Forget columns at shapes and the shared table; they are made anew on demand."""
         self._shaped, self._bytes, self._expansions = OrderedDict(), 0, {}
         if self.affine is not None:
             self.table.forget()
 
     def expansions(self, effect: ColumnsOf, fixed: tuple[float | None, ...]) -> Expansions:
-        """Return an effect's columns as functions of the coordinates of its free shapes; the others are `held`."""
+        """Return an effect's columns as functions of the coordinates of its free shapes; the others are `fixed`."""
         key = effect.key, fixed
         if sum(e.nbytes for e in self._expansions.values()) > KEPT_BYTES:
             self._expansions.clear()
@@ -181,7 +181,7 @@ class Record:
 
     @cached_property
     def read(self) -> frozenset[str]:
-        """Columns that the response takes itself."""
+        """Return the columns that the response reads itself."""
         if isinstance(self.of, Record):
             return self.of.read
         return columns_read(self.instrument, self.frame)
@@ -195,7 +195,7 @@ class Record:
         return programs.Responding(self.instrument.response, self.instrument.vector is not None)
 
     def columns(self, effect: ColumnsOf, values: tuple[float, ...]) -> Float[np.ndarray, "n k"]:
-        """Columns of an effect at values of its shapes, on the readings as measured; not to be written to."""
+        """Return an effect's columns at values of its shapes, on the readings as measured; read-only."""
         if not effect.shapes:
             if effect.basis not in self._fixed:
                 self._fixed[effect.basis] = self.on_host.at(effect.basis, {}, {})
@@ -213,7 +213,7 @@ class Record:
     def respond(
         self, slots: Mapping[str, np.ndarray], moves: Mapping[str, np.ndarray], sloped: bool = True
     ) -> tuple[Float[np.ndarray, "*b n"], dict[str, Any]]:
-        """Expected output, and its slopes by each slot and moved column, (n,) or of several draws (b, n) each."""
+        """Return expected output, and slopes by each slot and moved column, (n,) or of draws (b, n) each."""
         if not moves and self.affine is not None:
             base, slopes = self.affine
             return sum((slopes[name] * value for name, value in slots.items()), base), slopes
@@ -226,7 +226,7 @@ class Record:
         return self._together(programs.responses, self.instrument.response, slots, moves), {}
 
     def _respond(self, slots: Mapping[str, Any], moves: Mapping[str, np.ndarray]) -> Any:
-        """The response by NumPy, columns of the readings moved."""
+        """Return the response by NumPy, columns of the readings moved."""
         all_slots = {name: slots.get(name, np.zeros(self.size)) for name in self.slots}
         output = self.instrument.response(all_slots, self.frame.moved(moves))
         return np.broadcast_to(output, np.broadcast_shapes(np.shape(output), (self.size,)))
@@ -234,7 +234,7 @@ class Record:
     def _moved(
         self, slots: Mapping[str, np.ndarray], moves: Mapping[str, np.ndarray]
     ) -> tuple[Float[np.ndarray, "*b n"], dict[str, Any]]:
-        """An affine output and its slopes by NumPy: by slots what an imaginary one adds, by moves differences."""
+        """Return an affine output and its slopes by NumPy: complex steps by slots, differences by moves."""
         slopes = {n: self._respond({n: np.full(self.size, 1j)}, moves).imag for n in self.slots}
         for name, shift in moves.items():
             h = self._difference(name)
@@ -243,11 +243,11 @@ class Record:
         return self._respond(slots, moves), slopes
 
     def _difference(self, column: str) -> float:
-        """A step for slopes by a column."""
+        """Return a step for slopes by a column."""
         return DIFFERENCE * (float(np.ptp(self.frame[column.removesuffix(PATH)])) or 1.0)
 
     def _response(self, slots, moves):
-        """The last one is kept: a mode's value, its products and its residuals ask for the same point."""
+        """Return the response and its slopes at some slots and moves; the last one is cached."""
         key = [(name, np.asarray(v).tobytes()) for name, v in (*slots.items(), *moves.items())]
         last = self._last
         if last is None or last[0] != key:
@@ -259,7 +259,7 @@ class Record:
 
     @cached_property
     def affine(self) -> tuple[np.ndarray, dict[str, np.ndarray]] | None:
-        """The response at empty slots and its slopes, where it is affine in the slots; else None.
+        """Return the response at empty slots and its slopes, where it is affine in the slots; else None.
 
         Tried at two random sets of slots.
         """
@@ -280,7 +280,7 @@ class Record:
 
     @cached_property
     def _host_affine(self) -> tuple[np.ndarray, dict[str, np.ndarray]] | None:
-        """The same by NumPy; None where the response is JAX's, or not affine."""
+        """Return `affine` by NumPy; None where the response is JAX's, or not affine."""
         if isinstance(self.of, Record):
             return self.of._host_affine
         try:
@@ -309,7 +309,7 @@ class Record:
     def columns_of_draws(
         self, effect: ColumnsOf, values: Sequence[Any], moves: Mapping[str, np.ndarray]
     ) -> Float[np.ndarray, "*b n k"]:
-        """Columns of an effect for several draws; (n, k), the same for all, where nothing moves them.
+        """Return an effect's columns for several draws; (n, k) where nothing moves them.
 
         Values of its shapes are (b,) each, or one number for all; columns of the readings are moved by (b, n) each.
         """
@@ -329,23 +329,20 @@ class Record:
     def _corrected(
         self, effect: ColumnsOf, values: Sequence[Any]
     ) -> dict[str, Float[np.ndarray, "*b n"]]:
-        """What the columns are corrected by that an effect depends on, at values of its shapes."""
+        """Return the shifts of the columns that an effect depends on, at values of its shapes."""
         shifts, at = dict[str, np.ndarray](), len(effect.own)
         for c in effect.corrections:
             shapes, at = values[at : at + len(c.of.shapes)], at + len(c.of.shapes)
-            # One draw is no stretch of draws: it would be computed as often as these are.
-            of_draws = any(np.ndim(v) for v in shapes)
-            columns = (
-                self.columns_of_draws(c.of, shapes, {})
-                if of_draws
-                else self.columns(c.of, tuple(shapes))
-            )
+            if any(np.ndim(v) for v in shapes):
+                columns = self.columns_of_draws(c.of, shapes, {})
+            else:  # one draw: cached
+                columns = self.columns(c.of, tuple(shapes))
             shift = c.factor * columns[..., c.index]
             shifts[c.column + PATH] = shifts.get(c.column + PATH, 0.0) + shift
         return shifts
 
     def moved_columns_of_draws(self, effect: ColumnsOf, values: Sequence[Any], moves: Any) -> Any:
-        """Columns as `columns_of_draws`, and by differences their slopes by the moves, (b, n, k) each."""
+        """Return `columns_of_draws`, and their slopes by the moves, by differences, (b, n, k) each."""
         slopes = {}
         for name, shift in moves.items():
             h = self._difference(name)
@@ -357,15 +354,14 @@ class Record:
     def _together(
         self, program, what: Any, slots: Mapping[str, np.ndarray], moves: Mapping[str, np.ndarray]
     ) -> Any:
-        """What a program gives for several draws, some at once; readings are padded, and the last draw repeated."""
+        """Run a program for several draws, some at once; readings are padded, the last draw repeated."""
         count = max(len(v) for v in (*slots.values(), *moves.values()) if np.ndim(v) > 1)
         inputs = {name: slots.get(name, 0.0) for name in self.slots}, moves
         both = [
             {n: np.broadcast_to(v, (count, self.size)) for n, v in arrays.items()}
             for arrays in inputs
         ]
-        # Full stretches and half ones: two lengths to compile, whatever the number of draws; and a sixth, where
-        # computing is what costs.
+        # Full stretches and half ones: two lengths to compile; and a sixth, where computing is what costs.
         most = max(DRAWS_A_CALL, CALL_NUMBERS // self.padded_size)
         parts = (6, 2, 1) if DRAWS_A_CALL * self.padded_size > 2 * CALL_NUMBERS else (2, 1)
         together = next((most // n for n in parts if count <= most // n), most)
@@ -382,7 +378,7 @@ class Record:
         return whole
 
     def longer(self, values: Float[np.ndarray, "... n"]) -> Float[np.ndarray, "... m"]:
-        """One number a reading, the last repeated up to the padded length."""
+        """Pad values of the readings with the last one to the padded length."""
         return values[..., self._to_length]
 
     @cached_property
@@ -398,9 +394,7 @@ _LIVE: WeakValueDictionary[Any, Record] = WeakValueDictionary()
 
 
 def record_of(instrument: Instrument, readings: Measurements, reference: Reference) -> Record:
-    """Readings as the engine sees them. Their frame and the columns that no shape moves are made once, while any has
-    them; products and columns at shapes are each record's own, so that no result hangs on what was done before.
-    """
+    """Return readings as the engine sees them; frame and fixed columns are shared by all their records."""
     key = id(readings), instrument, _as_value(reference)
     base = _LIVE.get(key)
     if base is None:

@@ -19,8 +19,7 @@ from bayescal._inference.noise_on_record import variance
 from bayescal._inference.problem import Problem
 
 # Root-sum-square over the readings, in noise standard deviations, of the second-order term of a product of two
-# unknowns, from which one of them is sampled: below it the log likelihood changes by less than ½·0.3² = 0.045 nats on
-# average.
+# unknowns, from which one of them is sampled: below it the mean log likelihood changes by less than ½·0.3² nats.
 PRODUCT_SD = 0.3
 
 MOST_PROMOTED = 6  # entries of φ that promotion may add
@@ -31,7 +30,7 @@ MOST_MEMBERS = 12  # a group coefficient with more members than this is not prom
 def choose(
     problem: Problem, requested: tuple[str, ...] | None, start: Mapping[str, float] = NOTHING_KNOWN
 ) -> tuple[Problem, tuple[str, ...], Mode | None]:
-    """The model with what must be promoted, or is `asked` for; what to say about it; its mode where that was sought.
+    """Return the model with promoted coefficients (or those `requested`), notes, and its mode if sought.
 
     Raises:
         ModelError: a name that was asked for is no coefficient of the model.
@@ -77,7 +76,7 @@ def choose(
 
 
 def _second_order(problem: Problem, mode: Mode) -> Float[np.ndarray, "p"]:
-    """For each entry of x the size of its products with the others, in noise standard deviations."""
+    """Return, for each entry of x, the size of its products with the others, in noise sds."""
     hyper = problem.hyper(mode.v)
     conditional = Density(problem, mode.x, mode.flat).at(mode.v)[1]
     if conditional is None:

@@ -105,9 +105,8 @@ class Mixture(NamedTuple):
         down, up = self.sides
         below = down * ndtri(np.minimum(ndtr(normal) * (down + up) / (2 * down), 0.5))
         above = -up * ndtri(np.minimum(ndtr(-normal) * (down + up) / (2 * up), 0.5))
-        return np.where(
-            from_wide[:, None], self.middle + heavy * (below + above) @ self.axes.T, narrow
-        )
+        side_draws = self.middle + heavy * (below + above) @ self.axes.T
+        return np.where(from_wide[:, None], side_draws, narrow)
 
     def log_density(self, v: Float[np.ndarray, "s d"]) -> Float[np.ndarray, "s"]:
         dim = self.centre.shape[1]
@@ -132,9 +131,13 @@ class Mixture(NamedTuple):
         narrow = np.log(near / len(self.centre) + 1e-300) - _log_volume(self.chol)
         down, up = self.sides
         z = _whitened(self.axes, v - self.middle)
-        wide = -half * np.log1p(np.sum((z / np.where(z < 0, down, up)) ** 2, axis=1) / freedom)
-        wide -= _log_volume(self.axes) + np.sum(np.log(0.5 * (down + up) * np.ones(dim)))
-        return norm + np.logaddexp(narrow + math.log1p(-self.share), wide + math.log(self.share))
+        log_beside = -half * np.log1p(
+            np.sum((z / np.where(z < 0, down, up)) ** 2, axis=1) / freedom
+        )
+        log_beside -= _log_volume(self.axes) + np.sum(np.log(0.5 * (down + up) * np.ones(dim)))
+        return norm + np.logaddexp(
+            narrow + math.log1p(-self.share), log_beside + math.log(self.share)
+        )
 
 
 def _whitened(chol: np.ndarray, v: np.ndarray) -> np.ndarray:
@@ -167,7 +170,7 @@ class BatchedDensity:
         self.far_share = min(1.0, FAR_NUMBERS / (PRIOR * PROPOSALS * self.size))
 
     def at(self, v: Float[np.ndarray, "b d"], normal: np.ndarray) -> tuple[np.ndarray, Drawn]:
-        """Log density of each φ, and the x that standard normal numbers stand for given it."""
+        """Return the log density of each φ, and the x that standard normal numbers stand for given it."""
         prior = self.problem.log_priors(v)
         args = self.mode.flat, self.density.origin
         drawn = self.problem.drawn((self.table or self.density).grams(v), v, *args, normal)
@@ -215,7 +218,7 @@ def adapted(
     rounds: int,
     higher: float,
 ) -> Mixture:
-    """What to propose from, adapted to a density that costs little.
+    """Adapt a proposal to a density that costs little.
 
     Draws of a round are weighed with those of the rounds before, each by what all rounds together propose there:
     of a density that bends away from its Laplace fit every round sees a further part.
@@ -237,9 +240,8 @@ def adapted(
         log_weight = log_density - log_proposal
         if np.max(log_density) > higher or effective_size(softmax(log_weight)) > ADAPTED * len(v):
             break
-        tried.add(
-            mixture, v, log_proposal, _Placed(v, log_density, np.zeros((len(v), 0)), log_density)
-        )
+        new = _Placed(v, log_density, np.zeros((len(v), 0)), log_density)
+        tried.add(mixture, v, log_proposal, new)
         mixture = _match(mixture, mode, tried.all.v, tried.log_weight)
         if k + 1 >= USUAL_ROUNDS and smoothed(log_weight)[1] <= K_HAT:
             break
@@ -262,10 +264,9 @@ class Rounds:
     def add(
         self, mixture: Mixture, v: Float[np.ndarray, "s d"], log_proposal: np.ndarray, new: _Placed
     ) -> None:
-        """A round's draws of a mixture, the log density that they were drawn from, and what there is at each."""
-        proposed = np.array(
-            [*(_log_proposal(m, self.prior, v) for m in self.mixtures), log_proposal]
-        )
+        """Add a round's draws of a mixture with their log proposal density."""
+        densities = (_log_proposal(m, self.prior, v) for m in self.mixtures)
+        proposed = np.array([*densities, log_proposal])
         if self.mixtures:
             before = np.vstack([self.proposed, _log_proposal(mixture, self.prior, self.all.v)])
             proposed = np.concatenate([before, proposed], axis=1)
@@ -286,7 +287,7 @@ class Rounds:
         return self.all.log_density - np.asarray(logsumexp(self.proposed + share[:, None], axis=0))
 
     def drawn(self, mode: Mode) -> WeightedDraws:
-        """All of them, weighed."""
+        """Return all draws, weighed."""
         v, _, x, corrections = self.all
         log_weight_phi = self.log_weight
         counting = corrections > NOWHERE
@@ -320,7 +321,7 @@ def weighted_draws(
     earlier: WeightedDraws | None = None,
     part: float = 1.0,
 ) -> WeightedDraws:
-    """Adapt, then sample. The same numbers for the same seed.
+    """Adapt a proposal, then sample. The same numbers for the same seed.
 
     Args:
         proposals: at least, half as many in each round of adaptation; by their cost if not given. Where each costs a
@@ -381,10 +382,8 @@ def _axis_mixture(density: BatchedDensity) -> Mixture:
     ends = mode.v + np.concatenate([-2 * axes.T, 2 * axes.T])
     lost = np.maximum(float(mode.log_density) - density.values(ends).reshape(2, dim), 1e-9)
     down, up = np.clip(np.sqrt(2 / lost), *AXIS_RATIOS)
-    wide_root = WIDE_RATIO * np.linalg.cholesky(mode.covariance)
-    return Mixture(
-        mode.v[None], wide_root, mode.v, axes, 1 - COSTLY_WIDE, (down, up), FREEDOM + dim
-    )
+    root = WIDE_RATIO * np.linalg.cholesky(mode.covariance)
+    return Mixture(mode.v[None], root, mode.v, axes, 1 - COSTLY_WIDE, (down, up), FREEDOM + dim)
 
 
 def _fill(
@@ -430,9 +429,8 @@ def _fill(
 
 
 def proposals_of(density: BatchedDensity) -> int:
-    """How many: fewer where each costs a pass over many readings, or a large matrix."""
-    # A pass over many readings for each φ buys fewer proposals in the same time; weights that are uneven ask for
-    # more.
+    """Return the number of proposals: fewer where each costs a pass over many readings."""
+    # A pass over many readings for each φ buys fewer proposals in the same time.
     problem, direct = density.problem, density.table is None
     long = problem.record.size > COSTLY_READINGS
     if direct and (long or not problem.noise.gaussian):
@@ -450,7 +448,7 @@ def _placed(
     heavy: bool,
     random: np.random.Generator,
 ) -> _Placed:
-    """Coefficients drawn for each φ that counts, and what corrects their weights."""
+    """Draw coefficients for each φ that counts, and correct their weights."""
     mode = density.mode
     count, size = len(v), density.problem.record.size
     x = np.array(np.broadcast_to(mode.x, (count, len(mode.x))))
@@ -489,7 +487,7 @@ def _placed(
 def propose(
     mixture: Mixture, prior: PriorShare | None, random: np.random.Generator, count: int
 ) -> tuple[Float[np.ndarray, "s d"], Float[np.ndarray, "s"]]:
-    """Coordinates of φ with the log density that they are drawn from: near the mode and, where proper, the prior."""
+    """Draw coordinates of φ with their log density: near the mode and, where proper, from the prior."""
     v = mixture.draw(random, count)
     # A defensive share of the prior: no weight exceeds the likelihood over that share, however narrow the rest has
     # become (T. Hesterberg, Technometrics 37 (1995) 185).
@@ -501,7 +499,7 @@ def propose(
 def _log_proposal(
     mixture: Mixture, prior: PriorShare | None, v: Float[np.ndarray, "s d"]
 ) -> Float[np.ndarray, "s"]:
-    """Log density of what `propose` draws."""
+    """Return the log density of what `propose` draws."""
     if prior is None:
         return mixture.log_density(v)
     near, share = mixture.log_density(v), prior.share
@@ -520,7 +518,7 @@ def prior_share(priors: Sequence[Any], log_density: Values) -> PriorShare | None
 
 
 def _prior_draws(prior, random: np.random.Generator, count: int) -> Float[np.ndarray, "s"]:
-    """Coordinates drawn from a proper prior."""
+    """Draw coordinates from a proper prior."""
     if isinstance(prior, HalfCauchy):
         return np.log(np.abs(random.standard_cauchy(count)))
     normal = random.standard_normal(count)
@@ -528,13 +526,13 @@ def _prior_draws(prior, random: np.random.Generator, count: int) -> Float[np.nda
 
 
 def around_mode(v: Float[np.ndarray, "d"], covariance: Float[np.ndarray, "d d"]) -> Mixture:
-    """What to propose from first: about a mode, as wide as its Gaussian fit and wider."""
+    """Return the first proposal: about a mode, as wide as its Gaussian fit and wider."""
     chol = np.linalg.cholesky(covariance) if len(v) else covariance
     return Mixture(v[None], chol, v, WIDE_RATIO * chol, 0.4)
 
 
 def _match(before: Mixture, mode: Mode, v: np.ndarray, log_weight: np.ndarray) -> Mixture:
-    """The next mixture: around the weighted draws, as wide as the Laplace fit where few of them count.
+    """Return the next mixture: around the weighted draws, as wide as the Laplace fit if few count.
 
     Beside costly ones the first mixture stays, with a share that is as large as few of them count.
     """
@@ -542,8 +540,7 @@ def _match(before: Mixture, mode: Mode, v: np.ndarray, log_weight: np.ndarray) -
     weight = np.minimum(weight, 1 / math.sqrt(weight.size))  # truncation, Ionides 2008
     weight = weight / np.sum(weight)
     effective = effective_size(weight)
-    # Few draws know a covariance badly: at 20 effective ones a coordinate it counts as much as that of the Laplace
-    # fit.
+    # Few draws know a covariance badly: at 20 effective ones a coordinate it counts as much as the Laplace fit's.
     trust = effective / (effective + 20.0 * v.shape[1])
     mean = weight @ v
     spread = (weight[:, None] * (v - mean)).T @ (v - mean)

@@ -50,9 +50,7 @@ KEPT_TABLES = 3  # of a structure's rows in boxes, the latest
 
 
 class Evaluation(NamedTuple):
-    """A structure at one φ: log p(y, φ), x given φ and, where asked for, gradient and curvature of −log p(y, φ) by φ's
-    coordinates.
-    """
+    """A structure at one φ: log p(y, φ), x given φ; if asked for, gradient and negative curvature by coordinates."""
 
     log_density: float
     conditional: Conditional
@@ -77,7 +75,7 @@ class TabulatedEffect(NamedTuple):
 
 
 class Tabulated:
-    """A structure's density on a table of products, a nonlinear output linearised at x, at coordinates `there` of φ."""
+    """A structure's density on a table of products, a nonlinear output linearised at x and at `expansion_point`."""
 
     def __init__(
         self,
@@ -144,7 +142,7 @@ class Tabulated:
 
     @cached_property
     def _plain(self) -> dict[int, TabulatedEffect]:
-        """Parts that nothing moves, by their blocks; without curves, whose columns are nearly alike."""
+        """Return the parts that φ does not move, by their blocks; without curves (nearly collinear)."""
         middle = np.zeros(len(self.problem.hypers))
         return {
             self._block(part, part.at(middle, False)): part
@@ -152,23 +150,21 @@ class Tabulated:
             if not part.free and part.terms[0].effect.weights is None
         }
 
-    def _about(
-        self, x: Float[np.ndarray, "p"], expansion_point: Float[np.ndarray, "d"]
-    ) -> ColumnTable:
+    def _about(self, x: Float[np.ndarray, "p"], v: Float[np.ndarray, "d"]) -> ColumnTable:
         """Return the table of a nonlinear output linearised at x: that of plain parts counted from there."""
         problem = self.problem
-        residual = problem.record.y - problem.linearise(x, problem.hyper(expansion_point)).mean
+        residual = problem.record.y - problem.linearise(x, problem.hyper(v)).mean
         self.table = ColumnTable(residual)
         self.parts = self._parts(self.table)
         explained = dict.fromkeys(self._plain)
         for part in self.parts:
-            expansion = part.at(expansion_point, False)
+            expansion = part.at(v, False)
             inside = part.owners < problem.size
             amounts = np.where(inside, np.append(x, 0.0)[part.owners], -part.amounts)
             if (number := self._block(part, expansion)) in explained:
                 explained[number] = amounts
             else:
-                share = expansion.shares(expansion_point[part.free]).value
+                share = expansion.shares(v[part.free]).value
                 residual += self._columns(part, expansion) @ np.kron(amounts, share)
         self.table.taken = explained
         return self.table
@@ -188,9 +184,8 @@ class Tabulated:
             if (amounts := self.table.taken.get(key)) is not None:
                 inside = part.owners < problem.size
                 places, amounts = part.owners[inside], amounts[inside]
-                at[places] = np.where(
-                    np.abs(amounts - at[places]) < FAR_SD * sd[places], amounts, at[places]
-                )
+                near = np.abs(amounts - at[places]) < FAR_SD * sd[places]
+                at[places] = np.where(near, amounts, at[places])
         return at
 
     def rows(self, expansions: tuple[Expansion, ...]) -> _StructureRows:
@@ -311,7 +306,7 @@ class Tabulated:
 
     @cached_property
     def direct(self) -> bool:
-        """Whether the columns at each φ are its own, of several shapes, and readings independent."""
+        """Return whether each φ has columns of its own, of several shapes, and readings are independent."""
         moved = any(len(part.free) > 1 for part in self.parts)
         return moved and self.problem.noise.independent and self.problem.affine
 
@@ -392,9 +387,8 @@ class Tabulated:
         first, second = np.zeros((2, len(v), problem.size + 1))
         for name, members in problem.sizes.members.items():
             if (i := self.places.get(name)) is not None:
-                low, middle, high = np.log(
-                    problem.hypers[i].prior.value(v[i] + np.array([-h, 0, h]))
-                )
+                at = v[i] + np.array([-h, 0, h])
+                low, middle, high = np.log(problem.hypers[i].prior.value(at))
                 first[i, :-1] += (high - low) / (2 * h) * members
                 second[i, :-1] += (high - 2 * middle + low) / h**2 * members
         for name in problem.sizes.weighing:

@@ -1,8 +1,7 @@
 """When a sampler is reliable: the one policy, from diagnostics to the reasons of a verdict.
 
 Draws from importance weights are trusted by Pareto k̂ and their effective size, chains by R-hat, their effective size
-and divergences, an optimum by its last step and its curvature. Whoever fits asks here: methods, devices of a batch,
-programs.
+and divergences, an optimum by its last step and its curvature.
 Sources: Vehtari et al., JMLR 25 (2024) 72 (k̂); Vehtari et al., Bayesian Analysis 16 (2021) 667 (R-hat).
 """
 
@@ -45,7 +44,7 @@ def unevenness(
     limit: float | None = None,
     enough: float | None = None,
 ) -> str:
-    """Why weighted draws are not reliable, in numbers; empty if they are.
+    """Return why weighted draws are not reliable, in numbers; empty if they are.
 
     The largest k̂ that is trusted and how many effective draws are enough are the settings', if not given.
     """
@@ -57,7 +56,7 @@ def unevenness(
 
 
 def largest_k_hat(correction: Float[np.ndarray, "s"], weights: Float[np.ndarray, "s"]) -> float:
-    """The largest k̂ that is trusted, given what nonlinearity adds to the log weights of draws of φ."""
+    """Return the largest trusted k̂, given the log weights that nonlinearity adds to draws of φ."""
     # Where nonlinearity counts, coefficients were proposed by a Gaussian: its thin tails hide from k̂ what the
     # posterior has farther out, and the bound is tighter.
     correction = np.clip(correction, -1e3, 1e3)
@@ -73,7 +72,7 @@ def weights_verdict(
     mode: Mode | None = None,
     reasons: tuple[str, ...] = (),
 ) -> Verdict:
-    """Of importance weights that are even enough but for `reasons`, by the mode that they were proposed around."""
+    """Return the verdict on importance weights, even but for `reasons`, and on their mode."""
     if mode is not None and not mode.change <= MOVING_SD:
         message = f"The mode was still moving by {float(mode.change):.2g} standard deviations"
         reasons = (*reasons, f"{message} when the optimiser stopped.")
@@ -82,7 +81,7 @@ def weights_verdict(
 
 
 def chain_verdict(ran: Chains, sampler: str, notes: tuple[str, ...]) -> Verdict:
-    """R-hat, effective size and divergences of chains, in words."""
+    """Return the verdict on chains by R-hat, effective size and divergences."""
     from arviz_stats.base.array import array_stats  # half a second that only sampling needs
 
     draws = np.moveaxis(np.asarray(ran.draws), -1, 0)

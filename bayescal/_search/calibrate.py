@@ -126,8 +126,8 @@ class Loop:
     reference: Reference | None
     max_effects: int
     accepted: frozenset[str]
-    started: float = 0.0  # when the first step stood, by `time.monotonic`, s
-    reconsidered: tuple[Effect, ...] = ()  # of the model given, to be weighed anew
+    started: float = 0.0  # by `time.monotonic`, s
+    reconsidered: tuple[Effect, ...] = ()  # effects of the model given that are evaluated anew
     steps: list[Step] = field(default_factory=list)  # models fitted so far
     library: Library | None = None  # structures evaluated; None where nothing can be looked for
     shut: Sequence[Candidate] = ()  # candidates that these readings cannot test

@@ -139,12 +139,12 @@ class Outlook:
 
 def divergence(truth: Outlook, rival: Outlook) -> float:
     """Return the Kullback–Leibler divergence of two normals, nats: the expected log density ratio."""
-    # ½·(tr Σ₂⁻¹Σ₁ + dᵀΣ₂⁻¹d − n + log|Σ₂|/|Σ₁|) by Cholesky factors: own = L₂⁻¹L₁ has the trace as its sum of squares
+    # ½·(tr Σ₂⁻¹Σ₁ + dᵀΣ₂⁻¹d − n + log|Σ₂|/|Σ₁|) by Cholesky factors: W = L₂⁻¹L₁ has the trace as its sum of squares
     # and half of −log|Σ₂|/|Σ₁| as the logarithms of its diagonal.
     root = np.linalg.cholesky(rival.covariance)
     whitened = np.linalg.solve(root, np.linalg.cholesky(truth.covariance))
     gap = np.linalg.solve(root, rival.mean - truth.mean)
-    logs = np.sum(np.log(np.abs(np.diag(whitened))))  # both factors are triangular: so is `own`
+    logs = np.sum(np.log(np.abs(np.diag(whitened))))  # both factors are triangular: so is W
     return float(0.5 * (np.sum(whitened**2) + gap @ gap - gap.size) - logs)
 
 

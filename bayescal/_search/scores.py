@@ -147,7 +147,7 @@ class View:
 class WithoutNuisances(NamedTuple):
     """What of the readings and of all candidates' columns some nuisances leave.
 
-    inside (q, P): what they take of the columns; u (P,): score; rest: sum of squares; volume: Σ log of the factor.
+    inside (q, P): what they take of the columns; u (P,): score; rss: sum of squares; volume: Σ log of the factor.
     """
 
     view: View

@@ -464,7 +464,7 @@ def averaged(
     Args:
         problem, mode: the structure, its sizes those of a start, and where it has its mode.
         sized: effects with a plausible size.
-        wanted_from: log density, below which the fit that the climb left will do.
+        coarse_below: log density, below which the fit that the climb left will do.
     """
     initial = {e.name: (problem.size_factors or {}).get(e.name, 1.0) for e in sized}
     gains = SizeGains.of(problem, mode, initial)
