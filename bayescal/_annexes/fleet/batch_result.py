@@ -44,31 +44,31 @@ COLUMNS = SCHEMA.names[:7]  # of the table that a user sees
 EFFECTS = ["effect", "devices", "possible", "in fleet", "expected", "share", "low", "high"]
 
 
-def first_few(items: Mapping[str, str], total: int, head: str = "", more: str = "") -> list[str]:
+def first_few(items: Mapping[str, str], total: int, head: str = "", ending: str = "") -> list[str]:
     """Return names and what is said of them, once where it is the same: the first ten, and how many more there are."""
-    alike: dict[str, list[str]] = {}
+    by_reason: dict[str, list[str]] = {}
     for name, why in items.items():
         key = why.replace(repr(name), "").replace(f"device {name}", "")
-        alike.setdefault(key, []).append(name)
-    shown = sorted(alike.values(), key=len, reverse=True)[:SHOWN_DEVICES]
+        by_reason.setdefault(key, []).append(name)
+    groups = sorted(by_reason.values(), key=len, reverse=True)[:SHOWN_DEVICES]
     lines = []
-    for names in shown:
+    for names in groups:
         others = f" and {len(names) - SHOWN_ALIKE} more" * (len(names) > SHOWN_ALIKE)
         lines.append(f"  {head}{', '.join(names[:SHOWN_ALIKE])}{others}: {items[names[0]]}")
-    rest = total - sum(map(len, shown))
-    return [*lines, f"  … and {rest} more{more}"] if rest > 0 else lines
+    hidden = total - sum(map(len, groups))
+    return [*lines, f"  … and {hidden} more{ending}"] if hidden > 0 else lines
 
 
 def printed(table: pd.DataFrame, digits: int) -> str:
-    """A table with so many significant digits."""
+    """Format a table with so many significant digits."""
     return table.to_string(index=False, float_format=lambda v: f"{v:.{digits}g}")
 
 
 def odd_in_words(odd: Mapping[str, list[str]], devices: int) -> list[str]:
-    """Devices that are not like the others, a line each; nothing where there are none."""
-    told, chance = {n: "; ".join(said) for n, said in odd.items()}, f"{FAMILY_WISE_ERROR:.0%}"
+    """Return lines on devices that are not like the others; none where there are none."""
+    reasons, chance = {n: "; ".join(why) for n, why in odd.items()}, f"{FAMILY_WISE_ERROR:.0%}"
     head = f"{len(odd)} of {devices} devices are not like the others (by chance in {chance} of fleets):"
-    return [head] * bool(odd) + first_few(told, len(told), more=", all in `odd`")
+    return [head] * bool(odd) + first_few(reasons, len(reasons), ending=", all in `odd`")
 
 
 NOT_CHECKED = "fitted is not checked: what the model lacks was looked for in none of them (--find, in Python find=True)"
@@ -101,17 +101,17 @@ class DeviceResult:
 
     @property
     def ok(self) -> bool:
-        """Whether its fit is to be relied on; what the model lacks is another question."""
+        """Return whether its fit is to be relied on; what the model lacks is another question."""
         return not self.reason
 
     @property
     def sd(self) -> np.ndarray:
-        """Standard uncertainties, (q,); NaN for what is held."""
+        """Return standard uncertainties, (q,); NaN for what is held."""
         variance = np.diag(self.covariance)
         return np.sqrt(np.where(variance >= 0, variance, np.nan))
 
     def __getitem__(self, name: str) -> tuple[float, float]:
-        """Mean and standard uncertainty of one unknown.
+        """Return mean and standard uncertainty of one unknown.
 
         Raises:
             InputError: nothing is called so.
@@ -126,25 +126,25 @@ class DeviceResult:
 
     def __str__(self) -> str:
         head = f"device {self.device}: {'ok' if self.ok else self.reason}"
-        known = [("" if np.isnan(s) else f" ± {s:.2g}") for s in self.sd]
-        rows = zip(self.names, self.mean, known, self.units, strict=True)
+        errors = [("" if np.isnan(s) else f" ± {s:.2g}") for s in self.sd]
+        rows = zip(self.names, self.mean, errors, self.units, strict=True)
         return "\n".join([head, *(f"  {n} = {m:.6g}{s} {u}" for n, m, s, u in rows)])
 
 
 def once_each(results: Iterable[DeviceResult]) -> tuple[DeviceResult, ...]:
     """Refuse devices that stand in several files: which of their readings count is not known."""
-    own: dict[str, list[DeviceResult]] = {}
-    for one in results:
-        own.setdefault(one.device, []).append(one)
-    found = []
-    for name, each in own.items():
-        if len(each) == 1:
-            found.append(each[0])
+    by_name: dict[str, list[DeviceResult]] = {}
+    for fit in results:
+        by_name.setdefault(fit.device, []).append(fit)
+    unique = []
+    for name, fits in by_name.items():
+        if len(fits) == 1:
+            unique.append(fits[0])
             continue
-        first, other, *_ = sorted(one.file for one in each)
-        why = f"device {name!r} stands in {len(each)} files, {first!r} and {other!r}: put its readings into one"
-        found.append(DeviceResult(name, why))
-    return tuple(found)
+        first, other, *_ = sorted(fit.file for fit in fits)
+        why = f"device {name!r} stands in {len(fits)} files, {first!r} and {other!r}: put its readings into one"
+        unique.append(DeviceResult(name, why))
+    return tuple(unique)
 
 
 def pooled(
@@ -155,32 +155,32 @@ def pooled(
     Raises:
         ModelError: fewer than three of them.
     """
-    good = [one for one in results if one.ok]
-    places = [np.array([one.names.index(name) for name in named]) for one in good]
+    good = [fit for fit in results if fit.ok]
+    places = [np.array([fit.names.index(name) for name in named]) for fit in good]
     size = len(named)
-    means = [one.mean[at] for one, at in zip(good, places, strict=True)]
-    covariances = [one.covariance[np.ix_(at, at)] for one, at in zip(good, places, strict=True)]
+    means = [fit.mean[at] for fit, at in zip(good, places, strict=True)]
+    covariances = [fit.covariance[np.ix_(at, at)] for fit, at in zip(good, places, strict=True)]
     population, *moments = learn(
         np.reshape(means, (-1, size)), np.reshape(covariances, (-1, size, size)), named, seed
     )
     moved = dict[str, DeviceResult]()
-    for one, at, mean, covariance in zip(good, places, *moments, strict=True):
-        mean, covariance = follow(one.mean, one.covariance, at, mean, covariance)
-        moved[one.device] = replace(one, mean=mean, covariance=covariance)
-    return tuple(moved.get(one.device, one) for one in results), population
+    for fit, at, mean, covariance in zip(good, places, *moments, strict=True):
+        mean, covariance = follow(fit.mean, fit.covariance, at, mean, covariance)
+        moved[fit.device] = replace(fit, mean=mean, covariance=covariance)
+    return tuple(moved.get(fit.device, fit) for fit in results), population
 
 
 def _rows_of(results: Sequence[DeviceResult]) -> pa.Table:
     """Return one row for each device and unknown, and one of a device that has none."""
     columns: list[list[Any]] = [[] for _ in SCHEMA.names]
-    for one in results:
-        q = max(1, len(one.names))
-        own = (
-            [one.names, one.mean, one.sd, one.units, one.covariance] if one.names else [[None]] * 5
+    for fit in results:
+        q = max(1, len(fit.names))
+        unknowns = (
+            [fit.names, fit.mean, fit.sd, fit.units, fit.covariance] if fit.names else [[None]] * 5
         )
-        names, mean, sd, units, covariance = own
-        said = ([value] * q for value in (one.device, one.ok, one.reason, one.readings, one.t0))
-        device, ok, reason, readings, t0 = said
+        names, mean, sd, units, covariance = unknowns
+        repeated = ([value] * q for value in (fit.device, fit.ok, fit.reason, fit.readings, fit.t0))
+        device, ok, reason, readings, t0 = repeated
         parts = (device, names, mean, sd, units, ok, reason, covariance, readings, t0)
         for column, part in zip(columns, parts, strict=True):
             column.extend(part)
@@ -193,21 +193,21 @@ def _results_of(rows: pa.Table) -> tuple[DeviceResult, ...]:
     Raises:
         ValueError: rows of a device are missing, or stand apart.
     """
-    found = list[DeviceResult]()
+    fits = list[DeviceResult]()
     for name, group in groupby(rows.to_pylist(), lambda row: row["device"]):
-        first, *_ = own = [*group]
+        first, *_ = group_rows = [*group]
         keys = ("coefficient", "unit", "mean", "covariance")
         refused = first["coefficient"] is None
         names, units, mean, covariance = (
-            [] if refused else [row[key] for row in own] for key in keys
+            [] if refused else [row[key] for row in group_rows] for key in keys
         )
         readings, t0 = (np.nan if first[key] is None else first[key] for key in ("readings", "T0"))
         square = np.reshape(covariance, (len(mean), len(mean)))
-        own = (*names,), (*units,), np.array(mean), square, readings, t0
-        found.append(DeviceResult(name, first["reason"], *own))
-    if len({one.device for one in found}) < len(found):
+        fields = (*names,), (*units,), np.array(mean), square, readings, t0
+        fits.append(DeviceResult(name, first["reason"], *fields))
+    if len({fit.device for fit in fits}) < len(fits):
         raise ValueError("rows of a device stand apart")
-    return tuple(found)
+    return tuple(fits)
 
 
 @dataclass(frozen=True, eq=False)
@@ -236,27 +236,27 @@ class BatchResult:
 
     @cached_property
     def _by_name(self) -> dict[str, DeviceResult]:
-        return {one.device: one for one in self.results}
+        return {fit.device: fit for fit in self.results}
 
     @property
     def devices(self) -> tuple[str, ...]:
-        """Names, in the order in which they came."""
+        """Return the names, in the order in which they came."""
         return tuple(self._by_name)
 
     @property
     def ok(self) -> np.ndarray:
-        """Whether each fit is to be relied on, (devices,); what the model lacks is another question."""
-        return np.array([one.ok for one in self.results], dtype=bool)
+        """Return whether each fit is to be relied on, (devices,); what the model lacks is another question."""
+        return np.array([fit.ok for fit in self.results], dtype=bool)
 
     @property
     def reasons(self) -> tuple[str, ...]:
-        """Why not; empty where nothing stands against it."""
-        return tuple(one.reason for one in self.results)
+        """Return why not; empty where nothing stands against it."""
+        return tuple(fit.reason for fit in self.results)
 
     @property
     def facts(self) -> pd.DataFrame:
-        """By device, how many readings were fitted, and their T0, °C; NaN where that is not known."""
-        facts = [(one.readings, one.t0) for one in self.results]
+        """Return, by device, how many readings were fitted, and their T0, °C; NaN where not known."""
+        facts = [(fit.readings, fit.t0) for fit in self.results]
         return pd.DataFrame(
             facts, index=list(self.devices), columns=["readings", "T0"], dtype=float
         )
@@ -268,7 +268,7 @@ class BatchResult:
         return iter(self.results)
 
     def __getitem__(self, device: str | int) -> DeviceResult:
-        """One device's result, by its name or by its place.
+        """Return one device's result, by its name or by its place.
 
         Raises:
             InputError: there is no such device.
@@ -276,12 +276,12 @@ class BatchResult:
         if isinstance(device, int) and -len(self) <= device < len(self):
             return self.results[device]
         if device not in self._by_name:
-            shown = ", ".join(self.devices[:5])
-            raise bc.InputError(f"there is no device {device!r} among the {len(self)}: {shown} …")
+            names = ", ".join(self.devices[:5])
+            raise bc.InputError(f"there is no device {device!r} among the {len(self)}: {names} …")
         return self._by_name[str(device)]
 
     def table(self) -> pd.DataFrame:
-        """One row for each device and unknown: device, coefficient, mean, sd, unit, ok, reason.
+        """Return one row for each device and unknown: device, coefficient, mean, sd, unit, ok, reason.
 
         A device that was refused has one row without a coefficient. Devices in the order in which they came.
         """
@@ -289,12 +289,12 @@ class BatchResult:
 
     @property
     def fitted(self) -> int:
-        """Devices whose fit is to be relied on."""
+        """Count the devices whose fit is to be relied on."""
         return int(self.ok.sum())
 
     @property
     def doubted(self) -> dict[str, str]:
-        """Devices whose fit is not to be relied on, and why."""
+        """Return the devices whose fit is not to be relied on, and why."""
         return {n: why for n, why in zip(self.devices, self.reasons, strict=True) if why}
 
     def coefficients(self) -> pd.DataFrame:
@@ -302,25 +302,24 @@ class BatchResult:
 
         Columns: its median, the standard deviation between devices, the median standard uncertainty, unit, devices.
         """
-        good = _rows_of([one for one in self.results if one.ok]).select(COLUMNS).to_pandas()
+        good = _rows_of([fit for fit in self.results if fit.ok]).select(COLUMNS).to_pandas()
         rows = [
-            [name, np.median(own["mean"]), own["mean"].std(ddof=0), np.median(own["sd"]), unit]
-            + [len(own)]
-            for (name, unit), own in good.groupby(["coefficient", "unit"], sort=False)
+            [name, np.median(g["mean"]), g["mean"].std(ddof=0), np.median(g["sd"]), unit, len(g)]
+            for (name, unit), g in good.groupby(["coefficient", "unit"], sort=False)
         ]
         columns = ["coefficient", "median", "between devices", "typical sd", "unit", "devices"]
         return pd.DataFrame(rows, columns=columns)
 
     def data(self) -> dict[str, Any]:
-        """The whole without its devices, as plain data."""
-        told = ("checked", "odd", "missing", "left_out", "about")
+        """Return the whole without its devices, as plain data."""
+        fields = ("checked", "odd", "missing", "left_out", "about")
         return ws.as_json(
             {
                 "schema": FORMAT,
                 "devices": len(self),
                 "fitted": self.fitted,
                 "not_fitted": list(self.doubted),
-                **{name: getattr(self, name) for name in told},
+                **{name: getattr(self, name) for name in fields},
                 "coefficients": self.coefficients().to_dict("records"),
                 "population": self.population and self.population.data(),
                 "effects": self.effects.to_dict("records"),
@@ -361,8 +360,8 @@ class BatchResult:
         lines += first_few(self.left_out, len(self.left_out), "not read: ", ", not read either")
         lines += [printed(self.coefficients(), 4)] * bool(self.fitted)
         if len(self.effects):
-            shown = printed(self.effects.head(SHOWN_DEVICES), 3)
-            lines.append(f"missing from the devices' models:\n{shown}")
+            table = printed(self.effects.head(SHOWN_DEVICES), 3)
+            lines.append(f"missing from the devices' models:\n{table}")
         return "\n".join([*lines, *([str(self.population)] if self.population else [])])
 
 
@@ -382,12 +381,12 @@ def load_batch(path: str | Path) -> BatchResult:
             raise KeyError(head["schema"])
         for name in {*SCHEMA.names} - {*table.column_names}:  # facts, of earlier files
             table = table.append_column(name, pa.nulls(len(table), pa.float64()))
-        told = ("about", "odd", "checked", "missing", "left_out")
+        content = ("about", "odd", "checked", "missing", "left_out")
         return BatchResult(
             _results_of(table.select(SCHEMA.names).cast(SCHEMA)),
             population=head["population"] and Population.of_data(head["population"]),
             effects=pd.DataFrame(head.get("effects", []), columns=EFFECTS),
-            **{name: head[name] for name in told if name in head},
+            **{name: head[name] for name in content if name in head},
         )
     except Exception as error:  # whatever a damaged file makes Arrow raise
         raise bc.InputError(

@@ -34,30 +34,30 @@ class ReadFile(NamedTuple):
 
 
 def packed(sized: Iterable[tuple[T, int]], most: int) -> list[list[T]]:
-    """Put things, with their sizes, in their order into parts of at most so much, or of one thing."""
+    """Split items with sizes, in their order, into parts of at most so much, or of one item."""
     parts, count = list[list[T]]([[]]), 0
-    for one, size in sized:
+    for item, size in sized:
         if parts[-1] and count + size > most:
             parts.append([])
             count = 0
-        parts[-1].append(one)
+        parts[-1].append(item)
         count += size
     return parts
 
 
 def parts_of(files: Iterable[Path], rows: int) -> list[list[Path]]:
-    """Put files into parts of about so many readings."""
+    """Split files into parts of about so many readings."""
     return packed(((path, _readings_in(path)) for path in files), rows)
 
 
 def cut(files: Iterable[ReadFile], rows: int) -> list[list[ReadFile]]:
-    """Put devices that were read into parts of about so many readings."""
+    """Split devices that were read into parts of about so many readings."""
     pieces = list[tuple[ReadFile, int]]()
     for name, devices in files:
-        known = devices.measurements
-        sized = ((n, len(known[n]) if n in known else 0) for n in devices.names)
+        chunks = devices.measurements
+        sized = ((n, len(chunks[n]) if n in chunks else 0) for n in devices.names)
         some = map(devices.some, packed(sized, rows))
-        pieces += [(ReadFile(name, own), own.readings) for own in some]
+        pieces += [(ReadFile(name, piece), piece.readings) for piece in some]
     return packed(pieces, rows)
 
 
@@ -83,14 +83,14 @@ def files_of(paths: Sequence[Path]) -> tuple[list[Path], dict[str, str]]:
         if not path.is_dir():
             files.append(path)
             continue
-        own = list[Path]()
+        in_folder = list[Path]()
         for place, folders, names in os.walk(path):
             whys = {name: _why_not(Path(place, name)) for name in sorted((*folders, *names))}
             folders[:] = [name for name in folders if not whys[name]]
-            own += [Path(place, name) for name in names if not whys[name]]
-            here = Path(place).relative_to(path)
-            left_out |= {ws.one_line(here / name): why for name, why in whys.items() if why}
-        files += sorted(own)
+            in_folder += [Path(place, name) for name in names if not whys[name]]
+            entries = Path(place).relative_to(path)
+            left_out |= {ws.one_line(entries / name): why for name, why in whys.items() if why}
+        files += sorted(in_folder)
     if not files:
         unread = "".join(f"; {name}: {why}" for name, why in list(left_out.items())[:3])
         raise bc.InputError(

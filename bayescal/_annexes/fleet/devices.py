@@ -41,7 +41,7 @@ class Devices:
         return len(self.names)
 
     def __getitem__(self, name: str) -> bc.Measurements:
-        """One device's readings.
+        """Return one device's readings.
 
         Raises:
             InputError: no device is called so, or it was refused.
@@ -50,58 +50,58 @@ class Devices:
             raise bc.InputError(f"device {name!r} was refused: {self.refused[name]}")
         if name in self.measurements:
             return self.measurements[name]
-        shown = ", ".join(self.names[:5])
-        raise bc.InputError(f"no device is called {name!r}; there are {len(self)}: {shown} …")
+        examples = ", ".join(self.names[:5])
+        raise bc.InputError(f"no device is called {name!r}; there are {len(self)}: {examples} …")
 
     def __iter__(self) -> Iterator[bc.Measurements]:
         return iter(self.measurements.values())
 
     def some(self, names: Sequence[str]) -> Devices:
-        """Some of the devices."""
-        kept = {n: self.measurements[n] for n in names if n in self.measurements}
-        return Devices(tuple(names), kept, {n: self.refused[n] for n in names if n in self.refused})
+        """Return some of the devices."""
+        both = self.measurements, self.refused
+        return Devices(tuple(names), *({n: d[n] for n in names if n in d} for d in both))
 
     def __repr__(self) -> str:
         return f"<{self.readings} readings of {len(self)} devices, {len(self.refused)} of them refused>"
 
     @property
     def readings(self) -> int:
-        """Readings of the devices that were let in."""
+        """Count the readings of the devices that were let in."""
         return sum(map(len, self))
 
     @classmethod
     def of(cls, measurements: Mapping[str, bc.Measurements], refused: Mapping[str, str]) -> Devices:
-        """Let in all devices but those that are refused."""
+        """Accept all devices but those that are refused."""
         names = tuple(dict.fromkeys([*measurements, *refused]))
-        kept = {name: own for name, own in measurements.items() if name not in refused}
-        return cls(names, kept, dict(refused))
+        accepted = {name: m for name, m in measurements.items() if name not in refused}
+        return cls(names, accepted, dict(refused))
 
 
 def gathered(readings: Sequence[bc.Measurements] | Mapping[str, bc.Measurements]) -> Devices:
-    """Devices from measurements, named by their key, by their label of column `device`, or by their place."""
+    """Return devices by their key, their label of column `device`, or their place."""
     if isinstance(readings, Mapping):
-        given = {str(name): own for name, own in readings.items()}
+        by_name = {str(name): device for name, device in readings.items()}
     else:
-        given = {_label(own, i): own for i, own in enumerate(readings)}
-        if len(given) < len(readings):
-            given = {str(i + 1): own for i, own in enumerate(readings)}
-    bad = {name: why for name, own in given.items() if (why := _not_finite(name, own))}
-    return Devices.of(given, bad)
+        by_name = {_label(device, i): device for i, device in enumerate(readings)}
+        if len(by_name) < len(readings):
+            by_name = {str(i + 1): device for i, device in enumerate(readings)}
+    bad = {name: why for name, device in by_name.items() if (why := _not_finite(name, device))}
+    return Devices.of(by_name, bad)
 
 
-def _label(one: bc.Measurements, index: int) -> str:
-    levels = one.groups(DEVICE)[0] if one.has(DEVICE) else ()
+def _label(device: bc.Measurements, index: int) -> str:
+    levels = device.groups(DEVICE)[0] if device.has(DEVICE) else ()
     return levels[0] if len(levels) == 1 else str(index + 1)
 
 
-def _not_finite(name: str, one: bc.Measurements) -> str:
+def _not_finite(name: str, device: bc.Measurements) -> str:
     """Return where a number is none; "" where all are (arrays made by hand were checked by no file reader)."""
-    for column in one.columns:
-        if one.unit(column) is None or column == "temperature_point":
+    for column in device.columns:
+        if device.unit(column) is None or column == "temperature_point":
             continue
-        if len(bad := np.flatnonzero(~np.isfinite(one[column]))):
+        if len(bad := np.flatnonzero(~np.isfinite(device[column]))):
             return (
-                f"reading {bad[0] + 1} of device {name}, column {column!r}: reads {one[column][bad[0]]:g}, a number "
+                f"reading {bad[0] + 1} of device {name}, column {column!r}: reads {device[column][bad[0]]:g}, a number "
                 "was expected. Fill it in, or remove the reading"
             )
     return ""
@@ -133,26 +133,26 @@ def split_devices(
         InputError: a file cannot be read, lacks a column, has a wrong unit, rows without a device, or a device of
             another file: nothing shows then what of it is right.
     """
-    given = [Path(p) for p in ([paths] if isinstance(paths, str | Path) else paths)]
-    if not given:
+    files = [Path(p) for p in ([paths] if isinstance(paths, str | Path) else paths)]
+    if not files:
         raise bc.InputError("no file was given to split into devices: give at least one")
     options = ws.ReadOptions.of(instrument, **{k: v for k, v in how.items() if v is not None})
     whole = Devices((), {})
-    for path in given:
+    for path in files:
         table = open_readings(path, options, max_bytes)
-        own = split_table(table, path.stem, instrument, options, needs)
-        if twice := {*whole.names}.intersection(own.names):
+        devices = split_table(table, path.stem, instrument, options, needs)
+        if twice := {*whole.names}.intersection(devices.names):
             raise bc.InputError(
                 f"{path.name!r} holds device {min(twice)!r}, which a file before it holds too: put the "
                 "readings of a device into one file"
             )
-        both = whole.measurements | own.measurements, whole.refused | own.refused
-        whole = Devices((*whole.names, *own.names), *both)
+        both = whole.measurements | devices.measurements, whole.refused | devices.refused
+        whole = Devices((*whole.names, *devices.names), *both)
     return whole
 
 
 def open_readings(path: Path, options: ws.ReadOptions, max_bytes: int = ws.MAX_BYTES) -> ws.Table:
-    """A file of readings as a table; of a log, the channels that the options name.
+    """Open a file of readings as a table; of a log, the channels that the options name.
 
     Raises:
         InputError: it cannot be read, or is larger than it may be.
@@ -171,7 +171,7 @@ def split_table(
     options: ws.ReadOptions,
     needs: Sequence[str] = (),
 ) -> Devices:
-    """The devices of one table; without a column `device` it is a device called `stem`.
+    """Split one table into devices; without a column `device` it is a device called `stem`.
 
     Raises:
         InputError: as `split_devices`.
@@ -193,23 +193,23 @@ def split_table(
         raise bc.InputError(f"{where} of {table.file!r} names no device: fill it in, or remove it")
     names = tuple(map(str, levels))
     values, units, rows, refused = _convert_usable(table, codes, names, expects, options)
-    found, needed = dict[str, bc.Measurements](), {c.name for c in columns if c.required}
+    by_name, needed = dict[str, bc.Measurements](), {c.name for c in columns if c.required}
     begin = np.flatnonzero(np.diff(codes[rows], prepend=-1))
     for first, end in itertools.pairwise([*begin, len(rows)]):
         name = names[codes[rows[first]]]
-        own = {n: column[first:end] for n, column in values.items()}
-        if why := _useless(own, name, "temperature" in needed and "temperature" in own):
+        device = {n: column[first:end] for n, column in values.items()}
+        if why := _useless(device, name, "temperature" in needed and "temperature" in device):
             refused[name] = why
         else:
             source = ws.Source(f"{table.file}, device {name}", table.sha256, int(end - first))
-            found[name] = bc.Measurements(own, units, (source,), output=output)
-    return Devices(names, found, refused)
+            by_name[name] = bc.Measurements(device, units, (source,), output=output)
+    return Devices(names, by_name, refused)
 
 
 def _further(
     table: ws.Table, instrument: bc.Instrument, options: ws.ReadOptions, needs: Iterable[str]
 ) -> tuple[bc.Column, ...]:
-    """Columns that effects need and the instrument does not know, in their base units."""
+    """Return columns that effects need and the instrument does not know, in their base units."""
     headers = {h.name: h for h in table.headers}
     further = []
     for name in [n for n in needs if n not in ws.expected_columns(instrument)]:
@@ -226,7 +226,7 @@ def _convert_usable(
     expects: ws.ExpectedColumns,
     options: ws.ReadOptions,
 ) -> tuple[Mapping[str, np.ndarray], Mapping[str, str | None], np.ndarray, dict[str, str]]:
-    """Columns, with their units, of all devices whose cells can be used; their rows; why the others cannot."""
+    """Convert columns of all usable devices; return values, units, rows, and why others are refused."""
     rows, refused = np.argsort(codes, kind="stable"), dict[str, str]()
     while rows.size:
         problems, some = ws.Objections(), table.take(rows)
@@ -238,8 +238,8 @@ def _convert_usable(
         bad: dict[int, str] = {}
         for problem in problems:
             for index in problem.rows:
-                one = replace(problem, rows=(index,), places=(some.place(index),))
-                bad[int(codes[rows[index]])] = str(one)
+                in_row = replace(problem, rows=(index,), places=(some.place(index),))
+                bad[int(codes[rows[index]])] = str(in_row)
         refused |= {names[code]: why for code, why in bad.items()}
         rows = rows[~np.isin(codes[rows], list(bad))]
     return {}, {}, rows, refused

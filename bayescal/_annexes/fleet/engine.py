@@ -3,9 +3,8 @@
 Retries, restarts and the placing of tasks are the scheduler's (`distributed`); here its futures are waited for. A
 cluster is processes of this machine, or one that runs elsewhere.
 
-Whoever reaches a scheduler or a worker of Dask can have it run code. That of this machine's processes listens on the
-loopback interface alone, takes only those who hold a key that is made for it and never leaves memory (TLS, both sides),
-and serves no page.
+Whoever reaches a scheduler or a worker of Dask can have it run code. A local one listens on the loopback interface
+alone, takes only those who hold a key that never leaves memory (TLS, both sides), and serves no page.
 """
 
 from __future__ import annotations
@@ -35,7 +34,7 @@ NOT_REACHED = "not reached ({}): give more time"
 
 @contextmanager
 def open_cluster(workers: int | None, scheduler: str | None = None) -> Iterator[Client]:
-    """A client of so many processes of this machine, or of the cluster at an address; closed at the end.
+    """Open a client of so many local processes, or of the cluster at an address; close it at the end.
 
     Raises:
         InputError: Dask is not installed, or nobody answers at the address.
@@ -61,18 +60,18 @@ def open_cluster(workers: int | None, scheduler: str | None = None) -> Iterator[
 
 @contextmanager
 def _local_cluster(workers: int | None) -> Iterator[LocalCluster]:
-    """A local worker pool that accepts tasks from this process only."""
+    """Open a local worker pool that accepts tasks from this process only."""
     import dask.config
     from distributed import LocalCluster
     from distributed.security import Security
 
     sealed = importlib.util.find_spec("cryptography") is not None
     if not sealed:
-        said = (
+        note = (
             "any user of this computer can have the workers run code as long as they run, because they have no keys: "
             "pip install cryptography"
         )
-        ws.print_notes([said])
+        ws.print_notes([note])
     settings = {f"distributed.{part}.http.routes": [] for part in ("scheduler", "worker")}
     settings["distributed.worker.preload"] = [__name__]  # has each worker call `dask_setup`
     with (
@@ -93,7 +92,7 @@ def _local_cluster(workers: int | None) -> Iterator[LocalCluster]:
 
 @contextmanager
 def _modules_of_no_folder() -> Iterator[None]:
-    """Python processes begun meanwhile look for modules where this one does, and not first in the current folder."""
+    """Start Python processes without the current folder first in their module path."""
     before = os.environ.get("PYTHONSAFEPATH", "")
     os.environ["PYTHONSAFEPATH"] = "1"
     try:
@@ -103,7 +102,7 @@ def _modules_of_no_folder() -> Iterator[None]:
 
 
 def dask_setup(_: Any) -> None:
-    """What each worker of this machine does before its first task."""
+    """Prepare a local worker before its first task."""
     ws.obey_no_folder()
 
 
@@ -135,11 +134,11 @@ def run_tasks(
     # Devices that were read are part of a task.
     with dask.config.set({"distributed.admin.large-graph-warning-threshold": LARGEST_TASKS}):
         futures = client.map(function, *zip(*tasks, strict=True), pure=False, retries=RETRIES)
-    left, idle, why = {future: i for i, future in enumerate(futures)}, 0.0, ""
-    while left and not why:
+    pending, idle, why = {future: i for i, future in enumerate(futures)}, 0.0, ""
+    while pending and not why:
         try:
-            for future in as_completed(list(left), timeout=POLL_SECONDS):
-                yield left.pop(future), *_outcome(client, future)
+            for future in as_completed(list(pending), timeout=POLL_SECONDS):
+                yield pending.pop(future), *_outcome(client, future)
                 future.release()
                 end.defer_interrupt()
                 if end.over:
@@ -150,12 +149,12 @@ def run_tasks(
             why = NOT_REACHED.format(end.why)
         elif idle > WORKER_TIMEOUT:
             why = "the cluster has no worker left: start workers"
-    client.cancel(list(left))
-    yield from ((index, None, why) for index in left.values())
+    client.cancel(list(pending))
+    yield from ((index, None, why) for index in pending.values())
 
 
 def _outcome(client: Client, future: Any) -> tuple[Any, str]:
-    """What a task returned; why, if it failed for good, or the scheduler is gone."""
+    """Return a task's result; why, if it failed for good, or the scheduler is gone."""
     from distributed.scheduler import KilledWorker
 
     try:

@@ -74,7 +74,7 @@ class DeviceStructure:
 def search_device(
     model: bc.Model, readings: bc.Measurements, find: Find, reference: Reference
 ) -> tuple[DeviceStructure, bc.Model, Mapping[str, float]]:
-    """The posterior over structures of one device, the model of the one to use, and its φ by name at the mode.
+    """Search one device's structures; return the one to use, its model, and its φ by name at the mode.
 
     Raises:
         BayescalError: the readings lack what the model needs.
@@ -92,8 +92,8 @@ def search_device(
     chosen = posterior.chosen
     weighed = structures.weigh(chosen)
     odds = {
-        n: float(np.logaddexp.reduce([structures.log_odds[f] for f in own]))
-        for n, own in structures.forms.items()
+        n: float(np.logaddexp.reduce([structures.log_odds[f] for f in forms]))
+        for n, forms in structures.forms.items()
     }
     prior = {n: float(expit(of_family)) for n, of_family in odds.items()}
     structure = DeviceStructure(
@@ -108,12 +108,12 @@ def search_device(
 def _weighed(
     posterior: ws.Posterior, log_odds: Mapping[str, float]
 ) -> dict[tuple[str, ...], float]:
-    """Log evidence of sets of effects, in whatever form, less that of the best."""
+    """Return log evidence of sets of effects, in whatever form, less that of the best."""
     total: dict[tuple[str, ...], float] = {}
     for structure, log_posterior in zip(posterior.structures, posterior.total, strict=True):
         effects = tuple(sorted(posterior.space.families(structure.effects)))
-        own = log_posterior - sum(log_odds[name] for name in effects)
-        total[effects] = float(np.logaddexp(total.get(effects, -np.inf), own))
+        log_evidence = log_posterior - sum(log_odds[name] for name in effects)
+        total[effects] = float(np.logaddexp(total.get(effects, -np.inf), log_evidence))
     best = max(total.values())
     order = sorted(total, key=lambda effects: -total[effects])[:KEPT_STRUCTURES]
     return {e: round(total[e] - best, 6) for e in order if total[e] > best - BEHIND_NATS}
@@ -135,7 +135,7 @@ class Share(NamedTuple):
 
 
 def shares(devices: Sequence[Evidence], seed: int = 0, rounds: int = ROUNDS) -> dict[str, Share]:
-    """The share of each effect, from all devices.
+    """Estimate the share of each effect, from all devices.
 
     Args:
         devices: what each of them says.
@@ -151,21 +151,21 @@ def shares(devices: Sequence[Evidence], seed: int = 0, rounds: int = ROUNDS) -> 
     lengths = np.array([len(device.log_evidence) for device in devices])
     begins = np.cumsum(lengths) - lengths
     priors = [[d.prior[n] for d in devices if n in d.prior] for n in names]
-    able, prior = np.array([len(own) for own in priors]), np.array([np.mean(p) for p in priors])
+    able, prior = np.array([*map(len, priors)]), np.array([np.mean(p) for p in priors])
     of_any = np.minimum(2 * prior, 0.5)  # half of it is then that of one device
     nowhere = of_any / (able + 1)  # the less probable, the more devices could show it and do not
     rng = np.random.default_rng(seed)
 
     def drawn(share: Float[np.ndarray, "e"]) -> Float[np.ndarray, "d e"]:
-        """Which effects each device has, with a structure drawn for each."""
+        """Draw a structure for each device, and return which effects each has."""
         inside = np.clip(share, NONE, ALL)
         weight = log_evidence + has_effect @ (np.log(inside) - np.log1p(-inside))
         weight += rng.gumbel(size=len(weight))  # the largest is a draw by weight
-        taken = weight == np.repeat(np.maximum.reduceat(weight, begins), lengths)
-        return has_effect[taken]
+        picks = weight == np.repeat(np.maximum.reduceat(weight, begins), lengths)
+        return has_effect[picks]
 
     share, has = prior, np.ones(len(names), dtype=bool)
-    shown, counts, there = [], [], []
+    visible, counts, present = [], [], []
     for i in range(BURN_IN + rounds):
         each_has = drawn(np.where(has, share, 0.0))
         count = each_has.sum(axis=0).astype(int)
@@ -174,12 +174,12 @@ def shares(devices: Sequence[Evidence], seed: int = 0, rounds: int = ROUNDS) -> 
             # The fleet has an effect surely where a device has.
             has = (count > 0) | (rng.random(len(count)) < nowhere / (nowhere + 1 - of_any))
         if i >= BURN_IN:
-            shown.append(share)
+            visible.append(share)
             counts.append(count)
-            there.append(has)
-    low, high = np.quantile(shown, (0.025, 0.975), axis=0)
-    expected, in_fleet = np.mean(counts, axis=0), np.mean(there, axis=0)
-    mean = np.mean(np.where(there, shown, 0.0), axis=0)
+            present.append(has)
+    low, high = np.quantile(visible, (0.025, 0.975), axis=0)
+    expected, in_fleet = np.mean(counts, axis=0), np.mean(present, axis=0)
+    mean = np.mean(np.where(present, visible, 0.0), axis=0)
     columns = (in_fleet, mean, low, high, expected)
     return {n: Share(*(float(c[i]) for c in columns)) for i, n in enumerate(names)}
 
@@ -188,7 +188,7 @@ def common_model(
     model: bc.Model,
     structures: Sequence[DeviceStructure],
     table: pd.DataFrame,
-    own: Sequence[bc.Effect],
+    candidates: Sequence[bc.Effect],
 ) -> bc.Model:
     """Return the model that all devices of a fleet are compared by: with the named effects that any of them has.
 
@@ -196,16 +196,16 @@ def common_model(
         model: that was given.
         structures: of the devices.
         table: of the effects, as of `effects_table`.
-        own: candidates of the user's own.
+        candidates: of the user's own.
     """
-    there = {*table.loc[table["in fleet"] >= ws.settings().found_probability, "effect"]}
-    named = {e.name: e for one in own for e in (one, *one.forms)}
-    count = Counter(name for one in structures for name in one.effects)
+    in_fleet = {*table.loc[table["in fleet"] >= ws.settings().found_probability, "effect"]}
+    named = {e.name: e for candidate in candidates for e in (candidate, *candidate.forms)}
+    count = Counter(name for structure in structures for name in structure.effects)
     for name, _ in count.most_common():  # of a family its most frequent form
         effect = named.get(name) or model.instrument.effect(name)
-        taken = {e.family or e.name for e in model.effects}
+        effects = {e.family or e.name for e in model.effects}
         family = effect.family or name
-        if family in there and family not in taken and not effect.is_placeholder:
+        if family in in_fleet and family not in effects and not effect.is_placeholder:
             model = model + effect
     return model
 
@@ -217,13 +217,13 @@ def effects_table(structures: Sequence[DeviceStructure], seed: int = 0) -> pd.Da
     Then of all devices together: probability that any has it, how many are expected to, their share, and its 95 %
     interval if any device has it.
     """
-    named = Counter(name for one in structures for name in one.families)
-    possible = Counter(name for one in structures for name in one.possible)
-    found = shares([one.evidence for one in structures], seed)
+    named = Counter(name for structure in structures for name in structure.families)
+    possible = Counter(name for structure in structures for name in structure.possible)
+    by_effect = shares([structure.evidence for structure in structures], seed)
     rows = [
-        [name, named[name], possible[name], one.in_fleet, one.expected, *one[1:4]]
-        for name, one in found.items()
-        if named[name] or possible[name] or one.expected > KEPT_PROBABILITY
+        [name, named[name], possible[name], share.in_fleet, share.expected, *share[1:4]]
+        for name, share in by_effect.items()
+        if named[name] or possible[name] or share.expected > KEPT_PROBABILITY
     ]
     rows.sort(key=lambda row: (-row[4], -row[1]))
     return pd.DataFrame(rows, columns=EFFECTS)

@@ -75,14 +75,15 @@ class Request:
 
     def read(self, part: Part) -> tuple[list[ReadFile], dict[str, str]]:
         """Read a part; and why files of it cannot be used."""
-        found, unreadable = list[ReadFile](), dict[str, str]()
-        for one in part:
+        pieces, unreadable = list[ReadFile](), dict[str, str]()
+        for entry in part:
             try:
-                is_read = isinstance(one, ReadFile)
-                found.append(one if is_read else ReadFile.of(one, self.model, self.read_options))
+                if not isinstance(entry, ReadFile):
+                    entry = ReadFile.of(entry, self.model, self.read_options)
+                pieces.append(entry)
             except (bc.InputError, OSError) as error:
-                unreadable[one.name] = str(error)
-        return found, unreadable
+                unreadable[entry.name] = str(error)
+        return pieces, unreadable
 
 
 class Fits(NamedTuple):
@@ -97,16 +98,16 @@ def fit_part(request: Request, part: Part) -> Fits:
     """Read and fit the devices of a part."""
     with HOLDS_PART, bc.use_settings(request.settings):
         (pieces, unreadable), options = request.read(part), request.fit_options
-        every = [(piece, name) for piece in pieces for name in piece.devices.names]
-        refused = [piece.devices.refused.get(name) for piece, name in every]
+        devices = [(piece, name) for piece in pieces for name in piece.devices.names]
+        refused = [piece.devices.refused.get(name) for piece, name in devices]
         fitted = {i: DeviceResult(reason=why) for i, why in enumerate(refused) if why}
-        good = {i: p.devices[name] for i, (p, name) in enumerate(every) if i not in fitted}
+        good = {i: p.devices[name] for i, (p, name) in enumerate(devices) if i not in fitted}
         structures, models = dict[str, DeviceStructure](), dict.fromkeys(good, request.model)
         starts = dict[int, Mapping[str, float]]()
         for i, find in ((i, request.find) for i in [*good] if request.find):
             try:
-                made = search_device(request.model, good[i], find, options.reference)
-                structures[every[i][1]], models[i], starts[i] = made
+                args = request.model, good[i], find, options.reference
+                structures[devices[i][1]], models[i], starts[i] = search_device(*args)
             except (bc.BayescalError, ws.deadline.TimeIsUp) as error:
                 fitted[i] = DeviceResult(reason=str(error))
                 del good[i]
@@ -114,7 +115,7 @@ def fit_part(request: Request, part: Part) -> Fits:
             fitted |= fit_devices(models, good, options, starts)
         results = [
             replace(fitted[i], device=name, file=piece.name)
-            for i, (piece, name) in enumerate(every)
+            for i, (piece, name) in enumerate(devices)
         ]
         return Fits(tuple(results), structures, unreadable)
 
@@ -134,10 +135,10 @@ def sum_temperatures(request: Request, part: Part) -> dict[str, np.ndarray]:
     """Return sum and number of a part's temperatures, by the name of each column's reference."""
     total: dict[str, np.ndarray] = {}
     with bc.use_settings(request.settings):
-        for one in (one for piece in request.read(part)[0] for one in piece.devices):
-            for name in (n for n in one.columns if one.unit(n) == "degC"):
-                own = total.setdefault(ws.reference_name(name), np.zeros(2))
-                own += np.sum(one[name]), len(one)
+        for device in (device for piece in request.read(part)[0] for device in piece.devices):
+            for name in (n for n in device.columns if device.unit(n) == "degC"):
+                sums = total.setdefault(ws.reference_name(name), np.zeros(2))
+                sums += np.sum(device[name]), len(device)
     total.pop(ws.reference_name("temperature_point"), None)
     return total
 
@@ -150,25 +151,25 @@ class _Run:
     parts: Sequence[Part]
     client: Client | None
 
-    def each(self, function: Callable[..., Any]) -> tuple[list[Any], dict[int, str]]:
+    def run_each(self, function: Callable[..., Any]) -> tuple[list[Any], dict[int, str]]:
         """Return what a function gives of the parts, in their order, and why it gives nothing of others."""
         values, errors = dict[int, Any](), dict[int, str]()
-        begun = last = time.monotonic()
+        start = last = time.monotonic()
         tasks = [(self.request, part) for part in self.parts]
         for count, (i, value, error) in enumerate(run_tasks(self.client, function, tasks), 1):
             (errors if error else values)[i] = error or value
             if time.monotonic() > last + PROGRESS_SECONDS:
                 last = time.monotonic()
-                rest = (last - begun) * (len(tasks) / count - 1)
-                ws.tell(f"{count} of {len(tasks)} parts, about {rest:,.0f} s left")
-        return [own for _, own in sorted(values.items())], errors
+                remaining = (last - start) * (len(tasks) / count - 1)
+                ws.tell(f"{count} of {len(tasks)} parts, about {remaining:,.0f} s left")
+        return [value_of_part for _, value_of_part in sorted(values.items())], errors
 
-    def asking(self, **changed: Any) -> _Run:
-        """The same of a request in which something is another."""
+    def with_request(self, **changed: Any) -> _Run:
+        """Return the run with a changed request."""
         return replace(self, request=replace(self.request, **changed))
 
     def with_reference(self) -> _Run:
-        """The same with T0 and its like over all devices, so that offsets mean the same for each.
+        """Return the run with T0 and its like over all devices, so that offsets mean the same.
 
         Raises:
             InputError: a part cannot be read.
@@ -179,25 +180,25 @@ class _Run:
                 return self
             ws.tell("reading all temperatures, for a common T0 (a reference given spares that)")
         with ws.deadline.finishing():
-            sums, errors = self.each(sum_temperatures)
+            sums, errors = self.run_each(sum_temperatures)
         if errors:
             raise bc.InputError("; ".join(errors.values()))
-        names = dict.fromkeys(name for own in sums for name in own)
-        total = {name: sum(own.get(name, np.zeros(2)) for own in sums) for name in names}
+        names = dict.fromkeys(name for part in sums for name in part)
+        total = {name: sum(part.get(name, np.zeros(2)) for part in sums) for name in names}
         common: Reference = {name: float(np.round(s / n)) for name, (s, n) in total.items()}
-        return self.asking(fit_options=replace(options, reference=common | options.reference))
+        return self.with_request(fit_options=replace(options, reference=common | options.reference))
 
     def tailored(self) -> _Run:
-        """The same with the model tailored to the first device that it can be tailored to.
+        """Return the run with the model tailored to the first device that it can be tailored to.
 
         Raises:
             InputError: no device has what the instrument takes from readings: why, of the first.
         """
         model, refusals = self.request.model, list[str]()
         for part in self.parts if model.instrument.tailor is not None else ():
-            for readings in (one for piece in self.request.read(part)[0] for one in piece.devices):
+            for readings in (d for piece in self.request.read(part)[0] for d in piece.devices):
                 try:
-                    return self.asking(model=tailored(model, readings))
+                    return self.with_request(model=tailored(model, readings))
                 except bc.InputError as error:
                     refusals.append(str(error))
         if refusals:
@@ -206,13 +207,13 @@ class _Run:
 
     def fitted(self) -> Fits:
         """Fit all parts, and put them together."""
-        found, errors = self.each(fit_part)
-        found += [_refused(self.parts[i], why) for i, why in errors.items()]
+        fits, errors = self.run_each(fit_part)
+        fits += [_refused(self.parts[i], why) for i, why in errors.items()]
         structures, missing = dict[str, DeviceStructure](), dict[str, str]()
-        for own in found:
-            structures |= own.structures
-            missing |= own.missing
-        results = once_each(one for own in found for one in own.results)
+        for part in fits:
+            structures |= part.structures
+            missing |= part.missing
+        results = once_each(fit for part in fits for fit in part.results)
         return Fits(results, structures, missing)
 
 
@@ -288,12 +289,12 @@ def fit_batch(
         ws.print_notes(line.strip() for line in first_few(unread, len(unread), "not read: "))
         parts += parts_of(files, rows)
         if len(parts) == 1:  # several of the steps below see its readings
-            each = {path: request.read([path])[0] for path in files}
-            lost = [path for path, own in each.items() if not own]
-            pieces = cut((one for own in each.values() for one in own), rows)
+            by_file = {path: request.read([path])[0] for path in files}
+            lost = [path for path, devices in by_file.items() if not devices]
+            pieces = cut((piece for devices in by_file.values() for piece in devices), rows)
             parts = [part for part in (lost, *pieces) if part]
     else:
-        parts += cut([ReadFile("", _given(readings))], rows)
+        parts += cut([ReadFile("", _gather(readings))], rows)
     if client is not None and client.cluster is None and client.dashboard_link:
         ws.tell(f"the cluster's dashboard: {client.dashboard_link}")
     with ws.deadline.until(time_limit):
@@ -325,9 +326,9 @@ def _fit(run: _Run, population: AskedPopulation) -> BatchResult:
         "reference": {k: v for k, v in options.reference.items() if not isinstance(v, dict)},
     }
     result = BatchResult(
-        fitted.results, about | ({"settings": own} if (own := ws.unusual()) else {})
+        fitted.results, about | ({"settings": settings} if (settings := ws.unusual()) else {})
     )
-    if not any(one.names for one in result):
+    if not any(fit.names for fit in result):
         reasons = result.doubted | fitted.missing
         lines = "\n".join(first_few(reasons, len(reasons))).strip()
         raise bc.InputError(f"none of the devices can be used; {lines or 'there is none'}")
@@ -337,12 +338,12 @@ def _fit(run: _Run, population: AskedPopulation) -> BatchResult:
     if shapes := _usual_shapes(common, model, fitted.results):
         common = common.fix(shapes)
     t0, compared = result.facts["T0"], result.results
-    apart = "T0" not in options.reference and t0.dropna().nunique() > 1
-    if apart:  # offsets are compared at one temperature
+    t0_differs = "T0" not in options.reference and t0.dropna().nunique() > 1
+    if t0_differs:  # offsets are compared at one temperature
         reference = {**options.reference, "T0": float(t0.median().round())}
         options = replace(options, reference=reference, method=bc.LeastSquares())
-    if apart or common is not model:
-        compared = run.asking(model=common, fit_options=options, find=None).fitted().results
+    if t0_differs or common is not model:
+        compared = run.with_request(model=common, fit_options=options, find=None).fitted().results
     results, learned = result.results, None
     if named:
         results, learned = pooled(results, named, options.seed)
@@ -363,12 +364,12 @@ def _usual_shapes(
     """Return the medians of shapes over the devices that have them: of the others these would be the priors'."""
     added = (e for e in common.effects if e.name not in model.names)
     names = [e.shape_name(s) for e in added for s in e.shapes]
-    told = {n: [one[n][0] for one in results if one.ok and n in one.names] for n in names}
-    return {name: float(np.median(values)) for name, values in told.items() if values}
+    means = {n: [fit[n][0] for fit in results if fit.ok and n in fit.names] for n in names}
+    return {name: float(np.median(values)) for name, values in means.items() if values}
 
 
 def _paths(readings: Any) -> list[Path]:
-    """Paths of files, where they are given; else none."""
+    """Return paths of files, where they are given; else none."""
     if isinstance(readings, str | Path):
         return [Path(readings)]
     if isinstance(readings, Devices | Mapping):
@@ -376,17 +377,17 @@ def _paths(readings: Any) -> list[Path]:
     return [Path(p) for p in readings] if all(isinstance(p, str | Path) for p in readings) else []
 
 
-def _given(readings: Any) -> Devices:
-    """Devices as they were given, or of measurements."""
+def _gather(readings: Any) -> Devices:
+    """Return devices as they were given, or of measurements."""
     if isinstance(readings, Devices):
         return readings
-    given = readings if isinstance(readings, Mapping) else list(readings)
-    if not len(given):
+    entries = readings if isinstance(readings, Mapping) else list(readings)
+    if not len(entries):
         raise bc.InputError("there is no device to fit: give at least one")
-    for i, one in enumerate(given.values() if isinstance(given, Mapping) else given):
-        if not isinstance(one, bc.Measurements):
+    for i, entry in enumerate(entries.values() if isinstance(entries, Mapping) else entries):
+        if not isinstance(entry, bc.Measurements):
             raise bc.InputError(
-                f"fit_batch: entry {i + 1} of the readings is of type {type(one).__name__}; measurements were "
+                f"fit_batch: entry {i + 1} of the readings is of type {type(entry).__name__}; measurements were "
                 "expected, or paths"
             )
-    return gathered(given)
+    return gathered(entries)

@@ -38,7 +38,7 @@ NUMBERS = 2_000_000  # readings of these at most
 PLAIN_SD = 3.0  # prior standard deviations that a coefficient stands from its prior's mean, at most
 PLAIN_SHARE = 1e-5  # of two sizes, above which neither is in a wrong unit
 PLAIN_DIGITS = 1e6  # times the noise, up to which an output keeps enough of its digits
-ALIKE = 1e-9  # of a Jacobian, up to which devices together have that of each alone
+JACOBIAN_TOLERANCE = 1e-9  # of a Jacobian, up to which devices together have that of each alone
 ROUNDS = 60  # of σ² and the degrees of freedom that coefficients leave
 DIGITS = 1e-12  # of σ², to which it is the same from below and from above
 LEAST_NOISE = 1e-24  # share of the readings' variance, below which the noise counts as none
@@ -56,34 +56,34 @@ class FitOptions:
 
     def reference_for(self, readings: bc.Measurements) -> Reference:
         """Return the constants of a device."""
-        known = ws.reference_of(readings)
-        return known | {n: v for n, v in self.reference.items() if n in known}
+        of_readings = ws.reference_of(readings)
+        return of_readings | {n: v for n, v in self.reference.items() if n in of_readings}
 
 
 def tailored(model: bc.Model, readings: bc.Measurements) -> bc.Model:
-    """The model with its instrument tailored to one device's readings; the same where nothing has to be.
+    """Return the model with its instrument tailored to one device's readings, if it can be.
 
     What it has of the instrument's own (effects, the noise law) is that of the tailored one; what was changed stays. A
     size that was changed is one in parts of what a record shows, as all of the general instrument's are.
     """
     general = model.instrument
-    own = general.for_readings(readings)
-    if own is general:
+    specific = general.for_readings(readings)
+    if specific is general:
         return model
     stated = {e.name: e for e in (*general.effects, *general.candidates)}
-    sized = {e.name: e for e in (*own.effects, *own.candidates)}
+    sized = {e.name: e for e in (*specific.effects, *specific.candidates)}
     parts = {
         e.name: e.coefficients[0].size / stated[e.name].coefficients[0].size
         for e in model.effects
         if e.name in stated and e == replace(stated[e.name], coefficients=e.coefficients)
     }
     effects = tuple(sized.get(e.name, e) if e.name in parts else e for e in model.effects)
-    noise = own.noise if model.noise == general.noise else model.noise
-    made = bc.Model(own, effects, noise, model.fixed)
+    noise = specific.noise if model.noise == general.noise else model.noise
+    tailored = bc.Model(specific, effects, noise, model.fixed)
     for name, part in parts.items():
         if part != 1:
-            made = made.resize(name, part * made.effect(name).coefficients[0].size)
-    return made
+            tailored = tailored.resize(name, part * tailored.effect(name).coefficients[0].size)
+    return tailored
 
 
 def fit_devices(
@@ -96,20 +96,20 @@ def fit_devices(
 
     Their modes are looked for at `starts` first, where these are known.
     """
-    made, left = dict[int, DeviceResult](), dict(devices)
+    results, pending = dict[int, DeviceResult](), dict(devices)
     with suppress(ws.deadline.TimeIsUp):
         for some in _fit_plain(models, devices, options):
-            made |= some
-            left = {i: own for i, own in left.items() if i not in some}
+            results |= some
+            pending = {i: readings for i, readings in pending.items() if i not in some}
             ws.deadline.current().defer_interrupt()
             ws.deadline.current().ask()
-        for i in [*left]:
-            made[i] = fit_alone(models[i], left[i], options, starts.get(i, {}))
-            del left[i]
+        for i in [*pending]:
+            results[i] = fit_alone(models[i], pending[i], options, starts.get(i, {}))
+            del pending[i]
             ws.deadline.current().defer_interrupt()
             ws.deadline.current().ask()
     why = NOT_REACHED.format(ws.deadline.current().why)
-    return made | {i: DeviceResult(reason=why) for i in left}
+    return results | {i: DeviceResult(reason=why) for i in pending}
 
 
 def fit_alone(
@@ -119,26 +119,26 @@ def fit_alone(
     reference = options.reference_for(readings)
     how: dict[str, Any] = {"seed": options.seed, "reference": reference, "start": start}
     try:
-        found = bc.fit(model, readings, options.method, strict=False, **how)
+        fitted = bc.fit(model, readings, options.method, strict=False, **how)
     except bc.BayescalError as error:
         return DeviceResult(reason=str(error))
-    table, of = found.values.reshape(-1, len(found.unknowns)), found.unknowns
+    table, of = fitted.values.reshape(-1, len(fitted.unknowns)), fitted.unknowns
     covariance = np.atleast_2d(np.cov(table.T))
-    held = np.ptp(table, axis=0) == 0
-    covariance[held], covariance[:, held] = np.nan, np.nan
-    reason, t0 = " ".join(map(str, _against(found))), float(found.reference.get("T0", np.nan))  # pyright: ignore
-    own = of.names, of.units, table.mean(axis=0), covariance, len(readings), t0
-    return DeviceResult("", reason, *own)
+    constant = np.ptp(table, axis=0) == 0
+    covariance[constant], covariance[:, constant] = np.nan, np.nan
+    reason, t0 = " ".join(map(str, _against(fitted))), float(fitted.reference.get("T0", np.nan))  # pyright: ignore
+    moments = of.names, of.units, table.mean(axis=0), covariance, len(readings), t0
+    return DeviceResult("", reason, *moments)
 
 
-def _against(found: bc.Calibration) -> Sequence[Any]:
+def _against(fitted: bc.Calibration) -> Sequence[Any]:
     """Return what stands against a device that was fitted by itself."""
-    if not found.verdict.ok:
-        return found.verdict.reasons
-    free = found.layout.size
-    if NOISE not in dict(found.model.fixed) and len(found.readings) <= free:
-        return [ws.Claim("readings.too_few", count=len(found.readings), free=free)]
-    return [said] if (said := ws.noiseless(found)) else found.conflicts
+    if not fitted.verdict.ok:
+        return fitted.verdict.reasons
+    free = fitted.layout.size
+    if NOISE not in dict(fitted.model.fixed) and len(fitted.readings) <= free:
+        return [ws.Claim("readings.too_few", count=len(fitted.readings), free=free)]
+    return [claim] if (claim := ws.noiseless(fitted)) else fitted.conflicts
 
 
 # Devices all at once ----------------------------------------------------------------------------------------------
@@ -152,20 +152,20 @@ def _fit_plain(
     if not isinstance(options.method, bc.LeastSquares) or len(different) != 1:
         return
     (model,) = different.values()
-    known = {c.name for c in model.instrument.columns} | model.columns
-    alike: dict[Any, list[int]] = {}
-    for i, one in devices.items():
-        numbers = {name for name in one.columns if one.unit(name) is not None}
+    columns = {c.name for c in model.instrument.columns} | model.columns
+    groups: dict[Any, list[int]] = {}
+    for i, device in devices.items():
+        numbers = {name for name in device.columns if device.unit(name) is not None}
         if (
-            numbers <= known
+            numbers <= columns
             and ws.UNCERTAINTY not in numbers
-            and {*model.columns} <= {*one.columns}
+            and {*model.columns} <= {*device.columns}
         ):
-            alike.setdefault((len(one), *one.columns), []).append(i)
-    for (count, *_), every in alike.items():
+            groups.setdefault((len(device), *device.columns), []).append(i)
+    for (count, *_), members in groups.items():
         most = min(options.chunk, max(1, NUMBERS // count))
-        for begin in range(0, len(every), most):
-            some = every[begin : begin + most]
+        for begin in range(0, len(members), most):
+            some = members[begin : begin + most]
             first = devices[some[0]]
             if model.with_nuisances(first) is not model:
                 continue
@@ -186,11 +186,11 @@ def _fit_plain(
             }
 
 
-def _stacked(each: Sequence[Any]) -> Any:
+def _stacked(arrays: Sequence[Any]) -> Any:
     """Return arrays of several devices with a leading axis, also within dictionaries."""
-    if isinstance(each[0], dict):
-        return {name: _stacked([one[name] for one in each]) for name in each[0]}
-    return np.stack(each)
+    if isinstance(arrays[0], dict):
+        return {name: _stacked([array[name] for array in arrays]) for name in arrays[0]}
+    return np.stack(arrays)
 
 
 def _together(
@@ -208,8 +208,8 @@ def _together(
     ):
         return None
     try:
-        each = {f.name: [getattr(one, f.name) for one in frames] for f in fields(bc.Frame)}
-        together = bc.Frame(**{name: _stacked(values) for name, values in each.items()})
+        by_field = ((f.name, [getattr(g, f.name) for g in frames]) for f in fields(bc.Frame))
+        together = bc.Frame(**{name: _stacked(values) for name, values in by_field})
         constants = {n: v[:, None] for n, v in together.reference.items()}
         frame = replace(together, reference=constants, silence=together.silence[:, None])
         problem, alone = (
@@ -218,9 +218,10 @@ def _together(
         )
         if alone.affine:
             # A basis may be of all readings that it is given, a response of one device's.
-            jacobian, own = _linearised(problem)[1][0], _linearised(alone)[1]
-            like = np.allclose(jacobian, own, rtol=ALIKE, atol=ALIKE * np.max(np.abs(own)))
-            return problem if like else None
+            jacobian, single = _linearised(problem)[1][0], _linearised(alone)[1]
+            atol = JACOBIAN_TOLERANCE * np.max(np.abs(single))
+            how = {"rtol": JACOBIAN_TOLERANCE, "atol": atol}
+            return problem if np.allclose(jacobian, single, **how) else None
     except (ValueError, TypeError, LookupError, bc.BayescalError):  # of two axes
         pass
     return None
@@ -252,16 +253,16 @@ def _solve(
     diagonal = np.abs(np.diagonal(upper, axis1=1, axis2=2))
     determined = np.all(diagonal > PLAIN_SHARE * np.linalg.norm(columns, axis=1), axis=1)
     upper = np.where(determined[:, None, None], upper, np.eye(p))
-    left, z0 = y, np.zeros((len(y), p, 1))
+    residual, z0 = y, np.zeros((len(y), p, 1))
     for _ in range(2):  # a second time for the digits of outputs far from zero
-        step = np.linalg.solve(upper, base.mT @ left[:, :, None])
-        left, z0 = left - (columns @ step)[:, :, 0], z0 + step
+        step = np.linalg.solve(upper, base.mT @ residual[:, :, None])
+        residual, z0 = residual - (columns @ step)[:, :, 0], z0 + step
     _, d, vt = np.linalg.svd(upper)
-    rest, d2, w = np.sum(left**2, axis=1), d**2, (vt @ z0)[:, :, 0]
+    rss, d2, w = np.sum(residual**2, axis=1), d**2, (vt @ z0)[:, :, 0]
     if NOISE in problem.fixed_values:
         variance, alone = np.full(len(y), problem.fixed_values[NOISE] ** 2), True
     else:
-        variance, alone = _noise_variance(n - p, rest, d2 * w**2, d2)
+        variance, alone = _noise_variance(n - p, rss, d2 * w**2, d2)
     share, sd = variance[:, None] / (variance[:, None] + d2), np.sqrt(variance)
     z = (z0 - vt.mT @ (share * w)[:, :, None])[:, :, 0]
     covariance = scale[:, None] * (vt.mT * share[:, None] @ vt) * scale
@@ -271,7 +272,7 @@ def _solve(
         determined
         & alone
         & np.all(np.abs(z) < PLAIN_SD, axis=1)
-        & (rest > LEAST_NOISE * np.sum(y**2, axis=1))
+        & (rss > LEAST_NOISE * np.sum(y**2, axis=1))
         & (sd < range_)
         & np.all((PLAIN_SHARE * reach < sd[:, None]) & (PLAIN_SHARE * sd[:, None] < reach), axis=1)
         & (PLAIN_DIGITS * np.minimum(sd, range_) > np.max(np.abs([output, y]), axis=(0, 2)))
@@ -282,7 +283,7 @@ def _solve(
 
 def _noise_variance(
     free: int,
-    rest: Float[np.ndarray, "b"],
+    rss: Float[np.ndarray, "b"],
     c2: Float[np.ndarray, "b p"],
     d2: Float[np.ndarray, "b p"],
 ) -> tuple[Float[np.ndarray, "b"], Bool[np.ndarray, "b"]]:
@@ -293,11 +294,11 @@ def _noise_variance(
 
     Args:
         free: readings less coefficients.
-        rest: sums of squares that no column explains.
+        rss: sums of squares that no column explains.
         c2, d2: squares along the singular vectors, and of the singular values.
     """
-    s = np.stack([rest / free, (rest + np.sum(c2, axis=1)) / (free + d2.shape[1])])
+    s = np.stack([rss / free, (rss + np.sum(c2, axis=1)) / (free + d2.shape[1])])
     for _ in range(ROUNDS):
         share = s[:, :, None] / (s[:, :, None] + d2)
-        s = (rest + np.sum(share**2 * c2, axis=2)) / (free + np.sum(share, axis=2))
+        s = (rss + np.sum(share**2 * c2, axis=2)) / (free + np.sum(share, axis=2))
     return s[0], np.abs(s[1] / s[0] - 1) < DIGITS

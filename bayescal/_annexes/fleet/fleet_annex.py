@@ -40,14 +40,14 @@ class BatchCommand(ws.ColumnOptions, ws.ModelOptions, ws.AsJson, ws.Command):
     def answer(self) -> ws.Answer:
         _refuse_place(self.out, self.files)
         chosen = ws.instrument_named(self.instrument)
-        own = ws.own_effects(self, chosen, None)
-        model = ws.compose(chosen, self, own)
+        effects = ws.own_effects(self, chosen, None)
+        model = ws.compose(chosen, self, effects)
         own_files = [] if self.effects_file is None else [self.effects_file]
         if ws.in_a_file(self.instrument):  # the workers need the user's Python files too
             own_files.append(Path(self.instrument.rpartition(":")[0]))
         population = self.population
         with _cluster(self.workers, self.scheduler, own_files) as client:
-            found = bc.fit_batch(
+            batch = bc.fit_batch(
                 model,
                 self.files,
                 method=ws.method_named(self.method),
@@ -57,14 +57,14 @@ class BatchCommand(ws.ColumnOptions, ws.ModelOptions, ws.AsJson, ws.Command):
                 client=client,
                 out=self.out,
                 columns=self.for_read(),
-                find=bc.Find(effects=own) if self.find else False,
+                find=bc.Find(effects=effects) if self.find else False,
             )
         self.keep()
-        bad, lost = len(found) - found.fitted, len(found.missing)
-        said = [f"{bad} of {len(found)} devices have no result, or none to rely on"] * bool(bad)
-        said += [f"{lost} files have none"] * bool(lost)
-        data = {"file": str(self.out), **found.data()}
-        return ws.Answer(found, data, ok=not said, why="; ".join(said), written=str(self.out))
+        bad, lost = len(batch) - batch.fitted, len(batch.missing)
+        messages = [f"{bad} of {len(batch)} devices have no result, or none to rely on"] * bool(bad)
+        messages += [f"{lost} files have none"] * bool(lost)
+        data, why = {"file": str(self.out), **batch.data()}, "; ".join(messages)
+        return ws.Answer(batch, data, ok=not messages, why=why, written=str(self.out))
 
 
 ANNEX = {"commands": (BatchCommand,)}
@@ -86,7 +86,7 @@ def _refuse_place(out: Path, files: list[Path]) -> None:
 def _cluster(
     workers: int | None, scheduler: str | None, own_files: list[Path]
 ) -> Iterator[Client | None]:
-    """The cluster that is asked for, with the user's own files; None for this process. Refuses two kinds at once."""
+    """Open the requested cluster with the user's own files; None for this process."""
     if workers is None and scheduler is None:
         yield None
         return
@@ -97,6 +97,6 @@ def _cluster(
     from bayescal._annexes.fleet.engine import open_cluster
 
     with open_cluster(workers, scheduler) as client:
-        for own in own_files:
-            client.upload_file(str(own))
+        for file in own_files:
+            client.upload_file(str(file))
         yield client

@@ -47,21 +47,22 @@ def odd_devices(
         t0: reference temperatures of the devices' own readings by their names, °C.
         of_noise: names of the coefficients that are standard deviations of the noise.
     """
-    good = {one.device: one for one in results if one.ok}
-    count = Counter(name for one in good.values() for name in one.names)
+    good = {fit.device: fit for fit in results if fit.ok}
+    count = Counter(name for fit in good.values() for name in fit.names)
     names = [name for name, n in count.items() if n == len(good) and "[" not in name]
     least = FAMILY_WISE_ERROR / max(1, len(good) * (len(names) + 1))
     odd: dict[str, list[str]] = {}
     t0 = t0.loc[[*good]].dropna()
     p, middle = predicted(t0.to_numpy(), np.full(len(t0), SAME_TEMPERATURE**2), np.inf, least)
     for device, at in t0.loc[p < least].items():
-        said = f"measured about {ws.number(at)} °C, the others about {ws.number(middle)} °C"
-        odd[str(device)] = [f"{said}: its values are not compared"]
-    compared = [one for device, one in good.items() if device not in odd]
-    freedom = np.array([max(1.0, one.readings - len(names) + 1) for one in compared])
+        text = f"measured about {ws.number(at)} °C, the others about {ws.number(middle)} °C"
+        odd[str(device)] = [f"{text}: its values are not compared"]
+    compared = [fit for device, fit in good.items() if device not in odd]
+    freedom = np.array([max(1.0, fit.readings - len(names) + 1) for fit in compared])
     for name in names:
-        own = np.array([one[name] for one in compared]).reshape(-1, 2)
-        mean, variance, known_by, power = own[:, 0], np.nan_to_num(own[:, 1]) ** 2, freedom, 1.0
+        values = np.array([fit[name] for fit in compared]).reshape(-1, 2)
+        (mean, sd), known_by, power = values.T, freedom, 1.0
+        variance = np.nan_to_num(sd) ** 2
         if name in of_noise:
             power, mean = 2 / 3, np.abs(mean)
             variance, known_by = np.median(mean) ** (2 * power) * 2 / (9 * freedom), np.inf
@@ -69,8 +70,8 @@ def odd_devices(
         usual = ws.number(abs(middle) ** (1 / power) if power < 1 else middle)
         for i in np.flatnonzero(p < least).tolist():
             unit = ws.unit_label(compared[i].units[compared[i].names.index(name)])
-            said = f"{name} {ws.number(mean[i])}, of the others {usual} {unit}"
-            odd.setdefault(compared[i].device, []).append(said.rstrip())
+            text = f"{name} {ws.number(mean[i])}, of the others {usual} {unit}"
+            odd.setdefault(compared[i].device, []).append(text.rstrip())
     return odd
 
 
@@ -87,7 +88,7 @@ def predicted(
     freedom: Float[np.ndarray, "n"] | float,
     least: float,
 ) -> Predicted:
-    """Compare each value with what those that are alike let one expect.
+    """Compare each value with the predictive distribution of the usual ones.
 
     Args:
         values: one of each device.
@@ -101,23 +102,23 @@ def predicted(
     digits = np.finfo(float).eps * float(np.max(np.abs(values)))
     variance = np.maximum(variance, max(digits**2, 1e-200))
     away = np.abs(values - np.median(values))
-    alike = away <= np.sort(away)[max(FEWEST_DEVICES, len(values) // 2 + 1) - 1]
+    usual = away <= np.sort(away)[max(FEWEST_DEVICES, len(values) // 2 + 1) - 1]
     for _ in range(ROUNDS):
-        mean, between, weight = population(values[alike], variance[alike])
+        mean, between, weight = population(values[usual], variance[usual])
         # Of one among them its own part is taken off: of the mean, and by a step of Newton of τ².
-        own = np.where(alike, 1 / (between + variance), 0.0)
-        away = (values - mean) / (1 - own / weight.sum())
-        curvature = weight @ weight - own**2
-        pull = own**2 * (values - mean) ** 2 / (1 - own / weight.sum()) - own
+        own_weight = np.where(usual, 1 / (between + variance), 0.0)
+        away = (values - mean) / (1 - own_weight / weight.sum())
+        curvature = weight @ weight - own_weight**2
+        pull = own_weight**2 * (values - mean) ** 2 / (1 - own_weight / weight.sum()) - own_weight
         total = np.maximum(between - pull / curvature, 0.0) + variance
-        count = len(weight) - alike
-        known = count / (count - 1) / curvature + variance**2 / freedom
-        t = np.abs(away) / np.sqrt(total + 1 / (weight.sum() - own))
-        p = 2 * stats.t.sf(t, total**2 / known)
+        count = len(weight) - usual
+        total_variance = count / (count - 1) / curvature + variance**2 / freedom
+        t = np.abs(away) / np.sqrt(total + 1 / (weight.sum() - own_weight))
+        p = 2 * stats.t.sf(t, total**2 / total_variance)
         now = p >= least
-        if now.sum() < FEWEST_DEVICES or (now == alike).all():
+        if now.sum() < FEWEST_DEVICES or (now == usual).all():
             break
-        alike = now
+        usual = now
     return Predicted(p, mean)
 
 

@@ -65,8 +65,7 @@ class Population:
     """What the devices have in common.
 
     Attributes:
-        table: per coefficient: mean and its standard uncertainty, standard deviation between devices (`group_sd`) and
-            its standard uncertainty, unit.
+        table: per coefficient: mean, standard deviation between devices (`group_sd`), their uncertainties, unit.
         ok: whether the weights of the between-group standard deviations are reliable.
         reason: why not.
         devices: how many it was learned from.
@@ -80,41 +79,41 @@ class Population:
     pareto_k: float
 
     def data(self) -> dict[str, Any]:
-        """Plain JSON."""
+        """Return plain JSON."""
         return {**vars(self), "table": self.table.to_dict("records")}
 
     @classmethod
-    def of_data(cls, held: Mapping[str, Any]) -> Population:
-        """From what `data` gave, or gave before 0.2.0."""
-        table = pd.DataFrame(held["table"]).rename(columns=FORMER)
-        return cls(**{**held, "table": table.reindex(columns=list(COLUMNS))})
+    def of_data(cls, data: Mapping[str, Any]) -> Population:
+        """Read what `data` gave, or gave before 0.2.0."""
+        table = pd.DataFrame(data["table"]).rename(columns=FORMER)
+        return cls(**{**data, "table": table.reindex(columns=list(COLUMNS))})
 
     def __str__(self) -> str:
         head = f"population of {self.devices} devices"
         return f"{head}{'' if self.ok else ': ' + self.reason}\n{self.table.to_string(index=False)}"
 
 
-def chosen(model: bc.Model, asked: AskedPopulation) -> Named:
-    """The coefficients of a population, each with the prior of its standard deviation between devices.
+def chosen(model: bc.Model, requested: AskedPopulation) -> Named:
+    """Return a population's coefficients, each with the prior of its standard deviation between devices.
 
     Raises:
         ModelError: a name is none of the model's single coefficients.
     """
-    known = {
+    coefficients = {
         e.coefficient_name(i): c
         for e in model.effects
         for i, c in enumerate(e.coefficients)
         if c.per is None and e.coefficient_name(i) not in dict(model.fixed)
     }
-    names = list(known) if asked is True else list(asked or ())
-    given = asked if isinstance(asked, Mapping) else {}
+    names = list(coefficients) if requested is True else list(requested or ())
+    priors = requested if isinstance(requested, Mapping) else {}
     for name in names:
-        if name not in known:
+        if name not in coefficients:
             raise bc.ModelError(
                 f"population: no coefficient that each device has one of is called {name!r}; there is: "
-                f"{', '.join(known)}"
+                f"{', '.join(coefficients)}"
             )
-    return {n: (known[n], given.get(n, bc.HalfCauchy(known[n].size))) for n in names}
+    return {n: (coefficients[n], priors.get(n, bc.HalfCauchy(coefficients[n].size))) for n in names}
 
 
 class Pooled:
@@ -134,17 +133,17 @@ class Pooled:
         parts, self.priors = zip(*named.values(), strict=True)
         self.size = np.array([c.size for c in parts])
         self.weight = np.array([0.0 if c.flat else 1.0 for c in parts])
-        own = np.array([c.mean for c in parts]) / self.size
+        prior_mean = np.array([c.mean for c in parts]) / self.size
         scaled = mean / self.size
         self.centre = scaled.mean(axis=0)
-        self.own = own - self.centre  # mean of the prior of m, from the centre
+        self.own = prior_mean - self.centre  # mean of the prior of m, from the centre
         self.scale = np.array([prior.scale for prior in self.priors]) / self.size
         # What the readings alone say: the device's own prior is taken out again.
         inverse = np.linalg.inv(covariance / np.outer(self.size, self.size))
         self.precision = inverse - np.diag(self.weight)
-        self.estimate, self.rest = scaled - self.centre, self.weight * (scaled - own)
+        self.estimate, self.rest = scaled - self.centre, self.weight * (scaled - prior_mean)
 
-    def given(self, v: Float[np.ndarray, "k"]) -> tuple[float, *tuple[np.ndarray, ...]]:
+    def condition_on(self, v: Float[np.ndarray, "k"]) -> tuple[float, *tuple[np.ndarray, ...]]:
         """Return what follows from τ = scale·exp(v).
 
         Returns:
@@ -173,7 +172,7 @@ class Pooled:
 
     def values(self, v: Float[np.ndarray, "s k"]) -> Float[np.ndarray, "s"]:
         """Return log densities."""
-        return np.nan_to_num([self.given(one)[0] for one in v], nan=-np.inf)
+        return np.nan_to_num([self.condition_on(point)[0] for point in v], nan=-np.inf)
 
     def draws(self, seed: int) -> tuple[np.ndarray, np.ndarray, float]:
         """Return draws of v, with smoothed weights and k̂."""
@@ -192,7 +191,7 @@ class Pooled:
 def learn(
     mean: Float[np.ndarray, "b k"], covariance: Float[np.ndarray, "b k k"], named: Named, seed: int
 ) -> tuple[Population, Float[np.ndarray, "b k"], Float[np.ndarray, "b k k"]]:
-    """Learn a population from its devices; and these under it, their means and covariances.
+    """Learn a population from its devices; return it with their means and covariances under it.
 
     Args:
         mean, covariance: of the named coefficients of devices fitted each by itself, in their units.
@@ -208,14 +207,14 @@ def learn(
         )
     pooled = Pooled(mean, covariance, named)
     v, weights, k_hat = pooled.draws(seed)
-    about = pooled.given(v[np.argmax(weights)])[3]  # which keeps the digits of second moments
+    about = pooled.condition_on(v[np.argmax(weights)])[3]  # keeps the digits of second moments
     centres, squares = np.zeros((len(v), len(named))), np.zeros((len(v), len(named)))
     first, second = np.zeros_like(mean), np.zeros_like(covariance)
-    for i, (one, weight) in enumerate(zip(v, weights, strict=True)):
-        _, centres[i], variance, device, inner = pooled.given(one)
-        squares[i], apart = np.diag(variance), device - about
-        first += weight * apart
-        second += weight * (inner + apart[:, :, None] * apart[:, None])
+    for i, (point, weight) in enumerate(zip(v, weights, strict=True)):
+        _, centres[i], variance, device, inner = pooled.condition_on(point)
+        squares[i], distance = np.diag(variance), device - about
+        first += weight * distance
+        second += weight * (inner + distance[:, :, None] * distance[:, None])
     second -= first[:, :, None] * first[:, None]
     size, between = pooled.size, pooled.scale * np.exp(v)
     middle = weights @ centres
@@ -231,8 +230,8 @@ def learn(
     )
     why = ws.unevenness(weights, k_hat, enough=POPULATION_DRAWS)
     reason = why and f"weights of the between-group standard deviations were uneven ({why})"
-    found = Population(table, not why, reason, count, k_hat)
-    return found, (about + first + pooled.centre) * size, second * np.outer(size, size)
+    population = Population(table, not why, reason, count, k_hat)
+    return population, (about + first + pooled.centre) * size, second * np.outer(size, size)
 
 
 def follow(
@@ -243,10 +242,10 @@ def follow(
     new: Float[np.ndarray, "k k"],
 ) -> tuple[Float[np.ndarray, "q"], Float[np.ndarray, "q q"]]:
     """Return all unknowns of a device, where those `of` have a new mean and covariance: by regression on them."""
-    rest = np.flatnonzero(np.isfinite(np.diag(covariance)))
+    free = np.flatnonzero(np.isfinite(np.diag(covariance)))
     inner = covariance[np.ix_(of, of)]
-    gain = covariance[np.ix_(rest, of)] @ np.linalg.inv(inner)
+    gain = covariance[np.ix_(free, of)] @ np.linalg.inv(inner)
     mean, covariance = mean.copy(), covariance.copy()
-    mean[rest] += gain @ (new_mean - mean[of])
-    covariance[np.ix_(rest, rest)] += gain @ (new - inner) @ gain.T
+    mean[free] += gain @ (new_mean - mean[of])
+    covariance[np.ix_(free, free)] += gain @ (new - inner) @ gain.T
     return mean, covariance
