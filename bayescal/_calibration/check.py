@@ -235,7 +235,7 @@ def check(calibration: Calibration) -> Check:
     """
     judged, free = _with_free_noise(calibration)
     linear, fixed = judged.linear, None
-    residual, white = linear.settled, linear.scores
+    residual, white = linear.conditional_residuals, linear.scores
     noise, rms = float(np.sqrt(np.mean(linear.variance))), float(np.sqrt(np.mean(residual**2)))
     covariates = covariates_of(judged)
     two = _covariate_pairs(covariates)
@@ -476,7 +476,7 @@ def noise_floor(calibration: Fitted) -> float:
     From each residual against the mean of its two neighbours (in time within a run; in temperature where there
     is no time), as in a von Neumann ratio: what varies slowly cancels.
     """
-    residual = calibration.linear.settled
+    residual = calibration.linear.conditional_residuals
     readings = calibration.readings
     if readings.has("time"):
         order, step = calibration.problem.record.in_time

@@ -93,7 +93,7 @@ def confounders(
         squares = float(column @ column)
         remainder = max(squares - float(explained @ explained), 0.0)
         # Of a standard normal coefficient: log Bayes factor ½·u²/(1 + K) − ½·log(1 + K).
-        score, inner = float(column @ linear.white_settled), 1 + remainder
+        score, inner = float(column @ linear.white_conditional), 1 + remainder
         acts = 1.0 if step else float(expit(0.5 * (score**2 / inner - math.log(inner))))
         second_moment = acts * (1 / inner + (score / inner) ** 2)
         added = math.sqrt(second_moment) * shifts(linear, column[:, None])[:, 0]

@@ -22,13 +22,13 @@ from bayescal._inference.newton import CONVERGED_NATS, NOWHERE, Nearby, climb, g
 from bayescal._inference.problem import Problem
 from bayescal._inference.record import Record
 
-STILL_SD = 1e-4  # standard deviations that a round moves anything by, below which the mode is found
-ROUNDS = 12  # alternations of x̂ and φ̂ at most
+XTOL_SD = 1e-4  # standard deviations that a round moves anything by, below which the mode is found
+MAX_ROUNDS = 12  # alternations of x̂ and φ̂ at most
 STARTS = 64  # prior draws of φ among which the start is chosen,
 AHEAD = np.arange(-3.5, 3.5, 0.02)  # where along a shape of many maxima a higher one may be
 HALVINGS = 8  # of a step that makes things worse
 NOTHING_KNOWN: Mapping[str, float] = MappingProxyType({})
-NOTHING_LEFT = 1e-8  # log density that a round gains, below which φ̂ is found
+MIN_GAIN_NATS = 1e-8  # log density that a round gains, below which φ̂ is found
 
 
 class Mode(NamedTuple):
@@ -49,7 +49,7 @@ def find_mode(
     problem: Problem,
     starts: Iterable[np.ndarray] | None = None,
     x: Float[np.ndarray, "p"] | None = None,
-    xtol: float = STILL_SD,
+    xtol: float = XTOL_SD,
     start: Mapping[str, float] = NOTHING_KNOWN,
     coarse_below: float = -math.inf,
     near: Nearby | None = None,
@@ -137,7 +137,7 @@ def _climbed(
     way: rounds that lost again what they had gained could go in circles.
     """
     # A step of `xtol` standard deviations gains about xtol²/2 nats.
-    least_gain = max(NOTHING_LEFT, 0.5 * xtol**2)
+    least_gain = max(MIN_GAIN_NATS, 0.5 * xtol**2)
     # The curvature at a point hangs more on where that is than the density does.
     ftol = max(CONVERGED_NATS, 0.01 * least_gain)
     density = Density(problem, x, flat, starts[0], like=near)
@@ -148,7 +148,7 @@ def _climbed(
         return _Summit(value, 0.0, v, x if conditional is None else conditional.mean, density)
     v, change = best(density, starts), math.inf
     density, value = _about_x(problem, x, v, flat, xtol, near)
-    for _ in range(ROUNDS):
+    for _ in range(MAX_ROUNDS):
         goal = climb(density, v, coarse_below, ftol)
         for _ in range(HALVINGS):
             trial, higher = _about_x(problem, density.x, goal, flat, xtol, density.nearby)
@@ -206,7 +206,7 @@ def mode_of_x(
     x: Float[np.ndarray, "p"],
     v: np.ndarray,
     flat: np.ndarray,
-    xtol: float = STILL_SD,
+    xtol: float = XTOL_SD,
 ) -> Float[np.ndarray, "p"]:
     """Find x̂ given φ by Gauss–Newton on residuals and prior, with step halving.
 

@@ -32,11 +32,11 @@ from bayescal._model.noise_law import in_time
 from bayescal._model.parameters import Layout
 from bayescal._model.prior import slope
 
-STILL_SD = 1e-6  # standard deviations: a further step smaller than this is none
+XTOL_SD = 1e-6  # standard deviations: a further step smaller than this is none
 # Share of the residuals in the tangent plane, at which a point counts as the optimum.
 GOOD_SHARE = 1e-5
 ROUND_CHANGE = 1e-9  # change of φ's coordinates in a round, below which it rests
-ROUNDS = 30  # at most
+MAX_ROUNDS = 30  # at most
 ROUND_STEPS = 200  # of θ in a round
 TOLERANCE = 1e-12  # of optimistix's solvers, relative and absolute
 MOST_STEPS = 5000  # of these: along a curved valley they are short
@@ -178,7 +178,7 @@ def refine(
     theta, converged = np.concatenate([x, v[fit.places]]), False
     if by_optimistix and (fit.places or not problem.affine):  # what is linear is one step of QR
         theta = fit.solved(theta, v)
-    for _ in range(ROUNDS):
+    for _ in range(MAX_ROUNDS):
         theta, converged = fit.fit_theta(theta, v)
         moved = fit.fit_noise(theta, put(theta[problem.size :], fit.places, v))
         change = float(np.max(np.abs(moved - v), initial=0.0))
@@ -190,7 +190,7 @@ def refine(
     covariance = conditional.root @ conditional.root.T
     sd = np.sqrt(np.diag(covariance))
     step = np.max(np.abs(conditional.theta - theta) / sd, initial=0.0)
-    converged = converged or bool(step < STILL_SD)
+    converged = converged or bool(step < XTOL_SD)
     if (full_hessian or not fit.gaussian) and np.all(np.isfinite(covariance)):
         covariance = fit.curved(theta, v, conditional.root)
     return Solution(mode._replace(x=theta[: problem.size], v=v), covariance, converged)

@@ -126,30 +126,30 @@ class LinearModel:
         return self._eigen[1]
 
     @cached_property
-    def settled(self) -> Float[np.ndarray, "n"]:
+    def conditional_residuals(self) -> Float[np.ndarray, "n"]:
         """Return the residuals once all of θ is fitted together, shapes too, output unit."""
         # One Gauss–Newton step of all θ from where they stand: (AᵀA + W)⁻¹(Aᵀr − W·z).
         pull = self.white_nuisance.T @ self.white_residual - self.weight * self.z
         return self.residual - self.nuisance @ (self.root @ (self.root.T @ pull))
 
     @cached_property
-    def white_settled(self) -> Float[np.ndarray, "n"]:
-        return self.whiten(self.settled[:, None])[:, 0]
+    def white_conditional(self) -> Float[np.ndarray, "n"]:
+        return self.whiten(self.conditional_residuals[:, None])[:, 0]
 
     @cached_property
     def scores(self) -> Float[np.ndarray, "n"]:
-        """Return settled residuals as independent standard normal numbers if the noise law is right."""
+        """Return conditional residuals as independent standard normal numbers if the noise law is right."""
         problem = self.problem
         if problem.noise.gaussian:
-            return self.white_settled
-        values = problem.hyper(self.mode.v)
-        return normal_scores(problem.noise, values, problem.record, self.settled, self.extra)
+            return self.white_conditional
+        values, residuals = problem.hyper(self.mode.v), self.conditional_residuals
+        return normal_scores(problem.noise, values, problem.record, residuals, self.extra)
 
     def along(
         self, columns: Float[np.ndarray, "n k"]
     ) -> tuple[Float[np.ndarray, "k"], Float[np.ndarray, "k k"]]:
-        """Return CᵀΣ⁻¹r and CᵀΣ⁻¹C of columns and settled residuals: no nuisance is taken out again."""
-        white = self.whiten(np.column_stack([columns, self.settled]))
+        """Return CᵀΣ⁻¹r and CᵀΣ⁻¹C of columns and conditional residuals: no nuisance is taken out again."""
+        white = self.whiten(np.column_stack([columns, self.conditional_residuals]))
         return white[:, :-1].T @ white[:, -1], white[:, :-1].T @ white[:, :-1]
 
     @cached_property
@@ -185,7 +185,7 @@ class LinearModel:
         white = self.whiten(columns)
         projection = self.projected(white)
         # V⁻¹r is Σ⁻¹ times the residuals at the fit.
-        return white.T @ self.white_settled, white.T @ white - projection.T @ projection
+        return white.T @ self.white_conditional, white.T @ white - projection.T @ projection
 
     @cached_property
     def slopes(self) -> dict[str, np.ndarray]:

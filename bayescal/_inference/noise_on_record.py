@@ -23,8 +23,8 @@ from bayescal._model.noise_law import LOG_2PI, Noise, log_density_beside, widene
 
 Values = Mapping[str, Any]  # φ by name, one number each
 Batch = Mapping[str, Any]  # φ by name, one number a draw, or one for all
-WIDTH = 8  # columns that a table is padded to at least, else to twice as many, and so on
-CELLS = 2_000_000  # numbers in the tables of several draws that are held at once
+MIN_TABLE_COLUMNS = 8  # columns that a table is padded to, else to twice as many, and so on
+MAX_CELLS = 2_000_000  # numbers in the tables of several draws that are held at once
 FEWEST_DRAWS_TOGETHER = 8  # draws that are worked out together where there are few
 RESIDUAL_DIFFERENCE = 1e-4  # of a reading's standard deviation
 KEYS_TOGETHER = 4096  # of draws, made by one program
@@ -112,7 +112,7 @@ def _padded(law: Noise, record: Record, table: np.ndarray) -> np.ndarray:
 
 def _width(table: np.ndarray) -> int:
     """Return the padded number of columns."""
-    width = WIDTH
+    width = MIN_TABLE_COLUMNS
     while width < table.shape[1]:
         width *= 2
     return width
@@ -139,7 +139,7 @@ def products_of_several(
                 yield whitened.T @ whitened, logdet
                 continue
             part: list[Any] = [(white, table)]
-            if white.law.several_states and FEWEST_DRAWS_TOGETHER * table.size <= CELLS:
+            if white.law.several_states and FEWEST_DRAWS_TOGETHER * table.size <= MAX_CELLS:
                 part += islice(members, FEWEST_DRAWS_TOGETHER - 1)
             yield from ((whitened.T @ whitened, logdet) for whitened, logdet in _filtered(part))
 
@@ -310,7 +310,7 @@ def _by_draws(
     arrays = tuple(a if a is None else _forth(law, record, np.asarray(a), 1) for a in arrays)
     output = np.empty((record.size, count))
     # One, eight or many at once: three lengths, so that no program is compiled for each number of draws.
-    most = max(1, CELLS // record.padded_size)
+    most = max(1, MAX_CELLS // record.padded_size)
     few = count <= 8 * FEWEST_DRAWS_TOGETHER
     together = 1 if count == 1 else FEWEST_DRAWS_TOGETHER if few else min(256, most)
     for start in range(0, count, together):
@@ -333,7 +333,7 @@ def total_log_density(
     names = list(law.parameters())
     count = max([*(np.size(hyper[n]) for n in names), len(residuals)])
     phi, totals = {n: np.broadcast_to(hyper[n], (count,)) for n in names}, []
-    for some in np.array_split(np.arange(count), -(-count * record.size // CELLS)):
+    for some in np.array_split(np.arange(count), -(-count * record.size // MAX_CELLS)):
         variance = extra[some] if np.ndim(extra) else extra
         part = residuals[some] if len(residuals) > 1 else residuals
         values = {n: v[some] for n, v in phi.items()}

@@ -59,7 +59,7 @@ NEGLIGIBLE = 40.0  # below the largest log weight, from which a draw counts noth
 COSTLY_READINGS = 1000  # readings, from which on a pass over them costs
 PROPOSALS, FEWER_PROPOSALS, FEWEST_PROPOSALS = 8192, 4096, 2048  # by what each costs,
 # And at least where a structure is part of an average, if each costs little; if each costs a pass.
-OF_A_PART, COSTLY_OF_A_PART = 128, 64
+MIN_PROPOSALS_PER_STRUCTURE = 128, 64
 COSTLY_STEPS = 4  # in which costly proposals are drawn; half of them at least
 # Share of an average from which on uneven weights of a structure are worth another climb.
 LARGE_SHARE = 0.1
@@ -344,7 +344,7 @@ def weighted_draws(
     heavy = heavy or not problem.noise.gaussian
     earlier_rounds = None if earlier is None else earlier.rounds
     while True:
-        least = OF_A_PART if density.table is not None else COSTLY_OF_A_PART
+        least = MIN_PROPOSALS_PER_STRUCTURE[density.table is None]
         count = proposals or max(least, round(part * proposals_of(density)))
         higher = float(density.mode.log_density) + above
         pool = Rounds(share) if earlier_rounds is None else earlier_rounds

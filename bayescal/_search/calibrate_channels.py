@@ -31,7 +31,7 @@ from bayescal._search.shared_shape import FromOthers, ShapeEvidence, SharedShape
 from bayescal._search.structures import Structure, Structures, Weighed
 from bayescal._search.walk import BEAM_STRUCTURES
 
-ROUNDS = 3  # of hearing the others, at most
+MAX_ROUNDS = 3  # of hearing the others, at most
 Follow = Callable[[str, SearchPath], None]
 # Error of a new run over that of the readings as fitted, from which both are shown.
 APART_RATIO = 1.1
@@ -306,7 +306,7 @@ def _exchange_evidence(channels: Sequence[_Channel], follow: Follow) -> Iterator
             c.says = c.evaluate_shapes(c.loop.library.structures)
     yield list(_combine_evidence(channels, shapes, alone).values())
     # Coordinate ascent on a joint posterior: each channel given what all others say now.
-    for _ in range(ROUNDS):
+    for _ in range(MAX_ROUNDS):
         moved = []
         for c in channels:  # one by one: told all at once, they would swap opinions
             shared = _combine_evidence(channels, shapes, alone)

@@ -36,7 +36,7 @@ from bayescal._search.posterior import Posterior
 from bayescal._search.structures import Structure, Structures, Weighed
 
 COUNT = 4000  # draws in all
-ROUNDS = 6  # of adaptation at most
+MAX_ROUNDS = 6  # of adaptation at most
 # How much more uncertain the expected output is where something is missing from the model that has no formula here: on
 # campaigns whose formulas are none of the catalogue's, 95 % intervals then hold about 95 % (docs/wrong_model.md).
 INCOMPLETE_FACTOR = 2.5
@@ -214,7 +214,7 @@ def shares_of(structures: Structures, noise: str) -> tuple[StructureShare, ...]:
 def _drawn(weighed: Weighed, count: int, probability: float, seed: int) -> _Values:
     """Draw from a structure about its mode, by importance sampling."""
     # All structures together have as many proposals as one alone: the average is as well known as that would be.
-    sample = weighted_draws(weighed.problem, weighed.mode, seed, None, ROUNDS, part=probability)
+    sample = weighted_draws(weighed.problem, weighed.mode, seed, None, MAX_ROUNDS, part=probability)
     weights, _ = smoothed(sample.log_weight)
     pick = resample(weights, count, seed)
     return _by_name(weighed.problem.layout, sample.x[pick], sample.v[pick])

@@ -54,7 +54,7 @@ SIZE_FACTORS = {1.0: 0.6, 3.0: 0.3, 10.0: 0.1}
 # Standard deviation of a coefficient whose size the readings do not tell, in plausible sizes.
 RMS_SIZE = math.sqrt(sum(p * factor**2 for factor, p in SIZE_FACTORS.items()))
 
-STILL_SD = 0.03  # standard deviations to which a mode is found: its log evidence to 1e-3
+XTOL_SD = 0.03  # standard deviations to which a mode is found: its log evidence to 1e-3
 
 
 @dataclass(frozen=True)
@@ -315,7 +315,7 @@ class Structures:
         # Of what is that far behind nothing is asked but that it is.
         coarse_below = self.best.total - log_prior - ROUGHLY_NATS if self.visited else -math.inf
         if near is None:
-            first_mode = find_mode(problem, xtol=STILL_SD, coarse_below=coarse_below)
+            first_mode = find_mode(problem, xtol=XTOL_SD, coarse_below=coarse_below)
         else:
             coordinates = carried(problem, near.problem, near.mode)
             begin = starts(problem, near.problem, coordinates, hints)
@@ -325,7 +325,7 @@ class Structures:
                 exact = near.mode.log_density > self.best.total - near.log_prior - ROUGHLY_NATS
                 curvature = nearby(problem, near.problem, near.mode, exact)
             how: dict[str, Any] = {"coarse_below": coarse_below, "near": curvature}
-            first_mode = find_mode(problem, begin, x, STILL_SD, **how)
+            first_mode = find_mode(problem, begin, x, XTOL_SD, **how)
         sized = [e for n, e in self.candidates.items() if n in structure.effects and has_size(e)]
         problem, mode, log_evidence = averaged(problem, first_mode, sized, coarse_below)
         weighed = Weighed(structure, log_evidence, log_prior, problem, mode)
@@ -478,7 +478,7 @@ def averaged(
         if chosen != initial:
             problem = Problem(problem.layout, problem.record, dict(chosen))
             curvature = nearby(problem, problem, mode, True)
-            mode = find_mode(problem, [mode.v], mode.x, STILL_SD, near=curvature)
+            mode = find_mode(problem, [mode.v], mode.x, XTOL_SD, near=curvature)
             gains = SizeGains.of(problem, mode, chosen)
             if gains is None:
                 return problem, mode, -math.inf

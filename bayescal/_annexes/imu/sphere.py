@@ -79,5 +79,5 @@ def residuals_on_sphere(
     if readings.has(ws.ACROSS[0]):
         mask = ~np.any([readings[name] != 0 for name in ws.ACROSS], axis=0)
     linear = calibration.linear
-    residual = linear.settled / np.sqrt(linear.variance)
+    residual = linear.conditional_residuals / np.sqrt(linear.variance)
     return outputs[mask] / np.linalg.norm(outputs[mask], axis=1)[:, None], residual[mask]
