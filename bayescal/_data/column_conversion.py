@@ -261,12 +261,12 @@ class ColumnReader:
 
     def _note_labels(self, labels: np.ndarray) -> None:
         """Add a problem for labels that are unknown, or hold a control character."""
-        allowed, known = self.column.allowed, f"one of {', '.join(self.column.allowed)}"
+        allowed, choices = self.column.allowed, f"one of {', '.join(self.column.allowed)}"
         for label in dict.fromkeys(labels.tolist()):
             if any(unicodedata.category(character) in ("Cc", "Cs") for character in label):
                 came, expected, cure = "which holds a control character", "", "Remove it"
             elif label and allowed and label not in allowed:
-                came, expected, cure = "an unknown label", known, "Correct it"
+                came, expected, cure = "an unknown label", choices, "Correct it"
             else:
                 continue
             rows = np.flatnonzero(labels == label)

@@ -212,9 +212,9 @@ class Loop:
     def look(self, follow: Callable[[], None] = lambda: None) -> None:
         """Walk over the structures, to the end or the deadline."""
         if self.library is not None:
-            effects, known = frozenset(e.name for e in self.reconsidered), self.structures
-            start = Structure(effects) if effects and effects <= {*known.candidates} else None
-            if start and not effects.isdisjoint(known.barred(start)):
+            effects, structures = frozenset(e.name for e in self.reconsidered), self.structures
+            start = Structure(effects) if effects and effects <= {*structures.candidates} else None
+            if start and not effects.isdisjoint(structures.barred(start)):
                 start = None
             self.stopped = explore(self.library, self.max_effects, start, follow)
 

@@ -159,23 +159,23 @@ class SearchPath(Printed):
             reliable = self.steps[0].calibration.verdict.ok
             why = "no effect was to be added" if reliable else "the fit is not reliable"
             return search.stopped or f"Nothing was looked for: {why}."
-        said = [search.stopped] if search.stopped else []
+        lines = [search.stopped] if search.stopped else []
         added, most = sum(s.added is not None for s in self.steps), search.max_effects or 0
-        if not said and added >= most > 0:
-            said.append(f"The search has added the {most} effects that it may (--max-effects).")
+        if not lines and added >= most > 0:
+            lines.append(f"The search has added the {most} effects that it may (--max-effects).")
         # Of candidates that these readings can test, the nearest one says how far the search was from another end.
         probabilities = {c.effect: c.probability for c in discovery.candidates}
         tested = {n: p for n, p in probabilities.items() if p is not None}
         nearest = max(tested, key=tested.__getitem__, default="")
         sure = settings().found_probability
         if not nearest:
-            said += [] if said else ["These readings can test no further candidate."]
+            lines += [] if lines else ["These readings can test no further candidate."]
         elif tested[nearest] >= sure:
-            said.append(f"Still missing: {nearest}, probability {probability(tested[nearest])}.")
+            lines.append(f"Still missing: {nearest}, probability {probability(tested[nearest])}.")
         else:
             highest = f"{nearest}, {probability(tested[nearest])}"
-            said.append(f"No further effect reaches probability {sure:g} (highest: {highest}).")
-        return " ".join(said)
+            lines.append(f"No further effect reaches probability {sure:g} (highest: {highest}).")
+        return " ".join(lines)
 
     if TYPE_CHECKING:
 

@@ -91,12 +91,12 @@ def walk(library: Library, max_effects: int, start: Structure | None = None) -> 
     # Physics first: a curve, or noise that is correlated, found before a second effect takes what this explains, and
     # hides it. So what has a name is looked for by itself, under the noise that is given, and then all together.
     # A fourth power costs nothing to look for, and what is wrong with it the second walk exchanges.
-    known = structures.candidates.items()
-    named = frozenset(n for n, e in known if not (e.is_placeholder and e.unnamed))
-    physics, everything = Scope(named, ("",)), Scope(frozenset(structures.candidates))
-    expanded: dict[Scope, set[Structure]] = {physics: set(), everything: set()}
+    offered = structures.candidates.items()
+    named = frozenset(n for n, e in offered if not (e.is_placeholder and e.unnamed))
+    physics, full = Scope(named, ("",)), Scope(frozenset(structures.candidates))
+    expanded: dict[Scope, set[Structure]] = {physics: set(), full: set()}
     view = lru_cache(BEAM_STRUCTURES)(partial(View, library))  # of either scope
-    for among, later in ((physics, None), (everything, None), (everything, start)):
+    for among, later in ((physics, None), (full, None), (full, start)):
         # From the base under a correlated law an effect is seen that slow residuals would otherwise hide.
         for law in () if among is physics else correlated_laws(structures):
             yield structures.weigh(Structure(noise=law), root)
@@ -107,9 +107,10 @@ def walk(library: Library, max_effects: int, start: Structure | None = None) -> 
         # forms and laws come last: on what a missing effect leaves, each would be fitted for nothing.
         while True:
             if fresh := _next(structures, expanded[among], among):
-                structure, known = fresh.structure, [*expanded[among]] if structures.thrifty else []
+                structure = fresh.structure
+                earlier = [*expanded[among]] if structures.thrifty else []
                 expanded[among].add(structure)
-                if similar := [s for s in known if structures.have_same_effects(s, structure)]:
+                if similar := [s for s in earlier if structures.have_same_effects(s, structure)]:
                     yield from _follow(structures, fresh, similar[0])
                 else:
                     yield from _look_around(library, fresh, max_effects, among, view)

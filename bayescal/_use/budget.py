@@ -320,8 +320,8 @@ def _by_source(
         part = gradient * [u.kind != "new" for u in unknowns]
         parts[FORM, "B"] = extra * (float(part @ chosen._moments.covariance @ part) - not_found)
     rows = sorted(parts.items(), key=lambda p: -p[1])
-    left = total - sum(parts.values())
-    rows += [((REMAINDER, ""), left * (abs(left) > 1e-9 * total))]  # less is rounding
+    remainder = total - sum(parts.values())
+    rows += [((REMAINDER, ""), remainder * (abs(remainder) > 1e-9 * total))]  # less is rounding
     rows += [((STRUCTURES, ""), variance - total)] * bool(unlikely)
     sizes = ((named, value, float(np.sign(value) * abs(value) ** 0.5)) for named, value in rows)
     return tuple(SourceShare(*named, size, v / (variance or np.inf)) for named, v, size in sizes)

@@ -150,13 +150,13 @@ def _answer(
     trails: Mapping[str, Any], data: Any, folder: Path | None, options: TriadOptions
 ) -> ws.Answer:
     """Draw and list the results of triads, whose summaries are printed already, as the answer of a command."""
-    made = folder is None or _draw_triads(trails, folder)
+    drawn = folder is None or _draw_triads(trails, folder)
     for place in dict.fromkeys((*trails, "")) if folder is not None and not options.json_ else ():
         names = (*ws.files_of(folder / place), ws.MANIFEST)
         print(f"written: {folder / place}/{', '.join(names)}")
     why = [trail.gate.reason for trail in trails.values() if not trail.ok]
     json_data = data if options.json_ else None
-    return ws.Answer(json_data, ok=not why, why="; ".join(why[:1]), made=made)
+    return ws.Answer(json_data, ok=not why, why="; ".join(why[:1]), made=drawn)
 
 
 def _three_names(sensors: str, text: str | None) -> dict[str, str]:
@@ -237,8 +237,8 @@ def _write(folder: Path, trail: Any, correction: Any, readings: Any, sensor: str
     ws.write_search(trail, folder)
     for name in FILES:
         bc.export_vector(correction, folder / name, name=sensor)
-    if said := left_out(correction, "yaml"):
-        ws.print_notes([f"{correction.instrument}, YAML: {said}"])
+    if omitted := left_out(correction, "yaml"):
+        ws.print_notes([f"{correction.instrument}, YAML: {omitted}"])
     readings.write(folder / "poses.csv")
 
 
