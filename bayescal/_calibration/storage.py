@@ -79,10 +79,8 @@ def save(calibration: Fitted, path: Path) -> Path:
         "mode": {n: Variable(tuple(f"{n}_{i}" for i in range(a.ndim)), a) for n, a in mode.items()},
     }
     described = json.dumps({"schema": SCHEMA, **description(calibration)})
-    attrs = {"bayescal": described, "bayescal_identity": identity(calibration)}
-    content = netcdf_bytes(
-        groups, Conventions="CF-1.11", title=in_short(calibration.model), **attrs
-    )
+    ids = {"bayescal": described, "bayescal_identity": identity(calibration)}
+    content = netcdf_bytes(groups, Conventions="CF-1.11", title=in_short(calibration.model), **ids)
     with atomic_file.replacing_for_user(path) as partial:
         atomic_file.write_sealed(content, partial)
     return path

@@ -49,7 +49,7 @@ def unknowns_parts(
             f"{chance:.2g} of cases)"
         )
     if at := [f"{k} = {v:g} {unit_label(u)}" for k, (v, u) in calibration.held_at.items()]:
-        lines.append("constants hold at " + ", ".join(at))
+        lines.append("coefficients refer to " + ", ".join(at))
     lagging = (e for e in model.effects if any(s.unit == "s" for s in e.column_shapes))
     columns = sorted({column for e in lagging for column in e.columns})
     if steps := [n for n in columns if calibration.reference.get(held_name(n))]:

@@ -146,7 +146,7 @@ class SimulateCommand(AsJson, Command):
             raise InputError(str(error)) from None
         readings.write(self.out)
         hiding = ", ".join(f"{name} = {size:g}" for name, size in hidden.items()) or "nothing"
-        text = f"{self.out}: {len(readings)} readings, hidden: {hiding}; seed {self.seed}"
+        text = f"{self.out}: {len(readings)} readings, hidden effects: {hiding}; seed {self.seed}"
         data = {"file": str(self.out), "rows": len(readings), "seed": self.seed}
         return Answer(text, {**data, "noise_law": self.noise_law, "effects": hidden})
 

@@ -296,7 +296,7 @@ class ColumnReader:
                 return inferred
             if not (self.is_time and cells.bad and np.isnan(cells.values).all()):
                 like = self.column.example
-                cure = f"UNIT is what its numbers are in, such as {like}; in a header, '{self.header.name} [{like}]'"
+                cure = f"Write it in the header, such as '{self.header.name} [{like}]', or give UNIT, such as {like}"
                 self._problem("the header has no unit", "one", cure, suggestion)
             return None  # dates of another form are said as such
         if self.column.unit != units.ANY:
@@ -404,12 +404,12 @@ class ColumnReader:
                 self._note_scale(scale, difference)
                 raw = units.convert(values, unit, scale.unit, **how)
                 return scale.apply(raw, difference=difference)
-            also = f", or {scale.unit}, which the nominal scale converts" if scale else ""
+            also = f", or {scale.unit} (by the nominal scale)" if scale else ""
             per = f"({target})" if "/" in target else target
             scale_option = option("--nominal-scale", f"250 {unit}/{per}")
             hint = f" Or say how many {unit} one {target} is, such as {scale_option}"
         cure = f"Correct the header, or give the unit that is meant.{hint}"
-        came, expected = f"its unit is [{unit}]", f"one that converts to {target}{also}"
+        came, expected = f"its unit is [{unit}]", f"{target}, a unit that converts to it{also},"
         self._problem(came, expected, cure, suggestion)
         return None
 

@@ -188,8 +188,8 @@ def said_of(readings: Measurements, holdout: Measurements) -> str:
     if rounded or many <= MIN_NOT_NEW_SHARE * len(theirs):
         return ""
     message = (
-        f"{holdout.file}: {many} of the {len(holdout)} readings of the hold-out data are readings that are fitted "
-        "(equal output, temperature and inputs; times and labels apart): the hold-out error says nothing of new "
-        "readings. Take readings of another run"
+        f"{holdout.file}: {many} of the {len(holdout)} hold-out readings were also fitted "
+        "(same output, temperature and inputs, whatever their times and labels): the hold-out error says nothing about "
+        "new readings. Take readings of another run"
     )
     return Flag(message, "holdout.not_new")

@@ -266,7 +266,7 @@ def _effects(chapter: Chapter) -> str:
         if likely is not None and likely < settings().found_probability:
             how = f"probably ({likely:.2f}) "
         texts.append(how + _describe_effect(chapter.used, effect))
-    return f"Found beside the first model: {'; '.join(texts)}."
+    return f"Found in addition to the first model: {'; '.join(texts)}."
 
 
 PHYSICS = {  # description of an effect by the form of its dependence

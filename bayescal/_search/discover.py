@@ -140,7 +140,7 @@ class Discovery(Printed):
         text = self.unstated or probability(self.nothing_missing)
         if self.unstated or not self.unseen:
             return text
-        return f"{text}, as far as this experiment can see; effects that it cannot see: {len(self.unseen)}"
+        return f"{text}, as far as this experiment can see; effects that could not be tested: {len(self.unseen)}"
 
     @property
     def correlated_noise(self) -> float | None:
@@ -160,7 +160,7 @@ class Discovery(Printed):
         table = candidates_table(everyone)
         lines += [table] if table.rows else []
         if any(c["source"] == "refit" for c in table.rows):
-            lines.append("* log Bayes factor by refit; the others by score")
+            lines.append("* log Bayes factor by a refit; the others are approximate (score test)")
         lines += [folded(f"confounded: {', '.join(group)}") for group in confounded(everyone)]
         by_reason = not_tested(everyone).items()
         lines += [folded(f"not testable, {why}: {', '.join(names)}") for why, names in by_reason]

@@ -145,7 +145,7 @@ class SearchPath(Printed):
             return f"{search.seconds:.0f} s, fitted: {self.final.title}, {error}"
         best = search.structures[0]
         return (
-            f"{search.seconds:.0f} s, {search.weighed} structures weighed; best so far: {best}, "
+            f"{search.seconds:.0f} s, structures weighed: {search.weighed}; best so far: {best}, "
             f"{number(best.rms)} {unit} rms as fitted, probability {probability(best.probability)}"
         )
 

@@ -70,8 +70,8 @@ def with_form(
     factor = math.sqrt(p_complete + (1 - p_complete) * INCOMPLETE_FACTOR**2)
     why = "unknown" if complete is None else f"{complete:.2f}"
     note = (
-        f"Form of the model: the probability that it is complete is {why}; the expected output's standard uncertainty "
-        f"counts {factor:.2f} times."
+        f"Form of the model: the probability that it is complete is {why}; for this the standard uncertainty of the "
+        f"expected output is multiplied by {factor:.2f}."
     )
     noted = calibration.with_verdict(notes=(*calibration.verdict.notes, note))
     spreads = _of_new_runs(calibration, structures, at)

@@ -38,7 +38,7 @@ from bayescal._use.operating_equation import ALL_DRAWS, OperatingEquation
 
 REMAINDER = "between-group sd, shapes, curvature"
 STRUCTURES = "which effects there are (average over structures)"
-FORM = "form of the model: formulas that the search does not have"
+FORM = "form of the model: effects outside the candidates"
 LEAST_VARIANCE_SHARE = 5e-4  # smallest share of the variance that is printed
 READINGS = "noise of the calibration's readings"
 
@@ -151,7 +151,7 @@ class Budget(Printed):
         parts = [
             f"Uncertainty budget of {b.stimulus} at {b.place}",
             replace(by_coefficient, rows=printed),
-            "Shares count correlations and add up to 100 %; one below 0 or above 100 % is of correlated coefficients."
+            "Shares include correlations and add up to 100 %: a single one can be negative or exceed 100 %."
             + note * (omitted > 0),
             replace(by_source, rows=[r for r in b.sources if abs(r.share) >= LEAST_VARIANCE_SHARE]),
             f"Combined standard uncertainty {combined}; with the noise of one reading ({noise}): {both}.",
@@ -184,7 +184,7 @@ class Budget(Printed):
         """Return the tables by coefficient and by source."""
         size = f"contribution {unit_label(self.unit)}".strip()
         tail = (
-            TableColumn(size, lambda row: number(row.contribution)),
+            TableColumn(size, lambda r: number(r.contribution) if r.contribution > 0 else "–"),
             TableColumn("share", lambda row: f"{100 * row.share:z.1f} %"),
         )
 
@@ -198,7 +198,7 @@ class Budget(Printed):
             *tail,
         )
         by_source = (
-            TableColumn("the same by where it comes from", lambda s: s.name),
+            TableColumn("the same uncertainty by source", lambda s: s.name),
             TableColumn("type", lambda s: s.kind),
             *tail,
         )
@@ -314,7 +314,7 @@ def _by_source(
         parts[f"{confounder.of_column}, not told from the model's own", "B"] = shift**2
     not_found = 0.0
     for name, (i, size) in chosen.equation.unfound_spreads.items():
-        parts[f"{name} (new run), not found", "B"] = part = float(gradient[i] * size) ** 2
+        part = parts[f"{name} (new run), not excluded", "B"] = float(gradient[i] * size) ** 2
         not_found += part
     if (extra := 1 - calibration.form_factor**-2) > 0:
         part = gradient * [u.kind != "new" for u in unknowns]

@@ -225,7 +225,7 @@ def format_of(path: str | Path | None, format: str | None) -> str:
     chosen = format or next((k.suffixes[suffix] for k in kinds() if suffix in k.suffixes), None)
     if chosen is None:
         suffixes = ", ".join(dict.fromkeys(suffix for kind in kinds() for suffix in kind.suffixes))
-        raise InputError(f"{path}: a correction is written as {suffixes}, or give the format")
+        raise InputError(f"{path}: suffix {suffix!r}, expected {suffixes}, or give the format")
     return chosen
 
 

@@ -354,7 +354,7 @@ class BatchResult:
         bad = self.doubted
         lines = [f"{len(self)} devices, {self.fitted} fitted ({self.about['method']})"]
         lines += first_few(bad, len(bad))
-        checked = f"{self.checked} checked for what their model lacks"
+        checked = f"{self.checked} searched for missing effects"
         lines += [checked if self.checked else NOT_CHECKED, *odd_in_words(self.odd, len(self))]
         lines += first_few(self.missing, len(self.missing), "no results of ", " files")
         lines += first_few(self.left_out, len(self.left_out), "not read: ", ", not read either")

@@ -90,7 +90,7 @@ def stated_limit(text: str) -> StatedLimit:
     """
     quantity, colon, terms = text.rpartition(":")
     if not (colon and quantity.strip() and terms.strip()):
-        raise bc.InputError(f"limit {text!r} names no quantity: {FORM}")
+        raise bc.InputError(f"limit {text!r} lacks a quantity, a colon or limits: {FORM}")
     for written, sign in _WRITTEN.items():
         terms = terms.replace(written, sign)
     interval, *places = re.split(r"\b(over|at)\b", terms)

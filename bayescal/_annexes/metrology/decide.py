@@ -54,8 +54,8 @@ FAR_SPANS = 3.0  # spans of the record beyond which a drift is extrapolated so f
 
 CANNOT = "cannot be said from these readings"
 ADVICE = (
-    "For a recalibration interval, calibrate in runs that lie weeks apart, with their time, and let the model hold a "
-    "drift, such as bias.drift."
+    "For a recalibration interval, calibrate in runs weeks apart, record their dates, and include a drift term such as "
+    "bias.drift."
 )
 
 
@@ -168,13 +168,13 @@ def _no_answer(quantity: LimitedQuantity, calibration: bc.Calibration, stated: f
     if not quantity.place:
         return f"{name} is one number of the model, which holds no change of it in time"
     if not quantity.follows_time:
-        return f"the model cannot say when: nothing in it that acts on {name} changes with the time of the record"
+        return f"no interval can be derived: no term of the model lets {name} change with time"
     # A form in time that the readings drew, which ends with them.
     shares = calibration.inclusion
     for effect in calibration.model.effects:
         drawn = effect.covariate == "time" and effect.is_placeholder
         if drawn and shares[effect.name] > 1 - stated:
-            return f"the model cannot say when: {effect.name} describes the record and is no law of what comes after it"
+            return f"no interval can be derived, since {effect.name} describes the record alone, not the time after it"
     return ""
 
 
@@ -485,7 +485,7 @@ class _How:
         if self.rule == "guarded":
             return (
                 f"guarded acceptance, probability of false acceptance at most {100 * self.false_accept:g} %, undecided "
-                "where neither acceptance nor rejection is as safe (JCGM 106:2012, 8.3; ILAC-G8:09/2019)"
+                "where neither acceptance nor rejection has so low a risk (JCGM 106:2012, 8.3; ILAC-G8:09/2019)"
             )
         if self.rule == "simple":
             return "simple acceptance, the estimate inside the limits, without guard bands (JCGM 106:2012, 8.2)"

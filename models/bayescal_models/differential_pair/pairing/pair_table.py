@@ -175,9 +175,9 @@ def remarks(pairs: Sequence[Pair], commanded: Array) -> tuple[str, ...]:
         sentences.append(
             f"The criteria disagree: the least residual is left by {physical} "
             f"({physical.expected_residual:.0f} µg; best with probability {physical.probability_residual:.2f}), the "
-            f"least variance of ratios most probably has {ratios} ({ratios.expected_residual:.0f} µg, an "
-            f"expected loss of {ratios.expected_loss:.0f} µg). Ratios weigh every order alike, however little of the "
-            "environment is in it."
+            f"least variance of ratios is most probably that of {ratios} ({ratios.expected_residual:.0f} µg, an "
+            f"expected loss of {ratios.expected_loss:.0f} µg). Each order has equal weight in the ratios, "
+            "even where the environment contributes little."
         )
     near = sorted({(p.inner, n) for p in pairs for n in p.near_zero})
     if near:
@@ -188,8 +188,8 @@ def remarks(pairs: Sequence[Pair], commanded: Array) -> tuple[str, ...]:
             "variance of ratios is then decided by that order's noise; the residual is not touched by it."
         )
     sentences.append(
-        "On raw records, as printed, the commanded acceleration makes up nearly all of an order, and the variance of "
-        "ratios prefers devices of little sensitivity, alike or not, or unlike ones: here "
+        "On raw records (P(raw)) the commanded acceleration dominates every order, so that the variance of ratios "
+        "favours insensitive pairs, whether or not they match: here "
         f"{raw} ({raw.expected_residual:.0f} µg)."
     )
     if np.ptp(commanded) <= VARIES * np.abs(commanded).max():
