@@ -1,4 +1,4 @@
-"""Residual checks: residuals against every covariate, with evidence and the worst region in physical units.
+"""Residual checks: residuals against every covariate, with a log Bayes factor and the worst region in physical units.
 
 A covariate's log Bayes factor says whether the residuals hold structure against it: the score test of a variance
 component, in the metric in which all nuisances are marginalised, averaged over the length and amplitude of an unknown
@@ -47,7 +47,7 @@ class Region:
 
 @dataclass(frozen=True)
 class Entry:
-    """Evidence against one covariate, or group of readings (`by_group`): run, cell, axis, device."""
+    """Log Bayes factor of one covariate, or group of readings (`by_group`): run, cell, axis, device."""
 
     against: str
     log_bayes_factor: float
@@ -63,7 +63,7 @@ class Entry:
 
 @dataclass(frozen=True)
 class Pair:
-    """Two covariates: evidence of an interaction not explained by additive terms."""
+    """Two covariates: log Bayes factor of an interaction not explained by additive terms."""
 
     against: tuple[str, str]
     log_bayes_factor: float

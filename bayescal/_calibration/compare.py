@@ -1,4 +1,4 @@
-"""Model comparison: leave-one-group-out, pointwise leave-one-out, evidence, stacking weights.
+"""Model comparison: leave-one-group-out (leave_group_out.py), leave-one-out, evidence (laplace.py), stacking.
 
 Sources: Vehtari, Gelman & Gabry, Stat. Comput. 27 (2017) 1413 (PSIS-LOO); Yao et al., Bayesian Analysis 13 (2018)
 917 (stacking). PSIS-LOO is ArviZ's.

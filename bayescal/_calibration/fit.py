@@ -48,7 +48,7 @@ def fit(
         readings: measurements of that instrument.
         method: `Marginal()` if not given; or `LeastSquares()`, `NUTS()`.
         seed: of every random number, or NumPy's generator, which draws it; the same seed gives the same draws.
-        strict: raise if the fit did not converge; False returns it with its verdict.
+        strict: raise if the fit did not converge (tolerance: `CONVERGED_NATS`); False returns it with its verdict.
         reference: constants of the bases, such as {"T0": 0.0}, in place of the data's own.
         time_limit: seconds, after which the partial result is taken: the draws so far, or the Laplace approximation at
             the mode, which is always computed; the verdict says so. Ctrl-C does the same once the mode is found.

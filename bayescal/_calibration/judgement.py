@@ -131,7 +131,7 @@ def priors_contradicted_by_data(subject: Subject) -> list[Claim]:
 
 
 def _against_priors(subject: Subject, at: Mapping[str, tuple[float, float]]) -> Iterator[Claim]:
-    """Yield coefficients far from their prior means, of (value, tolerance) each."""
+    """Yield coefficients far from their prior means, of (value, error) each."""
     baseline = {e.name for e in subject.fit.model.instrument.effects}
     most_coefficients, far_sd = limit(PRIOR, "coefficients"), limit(PRIOR, "sd")
     for u in subject.fit.unknowns:
@@ -140,10 +140,10 @@ def _against_priors(subject: Subject, at: Mapping[str, tuple[float, float]]) -> 
         effect, c = u.block.effect, u.block.coefficient
         if len(effect.coefficients) > most_coefficients or subject.accepts(effect.name, u.name):
             continue
-        value, tolerance = at.get(u.name, (c.mean, 0.0))
+        value, error = at.get(u.name, (c.mean, 0.0))
         z = abs(value - c.mean) / c.size
         sizes = 1 if effect.name in baseline else limit(PRIOR, "candidate_sizes")
-        if z - tolerance / c.size > far_sd * sizes:
+        if z - error / c.size > far_sd * sizes:
             cure = "scale" if effect.slot.partition("_")[0] == "scale" else "zero and scale"
             data = {"where": value, "mean": c.mean, "size": c.size, "unit": c.unit, "away": z}
             data |= {"fall": 0.5 * z**2, "cure": cure if effect.kind == "constant" else "units"}

@@ -1,4 +1,4 @@
-"""Weights: of draws, Pareto smoothing, effective sample size, resampling; of models, stacking."""
+"""Importance weights of draws: Pareto smoothing, effective sample size, resampling; stacking of models."""
 
 from __future__ import annotations
 

@@ -134,7 +134,7 @@ def _leaves_enough(columns: Columns, odd: checks.Anomaly, total: int) -> bool:
 
 
 def find_spikes(readings: Measurements) -> np.ndarray:
-    """Find the rows of spikes by each reading's distance from the line through its neighbours in its run.
+    """Find the rows of spikes, each an outlier by its distance from the line through its neighbours in its run.
 
     A smooth signal, however large, has small distances; a step has two large ones side by side and is kept.
     Only records in time have neighbours: without a column `time` there are no spikes. Where more readings stand out

@@ -68,7 +68,7 @@ def climb(
     coarse_below: float = -math.inf,
     ftol: float = CONVERGED_NATS,
 ) -> Float[np.ndarray, "d"]:
-    """Return the mode uphill from v, to `ftol` nats; below `coarse_below` to a hundredth of a nat.
+    """Climb from v to the mode by Newton steps with a line search; tolerance `ftol` nats, coarse below `coarse_below`.
 
     Directions that the density bends up along are gone the other way, those that it hardly bends along as if it did
     (J. Nocedal and S. Wright, Numerical Optimization, 2006, §3.4).

@@ -3,7 +3,7 @@
 φ is proposed from Student-t mixtures, first around its Laplace fit, then around many draws of the round before:
 spreads that readings know only by their sum of squares have a density with arms, which one ellipse does not cover.
 All proposals are evaluated at once, and the log evidence comes for free. What nonlinearity
-leave is corrected by the same weights: each joint draw (x, φ) carries the true density over what it was drawn from.
+leave is corrected by the same weights: each joint draw (x, φ) has as importance weight the true density over its own.
 Source: A. Owen and Y. Zhou, JASA 95 (2000) 135 (defensive mixtures); M. West, J. R. Stat. Soc. B 55 (1993) 409
 (mixtures around weighted draws).
 """

@@ -1,4 +1,4 @@
-"""When a sampler is reliable: the one policy, from diagnostics to the reasons of a verdict.
+"""Convergence: when a sampler or optimum is reliable, from diagnostics to the reasons of a verdict.
 
 Draws from importance weights are trusted by Pareto k̂ and their effective size, chains by R-hat, their effective size
 and divergences, an optimum by its last step and its curvature.

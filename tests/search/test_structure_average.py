@@ -85,7 +85,9 @@ def test_new_runs_have_the_deviations_that_so_few_runs_leave_open(average, tmp_p
     wide, narrow = found.uncertainty[0], plain.uncertainty[0]
     slope = np.diff(found.value)[0]
     assert wide**2 - narrow**2 == pytest.approx((slope * size) ** 2, rel=0.02)
-    (row,) = (s for s in bc.budget(in_use[0]).sources if s.name == "bias.run (new run), not found")
+    (row,) = (
+        s for s in bc.budget(in_use[0]).sources if s.name == "bias.run (new run), not excluded"
+    )
     assert row.contribution == pytest.approx(slope * size, rel=0.02)
 
 
