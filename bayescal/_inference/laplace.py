@@ -1,4 +1,4 @@
-"""The mode of a structure: x̂ given φ̂ by Gauss–Newton, φ̂ by marginal likelihood, in turn; the Laplace approximation there.
+"""The mode of a structure: x̂ given φ̂ by Gauss–Newton, φ̂ by marginal likelihood, and the Laplace approximation there.
 
 The joint mode of coefficients and spreads would run to a spread of zero; the mode of φ with x integrated out does not.
 """
