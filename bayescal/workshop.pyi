@@ -62,6 +62,7 @@ from ._core.as_json import write_json as write_json
 # files: written whole or not at all; folders of results
 from ._core.atomic_file import replacing_for_user as replacing_for_user
 from ._core.atomic_file import result_folder as result_folder
+from ._core.atomic_file import sha256_of as sha256_of
 from ._core.atomic_file import write_text as write_text
 
 # text for people and for programs: numbers, names, tables
@@ -157,6 +158,7 @@ from ._report.plots import new_figure as new_figure
 from ._report.report import Pictures as Pictures
 from ._report.result_json import Chapter as Chapter
 from ._report.result_json import Foreword as Foreword
+from ._report.result_json import versions as versions
 from ._report.save_search import draw_search as draw_search
 from ._report.save_search import save_search as save_search
 from ._report.save_search import write_search as write_search

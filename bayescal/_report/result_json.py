@@ -142,9 +142,9 @@ def search_data(trail: SearchPath) -> dict[str, Any] | None:
 
 
 @cache
-def versions() -> dict[str, str]:
+def versions(*further: str) -> dict[str, str]:
     numbers = {"python": platform.python_version()}
-    for name in PACKAGES:
+    for name in (*PACKAGES, *further):
         try:
             numbers[name] = version(name)
         except PackageNotFoundError:

@@ -82,7 +82,7 @@ class Posterior:
         reported = structures.reported(conditioned) | structures.families(further)
         triples = zip(self.structures, self.reported, self.described, strict=True)
         laws = [s in self.refitted and self.refitted[s].noise_describes for s in self.structures]
-        named = [not d and families - self._unnamed(s) <= reported for s, families, d in triples]
+        named = [not d and f - structures.unnamed(s) <= reported for s, f, d in triples]
         return self._of_any([n and not law for n, law in zip(named, laws, strict=True)])
 
     @cached_property
@@ -92,12 +92,9 @@ class Posterior:
         def needed(s: Structure, probability: float) -> bool:
             weighed = self.refitted.get(s)
             unknown = weighed is None or probability < NEXT_TO_NOTHING
-            return bool(self._unnamed(s)) and (unknown or bool(self.space.matters(weighed)))
+            return bool(self.space.unnamed(s)) and (unknown or bool(self.space.matters(weighed)))
 
         return [needed(*pairs) for pairs in zip(self.structures, self.probability, strict=True)]
-
-    def _unnamed(self, structure: Structure) -> set[str]:
-        return {n for n in structure.effects if self.space.candidates[n].unnamed}
 
     def noise(self, name: str) -> float:
         """Return the probability of a noise law."""

@@ -162,8 +162,9 @@ def evidence_of(structures: Structures, name: str, shape: Shape) -> ShapeEvidenc
     own_shape = structures.candidates[name].shared_shape
     assert own_shape is not None
     # What was refitted in an earlier round, and not since, counts by what is expected of it now.
-    evaluated = {**structures.earlier, **structures.visited}.values()
-    evaluated = sorted((w for w in evaluated if math.isfinite(w.total)), key=lambda w: -w.total)
+    refits = {**structures.earlier, **structures.visited}
+    finite = (w for w in refits.values() if math.isfinite(w.total))
+    evaluated = sorted(finite, key=lambda w: -w.total)
     holding = [w for w in evaluated if name in w.structure.effects][:ASKED_STRUCTURES]
     without = [w for w in evaluated if name not in w.structure.effects][:ASKED_STRUCTURES]
     v = _grid(shape, own_shape, holding[:1], f"{name}.{shape.name}")
@@ -181,8 +182,7 @@ def evidence_of(structures: Structures, name: str, shape: Shape) -> ShapeEvidenc
         with_it.append(total + gains - np.logaddexp.reduce(gains + log_mass(u)))
     for weighed in without:
         scored = name in fine.points and name not in structures.barred(weighed.structure)
-        with_name = weighed.structure.plus(name)
-        if scored and with_name not in structures.visited and with_name not in structures.earlier:
+        if scored and weighed.structure.plus(name) not in refits:
             with_it.append(weighed.total + _gains(fine, weighed, name))
     totals = [w.total for w in without]
     return ShapeEvidence(v, np.logaddexp.reduce(with_it, axis=0) - np.logaddexp.reduce(totals))

@@ -342,15 +342,18 @@ class Structures:
         layout = replace(self.layout, model=self.model(structure))
         return Problem(layout, self.record, sizes)
 
+    def unnamed(self, structure: Structure) -> frozenset[str]:
+        """Return a structure's descriptions without a name."""
+        return frozenset(n for n in structure.effects if self.candidates[n].unnamed)
+
     def matters(self, weighed: Weighed) -> frozenset[str]:
         """Return a structure's descriptions without a name (curves) that carry more than a small part.
 
         What one explains that the rest of the structure cannot, rms over the noise; or what it moves a coefficient of a
         named effect by, over its standard uncertainty: where both are small, all that has a name is there.
         """
-        unnamed = [n for n in weighed.structure.effects if self.candidates[n].unnamed]
         substantial = set[str]()
-        for name in unnamed:
+        for name in self.unnamed(weighed.structure):
             line = self.line(weighed)
             is_own = np.array([owner == name for owner in line.owners])
             white = line.whiten(line.contribution(name)[:, None])[:, 0]

@@ -10,7 +10,6 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from functools import cache
-from importlib.metadata import PackageNotFoundError, version
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -19,7 +18,6 @@ import bayescal as bc
 from bayescal import workshop as ws
 from bayescal._annexes.validation import examples, nist_strd
 
-PACKAGES = ("numpy", "scipy", "jax", "jaxlib", "numpyro", "arviz-base", "arviz-stats")
 NIST = "NIST StRD"
 PARAMETER_RTOL, SD_RTOL = (
     1e-7,
@@ -177,14 +175,11 @@ def _clause(clause: dict[str, Any]) -> Iterator[Row]:
 
 def installation() -> dict[str, str]:
     """Return date, versions, machine and digests."""
-    entries = {"date": datetime.now(UTC).isoformat(timespec="seconds"), "bayescal": bc.__version__}
-    entries["Python"] = f"{platform.python_implementation()} {platform.python_version()}"
-    for name in PACKAGES:
-        try:
-            entries[name] = version(name)
-        except PackageNotFoundError:
-            entries[name] = "not installed"
-    entries["machine"] = f"{platform.machine()}, {platform.platform()}"
+    entries = {"date": datetime.now(UTC).isoformat(timespec="seconds")}
+    entries |= ws.versions("jaxlib")
+    entries["machine"] = (
+        f"{platform.python_implementation()}, {platform.machine()}, {platform.platform()}"
+    )
     places = (find_spec(name) for name in ("bayescal", "bayescal_models"))
     roots = [Path(str(spec.origin)).parent for spec in places if spec is not None]
     entries["SHA-256 of the package's files"] = digest(*roots)
@@ -199,5 +194,5 @@ def digest(*folders: Path) -> str:
         for file in sorted(folder.rglob("*")):
             if file.is_file() and "__pycache__" not in file.parts:
                 path = file.relative_to(folder.parent).as_posix()
-                total.update(f"{path} {hashlib.sha256(file.read_bytes()).hexdigest()}\n".encode())
+                total.update(f"{path} {ws.sha256_of(file)}\n".encode())
     return total.hexdigest()
