@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from functools import partial, wraps
 from typing import Any, NamedTuple, ParamSpec
 
@@ -48,46 +48,11 @@ def refuse(wrong: Any, message: str) -> None:
         raise ValueError(message)
 
 
-def refuse_options(
-    plan: object,
-    *,
-    positive: Collection[str] = (),
-    not_negative: Collection[str] = (),
-    counts: Collection[str] = (),
-    filled: Collection[str] = (),
-    **choices: Collection[str],
-) -> None:
-    """Refuse a plan of a test whose options are out of their range.
-
-    Args:
-        plan: of the test.
-        positive: names of options that are above 0.
-        not_negative: of options that are 0 or more.
-        counts: of whole numbers from 1 on.
-        filled: of series that have at least one value.
-        choices: by name of an option, what it, or each of its values, may be.
-
-    Raises:
-        ValueError: an option is something else.
-    """
-
-    def refuse_all(names: Iterable[str], right: Callable[[Any], bool], requirement: str) -> None:
-        for name in names:
-            value = getattr(plan, name)
-            option = f"{type(plan).__name__}({name}={value!r})"
-            refuse(not right(value), f"{option}: give {requirement}.")
-
-    refuse_all(positive, lambda v: v > 0, "a number above 0")
-    refuse_all(not_negative, lambda v: v >= 0, "0 or more")
-    refuse_all(counts, lambda v: v >= 1 and v == int(v), "a whole number, at least 1")
-    refuse_all(filled, lambda v: len(v) > 0, "at least one value")
+def refuse_unknown(plan: object, **choices: Collection[str]) -> None:
+    """Raise a ValueError where an option of a plan is none of its choices, which are given by its name."""
     for name, allowed in choices.items():
-        right = partial(_is_among, allowed)
-        refuse_all([name], right, f"one of {', '.join(allowed)}")
-
-
-def _is_among(allowed: Collection[str], value: str | Sequence[str]) -> bool:
-    return {*([value] if isinstance(value, str) else value)} <= {*allowed}
+        option = f"{type(plan).__name__}({name}={getattr(plan, name)!r})"
+        refuse(getattr(plan, name) not in allowed, f"{option}: give one of {', '.join(allowed)}.")
 
 
 class Clock:

@@ -172,16 +172,14 @@ class Seen:
 
 
 @contextmanager
-def browser(*, width: int = 1280, height: int = 800, dark: bool = False) -> Iterator[Seen]:
+def browser(*, width: int = 1280, height: int = 800) -> Iterator[Seen]:
     """An empty page of a headless Chromium that reaches this machine alone."""
     path = chromium()
     api = pytest.importorskip("playwright.sync_api", reason="Playwright for Python is not here")
     with api.sync_playwright() as driver:
         running = driver.chromium.launch(executable_path=path, args=[*ARGUMENTS, *QUIET])
         context = running.new_context(
-            viewport={"width": width, "height": height},
-            color_scheme="dark" if dark else "light",
-            accept_downloads=True,
+            viewport={"width": width, "height": height}, accept_downloads=True
         )
         try:
             yield Seen(context.new_page())

@@ -64,13 +64,6 @@ def printed(table: pd.DataFrame, digits: int) -> str:
     return table.to_string(index=False, float_format=lambda v: f"{v:.{digits}g}")
 
 
-def odd_in_words(odd: Mapping[str, list[str]], devices: int) -> list[str]:
-    """Return lines on devices that are not like the others; none where there are none."""
-    reasons, chance = {n: "; ".join(why) for n, why in odd.items()}, f"{FAMILY_WISE_ERROR:.0%}"
-    head = f"{len(odd)} of {devices} devices are not like the others (by chance in {chance} of fleets):"
-    return [head] * bool(odd) + first_few(reasons, len(reasons), ending=", all in `odd`")
-
-
 NOT_CHECKED = "fitted is not checked: what the model lacks was looked for in none of them (--find, in Python find=True)"
 
 
@@ -170,21 +163,18 @@ def pooled(
     return tuple(moved.get(fit.device, fit) for fit in results), population
 
 
-def _rows_of(results: Sequence[DeviceResult]) -> pa.Table:
+def _rows_of(results: Iterable[DeviceResult]) -> pa.Table:
     """Return one row for each device and unknown, and one of a device that has none."""
-    columns: list[list[Any]] = [[] for _ in SCHEMA.names]
-    for fit in results:
-        q = max(1, len(fit.names))
-        unknowns = (
-            [fit.names, fit.mean, fit.sd, fit.units, fit.covariance] if fit.names else [[None]] * 5
+    rows = [
+        (fit.device, name, mean, sd, unit, fit.ok, fit.reason, covariance, fit.readings, fit.t0)
+        for fit in results
+        for name, mean, sd, unit, covariance in (
+            zip(fit.names, fit.mean, fit.sd, fit.units, fit.covariance, strict=True)
+            if fit.names
+            else [(None,) * 5]
         )
-        names, mean, sd, units, covariance = unknowns
-        repeated = ([value] * q for value in (fit.device, fit.ok, fit.reason, fit.readings, fit.t0))
-        device, ok, reason, readings, t0 = repeated
-        parts = (device, names, mean, sd, units, ok, reason, covariance, readings, t0)
-        for column, part in zip(columns, parts, strict=True):
-            column.extend(part)
-    return pa.table(columns, schema=SCHEMA)
+    ]
+    return pa.table([*zip(*rows, strict=True)] or [[]] * len(SCHEMA), schema=SCHEMA)
 
 
 def _results_of(rows: pa.Table) -> tuple[DeviceResult, ...]:
@@ -196,14 +186,11 @@ def _results_of(rows: pa.Table) -> tuple[DeviceResult, ...]:
     fits = list[DeviceResult]()
     for name, group in groupby(rows.to_pylist(), lambda row: row["device"]):
         first, *_ = group_rows = [*group]
+        of_unknowns = [row for row in group_rows if row["coefficient"] is not None]
         keys = ("coefficient", "unit", "mean", "covariance")
-        refused = first["coefficient"] is None
-        names, units, mean, covariance = (
-            [] if refused else [row[key] for row in group_rows] for key in keys
-        )
-        readings, t0 = (np.nan if first[key] is None else first[key] for key in ("readings", "T0"))
-        square = np.reshape(covariance, (len(mean), len(mean)))
-        fields = (*names,), (*units,), np.array(mean), square, readings, t0
+        names, units, mean, covariance = ([row[key] for row in of_unknowns] for key in keys)
+        moments = np.array(mean), np.reshape(covariance, (len(mean), len(mean)))
+        fields = (*names,), (*units,), *moments, first["readings"], first["T0"]
         fits.append(DeviceResult(name, first["reason"], *fields))
     if len({fit.device for fit in fits}) < len(fits):
         raise ValueError("rows of a device stand apart")
@@ -295,14 +282,14 @@ class BatchResult:
     @property
     def doubted(self) -> dict[str, str]:
         """Return the devices whose fit is not to be relied on, and why."""
-        return {n: why for n, why in zip(self.devices, self.reasons, strict=True) if why}
+        return {fit.device: fit.reason for fit in self if not fit.ok}
 
     def coefficients(self) -> pd.DataFrame:
         """Return one row a coefficient, over the devices that are fitted.
 
         Columns: its median, the standard deviation between devices, the median standard uncertainty, unit, devices.
         """
-        good = _rows_of([fit for fit in self.results if fit.ok]).select(COLUMNS).to_pandas()
+        good = self.table().query("ok")
         rows = [
             [name, np.median(g["mean"]), g["mean"].std(ddof=0), np.median(g["sd"]), unit, len(g)]
             for (name, unit), g in good.groupby(["coefficient", "unit"], sort=False)
@@ -351,11 +338,16 @@ class BatchResult:
         return path
 
     def __str__(self) -> str:
-        bad = self.doubted
+        bad, odd = self.doubted, {n: "; ".join(why) for n, why in self.odd.items()}
         lines = [f"{len(self)} devices, {self.fitted} fitted ({self.about['method']})"]
         lines += first_few(bad, len(bad))
-        checked = f"{self.checked} searched for missing effects"
-        lines += [checked if self.checked else NOT_CHECKED, *odd_in_words(self.odd, len(self))]
+        lines.append(
+            f"{self.checked} searched for missing effects" if self.checked else NOT_CHECKED
+        )
+        if odd:
+            chance = f"by chance in {FAMILY_WISE_ERROR:.0%} of fleets"
+            lines.append(f"{len(odd)} of {len(self)} devices are not like the others ({chance}):")
+        lines += first_few(odd, len(odd), ending=", all in `odd`")
         lines += first_few(self.missing, len(self.missing), "no results of ", " files")
         lines += first_few(self.left_out, len(self.left_out), "not read: ", ", not read either")
         lines += [printed(self.coefficients(), 4)] * bool(self.fitted)
@@ -379,14 +371,14 @@ def load_batch(path: str | Path) -> BatchResult:
         head = ws.parsed_json((table.schema.metadata or {})[b"bayescal"])
         if head["schema"] != FORMAT:
             raise KeyError(head["schema"])
-        for name in {*SCHEMA.names} - {*table.column_names}:  # facts, of earlier files
-            table = table.append_column(name, pa.nulls(len(table), pa.float64()))
+        if population := head["population"]:
+            population = Population(**population | {"table": pd.DataFrame(population["table"])})
         content = ("about", "odd", "checked", "missing", "left_out")
         return BatchResult(
             _results_of(table.select(SCHEMA.names).cast(SCHEMA)),
-            population=head["population"] and Population.of_data(head["population"]),
-            effects=pd.DataFrame(head.get("effects", []), columns=EFFECTS),
-            **{name: head[name] for name in content if name in head},
+            population=population,
+            effects=pd.DataFrame(head["effects"], columns=EFFECTS),
+            **{name: head[name] for name in content},
         )
     except Exception as error:  # whatever a damaged file makes Arrow raise
         raise bc.InputError(

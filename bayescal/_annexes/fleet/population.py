@@ -56,8 +56,6 @@ GroupSdPrior = (
 Named = Mapping[str, tuple[bc.Coefficient, GroupSdPrior]]  # a population's coefficients by name
 # Which those are: all, or some, or with priors.
 AskedPopulation = bool | Sequence[str] | Mapping[str, GroupSdPrior]
-COLUMNS = ("coefficient", "mean", "mean_sd", "group_sd", "group_sd_sd", "unit")
-FORMER = {"spread": "group_sd", "spread_sd": "group_sd_sd"}  # names of columns; the old go in 0.3.0
 
 
 @dataclass(frozen=True)
@@ -81,12 +79,6 @@ class Population:
     def data(self) -> dict[str, Any]:
         """Return plain JSON."""
         return {**vars(self), "table": self.table.to_dict("records")}
-
-    @classmethod
-    def of_data(cls, data: Mapping[str, Any]) -> Population:
-        """Read what `data` gave, or gave before 0.2.0."""
-        table = pd.DataFrame(data["table"]).rename(columns=FORMER)
-        return cls(**{**data, "table": table.reindex(columns=list(COLUMNS))})
 
     def __str__(self) -> str:
         head = f"population of {self.devices} devices"

@@ -15,24 +15,21 @@ from bayescal._annexes.workbench.panes.model_pane import ModelPane
 from bayescal._annexes.workbench.panes.residual_pane import ResidualPane
 from bayescal._annexes.workbench.panes.tabs import ErrorPane, Tabs
 from bayescal._annexes.workbench.parts.page_worker import PageWorker
-from bayescal._annexes.workbench.parts.widgets import CSS, DARK, INSIDE, LIGHT, choice, row, words
+from bayescal._annexes.workbench.parts.widgets import CSS, INSIDE, row, words
 
 FOLDER = Path(__file__).parent
 
 
 class Browser(JSComponent):
-    """State shared with the browser: its colour scheme, and the message for a lost server.
+    """State shared with the browser: what is stale or undone, and the message for a lost server.
 
     Attributes:
         stale: whether the page shows a model that is being replaced; it is dimmed meanwhile.
-        dark, ready: whether it prefers a dark scheme, and has reported that.
         folder: of the session, for the message when the server is lost.
         undone: how often Ctrl-Z was pressed outside a field.
     """
 
     stale = param.Boolean(default=False)
-    dark = param.Boolean(default=False)
-    ready = param.Boolean(default=False)
     folder = param.String(default="")
     undone = param.Integer(default=0)
 
@@ -44,7 +41,6 @@ class Workbench:
 
     Attributes:
         session: what it shows and acts on.
-        palette: colours of its ground.
         view: what Panel serves, or shows in a notebook.
     """
 
@@ -54,7 +50,7 @@ class Workbench:
         framed: part of another page, such as a notebook; else it takes the whole screen.
         others: further widget at the top, such as links to other sessions.
         """
-        self.session, self.palette = session, LIGHT
+        self.session = session
         self.work = PageWorker(self._report, self._set_busy)
         self.other: int | None = None  # the step that is compared with; None: the one before
         self._progress, self._ending = "", False  # of the last search; whether it was stopped
@@ -65,7 +61,6 @@ class Workbench:
         self.view = self._page(framed, others)
         session.on_change.append(self._changed)
         self.refresh()
-        self._set_theme(False)
         pn.state.onload(self._opened)
         document = pn.state.curdoc
         if document is not None and document.session_context is not None:
@@ -76,16 +71,13 @@ class Workbench:
         self.status = words("", "small", "status")
         folder = str(self.session.folder.parent)
         self.browser = Browser(margin=0, width=0, height=0, folder=folder)
-        self.light = choice(["light", "dark"], "light", "Ground")
-        self.light.param.watch(lambda event: self._set_theme(event.new == "dark"), "value")
-        self.browser.param.watch(lambda _: self._prefer(), "seen")
         self.browser.param.watch(lambda _: self.undo(), "undone")
         title = pn.pane.HTML("<h1>bayescal workbench</h1>", stylesheets=[INSIDE], margin=0)
-        right = [self.status, *([] if others is None else [others]), self.light, self.browser]
+        right = [self.status, *([] if others is None else [others]), self.browser]
         return pn.Column(
             row(title, self.about, *right, kinds=("top",)),
             *(self.model.view, self.fails.view, self.missing.view, self.tabs.view),
-            css_classes=["unsaid", *(["framed"] if framed else [])],
+            css_classes=["framed"] * framed,
             stylesheets=[CSS],
             sizing_mode="stretch_both",
             margin=0,
@@ -238,21 +230,6 @@ class Workbench:
     def _report(self, text: str, refused: bool) -> None:
         self.status.object = text
         self.status.css_classes = ["small", "status", *(["refused"] if refused else [])]
-
-    def _prefer(self) -> None:
-        if self.browser.ready and self.browser.dark:
-            self.light.value = "dark"
-        elif self.browser.ready:
-            self._set_theme(False)
-
-    def _set_theme(self, dark: bool) -> None:
-        """Apply the light or the dark colour scheme."""
-        ready = self.browser.ready or dark
-        classes = [c for c in self.view.css_classes if c not in ("dark", "light", "unsaid")]
-        self.view.css_classes = [*classes, ("dark" if dark else "light") if ready else "unsaid"]
-        self.palette = DARK if dark else LIGHT
-        for pane in self._panes:
-            pane.wear(self.palette)
 
 
 def readings_in_words(session: Any) -> str:

@@ -384,7 +384,7 @@ class Session:
         search = next((s for s in self._loops if s.steps[0].calibration.model == core), None)
         if is_new := search is None:
             same = (s.step for s in self.states.values() if s.model == core)
-            search = replace(self._loop, given=tuple(effects), stopped="not begun")
+            search = replace(self._loop, reconsidered=tuple(effects), stopped="not begun")
             first = next(same, None) or search.step(core, search.quick(core))
             extra = (*self.effects.values(), *search.freed(self.states[0].step))
             search.open(first, extra, self.settings.widen_noise)

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from bayescal_models.simulated import refuse_options
-
 
 @dataclass(frozen=True)
 class Campaign:
@@ -28,12 +26,3 @@ class Campaign:
     dwell: float = 60.0
     noise: float = 5.0
     thermometer_noise: float = 0.1
-
-    def __post_init__(self) -> None:
-        refuse_options(
-            self,
-            positive=("dwell",),
-            not_negative=("soak", "noise", "thermometer_noise"),
-            counts=("positions", "runs"),
-            filled=("temperatures",),
-        )

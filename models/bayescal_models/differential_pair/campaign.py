@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from bayescal_models.simulated import Array, refuse, refuse_options
+from bayescal_models.simulated import Array, refuse, refuse_unknown
 
 G = 1e6  # µg
 RADIUS = 1.0  # m, of the arm (ours)
@@ -51,14 +51,8 @@ class Campaign:
     alike: bool = False
 
     def __post_init__(self) -> None:
-        """Refuse a plan that cannot be carried out.
-
-        Raises:
-            ValueError: no device in a group, fewer than 8 readings, an unknown profile, or ramps longer than
-                the plateaus.
-        """
-        refuse_options(self, counts=("outer", "inner"), profile=PROFILES)
-        refuse(self.samples < 8, f"Campaign(samples={self.samples}): give at least 8 readings")
+        """Refuse an unknown profile, and ramps longer than the plateaus, by a ValueError."""
+        refuse_unknown(self, profile=PROFILES)
         refuse(
             self.ramp * len(self.levels) >= self.duration,
             f"Campaign(ramp={self.ramp:g} s): {len(self.levels)} levels in {self.duration:g} s leave "

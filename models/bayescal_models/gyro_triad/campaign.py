@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from bayescal_models.simulated import refuse, refuse_options
-
 MOUNTINGS = ("x", "y", "z", "-x", "-y", "-z")
 
 
@@ -22,9 +20,6 @@ class Campaign:
         interval: between readings, s.
         soak: before the first reading at a temperature, s.
         runs: sessions, through all of it each.
-
-    Raises:
-        ValueError: an option is out of its range.
     """
 
     mountings: tuple[str, ...] = MOUNTINGS
@@ -35,16 +30,6 @@ class Campaign:
     interval: float = 30.0
     soak: float = 60.0
     runs: int = 1
-
-    def __post_init__(self) -> None:
-        refuse_options(
-            self,
-            positive=("interval",),
-            not_negative=("noise", "mounting_uncertainty"),
-            counts=("runs",),
-            filled=("mountings", "rates", "temperatures"),
-            mountings=MOUNTINGS,
-        )
 
 
 @dataclass(frozen=True)
@@ -60,9 +45,6 @@ class MovesByHand:
         gyro_noise: of gyroscopes, white, °/s/√Hz.
         force_noise: of accelerometers, white, g/√Hz.
         latitude: by which the Earth turns the unit, °; None where it does not turn.
-
-    Raises:
-        ValueError: an option is out of its range.
     """
 
     poses: int = 24
@@ -73,8 +55,3 @@ class MovesByHand:
     gyro_noise: float = 7e-3
     force_noise: float = 1.5e-4
     latitude: float | None = 48.0
-
-    def __post_init__(self) -> None:
-        not_negative = ("gyro_noise", "force_noise")
-        refuse_options(self, positive=("still", "move", "rate"), not_negative=not_negative)
-        refuse(self.poses < 2, "MovesByHand: give at least two poses.")

@@ -8,7 +8,7 @@ from itertools import product
 import numpy as np
 
 from bayescal_models.inclinometer.geometry import possible
-from bayescal_models.simulated import refuse, refuse_options
+from bayescal_models.simulated import refuse
 
 
 @dataclass(frozen=True)
@@ -67,7 +67,7 @@ class Campaign:
         lag_time: of the hinge behind the thermometer, s.
 
     Raises:
-        ValueError: an option is out of its range.
+        ValueError: a verification of other axes.
     """
 
     axes: tuple[tuple[str, Accelerometer], ...] = (("x", X), ("y", Y))
@@ -87,19 +87,10 @@ class Campaign:
     lag_time: float = 300.0
 
     def __post_init__(self) -> None:
-        refuse_options(
-            self,
-            positive=("interval", "period", "lag_time"),
-            not_negative=("noise", "dividing", "repeatability", "swing", "pause"),
-            counts=("devices", "runs"),
-            filled=("axes",),
-        )
         refuse(
             len(self.grid) and {label for label, _ in self.axes} != {"x", "y"},
             "Campaign(grid=…): a verification needs the axes x and y.",
         )
-        for angle in (*self.angles, *self.grid):
-            refuse(not abs(angle) <= 90, f"Campaign: an angle of {angle!r}°: from −90 to 90.")
 
     def pairs(self) -> np.ndarray:
         """Return the tilts (x, y) of a verification in test order, rad, (points, 2)."""

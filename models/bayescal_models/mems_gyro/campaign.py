@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from bayescal_models.mems_gyro.resonance import Resonance
-from bayescal_models.simulated import Array, refuse, refuse_options
+from bayescal_models.simulated import Array, refuse, refuse_unknown
 
 GRID = 1.0
 """Step of the grid on which a test is simulated, s."""
@@ -47,7 +47,7 @@ class Campaign:
         period: period of the out-of-catalogue periodic form, s.
 
     Raises:
-        ValueError: an option is out of its range, or the times do not divide one another.
+        ValueError: an unknown law, or times that do not divide one another.
     """
 
     temperatures: tuple[float, ...] = tuple(float(t) for t in range(30, 81, 5))
@@ -74,17 +74,7 @@ class Campaign:
     period: float = 700.0
 
     def __post_init__(self) -> None:
-        positive = ("dwell", "chamber_time", "chamber_ramp", "logging_interval", "average")
-        step = () if self.converter_step is None else ("converter_step",)
-        refuse_options(
-            self,
-            positive=(*positive, *step, "lag_time", "period"),
-            not_negative=("pause", "noise", "thermometer_noise"),
-            counts=("runs",),
-            filled=("temperatures",),
-            law=("line", "resonance"),
-        )
-        refuse(self.rate_input == (), "Campaign: rate_input=None leaves the gyro at rest.")
+        refuse_unknown(self, law=("line", "resonance"))
         # Every time of the plan is a multiple of the next shorter one, ending at the grid.
         grid = ("the integration grid", GRID)
         average, logging = ((n, getattr(self, n)) for n in ("average", "logging_interval"))

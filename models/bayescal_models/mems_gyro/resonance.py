@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from bayescal import xp
-from bayescal_models.simulated import refuse_options
+from bayescal_models.simulated import refuse_unknown
 
 
 def resonance_denominator(change: Any, k_drive: Any, k_sense: Any, ratio: Any, quality: Any) -> Any:
@@ -60,7 +60,7 @@ class Resonance:
     held: str = "amplitude"
 
     def __post_init__(self) -> None:
-        refuse_options(self, held=("amplitude", "force"))
+        refuse_unknown(self, held=("amplitude", "force"))
 
     def zero_rate(self, temperature: ArrayLike, T0: float, constant: float) -> NDArray[np.float64]:
         """Return the zero-rate output, °/s: `constant + q·(D(T0)/D(T)·f − 1)`, so `constant` at T0.

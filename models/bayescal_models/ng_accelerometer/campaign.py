@@ -15,7 +15,7 @@ from dataclasses import dataclass, field, replace
 from types import MappingProxyType
 from typing import NamedTuple
 
-from bayescal_models.simulated import DEGREE, HOUR, refuse, refuse_options
+from bayescal_models.simulated import DEGREE, HOUR, refuse
 
 GRID = 10.0  # s, step of the grid on which the test is integrated
 FULL_SCALE = 10e3  # µg, greatest input
@@ -103,22 +103,10 @@ class Campaign:
     truth: Mapping[str, float] = field(default_factory=lambda: TRUTH_A)
 
     def __post_init__(self) -> None:
-        """Refuse a plan that cannot be carried out.
-
-        Raises:
-            ValueError: it has no reading, one temperature, a time that is negative or off the grid, or an input
-                beyond full scale.
-        """
-        several = len(set(self.temperatures)) > 1
-        refuse(not several, "Campaign: a temperature model needs two different set points.")
+        """Refuse, by a ValueError, a reading time off the grid or an input beyond full scale."""
         refuse(
             self.reading_time <= 0 or self.reading_time % GRID,
             f"Campaign(reading_time={self.reading_time:g}): must be a positive multiple of {GRID:g} s",
-        )
-        times = ("soak", "pause", "noise", "thermometer_noise", "chamber_wander")
-        counts = ("positions", "runs", "repeats")
-        refuse_options(
-            self, positive=("ramp",), not_negative=times, counts=counts, filled=("tilts",)
         )
         for tilt, position in self.set_ups or [(tilt, math.pi / 2) for tilt in self.tilts]:
             needed = abs(1e6 * math.sin(tilt) * math.sin(position))

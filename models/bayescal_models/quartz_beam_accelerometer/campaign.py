@@ -12,7 +12,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from bayescal_models.simulated import refuse, refuse_options
+from bayescal_models.simulated import refuse_unknown
 
 GRID = 5.0
 """Step on which temperatures are integrated, s."""
@@ -58,7 +58,7 @@ class Campaign:
         T0: temperature about which every law of the world is written, °C.
 
     Raises:
-        ValueError: an option is out of its range.
+        ValueError: an unknown device or noise law.
     """
 
     temperatures: tuple[float, ...] = tuple(float(t) for t in range(-40, 71, 10))
@@ -83,23 +83,4 @@ class Campaign:
     T0: float = 15.0
 
     def __post_init__(self) -> None:
-        positive = ("soak", "position_time", "interval", "average", "chamber_speed", "air_time")
-        refuse_options(
-            self,
-            positive=(*positive, "lag_time"),
-            not_negative=("repeats", "hold", "pause", "noise", "thermometer_noise"),
-            device=DEVICES,
-            noise_law=NOISE_LAWS,
-        )
-        several = len(set(self.temperatures)) > 1
-        refuse(not several, "Campaign: a temperature model needs at least two temperatures.")
-        refuse(
-            not self.repeats and not (self.attitudes and self.ramp_speeds),
-            "Campaign: neither a tumble run nor a ramp is left; plan at least one.",
-        )
-        refuse(not all(v > 0 for v in self.ramp_speeds), "Campaign: ramp_speeds are above 0.")
-        option = f"Campaign(average={self.average!r})"
-        for name in ("interval", "position_time"):
-            most = getattr(self, name)
-            refuse(self.average > most, f"{option}: longer than {name} ({most:g} s); change one.")
-        refuse(self.average < GRID, f"{option}: give at least {GRID:g} s.")
+        refuse_unknown(self, device=DEVICES, noise_law=NOISE_LAWS)

@@ -118,13 +118,12 @@ def simulated_columns(
         noise_law: "white" or "ornstein_uhlenbeck" (correlation time 300 s, beside white noise).
 
     Raises:
-        ValueError: an unknown effect or noise law, no run, or no interval.
+        ValueError: an unknown effect or noise law.
     """
     sizes = {**BASELINE, **(effects or {})}
     refuse_effects(sizes, _LAWS, "a sensor at rest")
     laws = ", ".join(NOISE_LAWS)
     refuse(noise_law not in NOISE_LAWS, f"noise law {noise_law!r} is not one of {laws}")
-    refuse(min(runs, interval) < 1, f"runs={runs} and interval={interval} s must be at least 1")
     rng = np.random.default_rng(seed)
     world = World(rng.standard_normal(runs), seed)
     shape = (runs, world.second.size)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
-from bayescal_models.simulated import refuse_options
+from bayescal_models.simulated import refuse_unknown
 
 KINDS = ("random", "six", "twelve", "planar", "level")  # of poses
 
@@ -34,7 +34,7 @@ class Campaign:
         runs: sessions, through all of it each.
 
     Raises:
-        ValueError: an option is out of its range.
+        ValueError: an unknown kind.
     """
 
     poses: int = 24
@@ -47,11 +47,4 @@ class Campaign:
     runs: int = 1
 
     def __post_init__(self) -> None:
-        refuse_options(
-            self,
-            positive=("interval", "magnitude"),
-            not_negative=("noise",),
-            counts=("poses", "runs"),
-            filled=("temperatures",),
-            kind=KINDS,
-        )
+        refuse_unknown(self, kind=KINDS)

@@ -28,12 +28,12 @@ from bokeh.models import (
 import bayescal as bc
 from bayescal import workshop as ws
 from bayescal._annexes.workbench.parts.widgets import (
+    FIT,
     MARKERS,
-    Palette,
+    RUNS,
     Pane,
     choice,
     column,
-    dress,
     new_figure,
     plot,
     range_over,
@@ -175,10 +175,9 @@ class ResidualsOfState:
         half = 0.02 * float(np.ptp(self.places[name])) if low == high else 0.0
         return low - half, high + half
 
-    def colours(self, palette: Palette) -> np.ndarray:
+    def colours(self) -> np.ndarray:
         """Return the colour of each reading, by run."""
-        cycle = np.array(palette.cycle)
-        return cycle[self.runs[1] % len(cycle)]
+        return np.array(RUNS)[self.runs[1] % len(RUNS)]
 
     def markers(self) -> np.ndarray:
         """Return the marker of each reading, by run, so that colour is never the only distinction."""
@@ -209,7 +208,7 @@ class ResidualsOfState:
 TOOLS = "box_select,lasso_select,xwheel_zoom,pan,reset,tap"
 LABEL_LETTERS = 48  # letters of a label
 LARGE_POINT_READINGS = 600  # readings up to which points are large
-NOISE, CURVE, FIT, AT = "#8a939b", "curve", "fit", "at "
+NOISE, CURVE, FITTED, AT = "#8a939b", "curve", "fit", "at "
 OUTPUT, RESIDUALS = WHAT = ["output", "residuals"]
 
 
@@ -247,7 +246,7 @@ class ColumnPanel:
         output.xaxis.axis_label, output.xaxis.major_label_text_font_size = None, "0px"
         _draw_points(output, x, "measured", source)
         _draw_compared(output, x, "fit before", source)
-        _draw_curve(output, x, FIT, source)
+        _draw_curve(output, x, FITTED, source)
         figure = _figure(state, name, f"residual [{state.unit}]", self.x_range, y_range)
         plain: dict[str, Any] = {"level": "underlay", "fill_alpha": 0.16}
         self._noise = BoxAnnotation(fill_color=NOISE, line_alpha=0.0, **plain)
@@ -278,14 +277,6 @@ class ColumnPanel:
         figures = [self.figures[w] for w in WHAT if w in (what or [RESIDUALS])]
         if [pane.object for pane in self.room] != figures:
             self.room[:] = [plot(figure) for figure in figures]
-
-    def wear(self, palette: Palette) -> None:
-        """Apply the colours of a palette."""
-        for figure in self.figures.values():
-            dress(figure, palette)
-            for renderer in figure.renderers:
-                if renderer.name in (CURVE, FIT):
-                    renderer.glyph.fill_color = renderer.nonselection_glyph.fill_color = palette.ink
 
 
 def _figure(
@@ -323,8 +314,8 @@ def _draw_compared(figure: Any, x: str, y: str, source: ColumnDataSource) -> Non
 
 def _draw_curve(figure: Any, x: str, name: str, source: ColumnDataSource) -> None:
     """Draw a curve, a dot a reading."""
-    dot = {"size": 3.5 if name == CURVE else 2.5, "line_color": None}
-    _add_glyphs(figure, source, {"x": x, "y": name, **dot}, {"fill_alpha": 0.9}).name = name
+    dot = {"size": 3.5 if name == CURVE else 2.5, "line_color": None, "fill_color": FIT}
+    _add_glyphs(figure, source, {"x": x, "y": name, **dot}, {"fill_alpha": 0.9})
 
 
 def _draw_points(figure: Any, x: str, y: str, source: ColumnDataSource) -> None:
@@ -421,12 +412,6 @@ class ResidualPane(Pane):
         self._curve = None if curve is None else np.asarray(curve, float)
         self._curves.data = self._of_curve()
 
-    def wear(self, palette: Palette) -> None:
-        self.source.data["colour"] = self.state.colours(palette)[self.source.data["row"]]
-        self._say_runs()
-        for panel in self._made.values():
-            panel.wear(palette)
-
     def select(self, rows: np.ndarray) -> None:
         """Brush rows, of all readings; in the panels those that are drawn light up."""
         self.selected = np.asarray(rows, int)
@@ -494,10 +479,10 @@ class ResidualPane(Pane):
             "run": [now.runs[0][k] for k in now.runs[1][rows]],
             "residual": residual[rows],
             "measured": now.measured[rows],
-            FIT: (now.measured - residual)[rows],
+            FITTED: (now.measured - residual)[rows],
             "before": other,
             "fit before": now.measured[rows] - other,
-            "colour": now.colours(self.bench.palette)[rows],
+            "colour": now.colours()[rows],
             "marker": now.markers()[rows],
         }
         self._curves.data = self._of_curve()
@@ -514,7 +499,6 @@ class ResidualPane(Pane):
 
     def _panel(self, name: str) -> ColumnPanel:
         panel = ColumnPanel(self.state, name, self.source, self._curves, self._y)
-        panel.wear(self.bench.palette)
         for figure in panel.figures.values():
             figure.on_event(Reset, lambda _: self.select(np.array([], int)))
         return panel
@@ -525,11 +509,10 @@ class ResidualPane(Pane):
 
     def _say_runs(self) -> None:
         """Fill the legend of runs by colour and marker."""
-        levels, palette = self.state.runs[0], self.bench.palette
-        legend = [("•", palette.ink, "fit")]
+        levels = self.state.runs[0]
+        legend = [("•", FIT, "fit")]
         for k, level in enumerate(levels if 1 < len(levels) <= LEGEND else ()):
-            colour = palette.cycle[k % len(palette.cycle)]
-            legend.append((SIGNS[k % len(SIGNS)], colour, f"run {level[:16]}"))
+            legend.append((SIGNS[k % len(SIGNS)], RUNS[k % len(RUNS)], f"run {level[:16]}"))
         parts: list[Any] = [
             row(words(sign, styles={"color": colour}), words(text, "small"), kinds=("tight",))
             for sign, colour, text in legend

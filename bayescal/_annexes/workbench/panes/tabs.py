@@ -19,7 +19,6 @@ from bayescal import workshop as ws
 from bayescal._annexes.metrology.decide import CONFORMITY, FALSE_ACCEPT, Rule
 from bayescal._annexes.workbench.parts.widgets import (
     INSIDE,
-    Palette,
     Pane,
     Rows,
     button,
@@ -42,7 +41,7 @@ WHOLE = (
 
 
 def picture_room() -> pn.pane.HTML:
-    """Make a container for a picture of the report, in the colours of the palette."""
+    """Make a container for a picture of the report, in the colours of the page."""
     room: dict[str, Any] = {"sizing_mode": "stretch_both", "margin": 0, "min_height": 0}
     return pn.pane.HTML("", stylesheets=[INSIDE, WHOLE], **room)
 
@@ -438,10 +437,6 @@ class Tabs(Pane):
         self._state = state
         self._stale.add("Next experiment")
         self._freshen()
-
-    def wear(self, palette: Palette) -> None:
-        for pane in self._panes.values():
-            pane.wear(palette)
 
     def open(self, name: str) -> None:
         """Bring one to the front."""

@@ -1,9 +1,7 @@
-// What the browser prefers and sees, once when the page opens; what is stale is dimmed; a banner while the server is gone; Ctrl-Z outside
+// What is stale is dimmed; a banner while the server is gone; Ctrl-Z outside
 // a field undoes.
 export function render({ model, view }) {
   document.body.style.margin = "0";
-  model.dark = window.matchMedia("(prefers-color-scheme: dark)").matches;
-  model.ready = true;
 
   let top = view;  // of the page, which only one property of reaches all: a class more would have all of it laid out anew
   while (top.parent) top = top.parent;

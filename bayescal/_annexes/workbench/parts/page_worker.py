@@ -1,12 +1,8 @@
-"""Worker threads of the page: long jobs run in a thread while the page stays responsive.
-
-Running jobs are shown with their elapsed time.
-"""
+"""Worker threads of the page: long jobs run in a thread while the page stays responsive."""
 
 from __future__ import annotations
 
 import logging
-import time
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from contextvars import copy_context
@@ -49,25 +45,20 @@ class PageWorker:
         self._context = copy_context()
         kinds = ("job", "question", "look", "preview")
         self._pools = {k: ThreadPoolExecutor(1, thread_name_prefix=f"workbench {k}") for k in kinds}
-        self._previewed, self._ticking = object(), None
-        # Words, when it began, whether it only reads.
-        self._under_way: list[tuple[str, float, bool]] = []
+        self._previewed = object()
+        self._under_way: list[tuple[str, bool]] = []  # words, whether it only reads
 
     @property
     def busy(self) -> bool:
         """Return whether a job that may change the session is running."""
-        return not all(reads for _, _, reads in self._under_way)
+        return not all(reads for _, reads in self._under_way)
 
     def on_page(self, call: Callable[[], Any]) -> None:
         """Schedule a call in the page's own thread; from any thread."""
-        if self._served:
+        if self._document is not None and self._document.session_context is not None:
             self._document.add_next_tick_callback(call)
         else:
             call()
-
-    @property
-    def _served(self) -> bool:
-        return self._document is not None and self._document.session_context is not None
 
     def begin(
         self,
@@ -85,7 +76,7 @@ class PageWorker:
             job, then, failed: see above.
             reads: it changes nothing, and waits for no job that does.
         """
-        under_way = words, time.monotonic(), reads
+        under_way = words, reads
 
         def ended() -> None:
             self._under_way.remove(under_way)
@@ -141,16 +132,6 @@ class PageWorker:
         failed()
 
     def _follow(self) -> None:
-        """Disable or enable changes of the model, and show elapsed times while jobs run."""
+        """Disable or enable changes of the model, and say what is under way."""
         self._busy(self.busy)
-        self._say()
-        if self._served and self._under_way and self._ticking is None:
-            self._ticking = self._document.add_periodic_callback(self._say, 1000)
-        elif not self._under_way and self._ticking is not None:
-            self._document.remove_periodic_callback(self._ticking)
-            self._ticking = None
-
-    def _say(self) -> None:
-        now = time.monotonic()
-        times = [(words, now - start) for words, start, _ in self._under_way]
-        self._tell("; ".join(f"{w} {s:.0f} s" if s >= 1 else w for w, s in times), False)
+        self._tell("; ".join(words for words, _ in self._under_way), False)

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import panel as pn
@@ -19,7 +19,6 @@ from panel.custom import JSComponent
 
 from bayescal import workshop as ws
 
-YELLOW = "#F0E442"
 FOLDER = Path(__file__).parent
 CSS = (FOLDER / "page.css").read_text("utf-8")  # the grid and the colours, of the whole page
 INSIDE = (FOLDER / "inside.css").read_text("utf-8")  # Panel's own widgets within it
@@ -27,30 +26,9 @@ PLAIN = (FOLDER / "plain.css").read_text("utf-8")  # text
 RADIO = (FOLDER / "radio.css").read_text("utf-8")  # choices
 
 
-class Palette(NamedTuple):
-    """Colours of Bokeh's figures, for the light or the dark scheme."""
-
-    ink: str
-    quiet: str
-    line: str
-    cycle: tuple[str, ...]
-    blue: str
-
-
-LIGHT = Palette(
-    ink="#1c2126",
-    quiet="#5a636b",
-    line="#d9dde1",
-    cycle=ws.plot_colours.CYCLE,
-    blue=ws.plot_colours.BLUE,
-)
-DARK = Palette(
-    ink="#e8eaed",
-    quiet="#a3acb5",
-    line="#3b424a",
-    cycle=(ws.plot_colours.SKY, *ws.plot_colours.CYCLE[1:-1], YELLOW),
-    blue=ws.plot_colours.SKY,
-)
+# Of figures, whose ground is the page's, light or dark: each is legible on both.
+INK, FIT, LINE = "#7a838b", "#d1007a", "#8a939b55"
+RUNS = ws.plot_colours.CYCLE
 MARKERS = ("circle", "square", "triangle", "diamond", "inverted_triangle", "hex")
 
 
@@ -77,20 +55,12 @@ def new_figure(x_label: str, y_label: str, **settings: Any) -> Any:
         axis.minor_tick_line_color = None
         axis.axis_label_standoff = 4
         axis.major_label_policy = NoOverlap()
+        axis.axis_label_text_color = axis.major_label_text_color = INK
+        axis.axis_line_color = axis.major_tick_line_color = INK
+    fig.grid.grid_line_color = LINE
     fig.xaxis.ticker.desired_num_ticks = 5
     fig.yaxis.ticker.desired_num_ticks = 6
     return fig
-
-
-def dress(fig: Any, palette: Palette) -> None:
-    """Apply the colours of a palette to a figure."""
-    for axis in fig.axis:
-        axis.axis_label_text_color = palette.ink
-        axis.major_label_text_color = palette.quiet
-        axis.axis_line_color = axis.major_tick_line_color = palette.quiet
-    for grid in fig.grid:
-        grid.grid_line_color = palette.line
-        grid.grid_line_alpha = 0.6
 
 
 def range_over(*values: np.ndarray, view: Range1d | None = None) -> Range1d:
@@ -233,7 +203,6 @@ class Pane:
 
     Attributes:
         bench, session: the whole page (`app.Workbench`), through which a pane acts, and what it is over.
-        figures: Bokeh's, which take the colours of the ground.
         view: what Panel shows.
     """
 
@@ -241,15 +210,9 @@ class Pane:
 
     def __init__(self, bench: Any) -> None:
         self.bench, self.session = bench, bench.session
-        self.figures: list[Any] = []
 
     def show(self, state: Any) -> None:
         """Show another state."""
-
-    def wear(self, palette: Palette) -> None:
-        """Apply the colours of a palette."""
-        for fig in self.figures:
-            dress(fig, palette)
 
     def busy(self, busy: bool) -> None:
         """Disable or enable actions that change the model."""
