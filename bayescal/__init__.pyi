@@ -39,6 +39,7 @@ from ._annexes.imu.vector_files import export_vector as export_vector
 from ._annexes.imu.vector_files import load_vector_correction as load_vector_correction
 from ._use.budget import budget as budget
 from ._annexes.metrology.decide import decide as decide
+from ._annexes.metrology.reference_dcc import read_dcc as read_dcc
 from ._annexes.imu.firmware_parameters import firmware_parameters as firmware_parameters
 from ._report.report import report as report
 from . import plot as plot

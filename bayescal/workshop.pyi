@@ -8,7 +8,6 @@ from ._calibration.check import place_in_words as place_in_words
 from ._calibration.check import why_not as why_not
 from ._calibration.claim import Claim as Claim
 from ._calibration.judgement import noiseless as noiseless
-from ._calibration.prior_influence import NotMeasured as NotMeasured
 from ._calibration.prior_influence import coefficients_not_measured as coefficients_not_measured
 from ._calibration.prior_influence import not_measured as not_measured
 from ._calibration.sensor_noise import FILTER_QUANTILE as FILTER_QUANTILE

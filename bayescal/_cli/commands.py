@@ -136,9 +136,8 @@ class SimulateCommand(AsJson, Command):
             raise InputError(f"instrument {chosen.name!r} has no simulator")
         law = {} if self.noise_law == "white" else {"noise_law": self.noise_law}
         if law and "noise_law" not in inspect.signature(chosen.simulator).parameters:
-            raise InputError(
-                f"the simulator of {chosen.name!r} has white noise only: leave --noise-law out"
-            )
+            why = f"the simulator of {chosen.name!r} has white noise only: leave --noise-law out"
+            raise InputError(why)
         hidden = named_numbers(self.effect, "--effect")
         try:
             readings = chosen.simulate(hidden, seed=self.seed, **law)
@@ -356,6 +355,7 @@ class CompareCommand(ReadRequest, AsJson, Command):
         *(None, "--structure"),
     )
     reference: Texts = Shared.reference
+    reference_dcc: Texts = Shared.reference_dcc
     effects_file: Path | None = Shared.effects
     typed: Texts = Shared.typed
     average: str | None = Shared.average
@@ -367,15 +367,15 @@ class CompareCommand(ReadRequest, AsJson, Command):
         chosen, _, readings = request.open_request(self)
         names = self.structures or [name for name, _ in chosen.structures]
         if len(set(names)) < 2:
-            raise InputError(
-                "compare needs two structures or more: give --structure twice, or never"
-            )
+            why = "compare needs two structures or more: give --structure twice, or never"
+            raise InputError(why)
         effects = request.own_effects(self, chosen, readings)
         models = {}
         for name in names:  # "line+bias.thermal_lag"
             first, *added = (part.strip() for part in name.split("+"))
             requested = ReadRequest()
             requested.structure, requested.add = first, added
+            requested.reference_dcc = self.reference_dcc
             models[name] = request.compose(chosen, requested, effects)
             models[name].require(readings)
         print_notes(readings.flags)
@@ -444,9 +444,8 @@ class NoiseCommand(ReadRequest, AsJson, Command):
 
     def answer(self) -> Answer:
         if not 0 < self.quantile < 1:
-            raise InputError(
-                f"--quantile {self.quantile:g}: give a probability between 0 and 1, such as 0.95"
-            )
+            why = f"--quantile {self.quantile:g}: give a probability between 0 and 1, such as 0.95"
+            raise InputError(why)
         _, _, readings = request.open_channels(options.channel_names(self.channels), self)
         if self.channels is None:  # called as the file calls its output
             single = readings[""]
@@ -576,9 +575,8 @@ class ExportCommand(InUse, DecisionRule, Command):
         corrections = [(p, request.correction_from(p, self)) for p in paths or self.calibrations]
         single = [path for path, c in corrections if isinstance(c, bc.Compensator)]
         if 0 < len(single) < len(corrections):
-            raise InputError(
-                f"{single[0]} is of one output, and others are of three axes: give it alone"
-            )
+            why = f"{single[0]} is of one output, and others are of three axes: give it alone"
+            raise InputError(why)
         return corrections
 
     def refuse_several(self) -> None:

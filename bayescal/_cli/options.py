@@ -76,9 +76,8 @@ def channel_names(texts: str | None) -> list[str]:
     """Split the names of --channels, [] where it is not given; raise InputError for fewer than two, or one twice."""
     names = names_in(texts)
     if texts is not None and (len(names) < 2 or len(set(names)) < len(names)):
-        raise InputError(
-            f"--channels {texts!r}: give two names or more, each once, as gyro_x,gyro_y"
-        )
+        why = f"--channels {texts!r}: give two names or more, each once, as gyro_x,gyro_y"
+        raise InputError(why)
     return names
 
 
@@ -167,14 +166,9 @@ def drawn(make: Callable[..., Any], *arguments: Any) -> bool:
 
 
 class Command(Options):
-    """A command: its docstring is its help, and `answer` runs it.
+    """A command: its docstring is its help, and `answer` runs it."""
 
-    Attributes:
-        example: how it is called, for the end of its help.
-        in_place: name of the input that its `out` may replace.
-        json_: whether its answer is printed as JSON.
-    """
-
+    # How it is called; name of the input that its `out` may replace; whether it prints JSON.
     example, in_place, json_ = "", "", False
 
     def answer(self) -> Answer | None:
@@ -255,6 +249,7 @@ class Shared:
     )
     add = opt("Effect to add to the baseline; repeat for more.")
     reference = opt("T0=0: reference temperature of the bases, °C.")
+    reference_dcc = opt("thermometer.xml, or rate_input=table.xml: its calibration certificate.")
     folder = opt("Folder to write to.")
     certificate = opt(
         "TOML file of what a certificate states: device, place, operator, standards, dates."
@@ -317,7 +312,7 @@ class ReadRequest(ColumnOptions):
     """Options of a fit: files, their columns, and the model."""
 
     files: list[Path] = Shared.files
-    fix = reference = add = structure = effects_file = typed = average = NO_OPTION
+    fix = reference = reference_dcc = add = structure = effects_file = typed = average = NO_OPTION
     keep_spikes = False  # single readings far from both neighbours are set aside
     instrument = ""
 
@@ -327,6 +322,7 @@ class ModelOptions(Options):
 
     fix: Texts = opt("bias.temperature=0.041: hold an unknown at a value, in its unit; repeat.")
     reference: Texts = Shared.reference
+    reference_dcc: Texts = Shared.reference_dcc
     add: Texts = Shared.add
     structure: str | None = opt("Structure of the instrument in place of its baseline.")
     effects_file: Path | None = Shared.effects

@@ -6,6 +6,7 @@ A bad file is refused before JAX loads; samplers and other heavy modules load wi
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -79,6 +80,8 @@ def open_channels(
     for name, record in readings.items():
         tailored = general.for_readings(record)
         models[name] = compose(tailored, request, own_effects(request, tailored, record))
+        flags = (f"{e.slot}: {e.source}" for e in models[name].effects if e.of_reference)
+        readings[name] = replace(record, flags=(*record.flags, *flags))
     request.keep()
     return general, models, readings
 
@@ -124,6 +127,10 @@ def compose(instrument: Instrument, request: Any, added: Sequence[Effect] = ()) 
     model = structures[chosen]()
     for name in request.add or []:
         model = model + effects.get(name, name)
+    for text in request.reference_dcc or []:
+        column, _, path = text.rpartition("=")
+        read = first_offered("reference_dcc", "--reference-dcc")
+        model = model + read(path, instrument, column or "temperature")
     return model.fix(named_numbers(request.fix, "--fix"))
 
 
@@ -258,9 +265,8 @@ def correction_from(path: Path, user: InUse) -> bc.Compensator | CorrectionInUse
         from bayescal._use.correction_files import load_correction
 
         if user.member:
-            raise InputError(
-                f"{path.name} is an export, made for its members: give the calibration"
-            )
+            why = f"{path.name} is an export, made for its members: give the calibration"
+            raise InputError(why)
         correction = load_correction(path)
         single = isinstance(correction, CompensationProgram)
         return bc.Compensator(loaded=correction) if single else correction

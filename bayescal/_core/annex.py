@@ -8,6 +8,7 @@ An installed package offers one by an entry point of the group `bayescal.annexes
     corrected           calibration → the correction of one that is of such a kind
     certificate         path → the statements of a certificate's file, as `bayescal.report` takes it
     decided             calibration, limits, **rule → the decisions about them, for a report
+    reference_dcc       path, instrument, column → the error of a reference as an effect, by its certificate
     noise_file          channels, topic, quantile → their noise as a file for another program
     result              calibration, average → entries of result.json behind the coefficients
     coefficient_tables  result.json → captions and tables behind a report's table of coefficients
@@ -15,8 +16,7 @@ An installed package offers one by an entry point of the group `bayescal.annexes
     log                 path, name, channels → the table of a log
     scalar_readings     instrument, values, units, file → three outputs as readings of one, their units, flags
 
-each itself, or by its place as text, "module:name", that loads when it is needed. The core imports none; it queries all
-that are installed, and works without any.
+each itself, or by its place as text, "module:name", that loads when it is needed. The core works without any.
 """
 
 from __future__ import annotations

@@ -80,9 +80,8 @@ class Coefficient:
         if self.per == READING and self.group_sd is not None:
             raise ValueError("a `group_sd` of single readings is noise: give it to the noise law")
         if self.per == READING and not isinstance(self.prior, Normal):
-            raise ValueError(
-                "noise on an input needs its standard deviation: prior=Normal(0.0, sd)"
-            )
+            why = "noise on an input needs its standard deviation: prior=Normal(0.0, sd)"
+            raise ValueError(why)
 
     @property
     def flat(self) -> bool:
@@ -230,9 +229,8 @@ class Effect:
             raise ModelError(f"effect {self.name!r} has no coefficient: give at least one")
         parts = [c.part for c in self.coefficients]
         if len(set(parts)) != len(parts):
-            raise ModelError(
-                f"effect {self.name!r}: its coefficients need different parts, not {parts}"
-            )
+            why = f"effect {self.name!r}: its coefficients need different parts, not {parts}"
+            raise ModelError(why)
         params = inspect.signature(self.basis).parameters
         shapes = {s.name for s in self.shapes} - set(self.weight_shapes)
         needed = {n for n, p in params.items() if p.default is p.empty}  # not `lambda r, k=k: …`
@@ -260,6 +258,11 @@ class Effect:
     def is_placeholder(self) -> bool:
         """Return whether it is a generic dependence without a name: sized by an amplitude, not a coefficient."""
         return self.measure is not None
+
+    @property
+    def of_reference(self) -> bool:
+        """Return whether it is the error of a reference by its certificate, which has no part in use."""
+        return self.name == f"{self.slot}.certificate"
 
     @property
     def unnamed(self) -> bool:

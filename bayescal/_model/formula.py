@@ -35,7 +35,7 @@ from bayescal._data.unit_conversion import (
 from bayescal._model.effect import Coefficient, Effect, Shape
 from bayescal._model.frame import Frame, build_frame, reference_of
 from bayescal._model.instrument import Instrument
-from bayescal._model.prior import Normal
+from bayescal._model.prior import Known, Normal
 
 MAX_LENGTH = 500  # characters: no line nests deeper than Python recurses
 TINY = float(np.finfo(float).tiny)  # below which numbers lose digits
@@ -184,9 +184,8 @@ def _split(name: str, formula: str, stated: Mapping[str, str]) -> tuple[str, str
         formula, *assignments = tail.split(";") if colon else ("",)
         for assignment in filter(str.strip, assignments):
             if not (match := _ASSIGNMENT.fullmatch(assignment)):
-                raise InputError(
-                    f"effect {name!r}: {assignment.strip()!r} is not of the form s = 0.1 mV/V"
-                )
+                why = f"effect {name!r}: {assignment.strip()!r} is not of the form s = 0.1 mV/V"
+                raise InputError(why)
             stated[match[1].strip("`")] = match[2]
     name, formula = name.strip(), formula.strip()
     if not formula or not re.fullmatch(r"[^\W\d]\w*(?:\.\w+)?", name):
@@ -474,9 +473,8 @@ class _TypedLine:
         compared = (getattr(p, "id", "") for node in ast.walk(tree) for p in _compared(node))
         place = any(self.names.get(key) == name for key in compared)
         if not (low < high and (low > 0 or place)):
-            raise InputError(
-                f"{name} = {text!r}: a range goes from a positive number to a larger one"
-            )
+            why = f"{name} = {text!r}: a range goes from a positive number to a larger one"
+            raise InputError(why)
         base = "1"
         if unit != "1":
             fixed = base_unit(unit)
@@ -550,7 +548,8 @@ class _TypedLine:
             )
         text = (match[3] or "1").strip()
         sd, mean = abs(_number(match[2] or match[1])), _number(match[1]) if match[2] else 0.0
-        if not sd > 0:
+        prior = Normal(mean, sd) if sd > 0 else Known(mean)  # 1 ± 0: a number, and no unknown
+        if not (sd > 0 or mean):
             raise InputError(f"{name} = {stated!r}: a size is not zero")
         whole = parse(text).times(basis_unit)
         if slot_unit is not None and whole.powers != (target := parse(slot_unit)).powers:
@@ -558,7 +557,7 @@ class _TypedLine:
                 f"effect {self.text!r}: {name} in {text} makes it {whole}, and it adds to what is {target}: correct "
                 f"the unit of {name}"
             )
-        return Coefficient(text, Normal(mean, sd), part)
+        return Coefficient(text, prior, part)
 
     def _canonical(self, name: str, coefficients: tuple[Coefficient, ...]) -> str:
         """Format the effect as one line, from which it can be made again without readings."""

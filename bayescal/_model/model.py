@@ -200,9 +200,8 @@ class Model(Printed):
     def _refuse_unknown(self, names: Iterable[str]) -> None:
         for name in names:
             if name not in self.unknowns:
-                raise ModelError(
-                    f"nothing in the model is called {name!r}; it has: {', '.join(self.unknowns)}"
-                )
+                why = f"nothing in the model is called {name!r}; it has: {', '.join(self.unknowns)}"
+                raise ModelError(why)
 
     def require(self, readings: Measurements) -> None:
         """Raise ModelError for readings in another unit than the model's, or without a column that an effect needs.

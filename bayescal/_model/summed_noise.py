@@ -57,9 +57,8 @@ class SumOfTerms(Noise, interface=True):
     def __post_init__(self) -> None:
         low, high = self.shortest, self.longest
         if not 0 < low < high:
-            raise ValueError(
-                f"correlation times must be positive and in order, not {low} and {high}"
-            )
+            why = f"correlation times must be positive and in order, not {low} and {high}"
+            raise ValueError(why)
 
     @property
     def parts(self) -> tuple[NoiseTerm, ...]:

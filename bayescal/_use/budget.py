@@ -41,6 +41,7 @@ STRUCTURES = "which effects there are (average over structures)"
 FORM = "form of the model: effects outside the candidates"
 LEAST_VARIANCE_SHARE = 5e-4  # smallest share of the variance that is printed
 READINGS = "noise of the calibration's readings"
+CERTIFIED = re.compile(r"(?<=\.certificate)\[.*")  # parts of a reference's error: one row
 
 
 @dataclass(frozen=True)
@@ -261,9 +262,8 @@ def _operating_point(chosen: Compensator, at: dict[str, float]) -> dict[str, flo
     names = [chosen.stimulus, *(i.name for i in chosen.inputs if i.kind != "lag slope")]
     for name, value in at.items():
         if name not in names:
-            raise InputError(
-                f"{name!r} plays no part in this compensation; what does: {', '.join(names)}"
-            )
+            why = f"{name!r} plays no part in this compensation; what does: {', '.join(names)}"
+            raise InputError(why)
         if not np.isfinite(value):
             raise InputError(f"{name} = {value}: give a finite number")
     return {n: float(at.get(n, v)) for n, v in chosen.middle.items() if n in names}
@@ -276,9 +276,8 @@ def _slopes(chosen: Compensator, point: Mapping[str, float]) -> tuple[float, flo
     expected, slope, gradient = chosen.equation.linearised(*at)
     if slope[0] == 0:
         where = ", ".join(f"{name} = {value:.6g}" for name, value in point.items())
-        raise InputError(
-            f"at {where} the output does not follow {chosen.stimulus}: choose another point"
-        )
+        why = f"at {where} the output does not follow {chosen.stimulus}: choose another point"
+        raise InputError(why)
     return float(expected[0]), float(slope[0]), 0.0 - np.asarray(gradient[0] / slope[0])
 
 
@@ -304,7 +303,9 @@ def _by_source(
     readings, priors = variance_by_origin(calibration, slopes)
     if readings or priors:
         parts[READINGS, "A"] = readings
-        parts |= {(f"prior of {name}", "B"): value for name, value in priors.items()}
+        for name, value in priors.items():
+            row = f"prior of {CERTIFIED.sub('', name)}", "B"
+            parts[row] = parts.get(row, 0.0) + value
     index = calibration.unknowns
     for confounder in calibration.confounders:
         shift = 0.0  # of the value by one standard deviation of the column's effect

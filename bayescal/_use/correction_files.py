@@ -263,9 +263,8 @@ def as_text(
             "files of their own"
         )
     if not uncertainty and format not in LANGUAGES:
-        raise InputError(
-            f"{format} holds its uncertainty: only C and Python are written without uncertainty"
-        )
+        why = f"{format} holds its uncertainty: only C and Python are written without uncertainty"
+        raise InputError(why)
     return kind.writers[format](named, uncertainty)
 
 
@@ -285,6 +284,5 @@ def load_correction(path: str | Path) -> CorrectionInUse:
     for kind in kinds():
         if isinstance(content, dict) and kind.is_data(content):
             return kind.read(content, path.name)
-    raise InputError(
-        f"{path.name} is no correction: export one by `bayescal export CALIBRATION --format json`"
-    )
+    why = f"{path.name} is no correction: export one by `bayescal export CALIBRATION --format json`"
+    raise InputError(why)

@@ -168,7 +168,8 @@ class OperatingEquation:
         """Return the coefficients that act in use."""
         slots = [s.name for s in self.layout.model.instrument.slots]
         acting = self.use.slots or tuple(slots)
-        return tuple(b for b in self.layout.blocks if b.slot in acting or b.slot not in slots)
+        blocks = (b for b in self.layout.blocks if b.slot in acting or b.slot not in slots)
+        return tuple(b for b in blocks if not b.effect.of_reference)
 
     @cached_property
     def unknowns(self) -> tuple[UnknownInUse, ...]:

@@ -31,20 +31,13 @@ def pasted(printed: str) -> list[str]:
 
 
 HEADERS = [
-    "time [s],wx [rad/s],wy [rad/s]",
-    "time [s],Gyro X (deg/s),Acc X (m/s^2)",
-    "t_ms [ms],gyr_x (dps)",
-    "timestamp (ms),x,y,z",
-    "time,gx,gy,gz",
-    "clock (s),rate (°/s)",
+    "time [s],wx [rad/s],wy [rad/s]", "time [s],Gyro X (deg/s),Acc X (m/s^2)",
+    "t_ms [ms],gyr_x (dps)", "timestamp (ms),x,y,z", "time,gx,gy,gz", "clock (s),rate (°/s)",
     "time [s],Rotation rate X [deg/s],Rotation rate Y [deg/s]",
-    "time [s];My gyro, z axis [deg/s];Temp [degC]",
-    "time [s],sensor A [ug],humidity [%]",
-    "time [s],angle pitch [deg],temperature [degC],lab [degC]",
-    "time [s],force [m/s^2],cell [g]",
-    "Zeit [s],Ausgang [mV]",
-    "time [s],it's odd [mg]",
-]
+    "time [s];My gyro, z axis [deg/s];Temp [degC]", "time [s],sensor A [ug],humidity [%]",
+    "time [s],angle pitch [deg],temperature [degC],lab [degC]", "time [s],force [m/s^2],cell [g]",
+    "Zeit [s],Ausgang [mV]", "time [s],it's odd [mg]",
+]  # fmt: skip
 
 
 @pytest.mark.parametrize("header", HEADERS)

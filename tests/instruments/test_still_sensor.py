@@ -16,16 +16,10 @@ from tests.support.command_line import QUICK, needs_installation, run
 from tests.support.inside import frame_of, why_not_testable
 
 UNITS = [
-    ("m/s^2", "ug", 1e6 / 9.80665),
-    ("mg", "ug", 1e3),
-    ("rad/s", "deg/s", 180 / np.pi),
-    ("dps", "deg/s", 1.0),
-    ("arcsec", "rad", np.pi / 648000),
-    ("mV", "V", 1e-3),
-    ("kHz", "Hz", 1e3),
-    ("degC", "degC", 1.0),
-    ("1", "1", 1.0),
-]
+    ("m/s^2", "ug", 1e6 / 9.80665), ("mg", "ug", 1e3), ("rad/s", "deg/s", 180 / np.pi),
+    ("dps", "deg/s", 1.0), ("arcsec", "rad", np.pi / 648000), ("mV", "V", 1e-3), ("kHz", "Hz", 1e3),
+    ("degC", "degC", 1.0), ("1", "1", 1.0),
+]  # fmt: skip
 
 
 LOGGER_COLUMNS = {"output": "acc_x", "time": "t_s", "temperature": "temp"}

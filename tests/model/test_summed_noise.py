@@ -43,16 +43,10 @@ VALUES = {
 }
 ALONE = ("Ornstein–Uhlenbeck",)  # the law of its own
 SUMS = [
-    ("correlated",),
-    ("walk",),
-    ("flicker",),
-    ("smooth",),
-    ("tone",),
-    ("correlated", "correlated"),
-    ("correlated", "walk"),
-    ("smooth", "correlated"),
+    ("correlated",), ("walk",), ("flicker",), ("smooth",), ("tone",), ("correlated", "correlated"),
+    ("correlated", "walk"), ("smooth", "correlated"),
     ("tone", "smooth", "flicker", "walk", "correlated", "correlated", "correlated"),
-]
+]  # fmt: skip
 name_of = "+".join
 
 

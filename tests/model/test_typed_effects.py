@@ -133,35 +133,17 @@ def test_what_is_not_said_of_a_size_the_readings_say(readings) -> None:
 
 
 REFUSED = (
-    "supply: s * (supply_voltage - 5",
-    "supply: s * * T",
-    "supply: s * T T",
-    "supply: s * suply_voltage",
-    "supply: s * T # c",
-    "supply: s * T.__class__",
-    "supply: s * eval(T)",
-    "supply: s * __import__(T)",
-    "supply: s * T[0]",
-    "supply: s * (supply_voltage - temperature)",
-    "supply: s * exp(T); s = 1 deg/s",
-    "supply: s * k * T",
-    "supply: T - 25",
-    "supply: s * T ^ humidity",
-    "supply: s * body(T)",
-    "supply: s * body(T, 300)",
-    "supply: s * rate(T * 2)",
-    "supply: s * exp(-elapsed / tau); s = 1 deg/s",
-    "supply: s * 1e999",
-    "supply: s * T * 10**-320",
-    "supply: s * 1 / 0",
-    "supply: s * 9**9**9**9",
-    "supply: s * sqrt(-1)",
-    "supply: s * run",
-    "supply: s * pressure; s = 1 deg/s",
-    "supply: s * min(T, supply_voltage)",
-    "supply: " + "(" * 60,
-    "supply: s * output",
-)
+    "supply: s * (supply_voltage - 5", "supply: s * * T", "supply: s * T T",
+    "supply: s * suply_voltage", "supply: s * T # c", "supply: s * T.__class__",
+    "supply: s * eval(T)", "supply: s * __import__(T)", "supply: s * T[0]",
+    "supply: s * (supply_voltage - temperature)", "supply: s * exp(T); s = 1 deg/s",
+    "supply: s * k * T", "supply: T - 25", "supply: s * T ^ humidity", "supply: s * body(T)",
+    "supply: s * body(T, 300)", "supply: s * rate(T * 2)",
+    "supply: s * exp(-elapsed / tau); s = 1 deg/s", "supply: s * 1e999", "supply: s * T * 10**-320",
+    "supply: s * 1 / 0", "supply: s * 9**9**9**9", "supply: s * sqrt(-1)", "supply: s * run",
+    "supply: s * pressure; s = 1 deg/s", "supply: s * min(T, supply_voltage)",
+    "supply: " + "(" * 60, "supply: s * output",
+)  # fmt: skip
 
 
 def test_a_formula_that_is_none_is_refused_with_the_place_marked(readings) -> None:

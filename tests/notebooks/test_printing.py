@@ -50,16 +50,9 @@ def results(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
 
 
 NAMES = [
-    "readings",
-    "model",
-    "calibration",
-    "check",
-    "discovery",
-    "comparison",
-    "trail",
-    "channels",
+    "readings", "model", "calibration", "check", "discovery", "comparison", "trail", "channels",
     "budget",
-]
+]  # fmt: skip
 NAMES = [*NAMES, "next experiment"]
 
 

@@ -51,13 +51,8 @@ def test_what_is_wrong_with_all_outputs_is_said_at_once_and_no_sentence_twice(tm
 
 # Outputs of three axes by their headers: a triple in their dimension needs no option where there is just one.
 ACCELEROMETERS = (
-    "ax ay az",
-    "a_x a_y a_z",
-    "Accel X,Accel Y,Accel Z",
-    "x y z",
-    "fx fy fz",
-    "gx gy gz",
-)
+    "ax ay az", "a_x a_y a_z", "Accel X,Accel Y,Accel Z", "x y z", "fx fy fz", "gx gy gz",
+)  # fmt: skip
 GYROSCOPES = (
     "gx gy gz",
     "omega_x omega_y omega_z",

@@ -18,16 +18,13 @@ from tests.support.golden import assert_golden
 from tests.support.gyro_files import GOOD, GYRO, HEAD, Gyro
 
 HEADERS = [
-    "temperature [degC]\n20\n",
-    "temprature [degC],output [V]\n20,1\n",
-    "temperature,output [V]\n20,1\n",
-    "temperature [furlong],output [V]\n20,1\n",
-    "temperature [V],output [V]\n20,1\n",
-    "temperature [K],output [Hz]\n20,1\n",
+    "temperature [degC]\n20\n", "temprature [degC],output [V]\n20,1\n",
+    "temperature,output [V]\n20,1\n", "temperature [furlong],output [V]\n20,1\n",
+    "temperature [V],output [V]\n20,1\n", "temperature [K],output [Hz]\n20,1\n",
     "temperature [K],output [V],output [V]\n20,1,1\n",
     "temperature [K],output [V],output [mV]\n20,1,1\n",
     "run [s],temperature [K],output [V]\n1,20,1\n",
-]
+]  # fmt: skip
 OPTIONS = [
     {"columns": {"output": "gyro"}},
     {"columns": {"output": "x"}},
@@ -37,24 +34,10 @@ OPTIONS = [
     {"units": {"output": "degC"}},
 ]
 CELLS = [
-    "b,5,30,abc",
-    "b,5,30,",
-    "b,5,nan,1",
-    "b,5,30,inf",
-    "b,5,30,1e999",
-    "a,,30,1",
-    ",0,30,1",
-    "b,5,30,1_000",
-    "b,5,-300,1",
-    "a,-5,30,1",
-    'b,5,30,"1,5"',
-    "a,0,30",
-    "a,0,30,1,",
-    "a,0,30,1,5",
-    '"a,0,30,1',
-    "a,0,30\r,1",
-    "a\x07,5,30,1",
-]
+    "b,5,30,abc", "b,5,30,", "b,5,nan,1", "b,5,30,inf", "b,5,30,1e999", "a,,30,1", ",0,30,1",
+    "b,5,30,1_000", "b,5,-300,1", "a,-5,30,1", 'b,5,30,"1,5"', "a,0,30", "a,0,30,1,", "a,0,30,1,5",
+    '"a,0,30,1', "a,0,30\r,1", "a\x07,5,30,1",
+]  # fmt: skip
 CONTENTS = [
     "",
     "\n \n",

@@ -18,15 +18,9 @@ from tests.support.references import shared
 
 COMPILER = shutil.which("cc")
 FLAGS = (
-    "-std=c99",
-    "-Wall",
-    "-Wextra",
-    "-Wconversion",
-    "-Werror",
-    "-pedantic",
-    "-O2",
+    "-std=c99", "-Wall", "-Wextra", "-Wconversion", "-Werror", "-pedantic", "-O2",
     "-ffp-contract=off",
-)
+)  # fmt: skip
 
 needs_compiler = pytest.mark.skipif(COMPILER is None, reason="needs a C compiler called cc")
 

@@ -15,6 +15,7 @@ from __future__ import annotations
 
 import math
 import re
+import tomllib
 import xml.etree.ElementTree as ET
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -29,26 +30,10 @@ import bayescal as bc
 from bayescal import workshop as ws
 from bayescal._annexes.metrology.decide import Decisions, statement_lines
 
-# Section → key → what a person reads. A section in lists may stand several times.
-_PLACE = {"street": "street", "city": "city", "postcode": "postcode", "country": "country"}
-_ITEM = {"manufacturer": "manufacturer", "model": "type", "serial": "serial number"}
-SECTIONS: dict[str, dict[str, str]] = {
-    "certificate": {"number": "certificate", "issued": "issued", "remarks": "remarks"},
-    "device": {"name": "device", **_ITEM, "owner_number": "owner's number"},
-    "calibration": {
-        **{"begin": "calibrated from", "end": "calibrated to", "place": "place"},
-        **{"operator": "operator", "procedure": "procedure"},
-    },
-    "laboratory": {
-        **{"name": "laboratory", **_PLACE, "email": "e-mail"},
-        **{"accreditation": "accreditation", "responsible": "responsible person"},
-    },
-    "customer": {"name": "customer", **_PLACE, "email": "e-mail"},
-    "standards": {
-        **{"name": "standard", **_ITEM, "certificate": "its certificate"},
-        **{"traceable_to": "traceable to", "valid_until": "valid until"},
-    },
-}
+# Section → key → what a person reads.
+SECTIONS: dict[str, dict[str, str]] = tomllib.loads(
+    Path(__file__).with_name("sections.toml").read_text("utf-8")
+)
 DATES = ("issued", "begin", "end", "valid_until")
 LISTS = ("standards",)
 # Numbers such as a serial number are taken verbatim.
@@ -68,15 +53,11 @@ CURE = "It has sections such as [device], and [[standards]], once for each; text
 
 @dataclass(frozen=True)
 class Certificate:
-    """Data that a certificate states.
-    Attributes:
-        stated: section → key → value; `standards` is a list of such; `conditions`: ambient condition → its value, with
-            unit and uncertainty.
-        file: where it was read, for messages.
-    """
+    """Data that a certificate states."""
 
+    # section → key → value; `standards`: a list of such; `conditions`: ambient condition → its value
     stated: dict[str, Any]
-    file: str = "the certificate"
+    file: str = "the certificate"  # where it was read, for messages
 
     def get(self, section: str, key: str) -> str:
         """Return a stated value as text; "" if there is none."""
@@ -136,9 +117,8 @@ def read_certificate(path: str | Path) -> Certificate:
         raise bc.InputError(f"{str(path)!r} states nothing: write [device], name = and serial =")
     begin, end = (stated.get("calibration", {}).get(k) for k in ("begin", "end"))
     if begin and end and end < begin:
-        raise bc.InputError(
-            f"{str(path)!r}, [calibration]: it ends ({end}) before it begins ({begin})"
-        )
+        why = f"{str(path)!r}, [calibration]: it ends ({end}) before it begins ({begin})"
+        raise bc.InputError(why)
     return Certificate(stated, path.name)
 
 
@@ -174,13 +154,7 @@ def dcc_text(
     local_gravity: float = ws.STANDARD_GRAVITY,
     decisions: Decisions | None = None,
 ) -> str:
-    """Generate the certificate as XML.
-
-    Args:
-        calibration: a reliable fit.
-        certificate: what it states beside the numbers, or the TOML file of it.
-        local_gravity: m/s², that one g of the calibration is.
-        decisions: statements of conformity, with their rule.
+    """Generate the certificate as XML: of a reliable fit, what is stated beside it, and decisions on conformity.
 
     Raises:
         InputError: the result is not reliable, or the certificate does not state what the schema needs.
@@ -258,13 +232,10 @@ def _quantities(calibration: bc.Calibration, local_gravity: float) -> Iterator[t
         yield row["name"], real(row["mean"], row["unit"], local_gravity, row["sd"], ends)
 
 
-def real(
-    value: float,
-    unit: str | None,
-    gravity: float,
-    sd: float = 0.0,
-    ends: tuple[float, float] | None = None,
-) -> Real:
+Ends = tuple[float, float] | None  # of a 95 % interval
+
+
+def real(value: float, unit: str | None, gravity: float, sd=0.0, ends: Ends = None) -> Real:
     """Return a number with its unit, and its expanded uncertainty or the ends of its 95 % interval, if it has one.
 
     The uncertainty has two significant digits, and the value as many decimals (JCGM 100, 7.2.6).
@@ -275,42 +246,23 @@ def real(
     if not sd > 0:
         return number
     if ends is not None:
-        interval = {
-            "standardUnc": _rounded(sd, sd),
-            "intervalMin": _rounded(ends[0] * factor, sd),
-            "intervalMax": _rounded(ends[1] * factor, sd),
-            "coverageProbability": "0.95",
-        }
+        low, high = (_rounded(end * factor, sd) for end in ends)
+        interval = {"standardUnc": _rounded(sd, sd), "intervalMin": low, "intervalMax": high}
+        interval["coverageProbability"] = "0.95"
         return number._replace(form="coverageInterval", spread=interval)
-    expanded = {
-        "uncertainty": _rounded(K * sd, K * sd),
-        "coverageFactor": f"{K:g}",
-        "coverageProbability": f"{PROBABILITY:g}",
-        "distribution": "normal",
-    }
+    expanded = {"uncertainty": _rounded(K * sd, K * sd), "coverageFactor": f"{K:g}"}
+    expanded |= {"coverageProbability": f"{PROBABILITY:g}", "distribution": "normal"}
     return number._replace(form="expandedUnc", spread=expanded)
 
 
-_D_SI = {
-    "s": "second",
-    "K": "kelvin",
-    "rad": "radian",
-    "V": "volt",
-    "Hz": "hertz",
-    "m": "metre",
-    "A": "ampere",
-    "Pa": "pascal",
-    "uT": "tesla",
-    "count": "one",
+D_SI = {
+    **{"s": "second", "K": "kelvin", "rad": "radian", "V": "volt", "Hz": "hertz", "m": "metre"},
+    **{"A": "ampere", "Pa": "pascal", "uT": "tesla", "count": "one"},
 }
 
 
 def d_si(unit: str | None, local_gravity: float = ws.STANDARD_GRAVITY) -> tuple[float, str]:
-    """Convert a unit to D-SI: return the factor and the D-SI text, such as \\radian\\second\\tothe{-1}.
-
-    Args:
-        unit: ours; a temperature in degC stays one.
-        local_gravity: m/s², that one g is.
+    """Convert a unit to D-SI: return the factor and the D-SI text, such as \\radian\\second\\tothe{-1}; degC stays one.
 
     Raises:
         InputError: it is no unit.
@@ -327,7 +279,7 @@ def d_si(unit: str | None, local_gravity: float = ws.STANDARD_GRAVITY) -> tuple[
             parts = {"metre": power, "second": -2 * power}
         else:
             factor *= 1e-6**power if base == "uT" else 1.0
-            parts = {_D_SI[base]: power}
+            parts = {D_SI[base]: power}
         for name, p in parts.items():
             powers[name] = powers.get(name, 0.0) + p
     text = "".join(

@@ -9,21 +9,16 @@ A limit ("bias: ±0.5 °/s", "corrected reading: ±0.1 °/s over -20..60 °C") i
 - An unknown, such as "bias.temperature", "bias.run.group_sd" or "noise.white", by the name that a calibration prints.
 
 The first two are values at an operating point: covariates at the middle of their calibrated range, rates and lags
-zero, the time that of the last reading, unless the limit says otherwise.
+zero, the time that of the last reading, unless the limit says otherwise. Of y with limits [T_L, T_U] follow
 
-The quantity that is limited is y, its limits [T_L, T_U], one of which may be infinite; the readings leave it known as a
-posterior. Of these follow
-
-- the probability of conformity p_c = P(T_L ≤ y ≤ T_U) (JCGM 106:2012, 7.2) and the specific risk: 1 − p_c that an item
-  which is accepted does not conform, p_c that one which is rejected does (3.3.13 and 3.3.14);
+- the probability of conformity p_c = P(T_L ≤ y ≤ T_U) (JCGM 106:2012, 7.2) and the specific risk: 1 − p_c of what is
+  accepted, p_c of what is rejected (3.3.13 and 3.3.14);
 - the acceptance interval [A_L, A_U] of a stated probability α of false acceptance: all estimates with which, had the
   posterior the same form about them, p_c ≥ 1 − α; the guard bands are w = T_U − A_U and A_L − T_L (8.3.2);
-- the global risks: averages over a population of items y ~ N(y₀, u₀²) that are each measured with standard uncertainty
-  u (9.4 and 9.5): the consumer's, that an item does not conform and is accepted, and the producer's, that it conforms
-  and is not accepted.
+- the global risks (9.4 and 9.5): averages over items y ~ N(y₀, u₀²), each measured with standard uncertainty u.
 
-A quantity may be a curve, which conforms where all of it does: each draw counts by its lowest and highest value. A
-quantity that scatters (a reading) conforms with the probability of one reading at the least favourable place.
+A curve conforms where all of it does: each draw counts by its lowest and highest value. A quantity that scatters (a
+reading) conforms with the probability of one reading at the least favourable place.
 """
 
 from __future__ import annotations
@@ -99,9 +94,8 @@ def stated_limit(text: str) -> StatedLimit:
     for kind, place in zip(places[::2], places[1::2], strict=True):
         over += [_span(kind, part.strip(), text) for part in re.split(r"\band\b", place)]
     if not low < high or (math.isinf(low) and math.isinf(high)):
-        raise bc.InputError(
-            f"limit {text!r}: the lower limit {low:g} is not below the upper {high:g}"
-        )
+        why = f"limit {text!r}: the lower limit {low:g} is not below the upper {high:g}"
+        raise bc.InputError(why)
     return StatedLimit(quantity.strip(), low, high, unit, tuple(over), text.strip())
 
 
@@ -169,10 +163,8 @@ def spread_of_devices(text: str) -> SpreadOfDevices:
     sd = float(match["sd"])
     if not 0 < sd < math.inf:
         raise bc.InputError(f"population {text!r}: a standard deviation is positive and finite")
-    mean = float(match["mean"]) if match["mean"] else None
-    return SpreadOfDevices(
-        (match["quantity"] or "").strip(), mean, sd, _unit(match["unit"], text), text
-    )
+    mean, quantity = match["mean"] and float(match["mean"]), (match["quantity"] or "").strip()
+    return SpreadOfDevices(quantity, mean, sd, _unit(match["unit"], text), text)
 
 
 # Shifts, and draws, by which the most favourable one is looked for: its p_c need only be within 1/400 of the top.
@@ -211,8 +203,7 @@ class DrawnQuantity:
     values: Float[np.ndarray, "d g"]  # in each draw at each place of the range that the limit names
     # standard deviation of single readings about it at each place; zeros where it does not scatter
     scatter: Float[np.ndarray, "g"]
-    # standard normal scores of readings that lie `DEVIATIONS` standard deviations above it, at each place; None
-    # where readings are normally distributed
+    # normal scores of readings `DEVIATIONS` standard deviations above it, at each place; None if they are normal
     scores: Float[np.ndarray, "g m"] | None = None
 
     @property
@@ -241,8 +232,7 @@ class DrawnQuantity:
         values, scatter, scores = self.ends.values + shift, self.ends.scatter, self.ends.scores
         if not scatter.any():
             return float(np.mean(np.all((values >= limits.low) & (values <= limits.high), axis=1)))
-        # As a function of y the probability of one reading has a single top: where readings scatter alike its least is
-        # at one of the two ends.
+        # The probability of one reading has a single top in y: where readings scatter alike its least is at an end.
         z = (limits.low - values) / scatter, (limits.high - values) / scatter
         if scores is not None:
             by_place = list(enumerate(scores))
@@ -257,13 +247,7 @@ class DrawnQuantity:
 
 
 def acceptance(drawn: DrawnQuantity, limits: Limits, false_accept: float) -> Limits | None:
-    """Return the acceptance interval of a stated probability of false acceptance; None where no estimate reaches it.
-
-    Args:
-        drawn: whose posterior, with its form, is moved along.
-        limits: the tolerance interval.
-        false_accept: α.
-    """
+    """Return the acceptance interval of a probability α of false acceptance; None where no estimate reaches it."""
     reach = FAR_SD * float(drawn.scatter.max())
     # Below the first shift p_c is zero, as no draw is above T_L; so it is above the last.
     first = limits.low - float(drawn.values.min(axis=1).max()) - reach
@@ -275,9 +259,8 @@ def acceptance(drawn: DrawnQuantity, limits: Limits, false_accept: float) -> Lim
 
     if not accepts(best):
         return None
-    down, up = (
-        end if np.isinf(end) else edge(accepts, best, end, EDGE_RTOL) for end in (first, last)
-    )
+    ends = first, last
+    down, up = (e if np.isinf(e) else edge(accepts, best, e, EDGE_RTOL) for e in ends)
     return Limits(drawn.estimate[0] + down, drawn.estimate[1] + up)
 
 
@@ -299,31 +282,18 @@ def _most_favourable(drawn: DrawnQuantity, limits: Limits, first: float, last: f
 
 @dataclass(frozen=True)
 class GlobalRisks:
-    """Global risks of a population of items: probabilities of conformity, acceptance and wrong decisions.
+    """Global risks of a population of items: probabilities of conformity, acceptance and wrong decisions."""
 
-    Attributes:
-        conforming: probability that an item conforms.
-        accepted: that it is accepted.
-        consumer: that it does not conform and is accepted.
-        producer: that it conforms and is not accepted.
-    """
-
-    conforming: float
-    accepted: float
-    consumer: float
-    producer: float
+    conforming: float  # probability that an item conforms
+    accepted: float  # that it is accepted
+    consumer: float  # that it does not conform and is accepted
+    producer: float  # that it conforms and is not accepted
 
 
 def global_risks(
     mean: float, sd: float, uncertainty: float, limits: Limits, accepted: Limits
 ) -> GlobalRisks:
-    """Compute the global risks over items N(mean, sd²), each measured with a normal error.
-
-    Args:
-        mean, sd: of the population.
-        uncertainty: of the measurement of one item.
-        limits: the tolerance interval.
-        accepted: estimates that are accepted.
+    """Compute the global risks over items N(mean, sd²), each measured with a normal error of sd `uncertainty`.
 
     Source: JCGM 106:2012, 9.5: item and estimate are normal together, with the covariance sd².
     """
@@ -353,26 +323,17 @@ FIXED_NOTE = "{} was held at its estimate, so that its uncertainty is not known:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class LimitedQuantity:
-    """A limited quantity: an unknown of the model; or a slot, or the error of a corrected reading, at places.
-
-    Attributes:
-        limit: that it is of.
-        limits: in `unit`.
-        unit: of the quantity, fixed.
-        notes: what to know, each a sentence.
-        not_covered: what the limit asks for and the calibration does not know, each a clause; then nothing is decided.
-        draws: of an unknown (d,).
-        chosen: compensator with all draws, of what is in use.
-        places: the stimulus and every input by name, (g,) each.
-    """
+    """A limited quantity: an unknown of the model; or a slot, or the error of a corrected reading, at places."""
 
     limit: StatedLimit
-    limits: Limits
-    unit: str
-    notes: tuple[str, ...] = ()
+    limits: Limits  # in `unit`
+    unit: str  # of the quantity, fixed
+    notes: tuple[str, ...] = ()  # what to know, each a sentence
+    # what the limit asks for and the calibration does not know, each a clause; then nothing is decided
     not_covered: tuple[str, ...] = ()
-    draws: np.ndarray | None = None
-    chosen: bc.Compensator | None = None
+    draws: np.ndarray | None = None  # of an unknown (d,)
+    chosen: bc.Compensator | None = None  # with all draws, of what is in use
+    # the stimulus and every input by name, (g,) each
     places: Mapping[str, np.ndarray] = field(default_factory=dict)
 
     @property
@@ -450,13 +411,7 @@ def limited_quantity(
     members: Mapping[str, str] | None = None,
     local_gravity: float = ws.STANDARD_GRAVITY,
 ) -> LimitedQuantity:
-    """Resolve the quantity of a limit in a calibration.
-
-    Args:
-        calibration: a fit, or an average over structures.
-        limit: on what.
-        members: which member of a group is used, as `compensator` takes it.
-        local_gravity: m/s², for limits in m/s² on accelerations in g.
+    """Resolve the quantity of a limit in a calibration; members and gravity as in `decide`.
 
     Raises:
         InputError: nothing is called so, the unit is of another dimension, or a range is of no column.
@@ -485,9 +440,8 @@ def limited_quantity(
         spans.append((name, low, high))
     ranges = [(n, low, high) for n, low, high in spans if high > low and n in point]
     if len(ranges) > max(PLACES):
-        raise bc.InputError(
-            f"limit {limit.text!r}: at most {max(PLACES)} ranges, it has {len(ranges)}"
-        )
+        why = f"limit {limit.text!r}: at most {max(PLACES)} ranges, it has {len(ranges)}"
+        raise bc.InputError(why)
     point |= {n: low for n, low, high in spans if high == low and n in point}
     grid = np.meshgrid(
         *(np.linspace(low, high, PLACES[len(ranges)]) for _, low, high in ranges), indexing="ij"

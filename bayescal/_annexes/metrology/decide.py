@@ -9,12 +9,9 @@ Three rules, one of which the laboratory and its customer agree on beforehand (I
   is inside the limits by the guard bands; reject where the probability of a false rejection is; between them,
   undecided (8.3; ILAC-G8:09/2019 calls it a non-binary statement with guard bands).
 
-To calibrate again is due where the probability of conformity falls below a stated one. What a model says of the future
-is what changes in it with the time of the record: a drift, whose rate is known from runs that lie apart, so that a
-value and its uncertainty go on growing after the last reading. Runs differ by a deviation that is as large tomorrow as
-it was during the calibration: it lowers the probability everywhere, and sets no date. Where nothing in the model
-changes with time, there is no answer, and the reason is said.
-Source: ILAC-G24/OIML D 10:2022 leaves the method to the laboratory; this one states its probability.
+To calibrate again is due where the probability of conformity falls below a stated one, by what changes in the model
+with the time of the record: a drift. A deviation of runs lowers the probability everywhere, and sets no date. Where
+nothing changes with time, the reason is said (ILAC-G24/OIML D 10:2022 leaves the method to the laboratory).
 """
 
 from __future__ import annotations
@@ -61,46 +58,29 @@ ADVICE = (
 
 @dataclass(frozen=True)
 class Recalibration:
-    """When the probability of conformity falls below a stated one.
+    """When the probability of conformity falls below a stated one."""
 
-    Attributes:
-        stated: the probability.
-        after: s after the last reading of the calibration; None where it does not fall within the horizon, or
-            that cannot be said.
-        date: of that time, ISO 8601, where the readings have dates.
-        why_not: why there is no time; empty where there is one.
-        notes: what to know, each a sentence.
-    """
-
-    stated: float
-    after: float | None
-    date: str | None = None
-    why_not: str = ""
-    notes: tuple[str, ...] = ()
+    stated: float  # the probability
+    after: (
+        float | None
+    )  # s after the last reading; None beyond the horizon, or where that cannot be said
+    date: str | None = None  # of that time, ISO 8601, where the readings have dates
+    why_not: str = ""  # why there is no time; empty where there is one
+    notes: tuple[str, ...] = ()  # what to know, each a sentence
 
     def __str__(self) -> str:
         if self.after is None:
             return self.why_not
         if self.after == 0:
             return f"the probability of conformity is below {self.stated:g} already"
-        when = f", {self.date}" if self.date else ""
-        return (
-            f"the probability of conformity falls below {self.stated:g} {in_words(self.after)} after the last "
-            f"reading{when}"
-        )
+        when = f"{in_words(self.after)} after the last reading" + f", {self.date}" * bool(self.date)
+        return f"the probability of conformity falls below {self.stated:g} {when}"
 
 
 def recalibration(
     quantity: LimitedQuantity, limits: Limits, calibration: bc.Calibration, stated: float
 ) -> Recalibration:
-    """Compute when the probability of conformity falls below a stated one, by the drift in the model.
-
-    Args:
-        quantity: that is limited.
-        limits: of it, in its unit.
-        calibration: whose last reading the time counts from.
-        stated: the probability.
-    """
+    """Compute when the probability of conformity falls below a stated one, by the drift in the model."""
     if reason := _no_answer(quantity, calibration, stated):
         return Recalibration(stated, None, why_not=reason, notes=(ADVICE,) * bool(quantity.place))
 
@@ -113,16 +93,16 @@ def recalibration(
     if untold := ws.not_measured(calibration, changed, rare=1 - stated):
 
         def alone(later: float) -> float:
-            return _likelihood_only(untold, quantity, calibration, later).probability(limits)
+            drawn = quantity.drawn(later)  # by the likelihood alone
+            values = untold.by_readings_alone(calibration, drawn.values)
+            return replace(drawn, values=values).probability(limits)
 
         if after is not None or first_below(alone, stated) is not None:
             why = f"{CANNOT}: {untold}. {untold.cure}"
             return Recalibration(stated, None, why_not=why, notes=(ADVICE,))
     if after is None:
-        years = HORIZON / YEAR
-        return Recalibration(
-            stated, None, why_not=f"not within {years:g} years by the drift that the model holds"
-        )
+        why = f"not within {HORIZON / YEAR:g} years by the drift that the model holds"
+        return Recalibration(stated, None, why_not=why)
     time = calibration.readings["time"]
     span = float(np.ptp(time))
     notes = []
@@ -136,17 +116,6 @@ def recalibration(
         begin = datetime.fromtimestamp(since, UTC)
         date = (begin + timedelta(seconds=float(time.max()) + after)).date().isoformat()
     return Recalibration(stated, after, date, notes=tuple(notes))
-
-
-def _likelihood_only(
-    untold: ws.NotMeasured,
-    quantity: LimitedQuantity,
-    calibration: bc.Calibration,
-    later: float = 0.0,
-) -> DrawnQuantity:
-    """Return the draws of a quantity by the likelihood alone, without the priors of unidentified unknowns."""
-    drawn = quantity.drawn(later)
-    return replace(drawn, values=untold.by_readings_alone(calibration, drawn.values))
 
 
 def first_below(probability: Callable[[float], float], stated: float) -> float | None:
@@ -192,70 +161,39 @@ NOT_RELIABLE = "the calibration is not reliable: {}"
 
 @dataclass(frozen=True)
 class Decision:
-    """The decision on one limit.
+    """The decision on one limit."""
 
-    Attributes:
-        limit: as it was written.
-        quantity, unit: what is limited, and the unit of all its numbers.
-        tolerance: its limits; infinite where there is none.
-        estimate: posterior mean, its lowest and highest value over the range of the limit.
-        uncertainty: standard uncertainty of the estimate; over a range, the largest of its two ends.
-        scatter: standard deviation of single readings, over a range the largest; zero where the quantity does not
-            scatter.
-        probability: of conformity.
-        probability_error: its Monte-Carlo standard error.
-        guard_bands: below and above; None where no estimate would be accepted.
-        accepted: estimates that are accepted, by the rule.
-        decision: "accept", "reject" or "undecided".
-        why: in words.
-        risk: the specific risk: that the decision is wrong; None where none was made.
-        at: name → lowest value, highest value, unit of the operating point.
-        population: mean and standard deviation of the devices; None where none is given, and over a range.
-        global_risks: over the devices of a population; None where none is given.
-        recalibration: when to calibrate again.
-        notes: what to know, each a sentence.
-    """
-
-    limit: str
-    quantity: str
-    unit: str
-    tolerance: Limits
-    estimate: tuple[float, float]
-    uncertainty: float
-    scatter: float
-    probability: float
-    probability_error: float
-    guard_bands: tuple[float, float] | None
-    accepted: Limits | None
-    decision: str
-    why: str
-    risk: float | None
-    at: dict[str, tuple[float, float, str]]
-    population: tuple[float, float] | None
-    global_risks: GlobalRisks | None
+    limit: str  # as it was written
+    quantity: str  # what is limited
+    unit: str  # of all its numbers
+    tolerance: Limits  # infinite where there is none
+    estimate: tuple[float, float]  # posterior mean, lowest and highest over the range of the limit
+    uncertainty: float  # standard, of the estimate; over a range, the largest of its two ends
+    scatter: float  # standard deviation of single readings, the largest; zero without scatter
+    probability: float  # of conformity
+    probability_error: float  # its Monte-Carlo standard error
+    guard_bands: tuple[float, float] | None  # below, above; None where no estimate is accepted
+    accepted: Limits | None  # estimates that are accepted, by the rule
+    decision: str  # "accept", "reject" or "undecided"
+    why: str  # in words
+    risk: float | None  # the specific risk: that the decision is wrong; None where none was made
+    at: dict[str, tuple[float, float, str]]  # operating point: name → lowest, highest value, unit
+    population: tuple[float, float] | None  # mean, sd of the devices; None if not given or a range
+    global_risks: GlobalRisks | None  # over the devices of a population; None where none is given
     recalibration: Recalibration
-    notes: tuple[str, ...]
+    notes: tuple[str, ...]  # what to know, each a sentence
 
 
 @dataclass(frozen=True, repr=False)
 class Decisions(ws.Printed):
-    """Decisions about the limits of one device.
+    """Decisions about the limits of one device."""
 
-    Attributes:
-        rule: "simple", "guarded" or "shared-risk".
-        rule_in_words: as a certificate states it.
-        false_accept: the probability of a false acceptance that is allowed.
-        decisions: one of each limit, in their order.
-        calibration: identity of the calibration.
-        notes: what to know of all of them, each a sentence.
-    """
-
-    rule: str
-    rule_in_words: str
-    false_accept: float
-    decisions: tuple[Decision, ...]
-    calibration: str
-    notes: tuple[str, ...] = ()
+    rule: str  # "simple", "guarded" or "shared-risk"
+    rule_in_words: str  # as a certificate states it
+    false_accept: float  # the probability of a false acceptance that is allowed
+    decisions: tuple[Decision, ...]  # one of each limit, in their order
+    calibration: str  # identity of the calibration
+    notes: tuple[str, ...] = ()  # what to know of all of them, each a sentence
 
     def withheld(self, why: str) -> Decisions:
         """Return these with all decisions undecided, with the reason why the calibration is not reliable."""
@@ -343,13 +281,10 @@ def _fill(text: str) -> str:
 def _accepted(d: Decision) -> str:
     if d.accepted is None:
         return "none"
-    low, high = d.accepted
-    unit = ws.unit_label(d.unit)
-    if math.isinf(low):
-        return f"≤ {ws.number(high, 4)} {unit}".strip()
-    if math.isinf(high):
-        return f"≥ {ws.number(low, 4)} {unit}".strip()
-    return f"{ws.number(low, 4)} … {ws.number(high, 4)} {unit}".strip()
+    low, high = (ws.number(end, 4) for end in d.accepted)
+    above, below = map(math.isinf, d.accepted)
+    text = f"≤ {high}" if above else f"≥ {low}" if below else f"{low} … {high}"
+    return f"{text} {ws.unit_label(d.unit)}".strip()
 
 
 def statement_lines(d: Decision) -> list[str]:
@@ -409,8 +344,7 @@ def decide(
     """Decide whether a calibrated device conforms, limit by limit.
 
     Args:
-        calibration: a fit, or an average over structures, which puts what is not known of the structure into every
-            probability.
+        calibration: a fit, or an average over structures.
         limits: such as "bias: ±0.5 °/s" or "corrected reading: ±0.1 °/s over -20..60 °C" (see `stated_limit`).
         rule: "guarded", "simple" or "shared-risk".
         false_accept: probability of a false acceptance (and, of a false rejection) that "guarded" allows.
@@ -560,8 +494,10 @@ def _decide_limit(
         return UNDECIDED, "; ".join(quantity.not_covered)
     options = {"of": quantity.limit.quantity, "scatter": drawn.scatter, "rare": how.false_accept}
     if untold := ws.not_measured(calibration, drawn.values, **options):
-        alone = _likelihood_only(untold, quantity, calibration).probability(limits)
-        if untold.hyperparameter or not _same_decision(p, alone, how.false_accept):
+        values, risk = untold.by_readings_alone(calibration, drawn.values), how.false_accept
+        alone = replace(drawn, values=values).probability(limits)
+        same = (p >= 1 - risk) == (alone >= 1 - risk) and (p <= risk) == (alone <= risk)
+        if untold.hyperparameter or not (same and abs(p - alone) <= risk):
             return UNDECIDED, f"{CANNOT}: {untold}. {untold.cure}"
     conforms, fails = percent(p, error), percent(1 - p, error)
     if how.rule == "guarded":
@@ -588,12 +524,6 @@ def _decide_limit(
     else:
         where, decided, risk = "outside", REJECT, f"rejection {conforms}"
     return decided, f"the estimate is {where} the limits; specific risk of false {risk}"
-
-
-def _same_decision(p: float, other: float, risk: float) -> bool:
-    """Return whether two probabilities of conformity lead to the same decision at a tolerated risk."""
-    same = (p >= 1 - risk) == (other >= 1 - risk) and (p <= risk) == (other <= risk)
-    return same and abs(p - other) <= risk
 
 
 def capability_index(drawn: DrawnQuantity, limits: Limits) -> float | None:

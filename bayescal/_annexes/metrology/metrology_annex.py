@@ -47,11 +47,7 @@ class DecideCommand(ws.InUse, ws.DecisionRule, ws.AsJson, ws.Command):
 
 
 def certified(command: ws.ExportCommand) -> ws.Answer:
-    """Export a digital calibration certificate, with the decisions about limits, if any.
-
-    Raises:
-        InputError: no certificate is given, an export, or what `dcc_text` refuses.
-    """
+    """Export a digital calibration certificate, with the decisions about limits, if any."""
     from bayescal._annexes.metrology.certificate import dcc_text
 
     command.refuse_several()
@@ -77,4 +73,5 @@ ANNEX = {
     "exports": lambda: {"dcc": certified},
     "certificate": "bayescal._annexes.metrology.certificate:read_certificate",
     "decided": "bayescal:decide",
+    "reference_dcc": "bayescal:read_dcc",
 }
