@@ -93,6 +93,7 @@ from ._core.result_table import TableColumn as TableColumn
 from ._core.result_table import plain_table as plain_table
 
 # what is kept of a process: settings, one thread, a compiled function, roots
+from ._core.settings import seed_of as seed_of
 from ._core.settings import settings as settings
 from ._core.settings import unusual as unusual
 from ._core.templates import template as template

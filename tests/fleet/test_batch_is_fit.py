@@ -57,6 +57,12 @@ def test_offsets_of_up_to_a_milliard_noises_give_the_numbers_of_fit() -> None:
         assert_as_alone(MODEL, found[name], readings, bc.LeastSquares())
 
 
+def test_a_generator_draws_the_seed() -> None:
+    lot, first = {"a": line(1), "b": line(2)}, int(np.random.default_rng(3).integers(2**31))
+    drawn = bc.fit_batch(MODEL, lot, seed=np.random.default_rng(3))
+    assert str(drawn.table()) == str(bc.fit_batch(MODEL, lot, seed=first).table())
+
+
 def test_ten_thousand_degrees_per_second_added_leave_the_slope_and_are_objected_to() -> None:
     lot = {"plain": line(1), "odd": line(2, 10_000.0)}
     found = bc.fit_batch(MODEL, lot)

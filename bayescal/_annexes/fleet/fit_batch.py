@@ -223,7 +223,7 @@ def fit_batch(
     *,
     method: ws.Method | None = None,
     population: AskedPopulation = False,
-    seed: int = 0,
+    seed: int | np.random.Generator = 0,
     chunk: int = CHUNK,
     reference: Reference | None = None,
     time_limit: float | None = None,
@@ -255,7 +255,7 @@ def fit_batch(
         method: `LeastSquares()` if not given. `Marginal()` samples without chains: a device that needs them is told.
         population: True for all coefficients that a device has one of, or names, or names with priors of their standard
             deviations between devices.
-        seed: of every random number.
+        seed: of every random number, or NumPy's generator, which draws it.
         chunk: devices fitted at once at most, which bounds memory.
         reference: constants of the bases, in place of each device's own; a population sets T0 to that of all readings.
         time_limit: seconds, after which devices that were not reached are refused with that reason, as at Ctrl-C.
@@ -274,7 +274,7 @@ def fit_batch(
     method = method or bc.LeastSquares()
     if isinstance(method, bc.Marginal):  # chains of single devices, minutes each, are left to `fit`
         method = replace(method, chains=False)
-    options = FitOptions(method, seed, chunk, dict(reference or {}))
+    options = FitOptions(method, ws.seed_of(seed), chunk, dict(reference or {}))
     chosen(model, population)  # a wrong name is refused before anything is read
     search = Find() if find is True else find or None
     read_options = ws.ReadOptions.of(model.instrument, **(columns or {}))
