@@ -17,7 +17,7 @@ from bayescal._calibration.summary import null_directions, summary, unknowns_par
 from bayescal._core.flag import Flag
 from bayescal._core.formatting import folded
 from bayescal._core.result_table import Printed, ResultTable
-from bayescal._model.model import in_short
+from bayescal._model.model import format_model
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -67,7 +67,7 @@ class Calibration(Printed, Fitted):
     def _brief(self) -> str:
         verdict = "converged" if self.verdict.ok else "NOT converged"
         verdict = "NOT reliable" if self.verdict.against else verdict
-        return f"{verdict}, {len(self.readings)} readings of {self.readings.file}, {in_short(self.model)}"
+        return f"{verdict}, {len(self.readings)} readings of {self.readings.file}, {format_model(self.model)}"
 
     def _columns(self) -> dict[str, list[Any]]:
         """Return one row per unknown, in its unit; `low` and `high` bound the 95 % credible interval."""

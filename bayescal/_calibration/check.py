@@ -304,7 +304,7 @@ def _with_free_noise(calibration: Calibration) -> tuple[Calibration, float | Non
     model, readings = calibration.model.free(*fixed_names), calibration.readings
     free = fit(model, readings, method, reference=reference, strict=False)
     v = np.array(calibration.mode.v)
-    for i in calibration.layout.positions("noise"):
+    for i in calibration.layout.phi_indices("noise"):
         v[i] = free.mode.v[free.layout.index_in_phi[calibration.layout.hypers[i].name]]
     judged_fit = replace(calibration, mode=calibration.mode._replace(v=v))
     return judged_fit, float(np.sqrt(np.mean(free.linear.variance)))

@@ -27,7 +27,7 @@ from bayescal._calibration.claim import Claim, limit
 from bayescal._data.measurements import Measurements
 from bayescal._data.unit_conversion import same_dimension
 from bayescal._inference.linear_model import LinearModel
-from bayescal._model.frame import derived, measured_column
+from bayescal._model.frame import list_covariates, strip_rate
 from bayescal._model.model import Model
 from bayescal._model.parameters import Layout
 
@@ -49,7 +49,7 @@ class Confounder(NamedTuple):
     def claim(self) -> Claim:
         """Return the claim that names the column and the coefficients."""
         numbers = {"column": self.column, "told": self.told, "grid": self.step}
-        numbers |= {"vary": measured_column(self.column)}
+        numbers |= {"vary": strip_rate(self.column)}
         combination = f"{' and '.join(self.coefficients)} and {self.of_column}"
         code = "column.rounded" if self.step else "direction.confounded"
         return Claim(code, *self.coefficients, **numbers, combination=combination)
@@ -84,7 +84,7 @@ def confounders(
         for slot in slots
     ]
     acting += [(name, step / math.sqrt(12.0) * by, step) for name, (step, by) in steps.items()]
-    parts = {b.name: b.at for b in layout.x_blocks}
+    parts = {b.name: b.x_slice for b in layout.x_blocks}
     confounding = list[Confounder]()
     for name, values, step in acting:
         # The column at its size, whitened; its projection on the model's columns, P, and the rest, K.
@@ -137,8 +137,8 @@ def unexplained(model: Model, readings: Measurements) -> dict[str, Float[np.ndar
     units = [readings.unit(n) for n in declared & {*readings.columns}]
     units = [u for u in units if u not in (None, "1", "s")]
     columns = dict[str, np.ndarray]()
-    for name, values in derived(readings).items():
-        column = measured_column(name)
+    for name, values in list_covariates(readings).items():
+        column = strip_rate(name)
         unit = readings.unit(column) if readings.has(column) else None
         same = any(unit and same_dimension(unit, str(u)) for u in units)
         if np.ptp(values) > 0 and name not in named and column not in named and not same:

@@ -22,7 +22,7 @@ from bayescal._inference.method import Method
 from bayescal._inference.problem import Problem
 from bayescal._inference.record import record_of
 from bayescal._model.effect import Effect
-from bayescal._model.frame import Reference, constants_of, reference_of
+from bayescal._model.frame import Reference, constant_names, reference_of
 from bayescal._model.instrument import Instrument
 from bayescal._model.model import Model
 from bayescal._model.parameters import bind
@@ -72,7 +72,7 @@ def fit(
     model.require(readings)
     model = model.with_nuisances(readings)
     _refuse_constant_output(readings)
-    requested, constants = reference or {}, constants_of(readings)
+    requested, constants = reference or {}, constant_names(readings)
     if unknown := sorted({n for n, v in requested.items() if not isinstance(v, dict)} - constants):
         raise InputError(
             f"reference: no basis has a constant {', '.join(unknown)}; for these readings there are: "
@@ -150,7 +150,7 @@ def _refuse_constant_output(readings: Measurements) -> None:
 def _refuse_lost_digits(problem: Problem, readings: Measurements) -> None:
     """Raise ModelError if a constant is so far from its prior mean that squares lose the noise's digits."""
     for b in problem.layout.x_blocks:
-        sd = problem.sizes.plain[b.at] * problem.weight_of_x[b.at]
+        sd = problem.sizes.fixed_sd[b.x_slice] * problem.weight_of_x[b.x_slice]
         if not (b.origin and np.all(sd > 0)):
             continue
         away = float(np.max(np.abs(b.mean) / sd))

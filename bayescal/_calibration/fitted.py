@@ -273,7 +273,7 @@ class Fitted:
             return self
         effects = tuple(e for e in self.model.effects if e.name not in names)
         layout = replace(self.layout, model=replace(self.model, effects=effects))
-        in_x, in_v = self.layout.entries_in(layout)
+        in_x, in_v = self.layout.shared_indices(layout)
         chosen, mode = rows[: CHAINS * (len(rows) // CHAINS)], self.mode
         draws, covariance = self.draws(), mode.covariance[np.ix_(in_v, in_v)]
         x, v = draws.x[chosen][:, in_x], draws.v[chosen][:, in_v]
@@ -341,9 +341,8 @@ def has_effect(
     x: Float[np.ndarray, "b p"], blocks: Sequence[CoefficientBlock], name: str
 ) -> Bool[np.ndarray, "b"]:
     """Mask the draws that include an effect: without it all of its coefficients are exactly zero."""
-    nonzero = [
-        np.any(x[:, b.at] != 0, axis=1) for b in blocks if b.place == "x" and b.effect.name == name
-    ]
+    named = (b for b in blocks if b.place == "x" and b.effect.name == name)
+    nonzero = [np.any(x[:, b.x_slice] != 0, axis=1) for b in named]
     # A fixed effect, or one sampled with φ, is not averaged over.
     return np.any(nonzero, axis=0) if nonzero else np.ones(len(x), dtype=bool)
 
@@ -457,7 +456,7 @@ def _by_structure(
         absent = {b.effect.name for b, has in zip(fixed, pattern, strict=True) if not has}
         effects = tuple(_with_fixed(e) for e in layout.model.effects if e.name not in absent)
         inner = replace(layout, model=replace(layout.model, effects=effects))
-        in_x, in_v = layout.entries_in(inner)
+        in_x, in_v = layout.shared_indices(inner)
         places = np.flatnonzero(which.reshape(-1) == k)
         structure_draws = Vectors(draws.x[places][:, in_x], draws.v[places][:, in_v])
         yield places, Problem(inner, problem.record), structure_draws

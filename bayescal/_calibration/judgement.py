@@ -28,10 +28,10 @@ from bayescal._inference.laplace import across, find_mode, prior_draws
 from bayescal._inference.newton import Nearby
 from bayescal._inference.problem import Problem
 from bayescal._model.effect import Effect
-from bayescal._model.model import Model, testable
+from bayescal._model.model import Model, why_untestable
 from bayescal._model.noise_law import WHITE, Noise
 from bayescal._model.parameters import bind
-from bayescal._model.terms import ColumnsOf
+from bayescal._model.terms import ColumnSpec
 
 PRIOR = "prior.contradicted"
 FREE_SIZES = 1e3  # factor on a plausible size that makes its prior uninformative
@@ -192,7 +192,7 @@ def implausible_curves(subject: Subject) -> Iterator[Claim]:
         return
     # How much the instrument's own effects plausibly change the output over these readings, rms, output unit.
     catalogue = (*instrument.effects, *instrument.candidates)
-    effects = tuple(e for e in catalogue if testable(e, readings) is None)
+    effects = tuple(e for e in catalogue if why_untestable(e, readings) is None)
     layout = bind(Model(instrument, effects, fit.model.noise), readings)[0]
     problem = Problem(layout, fit.problem.record)
     hyper = problem.hyper(np.zeros(len(problem.hypers)))
@@ -253,7 +253,7 @@ def members_following_terms(subject: Subject) -> Iterator[Claim]:
         codes = record.codes[str(b.coefficient.per)]
         values = np.array([means[name] for name in names])
         for term in (e for e in single if e.slot == b.effect.slot and not subject.accepts(e.name)):
-            column = record.columns(ColumnsOf.of(term), ())[:, 0]
+            column = record.columns(ColumnSpec.from_effect(term), ())[:, 0]
             count = np.bincount(codes[codes >= 0], minlength=len(values))
             total = np.bincount(codes[codes >= 0], column[codes >= 0], minlength=len(values))
             filled = count > 0
@@ -283,7 +283,7 @@ def too_few(subject: Subject) -> Iterator[Claim]:
     names = [b.effect.name for b in fit.layout.blocks if b.place in ("x", "phi")]
     free = round(sum(inclusion[name] for name in names if name not in nuisances))
     enough = free + limit("readings.too_few", "freedom")
-    if len(fit.readings) < enough and fit.layout.positions("noise"):
+    if len(fit.readings) < enough and fit.layout.phi_indices("noise"):
         yield Claim("readings.too_few", count=len(fit.readings), free=free)
 
 

@@ -24,8 +24,8 @@ from bayescal._inference.gaussian import Gram, Prior, condition
 from bayescal._inference.laplace import Mode
 from bayescal._inference.newton import Nearby, climb
 from bayescal._inference.problem import Problem
-from bayescal._inference.record import Record
-from bayescal._model.terms import ColumnsOf
+from bayescal._inference.record import Arrays, Record
+from bayescal._model.terms import ColumnSpec
 
 # Readings, below which a group's error is a matter of chance: it is three times too large once in 10⁷ groups of 5.
 FEW_IN_GROUP = 5
@@ -74,11 +74,11 @@ class Part(Record):
         super().__init__(whole.instrument, frame, whole.y[rows])
         self.whole, self.rows = whole, rows
 
-    def _computed(self, effect: ColumnsOf, values: Sequence[np.ndarray], moves) -> Any:
-        return self.whole._computed(effect, values, self._fill(moves))[:, self.rows]
+    def _computed(self, effect: ColumnSpec, values: Sequence[np.ndarray], shifts) -> Any:
+        return self.whole._computed(effect, values, self._fill(shifts))[:, self.rows]
 
-    def moved_columns_of_draws(self, effect: ColumnsOf, values: Sequence[Any], moves) -> Any:
-        rows, slopes = self.whole.moved_columns_of_draws(effect, values, self._fill(moves))
+    def moved_columns_of_draws(self, effect: ColumnSpec, values: Sequence[Any], shifts) -> Any:
+        rows, slopes = self.whole.moved_columns_of_draws(effect, values, self._fill(shifts))
         return rows[..., self.rows, :], {name: s[..., self.rows, :] for name, s in slopes.items()}
 
     @cached_property
@@ -86,9 +86,10 @@ class Part(Record):
         return self.whole.affine and self._select_rows(self.whole.affine)
 
     def respond(
-        self, slots: Mapping[str, np.ndarray], moves: Mapping[str, np.ndarray], sloped: bool = True
+        self, slots: Arrays, shifts: Arrays, with_grad: bool = True
     ) -> tuple[Float[np.ndarray, "*b n"], dict[str, Any]]:
-        return self._select_rows(self.whole.respond(self._fill(slots), self._fill(moves), sloped))
+        whole = self.whole.respond(self._fill(slots), self._fill(shifts), with_grad)
+        return self._select_rows(whole)
 
     def _select_rows(self, values_and_slopes: tuple[np.ndarray, Mapping[str, np.ndarray]]):
         values, slopes = values_and_slopes
@@ -196,8 +197,7 @@ def _fold(
 def _held_out_moments(
     fitted: Density, predicted: Density, v: np.ndarray
 ) -> tuple[np.ndarray, Gram, np.ndarray] | None:
-    """Return errors of the left-out readings, output unit, their Gram matrix with the training posterior of x as a unit
-    normal prior, and the variance of their expectation; None where the training density fails."""
+    """Return errors of the left-out readings, their Gram matrix in the training posterior's coordinates, variance."""
     posterior = fitted.at(v)[1]
     if posterior is None:
         return None

@@ -17,10 +17,10 @@ from bayescal._core.lazy_jax import jax, jnp
 from bayescal._data.measurements import Measurements
 from bayescal._inference.record import AFFINE, Record, record_of
 from bayescal._model.effect import READING
-from bayescal._model.frame import Reference, origins, reference_name
+from bayescal._model.frame import Reference, origins_of, reference_name
 from bayescal._model.instrument import factor_of
 from bayescal._model.model import Model
-from bayescal._model.terms import ColumnsOf
+from bayescal._model.terms import ColumnSpec
 
 RANGES = 4  # an origin is a multiple of so many output ranges, to a power of two
 
@@ -31,7 +31,7 @@ def with_origin(model: Model, readings: Measurements, reference: Reference) -> R
     An origin is a multiple of a power of two no finer than the digits of the outputs, so that taking it off rounds
     nothing. Of three axes each has its own.
     """
-    existing = origins(reference)
+    existing = origins_of(reference)
     plain = {name: v for name, v in reference.items() if name not in existing}
     far = {n: _nearest_origin(readings[n]) for n in model.instrument.outputs or ("output",)}
     if not any(far.values()):
@@ -63,7 +63,7 @@ def _constant_coefficient(model: Model, record: Record, output: int) -> str | No
             if c.group_sd is not None or c.per == READING or effect.column_shapes:
                 continue
             belong = c.per is None or (record.codes[c.per] >= 0).all()
-            column = record.columns(ColumnsOf.of(effect), ())[:, i]
+            column = record.columns(ColumnSpec.from_effect(effect), ())[:, i]
             if belong and np.all(column == 1.0) and _has_unit_slope(record, slot, output):
                 size = math.inf if c.flat else c.size * factor_of(instrument, effect, c)
                 sizes[effect.coefficient_name(i)] = size

@@ -32,7 +32,7 @@ def build_tree(c: Fitted) -> xr.DataTree:
         "draws": xr.Dataset(draws_group(c.joint)),
     }
     groups = {name: _stored(group, c.joint.x.shape[1]) for name, group in groups.items()}
-    if not c.layout.improper:
+    if not c.layout.is_improper:
         prior = named(c.unknowns, c.unknowns.values(*_prior_draws(c)))
         groups["prior"] = _stored(prior, PRIOR_DRAWS)
     return xr.DataTree.from_dict(groups)

@@ -20,7 +20,7 @@ from bayescal._inference.problem import Problem
 from bayescal._model.effect import Effect
 from bayescal._model.frame import Frame
 from bayescal._model.instrument import factor_of
-from bayescal._model.terms import ColumnsOf
+from bayescal._model.terms import ColumnSpec
 
 ROUNDING = 1e-12  # share of a variance kept as white noise, if a law has none
 DRAWS = 1000  # replicates, fewer of many readings: p-values to a thousandth
@@ -133,9 +133,9 @@ def _unfound_variance(calibration: Calibration, problem: Problem) -> np.ndarray:
 def _slopes(calibration: Calibration, problem: Problem, effect: Effect) -> np.ndarray:
     """Return each reading's slope by an effect's deviation, output unit over the coefficient's (n,)."""
     slopes = problem.slopes(calibration.mode.x, problem.hyper(calibration.mode.v))
-    c, column = effect.coefficients[0], problem.record.columns(ColumnsOf.of(effect), ())[:, 0]
+    c, spec = effect.coefficients[0], ColumnSpec.from_effect(effect)
     factor = factor_of(calibration.model.instrument, effect, c)
-    return slopes[c.slot or effect.slot] * factor * column
+    return slopes[c.slot or effect.slot] * factor * problem.record.columns(spec, ())[:, 0]
 
 
 def replicates(

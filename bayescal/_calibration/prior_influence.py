@@ -36,7 +36,7 @@ def variance_by_origin(
     readings nor priors determine.
     """
     layout, linear = calibration.layout, calibration.linear
-    moving = layout.moving
+    moving = layout.nonlinear_phi
     weights = np.zeros(layout.size + len(moving))
     for u in (u for u in calibration.unknowns if u.name in slopes):
         if u.x is not None:

@@ -46,7 +46,7 @@ from bayescal._inference.noise_nodes import EvenSpectrum
 from bayescal._inference.sampling import importance_draws
 from bayescal._model.noise_law import WHITE
 from bayescal._model.noise_spectrum import eigenvalues
-from bayescal._model.noise_terms import FLAT, TERMS
+from bayescal._model.noise_terms import FLICKER_FLOOR, TERMS
 from bayescal._model.prior import HalfCauchy
 from bayescal._model.summed_noise import SummedNoise
 
@@ -692,7 +692,7 @@ def _starts(channel: _AtRest, terms: Terms, priors: dict[str, Any]) -> Iterator[
     sizes = {
         WHITE: math.sqrt(curve[0]),
         "noise.walk": math.sqrt(3 * curve[-1] / tau[-1]),
-        "noise.flicker": math.sqrt(float(np.min(curve)) / FLAT),
+        "noise.flicker": math.sqrt(float(np.min(curve)) / FLICKER_FLOOR),
         "noise.quantisation": tau[0] * math.sqrt(curve[0] / 3),
         "noise.averaging": math.sqrt(curve[0]),
         **line,
@@ -798,7 +798,7 @@ def _figures(
     white = np.concatenate([noise.density(step) for noise in sums.drawn])
     white = white if sums.count else np.full(1, math.nan)  # not even a bound
     inside = 0 < np.argmin(np.median(curve, axis=0)) < curve.shape[1] - 1
-    floor = np.sqrt(np.min(curve, axis=1) / FLAT) if inside else None
+    floor = np.sqrt(np.min(curve, axis=1) / FLICKER_FLOOR) if inside else None
     k = over_all("noise.walk")
     # Where most sums have no walk, the bound is over all sums, with their own walk or the added one.
     bound = [

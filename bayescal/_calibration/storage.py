@@ -33,7 +33,7 @@ from bayescal._model.effect import READING, Effect
 from bayescal._model.formula import Formula, effect
 from bayescal._model.installed import installed_instrument, installed_names
 from bayescal._model.instrument import Instrument
-from bayescal._model.model import Model, in_short
+from bayescal._model.model import Model, format_model
 from bayescal._model.noise_law import Noise
 from bayescal._model.parameters import bind
 from bayescal._model.prior import KINDS
@@ -80,7 +80,8 @@ def save(calibration: Fitted, path: Path) -> Path:
     }
     described = json.dumps({"schema": SCHEMA, **description(calibration)})
     ids = {"bayescal": described, "bayescal_identity": identity(calibration)}
-    content = netcdf_bytes(groups, Conventions="CF-1.11", title=in_short(calibration.model), **ids)
+    title = format_model(calibration.model)
+    content = netcdf_bytes(groups, Conventions="CF-1.11", title=title, **ids)
     with atomic_file.replacing_for_user(path) as partial:
         atomic_file.write_sealed(content, partial)
     return path

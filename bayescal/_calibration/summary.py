@@ -16,7 +16,7 @@ from bayescal._core.formatting import folded, interval, number, probability, wit
 from bayescal._core.result_table import ResultTable, plain_table
 from bayescal._data.unit_conversion import unit_label
 from bayescal._inference.linear_model import LinearModel
-from bayescal._model.frame import derived, held_name
+from bayescal._model.frame import hold_flag_name, list_covariates
 from bayescal._model.unknowns import Unknowns
 
 WEAK_INFORMATION = limit("direction.none", "information")
@@ -52,8 +52,8 @@ def unknowns_parts(
         lines.append("coefficients refer to " + ", ".join(at))
     lagging = (e for e in model.effects if any(s.unit == "s" for s in e.column_shapes))
     columns = sorted({column for e in lagging for column in e.columns})
-    if steps := [n for n in columns if calibration.reference.get(held_name(n))]:
-        joined = f"(--reference {held_name(steps[0])}=0 joins them)"
+    if steps := [n for n in columns if calibration.reference.get(hold_flag_name(n))]:
+        joined = f"(--reference {hold_flag_name(steps[0])}=0 joins them)"
         lines.append(f"set in steps and held between readings: {', '.join(steps)} {joined}")
     present = {s["name"]: if_present(s) for s in summary(calibration)[0] if s["name"] in rows}
     if text := ", ".join(f"{name} {value}" for name, value in present.items() if value):
@@ -115,7 +115,7 @@ def curve_extent(calibration: Fitted, name: str) -> tuple[float, float, str, flo
     values = values - values.mean()
     worst = int(np.argmax(np.abs(values)))
     effect = calibration.model.effect(name)
-    column = derived(calibration.readings).get(effect.covariate)
+    column = list_covariates(calibration.readings).get(effect.covariate)
     at = None if column is None else float(column[worst])
     return float(values.std()), float(values[worst]), effect.covariate, at
 
@@ -217,7 +217,7 @@ def null_claims(
     if others:  # those of group deviations and unknown functions' coefficients
         size, main = np.max(np.abs(others), axis=0), is_single_coefficient(layout)
         traced_entries = np.where(main, 0.0, size) > TRACE_SHARE * size.max()
-        blocks = (b for b in layout.x_blocks if traced_entries[b.at].any())
+        blocks = (b for b in layout.x_blocks if traced_entries[b.x_slice].any())
         effects = dict.fromkeys(b.effect.name for b in blocks)
         numbers = {"count": len(others), "combination": ", ".join(effects)}
         claims.append(Claim("direction.members", *effects, **numbers))

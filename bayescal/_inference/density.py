@@ -26,7 +26,7 @@ from bayescal._inference.noise_on_record import (
 )
 from bayescal._inference.problem import Problem, Values
 from bayescal._inference.tabulated import Evaluation, Tabulated
-from bayescal._model.composition import Linearised
+from bayescal._model.composition import Linearisation
 
 NEWTON_STEPS = 50  # to the mode of x at most
 NEWTON_NATS = 1e-6  # that the last of them gains: one more would gain the square of that
@@ -52,7 +52,7 @@ class Density(ByValues):
     scale = 1.0  # of φ's coordinates, in which priors are about standard normal
 
     def __post_init__(self) -> None:
-        self._lines: dict[tuple[float, ...], Linearised] = {}
+        self._lines: dict[tuple[float, ...], Linearisation] = {}
         self._mode = self.x  # of x, where it was sought
         self._evaluated: tuple[np.ndarray, Evaluation | None] | None = None
         self._begin(self.like)
@@ -72,7 +72,7 @@ class Density(ByValues):
         """Return the point that x is counted from in `grams`."""
         return self.x if self.tabulated is None else self.tabulated.at
 
-    def _line(self, v: np.ndarray, hyper: Values) -> Linearised:
+    def _line(self, v: np.ndarray, hyper: Values) -> Linearisation:
         key = self._key(v)
         if key not in self._lines:
             if len(self._lines) >= self._together:
@@ -84,7 +84,7 @@ class Density(ByValues):
         """Return the coordinates of φ that change J: shapes and promoted coefficients."""
         return tuple(float(v[i]) for i in self.problem.moving)
 
-    def _linearised(self, vs: Float[np.ndarray, "b d"]) -> Iterator[Linearised]:
+    def _linearised(self, vs: Float[np.ndarray, "b d"]) -> Iterator[Linearisation]:
         """Yield the structure linearised at each of several φ; of an affine output as many at once as are kept."""
         problem = self.problem
         for some in np.array_split(vs, -(-len(vs) // self._together)):
@@ -95,7 +95,7 @@ class Density(ByValues):
                 at = np.tile(self.x, (len(new), 1))
                 lines = problem.linearise(at, problem.hyper(np.array([*new.values()]).T))
                 for i, key in enumerate(new):
-                    self._lines[key] = Linearised(lines.mean[i], lines.jacobian[i], lines.inputs)
+                    self._lines[key] = Linearisation(lines.mean[i], lines.jacobian[i], lines.inputs)
             for key, v in zip(keys, some, strict=True):
                 yield self._lines.get(key) or self._line(v, problem.hyper(v))
 
@@ -103,11 +103,11 @@ class Density(ByValues):
     def _together(self) -> int:
         return max(2, NUMBERS // (self.problem.record.size * (self.problem.size + 1)))
 
-    def _extra(self, line: Linearised) -> Float[np.ndarray, "n"] | float:
+    def _extra(self, line: Linearisation) -> Float[np.ndarray, "n"] | float:
         """Return the variance that noise on inputs adds to each reading."""
         return self.problem.extra(line) if self.input_variance is None else self.input_variance
 
-    def _white(self, line: Linearised, hyper: Values) -> Whitening | Independent:
+    def _white(self, line: Linearisation, hyper: Values) -> Whitening | Independent:
         return whitening(self.problem.noise, hyper, self.problem.record, self._extra(line))
 
     def whitened(
@@ -127,7 +127,7 @@ class Density(ByValues):
         white, logdet = self._white(line, hyper).both(self._table(line))
         return Gram.of(white.T @ white, logdet)
 
-    def _table(self, line: Linearised) -> Float[np.ndarray, "n q"]:
+    def _table(self, line: Linearisation) -> Float[np.ndarray, "n q"]:
         return np.column_stack([line.jacobian, self.problem.record.y - line.mean])
 
     def grams(self, vs: Float[np.ndarray, "b d"]) -> Gram:

@@ -174,19 +174,19 @@ class Expansions:
     def nbytes(self) -> int:
         return sum(e.columns.nbytes for e in (*self._boxes, *self._places))
 
-    def at(self, v: Float[np.ndarray, "d"], sloped: bool) -> Expansion:
-        """Return an expansion that holds at a coordinate, the nearest box first; `sloped`: slopes will be asked for."""
-        sloped = sloped and self.dim > 0
+    def at(self, v: Float[np.ndarray, "d"], with_grad: bool) -> Expansion:
+        """Return an expansion that holds at a coordinate, the nearest box first; `with_grad`: differentiable there."""
+        with_grad = with_grad and self.dim > 0
         nearest = min(self._boxes, key=lambda box: box.distance(v), default=None)
         if nearest is not None and nearest.distance(v) <= 1:
             return nearest
-        if sloped and (box := self._box(v)) is not None:
+        if with_grad and (box := self._box(v)) is not None:
             self._boxes.append(box)
             return box
         for place in self._places:
-            if place.distance(v) == 0 and (place.rank > 1 or not sloped):
+            if place.distance(v) == 0 and (place.rank > 1 or not with_grad):
                 return place
-        place = self._about(v) if sloped else Expansion(self._columns(v[None])[0][:, :, None], v)
+        place = self._about(v) if with_grad else Expansion(self._columns(v[None])[0][:, :, None], v)
         self._places = [*self._places[1 - MOST_PLACES :], place]
         return place
 

@@ -15,7 +15,7 @@ from jaxtyping import Float
 from bayescal._core.errors import ModelError
 from bayescal._core.lazy_jax import jax
 from bayescal._core.xp import is_traced
-from bayescal._model.effect import Basis, matrix
+from bayescal._model.effect import Basis, evaluate_basis
 from bayescal._model.frame import Frame
 
 NUMBERS_AT_ONCE = 4_000_000  # of columns that are computed together, which bounds memory
@@ -30,7 +30,7 @@ class HostColumns:
         self._together = dict[Basis, bool]()  # whether it takes several values of a shape at a time
 
     def at(
-        self, basis: Basis, shapes: Mapping[str, Any], moves: Mapping[str, np.ndarray]
+        self, basis: Basis, shapes: Mapping[str, Any], shifts: Mapping[str, np.ndarray]
     ) -> Float[np.ndarray, "n k"]:
         """Return columns at a value of each shape, columns of the readings moved by (n,) each.
 
@@ -39,7 +39,7 @@ class HostColumns:
         """
         if basis not in self._programs:
             try:
-                columns = self._matrix(basis, shapes, moves)
+                columns = self._matrix(basis, shapes, shifts)
                 if not is_traced(columns):
                     return columns
             except ModelError:
@@ -48,35 +48,36 @@ class HostColumns:
                 pass
             self._together[basis] = False
             self._programs[basis] = jax.jit(partial(self._matrix, basis))
-        return np.asarray(self._programs[basis](shapes, moves))
+        return np.asarray(self._programs[basis](shapes, shifts))
 
     def along(
         self,
         basis: Basis,
         shapes: Mapping[str, Float[np.ndarray, "s"]],
-        moves: Mapping[str, Float[np.ndarray, "*s n"]],
+        shifts: Mapping[str, Float[np.ndarray, "*s n"]],
     ) -> Float[np.ndarray, "s n k"]:
         """Return columns at several values of the shapes, as `at`; columns of readings moved for each, or for all."""
-        lengths = [len(v) for v in shapes.values()] + [len(m) for m in moves.values() if m.ndim > 1]
+        lengths = [len(v) for v in shapes.values()]
+        lengths += [len(shift) for shift in shifts.values() if shift.ndim > 1]
         size = max(lengths, default=1)
         parts = []
         for part in np.array_split(np.arange(size), -(-size * self.frame.size // NUMBERS_AT_ONCE)):
             values = {n: np.broadcast_to(v, (size,))[part] for n, v in shapes.items()}
-            moved = {n: m[part] if m.ndim > 1 else m for n, m in moves.items()}
+            moved = {n: m[part] if m.ndim > 1 else m for n, m in shifts.items()}
             parts.append(self._part(basis, values, moved, len(part)))
         return np.concatenate(parts)
 
     def _part(
-        self, basis: Basis, shapes: Mapping[str, Any], moves: Mapping[str, Any], size: int
+        self, basis: Basis, shapes: Mapping[str, Any], shifts: Mapping[str, Any], size: int
     ) -> Float[np.ndarray, "s n k"]:
         def column_at(i: int) -> Float[np.ndarray, "n k"]:
-            moved = {n: m[i] if m.ndim > 1 else m for n, m in moves.items()}
+            moved = {n: m[i] if m.ndim > 1 else m for n, m in shifts.items()}
             return self.at(basis, {n: v[i] for n, v in shapes.items()}, moved)
 
         if size > 1 and self._together.get(basis, True):
             try:
                 leading = {n: v[:, None] for n, v in shapes.items()}
-                columns = self._matrix(basis, leading, moves, (size,))
+                columns = self._matrix(basis, leading, shifts, (size,))
             except Exception:  # written for one value
                 columns = None
             # Such a basis may return the right shape by chance.
@@ -93,9 +94,9 @@ class HostColumns:
         self,
         basis: Basis,
         shapes: Mapping[str, Any],
-        moves: Mapping[str, Any],
+        shifts: Mapping[str, Any],
         lead: tuple[int, ...] = (),
     ) -> Any:
-        frame = self.frame.moved(moves)
+        frame = self.frame.moved(shifts)
         with np.errstate(all="ignore"):  # what is not finite is refused where that is asked
-            return matrix(*basis, frame, shapes, (*lead, *frame.order.shape[:-1]))
+            return evaluate_basis(*basis, frame, shapes, (*lead, *frame.order.shape[:-1]))

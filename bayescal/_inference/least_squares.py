@@ -27,8 +27,8 @@ from bayescal._inference.method import CHAINS, Draws, Method, Outcome, Verdict
 from bayescal._inference.noise_on_record import Independent, Whitening, variance, whitening
 from bayescal._inference.problem import Problem, differences, put
 from bayescal._model import forward
-from bayescal._model.composition import Linearised
-from bayescal._model.noise_law import in_time
+from bayescal._model.composition import Linearisation
+from bayescal._model.noise_law import sort_by_time
 from bayescal._model.parameters import Layout
 from bayescal._model.prior import slope
 
@@ -76,7 +76,7 @@ class LeastSquares(Method):
             draws=gaussian_draws(layout, solution, self.draws, seed),
             mode=solution.mode,
             verdict=Verdict(not reasons, tuple(reasons), tuple(notes), "least squares"),
-            log_evidence=None if layout.improper else (float(solution.mode.log_evidence), None),
+            log_evidence=None if layout.is_improper else (float(solution.mode.log_evidence), None),
         )
 
 
@@ -85,7 +85,7 @@ def gaussian_draws(layout: Layout, solution: Solution, count: int, seed: int) ->
     """Draw from the Gaussian approximation about a solution."""
     # An unknown function's amplitude and length are not among these: fitted together with the function, the amplitude
     # would run away and its coefficients to zero. They stay where the marginal likelihood has its maximum.
-    places = layout.positions("shape", "promoted")
+    places = layout.phi_indices("shape", "promoted")
     random = np.random.default_rng(seed)
     covariance = np.where(np.isfinite(solution.covariance), solution.covariance, 0.0)
     sd = np.sqrt(np.diag(covariance))
@@ -208,9 +208,9 @@ class _Refinement:
         # readings; where coefficients of stated sizes explain any readings its prior alone says how large it is.
         stated = sum(b.size for b in layout.x_blocks if b.coefficient.group_sd is None)
         has_one_sd = self.gaussian and self.even and problem.record.size > stated
-        noise = layout.positions("noise") if has_one_sd else []
+        noise = layout.phi_indices("noise") if has_one_sd else []
         self.noise_place = noise[0] if len(noise) == 1 else None
-        self.places = layout.moving
+        self.places = layout.nonlinear_phi
 
     def prior(self, v: Float[np.ndarray, "d"]) -> Prior:
         """Return the prior of θ: of x given φ, and standard normal of w."""
@@ -231,7 +231,7 @@ class _Refinement:
         """
         problem, size = self.problem, self.problem.size
 
-        def linearised(at: np.ndarray) -> Linearised:
+        def linearised(at: np.ndarray) -> Linearisation:
             return problem.linearise(at[:size], problem.hyper(put(at[size:], self.places, v)))
 
         line, x = linearised(theta), theta[:size]
@@ -301,7 +301,7 @@ class _Refinement:
             return begin
         prior, scale = self.prior(v), np.array(self.prior(v).sd)
         for b in (b for b in layout.x_blocks if b.coefficient.flat):
-            scale[b.at] = b.coefficient.size
+            scale[b.x_slice] = b.coefficient.size
         record = problem.record
         # Padded to one of a few lengths, for each of which it is compiled once.
         is_reading = np.arange(record.padded_size) < record.size
@@ -404,8 +404,8 @@ def _by_optimistix(layout, frame, readings, v, prior, begin, scale, places):
     def residuals(z: Any, _: Any) -> Any:
         at = begin + scale * z
         hyper = forward.hyper_values(layout, v.at[at_shapes].set(at[size:]))
-        mean, extra = forward.with_inputs(layout, frame, at[:size], hyper)
-        ordered, residual = in_time(noise, frame, y - mean)
+        mean, extra = forward.predict_moments(layout, frame, at[:size], hyper)
+        ordered, residual = sort_by_time(noise, frame, y - mean)
         white, _ = noise.whiten(residual[:, None], 0.0 if extra is None else extra, hyper, ordered)
         return jnp.append(real * white[:, 0], prior.weight * (at - prior.mean) / prior.sd)
 

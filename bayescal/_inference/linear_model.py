@@ -232,7 +232,7 @@ def linear_model(problem: Problem, mode: Mode) -> LinearModel:
     nuisance.T[problem.size :] = slopes if len(slopes) else 0.0
     # Where x stands in units of its prior: a prior of no width has its coefficient at the mean.
     z = np.where(prior.sd > 0, (x - prior.mean) / np.where(prior.sd > 0, prior.sd, 1.0), 0.0)
-    owners = [t.effect.name for t in problem.in_x for _ in range(t.at.start, t.at.stop)]
+    owners = [t.effect.name for t in problem.in_x for _ in range(t.x_slice.start, t.x_slice.stop)]
     extra = problem.extra(line)
     return LinearModel(
         problem=problem,
@@ -306,7 +306,7 @@ def _least_squares_residual(problem: Problem) -> Float[np.ndarray, "n"]:
     """Return the residuals of a least-squares fit of the plain coefficients, all else at the prior's middle."""
     hyper = problem.hyper(np.zeros(len(problem.hypers)))
     x, y = problem.start, problem.record.y
-    plain = [t.at.start for t in problem.in_x if t.per is None and t.group_sd_name is None]
+    plain = [t.x_slice.start for t in problem.in_x if t.per is None and t.group_sd_name is None]
     residual = y - np.mean(y)
     for _ in range(GAUSS_NEWTON):
         line = problem.linearise(x, hyper)

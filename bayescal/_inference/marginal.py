@@ -137,7 +137,7 @@ class Marginal(Method):
             draws=Draws.of(weighted.x[pick], weighted.v[pick]),
             mode=weighted.mode,
             verdict=trust.weights_verdict(weights, k_hat, notes, weighted.mode, reasons),
-            log_evidence=None if layout.improper else evidence,
+            log_evidence=None if layout.is_improper else evidence,
         )
 
     def _exact(self, problem: Problem, mode: Mode, seed: int, notes) -> Outcome:
@@ -151,7 +151,7 @@ class Marginal(Method):
                 ran = nuts_chains.run(log_density, start, covariance, jax.random.key(seed), plan)
             place = jax.jit(lambda q: jax.lax.map(lambda u: unpack(u)[:2], q, batch_size=64))
             x, v = place(ran.draws.reshape(-1, start.size))
-        has_evidence = not layout.improper and np.isfinite(mode.log_evidence)
+        has_evidence = not layout.is_improper and np.isfinite(mode.log_evidence)
         return Outcome(
             layout=layout,
             draws=Draws.of(x, v),

@@ -19,7 +19,7 @@ from bayescal._core.lazy_jax import jax
 from bayescal._inference.programs import program
 from bayescal._inference.record import Record
 from bayescal._model.frame import Frame
-from bayescal._model.noise_law import LOG_2PI, Noise, log_density_beside, widened
+from bayescal._model.noise_law import LOG_2PI, Noise, add_variance, log_density_with_extra
 
 Values = Mapping[str, Any]  # φ by name, one number each
 Batch = Mapping[str, Any]  # φ by name, one number a draw, or one for all
@@ -200,7 +200,8 @@ def density_terms(
     `extra`: variance of each reading beside the law's, or a single zero.
     """
     variance = None if not np.ndim(extra) else np.asarray(extra)
-    frame, phi = widened(record.frame, variance), {n: _row(values[n]) for n in law.parameters()}
+    frame = add_variance(record.frame, variance)
+    phi = {n: _row(values[n]) for n in law.parameters()}
     if (slopes := law.by_residual(r, phi, frame)) is not None:
         density, highest = (law.log_density(e, 0.0 * e, phi, frame) for e in (r, 0.0 * r))
         return Terms(density, highest, *slopes)
@@ -214,7 +215,7 @@ def density_terms(
 def _densities(law: Noise, frame: Frame, y, residuals, extra, values):
     def of(args):
         residual, extra, phi = args
-        return log_density_beside(law, y, y - residual, extra, phi, frame)
+        return log_density_with_extra(law, y, y - residual, extra, phi, frame)
 
     # A step of several states is a few small products, which do for several settings at once.
     some = FEWEST_DRAWS_TOGETHER if law.several_states else None
@@ -271,7 +272,7 @@ def _on_host(
     if law.gaussian:
         variance = variances(law, hyper, record) + extra
         return -0.5 * (residuals**2 / variance + np.log(variance) + LOG_2PI)
-    frame = widened(record.frame, np.asarray(extra) if np.ndim(extra) else None)
+    frame = add_variance(record.frame, np.asarray(extra) if np.ndim(extra) else None)
     phi = {n: _row(np.atleast_1d(hyper[n])) for n in law.parameters()}
     return np.asarray(law.log_density(record.y, record.y - residuals, phi, frame))
 
@@ -295,7 +296,8 @@ def normal_scores(
     """Return residuals as independent standard normal numbers, if the non-Gaussian law is right."""
     frame = record.frame if law.independent else record.frame.in_time()
     variance = _forth(law, record, np.asarray(extra), 0) if np.ndim(extra) else None
-    scores = law.normal_scores(_forth(law, record, residual, 0), values, widened(frame, variance))
+    frame = add_variance(frame, variance)
+    scores = law.normal_scores(_forth(law, record, residual, 0), values, frame)
     return _back(law, record, np.asarray(scores))
 
 

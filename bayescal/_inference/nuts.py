@@ -93,7 +93,7 @@ def beginning(problem: Problem, mode: Mode) -> Callable[[Any], Any]:
         starts |= {h.name: (h.prior.value, at, sd_of_v) for h, at, sd_of_v in triples}
         for b in problem.layout.x_blocks:
             name = b.name if b.coefficient.flat else f"{b.name}.standard"
-            starts[name] = (jnp.asarray, z[b.at], (sd / scale)[b.at])
+            starts[name] = (jnp.asarray, z[b.x_slice], (sd / scale)[b.x_slice])
 
     def begin(site: Any) -> Any:
         if site["type"] != "sample" or site["name"] not in starts:

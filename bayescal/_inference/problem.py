@@ -15,21 +15,21 @@ from bayescal._inference.gaussian import Drawn, Gram, Prior, draw
 from bayescal._inference.record import Record
 from bayescal._model.composition import (
     Composed,
-    Linearised,
+    Linearisation,
     compose,
-    linearised,
-    slopes,
-    value,
-    variance_of_inputs,
+    compute_input_variance,
+    differentiate_output,
+    evaluate_output,
+    expand_coefficient,
+    linearise_output,
 )
-from bayescal._model.composition import expected as expected_of
 from bayescal._model.noise_law import Noise
-from bayescal._model.parameters import MOVING, Layout, Unknown
+from bayescal._model.parameters import NONLINEAR, Layout, Unknown
 from bayescal._model.prior import slope
-from bayescal._model.terms import Sizes, Term, terms_of
+from bayescal._model.terms import PriorDeviations, Term, terms_of
 
 Values = dict[str, float]
-Moves = Mapping[str, Any]
+Arrays = Mapping[str, Any]
 ABSENT = -30.0  # coordinate of a standard deviation that is not there (1e-13 of its scale)
 
 
@@ -44,24 +44,24 @@ class Host:
         self.slots: tuple[str, ...] = record.slots
         self.codes: Mapping[str, Any] = record.codes
 
-    def columns(self, term: Term, shapes: Sequence[Any], moves: Moves, sloped: bool) -> Any:
+    def columns(self, term: Term, shapes: Sequence[Any], shifts: Arrays, with_grad: bool) -> Any:
         of, record = term.columns, self.record
-        if any(np.ndim(s) for s in shapes) or any(m.ndim > 1 for m in moves.values()):
-            if sloped:
-                return record.moved_columns_of_draws(of, shapes, moves)
-            return record.columns_of_draws(of, shapes, moves), {}
-        if not moves:
+        if any(np.ndim(s) for s in shapes) or any(m.ndim > 1 for m in shifts.values()):
+            if with_grad:
+                return record.moved_columns_of_draws(of, shapes, shifts)
+            return record.columns_of_draws(of, shapes, shifts), {}
+        if not shifts:
             return record.columns(of, tuple(map(float, shapes))), {}
         values = [np.atleast_1d(float(s)) for s in shapes]
-        moves = {n: m[None] for n, m in moves.items()}
-        columns, slopes = record.moved_columns_of_draws(of, values, moves)
-        return columns[0], {n: slope[0] for n, slope in slopes.items()}
+        shifts = {n: m[None] for n, m in shifts.items()}
+        columns, derivatives = record.moved_columns_of_draws(of, values, shifts)
+        return columns[0], {n: d[0] for n, d in derivatives.items()}
 
-    def response(self, slots: Moves, moves: Moves) -> np.ndarray:
-        return self.record.respond(slots, moves, sloped=False)[0]
+    def response(self, slots: Arrays, shifts: Arrays) -> np.ndarray:
+        return self.record.respond(slots, shifts, with_grad=False)[0]
 
-    def slopes(self, slots: Moves, moves: Moves) -> tuple[np.ndarray, Mapping[str, np.ndarray]]:
-        return self.record.respond(slots, moves)
+    def differentiate_output(self, slots: Arrays, shifts: Arrays) -> tuple[np.ndarray, Arrays]:
+        return self.record.respond(slots, shifts)
 
 
 @dataclass(eq=False)
@@ -83,11 +83,11 @@ class Problem:
         self.noisy: bool = any(t.place == "input" for t in self.terms)  # an input
         self.noise: Noise = layout.model.noise
         self.fixed_values: dict[str, float] = dict(layout.model.fixed)
-        # A promoted coefficient in units of a learned spread moves with that spread too.
+        # A promoted coefficient in units of a learned standard deviation changes with it.
         scaled = {t.group_sd_name for t in self.terms if t.place == "phi"}
         self.kinds: list[str] = [h.kind for h in self.hypers]
-        moving = (h.kind in MOVING or h.name in scaled for h in self.hypers)
-        self.moving: list[int] = [i for i, moves in enumerate(moving) if moves]
+        moving = (h.kind in NONLINEAR or h.name in scaled for h in self.hypers)
+        self.moving: list[int] = [i for i, is_moving in enumerate(moving) if is_moving]
         self._coordinates = [(h.name, h.prior.value, h.prior.log_density) for h in self.hypers]
 
     def hyper(self, v: Sequence[float] | np.ndarray) -> Values:
@@ -130,15 +130,15 @@ class Problem:
         return tuple(t for t in self.terms if t.place == "x")
 
     @cached_property
-    def sizes(self) -> Sizes:
+    def sizes(self) -> PriorDeviations:
         """Return the prior standard deviations of x given φ."""
-        return Sizes(self.in_x, self.layout.model.effects, self.size)
+        return PriorDeviations(self.in_x, self.layout.model.effects, self.size)
 
     @cached_property
     def mean_of_x(self) -> Float[np.ndarray, "p"]:
         mean = np.zeros(self.size)
         for t in self.in_x:
-            mean[t.at] = t.mean
+            mean[t.x_slice] = t.mean
         return mean
 
     @cached_property
@@ -146,20 +146,20 @@ class Problem:
         weight = np.ones(self.size)
         for t in self.in_x:
             if t.flat:
-                weight[t.at] = 0.0
+                weight[t.x_slice] = 0.0
         return weight
 
     def prior(
         self, hyper: Mapping[str, Any], flat: np.ndarray, count: tuple[int, ...] = ()
     ) -> Prior:
         """Return the prior of x given φ, or given each of `count`; `flat` are the scales where it is flat."""
-        sd = np.where(self.weight_of_x > 0, self.sizes.at(hyper, count), flat)
+        sd = np.where(self.weight_of_x > 0, self.sizes.evaluate(hyper, count), flat)
         return Prior(self.mean_of_x, sd, self.weight_of_x)
 
     def member_sd(self, term: Term, hyper: Mapping[str, Any], count: int) -> Float[np.ndarray, "b"]:
         """Return the prior standard deviation of one member's coefficient at each of `count` φ."""
         if term.place == "x":
-            return self.sizes.at(hyper, (count,))[:, term.at.start]
+            return self.sizes.evaluate(hyper, (count,))[:, term.x_slice.start]
         sd = term.prior_sd if term.group_sd_name is None else hyper[term.group_sd_name]
         return np.broadcast_to(sd, (count,))
 
@@ -169,27 +169,27 @@ class Problem:
         x = self.mean_of_x.copy()
         for b in self.layout.x_blocks:
             if b.origin:
-                x[b.at] = 0.0
+                x[b.x_slice] = 0.0
         return x
 
     def x_of(self, other: Problem, x: Float[np.ndarray, "q"]) -> Float[np.ndarray, "p"]:
         """Return another structure's x in this one's terms, missing ones at their prior mean."""
-        x_here, theirs = self.start, {(t.effect.name, t.index): t.at for t in other.in_x}
+        x_here, theirs = self.start, {(t.effect.name, t.index): t.x_slice for t in other.in_x}
         for t in self.in_x:
             if (at := theirs.get((t.effect.name, t.index))) is not None:
-                x_here[t.at] = x[at]
+                x_here[t.x_slice] = x[at]
         return x_here
 
     def value(self, t: Term, x: np.ndarray, hyper: Mapping[str, Any]) -> np.ndarray:
         """Return a term's coefficient at each reading (…, n), or one for all (…, 1)."""
-        return value(self.host, t, x, hyper)
+        return expand_coefficient(self.host, t, x, hyper)
 
     def composed(
-        self, terms: Sequence[Term], x: Any, hyper: Mapping[str, Any], sloped: bool = False
+        self, terms: Sequence[Term], x: Any, hyper: Mapping[str, Any], with_grad: bool = False
     ) -> Composed:
         """Compose some terms at an x, or at those of several draws."""
         values = [self.value(t, x, hyper) for t in terms]
-        return compose(self.host, terms, values, hyper, sloped)
+        return compose(self.host, terms, values, hyper, with_grad)
 
     @cached_property
     def affine(self) -> bool:
@@ -198,7 +198,7 @@ class Problem:
 
     @cached_property
     def _dynamic_terms(self) -> tuple[Term, ...]:
-        """Return the terms to be composed: of an affine output, those that φ moves."""
+        """Return the terms to be composed: of an affine output, those that depend on φ."""
         affine = self.affine
         return tuple(t for t in self.terms if not affine or t.place != "x" or t.shape_names)
 
@@ -207,13 +207,13 @@ class Problem:
         """Return the Jacobian by terms that φ does not move, cached, and the places of the others in x."""
         places = np.arange(self.size)
         dynamic = np.concatenate(
-            [places[:0], *(places[t.at] for t in self._dynamic_terms if t.place == "x")]
+            [places[:0], *(places[t.x_slice] for t in self._dynamic_terms if t.place == "x")]
         )
         jacobian = np.zeros((self.record.size, self.size), order="F")
         if self.affine:
             terms = [t for t in self.in_x if not t.shape_names]
             none = np.zeros(self.size), self.fixed_values
-            static = linearised(self.host, terms, self.composed(terms, *none, sloped=True))
+            static = linearise_output(self.host, terms, self.composed(terms, *none, with_grad=True))
             jacobian[:, np.setdiff1d(places, dynamic)] = static.jacobian
         return jacobian, dynamic
 
@@ -222,9 +222,10 @@ class Problem:
     ) -> Mapping[str, Float[np.ndarray, "n"]]:
         """Return the slopes of the expected output by each slot and corrected column, reading by reading."""
         terms = () if self.affine else self.terms
-        return slopes(self.host, terms, self.composed(terms, x, hyper, sloped=True))[1]
+        composed = self.composed(terms, x, hyper, with_grad=True)
+        return differentiate_output(self.host, terms, composed)[1]
 
-    def linearise(self, x: Float[np.ndarray, "*b p"], hyper: Mapping[str, Any]) -> Linearised:
+    def linearise(self, x: Float[np.ndarray, "*b p"], hyper: Mapping[str, Any]) -> Linearisation:
         """Return expected output and Jacobian at an x, or at those of several draws, output unit per unit."""
         line = self.linearise_dynamic(x, hyper)
         if not self.affine:
@@ -234,27 +235,27 @@ class Problem:
             static = np.tile(static, (len(line.mean), 1, 1))
         jacobian = static.copy(order="A")
         jacobian[..., dynamic] = line.jacobian
-        return Linearised(line.mean + (static @ x[..., None])[..., 0], jacobian, line.inputs)
+        return Linearisation(line.mean + (static @ x[..., None])[..., 0], jacobian, line.inputs)
 
     def linearise_dynamic(
         self,
         x: Float[np.ndarray, "*b p"],
         hyper: Mapping[str, Any],
         terms: Sequence[Term] | None = None,
-    ) -> Linearised:
-        """Return the same by the terms that φ moves alone, where the output is affine."""
+    ) -> Linearisation:
+        """Return the same by the φ-dependent terms alone, where the output is affine."""
         terms = self._dynamic_terms if terms is None else terms
-        return linearised(self.host, terms, self.composed(terms, x, hyper, sloped=True))
+        return linearise_output(self.host, terms, self.composed(terms, x, hyper, with_grad=True))
 
-    def extra(self, line: Linearised) -> Float[np.ndarray, "n"] | float:
+    def extra(self, line: Linearisation) -> Float[np.ndarray, "n"] | float:
         """Return the variance that noise on inputs adds to each reading, output unit squared."""
-        return variance_of_inputs(self.terms, line) if self.noisy else 0.0
+        return compute_input_variance(self.terms, line) if self.noisy else 0.0
 
     # joint draws: x (b, p), φ by name, one value a draw or one for all -----------------------------
 
     def expected(self, x: Any, hyper: Mapping[str, Any]) -> Float[np.ndarray, "b n"]:
         """Return the expected output of joint draws, output unit."""
-        mean = expected_of(self.host, self.composed(self._dynamic_terms, x, hyper))
+        mean = evaluate_output(self.host, self.composed(self._dynamic_terms, x, hyper))
         if self.affine:
             return mean + x @ self._static_jacobian[0].T
         return np.broadcast_to(mean, (len(x), self.record.size))  # of no term it is one for all
@@ -263,9 +264,9 @@ class Problem:
         self, x: Any, hyper: Mapping[str, Any], terms: Sequence[Term]
     ) -> tuple[Float[np.ndarray, "b n"], list[np.ndarray]]:
         """Return expected output of joint draws, and slopes by terms as if all readings were of one member."""
-        sloped = any(t.slot not in self.host.slots for t in terms)  # of a column that is corrected
-        composed = self.composed(self.terms, x, hyper, sloped)
-        mean, by_slot = slopes(self.host, self.terms, composed)
+        corrects = any(t.slot not in self.host.slots for t in terms)
+        composed = self.composed(self.terms, x, hyper, corrects)
+        mean, by_slot = differentiate_output(self.host, self.terms, composed)
         chosen = {id(t) for t in terms}
         pairs = zip(self.terms, composed.columns, strict=True)
         return mean, [by_slot[t.slot] * column for t, column in pairs if id(t) in chosen]
@@ -277,8 +278,8 @@ class Problem:
         if not self.noisy:
             return self.expected(x, hyper), 0.0
         inputs = [t for t in self.terms if t.place == "input"]
-        mean, slopes = self.expected_with_slopes(x, hyper, inputs)
-        added = [(s * t.prior_sd) ** 2 for t, s in zip(inputs, slopes, strict=True)]
+        mean, derivatives = self.expected_with_slopes(x, hyper, inputs)
+        added = [(s * t.prior_sd) ** 2 for t, s in zip(inputs, derivatives, strict=True)]
         return mean, np.broadcast_to(sum(added), mean.shape)
 
 

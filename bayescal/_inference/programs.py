@@ -17,7 +17,7 @@ from jaxtyping import Float
 
 from bayescal._core.jit import ALWAYS, QUICK, known
 from bayescal._core.lazy_jax import Array, jax, jnp
-from bayescal._model.composition import slopes_of
+from bayescal._model.composition import differentiate_response
 from bayescal._model.frame import Frame
 
 STEP = 1.25  # from one padded length to the next
@@ -77,16 +77,16 @@ def program(function: Callable[..., Any], costly: bool = False) -> Callable[...,
     return call
 
 
-# Slots, or moves of columns: a number a reading; of several draws, one row each.
+# Slots, or shifts of columns: a number a reading; of several draws, one row each.
 ByName = dict[str, Array]
 
 
 @program
 def responses(
-    response: Callable[..., Any], frame: Frame, slots: ByName, moves: ByName
+    response: Callable[..., Any], frame: Frame, slots: ByName, shifts: ByName
 ) -> Float[Array, "b n"]:
     """Return expected outputs of several sets of slots, columns of the readings moved for each."""
-    return jax.vmap(partial(_respond, response, frame))((slots, moves))
+    return jax.vmap(partial(_respond, response, frame))((slots, shifts))
 
 
 class Responding(NamedTuple):
@@ -98,24 +98,24 @@ class Responding(NamedTuple):
 
 @program
 def response_slopes(
-    what: Responding, frame: Frame, slots: ByName, moves: ByName
+    what: Responding, frame: Frame, slots: ByName, shifts: ByName
 ) -> tuple[Array, dict[str, Array]]:
     """Return the expected output, and its derivatives by each slot and moved column, by reading."""
 
-    def respond(slots: ByName, moves: ByName) -> Array:
-        return _respond(what.response, frame, (slots, moves))
+    def respond(slots: ByName, shifts: ByName) -> Array:
+        return _respond(what.response, frame, (slots, shifts))
 
-    return slopes_of(respond, slots, moves, what.backward)
+    return differentiate_response(respond, slots, shifts, what.backward)
 
 
 @program
 def slopes_of_draws(
-    what: Responding, frame: Frame, slots: ByName, moves: ByName
+    what: Responding, frame: Frame, slots: ByName, shifts: ByName
 ) -> tuple[Array, dict[str, Array]]:
     """Return expected outputs of several sets of slots and moved columns, and their derivatives."""
-    return jax.vmap(partial(response_slopes.__wrapped__, what, frame))(slots, moves)
+    return jax.vmap(partial(response_slopes.__wrapped__, what, frame))(slots, shifts)
 
 
 def _respond(response: Callable[..., Any], frame: Frame, both: tuple[ByName, ByName]) -> Array:
-    slots, moves = both
-    return jnp.broadcast_to(response(slots, frame.moved(moves)), (frame.size,))
+    slots, shifts = both
+    return jnp.broadcast_to(response(slots, frame.moved(shifts)), (frame.size,))

@@ -22,18 +22,20 @@ from bayescal._inference.expansion import Expansions
 from bayescal._inference.host_columns import HostColumns
 from bayescal._inference.noise_nodes import AlongColumn, OneNode, in_frequency
 from bayescal._model.channel_at_rest import CHANNEL
-from bayescal._model.composition import columns_read
+from bayescal._model.composition import find_response_columns
 from bayescal._model.effect import Basis, Effect
 from bayescal._model.frame import PATH, Frame, Reference, build_frame
 from bayescal._model.instrument import Instrument
 from bayescal._model.noise_law import Noise
-from bayescal._model.terms import ColumnsOf
+from bayescal._model.terms import ColumnSpec
 
 KEPT_BYTES = 256 * 2**20  # of columns at shapes, of which the latest are kept; and of expansions
 DIFFERENCE = 1e-4  # of the range of a column, for slopes by it
 AFFINE = 1e-9  # change of a slope, relative to the largest, up to which it does not change
 DRAWS_A_CALL = 48  # draws in one call of a program, or half of that,
 CALL_NUMBERS = 16_384  # and more of a short record: draws times readings, up to which the call itself is what costs
+
+Arrays = Mapping[str, np.ndarray]  # by name of a slot or column: (n,), or (b, n) for b draws
 
 
 @dataclass(eq=False)
@@ -95,7 +97,7 @@ class Record:
         """
         catalogue, affected = self.instrument.known, self.instrument.shown_by(self.frame, effects)
         for effect in (e for e in affected if not (e.name in catalogue or e.is_placeholder)):
-            of = ColumnsOf.of(effect)
+            of = ColumnSpec.from_effect(effect)
             middle = tuple(float(prior.value(0.0)) for prior in of.priors)
             lost = np.flatnonzero(~np.isfinite(self.columns(of, middle)).all(axis=1))
             if not len(lost):
@@ -139,7 +141,7 @@ class Record:
         if self.affine is not None:
             self.table.forget()
 
-    def expansions(self, effect: ColumnsOf, fixed: tuple[float | None, ...]) -> Expansions:
+    def expansions(self, effect: ColumnSpec, fixed: tuple[float | None, ...]) -> Expansions:
         """Return an effect's columns as functions of the coordinates of its free shapes; the others are `fixed`."""
         key = effect.key, fixed
         if sum(e.nbytes for e in self._expansions.values()) > KEPT_BYTES:
@@ -184,7 +186,7 @@ class Record:
         """Return the columns that the response reads itself."""
         if isinstance(self.of, Record):
             return self.of.read
-        return columns_read(self.instrument, self.frame)
+        return find_response_columns(self.instrument, self.frame)
 
     @cached_property
     def slots(self) -> tuple[str, ...]:
@@ -194,7 +196,7 @@ class Record:
     def _what(self) -> programs.Responding:
         return programs.Responding(self.instrument.response, self.instrument.vector is not None)
 
-    def columns(self, effect: ColumnsOf, values: tuple[float, ...]) -> Float[np.ndarray, "n k"]:
+    def columns(self, effect: ColumnSpec, values: tuple[float, ...]) -> Float[np.ndarray, "n k"]:
         """Return an effect's columns at values of its shapes, on the readings as measured; read-only."""
         if not effect.shapes:
             if effect.basis not in self._fixed:
@@ -211,48 +213,48 @@ class Record:
         return columns
 
     def respond(
-        self, slots: Mapping[str, np.ndarray], moves: Mapping[str, np.ndarray], sloped: bool = True
+        self, slots: Arrays, shifts: Arrays, with_grad: bool = True
     ) -> tuple[Float[np.ndarray, "*b n"], dict[str, Any]]:
         """Return expected output, and slopes by each slot and moved column, (n,) or of draws (b, n) each."""
-        if not moves and self.affine is not None:
+        if not shifts and self.affine is not None:
             base, slopes = self.affine
             return sum((slopes[name] * value for name, value in slots.items()), base), slopes
         if self._host_affine is not None:
-            return self._moved(slots, moves) if sloped else (self._respond(slots, moves), {})
-        if not any(np.ndim(v) > 1 for v in (*slots.values(), *moves.values())):
-            return self._response(slots, moves)
-        if sloped:
-            return self._together(programs.slopes_of_draws, self._what, slots, moves)
-        return self._together(programs.responses, self.instrument.response, slots, moves), {}
+            return self._moved(slots, shifts) if with_grad else (self._respond(slots, shifts), {})
+        if not any(np.ndim(v) > 1 for v in (*slots.values(), *shifts.values())):
+            return self._response(slots, shifts)
+        if with_grad:
+            return self._together(programs.slopes_of_draws, self._what, slots, shifts)
+        return self._together(programs.responses, self.instrument.response, slots, shifts), {}
 
-    def _respond(self, slots: Mapping[str, Any], moves: Mapping[str, np.ndarray]) -> Any:
+    def _respond(self, slots: Arrays, shifts: Arrays) -> Any:
         """Return the response by NumPy, columns of the readings moved."""
         all_slots = {name: slots.get(name, np.zeros(self.size)) for name in self.slots}
-        output = self.instrument.response(all_slots, self.frame.moved(moves))
+        output = self.instrument.response(all_slots, self.frame.moved(shifts))
         return np.broadcast_to(output, np.broadcast_shapes(np.shape(output), (self.size,)))
 
     def _moved(
-        self, slots: Mapping[str, np.ndarray], moves: Mapping[str, np.ndarray]
+        self, slots: Arrays, shifts: Arrays
     ) -> tuple[Float[np.ndarray, "*b n"], dict[str, Any]]:
-        """Return an affine output and its slopes by NumPy: complex steps by slots, differences by moves."""
-        slopes = {n: self._respond({n: np.full(self.size, 1j)}, moves).imag for n in self.slots}
-        for name, shift in moves.items():
+        """Return an affine output and its slopes by NumPy: complex steps by slots, differences by shifts."""
+        slopes = {n: self._respond({n: np.full(self.size, 1j)}, shifts).imag for n in self.slots}
+        for name, shift in shifts.items():
             h = self._difference(name)
-            up, down = (self._respond(slots, {**moves, name: shift + s}) for s in (h, -h))
+            up, down = (self._respond(slots, {**shifts, name: shift + s}) for s in (h, -h))
             slopes[name] = (up - down) / (2 * h)
-        return self._respond(slots, moves), slopes
+        return self._respond(slots, shifts), slopes
 
     def _difference(self, column: str) -> float:
         """Return a step for slopes by a column."""
         return DIFFERENCE * (float(np.ptp(self.frame[column.removesuffix(PATH)])) or 1.0)
 
-    def _response(self, slots, moves):
-        """Return the response and its slopes at some slots and moves; the last one is cached."""
-        key = [(name, np.asarray(v).tobytes()) for name, v in (*slots.items(), *moves.items())]
+    def _response(self, slots, shifts):
+        """Return the response and its slopes at some slots and shifts; the last one is cached."""
+        key = [(name, np.asarray(v).tobytes()) for name, v in (*slots.items(), *shifts.items())]
         last = self._last
         if last is None or last[0] != key:
             full = {name: slots.get(name, np.zeros(self.size)) for name in self.slots}
-            padded = ({n: self.longer(v) for n, v in arrays.items()} for arrays in (full, moves))
+            padded = ({n: self.longer(v) for n, v in arrays.items()} for arrays in (full, shifts))
             outputs = programs.response_slopes(self._what, self.padded, *padded)
             self._last = last = key, jax.tree.map(lambda a: np.asarray(a)[: self.size], outputs)
         return last[1]
@@ -296,10 +298,7 @@ class Record:
         return base, slopes
 
     def _random_slots(self, slopes: Mapping[str, np.ndarray]) -> Iterator[dict[str, np.ndarray]]:
-        """Yield two sets of slots, each of the size that moves the output as much as it varies.
-
-        An affine function has one slope everywhere: two random places tell it from all others but for a null set.
-        """
+        """Yield two random sets of slot values, scaled to change the output by its range, to test for affinity."""
         random, reach = np.random.default_rng(0), float(np.ptp(self.y)) or 1.0
         steep = {n: float(np.max(np.abs(slope), initial=0.0)) for n, slope in slopes.items()}
         size = {n: min(1.0, reach / s) if s > 0 else 1.0 for n, s in steep.items()}
@@ -307,56 +306,55 @@ class Record:
             yield {n: size[n] * random.standard_normal(self.size) for n in self.slots}
 
     def columns_of_draws(
-        self, effect: ColumnsOf, values: Sequence[Any], moves: Mapping[str, np.ndarray]
+        self, effect: ColumnSpec, values: Sequence[Any], shifts: Arrays
     ) -> Float[np.ndarray, "*b n k"]:
-        """Return an effect's columns for several draws; (n, k) where nothing moves them.
+        """Return an effect's columns for several draws; (n, k) where nothing depends on the draw.
 
         Values of its shapes are (b,) each, or one number for all; columns of the readings are moved by (b, n) each.
         """
-        if not values and not moves:
+        if not values and not shifts:
             return self.columns(effect, ())
-        count = max((len(v) for v in moves.values()), default=1)
+        count = max((len(v) for v in shifts.values()), default=1)
         values = np.broadcast_arrays(*values, np.zeros(count))[:-1]
-        return self._computed(effect, values, moves)
+        return self._computed(effect, values, shifts)
 
-    def _computed(self, effect: ColumnsOf, values: Sequence[np.ndarray], moves) -> Any:
-        count = max(len(v) for v in (*values, *moves.values()))
+    def _computed(self, effect: ColumnSpec, values: Sequence[np.ndarray], shifts) -> Any:
+        count = max(len(v) for v in (*values, *shifts.values()))
         for name, shift in self._corrected(effect, values).items():
-            moves = {**moves, name: moves.get(name, 0.0) + shift}
-        shapes = {n: np.broadcast_to(v, (count,)) for n, v in zip(effect.own, values, strict=False)}
-        return self.on_host.along(effect.basis, shapes, moves)
+            shifts = {**shifts, name: shifts.get(name, 0.0) + shift}
+        pairs = zip(effect.basis_shapes, values, strict=False)
+        shapes = {n: np.broadcast_to(v, (count,)) for n, v in pairs}
+        return self.on_host.along(effect.basis, shapes, shifts)
 
     def _corrected(
-        self, effect: ColumnsOf, values: Sequence[Any]
+        self, effect: ColumnSpec, values: Sequence[Any]
     ) -> dict[str, Float[np.ndarray, "*b n"]]:
         """Return the shifts of the columns that an effect depends on, at values of its shapes."""
-        shifts, at = dict[str, np.ndarray](), len(effect.own)
+        shifts, at = dict[str, np.ndarray](), len(effect.basis_shapes)
         for c in effect.corrections:
-            shapes, at = values[at : at + len(c.of.shapes)], at + len(c.of.shapes)
+            shapes, at = values[at : at + len(c.spec.shapes)], at + len(c.spec.shapes)
             if any(np.ndim(v) for v in shapes):
-                columns = self.columns_of_draws(c.of, shapes, {})
+                columns = self.columns_of_draws(c.spec, shapes, {})
             else:  # one draw: cached
-                columns = self.columns(c.of, tuple(shapes))
+                columns = self.columns(c.spec, tuple(shapes))
             shift = c.factor * columns[..., c.index]
             shifts[c.column + PATH] = shifts.get(c.column + PATH, 0.0) + shift
         return shifts
 
-    def moved_columns_of_draws(self, effect: ColumnsOf, values: Sequence[Any], moves: Any) -> Any:
-        """Return `columns_of_draws`, and their slopes by the moves, by differences, (b, n, k) each."""
+    def moved_columns_of_draws(self, effect: ColumnSpec, values: Sequence[Any], shifts: Any) -> Any:
+        """Return `columns_of_draws`, and their slopes by the shifts, by differences, (b, n, k) each."""
         slopes = {}
-        for name, shift in moves.items():
+        for name, shift in shifts.items():
             h = self._difference(name)
-            ends = ({**moves, name: shift + s} for s in (h, -h))
+            ends = ({**shifts, name: shift + s} for s in (h, -h))
             up, down = (self.columns_of_draws(effect, values, end) for end in ends)
             slopes[name] = (up - down) / (2 * h)
-        return self.columns_of_draws(effect, values, moves), slopes
+        return self.columns_of_draws(effect, values, shifts), slopes
 
-    def _together(
-        self, program, what: Any, slots: Mapping[str, np.ndarray], moves: Mapping[str, np.ndarray]
-    ) -> Any:
+    def _together(self, program, what: Any, slots: Arrays, shifts: Arrays) -> Any:
         """Run a program for several draws, some at once; readings are padded, the last draw repeated."""
-        count = max(len(v) for v in (*slots.values(), *moves.values()) if np.ndim(v) > 1)
-        inputs = {name: slots.get(name, 0.0) for name in self.slots}, moves
+        count = max(len(v) for v in (*slots.values(), *shifts.values()) if np.ndim(v) > 1)
+        inputs = {name: slots.get(name, 0.0) for name in self.slots}, shifts
         both = [
             {n: np.broadcast_to(v, (count, self.size)) for n, v in arrays.items()}
             for arrays in inputs

@@ -45,14 +45,14 @@ def choose(
                 )
         return Problem(layout.promote(*requested), record), (), None
     while problem.size and not problem.affine:
-        free, least = MOST_PROMOTED - len(layout.positions("promoted")), PRODUCT_SD
+        free, least = MOST_PROMOTED - len(layout.phi_indices("promoted")), PRODUCT_SD
         few = [b for b in layout.x_blocks if b.coefficient.per is None or b.size <= MOST_MEMBERS]
         few = [b for b in few if b.size <= free]
         if not few:
             return problem, notes, None
         mode = find_mode(problem, start=start)
         sizes = _second_order(problem, mode)
-        strength = {b.name: float(np.sqrt(np.sum(sizes[b.at] ** 2))) for b in few}
+        strength = {b.name: float(np.sqrt(np.sum(sizes[b.x_slice] ** 2))) for b in few}
         # Either factor of a product will do. In units of a spread that is learned itself, a coefficient would make a
         # funnel with it, so such a one is only taken where no other matters.
         matter = [b for b in few if strength[b.name] >= least]

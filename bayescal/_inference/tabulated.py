@@ -38,7 +38,7 @@ from bayescal._inference.gaussian import Conditional, Gram, Prior, condition
 from bayescal._inference.noise_nodes import OneNode, Products, Weights
 from bayescal._inference.noise_on_record import variances
 from bayescal._inference.problem import Problem, Values
-from bayescal._model.composition import by_member
+from bayescal._model.composition import expand_members
 from bayescal._model.terms import Term
 
 DIFFERENCE = 1e-3  # of a coordinate, for slopes of priors, of weights of curves and of the noise
@@ -69,9 +69,9 @@ class TabulatedEffect(NamedTuple):
     owners: Int[np.ndarray, "m"]
     amounts: Float[np.ndarray, "m"]  # for each of these 1, or minus the value that it is held at
 
-    def at(self, v: Float[np.ndarray, "d"], sloped: bool) -> Expansion:
+    def at(self, v: Float[np.ndarray, "d"], with_grad: bool) -> Expansion:
         """Return its columns near φ."""
-        return self.expansions.at(v[self.free], sloped)
+        return self.expansions.at(v[self.free], with_grad)
 
 
 class Tabulated:
@@ -107,7 +107,7 @@ class Tabulated:
             fixed_shapes = tuple(fixed.get(n) for n in names)
             config = [(t.index, t.slot, t.factor, t.per, t.size) for t in terms]
             owners = [
-                np.arange(t.at.start, t.at.stop)
+                np.arange(t.x_slice.start, t.x_slice.stop)
                 if t.place == "x"
                 else np.full(t.size, problem.size)
                 for t in terms
@@ -136,7 +136,7 @@ class Tabulated:
         for t in part.terms:
             column = (self.slopes[t.slot] * t.factor)[:, None] * expansion.columns[:, t.index]
             codes = None if t.per is None else self.problem.record.codes[t.per]
-            spread = by_member(column.T, codes, t.size)  # (r, n, members)
+            spread = expand_members(column.T, codes, t.size)  # (r, n, members)
             columns.append(spread.transpose(1, 2, 0).reshape(len(column), -1))
         return np.concatenate(columns, axis=1)
 
@@ -170,23 +170,21 @@ class Tabulated:
         return self.table
 
     def _counted_from(self) -> Float[np.ndarray, "p"]:
-        """Return where coefficients are counted from: what the table took of the readings, or their priors' means.
-
-        The means, where the prior tells more than a fit without it does.
-        """
+        """Return the origin of x (p,): the least-squares amounts that the table removed, or prior means."""
         problem = self.problem
-        at, weight, sd = problem.mean_of_x.copy(), problem.weight_of_x, problem.sizes.plain.copy()
-        at[weight == 0] = 0.0
+        origin, weight = problem.mean_of_x.copy(), problem.weight_of_x
+        sd = problem.sizes.fixed_sd.copy()
+        origin[weight == 0] = 0.0
         sd[weight == 0] = np.inf
-        for members in problem.sizes.members.values():
+        for members in problem.sizes.learned_sd_masks.values():
             sd[members > 0] = np.inf
         for key, part in self._plain.items():
             if (amounts := self.table.taken.get(key)) is not None:
                 inside = part.owners < problem.size
                 places, amounts = part.owners[inside], amounts[inside]
-                near = np.abs(amounts - at[places]) < FAR_SD * sd[places]
-                at[places] = np.where(near, amounts, at[places])
-        return at
+                near = np.abs(amounts - origin[places]) < FAR_SD * sd[places]
+                origin[places] = np.where(near, amounts, origin[places])
+        return origin
 
     def rows(self, expansions: tuple[Expansion, ...]) -> _StructureRows:
         """Return the structure's rows in some boxes; the latest are kept."""
@@ -207,20 +205,20 @@ class Tabulated:
         return self.nodes.weights(problem.noise, values)
 
     def evaluate(
-        self, v: Float[np.ndarray, "d"], flat: Float[np.ndarray, "p"], sloped: bool = True
+        self, v: Float[np.ndarray, "d"], flat: Float[np.ndarray, "p"], with_grad: bool = True
     ) -> Evaluation | None:
-        """Return the log density at a φ, with gradient and curvature if `sloped`; None where there is none."""
+        """Return the log density at a φ, with its gradient and Hessian if `with_grad`; None if undefined."""
         problem, p, q = self.problem, self.problem.size, len(self.noise)
         hyper = problem.hyper(v)
         prior = problem.prior(hyper, flat)
         if not np.all(np.isfinite(prior.sd)):
             return None
-        rows = self.rows(tuple(part.at(v, sloped) for part in self.parts))
-        weights = self.weights(v[self.noise] + _stencil(q)[: None if sloped else 1])
+        rows = self.rows(tuple(part.at(v, with_grad) for part in self.parts))
+        weights = self.weights(v[self.noise] + _stencil(q)[: None if with_grad else 1])
         if not np.isfinite(weights.log_det[0]):
             return None
-        shares, slopes = rows.shares(v, sloped)
-        grams = rows.products.gram(weights, slice(0, 1 + 2 * q if sloped else 1))
+        shares, slopes = rows.shares(v, with_grad)
+        grams = rows.products.gram(weights, slice(0, 1 + 2 * q if with_grad else 1))
         gram = rows.select(grams[0])
         unit = shares[:, None] * rows.owned  # (R, p + 1): of J, output unit per reported unit
         pulled = gram @ unit
@@ -233,7 +231,7 @@ class Tabulated:
         value = conditional.log_marginal + log_prior
         if not math.isfinite(value):
             return None
-        if not sloped:
+        if not with_grad:
             return Evaluation(value, conditional)
         scale = np.append(prior.sd, 1.0)
         C, P = _moments(conditional, prior, self.at)
@@ -385,13 +383,13 @@ class Tabulated:
         """
         problem, h = self.problem, DIFFERENCE
         first, second = np.zeros((2, len(v), problem.size + 1))
-        for name, members in problem.sizes.members.items():
+        for name, members in problem.sizes.learned_sd_masks.items():
             if (i := self.places.get(name)) is not None:
                 at = v[i] + np.array([-h, 0, h])
                 low, middle, high = np.log(problem.hypers[i].prior.value(at))
                 first[i, :-1] += (high - low) / (2 * h) * members
                 second[i, :-1] += (high - 2 * middle + low) / h**2 * members
-        for name in problem.sizes.weighing:
+        for name in problem.sizes.weights_by_shape:
             if (i := self.places.get(name)) is not None:
                 value = problem.hypers[i].prior.value
                 low, middle, high = (
@@ -500,14 +498,14 @@ class _StructureRows:
             factors[:, at] *= self.expansions[i].values(vs[:, self.parts[i].free])[:, which]
         return factors
 
-    def shares(self, v: Float[np.ndarray, "d"], sloped: bool) -> tuple[np.ndarray, list[Any]]:
+    def shares(self, v: Float[np.ndarray, "d"], with_grad: bool) -> tuple[np.ndarray, list[Any]]:
         """Return each row's factor; and for each part that moves: rows, entries of φ, first and second slopes."""
         factors, slopes = self.amount.copy(), []
         for i, at, which in self._moving:
             free = self.parts[i].free
             shares = self.expansions[i].shares(v[free])
             factors[at] *= shares.value[which]
-            if sloped:
+            if with_grad:
                 first, second = shares.first[:, which], shares.second[:, :, which]
                 slopes.append((at, free, first * self.amount[at], second * self.amount[at]))
         return factors, slopes

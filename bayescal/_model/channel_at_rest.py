@@ -1,6 +1,6 @@
-"""Instrument for a channel with a constant true input: a level for each run, and noise.
+"""Instrument for a channel at constant true input: one level per run, plus noise.
 
-Its priors are flat: the evidence of noise laws is that of the restricted likelihood.
+The levels have flat priors, so that the evidence of a noise law is its restricted likelihood.
 Source: D. Harville, J. Am. Stat. Assoc. 72 (1977) 320 (restricted likelihood).
 """
 
@@ -15,18 +15,18 @@ from bayescal._model.instrument import Instrument, Slot, Slots
 from bayescal._model.prior import Flat
 
 
-def _ones(r: Frame) -> float:
+def _constant_basis(r: Frame) -> float:
     return 1.0
 
 
-def _at_rest(slots: Slots, r: Frame) -> Any:
+def _constant_response(slots: Slots, r: Frame) -> Any:
     return slots["rest"]
 
 
 LEVEL = Effect(
     "rest.level",
     "rest",
-    basis=_ones,
+    basis=_constant_basis,
     coefficients=(Coefficient("1", Flat(), per="run"),),
     columns=("run",),
     equation="c[run]",
@@ -42,6 +42,6 @@ CHANNEL = Instrument(
         Column("output", "1"),
     ),
     slots=(Slot("rest", "1", "the output at rest"),),
-    response=_at_rest,
+    response=_constant_response,
     effects=(LEVEL,),
 )

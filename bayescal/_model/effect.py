@@ -1,6 +1,6 @@
-"""Effects: named physical terms, each a basis that adds to a slot, with its unknowns.
+"""Effects: named physical terms of a measurement equation, each Σ coefficient × basis function, added to a slot.
 
-An effect is linear in its coefficients, and not linear in a few shapes.
+An effect is linear in its coefficients and nonlinear in a few parameters, its *shapes*, such as a time constant.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from bayescal._core.xp import xp
 from bayescal._data.measurements import Measurements
 from bayescal._model.frame import Frame
 from bayescal._model.prior import Flat, HalfCauchy, HalfNormal, Known, LogNormal, LogUniform, Normal
-from bayescal._model.static import set_once, static
+from bayescal._model.static import set_fields, static
 
 Kind = Literal[
     "", "constant", "linear", "quadratic", "cubic", "quartic", "rate", "lag", "warm-up", "drift", "hysteresis",
@@ -33,25 +33,22 @@ READING = "reading"  # the group of which each reading is a member by itself
 
 
 CENTRAL_95 = 1.959963984540054  # standard deviations to either end of the central 95 % of a normal distribution
-FUNCTIONS = ("basis", "weights", "untestable")  # of an effect
+FUNCTION_FIELDS = ("basis", "weights", "untestable")  # fields of an effect that are callables
 OPEN = (0.0, math.inf)  # low and high of a shape whose plausible range is taken from the readings
 
 
 @static
 class Coefficient:
-    """One unknown that a slot is linear in.
+    """One unknown coefficient, in which a slot is linear.
 
     Attributes:
         unit: the unit it is reported in and its prior is stated in, such as "deg/s/degC" or "ppm/degC".
-        prior: Gaussian, flat, or `Known`, which is no unknown. With a learned group
-            standard deviation only its mean counts.
+        prior: `Normal`, `Flat`, or `Known` for a constant; with `group_sd` only its mean is used.
         part: its name within the effect, such as "parallel,M2,cos"; empty if the effect has just one.
         slot: the slot it feeds, where that is not the effect's own.
-        per: None for one value; a group for one value each: "run", "cell", "device", "axis", or any column of labels
-            that the instrument declares, such as "station". "reading": noise on an input, of known standard deviation,
-            which widens the variance of each reading by the square of the slope.
-        group_sd: prior of the standard deviation between the group's members, which is then learned.
-            None leaves it at the prior's own sd.
+        per: group with one coefficient per member: "run", "cell", "device", "axis", or a declared label column such as
+            "station"; None for a single one; "reading" for noise on an input, of known standard deviation.
+        group_sd: prior of the standard deviation between members, if it is learned; None: the sd of `prior`.
         initial: whether it is the contribution of the initial state of a run.
     """
 
@@ -66,14 +63,14 @@ class Coefficient:
     def __post_init__(self) -> None:
         if not isinstance(self.prior, Normal | Flat | Known):
             raise ModelError(
-                f"a coefficient's prior is Normal, Flat or Known, not {_named(self.prior)}, since coefficients are "
+                f"a coefficient's prior is Normal, Flat or Known, not {_type_name(self.prior)}, since coefficients are "
                 "integrated out as Gaussian: give its mean and standard deviation, Normal(0.0, 0.05); what must be "
                 'positive is a shape, bayescal.Shape(…, scale="log")'
             )
         if not isinstance(self.group_sd, HalfNormal | HalfCauchy | Flat | None):
             raise ModelError(
                 f"the prior of a standard deviation between groups is HalfNormal, HalfCauchy or Flat, not "
-                f"{_named(self.group_sd)}: give group_sd=HalfNormal(0.05)"
+                f"{_type_name(self.group_sd)}: give group_sd=HalfNormal(0.05)"
             )
         if self.group_sd is not None and self.per is None:
             raise ValueError("a `group_sd` between groups needs a group: give `per`")
@@ -89,7 +86,7 @@ class Coefficient:
 
     @property
     def known(self) -> bool:
-        """Return whether it is a number by definition, and not estimated."""
+        """Return whether the coefficient is a constant by definition, and not estimated."""
         return isinstance(self.prior, Known) and not self.prior.averaged
 
     @property
@@ -106,9 +103,9 @@ class Coefficient:
 
 @static
 class Shape:
-    """One unknown that the model is not linear in: a lag time, a period, a ratio of frequencies.
+    """One nonlinear parameter of an effect: a lag time, a period, a ratio of frequencies.
 
-    The prior puts 95 % between `low` and `high`, or all of it; its coordinate is standard normal.
+    Its prior has 95 % (or, "bounded", 100 %) of its probability between `low` and `high`.
 
     Attributes:
         name: keyword under which the effect's basis receives it, such as "tau".
@@ -135,7 +132,7 @@ class Shape:
 
     @property
     def open(self) -> bool:
-        """Return whether its plausible range is to be taken from the readings."""
+        """Return whether the plausible range is to be estimated from the readings."""
         return (self.low, self.high) == OPEN
 
     @property
@@ -218,12 +215,12 @@ class Effect:
     frees: str = field(default="", repr=False)
 
     def __post_init__(self) -> None:
-        set_once(
+        set_fields(
             self,
             coefficients=tuple(self.coefficients),
             shapes=tuple(self.shapes),
             forms=tuple(replace(form, family=self.name) for form in self.forms),
-            **{role: by_value(getattr(self, role)) for role in FUNCTIONS},
+            **{role: by_value(getattr(self, role)) for role in FUNCTION_FIELDS},
         )
         if not self.coefficients:
             raise ModelError(f"effect {self.name!r} has no coefficient: give at least one")
@@ -246,17 +243,17 @@ class Effect:
 
     @property
     def reported(self) -> str:
-        """Return the name under which a search reports it: its own, or that of the effect of which it is a form."""
+        """Return the name in a search's report: of the effect, or of the family of which it is a form."""
         return self.family or self.name
 
     @property
     def covariate(self) -> str:
-        """Return covariate that it depends on: a column, "elapsed" or a rate; by default the first of its columns."""
+        """Return the covariate of the basis: a column, "elapsed" or a rate; by default the first of `columns`."""
         return self.along or next(iter(self.columns), "")
 
     @property
     def is_placeholder(self) -> bool:
-        """Return whether it is a generic dependence without a name: sized by an amplitude, not a coefficient."""
+        """Return whether this is a generic dependence without a physical cause, scaled by an amplitude parameter."""
         return self.measure is not None
 
     @property
@@ -266,7 +263,7 @@ class Effect:
 
     @property
     def unnamed(self) -> bool:
-        """Return whether it describes a form without a physical cause: a curve, a step, a fourth power; not a line."""
+        """Return whether the functional form has no physical cause: a curve, a step, a fourth power; not a line."""
         return self.kind == "quartic" or (self.is_placeholder and self.kind != "line")
 
     @property
@@ -276,44 +273,44 @@ class Effect:
 
     @property
     def open(self) -> bool:
-        """Return whether its plausible amplitude is to be taken from the readings."""
+        """Return whether the plausible amplitude is to be estimated from the readings."""
         return any(s.open for s in self.shapes)
 
     @property
     def held(self) -> tuple[int, ...]:
-        """Return the indices of the coefficients that are numbers by definition."""
+        """Return the indices of the coefficients that are constants by definition."""
         return tuple(i for i, c in enumerate(self.coefficients) if isinstance(c.prior, Known))
 
     @property
     def averaged(self) -> Effect:
-        """Return the effect for an average over structures, some without it: there its known coefficients are zero."""
+        """Return the effect for a model average, where its known coefficients are zero in models without it."""
         parts = list(self.coefficients)
         for i in self.held:
             parts[i] = replace(parts[i], prior=Known(parts[i].mean, averaged=True))
         return replace(self, coefficients=tuple(parts)) if self.held else self
 
     def sized(self, low: float, high: float) -> Effect:
-        """Return the effect with this range of its amplitude, in the shape's unit, where it is open."""
+        """Replace the range of shapes whose range is open by (low, high), in the shape's unit."""
         return self.ranging({s.name: (low, high) for s in self.shapes if s.open})
 
     @cached_property
     def weight_shapes(self) -> tuple[str, ...]:
-        """Return the shapes that set the sizes of the coefficients, and not the form of the columns."""
+        """Return the names of the shapes that scale the prior deviations and are no arguments of the basis."""
         return () if self.weights is None else tuple(inspect.signature(self.weights).parameters)
 
     @cached_property
     def column_shapes(self) -> tuple[Shape, ...]:
-        """Return the shapes that the columns depend on."""
-        weighing = self.weight_shapes
-        return tuple(s for s in self.shapes if s.name not in weighing)
+        """Return the shapes that are arguments of the basis."""
+        weight_shapes = self.weight_shapes
+        return tuple(s for s in self.shapes if s.name not in weight_shapes)
 
     @property
     def shared_shape(self) -> Shape | None:
-        """Return the shape that all channels of a unit share; None where each has its own."""
+        """Return the shape that all channels of a device share; None if each channel has its own."""
         return next((s for s in self.column_shapes if s.shared), None)
 
     def ranging(self, ranges: Mapping[str, tuple[float, float]]) -> Effect:
-        """Return the effect with other plausible ranges of some shapes, name → (low, high)."""
+        """Replace plausible ranges of shapes, name → (low, high)."""
         limits = {s.name: (s.low, s.high) for s in self.shapes} | dict(ranges)
         shapes = ((s, *limits[s.name]) for s in self.shapes)
         return replace(self, shapes=tuple(replace(s, low=a, high=b) for s, a, b in shapes))
@@ -330,7 +327,7 @@ class Effect:
 
     @property
     def measure_name(self) -> str:
-        """Return the name of the shape that is its size; empty where its first coefficient is."""
+        """Return the full name of the amplitude parameter; empty if the first coefficient is the amplitude."""
         return f"{self.name}.{self.measure}" if self.measure else ""
 
     @property
@@ -346,21 +343,21 @@ class Effect:
         return (*names, *self.spread_names, *map(self.shape_name, self.shapes))
 
     def evaluate(self, frame: Frame, shapes: dict[str, Float[Array, ""]]) -> Float[Array, "n p"]:
-        """Evaluate the basis as a matrix, one column a coefficient; constants are spread over the readings.
+        """Evaluate the basis as a matrix (n, p), one column per coefficient; scalars are broadcast over the readings.
 
         Raises:
             ModelError: the basis has another number of columns than there are coefficients.
         """
         values = {s.name: shapes[s.name] for s in self.column_shapes}
-        return matrix(self.basis, len(self.coefficients), self.name, frame, values)
+        return evaluate_basis(self.basis, len(self.coefficients), self.name, frame, values)
 
 
-def _named(prior: Any) -> str:
+def _type_name(prior: Any) -> str:
     return prior.__name__ if isinstance(prior, type) else type(prior).__name__
 
 
 def with_forms(effects: Iterable[Effect]) -> Iterator[Effect]:
-    """Yield effects, each followed by its forms."""
+    """Yield each effect, followed by its alternative forms."""
     for effect in effects:
         yield from (effect, *effect.forms)
 
@@ -368,22 +365,22 @@ def with_forms(effects: Iterable[Effect]) -> Iterator[Effect]:
 Basis = tuple[Callable[..., Any], int, str]  # a basis, its number of columns, its effect's name
 
 
-def matrix(
+def evaluate_basis(
     basis: Callable[..., Float[Array, "n"] | Float[Array, "n p"] | float],
     count: int,
     name: str,
     frame: Frame,
     shapes: Mapping[str, Any],
-    lead: tuple[int, ...] = (),
+    batch: tuple[int, ...] = (),
 ) -> Float[Array, "*s n p"]:
-    """Evaluate the basis of the effect `name` as a matrix of `count` columns, as `Effect.evaluate` does.
+    """Evaluate the basis of the effect `name` as a matrix of `count` columns (*batch, n, p).
 
-    On the host, shapes may have several values (*s, 1), `lead` of them, which lead in the columns.
+    With NumPy, shapes may be arrays (*batch, 1): leading axes of the result.
     """
     columns = xp.asarray(basis(frame, **shapes), dtype=float)
-    if columns.ndim < 2 + len(lead):
-        columns = xp.broadcast_to(columns, (*lead, frame.size))[..., None]
-    if columns.shape != (*lead, frame.size, count):
+    if columns.ndim < 2 + len(batch):
+        columns = xp.broadcast_to(columns, (*batch, frame.size))[..., None]
+    if columns.shape != (*batch, frame.size, count):
         raise ModelError(
             f"effect {name!r}: its basis returned shape {columns.shape}; with {count} coefficient(s) and "
             f"{frame.size} readings it must return {(frame.size, count)}"

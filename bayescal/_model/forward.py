@@ -1,6 +1,6 @@
 """The composed model in JAX: expected output and Jacobian, log density, simulation.
 
-Everything here is a pure JAX function of a `Layout` (static), a `Frame`, and values.
+All functions are pure JAX functions of a `Layout` (static), a `Frame`, and values.
 """
 
 from __future__ import annotations
@@ -10,15 +10,15 @@ from jaxtyping import Float
 from bayescal._core.lazy_jax import Array, jax, jnp
 from bayescal._model import composition
 from bayescal._model.frame import Frame
-from bayescal._model.noise_law import in_time, log_density_beside
+from bayescal._model.noise_law import log_density_with_extra, sort_by_time
 from bayescal._model.parameters import Layout
-from bayescal._model.terms import Sizes, Term, terms_of
+from bayescal._model.terms import PriorDeviations, Term, terms_of
 
 Values = dict[str, Float[Array, "..."]]
 
 
 def hyper_values(layout: Layout, v: Float[Array, "d"]) -> Values:
-    """Return the entries of φ at coordinate v, by name, in reported units; fixed ones included."""
+    """Return hyper-parameters and fixed unknowns by name, at coordinates v of φ, in reported units."""
     values = {h.name: h.prior.value(v[i]) for i, h in enumerate(layout.hypers)}
     return {**{name: jnp.asarray(value) for name, value in layout.model.fixed}, **values}
 
@@ -29,75 +29,76 @@ def hyper_log_prior(layout: Layout, v: Float[Array, "d"]) -> Float[Array, ""]:
 
 
 def prior_mean(layout: Layout) -> Float[Array, "p"]:
-    return jnp.asarray(layout.of_x([b.mean for b in layout.x_blocks]))
+    return jnp.asarray(layout.repeat_over_x([b.mean for b in layout.x_blocks]))
 
 
 def prior_sd(
     layout: Layout, hyper: Values, flat: Float[Array, "p"] | float = 1.0
 ) -> Float[Array, "p"]:
-    """Return the prior standard deviation of x given φ; where the prior is flat, the scale `flat` of its column."""
-    sd = Sizes(terms_of(layout.x_blocks)[0], layout.model.effects, layout.size).at(hyper)
+    """Return the prior standard deviation of x given φ (p,); `flat` where the prior is flat."""
+    terms, _ = terms_of(layout.x_blocks)
+    sd = PriorDeviations(terms, layout.model.effects, layout.size).evaluate(hyper)
     return jnp.where(prior_weight(layout) > 0, sd, flat * sd)
 
 
 def prior_weight(layout: Layout) -> Float[Array, "p"]:
     """Return 1 where the prior of x is proper, 0 where it is flat (p,)."""
-    return jnp.asarray(layout.of_x([float(not b.coefficient.flat) for b in layout.x_blocks]))
+    return jnp.asarray(layout.repeat_over_x([float(not b.flat) for b in layout.x_blocks]))
 
 
-def composed(
-    layout: Layout, frame: Frame, x: Array, hyper: Values, sloped: bool = False
-) -> tuple[composition.Traced, tuple[Term, ...], composition.Composed]:
-    """Compose the model at a point; return its source, its terms and their sums; `sloped`: with slopes."""
-    source = composition.Traced(layout.model.instrument, frame)
+def compose_at(
+    layout: Layout, frame: Frame, x: Array, hyper: Values, with_grad: bool = False
+) -> tuple[composition.TracedColumns, tuple[Term, ...], composition.Composed]:
+    """Compose the model at (x, φ); return its column source, its terms and the slot values."""
+    source = composition.TracedColumns(layout.model.instrument, frame)
     terms, _ = terms_of(layout.blocks, source)
-    values = [composition.value(source, t, x, hyper) for t in terms]
-    return source, terms, composition.compose(source, terms, values, hyper, sloped)
+    values = [composition.expand_coefficient(source, t, x, hyper) for t in terms]
+    return source, terms, composition.compose(source, terms, values, hyper, with_grad)
 
 
 def linearise(
     layout: Layout, frame: Frame, x: Float[Array, "p"], hyper: Values
-) -> composition.Linearised:
-    """Return the expected output and the Jacobian at a point, output unit per reported unit."""
-    return composition.linearised(*composed(layout, frame, x, hyper, sloped=True))
+) -> composition.Linearisation:
+    """Return the expected output and its Jacobian at (x, φ), output unit per reported unit."""
+    return composition.linearise_output(*compose_at(layout, frame, x, hyper, with_grad=True))
 
 
-def with_inputs(
+def predict_moments(
     layout: Layout, frame: Frame, x: Float[Array, "p"], hyper: Values
 ) -> tuple[Float[Array, "n"], Float[Array, "n"] | None]:
-    """Return the expected output, and the variance of each reading from noise on inputs; None where there is none."""
+    """Return the expected output (n,), and the variance of each reading from noisy inputs (n,); None if none."""
     inputs = any(b.place == "input" for b in layout.blocks)
-    source, terms, sums = composed(layout, frame, x, hyper, sloped=inputs)
+    source, terms, sums = compose_at(layout, frame, x, hyper, with_grad=inputs)
     if not inputs:
-        return composition.expected(source, sums), None
-    line = composition.linearised(source, terms, sums)
-    return line.mean, composition.variance_of_inputs(terms, line)
+        return composition.evaluate_output(source, sums), None
+    line = composition.linearise_output(source, terms, sums)
+    return line.mean, composition.compute_input_variance(terms, line)
 
 
 def log_likelihood(
     layout: Layout, frame: Frame, y: Float[Array, "n"], x: Float[Array, "p"], hyper: Values
 ) -> Float[Array, "n"]:
     """Return the log density of each reading given every unknown; in the order of time under correlated noise."""
-    noise, (expected, extra) = layout.model.noise, with_inputs(layout, frame, x, hyper)
-    # Where the order matters there is no noise on inputs, which would have to follow it.
-    ordered, y, expected = in_time(noise, frame, y, expected)
-    return log_density_beside(noise, y, expected, extra, hyper, ordered)
+    noise, (expected, extra) = layout.model.noise, predict_moments(layout, frame, x, hyper)
+    # Correlated noise is never combined with noisy inputs, so that `extra` need not be sorted.
+    ordered, y, expected = sort_by_time(noise, frame, y, expected)
+    return log_density_with_extra(noise, y, expected, extra, hyper, ordered)
 
 
 def log_prior_x(layout: Layout, x: Float[Array, "p"], hyper: Values) -> Float[Array, ""]:
-    """Return the log prior density of x given φ; flat ones contribute zero."""
+    """Return the log prior density of x given φ; flat priors contribute zero."""
     sd, weight = prior_sd(layout, hyper), prior_weight(layout)
     z = (x - prior_mean(layout)) / sd
     return -0.5 * jnp.sum(weight * (z**2 + 2 * jnp.log(sd) + jnp.log(2 * jnp.pi)))
 
 
 def draw_readings(layout: Layout, frame: Frame, x: Array, v: Array, key: Array) -> Array:
-    """Draw readings from the model's equation and noise, noise on inputs to first order."""
+    """Draw readings from the predictive distribution at (x, φ); noise on inputs to first order."""
     hyper, noise = hyper_values(layout, v), layout.model.noise
-    expected, extra = with_inputs(layout, frame, x, hyper)
+    expected, extra = predict_moments(layout, frame, x, hyper)
     if extra is not None:
         key, subkey = jax.random.split(key)
         expected = expected + jnp.sqrt(extra) * jax.random.normal(subkey, expected.shape)
-    ordered, expected = in_time(noise, frame, expected)
+    ordered, expected = sort_by_time(noise, frame, expected)
     drawn = noise.sample(key, expected, hyper, ordered)
     return drawn if noise.independent else jnp.zeros_like(drawn).at[frame.order].set(drawn)

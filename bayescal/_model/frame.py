@@ -22,32 +22,31 @@ from bayescal._data.measurements import Measurements
 from bayescal._data.pose_rows import ACROSS
 from bayescal._data.records import recursion
 
-# that all readings have; an instrument's label columns are groups too
+# groups of every data set; label columns of an instrument are further groups
 GROUPS = ("run", "cell", "axis", "device")
-NEVER_HELD = ("output", UNCERTAINTY, "time", "temperature_point")
+NEVER_STEPPED = ("output", UNCERTAINTY, "time", "temperature_point")  # never piecewise constant
 BY_READING = ("columns", "labels", "rates", "codes", "record", "path")  # dictionaries of (n,)
-PATH = " path"  # behind the name of a column that is corrected with all its past, as the temperature of a body is
+PATH = " path"  # suffix of a column replaced as a whole time series, as temperature by that of a lagging body
 Reference = dict[str, float | dict[str, float]]
 
 
 @dataclass(frozen=True, eq=False)
 class Frame:
-    """The readings that a basis is a function of. All columns in the instrument's fixed units.
+    """Readings as the argument of basis functions, all columns in the instrument's fixed units.
 
-    Its arrays are JAX's in a program and NumPy's on the host.
+    Arrays are JAX arrays in a compiled program, NumPy arrays otherwise.
 
     Attributes:
         columns: measured columns, (n,) each; outputs are counted from their origin.
-        labels: for each label of a column of text that is no group of its own ("group=outer"), 1 where a reading
-            has it and 0 elsewhere, (n,) each.
+        labels: indicator (n,) of each label of a text column that is not a group, by "column=label": 1 or 0.
         rates: causal slope of each column that has one, unit per second, (n,) each.
         codes: index of each reading's group member, −1 where it belongs to none.
         reference: scalars such as T0.
         order: permutation that sorts the readings by run and time.
         step: time since the previous reading of the same run, in sorted order, −1 at a run's first, s.
-        record: the columns as they were measured, whatever has been corrected since.
+        record: the columns as measured, without corrections.
         silence: longest time between readings over which a temperature is interpolated, s.
-        path: columns as a lagging body has them, in place of those measured, (*s, n) each.
+        path: whole time series that replace a measured column, such as a body's temperature, (*s, n) each.
     """
 
     columns: dict[str, Float[Any, "n"]]
@@ -69,7 +68,7 @@ class Frame:
         return self.columns[name]
 
     def centred(self, name: str = "temperature") -> Float[Array, "n"]:
-        """Return a column minus its reference value, such as T − T0: of one not in °C the middle of its range.
+        """Return a column minus its reference value, such as T − T0; if not in °C, minus the middle of its range.
 
         Raises:
             ModelError: it is no numeric column.
@@ -96,8 +95,8 @@ class Frame:
         return self.labels.get(f"{name}={label}", np.zeros(self.size))
 
     def position(self, name: str) -> Float[Array, "n"]:
-        """Return the position of a covariate in its range at the fit, 0 to 1; a rate is called "temperature rate"."""
-        values = self.columns[name] if name in self.columns else self.rates[measured_column(name)]
+        """Scale a covariate to 0 … 1 over its range at the fit; a rate is called "temperature rate"."""
+        values = self.columns[name] if name in self.columns else self.rates[strip_rate(name)]
         low, high = self.reference[f"{name}_low"], self.reference[f"{name}_high"]
         span = high - low
         return (values - low) / (span + (span <= 0))  # one, where it does not vary
@@ -137,23 +136,23 @@ class Frame:
         return self.behind(tau, name) + (self.record[name] - self.columns[name])
 
     def behind(self, tau: Float[Array, ""], name: str = "temperature") -> Float[Array, "n"]:
-        """Return T̃ − T as `lag`, both of the record, without later corrections, °C."""
+        """Return T̃ − T of the recorded column, without corrections, °C; see `lag` for the equation."""
         values = self.record[name][self.order]
         change = xp.diff(values, prepend=values[:1])
-        is_held = xp.asarray(self.reference.get(held_name(name), 0.0)) > 0
-        step, place = (self.step, None) if is_traced(self.step) else self._paces
+        is_held = xp.asarray(self.reference.get(hold_flag_name(name), 0.0)) > 0
+        step, index = (self.step, None) if is_traced(self.step) else self._paces
         first, no_step = step < 0, step == 0
         h = xp.where(first | no_step, 1.0, step / tau)
         decay = xp.where(first, 0.0, xp.where(no_step, 1.0, xp.exp(-h)))
         linear = xp.where(step > self.silence, -decay, xp.expm1(-h) / h)
-        share = xp.where(first, 0.0, xp.where(no_step | is_held, -1.0, linear))
-        if place is not None:
-            decay, share = (xp.take(a, place, axis=-1) for a in (decay, share))
-        return xp.placed(self.order, followed(decay, change * share))
+        gain = xp.where(first, 0.0, xp.where(no_step | is_held, -1.0, linear))
+        if index is not None:
+            decay, gain = (xp.take(a, index, axis=-1) for a in (decay, gain))
+        return xp.placed(self.order, run_recursion(decay, change * gain))
 
     @cached_property
     def _paces(self) -> tuple[Float[np.ndarray, "u"], Any]:
-        """Return the distinct steps and the index of each reading's step: an even clock has few exponentials."""
+        """Return the distinct time steps and each reading's index among them, to evaluate exp once for each."""
         steps, place = np.unique(self.step, return_inverse=True)
         return (steps, place) if 2 * len(steps) < self.size else (self.step, None)
 
@@ -168,40 +167,37 @@ class Frame:
         """
         values, first = self.path.get(name, self.record[name])[..., self.order], self.step < 0
         change = xp.where(first, 0.0, xp.diff(values, prepend=values[..., :1]))
-        share = xp.where(first, 0.0, xp.exp(-xp.abs(change) / width))
-        turned = followed(share, xp.where(first, 0.0, (1.0 - share) * xp.sign(change)))
-        remainder = followed(share, xp.where(first, 1.0, 0.0))
-        return xp.placed(self.order, turned), xp.placed(self.order, remainder)
+        decay = xp.where(first, 0.0, xp.exp(-xp.abs(change) / width))
+        direction = run_recursion(decay, xp.where(first, 0.0, (1.0 - decay) * xp.sign(change)))
+        remainder = run_recursion(decay, xp.where(first, 1.0, 0.0))
+        return xp.placed(self.order, direction), xp.placed(self.order, remainder)
 
     def only(self, names: Sequence[str]) -> Frame:
-        """Select columns, with their rates and the constants of both; with time, elapsed.
-
-        Each reading's known uncertainty stays.
-        """
+        """Select columns with their rates and reference constants; "time" includes "elapsed", uncertainty is kept."""
         columns = {*names, UNCERTAINTY} | ({"elapsed"} if "time" in names else set())
-        constants = {of(name) for name in columns for of in (reference_name, held_name)}
+        constants = {*map(reference_name, columns), *map(hold_flag_name, columns)}
         constants |= {"time_mean", "time_span"}
         constants |= {
             f"{n}{rate}_{end}" for n in columns for rate in ("", " rate") for end in ("low", "high")
         }
 
-        def some(values: Mapping[str, Any], chosen: Collection[str] = columns) -> dict[str, Any]:
+        def select(values: Mapping[str, Any], chosen: Collection[str] = columns) -> dict[str, Any]:
             return {name: value for name, value in values.items() if name in chosen}
 
-        parts = {name: some(getattr(self, name)) for name in ("columns", "rates", "record")}
-        reference = some(self.reference, constants)
+        parts = {name: select(getattr(self, name)) for name in ("columns", "rates", "record")}
+        reference = select(self.reference, constants)
         return replace(self, **parts, labels={}, codes={}, reference=reference)
 
     def reordered(self, rows: Any, order: Any, step: Any) -> Frame:
-        """Select and order readings, with the order and step that they then have."""
-        arrays = {n: {k: a[rows] for k, a in getattr(self, n).items()} for n in BY_READING}
-        return replace(self, **arrays, order=order, step=step)
+        """Select rows; `order` and `step` are those of the selected readings."""
+        sorted_arrays = {n: {k: a[rows] for k, a in getattr(self, n).items()} for n in BY_READING}
+        return replace(self, **sorted_arrays, order=order, step=step)
 
     def in_time(self) -> Frame:
         """Sort the readings by time within runs."""
         order = self.order
-        places = xp.arange(self.size, dtype=order.dtype)
-        return self.reordered(order, places, self.step)
+        identity = xp.arange(self.size, dtype=order.dtype)
+        return self.reordered(order, identity, self.step)
 
     def moved(self, moves: Mapping[str, Float[Array, "n"]]) -> Frame:
         """Add corrections to measured columns (rates stay those of the record)."""
@@ -217,23 +213,23 @@ class Frame:
 when_imported(lambda: jax.tree_util.register_dataclass(Frame, [f.name for f in fields(Frame)], []))
 
 
-def followed(share: Float[Any, "*s n"], push: Float[Any, "*s n"]) -> Float[Any, "*s n"]:
-    """Return x of x ← share·x + push from one reading to the next, from zero."""
-    if is_traced((share, push)):
+def run_recursion(decay: Float[Any, "*s n"], drive: Float[Any, "*s n"]) -> Float[Any, "*s n"]:
+    """Run the linear recursion x ← decay·x + drive over the readings, from x = 0."""
+    if is_traced((decay, drive)):
 
         def advance(state, row):
             state = row[0] * state + row[1]
             return state, state
 
         # One small loop rather than an associative scan, which takes ten times as long to compile.
-        return xp.scan(advance, xp.zeros_like(share[0]), (share, push))
-    return recursion(share, push)
+        return xp.scan(advance, xp.zeros_like(decay[0]), (decay, drive))
+    return recursion(decay, drive)
 
 
-def derived(readings: Measurements, with_no_causes: bool = False) -> dict[str, np.ndarray]:
-    """Return possible covariates: numeric columns except the output, time within the run, rates of temperatures, °C/s.
+def list_covariates(readings: Measurements, with_no_causes: bool = False) -> dict[str, np.ndarray]:
+    """List possible covariates: numeric columns except the output, time in the run, "temperature rate", °C/s.
 
-    A rate is called "temperature rate". Columns that are no possible causes are left out, unless `with_no_causes`.
+    Columns declared as no possible cause are omitted, unless `with_no_causes`.
     """
     omitted = {"output", "output_uncertainty", "temperature_point"}
     omitted |= set() if with_no_causes else readings.no_causes
@@ -245,8 +241,8 @@ def derived(readings: Measurements, with_no_causes: bool = False) -> dict[str, n
     return columns
 
 
-def measured_column(covariate: str) -> str:
-    """Return the column of a covariate that may be its rate: "temperature" of "temperature rate"."""
+def strip_rate(covariate: str) -> str:
+    """Return the column of a covariate that may be a rate: "temperature" for "temperature rate"."""
     return covariate.removesuffix(" rate")
 
 
@@ -255,7 +251,7 @@ def reference_name(column: str) -> str:
     return names.get(column, f"{column}_0")
 
 
-def held_name(column: str) -> str:
+def hold_flag_name(column: str) -> str:
     return f"{column}_held"
 
 
@@ -265,21 +261,21 @@ def reference_of(readings: Measurements) -> Reference:
     for name in readings.columns:
         if readings.unit(name) == "degC" and name != "temperature_point":
             scalars[reference_name(name)] = _round_middle(readings[name])
-    for name, values in derived(readings, with_no_causes=True).items():
+    for name, values in list_covariates(readings, with_no_causes=True).items():
         scalars[f"{name}_low"], scalars[f"{name}_high"] = float(values.min()), float(values.max())
     if readings.has("time"):
         time = readings["time"]
         scalars["time_mean"] = float(np.mean(time))
         scalars["time_span"] = float(np.ptp(time)) or 1.0
-        for name in (n for n in readings.columns if readings.unit(n) and n not in NEVER_HELD):
+        for name in (n for n in readings.columns if readings.unit(n) and n not in NEVER_STEPPED):
             measured = readings.unit(name) == "degC"  # and goes from one reading to the next
             is_held = not measured and readings.records.set_in_steps(readings[name])
-            scalars[held_name(name)] = float(is_held)
+            scalars[hold_flag_name(name)] = float(is_held)
     return scalars
 
 
-def constants_of(readings: Measurements) -> set[str]:
-    """Return the names of the constants that bases may use on these readings, whether or not they are stored."""
+def constant_names(readings: Measurements) -> set[str]:
+    """Return the names of all reference constants that basis functions can use on these readings."""
     names = {reference_name(n) for n in readings.columns if readings.unit(n)}
     return names | {n for n, value in reference_of(readings).items() if not isinstance(value, dict)}
 
@@ -298,14 +294,14 @@ def build_frame(
     levels: Mapping[str, tuple[str, ...]] | None = None,
     record: Measurements | None = None,
 ) -> Frame:
-    """Build the frame of readings, on the clock of the fit, under the constants stored at the fit.
+    """Build the frame of readings with the reference constants of the fit.
 
-    Members of groups that are not among `levels` get the code −1; None, at the fit itself, takes the readings' own.
-    Runs may be those of the fitted readings, the `record`.
+    Group members that are not in `levels` get the code −1; `levels` None numbers the members of these readings.
+    `record` are the fitted readings, whose runs may continue.
     """
     unit = {name: readings.unit(name) for name in readings.columns if name != "temperature_point"}
     columns = {name: np.asarray(readings[name]) for name in unit if unit[name] is not None}
-    columns, scalars = _from_origin(columns, reference)
+    columns, scalars = _subtract_origins(columns, reference)
     named = ((n, label) for n in label_groups(readings) for label in readings.groups(n)[0])
     labels = {f"{n}={label}": np.asarray(readings[n] == label, float) for n, label in named}
     records = readings.records
@@ -316,7 +312,7 @@ def build_frame(
         columns=columns,
         labels=labels,
         rates=dict(readings.rates),
-        codes={group: _member_codes(readings, group, levels) for group in groups},
+        codes={group: _encode_members(readings, group, levels) for group in groups},
         reference={k: np.asarray(v) for k, v in scalars.items()},
         order=np.asarray(records.order, dtype=np.int32),
         step=records.step,
@@ -325,19 +321,17 @@ def build_frame(
     )
 
 
-def origins(reference: Mapping[str, Any]) -> dict[str, dict[str, float]]:
-    """Return the origins of the outputs, output unit: by the constant of the reference, and by the coefficient that
-    includes it."""
+def origins_of(reference: Mapping[str, Any]) -> dict[str, dict[str, float]]:
+    """Return the origins subtracted from outputs, output unit: reference constant → coefficient → value."""
     return {n: v for n, v in reference.items() if isinstance(v, dict)}
 
 
-def _from_origin(
+def _subtract_origins(
     columns: Mapping[str, np.ndarray], reference: Reference
 ) -> tuple[dict[str, np.ndarray], Mapping[str, float]]:
-    """Return columns, and constants that are numbers, with outputs counted from their origin, and so is a scalar output
-    made of three."""
+    """Subtract origins from output columns and their ranges, and from a scalar output composed of three axes."""
     names = {reference_name(n): n for n in columns}
-    offsets = {names[n]: sum(parts.values()) for n, parts in origins(reference).items()}
+    offsets = {names[n]: sum(parts.values()) for n, parts in origins_of(reference).items()}
     shifted = {n: columns[n] - origin for n, origin in offsets.items()}
     scalars = {n: v for n, v in reference.items() if not isinstance(v, dict)}
     for name, origin in offsets.items():
@@ -352,15 +346,15 @@ def _from_origin(
 
 
 def label_groups(readings: Measurements) -> list[str]:
-    """Return the columns of labels that are groups of an instrument's own, such as "station"."""
+    """Return the label columns that are groups declared by the instrument, such as "station"."""
     return [n for n in readings.columns if readings.unit(n) is None and n not in GROUPS]
 
 
-def _member_codes(
+def _encode_members(
     readings: Measurements, group: str, levels: Mapping[str, tuple[str, ...]] | None
 ) -> Int[np.ndarray, "n"]:
-    """Return the code of each reading's member of a group, as numbered at the fit."""
-    if group not in GROUPS and not readings.has(group):  # of no member that was fitted
+    """Return the index of each reading's group member (n,), numbered as at the fit; −1 for a new member."""
+    if group not in GROUPS and not readings.has(group):  # all are new members
         return np.full(len(readings), -1, dtype=np.int8)
     members, codes = readings.groups(group)
     if levels is not None:

@@ -11,21 +11,21 @@ from jaxtyping import Float
 from bayescal._core.lazy_jax import Array, jax, jnp
 from bayescal._core.xp import special_of, xp
 from bayescal._data.column import UNCERTAINTY
-from bayescal._model.frame import Frame, measured_column, reference_name
-from bayescal._model.noise_law import WHITE, Noise, Parameters, offered, own_variance
+from bayescal._model.frame import Frame, reference_name, strip_rate
+from bayescal._model.noise_law import WHITE, Noise, Parameters, offered, white_variance
 from bayescal._model.prior import HalfCauchy, LogNormal, Normal, Positive
 
 SLOPE, CURVATURE = "noise.slope", "noise.curvature"
 PROPORTIONAL = "noise.proportional"
-# Least ratio of a column's largest size to its least: below, a proportion to it is nearly an exponential.
+# Least ratio of max |x| to min |x| of a column: below it, noise in proportion to |x| resembles an exponential law.
 MIN_SIZE_RATIO = 3.0
 FREEDOM = "noise.freedom"
-MIN_PROBABILITY = 1e-300  # in place of zero
+MIN_PROBABILITY = 1e-300  # lower bound, so that its logarithm is finite
 MIN_FREEDOM = 2.1  # below 2 the variance does not exist
 
 
 class White(Noise):
-    """Independent Gaussian noise of one unknown standard deviation, beside each reading's known uncertainty.
+    """Independent Gaussian noise of one unknown standard deviation, plus each reading's known uncertainty.
 
     Attributes:
         scale: prior of the standard deviation, output unit.
@@ -58,7 +58,7 @@ class White(Noise):
         return values[WHITE] ** 2 + np.exp(2 * place)
 
     def variance(self, parameters: Parameters, frame: Frame) -> Array:
-        return own_variance(parameters, frame)
+        return white_variance(parameters, frame)
 
 
 class Heteroscedastic(Noise):
@@ -89,7 +89,7 @@ class Heteroscedastic(Noise):
 
     @property
     def needs(self) -> tuple[str, ...]:
-        return followed_columns(self.column)
+        return columns_for(self.column)
 
     @property
     def covariates(self) -> tuple[str, ...]:
@@ -115,69 +115,68 @@ class Heteroscedastic(Noise):
     def unit(self, name: str, output: str) -> str:
         return "1" if name in (SLOPE, CURVATURE) else output
 
-    def _place(self, frame: Frame) -> Float[Array, "n"]:
-        """Return the place along the column; or the size of the column, in parts of the largest at the fit."""
+    def _position(self, frame: Frame) -> Float[Array, "n"]:
+        """Return the column scaled to −1 … 1; if proportional, |x| over its maximum at the fit (n,)."""
         if not self.proportional:
-            return place_along(frame, self.column)
+            return scale_covariate(frame, self.column)
         ends = (xp.abs(frame.reference[f"{self.column}_{end}"]) for end in ("low", "high"))
         return xp.abs(frame.columns[self.column]) / xp.maximum(*ends)
 
     def variance_place(self, frame: Frame) -> np.ndarray | None:
-        place = None if UNCERTAINTY in frame.columns else np.asarray(self._place(frame))
-        if place is None or not self.proportional:
-            return place
-        # Along the share itself the precision has a pole near zero, which a series does not follow.
-        return np.log(place) if np.all(place > 0) else None
+        position = None if UNCERTAINTY in frame.columns else np.asarray(self._position(frame))
+        if position is None or not self.proportional:
+            return position
+        # 1/variance has poles near |x| = 0, where a polynomial in |x| converges slowly; in log |x| it is smooth.
+        return np.log(position) if np.all(position > 0) else None
 
     def variance_along(self, values: Parameters, place: np.ndarray) -> Any:
         if self.proportional:
             return values[WHITE] ** 2 + (values[PROPORTIONAL] * np.exp(place)) ** 2
-        return (values[WHITE] * scatter(values, place)) ** 2
+        return (values[WHITE] * relative_scatter(values, place)) ** 2
 
     def variance(self, parameters: Parameters, frame: Frame) -> Array:
         if not self.proportional:
-            return scattered_variance(parameters, frame, self.column)
-        white = own_variance(parameters, frame)
-        return white + (parameters[PROPORTIONAL] * self._place(frame)) ** 2
+            return scatter_variance(parameters, frame, self.column)
+        white = white_variance(parameters, frame)
+        return white + (parameters[PROPORTIONAL] * self._position(frame)) ** 2
 
 
-def followed_columns(column: str) -> tuple[str, ...]:
-    """Return the columns that a scatter needs which follows a column, "elapsed" or a rate."""
+def columns_for(column: str) -> tuple[str, ...]:
+    """Return the columns of the readings that a covariate is computed from: a column, "elapsed" or a rate."""
     if column == "elapsed":
         return ("time",)
-    plain = measured_column(column)
+    plain = strip_rate(column)
     return (plain,) if plain == column else (plain, "time")
 
 
-def scattered_variance(parameters: Parameters, frame: Frame, column: str) -> Float[Array, "n"]:
-    """Return the white variance of each reading, as `Heteroscedastic` has it, output unit squared."""
-    growth = scatter(parameters, place_along(frame, column))
-    return own_variance({WHITE: parameters[WHITE] * growth}, frame)
+def scatter_variance(parameters: Parameters, frame: Frame, column: str) -> Float[Array, "n"]:
+    """Return each reading's white variance under the log-linear law of `Heteroscedastic`, output unit squared."""
+    growth = relative_scatter(parameters, scale_covariate(frame, column))
+    return white_variance({WHITE: parameters[WHITE] * growth}, frame)
 
 
-def place_along(frame: Frame, column: str) -> Float[Array, "n"]:
-    """Return the places of readings along a column, −1 to 1 over its range at the fit."""
+def scale_covariate(frame: Frame, column: str) -> Float[Array, "n"]:
+    """Scale a covariate to −1 … 1 over its range at the fit, clipped (n,)."""
     return xp.clip(2 * frame.position(column) - 1, -1.0, 1.0)
 
 
-def scatter(values: Parameters, place: Any) -> Any:
-    """Return the standard deviation at places along a column, over its geometric mean."""
-    # Legendre's P₁ and P₂ have no mean over the range: log σ is the mean of the logarithm of the scatter, and a and b
-    # change the form alone.
+def relative_scatter(values: Parameters, place: Any) -> Any:
+    """Return the standard deviation at scaled covariates −1 … 1, relative to its geometric mean."""
+    # The Legendre polynomials P₁ and P₂ have zero mean over −1 … 1, so that log σ is the mean of log sd.
     return xp.exp(values[SLOPE] * place + values[CURVATURE] * (1.5 * place**2 - 0.5))
 
 
 @offered
-def _for_each_column(scale: Positive, frame: Frame) -> list[Noise]:
-    """Offer a law for each column or rate that varies; one more for a column of sizes, whose zero is no convention."""
+def _offer_heteroscedastic(scale: Positive, frame: Frame) -> list[Noise]:
+    """Offer a law for each varying column or rate, and a proportional one if the column's zero is not arbitrary."""
     reference, laws = frame.reference, list[Noise]()
     for column in (name.removesuffix("_low") for name in reference if name.endswith("_low")):
         low, high = (float(reference[f"{column}_{end}"]) for end in ("low", "high"))
-        sizes = column in frame.columns and column not in ("time", "elapsed")
-        sizes &= reference_name(column) not in reference  # no temperature
+        is_magnitude = column in frame.columns and column not in ("time", "elapsed")
+        is_magnitude &= reference_name(column) not in reference  # no temperature
         if high > low:
             laws.append(Heteroscedastic(column, scale))
-            if sizes and (low * high <= 0 or max(high / low, low / high) > MIN_SIZE_RATIO):
+            if is_magnitude and (low * high <= 0 or max(high / low, low / high) > MIN_SIZE_RATIO):
                 laws.append(Heteroscedastic(column, scale, proportional=True))
     return laws
 
@@ -211,36 +210,36 @@ class StudentT(Noise):
     def variance(self, parameters: Parameters, frame: Frame) -> Array:
         # Student-t of scale s and ν degrees of freedom has the variance s²·ν/(ν − 2).
         freedom = xp.maximum(parameters[FREEDOM], MIN_FREEDOM)
-        return own_variance(parameters, frame) * freedom / (freedom - 2)
+        return white_variance(parameters, frame) * freedom / (freedom - 2)
 
     def log_density(self, y: Array, mean: Array, parameters: Parameters, frame: Frame) -> Array:
-        freedom, squared = parameters[FREEDOM], own_variance(parameters, frame)
+        freedom, variance = parameters[FREEDOM], white_variance(parameters, frame)
         half, gammaln = 0.5 * (freedom + 1), special_of((freedom, mean)).gammaln
-        norm = gammaln(half) - gammaln(0.5 * freedom) - 0.5 * xp.log(xp.pi * freedom * squared)
-        return norm - half * xp.log1p((y - mean) ** 2 / (freedom * squared))
+        log_norm = gammaln(half) - gammaln(0.5 * freedom) - 0.5 * xp.log(xp.pi * freedom * variance)
+        return log_norm - half * xp.log1p((y - mean) ** 2 / (freedom * variance))
 
     def by_residual(self, residuals: Any, parameters: Parameters, frame: Frame) -> tuple[Any, Any]:
         freedom = parameters[FREEDOM]
-        scale, square = freedom * own_variance(parameters, frame), residuals**2
-        whole = scale + square
-        return (freedom + 1) * residuals / whole, (freedom + 1) * (scale - square) / whole**2
+        scale, squares = freedom * white_variance(parameters, frame), residuals**2
+        total = scale + squares
+        return (freedom + 1) * residuals / total, (freedom + 1) * (scale - squares) / total**2
 
     def normal_scores(self, residuals: Array, parameters: Parameters, frame: Frame) -> Array:
         # P(T < −t) = ½·I_{ν/(ν + t²)}(ν/2, ½)
         freedom = parameters[FREEDOM]
-        squares = residuals**2 / own_variance(parameters, frame)
+        squares = residuals**2 / white_variance(parameters, frame)
         special = special_of((freedom, squares))
         tail = 0.5 * special.betainc(0.5 * freedom, 0.5, freedom / (freedom + squares))
-        # Φ⁻¹ of the smaller tail keeps its digits far out, where one minus it would be one.
+        # Φ⁻¹ of the smaller tail probability avoids the cancellation of 1 − p far in the tail.
         return -xp.sign(residuals) * special.ndtri(xp.maximum(tail, MIN_PROBABILITY))
 
     def sample(self, key: Array, mean: Array, parameters: Parameters, frame: Frame) -> Array:
         draws = jax.random.t(key, parameters[FREEDOM], mean.shape)
-        return mean + jnp.sqrt(own_variance(parameters, frame)) * draws
+        return mean + jnp.sqrt(white_variance(parameters, frame)) * draws
 
 
 @offered
-def _heavy_tails(scale: Positive, frame: Frame) -> list[Noise]:
+def _offer_student_t(scale: Positive, frame: Frame) -> list[Noise]:
     return [StudentT(scale)]
 
 
@@ -276,20 +275,19 @@ class Quantised(Noise):
     def variance(self, parameters: Parameters, frame: Frame) -> Array:
         # A rounding error is about uniform over a step, of variance step²/12 (B. Widrow and I. Kollár, Quantization
         # Noise, 2008).
-        return own_variance(parameters, frame) + self.step**2 / 12
+        return white_variance(parameters, frame) + self.step**2 / 12
 
     def log_density(self, y: Array, mean: Array, parameters: Parameters, frame: Frame) -> Array:
-        sd = xp.sqrt(own_variance(parameters, frame))
-        # On the side of the mean where both tails are small, so that the difference keeps its digits.
+        sd = xp.sqrt(white_variance(parameters, frame))
+        # Reflected to the lower tail, where the difference of two small probabilities does not cancel.
         centre, half = -xp.abs(y - mean) / sd, 0.5 * self.step / sd
         tail = special_of((centre, half)).log_ndtr
         upper, lower = tail(centre + half), tail(centre - half)
-        # log(Φ(u) − Φ(l)) = log Φ(u) + log(1 − exp(log Φ(l) − log Φ(u))), and over the step: a density, per output
-        # unit.
-        inside = xp.log(-xp.expm1(xp.minimum(lower - upper, -1e-300)))
-        return upper + inside - math.log(self.step)
+        # log(Φ(u) − Φ(l)) = log Φ(u) + log(1 − exp(log Φ(l) − log Φ(u))); divided by the step it is a density.
+        log_probability = xp.log(-xp.expm1(xp.minimum(lower - upper, -1e-300)))
+        return upper + log_probability - math.log(self.step)
 
     def sample(self, key: Array, mean: Array, parameters: Parameters, frame: Frame) -> Array:
-        sd = jnp.sqrt(own_variance(parameters, frame))
+        sd = jnp.sqrt(white_variance(parameters, frame))
         exact = mean + sd * jax.random.normal(key, mean.shape)
         return jnp.round(exact / self.step) * self.step

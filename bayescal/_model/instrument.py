@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 
 from jaxtyping import Float
 
-import bayescal._model.independent_noise  # the laws that there are: a search weighs them, files name them
+import bayescal._model.independent_noise  # registers the built-in noise laws
 import bayescal._model.summed_noise  # noqa: F401
 from bayescal._core.errors import InputError, ModelError
 from bayescal._core.lazy_jax import Array
@@ -80,18 +80,16 @@ class Instrument:
         noise_laws: further laws that a search weighs, beside those that are offered for any record.
         nominal_scale: how raw outputs (V, Hz) become input units.
         structures: further models to compare, by name, and what makes each.
-        simulator: `simulator(effects, seed=…, **options)` gives the columns of a simulated campaign, by name; one
-            that is not the instrument's own carries its unit as a file's header does, `humidity [%]`. `simulate`
-            makes readings of them.
+        simulator: `simulator(effects, seed=…, **options)` gives the columns of a simulated campaign, by name; a column
+            that the instrument does not declare carries its unit, `humidity [%]`. `simulate` makes readings of them.
         experiments: feasible changes of the campaign, in words, and the columns that each would record:
             `next_experiment` ranks them.
         vector: of an instrument of three axes: its three outputs and their equation. Its files hold these, `output` is
             made of them, and `response` is `vector.response`.
         use: which quantity the calibrated instrument measures; None where no single reading tells it.
         source: document that the equations come from.
-        tailor: of an instrument whose output may be anything: `tailor(readings, **settings)` gives the
-            instrument in the unit of these readings, with plausible sizes to match; settings that are given
-            are not taken from the readings, which are None where all are given.
+        tailor: for an instrument of any output unit: `tailor(readings, **settings)` gives the instrument in the unit of
+            these readings, with plausible sizes estimated from them unless given as settings.
         settings: what a tailored instrument was made with, by name; saved with its calibrations.
     """
 
@@ -140,23 +138,23 @@ class Instrument:
             self.column(self.use.stimulus)
 
     def __reduce_ex__(self, protocol: Any) -> Any:
-        """Return the pickled form: where its module holds it, and the fields that differ from that."""
+        """Reduce to the module and name of the instrument's definition, and the fields that differ from it."""
         module = self.response.__module__
-        home = sys.modules.get(module)
-        for name, value in vars(home).items() if home else ():
+        owner = sys.modules.get(module)
+        for name, value in vars(owner).items() if owner else ():
             if isinstance(value, Instrument) and value.name == self.name:
                 if self.settings and value.tailor is not None:
-                    return _unpickled, (module, name, None, dict(self.settings))
-                mine, its = vars(self), vars(value)
-                differing = {f: mine[f] for f in mine if mine[f] is not its[f]}
-                return _unpickled, (module, name, differing, {})
+                    return _unpickle, (module, name, None, dict(self.settings))
+                fields, defaults = vars(self), vars(value)
+                differing = {f: fields[f] for f in fields if fields[f] is not defaults[f]}
+                return _unpickle, (module, name, differing, {})
         return object.__reduce_ex__(self, protocol)
 
     def __repr__(self) -> str:
         return f"<Instrument: {self.name}, {self.title}>"
 
     def for_readings(self, readings: Measurements) -> Instrument:
-        """Tailor the instrument to readings, where it has to be; else return the same."""
+        """Tailor the instrument to readings if it has a `tailor`; otherwise return it unchanged."""
         return self if self.tailor is None else self.tailor(readings)
 
     def simulate(
@@ -228,7 +226,7 @@ class Instrument:
 
     @property
     def known(self) -> dict[str, Effect]:
-        """Return its own effects by name, forms after the effect that they are forms of."""
+        """Return the instrument's effects by name, each followed by its forms."""
         return {e.name: e for e in with_forms((*self.effects, *self.candidates, *self.nuisances))}
 
     def effect(self, name: str, more: Mapping[str, Effect] = MappingProxyType({})) -> Effect:
@@ -253,7 +251,7 @@ class Instrument:
         )
 
     def shown_by(self, frame: Frame, more: Iterable[Effect] = ()) -> tuple[Effect, ...]:
-        """Return the effects of the instrument, and of `more`, whose columns these readings have."""
+        """Return the effects of the instrument and of `more` whose columns are all present in these readings."""
         effects = {**self.known, **{e.name: e for e in more}}
         labels = (label.split("=")[0] for label in frame.labels)
         available = {*frame.columns, *frame.codes, *labels, "temperature_point"}
@@ -271,19 +269,19 @@ class Instrument:
         Raises:
             ModelError: no slot has the output's unit.
         """
-        slot = next((s for s in self.slots if s.unit == self.unit != ANY), None)
-        if slot is None:
+        output_slot = next((s for s in self.slots if s.unit == self.unit != ANY), None)
+        if output_slot is None:
             raise ModelError(
                 f"instrument {self.name!r} has no slot in the unit of its output, [{self.unit}]: an unknown "
                 "dependence has nothing to add to"
             )
-        return placeholder(covariate, slot.name, slot.unit)
+        return placeholder(covariate, output_slot.name, output_slot.unit)
 
 
-def _unpickled(
+def _unpickle(
     module: str, name: str, differing: dict[str, Any] | None, settings: dict[str, Any]
 ) -> Instrument:
-    """Restore a pickled instrument: that of a module, tailored again or with the fields that differed."""
+    """Restore a pickled instrument from its module's definition, tailored again or with changed fields."""
     instrument: Any = getattr(import_module(module), name)
     if settings:
         return instrument.tailor(None, **settings)
@@ -291,10 +289,9 @@ def _unpickled(
 
 
 def factor_of(instrument: Instrument, effect: Effect, coefficient: Coefficient) -> float:
-    """Return the factor that converts a coefficient times its basis column to the slot's unit.
+    """Return the factor that converts coefficient × basis column to the slot's unit.
 
-    The coefficient is in its reported unit; the basis is made of columns in the units that the instrument declares, and
-    in base units of columns that it does not.
+    The coefficient is in its reported unit; basis inputs are in declared units, or base units if undeclared.
 
     Raises:
         ModelError: these units do not agree.
@@ -302,14 +299,14 @@ def factor_of(instrument: Instrument, effect: Effect, coefficient: Coefficient) 
     declared = {c.name: str(c.unit) for c in instrument.columns if c.unit not in (None, ANY)}
     slot = instrument.slot(coefficient.slot or effect.slot)
     names = {*GROUPS, "temperature_point", "time", "elapsed", *(c.name for c in instrument.columns)}
-    named = {name: declared[name] for name in effect.columns if name in declared}
-    others = {unit for name, unit in declared.items() if name not in (*named, "output")}
-    units, undeclared = tuple(sorted({*named.values()})), not names.issuperset(effect.columns)
-    further = (*(s.unit for s in effect.shapes), *sorted(others))
+    used = {name: declared[name] for name in effect.columns if name in declared}
+    unused = {unit for name, unit in declared.items() if name not in (*used, "output")}
+    units, undeclared = tuple(sorted({*used.values()})), not names.issuperset(effect.columns)
+    other_units = (*(s.unit for s in effect.shapes), *sorted(unused))
     try:
-        return basis_factor(coefficient.unit, slot.unit, units, undeclared, further)
+        return basis_factor(coefficient.unit, slot.unit, units, undeclared, other_units)
     except InputError as error:
-        columns = ", ".join(f"{name} [{unit}]" for name, unit in named.items()) or "none"
+        columns = ", ".join(f"{name} [{unit}]" for name, unit in used.items()) or "none"
         raise ModelError(
             f"effect {effect.name!r}: {error}. Its columns: {columns}. A basis gets each column in the unit that the "
             "instrument declares, and coefficient × basis is in the unit of the slot: correct the unit of the "

@@ -17,7 +17,7 @@ from bayescal._data.measurements import Measurements
 from bayescal._data.unit_conversion import ANY, unit_label
 from bayescal._model.effect import READING, Coefficient, Effect
 from bayescal._model.formula import require_units
-from bayescal._model.frame import GROUPS, derived
+from bayescal._model.frame import GROUPS, list_covariates
 from bayescal._model.instrument import Instrument, factor_of
 from bayescal._model.noise_law import WHITE, Noise
 from bayescal._model.prior import Normal
@@ -47,10 +47,10 @@ class Model(Printed):
             for coefficient in effect.coefficients:
                 if self.instrument.slot(coefficient.slot or effect.slot).unit != ANY:
                     factor_of(self.instrument, effect, coefficient)
-                _require_group(self.instrument, effect, coefficient.per)
+                _require_known_group(self.instrument, effect, coefficient.per)
 
     def _parts(self) -> list[str | ResultTable]:
-        head = ["effect", "coefficient", "plausible size", "equation"]
+        header = ["effect", "coefficient", "plausible size", "equation"]
         rows = []
         for effect in self.effects:
             first = effect.coefficients[0]
@@ -60,14 +60,14 @@ class Model(Printed):
             rows.append([effect.name, per, size.rstrip(), effect.equation])
         fixed = [f"{name} = {value:g}" for name, value in self.fixed]
         lines = [f"{self.instrument.name}, noise {self.noise.in_words}"]
-        table = [plain_table(head, rows, left=2, fold=30)] if rows else []
+        table = [plain_table(header, rows, left=2, fold=30)] if rows else []
         return [*lines, *table, *([f"fixed: {', '.join(fixed)}"] if fixed else [])]
 
     def _brief(self) -> str:
-        return in_short(self)
+        return format_model(self)
 
     def _columns(self) -> dict[str, list[Any]]:
-        """Return a table with a row for each coefficient; its prior's size in its unit."""
+        """Return the columns of a table with one row per coefficient; plausible size in the coefficient's unit."""
         rows = [(e, i, c) for e in self.effects for i, c in enumerate(e.coefficients)]
         return {
             "coefficient": [e.coefficient_name(i) for e, i, _ in rows],
@@ -81,7 +81,7 @@ class Model(Printed):
 
     @property
     def groups(self) -> tuple[str, ...]:
-        """Return the groups whose members have a coefficient each; "reading" is none."""
+        """Return the groups that have one coefficient per member, except "reading"."""
         named = (c.per for effect in self.effects for c in effect.coefficients if c.per)
         return tuple(dict.fromkeys(per for per in named if per != READING))
 
@@ -91,7 +91,7 @@ class Model(Printed):
 
     @property
     def columns(self) -> frozenset[str]:
-        """Return the columns of the readings that its effects depend on."""
+        """Return the columns of the readings that the effects depend on."""
         return frozenset(n for e in self.effects for n in (*e.columns, *e.varies))
 
     def __add__(self, other: Effect | str | Iterable[Effect | str]) -> Model:
@@ -119,15 +119,15 @@ class Model(Printed):
         Raises:
             ModelError: it is not in the model.
         """
-        gone = self.effect(other if isinstance(other, str) else other.name)
-        effects = tuple(e for e in self.effects if e.name != gone.name)
-        fixed = tuple((n, v) for n, v in self.fixed if n not in gone.unknown_names)
+        removed = self.effect(other if isinstance(other, str) else other.name)
+        effects = tuple(e for e in self.effects if e.name != removed.name)
+        fixed = tuple((n, v) for n, v in self.fixed if n not in removed.unknown_names)
         return replace(self, effects=effects, fixed=fixed)
 
     def with_nuisances(self, readings: Measurements) -> Model:
-        """Add those nuisances of its instrument that these readings can test."""
+        """Add the instrument's nuisance effects that these readings can test."""
         absent = (e for e in self.instrument.nuisances if e.name not in self.names)
-        return self + [e for e in absent if testable(e, readings) is None]
+        return self + [e for e in absent if why_untestable(e, readings) is None]
 
     def effect(self, name: str) -> Effect:
         for effect in self.effects:
@@ -181,10 +181,10 @@ class Model(Printed):
             stated = "; its own is taken from the readings, or flat" * (size > 0)
             raise ModelError(f"{name!r} cannot be given the plausible size {size}{stated}")
         # rounded, so that a saved size makes the same priors again
-        sized = (
-            _of_size(c, float(f"{c.size / first.size:.12g}") * size) for c in effect.coefficients
+        coefficients = (
+            _resize(c, float(f"{c.size / first.size:.12g}") * size) for c in effect.coefficients
         )
-        resized = replace(effect, coefficients=tuple(sized))
+        resized = replace(effect, coefficients=tuple(coefficients))
         return replace(self, effects=tuple(resized if e is effect else e for e in self.effects))
 
     @property
@@ -245,23 +245,23 @@ class Model(Printed):
                 f"{self.noise.name} noise does not fit {readings.file}: {why}. Give the step in [{model_unit}], or use "
                 "White() noise"
             )
-        followed = derived(readings, with_no_causes=True) if self.noise.covariates else {}
+        covariates = list_covariates(readings, with_no_causes=True) if self.noise.covariates else {}
         for name in self.noise.covariates:
-            if name not in followed:
+            if name not in covariates:
                 raise ModelError(
                     f"{self.noise.name} noise follows {name!r}, which is none of what varies in {readings.file}: "
-                    f"{', '.join(followed)}. Name one of these (elapsed needs several runs)"
+                    f"{', '.join(covariates)}. Name one of these (elapsed needs several runs)"
                 )
-        stated = readings.has(UNCERTAINTY) and np.all(readings[UNCERTAINTY] > 0)
-        if self.noise_as_stated and not stated:
+        is_stated = readings.has(UNCERTAINTY) and np.all(readings[UNCERTAINTY] > 0)
+        if self.noise_as_stated and not is_stated:
             raise ModelError(
                 f"With {WHITE} fixed to 0 each reading needs a known uncertainty, a positive number in the column "
                 f"{UNCERTAINTY!r}, which {readings.file} lacks: record it, or let {WHITE} be estimated"
             )
 
 
-def in_short(model: Model) -> str:
-    """Format a model in one line: its instrument, effects and noise law."""
+def format_model(model: Model) -> str:
+    """Format a model as one line: instrument, effects, noise law."""
     fixed = f", {len(model.fixed)} fixed" if model.fixed else ""
     names = " + ".join(model.names) or "no effect"
     return f"{model.instrument.name}: {names}; noise {model.noise.law}{fixed}"
@@ -272,10 +272,10 @@ def baseline(self: Instrument) -> Model:
     return Model(self, self.effects, self.noise)
 
 
-Instrument.baseline = baseline  # a model has an instrument, which therefore cannot import models
+Instrument.baseline = baseline  # attached here: `instrument` cannot import `model`
 
 
-def _require_group(instrument: Instrument, effect: Effect, group: str | None) -> None:
+def _require_known_group(instrument: Instrument, effect: Effect, group: str | None) -> None:
     """Raise ModelError for a coefficient per member of a group that the instrument does not have."""
     if group is None or group in instrument.groups:
         return
@@ -286,21 +286,21 @@ def _require_group(instrument: Instrument, effect: Effect, group: str | None) ->
     )
 
 
-def _of_size(c: Coefficient, size: float) -> Coefficient:
+def _resize(c: Coefficient, size: float) -> Coefficient:
     if c.group_sd is not None:
         return replace(c, group_sd=replace(c.group_sd, scale=size))
     return replace(c, prior=Normal(c.mean, size)) if isinstance(c.prior, Normal) else c
 
 
-def testable(effect: Effect, readings: Measurements) -> str | None:
-    """Return None if these readings can test the effect, else why not, for a person to read."""
+def why_untestable(effect: Effect, readings: Measurements) -> str | None:
+    """Return the reason why these readings cannot test the effect, as a message; None if they can."""
     if missing := [c for c in effect.columns if not readings.has(c)]:
         return f"needs the column {', '.join(missing)}"
     for column in effect.varies:
         values = readings[column]
         if (values == values[0]).all():
             return f"needs {column} to vary; it is {values[0]:g} throughout"
-    # One member tells no spread; of an effect that is more than deviations it is one coefficient with a size.
+    # One member gives no standard deviation between members; an effect with other coefficients can still be fitted.
     deviations = all(c.group_sd is not None for c in effect.coefficients)
     for coefficient in effect.coefficients:
         own_group = coefficient.per not in (None, READING, *GROUPS)

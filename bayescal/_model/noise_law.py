@@ -1,12 +1,12 @@
-"""Interface of noise laws: the distribution of readings about the expected output. Each law is a class.
+"""Interface of noise models ("noise laws"): the distribution of readings about the expected output, one class each.
 
-A law defines its parameters with their priors and units, and in JAX, differentiable by all of them: the variance of
-each reading, its log density, draws of readings and, where it is Gaussian given its parameters, the whitening that
-makes readings independent and of unit variance (`whiten`). No code outside depends on the class of a law, so that a
-law of one's own takes part in fits, searches, files and batches like any other.
+A noise law defines its parameters with priors and units and, in JAX, differentiable by all parameters: the variance of
+each reading, its log density, draws of readings and, if Gaussian given its parameters, the whitening L⁻¹ of residuals
+to independent unit variance (`whiten`). Other code uses this interface alone, so that a user's own law takes part in
+fits, searches, files and batches.
 
-A law that is not Gaussian (Student-t, rounding) offers its density alone; slopes and curvatures by the expected output
-are taken by automatic differentiation, and a Gaussian stands for it about the mode of the coefficients (Laplace).
+A law that is not Gaussian (Student-t, rounding) defines its density alone; its first and second derivatives by the
+expected output come from automatic differentiation, for a Laplace approximation about the mode of the coefficients.
 """
 
 from __future__ import annotations
@@ -30,28 +30,27 @@ from bayescal._model.prior import KINDS, Positive
 from bayescal._model.static import static
 
 Parameters = Mapping[str, Any]  # values by name, in their units
-WHITE = "noise.white"  # of each reading by itself, in the unit of the output
+WHITE = "noise.white"  # standard deviation of the white noise, output unit
 LOG_2PI = math.log(2 * math.pi)
 
 
 @static
 @dataclass_transform(frozen_default=True)
 class Noise(abc.ABC):
-    """A noise law. A law of one's own is a subclass of this class, not of a law that is there.
+    """Base class of noise models; derive a new law from this class, not from another law.
 
-    A law that takes readings as correlated gets them in the order of time within runs (`in_time`), as the frame that is
-    handed to it has them: `frame.step` is the time since the reading before, −1 at a run's first.
+    A law with correlated readings gets them sorted by time within runs: `frame.step` is the time since the previous
+    reading, −1 at the first of a run.
 
     Attributes:
-        law: its name in files and on the command line.
-        gaussian: whether coefficients can be integrated out in closed form, by `whiten`; else it has a `log_density` of
-            its own.
-        independent: whether one reading's noise says nothing of another's; else it has a `whiten` and a `sample` of
-            its own.
-        words: the law as a person reads it, where that is not its name.
-        looks_like: what is left of readings under it, as a report says it.
-        first: whether a search begins with it, and weighs the others against it.
-        refines: the name of a law that it is a finer form of: a search weighs it where that one is probable.
+        law: name in files and on the command line.
+        gaussian: whether coefficients can be integrated out in closed form, by `whiten`; otherwise the class defines
+            `log_density`.
+        independent: whether the noise of readings is independent; otherwise the class defines `whiten` and `sample`.
+        words: name in printed text, if not `law`.
+        looks_like: description of the residuals under this law, for reports.
+        first: whether a search begins with this law and compares all others with it.
+        refines: name of the law that it generalises: a search evaluates it only where that law is probable.
 
     Raises:
         TypeError: a class derived from it lacks what it must have, or is named as another law is.
@@ -64,80 +63,80 @@ class Noise(abc.ABC):
     words: ClassVar[str] = ""
     looks_like: ClassVar[str] = ""
     refines: ClassVar[str] = ""
-    several_states: ClassVar[bool] = False  # whether its Kalman filter has several states
-    stationary: ClassVar[bool] = False  # a function of frequency on readings of even steps
+    several_states: ClassVar[bool] = False  # whether the Kalman filter has more than one state
+    stationary: ClassVar[bool] = False  # has a power spectrum on evenly spaced readings
 
-    # By its class's name, which a saved calibration keeps.
+    # Class name, as saved in calibration files → class.
     known: ClassVar[dict[str, type[Noise]]] = {}
 
     def __init_subclass__(cls, interface: bool = False, **options: Any) -> None:
         super().__init_subclass__(**options)
-        if interface:  # what several laws share, and none itself
+        if interface:  # an abstract base of several laws
             return
-        _refuse_unfit(cls)
+        _check_noise_class(cls)
         Noise.known[cls.__name__] = cls
         static(cls)
 
     @classmethod
     def usual(cls) -> Noise:
-        """Return the law that a search begins with."""
+        """Return the default noise law, with which a search begins."""
         return next(kind() for kind in Noise.known.values() if kind.first)
 
     @classmethod
     def correlates(cls, name: str) -> bool:
-        """Return whether law of a name takes readings as correlated; a name begins with its law, as in law(column)."""
+        """Return whether the law named `law` or `law(column)` has correlated readings."""
         law = name.partition("(")[0]
         return any(k.law == law and not k.independent for k in Noise.known.values())
 
-    # what it is called, and what it needs -----------------------------------------------------------------------
+    # names, parameters and required columns ---------------------------------------------------------------------
 
     @property
     def needs(self) -> tuple[str, ...]:
-        """Return the columns that it depends on."""
+        """Return the columns of the readings that the law depends on."""
         return () if self.independent else ("time",)
 
     @property
     def covariates(self) -> tuple[str, ...]:
-        """Return its covariates: numeric columns, "elapsed", or rates such as "temperature rate"."""
+        """Return the covariates of the law: numeric columns, "elapsed", or rates such as "temperature rate"."""
         return ()
 
     @property
     def name(self) -> str:
-        """Return the name of the law, with the column that it follows."""
+        """Return the name of the law, with its covariate."""
         return self.law
 
     @property
     def in_words(self) -> str:
-        """Return the law in words, to stand after "noise:"."""
+        """Return the description of the law, to be printed after "noise:"."""
         return self.words or self.law
 
     @abc.abstractmethod
     def parameters(self) -> dict[str, Any]:
-        """Return the names and priors of its unknowns."""
+        """Return parameter name → prior."""
 
     @property
     def amplitudes(self) -> tuple[str, ...]:
-        """Return the parameters that scale the covariance by c² where all of them are scaled by c."""
+        """Return the amplitude parameters: if all are multiplied by c, the covariance is multiplied by c²."""
         return ()
 
     def unit(self, name: str, output: str) -> str:
-        """Return the unit of one of its parameters, where the output is in `output`; by default that of the output."""
+        """Return the unit of a parameter if the output has the unit `output`; by default that unit."""
         return output
 
     @property
     def plain(self) -> Noise:
-        """Return the law with its default priors: laws of one `plain` share compiled programs."""
-        return _with_usual_priors(self)
+        """Return the law with default priors; laws with equal `plain` share compiled programs."""
+        return _replace_priors_by_defaults(self)
 
     def why_not(self, output: Float[np.ndarray, "n"]) -> str:
-        """Return why readings cannot scatter so, in words; empty where they can."""
+        """Return the reason why the output contradicts the law, as a message; empty if it does not."""
         return ""
 
     def derived(self, values: Parameters) -> dict[str, Any]:
-        """Return further quantities derived from its parameters, by name, output unit."""
+        """Return quantities derived from the parameters, by name, output unit."""
         return {}
 
-    # what it computes, in JAX -----------------------------------------------------------------------------------
+    # computations in JAX ----------------------------------------------------------------------------------------
 
     @abc.abstractmethod
     def variance(self, parameters: Parameters, frame: Frame) -> Float[Array, "*n"]:
@@ -146,13 +145,13 @@ class Noise(abc.ABC):
     def log_density(
         self, y: Float[Array, "n"], mean: Float[Array, "n"], parameters: Parameters, frame: Frame
     ) -> Float[Array, "n"]:
-        """Return the log density of each reading; given those before it in its run, where they are not independent."""
-        return _by_whitening(self, y - mean, 0.0, parameters, frame)
+        """Return the log density of each reading (n,), given the earlier ones of its run if not independent."""
+        return _log_density_by_whitening(self, y - mean, 0.0, parameters, frame)
 
     def by_residual(
         self, residuals: Float[np.ndarray, "*b n"], parameters: Parameters, frame: Frame
     ) -> tuple[Any, Any] | None:
-        """Return −∂/∂r and −∂²/∂r² of the log density of independent readings at residuals r; None: by differences."""
+        """Return −∂/∂r and −∂²/∂r² of the log density of independent readings at residuals r; None: not implemented."""
         return None
 
     def sample(
@@ -163,22 +162,22 @@ class Noise(abc.ABC):
         return mean + sd * jax.random.normal(key, mean.shape)
 
     def even(self, frame: Frame) -> bool:
-        """Return whether readings are independent and share one variance: products over them are then needed once."""
+        """Return whether readings are independent with one common variance (homoscedastic)."""
         return False
 
     def shared_variance(self, values: Parameters) -> Any:
-        """Return the one variance of all readings where they are `even`, output unit squared."""
+        """Return the common variance of all readings if `even`, output unit squared."""
         raise NotImplementedError(f"readings under {self.name} noise share no variance")
 
     def variance_place(self, frame: Frame) -> Float[np.ndarray, "n"] | None:
-        """Return the place of each reading that its variance is a smooth function of; None where it is of none.
+        """Return the coordinate of each reading whose smooth function `variance_along` is its variance; None: no such.
 
-        Only of independent Gaussian noise: `variance_along` is that function.
+        For independent Gaussian noise only.
         """
         return None
 
     def variance_along(self, values: Parameters, place: Float[np.ndarray, "j"]) -> Any:
-        """Return the variance at some places, output unit squared; values are (s, 1)."""
+        """Return the variance at coordinates `place` (s, j), output unit squared; parameter values are (s, 1)."""
         raise NotImplementedError(f"the variance of {self.name} noise follows no place")
 
     def whiten(
@@ -188,7 +187,7 @@ class Noise(abc.ABC):
         parameters: Parameters,
         frame: Frame,
     ) -> tuple[Float[Array, "n m"], Float[Array, "n"]]:
-        """Return L⁻¹ times columns, and log Lᵢᵢ, where L·Lᵀ = Σ + diag(extra); row i belongs to reading i."""
+        """Return L⁻¹·columns and log Lᵢᵢ, with the Cholesky factor L·Lᵀ = Σ + diag(extra); row i is reading i."""
         variance = self.variance(parameters, frame) + extra
         sd = jnp.sqrt(jnp.broadcast_to(variance, (frame.size,)))
         return columns / sd[:, None], jnp.log(sd)
@@ -196,23 +195,23 @@ class Noise(abc.ABC):
     def normal_scores(
         self, residuals: Float[Array, "n"], parameters: Parameters, frame: Frame
     ) -> Float[Array, "n"]:
-        """Return the residuals as independent standard normal scores, if the law is right."""
+        """Transform residuals to scores that are independent standard normal under this law."""
         return self.whiten(residuals[:, None], 0.0, parameters, frame)[0][:, 0]
 
     def followed(self, frame: Frame) -> Float[Array, "n"] | None:
-        """Return the column that its correlated part follows, −1 to 1 over the readings of the fit; None for none."""
+        """Return the covariate of the correlated part, scaled to −1 … 1 over the readings of the fit; None if none."""
         return None
 
     def starts(self, frame: Frame, residuals: Float[np.ndarray, "n"]) -> list[dict[str, float]]:
-        """Return starting values of parameters for the residuals of a model; those not named may be anything.
+        """Return starting points of an optimisation of the parameters; parameters that are absent are free to choose.
 
         Args:
-            frame: of the readings, in the order that the law takes them in.
-            residuals: of them, in this order.
+            frame: the readings, sorted by time if the law is correlated.
+            residuals: of the same readings, output unit.
         """
         return [{}]
 
-    # properties over a record -----------------------------------------------------------------------------------
+    # time series ------------------------------------------------------------------------------------------------
 
     def allan_variance(
         self, values: Parameters, variance: Any, factors: Float[np.ndarray, "k"], step: float
@@ -220,15 +219,15 @@ class Noise(abc.ABC):
         """Return the Allan variance of evenly spaced readings, output unit squared; σ²/m where they are independent.
 
         Args:
-            values: its parameters; numbers, or (draws,).
-            variance: of a reading about the expected output, all parts included.
-            factors: readings averaged, m.
-            step: between readings, s.
+            values: parameters, numbers or (draws,).
+            variance: total variance of a reading about the expected output.
+            factors: numbers of readings averaged, m.
+            step: sampling interval, s.
         """
         return np.asarray(variance)[..., None] / factors
 
     def slow_variance(self, values: Parameters) -> Any:
-        """Return the part of a reading's variance that it shares with its neighbours, output unit squared."""
+        """Return the variance of the correlated part of the noise, output unit squared."""
         return 0.0
 
     def lasting_deviation(self, values: Parameters) -> float:
@@ -244,20 +243,20 @@ class Noise(abc.ABC):
         at: Float[np.ndarray, "m"],
         along: tuple[np.ndarray, np.ndarray] | None = None,
     ) -> tuple[Float[np.ndarray, "m b"], Float[np.ndarray, "m"]]:
-        """Return mean and variance of the correlated part at some times of a run, given the residuals of its readings.
+        """Return the smoothed mean and variance of the correlated noise at times of a run, given its residuals.
 
         Args:
-            values: its parameters.
+            values: parameters.
             time: of the readings, s.
-            residuals: output unit; a column for each set of coefficients. The mean is linear in it.
-            white: variance of each reading's white noise.
+            residuals: output unit, one column per set of coefficients; the mean is linear in them.
+            white: variance of each reading's white noise, output unit squared.
             at: times of the result, s.
-            along: the column that it follows, at the readings and at those times.
+            along: covariate of the correlated part, at the readings and at times `at`.
         """
         return np.zeros((len(at), residuals.shape[1])), np.zeros(len(at))
 
 
-def log_density_beside(
+def log_density_with_extra(
     law: Noise,
     y: Float[Array, "n"],
     mean: Float[Array, "n"],
@@ -265,50 +264,50 @@ def log_density_beside(
     parameters: Parameters,
     frame: Frame,
 ) -> Float[Array, "n"]:
-    """Return `law.log_density` with a further Gaussian part of variance `extra`; None: without.
+    """Return the log density of each reading with additional Gaussian variance `extra`; None: without.
 
-    A law that is not Gaussian takes that part as it takes a known uncertainty of each reading.
+    If the law is not Gaussian, `extra` is added to each reading's known variance.
     """
     if law.gaussian and extra is not None:
-        return _by_whitening(law, y - mean, extra, parameters, frame)
-    return law.log_density(y, mean, parameters, widened(frame, extra))
+        return _log_density_by_whitening(law, y - mean, extra, parameters, frame)
+    return law.log_density(y, mean, parameters, add_variance(frame, extra))
 
 
-def _by_whitening(
+def _log_density_by_whitening(
     law: Noise, residuals: Float[Array, "n"], extra: Any, parameters: Parameters, frame: Frame
 ) -> Float[Array, "n"]:
-    # The Cholesky factor takes readings in turn: zₜ is the innovation of one, Lₜₜ its standard deviation given those
-    # before, and so each term is the log density of one reading given those before it.
+    # zₜ·Lₜₜ is the innovation of reading t and Lₜₜ its standard deviation given all earlier readings, so that each term
+    # is a conditional log density.
     white, log_sd = law.whiten(residuals[:, None], extra, parameters, frame)
     return -0.5 * white[:, 0] ** 2 - log_sd - 0.5 * LOG_2PI
 
 
-def widened(frame: Frame, extra: Float[Array, "n"] | None) -> Frame:
-    """Add a variance to each reading's known uncertainty; None: none."""
+def add_variance(frame: Frame, extra: Float[Array, "n"] | None) -> Frame:
+    """Add a variance to each reading's known uncertainty in a frame; None: return it unchanged."""
     if extra is None:
         return frame
     variance = frame.columns[UNCERTAINTY] ** 2 if UNCERTAINTY in frame.columns else 0.0
     return replace(frame, columns={**frame.columns, UNCERTAINTY: xp.sqrt(variance + extra)})
 
 
-def in_time(
+def sort_by_time(
     law: Noise, frame: Frame, *arrays: Float[Array, "n ..."]
 ) -> tuple[Frame, *tuple[Array, ...]]:
-    """Return a frame and arrays of its readings as a law takes them: in the order of time for correlated noise."""
+    """Sort a frame and arrays of its readings by time within runs if the law is correlated."""
     if law.independent:
         return frame, *arrays
     return frame.in_time(), *(a[frame.order] for a in arrays)
 
 
 @cache
-def _with_usual_priors(law: Noise) -> Noise:
-    # Programs are compiled for a law as a value: priors, which they do not use, would compile each one anew.
-    usual = {f.name: f.default for f in fields(law) if isinstance(getattr(law, f.name), KINDS)}
-    return replace(law, **{n: prior for n, prior in usual.items() if prior is not MISSING})
+def _replace_priors_by_defaults(law: Noise) -> Noise:
+    # A program is compiled per law; it does not use priors, which would otherwise cause needless compilations.
+    defaults = {f.name: f.default for f in fields(law) if isinstance(getattr(law, f.name), KINDS)}
+    return replace(law, **{n: prior for n, prior in defaults.items() if prior is not MISSING})
 
 
-def _refuse_unfit(kind: type[Noise]) -> None:
-    """Raise TypeError for a class without its own required methods, or with the name of another law."""
+def _check_noise_class(kind: type[Noise]) -> None:
+    """Raise TypeError if a law lacks required attributes or methods, or has the name of a built-in law."""
     name = kind.__name__
     for base in kind.__mro__[1:]:
         if "law" in vars(base):
@@ -349,7 +348,7 @@ def offered(offer: Offer) -> Offer:
     return offer
 
 
-def own_variance(parameters: Parameters, frame: Frame) -> Float[Array, "n"]:
-    """Return the variance of each reading's white part and its known uncertainty."""
+def white_variance(parameters: Parameters, frame: Frame) -> Float[Array, "n"]:
+    """Return the variance of each reading's white noise plus its known variance, output unit squared (n,)."""
     known_variance = frame.columns[UNCERTAINTY] ** 2 if UNCERTAINTY in frame.columns else 0.0
     return parameters[WHITE] ** 2 + known_variance + xp.zeros(frame.size)

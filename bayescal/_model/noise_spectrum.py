@@ -33,99 +33,99 @@ Lambda = Float[np.ndarray, "j"]
 class SpectralTerm(NamedTuple):
     """One term of a covariance, diag(symbol) − Σ± U·M±·Uᵀ in frequency."""
 
-    symbol: Any  # its diagonal (s, j), output unit squared
-    # functions of λ (s, j) each, q of them; times the transform of e± they are the columns of U
+    symbol: Any  # diagonal of the covariance in frequency (s, j), output unit squared
+    # q functions of λ (s, j): multiplied by the transform of e± they are the columns of U
     ends: tuple[Any, ...]
-    correction: Callable[[int, int], Any]  # of a run's length and a sign, +1 or −1, M (q, q, s)
+    correction: Callable[[int, int], Any]  # (run length, sign ±1) → M± (q, q, s)
 
 
 def eigenvalues(n: int, k: Float[np.ndarray, "j"]) -> Lambda:
-    """Return λ = 2 − 2·cos(πk/n) of a run of n readings at places k, of which 0 … n − 1 are its frequencies."""
+    """Return the eigenvalues λ = 2 − 2·cos(πk/n) of a path of n readings at (real) frequency indices k."""
     return 4 * np.sin(0.5 * np.pi * k / n) ** 2
 
 
 def end_transform(n: int, sign: int) -> Float[np.ndarray, "n"]:
     """Return the cosine transform of e₊ (sign 1) or e₋ (sign −1) of a run of n readings."""
     k = np.arange(n)
-    first = np.sqrt(2 / n) * np.cos(0.5 * np.pi * k / n)  # of e₁; of eₙ with the sign (−1)ᵏ
-    first[0] = math.sqrt(1 / n)
-    return np.where(k % 2 == (0 if sign == 1 else 1), math.sqrt(2) * first, 0.0)
+    of_first = np.sqrt(2 / n) * np.cos(0.5 * np.pi * k / n)  # of e₁; of eₙ with the sign (−1)ᵏ
+    of_first[0] = math.sqrt(1 / n)
+    return np.where(k % 2 == (0 if sign == 1 else 1), math.sqrt(2) * of_first, 0.0)
 
 
 def exponential(variance: Any, time: Any, step: float, lam: Lambda) -> SpectralTerm:
-    """Return an Ornstein–Uhlenbeck process of correlation exp(−Δt/time)."""
+    """Return the term of an Ornstein–Uhlenbeck process, of correlation exp(−Δt/time)."""
     x = -step / np.asarray(time)
     symbol = variance * _symbol(x, lam)
-    return SpectralTerm(symbol, (symbol,), lambda n, sign: _inner(variance, x, n, sign)[None, None])
+    return SpectralTerm(symbol, (symbol,), lambda n, sign: _end_m(variance, x, n, sign)[None, None])
 
 
 def tone(variance: Any, time: Any, frequency: Any, step: float, lam: Lambda) -> SpectralTerm:
-    """Return a narrow line of correlation exp(−Δt/time)·cos(2πf·Δt): the real part of a complex exponential."""
+    """Return the term of a narrow line, of correlation exp(−Δt/time)·cos(2πf·Δt), by a complex exponential."""
     x = -step / np.asarray(time) + 2j * math.pi * np.asarray(frequency) * step
     symbol = variance * _symbol(x, lam)
 
     def correction(n: int, sign: int) -> Any:
-        m = _inner(variance, x, n, sign)
+        m = _end_m(variance, x, n, sign)
         return np.array([[m.real, -m.imag], [-m.imag, -m.real]])
 
     return SpectralTerm(symbol.real, (symbol.real, symbol.imag), correction)
 
 
 def _symbol(x: Any, lam: Lambda) -> Any:
-    """Return ν(λ) of a unit variance with a = exp(x)."""
+    """Return the symbol ν(λ) of an exponential correlation of unit variance with a = exp(x)."""
     gap = -np.expm1(x)
     return gap * (2 - gap) / (gap**2 + (1 - gap) * lam)
 
 
-def _inner(variance: Any, x: Any, n: int, sign: int) -> Any:
+def _end_m(variance: Any, x: Any, n: int, sign: int) -> Any:
     """Return m± of an exponential correlation with a = exp(x), (s,)."""
     a = np.exp(x)
-    return np.reshape(1 / (variance * ((1 + a) / a + _end_of_exponential(x, n, sign)[0])), -1)
+    return np.reshape(1 / (variance * ((1 + a) / a + _end_variance(x, n, sign)[0])), -1)
 
 
 def matern(variance: Any, time: Any, step: float, lam: Lambda) -> SpectralTerm:
-    """Return Matérn's process of order 3/2 of correlation (1 + x)·exp(−x), x = √3·Δt/time.
+    """Return the term of a Matérn-3/2 process, of correlation (1 + x)·exp(−x), x = √3·Δt/time.
 
-    (1 + x)·e⁻ˣ is e⁻ˣ − ∂e⁻ˣ/∂log r, x = r·Δt: the exponential's formulas less their slopes by log r.
+    (1 + x)·e⁻ˣ = e⁻ˣ − ∂e⁻ˣ/∂log r with x = r·Δt: the exponential's formulas minus their derivatives by log r.
     """
     x = -math.sqrt(3) * step / time
     a, gap = np.exp(x), -np.expm1(x)
-    slope_of_a = x * a  # ∂a/∂log r, and of 1 − a with the other sign
-    top, slope_of_top = gap * (2 - gap), -2 * a * slope_of_a
-    low, slope_of_low = gap**2 + a * lam, (lam - 2 * gap) * slope_of_a
-    symbol = variance * top / low
-    slope = variance * (slope_of_top / low - top * slope_of_low / low**2)
+    da = x * a  # ∂a/∂log r, and of 1 − a with the other sign
+    num, dnum = gap * (2 - gap), -2 * a * da
+    den, dden = gap**2 + a * lam, (lam - 2 * gap) * da
+    symbol = variance * num / den
+    derivative = variance * (dnum / den - num * dden / den**2)
 
     def correction(n: int, sign: int) -> Any:
-        at_end, slope_at_end = _end_of_exponential(x, n, sign)
-        inverse = (1 + a) / a + at_end
+        end, dend = _end_variance(x, n, sign)
+        inverse = (1 + a) / a + end
         m = 1 / (variance * inverse)
-        slope_of_m = m * (slope_of_a / a**2 - slope_at_end) / inverse
-        flat = [np.reshape(entry, -1) for entry in (m - slope_of_m, -m)]
-        return np.array([[flat[0], flat[1]], [flat[1], np.zeros_like(flat[1])]])
+        dm = m * (da / a**2 - dend) / inverse
+        entries = [np.reshape(entry, -1) for entry in (m - dm, -m)]
+        return np.array([[entries[0], entries[1]], [entries[1], np.zeros_like(entries[1])]])
 
-    return SpectralTerm(symbol - slope, (symbol, slope), correction)
+    return SpectralTerm(symbol - derivative, (symbol, derivative), correction)
 
 
-def _end_of_exponential(x: Any, n: int, sign: int) -> tuple[Any, Any]:
-    """Return e±ᵀN e± of a unit variance with a = exp(x), in closed form by images, and its slope by log(−x)."""
+def _end_variance(x: Any, n: int, sign: int) -> tuple[Any, Any]:
+    """Return e±ᵀN e± for unit variance and a = exp(x), by the method of images, and its derivative by log(−x)."""
     a, far = np.exp(x), np.exp((n - 1) * x)
-    inside, whole = np.exp((2 * n - 1) * x), -np.expm1(2 * n * x)
-    top = (1 + a) * (1 + inside) + sign * far * (1 + a) ** 2
-    slope_of_top = x * (
-        a * (1 + inside)
-        + (1 + a) * (2 * n - 1) * inside
+    image, den = np.exp((2 * n - 1) * x), -np.expm1(2 * n * x)
+    num = (1 + a) * (1 + image) + sign * far * (1 + a) ** 2
+    dnum = x * (
+        a * (1 + image)
+        + (1 + a) * (2 * n - 1) * image
         + sign * far * ((n - 1) * (1 + a) ** 2 + 2 * (1 + a) * a)
     )
-    slope_of_whole = -2 * n * x * (1 - whole)
-    return top / whole, (slope_of_top - top * slope_of_whole / whole) / whole
+    dden = -2 * n * x * (1 - den)
+    return num / den, (dnum - num * dden / den) / den
 
 
-def errors(size: Any, passed: float, lam: Lambda) -> SpectralTerm:
-    """Return independent errors, passed on to the next reading: their differences (−1), or their sums (1).
+def shared_errors(sd: Any, passed: float, lam: Lambda) -> SpectralTerm:
+    """Return the term of independent errors that the next reading shares: differences (−1) or sums (1) of neighbours.
 
-    Differences are size²·(L + e₊e₊ᵀ + e₋e₋ᵀ), sums size²·(4·I − L − e₊e₊ᵀ − e₋e₋ᵀ).
+    The covariance of differences is size²·(L + e₊e₊ᵀ + e₋e₋ᵀ), of sums sd²·(4·I − L − e₊e₊ᵀ − e₋e₋ᵀ).
     """
-    square = np.asarray(size) ** 2
+    square = np.asarray(sd) ** 2
     symbol, ends = square * (4 - lam if passed > 0 else lam), passed * square.reshape(1, 1, -1)
     return SpectralTerm(symbol, (np.ones_like(lam),), lambda n, sign: ends)

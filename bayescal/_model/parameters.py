@@ -1,9 +1,9 @@
-"""Layout of a model's unknowns: in the Gaussian vector x, or in φ.
+"""Layout of a model's unknowns in two vectors: coefficients x, Gaussian given φ, and hyper-parameters φ.
 
-x holds the coefficients, in their reported units. φ holds what the model is not Gaussian in: noise, learned spreads,
-shapes, and coefficients *promoted* because their product with another unknown matters. Each entry of φ has a coordinate
-v on the whole line. A coefficient with one value per reading is no unknown but noise on an input: it stands at its
-mean, and widens the variance of its reading by the square of the slope.
+x holds the coefficients, in their reported units. φ holds noise parameters, standard deviations between group members,
+nonlinear parameters (shapes), and coefficients *promoted* to φ because they multiply another unknown. Each entry of φ
+has an unconstrained coordinate v. A coefficient with one value per reading is noise on an input (errors in variables):
+fixed at its mean, it adds (∂output/∂input)²·sd² to the variance of its reading.
 """
 
 from __future__ import annotations
@@ -20,16 +20,16 @@ from jaxtyping import Float
 from bayescal._core.errors import ModelError
 from bayescal._data.measurements import Measurements
 from bayescal._model.effect import READING, Coefficient, Effect
-from bayescal._model.frame import GROUPS, origins
+from bayescal._model.frame import GROUPS, origins_of
 from bayescal._model.instrument import factor_of
 from bayescal._model.model import Model
 from bayescal._model.prior import Flat, FlatLine, Normal, Positive, deviation
 from bayescal._model.static import static
 
-Place = Literal["x", "input", "phi", "fixed"]
+Place = Literal["x", "input", "phi", "fixed"]  # the vector that holds a coefficient, or none
 UnknownKind = Literal["coefficient", "noise", "group_sd", "shape", "promoted"]
-MOVING: tuple[UnknownKind, ...] = ("shape", "promoted")  # the output's Jacobian depends on them
-Levels = Mapping[str, Sequence[str]]  # the members of each group
+NONLINEAR: tuple[UnknownKind, ...] = ("shape", "promoted")  # the output's Jacobian depends on them
+Levels = Mapping[str, Sequence[str]]  # group → labels of its members
 NO_REFERENCE: Mapping[str, Any] = MappingProxyType({})
 
 
@@ -40,7 +40,7 @@ def member_name(name: str, member: object) -> str:
 
 @dataclass(frozen=True)
 class CoefficientBlock:
-    """One coefficient of the model, with all its group members."""
+    """One coefficient of the model with all its group members, and where it is stored."""
 
     effect: Effect
     index: int
@@ -51,11 +51,11 @@ class CoefficientBlock:
     place: Place
     start: int
     value: float
-    origin: float  # what its values are counted from in x and φ, in its unit
+    origin: float  # subtracted from its values in x and φ, in its unit
 
     @property
     def mean(self) -> float:
-        """Return the mean of its prior, counted from its origin."""
+        """Return the prior mean minus the origin."""
         return self.coefficient.mean - self.origin
 
     @property
@@ -64,7 +64,7 @@ class CoefficientBlock:
 
     @property
     def per(self) -> str | None:
-        """Return the group whose members have one each; None for one value, and for noise on an input."""
+        """Return the group with one coefficient per member; None for a single one, and for noise on an input."""
         return None if self.coefficient.per == READING else self.coefficient.per
 
     @property
@@ -73,17 +73,17 @@ class CoefficientBlock:
 
     @property
     def group_sd_name(self) -> str | None:
-        """Return the name of its learned standard deviation between members; None where there is none."""
-        learned = self.coefficient.group_sd is not None
-        return self.effect.group_sd_name(self.index) if learned else None
+        """Return the name of the learned standard deviation between members; None if it is not learned."""
+        is_learned = self.coefficient.group_sd is not None
+        return self.effect.group_sd_name(self.index) if is_learned else None
 
     @property
-    def at(self) -> slice:
-        """Return its entries of x."""
+    def x_slice(self) -> slice:
+        """Return the slice of the block's entries in x."""
         return slice(self.start, self.start + self.size)
 
     def member_names(self, levels: Levels | None = None) -> list[str]:
-        """Return the names of its entries, each after its member; by number, as in φ, where members have no names."""
+        """Return one name per group member, by its label; by its number without `levels`, as in φ."""
         per = self.coefficient.per
         if per is None:
             return [self.name]
@@ -95,26 +95,26 @@ class CoefficientBlock:
 class Unknown:
     """One scalar unknown."""
 
-    name: str  # its own, with its group member, such as "bias.run(3)"
-    key: str  # name that it shares with the other members of its group, "bias.run"
-    unit: str  # in which it is reported
-    effect: str  # name of its effect, or "noise"
-    # what it is; the amplitude and the length of an unknown function are spreads of its coefficients
+    name: str  # with its group member, such as "bias.run(3)"
+    key: str  # common to all members of its group, "bias.run"
+    unit: str  # of reported values
+    effect: str  # name of the effect, or "noise"
+    # an amplitude or length scale of a Gaussian process counts as "group_sd"
     kind: UnknownKind
-    prior: Positive | Normal | FlatLine | None = None  # of an entry of φ, in its coordinate
-    x: int | None = None  # index in x; None where it stands in φ
-    v: int | None = None  # index in φ; None where it stands in x
-    block: CoefficientBlock | None = None  # the coefficient, where it is one
+    prior: Positive | Normal | FlatLine | None = None  # of an entry of φ
+    x: int | None = None  # index in x; None if it is in φ
+    v: int | None = None  # index in φ; None if it is in x
+    block: CoefficientBlock | None = None  # None if it is no coefficient
     member: object = None  # label of its group member, or its number where members have no labels
 
     @property
     def group(self) -> str | None:
-        """Return the group of its member; None for one value."""
+        """Return the group; None if there is a single value."""
         return None if self.block is None else self.block.coefficient.per
 
     @property
     def held(self) -> bool:
-        """Return whether it is a number by definition."""
+        """Return whether the unknown is a constant by definition."""
         return self.block is not None and self.block.index in self.block.effect.held
 
     @property
@@ -123,8 +123,8 @@ class Unknown:
         if self.block is None:
             return deviation(self.prior)
         c = self.block.coefficient
-        learned = c.group_sd is not None or self.block.effect.weights is not None
-        return None if c.flat or learned else c.size
+        is_learned = c.group_sd is not None or self.block.effect.weights is not None
+        return None if c.flat or is_learned else c.size
 
 
 @static
@@ -134,12 +134,12 @@ class Layout:
     model: Model  # the model
     counts: tuple[tuple[str, int], ...]  # (group, number of members)
     promoted: tuple[str, ...] = ()  # names of coefficients that stand in φ
-    # (coefficient, what outputs are counted from in the frame, output unit): it takes that back
+    # (coefficient, origin subtracted from outputs in the frame, output unit): the coefficient includes it
     origin: tuple[tuple[str, float], ...] = ()
 
     @cached_property
     def blocks(self) -> tuple[CoefficientBlock, ...]:
-        counts, fixed, above = dict(self.counts), dict(self.model.fixed), dict(self.origin)
+        counts, fixed, origins = dict(self.counts), dict(self.model.fixed), dict(self.origin)
         blocks, start = [], 0
         for effect in self.model.effects:
             for index, coefficient in enumerate(effect.coefficients):
@@ -154,14 +154,14 @@ class Layout:
                     place = "phi"
                 size = 1 if coefficient.per in (None, READING) else counts[coefficient.per]
                 factor = factor_of(self.model.instrument, effect, coefficient)
-                origin = above.pop(name, 0.0) / factor
+                origin = origins.pop(name, 0.0) / factor
                 value = fixed.get(name, coefficient.mean) - origin
-                stands = (size, factor, place, start, value, origin)
-                blocks.append(CoefficientBlock(effect, index, name, slot.name, *stands))
+                fields = (size, factor, place, start, value, origin)
+                blocks.append(CoefficientBlock(effect, index, name, slot.name, *fields))
                 start += size if place == "x" else 0
-        if above:
+        if origins:
             raise ModelError(
-                f"outputs are counted from what {', '.join(above)} takes back, which is not in the model: "
+                f"outputs are counted from what {', '.join(origins)} takes back, which is not in the model: "
                 f"{', '.join(self.model.names)}"
             )
         return tuple(blocks)
@@ -170,14 +170,14 @@ class Layout:
     def x_blocks(self) -> tuple[CoefficientBlock, ...]:
         return tuple(b for b in self.blocks if b.place == "x")
 
-    def of_x(self, values: Sequence[float]) -> Float[np.ndarray, "p"]:
-        """Repeat one value for each block in x over the entries of x (p,)."""
+    def repeat_over_x(self, values: Sequence[float]) -> Float[np.ndarray, "p"]:
+        """Repeat one value per block over the block's entries of x (p,)."""
         return np.repeat(np.asarray(values, float), [b.size for b in self.x_blocks])
 
     @property
-    def origin_of_x(self) -> Float[np.ndarray, "p"]:
-        """Return the origins from which the entries of x are counted, in their units."""
-        return self.of_x([b.origin for b in self.x_blocks])
+    def x_origins(self) -> Float[np.ndarray, "p"]:
+        """Return the origin subtracted from each entry of x, in its unit (p,)."""
+        return self.repeat_over_x([b.origin for b in self.x_blocks])
 
     @property
     def size(self) -> int:
@@ -186,7 +186,7 @@ class Layout:
 
     @cached_property
     def hypers(self) -> tuple[Unknown, ...]:
-        """Return the entries of φ in order: noise, spreads, shapes, promoted coefficients."""
+        """Return the entries of φ in order: noise, group deviations, shapes, promoted coefficients."""
         unit, fixed = self.model.instrument.unit, dict(self.model.fixed)
         rows: list[tuple[str, str, Any, UnknownKind, str]] = []  # name, unit, prior, kind, effect
         for name, prior in self.model.noise.parameters().items():
@@ -215,36 +215,36 @@ class Layout:
         """Return the index in φ by name."""
         return {h.name: i for i, h in enumerate(self.hypers)}
 
-    def entries_in(self, other: Layout) -> tuple[list[int], list[int]]:
-        """Return the indices in x and in φ of the entries that another layout has too."""
+    def shared_indices(self, other: Layout) -> tuple[list[int], list[int]]:
+        """Return the indices in x and in φ of the unknowns that `other` has too."""
         shared = {b.name for b in other.x_blocks}
         shared_blocks = (b for b in self.x_blocks if b.name in shared)
         in_x = [i for b in shared_blocks for i in range(b.start, b.start + b.size)]
         return in_x, [i for name, i in self.index_in_phi.items() if name in other.index_in_phi]
 
-    def positions(self, *kinds: UnknownKind) -> list[int]:
-        """Return the indices in φ of the entries of these kinds."""
+    def phi_indices(self, *kinds: UnknownKind) -> list[int]:
+        """Return the indices in φ of all entries of the given kinds."""
         return [i for i, h in enumerate(self.hypers) if h.kind in kinds]
 
     @property
-    def moving(self) -> list[int]:
-        """Return the indices in φ of the entries that the expected output's Jacobian depends on."""
-        return self.positions(*MOVING)
+    def nonlinear_phi(self) -> list[int]:
+        """Return the indices in φ of the entries that the Jacobian of the expected output depends on."""
+        return self.phi_indices(*NONLINEAR)
 
     def promote(self, *names: str) -> Layout:
         return replace(self, promoted=(*self.promoted, *names))
 
     @property
-    def improper(self) -> bool:
-        """Return whether some prior is flat, so that the evidence is not defined."""
-        flat = any(b.coefficient.flat for b in self.blocks if b.place in ("x", "phi"))
-        return flat or any(isinstance(h.prior, (Flat, FlatLine)) for h in self.hypers)
+    def is_improper(self) -> bool:
+        """Return whether any prior is flat (improper): the evidence is then undefined."""
+        is_flat = any(b.flat for b in self.blocks if b.place in ("x", "phi"))
+        return is_flat or any(isinstance(h.prior, (Flat, FlatLine)) for h in self.hypers)
 
 
 def _promoted_prior(block: CoefficientBlock) -> Normal | FlatLine:
     c = block.coefficient
     if c.group_sd is not None:
-        return Normal(0.0, 1.0)  # in units of its learned spread
+        return Normal(0.0, 1.0)  # in units of the learned standard deviation
     return FlatLine(c.size) if c.flat else Normal(block.mean, c.size)
 
 
@@ -256,30 +256,30 @@ def bind(
 ) -> tuple[Layout, dict[str, tuple[str, ...]]]:
     """Lay out the model's unknowns for these readings; return the layout and the members of each group.
 
-    Groups of effects that may be added (`more`) are counted too; outputs are counted from the reference's origins.
+    Groups of effects that may be added later (`more`) are included; `reference` gives the origins of outputs.
 
     Raises:
         ModelError: fewer readings than flat coefficients, or a group effect without its group.
     """
-    further = (
+    extra_groups = (
         c.per for effect in more for c in effect.coefficients if c.per not in (None, READING)
     )
-    groups = dict.fromkeys((*GROUPS, *model.groups, *map(str, further)))
-    present = {group for group in groups if group in GROUPS or readings.has(group)}
-    levels = {group: readings.groups(group)[0] if group in present else () for group in groups}
+    groups = dict.fromkeys((*GROUPS, *model.groups, *map(str, extra_groups)))
+    available = {group for group in groups if group in GROUPS or readings.has(group)}
+    levels = {group: readings.groups(group)[0] if group in available else () for group in groups}
     counts = {group: len(names) for group, names in levels.items()}
-    origin = {name: o for terms in origins(reference).values() for name, o in terms.items()}
+    origin = {name: o for terms in origins_of(reference).values() for name, o in terms.items()}
     layout = Layout(model, tuple(counts.items()), origin=tuple(origin.items()))
-    flat = sum(b.size for b in layout.x_blocks if b.coefficient.flat)
-    if len(readings) <= flat:
+    flat_count = sum(b.size for b in layout.x_blocks if b.coefficient.flat)
+    if len(readings) <= flat_count:
         raise ModelError(
-            f"{readings.file} has {len(readings)} readings for {flat} coefficients with a flat prior: "
+            f"{readings.file} has {len(readings)} readings for {flat_count} coefficients with a flat prior: "
             "measure more, take effects out, or give them a Normal prior"
         )
-    noisy = [b.effect.name for b in layout.blocks if b.place == "input"]
-    if not model.noise.independent and noisy:
+    input_effects = [b.effect.name for b in layout.blocks if b.place == "input"]
+    if not model.noise.independent and input_effects:
         raise ModelError(
-            f"Effect {noisy[0]!r} is noise on an input of each reading, which is not combined with "
+            f"Effect {input_effects[0]!r} is noise on an input of each reading, which is not combined with "
             f"{model.noise.law} noise: take the effect out, or use White() noise"
         )
     if not model.noise.independent and not readings.has("time"):

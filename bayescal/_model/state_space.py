@@ -12,142 +12,142 @@ from bayescal._core.lazy_jax import Array, jax, jnp
 
 
 class Block(NamedTuple):
-    """States of a term over the steps before n readings."""
+    """State-space form of one noise term with k states, over the steps before n readings."""
 
-    carry: Float[Array, "n k k"]  # transition matrices (n, k, k)
-    fresh: Float[Array, "n k k"]  # covariance of the process noise (n, k, k)
-    start: Float[Array, "k k"]  # the stationary covariance (k, k)
-    observed: bool = False  # whether a reading shows all of them together, or the first alone
+    carry: Float[Array, "n k k"]  # transition matrices A
+    fresh: Float[Array, "n k k"]  # covariance Q of the process noise
+    start: Float[Array, "k k"]  # stationary covariance
+    observed: bool = False  # whether a reading observes the sum of all states, or the first alone
 
 
-def exponential(time: Any, variance: Any, h: Float[Array, "n"]) -> Block:
-    """Return the states of Ornstein–Uhlenbeck processes of these times and variances."""
+def exponential_block(time: Any, variance: Any, h: Float[Array, "n"]) -> Block:
+    """Return the block of independent Ornstein–Uhlenbeck processes with correlation times (k,) and variances (k,)."""
     time, variance = jnp.atleast_1d(time), jnp.atleast_1d(variance)
     steps, eye = h[:, None] / time, jnp.eye(len(time))
     decay, fresh = jnp.exp(-steps), -jnp.expm1(-2 * steps) * variance
     return Block(decay[..., None] * eye, fresh[..., None] * eye, variance * eye, observed=True)
 
 
-def pairs(a: Array, b: Array, c: Array, d: Array) -> Float[Array, "n 2 2"]:
-    """Stack matrices [[a, b], [c, d]]."""
+def matrix_2x2(a: Array, b: Array, c: Array, d: Array) -> Float[Array, "n 2 2"]:
+    """Stack arrays (n,) into matrices [[a, b], [c, d]] (n, 2, 2)."""
     return jnp.stack([a, b, c, d], -1).reshape(-1, 2, 2)
 
 
 class States(NamedTuple):
-    """All states of a sum, a row for each reading; at a run's first reading they start stationary."""
+    """State-space form of a sum of terms with p states; each run starts in the stationary distribution."""
 
-    carry: Float[Array, "n p p"]  # transition over the step before (n, p, p)
-    fresh: Float[Array, "n p p"]  # covariance of the process noise (n, p, p)
-    observed: Float[np.ndarray, "p"]  # how much of each state a reading shows (p,)
+    carry: Float[Array, "n p p"]  # transition matrices A over the step before each reading
+    fresh: Float[Array, "n p p"]  # covariance Q of the process noise
+    observed: Float[np.ndarray, "p"]  # observation vector h: a reading is hᵀ·state + white noise
 
 
-def states_of(blocks: Sequence[Block], step: Float[Array, "n"]) -> States:
-    """Assemble the states of blocks over steps, s; −1 where they begin.
+def assemble_states(blocks: Sequence[Block], step: Float[Array, "n"]) -> States:
+    """Assemble blocks into one state space over steps, s; a step of −1 begins a run.
 
-    There the transition is zero and the states have their stationary covariance: runs are independent.
+    There A = 0 and Q is the stationary covariance: runs are independent.
     """
-    first, at, count = (step < 0)[:, None, None], 0, sum(len(block.start) for block in blocks)
-    carry = fresh = jnp.zeros((step.shape[0], count, count))
-    observed = np.zeros(count)
+    is_first, offset, size = (step < 0)[:, None, None], 0, sum(len(block.start) for block in blocks)
+    carry = fresh = jnp.zeros((step.shape[0], size, size))
+    observed = np.zeros(size)
     for block in blocks:
-        rows = slice(at, at + len(block.start))
-        carry = carry.at[:, rows, rows].set(jnp.where(first, 0.0, block.carry))
-        fresh = fresh.at[:, rows, rows].set(jnp.where(first, block.start, block.fresh))
-        observed[rows if block.observed else at] = 1.0
-        at = rows.stop
+        rows = slice(offset, offset + len(block.start))
+        carry = carry.at[:, rows, rows].set(jnp.where(is_first, 0.0, block.carry))
+        fresh = fresh.at[:, rows, rows].set(jnp.where(is_first, block.start, block.fresh))
+        observed[rows if block.observed else offset] = 1.0
+        offset = rows.stop
     return States(carry, fresh, observed)
 
 
-def drawn(key: Array, states: States) -> Float[Array, "n"]:
-    """Draw the states and return their sum as readings show it."""
-    values, vectors = jnp.linalg.eigh(states.fresh)  # of which some may be zero
-    normal = jnp.sqrt(jnp.maximum(values, 0.0)) * jax.random.normal(key, values.shape)
+def draw_states(key: Array, states: States) -> Float[Array, "n"]:
+    """Draw a path of the states and return the observed sum hᵀ·state (n,)."""
+    eigenvalues, eigenvectors = jnp.linalg.eigh(states.fresh)  # some may be zero
+    normal = jnp.sqrt(jnp.maximum(eigenvalues, 0.0)) * jax.random.normal(key, eigenvalues.shape)
 
     def advance(state, row):
         carry, noise = row
         advanced = carry @ state + noise
         return advanced, advanced @ jnp.asarray(states.observed)
 
-    rows = states.carry, jnp.einsum("nij,nj->ni", vectors, normal)
+    rows = states.carry, jnp.einsum("nij,nj->ni", eigenvectors, normal)
     return jax.lax.scan(advance, jnp.zeros(len(states.observed)), rows)[1]
 
 
-def filtered(
+def kalman_whiten(
     states: States, white: Float[Array, "n"], columns: Float[Array, "n m"]
 ) -> tuple[Float[Array, "n m"], Float[Array, "n"]]:
-    """Whiten columns by the Kalman filter; return them, and the log standard deviation of each innovation.
+    """Whiten columns by the Kalman filter; return them, and the log standard deviation of each innovation (n,).
 
-    With P the covariance of the states given the readings before, w the variance of a reading by itself: g = P·1 over
-    the states shown, s = 1ᵀg + w of the reading, gain g/s; P becomes A·(P − g·gᵀ/s)·Aᵀ + Q.
+    With P the covariance of the states given earlier readings and w the white variance of a reading: g = P·h,
+    innovation variance s = hᵀg + w, gain g/s, and P ← A·(P − g·gᵀ/s)·Aᵀ + Q.
     """
-    passed = _forward(states, white, columns)
-    return passed.new / jnp.sqrt(passed.total)[:, None], 0.5 * jnp.log(passed.total)
+    passed = _filter(states, white, columns)
+    return passed.innovation / jnp.sqrt(passed.variance)[:, None], 0.5 * jnp.log(passed.variance)
 
 
-class _Passed(NamedTuple):
-    """Results of the forward pass of the filter, by reading."""
+class _FilterPass(NamedTuple):
+    """Results of the forward pass of the Kalman filter, for each reading."""
 
-    new: Float[Array, "n m"]  # innovation of each column
-    total: Float[Array, "n"]  # its variance
+    innovation: Float[Array, "n m"]  # innovations of each column
+    variance: Float[Array, "n"]  # of the innovation
     gain: Float[Array, "n p"]
-    covariance: Float[Array, "n p p"]  # of the states given the readings before
-    mean: Float[Array, "n p m"]  # and their mean
+    covariance: Float[Array, "n p p"]  # of the states, given earlier readings
+    mean: Float[Array, "n p m"]  # of the states, given earlier readings
 
 
-def _forward(states: States, white: Float[Array, "n"], columns: Float[Array, "n m"]) -> _Passed:
+def _filter(states: States, white: Float[Array, "n"], columns: Float[Array, "n m"]) -> _FilterPass:
     h, count = jnp.asarray(states.observed), len(states.observed)
 
-    # Variances and gains depend on no column: they are computed first, once for all.
-    def ahead(before, reading):
+    # Variances and gains do not depend on the data: they are computed once for all columns.
+    def advance_covariance(previous, reading):
         carry, fresh, white_variance = reading
-        predicted = _times(carry, _times(carry, before).T) + fresh
+        predicted = _matmul(carry, _matmul(carry, previous).T) + fresh
         column = jnp.sum(predicted * h, axis=1)
-        total = jnp.sum(column * h) + white_variance
-        gain = column / total
-        return predicted - gain[:, None] * column, (total, gain, predicted)
+        variance = jnp.sum(column * h) + white_variance
+        gain = column / variance
+        return predicted - gain[:, None] * column, (variance, gain, predicted)
 
-    def further(before, reading):
+    def advance_mean(previous, reading):
         carry, gain, row = reading
-        predicted = _times(carry, before)
-        new = row - jnp.sum(predicted * h[:, None], axis=0)
-        return predicted + gain[:, None] * new, (new, predicted)
+        predicted = _matmul(carry, previous)
+        innovation = row - jnp.sum(predicted * h[:, None], axis=0)
+        return predicted + gain[:, None] * innovation, (innovation, predicted)
 
     initial, rows = jnp.zeros((count, count)), (states.carry, states.fresh, white)
-    total, gain, covariance = jax.lax.scan(ahead, initial, rows, unroll=2)[1]
+    variance, gain, covariance = jax.lax.scan(advance_covariance, initial, rows, unroll=2)[1]
     initial, rows = jnp.zeros((count, columns.shape[1])), (states.carry, gain, columns)
-    new, mean = jax.lax.scan(further, initial, rows, unroll=2)[1]
-    return _Passed(new, total, gain, covariance, mean)
+    innovation, mean = jax.lax.scan(advance_mean, initial, rows, unroll=2)[1]
+    return _FilterPass(innovation, variance, gain, covariance, mean)
 
 
-def smoothed(
+def smooth(
     states: States, white: Float[Array, "n"], columns: Float[Array, "n m"]
 ) -> tuple[Float[Array, "n m"], Float[Array, "n"]]:
-    """Return mean and variance of the states' sum at each row, given all readings of its run; column by column.
+    """Return the smoothed mean (n, m) and variance (n,) of the observed sum, given all readings of the run.
 
-    The white variance of a row is infinite where there is no reading.
+    A row without a reading has infinite white variance.
     Source: J. Durbin and S. Koopman, Time Series Analysis by State Space Methods (2012), §4.4.
     """
     h = jnp.asarray(states.observed)
 
-    # r = h·v/F + (1 − k·hᵀ)ᵀ·Aᵀr and N = h·hᵀ/F + (1 − k·hᵀ)ᵀ·AᵀN·A·(1 − k·hᵀ) gather what this reading and later
-    # ones say, v what is new in one, F its variance and k its gain; the state's mean moves by P·r, its covariance by
-    # −P·N·P, P the covariance before the reading.
-    def back(later, row):
-        (r, big), (carry, now) = later, row
-        column, passes = now.covariance @ h, jnp.eye(len(h)) - now.gain[:, None] * h
-        r = h[:, None] * (now.new / now.total) + _times(passes.T, r)
-        big = h[:, None] * h / now.total + _times(_times(passes.T, big), passes)
-        mean = h @ now.mean + column @ r
-        variance = column @ h - column @ _times(big, column[:, None])[:, 0]
-        return (_times(carry.T, r), _times(carry.T, _times(big, carry))), (mean, variance)
+    # r = h·v/F + (1 − k·hᵀ)ᵀ·Aᵀr and N = h·hᵀ/F + (1 − k·hᵀ)ᵀ·AᵀN·A·(1 − k·hᵀ) accumulate this and all later
+    # readings (v innovation, F its variance, k gain, P predicted covariance): the smoothed mean is the predicted mean
+    # plus P·r, the smoothed covariance P − P·N·P.
+    def step_backward(later, reading):
+        (r, info), (carry, filtered) = later, reading
+        column, passes = filtered.covariance @ h, jnp.eye(len(h)) - filtered.gain[:, None] * h
+        r = h[:, None] * (filtered.innovation / filtered.variance) + _matmul(passes.T, r)
+        info = h[:, None] * h / filtered.variance + _matmul(_matmul(passes.T, info), passes)
+        mean = h @ filtered.mean + column @ r
+        variance = column @ h - column @ _matmul(info, column[:, None])[:, 0]
+        return (_matmul(carry.T, r), _matmul(carry.T, _matmul(info, carry))), (mean, variance)
 
     size = len(h)
     initial = jnp.zeros((size, columns.shape[1])), jnp.zeros((size, size))
-    rows = states.carry, _forward(states, white, columns)
-    _, (mean, variance) = jax.lax.scan(back, initial, rows, reverse=True)
+    rows = states.carry, _filter(states, white, columns)
+    _, (mean, variance) = jax.lax.scan(step_backward, initial, rows, reverse=True)
     return mean, jnp.maximum(variance, 0.0)
 
 
-def _times(a: Float[Array, "p q"], b: Float[Array, "q m"]) -> Float[Array, "p m"]:
-    """Multiply small matrices, as one loop that the compiler fuses with its neighbours."""
+def _matmul(a: Float[Array, "p q"], b: Float[Array, "q m"]) -> Float[Array, "p m"]:
+    """Multiply small matrices by broadcasting, which XLA fuses with adjacent operations."""
     return jnp.sum(a[:, :, None] * b[None], axis=1)

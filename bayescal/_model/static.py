@@ -1,4 +1,4 @@
-"""Frozen dataclasses that are equal by their fields, and static structure to JAX."""
+"""Frozen dataclasses that compare by their fields and are static arguments (pytree structure) for JAX."""
 
 from __future__ import annotations
 
@@ -14,23 +14,23 @@ _T = TypeVar("_T")
 
 @dataclass_transform(frozen_default=True)
 def static(cls: type[_T]) -> type[_T]:
-    """Make a frozen dataclass that JAX takes as structure and not as data: equal values share a compiled program."""
+    """Make a frozen dataclass, registered as static in JAX: equal values share a compiled program."""
     if cls.__repr__ is object.__repr__:
-        cls.__repr__ = in_full
+        cls.__repr__ = format_fields
     frozen_class = dataclass(frozen=True, repr=False)(cls)
     when_imported(lambda: jax.tree_util.register_static(frozen_class))
     return frozen_class
 
 
-def in_full(self: Any) -> str:
-    """Return a `repr` by the values of the fields, those at their defaults left out: the same after pickling."""
+def format_fields(self: Any) -> str:
+    """Format the fields that differ from their defaults as a `repr`, which is reproducible after pickling."""
     values = {f.name: getattr(self, f.name) for f in fields(self) if f.repr}
-    plain = {f.name: f.default for f in fields(self)}
-    parts = (f"{name}={value!r}" for name, value in values.items() if value != plain[name])
-    return f"{type(self).__name__}({', '.join(parts)})"
+    defaults = {f.name: f.default for f in fields(self)}
+    arguments = (f"{name}={value!r}" for name, value in values.items() if value != defaults[name])
+    return f"{type(self).__name__}({', '.join(arguments)})"
 
 
-def set_once(self: Any, **values: Any) -> None:
-    """Set normalised fields of a frozen value, in its `__post_init__`."""
+def set_fields(self: Any, **values: Any) -> None:
+    """Set fields of a frozen instance to normalised values, in its `__post_init__`."""
     for name, value in values.items():
         object.__setattr__(self, name, value)

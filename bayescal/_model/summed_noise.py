@@ -19,32 +19,32 @@ from bayescal._model.frame import Frame
 from bayescal._model.independent_noise import (
     CURVATURE,
     SLOPE,
-    followed_columns,
-    place_along,
-    scattered_variance,
+    columns_for,
+    scale_covariate,
+    scatter_variance,
 )
-from bayescal._model.noise_law import WHITE, Noise, Parameters, offered, own_variance
+from bayescal._model.noise_law import WHITE, Noise, Parameters, offered, white_variance
 from bayescal._model.noise_spectrum import SpectralTerm
 from bayescal._model.noise_terms import TERMS, Bounds, CorrelatedTerm, NoiseTerm
 from bayescal._model.prior import HalfCauchy, Normal, Positive
-from bayescal._model.state_space import States, drawn, filtered, smoothed, states_of
-from bayescal._model.static import set_once
+from bayescal._model.state_space import States, assemble_states, draw_states, kalman_whiten, smooth
+from bayescal._model.static import set_fields
 
 # Fewest readings of the longest run that can distinguish a second correlated noise from the first.
 MIN_SECOND_TERM_READINGS = 150
 
-OFFERED = (  # what measured records show beside white noise (IEEE 952, and a unit on a temperature ramp)
+OFFERED = (  # terms found in measured records (IEEE 952, and a sensor on a temperature ramp)
     ("walk",),
     ("flicker",),
     ("correlated", "correlated"),
     ("correlated", "smooth"),
 )
-LASTING = np.geomspace(0.1, 0.5, 9)  # parts of the longest run
+AVERAGING_TIMES = np.geomspace(0.1, 0.5, 9)  # for Allan deviations, in lengths of the longest run
 MAX_CORRELATED_TERMS = 3  # Ornstein–Uhlenbeck: no record of a day distinguishes more
 
 
 class SumOfTerms(Noise, interface=True):
-    """Computations common to all sums of terms; see `SummedNoise`."""
+    """Computations common to all sums of noise terms; see `SummedNoise`."""
 
     shortest: ClassVar[float]
     longest: ClassVar[float]
@@ -62,8 +62,8 @@ class SumOfTerms(Noise, interface=True):
 
     @property
     def parts(self) -> tuple[NoiseTerm, ...]:
-        """Return its terms."""
-        return _parts(self.terms)
+        """Return the correlated terms of the sum."""
+        return _build_terms(self.terms)
 
     @property
     def bounds(self) -> Bounds:
@@ -72,7 +72,7 @@ class SumOfTerms(Noise, interface=True):
     @property
     def needs(self) -> tuple[str, ...]:
         columns = (self.column,) if self.column else ()
-        columns += followed_columns(self.scatter) if self.scatter else ()
+        columns += columns_for(self.scatter) if self.scatter else ()
         return tuple(dict.fromkeys(("time", *columns)))
 
     @property
@@ -87,15 +87,15 @@ class SumOfTerms(Noise, interface=True):
         z = None if z is None else np.asarray(z)
         starts = [part.starts(np.asarray(frame.step), residuals, z) for part in self.parts]
         if self.scatter:
-            starts.append([_start_of_scatter(frame, residuals, self.scatter)])
+            starts.append([_estimate_scatter(frame, residuals, self.scatter)])
         return [dict(ChainMap(*chosen)) for chosen in itertools.product(*starts)]
 
     @property
     def plain(self) -> Noise:
-        usual = super().plain
+        default_law = super().plain
         if any(part.bounded for part in self.parts):
-            return usual
-        return replace(usual, shortest=1.0, longest=2.0)
+            return default_law
+        return replace(default_law, shortest=1.0, longest=2.0)
 
     @property
     def in_words(self) -> str:
@@ -111,7 +111,7 @@ class SumOfTerms(Noise, interface=True):
     def spectrum(
         self, values: Parameters, step: float, lam: Float[np.ndarray, "j"]
     ) -> list[SpectralTerm]:
-        """Return its correlated terms in frequency on readings a step apart, if `stationary`; values (s, 1)."""
+        """Return the terms' covariances in frequency on evenly spaced readings, if `stationary`; values (s, 1)."""
         return [t for p in self.parts for t in p.spectrum(values, self.bounds, step, lam)]
 
     def parameters(self) -> dict[str, Any]:
@@ -145,34 +145,34 @@ class SumOfTerms(Noise, interface=True):
         """Return the variance of all terms except the white one, output unit squared."""
         return sum((p.variance(values, self.bounds) for p in self.parts), 0.0)
 
-    def _own_variance(self, parameters: Parameters, frame: Frame) -> Float[Array, "n"]:
+    def _white_variance(self, parameters: Parameters, frame: Frame) -> Float[Array, "n"]:
         if self.scatter:
-            return scattered_variance(parameters, frame, self.scatter)
-        return own_variance(parameters, frame)
+            return scatter_variance(parameters, frame, self.scatter)
+        return white_variance(parameters, frame)
 
     def variance(self, parameters: Parameters, frame: Frame) -> Array:
-        return self._own_variance(parameters, frame) + self.slow_variance(parameters)
+        return self._white_variance(parameters, frame) + self.slow_variance(parameters)
 
     @property
     def several_states(self) -> bool:  # pyright: ignore[reportIncompatibleVariableOverride]
         return len(self.parts) > 1
 
     def states(self, parameters: Parameters, step: Float[Array, "n"], z: Any = None) -> States:
-        """Return its states over steps, s; −1 where they begin. `z`: the column that is followed, from −1 to 1."""
+        """Return the state space over steps, s; a step of −1 begins a run. `z`: covariate scaled to −1 … 1 (n,)."""
         parameters = parameters if z is None else {**parameters, self.column: z}
         h = jnp.maximum(step, 0.0)
         blocks = [part.block(parameters, self.bounds, h) for part in self.parts]
-        return states_of(blocks, step)
+        return assemble_states(blocks, step)
 
     def whiten(self, columns: Array, extra: Any, parameters: Parameters, frame: Frame) -> Any:
         states = self.states(parameters, frame.step, self.followed(frame))
-        return filtered(states, self._own_variance(parameters, frame) + extra, columns)
+        return kalman_whiten(states, self._white_variance(parameters, frame) + extra, columns)
 
     def sample(self, key: Array, mean: Array, parameters: Parameters, frame: Frame) -> Array:
-        of_white, of_states = jax.random.split(key)
-        slow = drawn(of_states, self.states(parameters, frame.step, self.followed(frame)))
-        sd = jnp.sqrt(self._own_variance(parameters, frame))
-        return mean + sd * jax.random.normal(of_white, mean.shape) + slow
+        white_key, state_key = jax.random.split(key)
+        slow = draw_states(state_key, self.states(parameters, frame.step, self.followed(frame)))
+        sd = jnp.sqrt(self._white_variance(parameters, frame))
+        return mean + sd * jax.random.normal(white_key, mean.shape) + slow
 
     def allan_variance(
         self, values: Parameters, variance: Any, factors: np.ndarray, step: float
@@ -184,7 +184,7 @@ class SumOfTerms(Noise, interface=True):
         return white / factors + sum(p.allan(phi, self.bounds, factors, step) for p in self.parts)
 
     def lasting_deviation(self, values: Parameters) -> float:
-        factors = self.longest / self.shortest * LASTING
+        factors = self.longest / self.shortest * AVERAGING_TIMES
         phi = {n: np.float64(v) for n, v in values.items() if n in self.parameters()}
         slow = np.asarray(self.slow_variance(phi))
         return float(np.sqrt(np.max(self.allan_variance(phi, slow, factors, self.shortest))))
@@ -192,30 +192,31 @@ class SumOfTerms(Noise, interface=True):
     def slow_part(
         self, values: Parameters, time: Any, residuals: Any, white: Any, at: Any, along: Any = None
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Return mean and variance by the Kalman smoother over all these times."""
+        """Return the mean and variance of the correlated part by a Kalman smoother."""
         grid, first = np.unique(np.concatenate([time, at]), return_index=True)
-        place = np.searchsorted(grid, time)
-        weight, pull = np.zeros(grid.size), np.zeros((grid.size, residuals.shape[1]))
-        np.add.at(weight, place, 1 / white)
-        np.add.at(pull, place, residuals / white[:, None])
+        index = np.searchsorted(grid, time)
+        precision, mean_residual = np.zeros(grid.size), np.zeros((grid.size, residuals.shape[1]))
+        np.add.at(precision, index, 1 / white)
+        np.add.at(mean_residual, index, residuals / white[:, None])
         with np.errstate(divide="ignore"):
-            spread = 1 / weight  # infinite where there is no reading
-        pull /= np.maximum(weight, np.finfo(float).tiny)[:, None]
+            variances = 1 / precision  # infinite where there is no reading
+        mean_residual /= np.maximum(precision, np.finfo(float).tiny)[:, None]
         z = None if along is None else np.concatenate(along)[first]
-        # Steps that pad to one of a few lengths, so that few are compiled, are runs of their own without readings.
+        # Padded to powers of two, so that few programs are compiled: padding is runs of one step without a reading.
         pad = (0, 2 ** math.ceil(math.log2(grid.size)) - grid.size)
         step = np.pad(np.diff(grid, prepend=grid[0] + 1.0), pad, constant_values=-1.0)
-        spread = np.pad(spread, pad, constant_values=np.inf)
+        variances = np.pad(variances, pad, constant_values=np.inf)
         z = None if z is None else np.pad(z, pad)
         rows = np.searchsorted(grid, at)
         values = {name: np.float64(values[name]) for name in self.parameters()}
-        mean, variance = _smoothed(self.plain, values, step, z, spread, np.pad(pull, (pad, (0, 0))))
+        inputs = step, z, variances, np.pad(mean_residual, (pad, (0, 0)))
+        mean, variance = _smooth(self.plain, values, *inputs)
         return np.asarray(mean)[rows], np.asarray(variance)[rows]
 
 
 @compiled
-def _smoothed(law: SumOfTerms, values, step, z, white, columns):
-    return smoothed(law.states(values, step, z), white, columns)
+def _smooth(law: SumOfTerms, values, step, z, white, columns):
+    return smooth(law.states(values, step, z), white, columns)
 
 
 class SummedNoise(SumOfTerms):
@@ -229,13 +230,13 @@ class SummedNoise(SumOfTerms):
         bc.SummedNoise(step, span, ("walk", "correlated"))
 
     Attributes:
-        shortest, longest: the usual step and the longest run, s: what correlation times a record can tell.
-        terms: which, beside white noise; none for white noise alone.
-        scale: prior of the white part's standard deviation, output unit.
-        correlated: prior of a correlated part's.
-        column: that the frequency of a tone follows, as "temperature"; none if empty.
-        scatter: a column, "elapsed" or a rate, that the white part's standard deviation follows as `Heteroscedastic`
-            has it, by `noise.slope` and `noise.curvature`; none if empty.
+        shortest, longest: bounds of correlation times, s: the median step and the longest run.
+        terms: names of the terms added to white noise.
+        scale: prior of the white noise's standard deviation, output unit.
+        correlated: prior of a correlated term's standard deviation, output unit.
+        column: covariate of the frequency of a tone, such as "temperature"; none if empty.
+        scatter: covariate of the white noise's standard deviation, by `noise.slope` and `noise.curvature` of
+            `Heteroscedastic`; none if empty.
 
     Raises:
         ValueError: unknown terms, one twice that is there once, quantisation beside averaging, or bounds not in order.
@@ -268,7 +269,7 @@ class SummedNoise(SumOfTerms):
             raise ValueError(
                 "quantisation and averaging correlate neighbouring readings by opposite signs: give one of them"
             )
-        set_once(self, terms=tuple(sorted(self.terms, key=list(TERMS).index)))
+        set_fields(self, terms=tuple(sorted(self.terms, key=list(TERMS).index)))
         for name, count in Counter(self.terms).items():
             if count > (MAX_CORRELATED_TERMS if name == "correlated" else 1):
                 raise ValueError(f"the noise term {name!r} is there {count} times")
@@ -283,14 +284,13 @@ class SummedNoise(SumOfTerms):
 class OrnsteinUhlenbeck(SumOfTerms):
     """White noise and correlated (Ornstein–Uhlenbeck) noise of unknown diffusion and time: the sum of this one term.
 
-    The correlated part has the covariance (q²·τ/2)·exp(−|Δt|/τ) within a run; runs are independent. Readings close
-    together against the time τ know only the diffusion q, the coefficient of the random walk (IEEE 952: rate random
-    walk); hence τ is bounded.
+    The correlated part has the covariance (q²·τ/2)·exp(−|Δt|/τ) within a run; runs are independent. Over times far
+    below τ it is a random walk of coefficient q (IEEE 952: rate random walk), and τ unidentified: hence τ is bounded.
 
     Attributes:
-        shortest, longest: bounds of the correlation time, s, its logarithm uniform between; see `over_record`.
-        scale: prior of the white part's standard deviation, output unit.
-        correlated: prior of the correlated part's, output unit, at the geometric middle of the correlation times.
+        shortest, longest: bounds of the correlation time, s; its logarithm has a uniform prior between them.
+        scale: prior of the white noise's standard deviation, output unit.
+        correlated: prior of the correlated part's standard deviation at τ = √(shortest·longest), output unit.
 
     Raises:
         ValueError: bounds not positive, or not in order.
@@ -310,28 +310,28 @@ class OrnsteinUhlenbeck(SumOfTerms):
 
 
 @cache
-def _parts(terms: tuple[str, ...]) -> tuple[NoiseTerm, ...]:
-    place = itertools.count(1)  # of Ornstein–Uhlenbeck terms, which it distinguishes
+def _build_terms(terms: tuple[str, ...]) -> tuple[NoiseTerm, ...]:
+    place = itertools.count(1)  # numbers the Ornstein–Uhlenbeck terms
     return tuple(CorrelatedTerm(next(place)) if t == "correlated" else TERMS[t]() for t in terms)
 
 
-def _start_of_scatter(frame: Frame, r: Float[np.ndarray, "n"], column: str) -> dict[str, float]:
-    """Return slope and curvature of the white scatter: log squared differences of neighbours are linear in them."""
-    jumps = np.diff(r)
-    valid = (np.asarray(frame.step)[1:] >= 0) & (jumps != 0)
-    z = np.asarray(place_along(frame, column))[1:][valid]
+def _estimate_scatter(frame: Frame, r: Float[np.ndarray, "n"], column: str) -> dict[str, float]:
+    """Estimate slope and curvature by least squares on log squared differences of adjacent residuals."""
+    steps = np.diff(r)
+    usable = (np.asarray(frame.step)[1:] >= 0) & (steps != 0)
+    z = np.asarray(scale_covariate(frame, column))[1:][usable]
     design = np.column_stack([np.ones_like(z), 2 * z, 3 * z**2 - 1])
-    _, slope, bend = np.linalg.lstsq(design, np.log(jumps[valid] ** 2), rcond=None)[0]
-    return {SLOPE: float(slope), CURVATURE: float(bend)}
+    _, slope, curvature = np.linalg.lstsq(design, np.log(steps[usable] ** 2), rcond=None)[0]
+    return {SLOPE: float(slope), CURVATURE: float(curvature)}
 
 
-def over_record(scale: Positive, step: float, span: float) -> OrnsteinUhlenbeck:
-    """Return white and correlated noise with a time that record can resolve: from its step to its longest run, s."""
+def build_ornstein_uhlenbeck(scale: Positive, step: float, span: float) -> OrnsteinUhlenbeck:
+    """Build Ornstein–Uhlenbeck noise with correlation times that a record resolves: `step` to `span`, s."""
     # A correlation time below a step is white noise to these readings, and one beyond the span a random walk.
     return OrnsteinUhlenbeck(step, max(span, 10 * step), scale, scale)
 
 
-def over_octaves(
+def build_sum(
     scale: Positive,
     step: float,
     span: float,
@@ -339,29 +339,29 @@ def over_octaves(
     column: str = "",
     scatter: str = "",
 ) -> SummedNoise:
-    """Return sum whose times a record can resolve. Bounds are whole octaves of a second: alike records share programs.
+    """Build a noise sum with correlation times that a record resolves, rounded to powers of two to share programs.
 
-    A tone follows `column`, the white part's standard deviation `scatter`.
+    `column` is the covariate of a tone's frequency, `scatter` that of the white noise's standard deviation.
     """
     shortest, longest = 2.0 ** math.floor(math.log2(step)), 2.0 ** math.ceil(math.log2(span))
     return SummedNoise(shortest, longest, terms, scale, scale, column, scatter)
 
 
 @offered
-def _correlated(scale: Positive, frame: Frame) -> list[Noise]:
-    """Offer one correlated term where there is time; sums of more where runs are long enough."""
+def _offer_correlated(scale: Positive, frame: Frame) -> list[Noise]:
+    """Offer Ornstein–Uhlenbeck noise if there is a time column, and sums of terms if a run is long enough."""
     steps = np.asarray(frame.step)
     if not (steps > 0).any():
         return []
     step, span = float(np.median(steps[steps > 0])), float(np.max(frame.columns["elapsed"]))
-    laws: list[Noise] = [over_record(scale, step, span)]
+    laws: list[Noise] = [build_ornstein_uhlenbeck(scale, step, span)]
     longest = int(np.max(np.diff(np.append(np.flatnonzero(steps < 0), steps.size))))
     if longest < MIN_SECOND_TERM_READINGS:
         return laws
-    laws += [over_octaves(scale, step, span, terms) for terms in OFFERED]
+    laws += [build_sum(scale, step, span, terms) for terms in OFFERED]
     column = "temperature" if "temperature" in frame.columns else ""
-    laws.append(over_octaves(scale, step, span, ("correlated", "tone"), column))
-    # What shakes or warms a sensor moves the temperature too: of all columns it is the one weighed with a sum.
+    laws.append(build_sum(scale, step, span, ("correlated", "tone"), column))
+    # Temperature is the most probable covariate of the scatter, and the only one tried in a sum.
     if column and frame.reference["temperature_high"] > frame.reference["temperature_low"]:
-        laws.append(over_octaves(scale, step, span, ("correlated",), scatter=column))
+        laws.append(build_sum(scale, step, span, ("correlated",), scatter=column))
     return laws

@@ -1,4 +1,4 @@
-"""Terms of a structure, as plain data: its coefficients, the dependences of their columns, and their sizes."""
+"""Terms of a model structure: its coefficients, how their basis columns are computed, their prior deviations."""
 
 from __future__ import annotations
 
@@ -16,10 +16,10 @@ from bayescal._model.parameters import CoefficientBlock
 from bayescal._model.prior import Known
 
 
-class ColumnsOf(NamedTuple):
-    """Dependences of an effect's columns: its basis, the shapes of this, and those of corrections.
+class ColumnSpec(NamedTuple):
+    """All that an effect's basis columns depend on: the basis, its shapes, and corrections of its input columns.
 
-    Corrections are of columns of the readings, by effects without an unknown but their shapes.
+    `shapes` lists the nonlinear parameters of the basis, then those of the corrections; `priors` theirs.
     """
 
     basis: Basis
@@ -27,53 +27,53 @@ class ColumnsOf(NamedTuple):
     priors: tuple[Any, ...]
     corrections: tuple[Correction, ...] = ()
 
-    def on(self, corrections: Sequence[Correction]) -> ColumnsOf:
-        """Add corrections of columns of the readings."""
+    def with_corrections(self, corrections: Sequence[Correction]) -> ColumnSpec:
+        """Return the definition with corrected input columns."""
         shapes, priors = self.shapes, self.priors
         for c in corrections:
-            shapes, priors = shapes + c.of.shapes, priors + c.of.priors
+            shapes, priors = shapes + c.spec.shapes, priors + c.spec.priors
         return self._replace(shapes=shapes, priors=priors, corrections=tuple(corrections))
 
     @property
-    def own(self) -> tuple[str, ...]:
-        """Return the shapes that the basis takes itself."""
-        return self.shapes[: len(self.shapes) - sum(len(c.of.shapes) for c in self.corrections)]
+    def basis_shapes(self) -> tuple[str, ...]:
+        """Return the names of the shapes that are arguments of the basis."""
+        return self.shapes[: len(self.shapes) - sum(len(c.spec.shapes) for c in self.corrections)]
 
     @property
     def key(self) -> Any:
-        """Return the dependences as one hashable value."""
+        """Return a hashable key: equal keys have equal columns."""
         return self.basis, self.priors, self.corrections
 
     @classmethod
-    def of(cls, effect: Effect) -> ColumnsOf:
+    def from_effect(cls, effect: Effect) -> ColumnSpec:
         shapes = effect.column_shapes
         names, priors = tuple(s.name for s in shapes), tuple(s.prior for s in shapes)
         return cls((effect.basis, len(effect.coefficients), effect.name), names, priors)
 
 
 class Correction(NamedTuple):
-    """Correction of a column of the readings, with all its past: a column of an effect's own, times a number."""
+    """Correction of a whole column of the readings: `factor` times a basis column of another effect."""
 
     column: str
-    of: ColumnsOf
+    spec: ColumnSpec
     index: int
     factor: float
     shape_names: tuple[str, ...]
 
     @classmethod
-    def of_block(cls, block: CoefficientBlock) -> Correction:
+    def from_block(cls, block: CoefficientBlock) -> Correction:
         names = tuple(map(block.effect.shape_name, block.effect.column_shapes))
-        columns = ColumnsOf.of(block.effect)
+        columns = ColumnSpec.from_effect(block.effect)
         return cls(block.slot, columns, block.index, block.factor * block.value, names)
 
 
 @dataclass(frozen=True)
 class Term(CoefficientBlock):
-    """One coefficient of the structure with all its members, on readings."""
+    """One coefficient of the structure, all group members included, with the definition of its basis column."""
 
-    columns: ColumnsOf  # dependences of its effect's columns
-    shape_names: tuple[str, ...]  # names in φ of the shapes that these take
-    prior_sd: float  # its unit
+    columns: ColumnSpec  # of its effect
+    shape_names: tuple[str, ...]  # names in φ of the shapes in `columns`
+    prior_sd: float  # in the coefficient's unit
 
 
 def terms_of(
@@ -83,85 +83,87 @@ def terms_of(
 ) -> tuple[tuple[Term, ...], tuple[str, ...]]:
     """Return the terms of a structure, and the columns of the readings that some of them correct.
 
-    A correction of a column without an unknown but its shapes, such as the temperature of a body, is no term where the
-    response does not take that column itself: it is part of the other effects' columns, and these stay linear in their
-    coefficients. Else its slot is the path of that column. Without a source there are no corrections. Plausible sizes
-    are multiplied by factors, by effect.
+    A correction with known coefficients (the temperature of a lagging body) of a column that the response does not use
+    is no term, but part of the other effects' column definitions, which stay linear in their coefficients; otherwise
+    its slot is that column's `PATH`. `size_factors` multiplies prior standard deviations, by effect.
     """
-    correcting = [b for b in blocks if source is not None and b.slot not in source.slots]
-    corrected = tuple(dict.fromkeys(b.slot for b in correcting))
-    skip = {b.effect.name for b in correcting}
+    correcting_blocks = [b for b in blocks if source is not None and b.slot not in source.slots]
+    corrected = tuple(dict.fromkeys(b.slot for b in correcting_blocks))
+    correcting = {b.effect.name for b in correcting_blocks}
     corrections: tuple[Correction, ...] = ()
-    all_fixed = all(b.place == "fixed" and b.coefficient.per is None for b in correcting)
-    if correcting and all_fixed and source.read.isdisjoint(corrected):
-        corrections, corrected = tuple(map(Correction.of_block, correcting)), ()
+    all_fixed = all(b.place == "fixed" and b.coefficient.per is None for b in correcting_blocks)
+    if correcting_blocks and all_fixed and source.read.isdisjoint(corrected):
+        corrections, corrected = tuple(map(Correction.from_block, correcting_blocks)), ()
         blocks = [b for b in blocks if b.slot in source.slots]
-    columns: dict[str, tuple[ColumnsOf, tuple[str, ...]]] = {}
+    columns: dict[str, tuple[ColumnSpec, tuple[str, ...]]] = {}
     for effect in {b.effect.name: b.effect for b in blocks}.values():
-        needed = [c for c in corrections if effect.name not in skip and c.column in effect.columns]
+        allowed = () if effect.name in correcting else corrections
+        needed = [c for c in allowed if c.column in effect.columns]
         names = [*map(effect.shape_name, effect.column_shapes)]
         names += [name for c in needed for name in c.shape_names]
-        columns[effect.name] = ColumnsOf.of(effect).on(needed), tuple(names)
+        spec = ColumnSpec.from_effect(effect).with_corrections(needed)
+        columns[effect.name] = spec, tuple(names)
     factors = size_factors or {}
 
-    def term(b: CoefficientBlock) -> Term:
-        of, names = columns[b.effect.name]
-        sd = b.coefficient.size * factors.get(b.effect.name, 1.0)
-        path = b.slot in corrected and isinstance(b.coefficient.prior, Known)
-        slot = b.slot + PATH if path else b.slot
-        return Term(**{**vars(b), "slot": slot}, columns=of, shape_names=names, prior_sd=sd)
+    def make_term(b: CoefficientBlock) -> Term:
+        spec, names = columns[b.effect.name]
+        prior_sd = b.coefficient.size * factors.get(b.effect.name, 1.0)
+        corrects_path = b.slot in corrected and isinstance(b.coefficient.prior, Known)
+        slot = b.slot + PATH if corrects_path else b.slot
+        return Term(**{**vars(b), "slot": slot}, columns=spec, shape_names=names, prior_sd=prior_sd)
 
-    return tuple(map(term, blocks)), corrected
+    return tuple(map(make_term, blocks)), corrected
 
 
-class _Weighted(NamedTuple):
-    """Prior sizes of an effect's coefficients as functions of shapes, such as the length of a Gaussian process."""
+class _ShapeWeights(NamedTuple):
+    """Factors of an effect's prior standard deviations as a function of shapes, as a Gaussian process's length."""
 
     weights: Callable[..., Any]
-    shapes: dict[str, str]  # keyword of the weights → name in φ
-    count: int  # of its coefficients
-    index: Int[np.ndarray, "p"]  # which of them each entry of x is of; −1 for none
+    shapes: dict[str, str]  # keyword argument of `weights` → name in φ
+    count: int  # number of the effect's coefficients
+    index: Int[np.ndarray, "p"]  # of the coefficient at each entry of x; −1: not of the effect
 
-    def at(self, hyper: Mapping[str, Any], lead: tuple[int, ...] = ()) -> Any:
-        """Return the factors of the prior standard deviations of x, (*lead, p)."""
-        factors = self.weights(**{short: hyper[name] for short, name in self.shapes.items()})
-        factors = xp.broadcast_to(factors, (*lead, self.count))
+    def evaluate(self, hyper: Mapping[str, Any], batch: tuple[int, ...] = ()) -> Any:
+        """Return the factors of the prior standard deviations of x (*batch, p)."""
+        factors = self.weights(**{keyword: hyper[name] for keyword, name in self.shapes.items()})
+        factors = xp.broadcast_to(factors, (*batch, self.count))
         return xp.where(self.index >= 0, factors[..., self.index], 1.0)
 
 
-class Sizes:
+class PriorDeviations:
     """Prior standard deviations of x as a function of φ's values; one where the prior is flat."""
 
     def __init__(self, terms: Sequence[Term], effects: Sequence[Effect], size: int):
-        self.plain = np.ones(size)
-        self.members: dict[str, Float[np.ndarray, "p"]] = {}  # of each learned spread, ones
-        for t in terms:
-            if t.group_sd_name is not None:
-                self.members.setdefault(t.group_sd_name, np.zeros(size))[t.at] = 1.0
-            elif not t.flat:
-                self.plain[t.at] = t.prior_sd
-        self.weighing: dict[str, _Weighted] = {}  # by each shape that sizes follow
+        self.fixed_sd = np.ones(size)
+        self.learned_sd_masks: dict[str, Float[np.ndarray, "p"]] = {}  # group_sd name → 0 or 1
+        for term in terms:
+            if term.group_sd_name is not None:
+                mask = self.learned_sd_masks.setdefault(term.group_sd_name, np.zeros(size))
+                mask[term.x_slice] = 1.0
+            elif not term.flat:
+                self.fixed_sd[term.x_slice] = term.prior_sd
+        self.weights_by_shape: dict[str, _ShapeWeights] = {}  # shape name → factors
         for effect in (e for e in effects if e.weights is not None):
             index = np.full(size, -1)
-            for t in terms:
-                if t.effect.name == effect.name:
-                    index[t.at] = t.index
+            for term in terms:
+                if term.effect.name == effect.name:
+                    index[term.x_slice] = term.index
             names = {name: f"{effect.name}.{name}" for name in effect.weight_shapes}
-            weighted = _Weighted(effect.weights, names, len(effect.coefficients), index)
-            self.weighing |= dict.fromkeys(names.values(), weighted)
+            weighted = _ShapeWeights(effect.weights, names, len(effect.coefficients), index)
+            self.weights_by_shape |= dict.fromkeys(names.values(), weighted)
 
     def log_weights(self, name: str, hyper: Mapping[str, Any]) -> Float[np.ndarray, "p"]:
-        """Return the log factors of the sizes that follow a shape; zero for others."""
-        return np.log(np.maximum(self.weighing[name].at(hyper), 1e-300))
+        """Return the log factors of the prior deviations that depend on a shape (p,); zero for all others."""
+        return np.log(np.maximum(self.weights_by_shape[name].evaluate(hyper), 1e-300))
 
-    def at(self, hyper: Mapping[str, Any], count: tuple[int, ...] = ()) -> Float[Any, "*b p"]:
-        """Return the sizes at one φ, its values by name; at `count` of them, the values of each (b,)."""
-        if count:
+    def evaluate(self, hyper: Mapping[str, Any], batch: tuple[int, ...] = ()) -> Float[Any, "*b p"]:
+        """Return the prior standard deviations of x at φ; with `batch` (b,) at b values of φ."""
+        if batch:
             hyper = {name: np.reshape(value, (-1, 1)) for name, value in hyper.items()}
-        # Fixed sizes or learned spreads, one for each coefficient, then the weights of effects that have some.
-        sd = self.plain
-        for name, members in self.members.items():
-            sd = xp.where(members > 0, hyper[name], sd)
-        for weighted in {id(w): w for w in self.weighing.values()}.values():
-            sd = sd * weighted.at(hyper, count)
-        return xp.broadcast_to(sd, (*count, len(self.plain)))
+        # A fixed or learned standard deviation per coefficient, times the factors of effects with weights.
+        deviations = self.fixed_sd
+        for name, members in self.learned_sd_masks.items():
+            deviations = xp.where(members > 0, hyper[name], deviations)
+        for weighted in {id(w): w for w in self.weights_by_shape.values()}.values():
+            deviations = deviations * weighted.evaluate(hyper, batch)
+        return xp.broadcast_to(deviations, (*batch, len(self.fixed_sd)))

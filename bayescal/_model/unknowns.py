@@ -1,4 +1,4 @@
-"""One table of a model's unknowns: name, unit, effect, group member, place in x or φ, prior; and values from draws."""
+"""Table of a model's unknowns: name, unit, effect, group member, index in x or φ, prior; and values from draws."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ from bayescal._model.parameters import Layout, Levels, Unknown
 
 @dataclass(frozen=True)
 class Unknowns:
-    """All unknowns of a model bound to readings: coefficients, member by member, then noise, spreads and shapes."""
+    """All unknowns of a model bound to readings: coefficients per member, noise, group deviations, shapes."""
 
     layout: Layout
     rows: tuple[Unknown, ...]
 
     @classmethod
     def of(cls, layout: Layout, levels: Levels | None = None) -> Unknowns:
-        """List the unknowns of a layout, group members by their labels in `levels`, or else by number."""
+        """List the unknowns of a layout; group members are named by their labels in `levels`, otherwise by number."""
         rows = list[Unknown]()
         for b in (b for b in layout.blocks if b.place in ("x", "phi")):
             names, in_phi = b.member_names(levels), b.member_names()
@@ -49,12 +49,12 @@ class Unknowns:
 
     @cached_property
     def index(self) -> dict[str, int]:
-        """Return the index by name."""
+        """Return name → index in the table."""
         return {u.name: i for i, u in enumerate(self.rows)}
 
     @cached_property
     def by_key(self) -> dict[str, slice]:
-        """Return the slice of the members of each key."""
+        """Return key → slice of its group members in the table."""
         slices: dict[str, slice] = {}
         for i, u in enumerate(self.rows):
             slices[u.key] = slice(slices[u.key].start if u.key in slices else i, i + 1)
@@ -63,7 +63,7 @@ class Unknowns:
     def values(
         self, x: Float[np.ndarray, "*draws p"], v: Float[np.ndarray, "*draws d"]
     ) -> Float[np.ndarray, "*draws unknowns"]:
-        """Return the values of draws, in reported units."""
+        """Convert posterior draws of x and v to values of all unknowns, in reported units."""
         phi = [np.asarray(h.prior.value(v[..., i])) for i, h in enumerate(self.layout.hypers)]
         fixed, at = dict(self.layout.model.fixed), self.layout.index_in_phi
         table = np.empty((*np.shape(x)[:-1], len(self.rows)))
@@ -78,7 +78,7 @@ class Unknowns:
         return table
 
     def select(self, values: Float[np.ndarray, "*draws unknowns"], name: str) -> np.ndarray:
-        """Return the values of a key or of one unknown: (…) of one value, (…, members) of a group."""
+        """Select one unknown (…), or all members of a group by their key (…, members)."""
         members = self.by_key.get(name)
         grouped = members is not None and self.rows[members.start].group is not None
         return values[..., members if grouped else self.index[name]]

@@ -1,28 +1,25 @@
-"""Three axes as one instrument: the measurand is a vector of known magnitude, its direction unknown or nearly known.
+"""Three-axis instruments: the measurand is a vector of known magnitude, its direction unknown or nearly known.
 
     y = h(f; slots) + e,     |f| = F,     e ~ N(0, σ²) on each axis
 
-Effects add to slots, and h turns slots and f into the three outputs. A *pose* (one averaged reading of three outputs)
-becomes scalar readings of independent noise, so that everything that takes a scalar output takes vectors:
+Effects add to slots, and h maps slots and f to the three outputs. A *pose* (one averaged reading of three outputs)
+is converted to scalar readings with independent noise, to which all methods for scalar outputs apply:
 
 * its *magnitude*. With f̂ = h⁻¹(y), û = f̂/|f̂|, H = ∂h/∂f and s = |H⁻ᵀû|, the residual is
 
       F·g(|f̂|/F)/s  ~  N(0, σ²),     g(1 + x) = x/2 + x/(2 + 4x/3)
 
-  which is (|f̂| − F)/s with its curvature. That s·σ is the standard deviation of |f̂| follows from Cov f̂ = σ²·H⁻¹H⁻ᵀ.
-  The curvature g″(1) = −2/3 is what makes the estimating equation unbiased: by the curvature of the sphere |f̂| is
-  too long by σ²/F on average, and noise in û and |f̂| moves the residual's own slope with it; these add up to
-  −(3·g″ + 2)/2 times σ²·ûᵀ(∂H)û. With g″ = 0 poses held by hand (σ of 30 mg) are biased by half a standard
-  uncertainty. Far away g rises in proportion: with a power of |f̂| below one a matrix near zero, f̂ without bound,
-  would leave nothing over.
-* where its direction u is known to τ radians, two projections qᵀy on directions q ⊥ u, expected qᵀh(F·u), with the
-  known standard uncertainty τ·F beside their noise. They share nothing with the magnitude, which no small angle moves.
+  (|f̂| − F)/s to first order: s·σ is the standard deviation of |f̂|, since Cov f̂ = σ²·H⁻¹H⁻ᵀ. The second derivative
+  g″(1) = −2/3 makes the estimating equation unbiased: the mean of |f̂| exceeds F by σ²/F, and the residual's
+  derivative is correlated with its noise; together −(3·g″ + 2)/2 times σ²·ûᵀ(∂H)û. With g″ = 0 hand-held poses (σ of
+  30 mg) are biased by half a standard uncertainty. For |f̂| ≫ F g is linear: a singular matrix has large residuals.
+* if its direction u is known to τ radians, two *projections* qᵀy on directions q ⊥ u, expected qᵀh(F·u), with standard
+  uncertainty τ·F in addition to noise. They are independent of the magnitude, which is stationary in small angles.
 
-A direction that is unknown leaves one reading of three; a rotation of the triad then moves no reading, so that only
-three of six misalignments are determined (an upper triangle by convention).
+With unknown direction one reading of three is left, and no reading depends on a rotation of the triad: only three of
+six misalignments are identified (an upper triangle by convention).
 
-Where what acts is known but for errors of the rig (a rate about a table's axis), these are unknowns of the model, and
-each output is a reading of its own: the projection on its axis.
+If the measurand is known except for errors of the rig, these are unknowns of the model, and each output is a reading.
 """
 
 from __future__ import annotations
@@ -40,8 +37,8 @@ from bayescal._data.pose_rows import ACROSS, DIRECTION, ellipsoid, magnitude
 from bayescal._model.frame import Frame
 from bayescal._model.static import static
 
-NEAR_RATIO = 1.5  # factor by which outputs may be off in length, where a fit needs no ellipsoid
-INVERSIONS = 1  # Newton steps before the one that is differentiated: 1e-7 in the end for a nonlinearity of a tenth
+NEAR_RATIO = 1.5  # largest |output|/magnitude, or its inverse, to fit without an ellipsoid
+INVERSIONS = 1  # Newton steps before the differentiated one: error 1e-7 for 10 % nonlinearity
 
 Outputs = Callable[[Float[Array, "n 3"]], Float[Array, "n 3"]]
 
@@ -54,11 +51,11 @@ class Vector:
         outputs: the three columns that files hold, in the output's unit; `output` is made of them.
         equation: h of slots and frame: a function of what acts (n, 3), output unit, to the three outputs expected,
             that JAX can differentiate backward too (no loop of unknown length), finite wherever it is evaluated.
-        acting: what acts (n, 3), output unit, of a frame, where it is known; None where its magnitude is.
+        acting: function of a frame, the known measurand (n, 3), output unit; None if only its magnitude is known.
         common_scale: plausible standard deviation of a factor that the three scale factors share, as a wrong magnitude
             of what acts would make it; 0 where nothing is said of it.
         rig: slots of the rig's own errors, which do not act in use and which the equation does not hold.
-        beside: three columns of what else acts, linearly, in use too: gravity on gyroscopes.
+        beside: three columns of a further stimulus with linear response, such as gravity on gyroscopes.
     """
 
     outputs: tuple[str, str, str]
@@ -71,47 +68,46 @@ class Vector:
     def response(self, slots: Mapping[str, Float[Array, "n"]], frame: Frame) -> Float[Array, "n"]:
         """Return the expected output of each reading, magnitude or projection, output unit."""
         if self.acting is not None:
-            across = jnp.stack([frame[name] for name in ACROSS], axis=1)
-            return jnp.sum(across * self.equation(slots, frame)(self.acting(frame)), axis=1)
+            projections = jnp.stack([frame[name] for name in ACROSS], axis=1)
+            return jnp.sum(projections * self.equation(slots, frame)(self.acting(frame)), axis=1)
         y = jnp.stack([frame[name] for name in self.outputs], axis=1)
-        size = magnitude(frame.columns)
+        magnitudes = magnitude(frame.columns)
         outputs = self.equation(slots, frame)
-        force, inverse = inverted(outputs, y)
-        length = _norm(force)
-        slope = _norm(jnp.sum(inverse * (force / length[:, None])[:, :, None], axis=1))
-        radial = size * excess(length / size) / slope
-        expected = _norm(y) - radial
+        force, inverse = invert_equation(outputs, y)
+        length = _norms(force)
+        radial_derivative = _norms(jnp.sum(inverse * (force / length[:, None])[:, :, None], axis=1))
+        residual = magnitudes * radial_residual(length / magnitudes) / radial_derivative
+        expected = _norms(y) - residual
         if ACROSS[0] not in frame.columns:
             return expected
-        across = jnp.stack([frame[name] for name in ACROSS], axis=1)
+        projections = jnp.stack([frame[name] for name in ACROSS], axis=1)
         direction = jnp.stack([frame[name] for name in DIRECTION], axis=1)
-        expected_outputs = outputs(size[:, None] * direction)
-        projected = jnp.any(across != 0, axis=1)
-        return jnp.where(projected, jnp.sum(across * expected_outputs, axis=1), expected)
+        expected_outputs = outputs(magnitudes[:, None] * direction)
+        projected = jnp.any(projections != 0, axis=1)
+        return jnp.where(projected, jnp.sum(projections * expected_outputs, axis=1), expected)
 
     def with_directions(
         self, frame: Frame, y: Float[np.ndarray, "n"]
     ) -> tuple[Frame, Float[np.ndarray, "n"]] | None:
-        """Return the readings as projections in known directions, those of an ellipsoid through the outputs.
+        """Replace magnitude readings by projections on directions from an ellipsoid fitted to the outputs.
 
-        Their expected outputs are linear in the slots of a linear equation, from wherever a fit begins. The magnitude
-        is not where outputs are far from it in length (a hard iron, another unit): a fit that begins with the
-        directions of the outputs themselves ends where a scale factor is zero.
+        Projections are linear in the slots of a linear equation, so that a fit converges from any start. Magnitudes of
+        outputs far from the true one (a hard iron, another unit) let a fit converge to a zero scale factor.
 
         Returns:
-            Frame and outputs; None where outputs are near the magnitude, what acts is known, or no ellipsoid is found.
+            Frame and outputs; None if outputs are near the magnitude, the measurand is known, or the ellipsoid fails.
         """
         if self.acting is not None:
             return None
         outputs = np.stack([frame[name] for name in self.outputs], axis=1)
         ratio = np.linalg.norm(outputs, axis=1) / magnitude(frame.columns)
-        near = np.all((ratio < NEAR_RATIO) & (ratio > 1 / NEAR_RATIO))
-        if near or (fitted := ellipsoid(outputs)) is None:
+        is_near = np.all((ratio < NEAR_RATIO) & (ratio > 1 / NEAR_RATIO))
+        if is_near or (fitted_ellipsoid := ellipsoid(outputs)) is None:
             return None
-        # The triad's matrix is upper triangular, as the convention of three misalignments has it.
-        off, form = outputs - fitted[0], fitted[1]
-        # The measurand, and the ellipsoid's normal.
-        vectors = off @ np.linalg.cholesky(form), off @ form
+        # The triad's matrix is upper triangular, by the convention of three misalignments.
+        centred, quadratic_form = outputs - fitted_ellipsoid[0], fitted_ellipsoid[1]
+        # Directions of the measurand, and normals of the ellipsoid.
+        vectors = centred @ np.linalg.cholesky(quadratic_form), centred @ quadratic_form
         direction, normal = (v / np.linalg.norm(v, axis=1)[:, None] for v in vectors)
         names, columns = (*DIRECTION, *ACROSS), dict(frame.columns)
         present = [name in columns for name in names]
@@ -120,40 +116,40 @@ class Vector:
             projected = np.any(np.stack([columns[name] for name in ACROSS]) != 0, axis=0)
         for name, values in zip(names, np.concatenate([direction, normal], axis=1).T, strict=True):
             columns[name] = np.where(projected, columns[name], values) if all(present) else values
-        along = np.sum(normal * outputs, axis=1)
-        return replace(frame, columns=columns), np.where(projected, y, along)
+        projections = np.sum(normal * outputs, axis=1)
+        return replace(frame, columns=columns), np.where(projected, y, projections)
 
 
-def excess(ratio: Any) -> Any:
-    """Return g of a length over its true magnitude: 0, slope 1 and curvature −2/3 at one."""
+def radial_residual(ratio: Any) -> Any:
+    """Return g(ratio) of a length over its true magnitude: g(1) = 0, g′(1) = 1, g″(1) = −2/3."""
     x = ratio - 1
     return x / 2 + x / (2 + 4 * x / 3)
 
 
-def inverted(
+def invert_equation(
     outputs: Outputs, y: Float[Array, "n 3"]
 ) -> tuple[Float[Array, "n 3"], Float[Array, "n 3 3"]]:
-    """Return f̂ = h⁻¹(y) and H⁻¹ there; only the last Newton step is differentiated: that is the derivative of h⁻¹."""
+    """Solve h(f̂) = y by Newton's method; return f̂ and H⁻¹. Only the last step is differentiated (implicit function)."""
 
     def equation(force: Array) -> tuple[Array, Callable[[Array], Array]]:
-        value, inverse = _with_inverse(outputs, force)
-        return value, lambda miss: jnp.sum(inverse * miss[:, None, :], axis=2)
+        value, inverse = _linearise_and_invert(outputs, force)
+        return value, lambda residual: jnp.sum(inverse * residual[:, None, :], axis=2)
 
-    near = jax.lax.stop_gradient(stepped(equation, y, y, INVERSIONS))
-    force = stepped(equation, y, near, 1)
-    return force, _with_inverse(outputs, force)[1]
+    start = jax.lax.stop_gradient(stepped(equation, y, y, INVERSIONS))
+    force = stepped(equation, y, start, 1)
+    return force, _linearise_and_invert(outputs, force)[1]
 
 
-def _with_inverse(
+def _linearise_and_invert(
     outputs: Outputs, force: Float[Array, "n 3"]
 ) -> tuple[Float[Array, "n 3"], Float[Array, "n 3 3"]]:
-    """Return h and the inverse of its derivative: cross products over the determinant."""
-    along = jnp.broadcast_to(jnp.eye(3)[:, None, :], (3, *force.shape))
-    value, push = jax.linearize(outputs, force)
-    a, b, c = jax.vmap(push)(along)
+    """Return h and the inverse of its Jacobian, by cross products over the determinant."""
+    tangents = jnp.broadcast_to(jnp.eye(3)[:, None, :], (3, *force.shape))
+    value, jvp = jax.linearize(outputs, force)
+    a, b, c = jax.vmap(jvp)(tangents)
     rows = jnp.stack([jnp.cross(b, c), jnp.cross(c, a), jnp.cross(a, b)], axis=1)
     return value, rows / jnp.sum(a * rows[:, 0], axis=1)[:, None, None]
 
 
-def _norm(vectors: Float[Array, "n 3"]) -> Float[Array, "n"]:
+def _norms(vectors: Float[Array, "n 3"]) -> Float[Array, "n"]:
     return jnp.sqrt(jnp.sum(vectors**2, axis=1))

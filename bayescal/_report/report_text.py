@@ -20,7 +20,7 @@ from bayescal._core.formatting import interval, number, probability, with_error
 from bayescal._core.result_table import ResultTable, TableColumn, plain_table
 from bayescal._core.settings import settings
 from bayescal._data.unit_conversion import unit_label
-from bayescal._model.composition import columns_read
+from bayescal._model.composition import find_response_columns
 from bayescal._model.effect import Effect
 from bayescal._model.model import Model
 from bayescal._model.prior import Flat, HalfCauchy, HalfNormal, LogNormal, LogUniform, Normal
@@ -44,7 +44,7 @@ def ranges(calibration: Calibration) -> list[dict[str, Any]]:
     """Return the covered range of each numeric covariate and each rate of a temperature, with its role."""
     readings, model = calibration.readings, calibration.model
     used = {c for e in model.effects for c in e.columns} | {*model.noise.needs}
-    used |= columns_read(model.instrument, calibration.frame)
+    used |= find_response_columns(model.instrument, calibration.frame)
     about, rows = {c.name: c.meaning for c in model.instrument.columns}, []
 
     def add(name: str, meaning: str, values: np.ndarray, unit: str, part: str) -> None:

@@ -31,7 +31,7 @@ from bayescal._inference.least_squares import LeastSquares
 from bayescal._inference.method import Method
 from bayescal._model.effect import Effect
 from bayescal._model.frame import Reference
-from bayescal._model.model import Model, testable
+from bayescal._model.model import Model, why_untestable
 from bayescal._model.unknown_effect import freed
 from bayescal._search import discover
 from bayescal._search.candidate import Candidate
@@ -168,7 +168,7 @@ class Loop:
         baseline_effects = (*instrument.effects, *instrument.nuisances)
         catalogued = {*instrument.known} - {e.name for e in baseline_effects}
         free = (model - effect).fixed == model.fixed
-        testable_here = testable(effect, readings) is None
+        testable_here = why_untestable(effect, readings) is None
         return on_the_way and effect.name in catalogued and free and testable_here
 
     def open(self, first: Step, effects: Sequence[Effect], widen_noise: bool) -> None:

@@ -153,8 +153,8 @@ def _by_refit(effect, with_it: Weighed) -> dict:
     term = next(t for t in problem.in_x if t.effect.name == effect.name)
     _, got = Density(problem, mode.x, mode.flat, mode.v).at(mode.v)
     # Given φ̂: the noise and the shapes are held, as in a score.
-    sd = 0.0 if got is None else math.sqrt(got.covariance[term.at.start, term.at.start])
-    return {"size": float(mode.x[term.at.start]), "size_sd": sd, "shape": shapes}
+    sd = 0.0 if got is None else math.sqrt(got.covariance[term.x_slice.start, term.x_slice.start])
+    return {"size": float(mode.x[term.x_slice.start]), "size_sd": sd, "shape": shapes}
 
 
 def _size(library: Library, points: Sequence[ScoredPoint]) -> tuple[float, float]:

@@ -23,7 +23,7 @@ from bayescal._model import forward
 from bayescal._model.effect import Effect
 from bayescal._model.frame import build_frame, reference_of
 from bayescal._model.instrument import Instrument
-from bayescal._model.model import Model, testable
+from bayescal._model.model import Model, why_untestable
 from bayescal._model.parameters import bind
 from bayescal._model.unknowns import Unknowns
 from bayescal._search.own_files import in_one_line
@@ -122,7 +122,7 @@ def check_instrument(
     with stage(f"checking {instrument.name}"):
         for model, effects in trials:
             first, names = model is baseline, ", ".join(e.name for e in effects)
-            if not first and (reason := testable(effects[0], readings)) is not None:
+            if not first and (reason := why_untestable(effects[0], readings)) is not None:
                 unit, remark = effects[0].coefficients[0].unit, f"not tested, {reason}"
                 check.rows.append(Recovery(names, KINDS[False], unit, remark=remark))
                 continue
@@ -155,7 +155,7 @@ def _recover(
     random, signs = np.random.default_rng(seed + 1), np.ones(layout.size)
     for n, b in enumerate(layout.x_blocks):
         alone = b.coefficient.per is None
-        signs[b.at] = 1 - 2 * (n % 2) if alone else random.standard_normal(b.size)
+        signs[b.x_slice] = 1 - 2 * (n % 2) if alone else random.standard_normal(b.size)
     x = forward.prior_mean(layout) + forward.prior_sd(layout, hyper) * signs
     # The second of two: a seed stands for the readings that it always gave.
     key = jax.random.split(jax.random.fold_in(jax.random.key(seed), len(check.rows)))[1]
@@ -181,7 +181,8 @@ def _recover(
             remark = f"{1 + len(others)} of them"
         truth, mean, sd = float(truth), float(draws.mean()), float(draws.std())
         if (b := u.block) is not None:
-            c, adds = b.coefficient, b.coefficient.size * float(slopes[:, b.at].max(initial=0.0))
+            c, adds = b.coefficient, float(slopes[:, b.x_slice].max(initial=0.0))
+            adds *= c.size
             check.errors += off_scale(b.effect, adds, check.noise, check.unit)
             if adds == 0.0:
                 remark = "changes no reading"

@@ -24,9 +24,9 @@ from bayescal._inference.linear_model import amplitudes, sized
 from bayescal._inference.method import Method
 from bayescal._inference.record import record_of
 from bayescal._model.effect import READING, Effect, with_forms
-from bayescal._model.frame import Reference, derived
+from bayescal._model.frame import Reference, list_covariates
 from bayescal._model.instrument import Instrument
-from bayescal._model.model import Model, testable
+from bayescal._model.model import Model, why_untestable
 from bayescal._model.noise_law import Noise
 from bayescal._model.parameters import bind
 from bayescal._model.unknown_effect import FORMS, IN_TIME
@@ -263,7 +263,7 @@ def structures_over(
         gone = sorted(readings.no_causes.intersection(effect.columns))
         if gone and effect.name not in given_names:
             return f"the column {', '.join(gone)} is left out"
-        return testable(effect, readings)
+        return why_untestable(effect, readings)
 
     # Of a family that the model has in one form, no other is missing.
     had = {e.reported for e in model.effects}
@@ -312,7 +312,7 @@ def placeholders(model: Model, readings: Measurements) -> list[Effect]:
     instrument = model.instrument
     if all(s.unit != instrument.unit for s in instrument.slots):
         return []
-    names = [name for name, values in derived(readings).items() if np.ptp(values) > 0]
+    names = [name for name, values in list_covariates(readings).items() if np.ptp(values) > 0]
     forms = [*IN_TIME] if "time" in names else []
     columns = [name for name in names if readings.has(name) and name != "time"]
     straight = {n for effect in model.effects for n in effect.varies}  # a line along them is there

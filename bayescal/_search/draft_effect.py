@@ -13,7 +13,7 @@ import numpy as np
 from bayescal._calibration.calibration import Calibration
 from bayescal._core.errors import ModelError
 from bayescal._core.quoting import identifier, python_string, python_words
-from bayescal._model.frame import measured_column
+from bayescal._model.frame import strip_rate
 
 SIMPLE_SHARE = 0.97  # share of a free curve's variance, from which a simple formula will do for it
 
@@ -47,7 +47,7 @@ def draft_effect(calibration: Calibration, name: str) -> str:
     slot, word = effect.slot, identifier(covariate)[:40]
     known_effects = (*model.instrument.known.values(), *model.effects)
     word += "_own" if f"{slot}.{word}" in {e.name for e in known_effects} else ""
-    measured = measured_column(covariate)
+    measured = strip_rate(covariate)
     column = python_string(measured)
     value = f"r[{column}]" if measured == covariate else f"r.rate({column})"
     if covariate == "elapsed":

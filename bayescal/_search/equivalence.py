@@ -26,7 +26,7 @@ from bayescal._inference.linear_model import RANK, LinearModel, about_priors
 from bayescal._inference.problem import Problem
 from bayescal._inference.record import record_of
 from bayescal._model.frame import reference_of
-from bayescal._model.model import testable
+from bayescal._model.model import why_untestable
 from bayescal._model.parameters import bind
 from bayescal._search.library import Library
 from bayescal._search.structures import RMS_SIZE, Structure, Structures, has_size
@@ -99,7 +99,7 @@ def _columns(structures: Structures) -> tuple[LinearModel, dict[str, _Columns]]:
     line = about_priors(Problem(layout, structures.record), structures.floor)
     random = np.zeros(len(line.owners), dtype=bool)
     for t in line.problem.in_x:
-        random[t.at] = t.group_sd_name is not None or t.effect.weights is not None
+        random[t.x_slice] = t.group_sd_name is not None or t.effect.weights is not None
     # Of many readings some, each in the place of several.
     stride = -(-line.size // MAX_ROWS)
     white = math.sqrt(stride) * line.white_nuisance[::stride]
@@ -177,7 +177,7 @@ def separating_experiments(structures: Structures) -> dict[Equivalent, dict[str,
         stride = -(-len(readings) // MAX_EXPERIMENT_READINGS)
         readings = readings.select(np.arange(0, len(readings), stride))
         named = {n: structures.candidates[n] for equivalent in sets for n in equivalent.effects}
-        candidates = {n: e for n, e in named.items() if testable(e, readings) is None}
+        candidates = {n: e for n, e in named.items() if why_untestable(e, readings) is None}
         reference = reference_of(readings)
         layout = bind(structures.base, readings, candidates.values(), reference)[0]
         record = record_of(instrument, readings, reference)

@@ -17,10 +17,10 @@ from scipy.special import ndtri
 from bayescal._core import deadline
 from bayescal._inference.linear_model import LinearModel
 from bayescal._inference.means import Means
-from bayescal._model.composition import by_member
+from bayescal._model.composition import expand_members
 from bayescal._model.effect import Coefficient, Effect, Shape
 from bayescal._model.instrument import factor_of
-from bayescal._model.terms import ColumnsOf, Correction
+from bayescal._model.terms import ColumnSpec, Correction
 from bayescal._search.structures import SIZE_FACTORS, Structures
 
 SHAPE_POINTS = 7  # of one shape, at the middles of equal parts of its prior
@@ -162,16 +162,15 @@ class Library:
         is_small = self.width * record.size <= HELD_NUMBERS
         needed_points = self.points[name] if is_small else points
         at = np.transpose([[*p.shapes.values()] for p in needed_points])
-        bases = record.columns_of_draws(
-            ColumnsOf.of(effect).on([*needed]), [*at, *itertools.chain(*needed.values())], {}
-        )
+        spec = ColumnSpec.from_effect(effect).with_corrections([*needed])
+        bases = record.columns_of_draws(spec, [*at, *itertools.chain(*needed.values())], {})
         bases = bases[None] if bases.ndim == 2 else bases
         ends = np.cumsum([0, *(_members(c, counts) for c in effect.coefficients)])
         columns = np.empty((len(bases), ends[-1], record.size))
         for i, c in enumerate(effect.coefficients):
             slope = by_slot[i] * factor_of(instrument, effect, c)
             codes, members = None if c.per is None else record.codes[c.per], slice(*ends[i : i + 2])
-            spread = by_member(slope * bases[..., i], codes, members.stop - members.start)
+            spread = expand_members(slope * bases[..., i], codes, members.stop - members.start)
             columns[:, members] = np.moveaxis(spread, -1, 1)
         if not is_small:
             return columns
@@ -198,7 +197,7 @@ def _at_ends(points: Sequence[GridPoint]) -> list[GridPoint]:
 
 def _nearby(correction: Correction, at: tuple[float, ...]) -> tuple[float, ...]:
     """Return a correction's shapes, rounded to even steps of their coordinates."""
-    pairs = zip(correction.of.priors, at, strict=True)
+    pairs = zip(correction.spec.priors, at, strict=True)
     return tuple(
         float(p.value(round(p.coordinate(x) / ACTING_STEP) * ACTING_STEP)) for p, x in pairs
     )

@@ -157,7 +157,7 @@ def with_latent(
     # By how much each unknown stands elsewhere for each unit of what is latent.
     moves = np.linalg.solve(latent_covariance, covariance[inside]) * line.sd
     by_name = {b.name: moves[:, b.start : b.start + b.size] for b in layout.x_blocks}
-    hypers = ((layout.hypers[i].name, layout.size + k) for k, i in enumerate(layout.moving))
+    hypers = ((layout.hypers[i].name, layout.size + k) for k, i in enumerate(layout.nonlinear_phi))
     by_name |= {name: moves[:, column] for name, column in hypers}
 
     def moved(calibration: Calibration) -> Calibration:

@@ -374,7 +374,7 @@ class Structures:
         moved = np.zeros(len(is_own))
         moved[others] = np.linalg.lstsq(inner, columns.T @ white, rcond=1e-12)[0] * line.sd[others]
         plain = (
-            t.at.start
+            t.x_slice.start
             for t in line.problem.in_x
             if t.group_sd_name is None and t.effect.weights is None and t.per is None
         )
@@ -522,7 +522,7 @@ class SizeGains(NamedTuple):
         names, owner = [*initial], np.full(problem.size, -1)
         for t in problem.in_x:
             if t.effect.name in initial and t.group_sd_name is None:
-                owner[t.at] = names.index(t.effect.name)
+                owner[t.x_slice] = names.index(t.effect.name)
         sized = np.flatnonzero(owner >= 0)
         root = gaussian.root_of_z[sized]
         return cls(dict(initial), owner[sized], gaussian.z[sized], root @ root.T)

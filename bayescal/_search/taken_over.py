@@ -25,7 +25,7 @@ from bayescal._calibration.claim import Claim, limit
 from bayescal._core.formatting import number
 from bayescal._data.measurements import Measurements
 from bayescal._model.effect import Effect
-from bayescal._model.frame import measured_column
+from bayescal._model.frame import strip_rate
 
 LEFT_SHARE = limit("term.replaced", "left_share")
 CORRECTED_SHARE = limit("term.replaced", "corrected_share")
@@ -102,7 +102,7 @@ def taken_over(
 def _own_columns(effect: Effect) -> set[str]:
     """Return numeric columns that an effect depends on, without the time of lags and rates."""
     named = set(effect.varies) | (set(effect.columns) - {"time"})
-    along = measured_column(effect.along or "")
+    along = strip_rate(effect.along or "")
     return named | ({along} if along not in ("", "elapsed") else set())
 
 

@@ -32,7 +32,7 @@ from bayescal._core.version import __version__
 from bayescal._data.measurements import Measurements
 from bayescal._data.records import RATE_WINDOW, rate_window
 from bayescal._data.unit_conversion import unit_label
-from bayescal._model.frame import Frame, build_frame, held_name
+from bayescal._model.frame import Frame, build_frame, hold_flag_name
 from bayescal._tables.cells import date_text
 from bayescal._use.expression_graph import Graph
 from bayescal._use.operating_equation import (
@@ -128,7 +128,7 @@ def inputs_in_use(equation: OperatingEquation) -> list[Input]:
         )
         add(name, "degC/s", meaning, "rate", column, tau=rate_window(np.asarray(frame.step)))
     for lag in equation.lags:  # exports compute a lag and its slope of a record
-        is_held = bool(calibration.reference.get(held_name(lag.column), 0.0))
+        is_held = bool(calibration.reference.get(hold_flag_name(lag.column), 0.0))
         silence = None if is_held else float(frame.silence)
         past = {"tau": lag.tau, "silence": silence, "held": is_held}
         meaning = f"lag of {lag.column} behind the thermometer by {lag.tau!r} s, 0 at the start"
@@ -206,7 +206,7 @@ def _record(
     if readings is None:
         units = {i.column: "degC" for i in needed if i.kind in PAST} | {"time": "s"}
         readings = Measurements({n: np.array(values[n]) for n in units}, units)
-    holds = {held_name(i.column): float(i.held) for i in needed}
+    holds = {hold_flag_name(i.column): float(i.held) for i in needed}
     return build_frame(readings, holds)
 
 

@@ -19,7 +19,7 @@ from bayescal._core.atomic_file import write_text
 from bayescal._core.errors import InputError
 from bayescal._data.column import UNCERTAINTY, Column
 from bayescal._data.measurements import Measurements
-from bayescal._model.composition import columns_read
+from bayescal._model.composition import find_response_columns
 from bayescal._use.compensation_program import (
     NOT_RELIABLE,
     PAST,
@@ -308,7 +308,8 @@ def compensator(
     if draws < 2:
         raise InputError(f"draws={draws}: an uncertainty needs at least 2")
     full = Compensator(calibration, equation_in_use(calibration, members), draws)
-    model, read = calibration.model, columns_read(calibration.model.instrument, calibration.frame)
+    model = calibration.model
+    read = find_response_columns(model.instrument, calibration.frame)
     needed = calibration.usual_columns.union(model.noise.needs, read)
     if all(needed.issuperset(e.columns) for e in model.effects):
         return full
@@ -326,8 +327,7 @@ def load_compensator(path: str | Path) -> Compensator:
     Raises:
         InputError: the file is missing, no compensator, of another version, or damaged.
     """
-    correction = load_correction(path)
-    if not isinstance(correction, CompensationProgram):
+    if not isinstance(correction := load_correction(path), CompensationProgram):
         kind = kind_of(correction)
         raise InputError(f"{Path(path).name} is of {kind.axes}: bayescal.{kind.loader} loads it")
     return Compensator(loaded=correction)

@@ -26,7 +26,7 @@ from jaxtyping import Float
 from bayescal._calibration.calibration import Calibration
 from bayescal._core.errors import InputError, ModelError
 from bayescal._core.inverse import solved
-from bayescal._model.composition import Traced, compose
+from bayescal._model.composition import TracedColumns, compose
 from bayescal._model.effect import Basis
 from bayescal._model.frame import Frame
 from bayescal._model.instrument import Instrument, Use, factor_of
@@ -87,7 +87,7 @@ def input_name(unknown: str) -> str:
     return f"({unknown})"
 
 
-class ActingTerms(Traced):
+class ActingTerms(TracedColumns):
     """The effects and the instrument in use, evaluated on symbols of a graph."""
 
     xp = np
@@ -236,7 +236,7 @@ class OperatingEquation:
         composed = compose(terms, terms_of(acting)[0], values, shapes)
         zero = self.graph.symbols([0.0])
         slots = {name: composed.slots.get(name, zero) for name in terms.slots}
-        return terms.frame.moved(composed.moves), slots
+        return terms.frame.moved(composed.shifts), slots
 
     @cached_property
     def expected(self) -> int:

@@ -8,7 +8,7 @@ from bayescal._model.prior import Flat, HalfNormal, Normal
 
 
 def one(r: Frame) -> float:
-    """Return 1 for every reading."""
+    """Return the constant basis function, 1 for every reading."""
     return 1.0
 
 
@@ -27,14 +27,14 @@ def constant(slot: str, size: float | None, unit: str, *, source: str) -> Effect
 
 
 def deviation(slot: str, per: Group, size: float, unit: str, *, source: str) -> Effect:
-    """Return one deviation for each member of a group, their standard deviation estimated; `size` scales its prior."""
-    column = {"cell": ("temperature_point",)}.get(per, (per,))
+    """Return deviations of a group's members with a learned standard deviation; `size` scales its half-normal prior."""
+    columns = {"cell": ("temperature_point",)}.get(per, (per,))
     return Effect(
         f"{slot}.{per}",
         slot,
         basis=one,
         coefficients=(Coefficient(unit, Normal(0.0, size), per=per, group_sd=HalfNormal(size)),),
-        columns=column,
+        columns=columns,
         equation=f"d[{per}],  d ~ N(0, s²)",
         source=source,
     )

@@ -10,7 +10,7 @@ from bayescal._model.frame import Frame, reference_name
 from bayescal._model.prior import Normal
 
 
-class Power(Protocol):  # factory of effects of one power
+class Power(Protocol):  # signature of the factories below
     def __call__(
         self,
         slot: str,
@@ -23,35 +23,35 @@ class Power(Protocol):  # factory of effects of one power
     ) -> Effect: ...
 
 
-def _powered(column: str, order: int, r: Frame) -> Any:
+def _power_basis(column: str, order: int, r: Frame) -> Any:
     return r.centred(column) ** order
 
 
-def _power(called: Kind, order: int, meaning: str) -> Power:
-    suffix, sign = ("", "") if order == 1 else (f"_{called}", "²³⁴"[order - 2])
-    per = "degC" if order == 1 else f"degC^{order}"
+def _make_power(kind: Kind, order: int, meaning: str) -> Power:
+    suffix, exponent = ("", "") if order == 1 else (f"_{kind}", "²³⁴"[order - 2])
+    divisor = "degC" if order == 1 else f"degC^{order}"
 
     def make_effect(slot, size, unit, *, source, column="temperature", name=None):
         variable = "T − T0" if column == "temperature" else f"{column} − {reference_name(column)}"
         return Effect(
             f"{slot}.{name or column}{suffix}",
             slot,
-            basis=partial(_powered, column, order),
+            basis=partial(_power_basis, column, order),
             coefficients=(Coefficient(unit, Normal(0.0, size)),),
             columns=(column,),
             varies=(column,),
-            equation=f"c·({variable}){sign}",
+            equation=f"c·({variable}){exponent}",
             source=source,
-            kind=called,
+            kind=kind,
         )
 
-    make_effect.__name__ = make_effect.__qualname__ = called
-    make_effect.__doc__ = f"""c·(T − T0){sign}: {meaning}.
+    make_effect.__name__ = make_effect.__qualname__ = kind
+    make_effect.__doc__ = f"""c·(T − T0){exponent}: {meaning}.
 
     Args:
         slot: that it adds to, such as "bias".
         size: prior standard deviation of c, in `unit`: how large it plausibly is.
-        unit: of c, such as "deg/s/{per}" or "ppm/{per}"; of the dimension of the slot's unit over that power of the
+        unit: of c, such as "deg/s/{divisor}" or "ppm/{divisor}": the slot's unit over that power of the
             column's.
         source: where the size comes from: a document, or whose estimate it is.
         column: the temperature T, °C: T0 is its rounded mean in the fit; or another numeric column, such as "pressure",
@@ -64,7 +64,7 @@ def _power(called: Kind, order: int, meaning: str) -> Power:
     return make_effect
 
 
-linear: Power = _power("linear", 1, "a straight line, in practice the tempco")
-quadratic: Power = _power("quadratic", 2, "curvature, symmetric about T0")
-cubic: Power = _power("cubic", 3, "curvature, antisymmetric about T0")
-quartic: Power = _power("quartic", 4, "curvature that grows towards both ends")
+linear: Power = _make_power("linear", 1, "a straight line, in practice the tempco")
+quadratic: Power = _make_power("quadratic", 2, "curvature, symmetric about T0")
+cubic: Power = _make_power("cubic", 3, "curvature, antisymmetric about T0")
+quartic: Power = _make_power("quartic", 4, "curvature that grows towards both ends")

@@ -18,22 +18,24 @@ from bayescal._model.effect import Coefficient, Effect, Shape
 from bayescal._model.frame import Frame, build_frame, reference_of
 from bayescal._model.prior import HalfNormal, Known, Normal
 
-# Share of the readings during which a temperature must rise, and fall, for a hysteresis to show.
+# Least fraction of the readings with rising, and with falling temperature, to identify a hysteresis.
 DIRECTION_SHARE = 0.02
 
-# Of a rate, s: from a reading or two to the times of a lag; -lag/w is the same function.
+# Smoothing window of a rate, s: from one or two readings to the time constants of a lag.
 WINDOWS_SECONDS = (2.0, 120.0)
-RATIOS = (0.1, 0.8)  # of a second stage's time to the first's: at 1 the two cannot be told from 0.8
-# Of two bodies side by side: the fast one's time to the slow one's, and what the slow one has of the sensor.
+RATIOS = (
+    0.1,
+    0.8,
+)  # second time constant over the first, in series: above 0.8 indistinguishable from equal ones
+# Two bodies in parallel: time constant of the fast over the slow one; weight of the slow one.
 PATH_RATIOS, PATH_SHARES = (0.02, 0.6), (0.1, 0.9)
-Modes = tuple[tuple[Any, Any], ...]  # of a body: multiples of τ, and their weights
+Modes = tuple[tuple[Any, Any], ...]  # exponential modes: (time constant over τ, weight)
 
 
 class Body(NamedTuple):
-    """Response of a body to the temperature around it: its modes, by the shapes that they depend on beside τ.
+    """Thermal response of a body: a sum of exponential modes, with shapes in addition to τ.
 
-    The weights are one in sum, and τ is the time by which the body is behind a steady ramp. `general` is the body of
-    which it is one at a value of a shape.
+    The weights sum to one; τ is the delay behind a steady ramp. `general`: the body of which this is a special case.
     """
 
     modes: Callable[..., Modes]
@@ -42,45 +44,45 @@ class Body(NamedTuple):
     general: str = ""
 
 
-def _first_order() -> Modes:
+def _first_order_modes() -> Modes:
     return ((1.0, 1.0),)
 
 
-def _two_stages(ratio: Any) -> Modes:
+def _two_stage_modes(ratio: Any) -> Modes:
     return (1 / (1 + ratio), 1 / (1 - ratio)), (ratio / (1 + ratio), -ratio / (1 - ratio))
 
 
-def _two_paths(ratio: Any, share: Any) -> Modes:
-    slow = 1 / (share + (1 - share) * ratio)
-    return (slow, share), (ratio * slow, 1 - share)
+def _two_path_modes(ratio: Any, share: Any) -> Modes:
+    slow_time = 1 / (share + (1 - share) * ratio)
+    return (slow_time, share), (ratio * slow_time, 1 - share)
 
 
 def slab() -> Modes:
-    """Return the modes of the mean temperature of a slab: times as 1/k², weights as 1/k², k odd, cut after three.
+    """Return the first three modes of a slab's mean temperature: times and weights ∝ 1/k², k = 1, 3, 5.
 
     Source: H. Carslaw and J. Jaeger, Conduction of Heat in Solids, 2nd ed. (1959), section 3.3.
     """
     modes = [(k**-2.0, k**-2.0) for k in (1, 3, 5)]
-    whole = sum(w for _, w in modes)
-    behind = sum(m * w for m, w in modes) / whole
-    return tuple((m / behind, w / whole) for m, w in modes)
+    total = sum(w for _, w in modes)
+    mean_lag = sum(m * w for m, w in modes) / total
+    return tuple((m / mean_lag, w / total) for m, w in modes)
 
 
 BODIES: Mapping[str, Body] = MappingProxyType(
     {
-        "body": Body(_first_order, "T → T̃(τ)"),
-        # One body behind another: what the outer one of τ₁ has is the inner one's outside, of r·τ₁.
+        "body": Body(_first_order_modes, "T → T̃(τ)"),
+        # Two bodies in series: the inner one, of time constant r·τ₁, follows the outer one, of τ₁.
         "two_stages": Body(
-            partial(_two_stages, 0.5), "T → 2·T̃(τ₁) − T̃(τ₁/2),  τ₁ = τ/1.5", general="stages"
+            partial(_two_stage_modes, 0.5), "T → 2·T̃(τ₁) − T̃(τ₁/2),  τ₁ = τ/1.5", general="stages"
         ),
         "stages": Body(
-            _two_stages,
+            _two_stage_modes,
             "T → (T̃(τ₁) − r·T̃(r·τ₁))/(1 − r),  τ₁ = τ/(1 + r)",
             (Shape("ratio", "1", *RATIOS, scale="bounded"),),
         ),
-        # Two bodies side by side, each with a share of the sensor: w of the slow one, of τ₁.
+        # Two bodies in parallel with weights w (slow, time constant τ₁) and 1 − w (fast, r·τ₁).
         "paths": Body(
-            _two_paths,
+            _two_path_modes,
             "T → w·T̃(τ₁) + (1 − w)·T̃(r·τ₁),  τ₁ = τ/(w + (1 − w)·r)",
             (
                 Shape("ratio", "1", *PATH_RATIOS, scale="bounded"),
@@ -90,20 +92,19 @@ BODIES: Mapping[str, Body] = MappingProxyType(
         "diffusion": Body(slab, "T → " + " + ".join(f"{w:.3g}·T̃({m:.3g}·τ)" for m, w in slab())),
     }
 )
-# Within which hysteresis turns round: a chamber that holds wanders by less.
+# Plausible width w of a hysteresis loop's reversal: above the fluctuations of a stabilised chamber.
 WIDTHS = (0.2, 5.0, "degC")
 
 
 def rate(slot: str, size: float, unit: str, *, source: str, column: str = "temperature") -> Effect:
-    """Return c·dT/dt with a window estimated from the data.
+    """Return c·dT/dt with a smoothing window estimated from the data.
 
-    The rate is that of a body close behind the thermometer, (T − T̃)/w: noise of the thermometer is smoothed over the
-    window w, and what changes within seconds is not blurred to a minute.
+    The rate is (T − T̃)/w, T̃ the first-order low-pass of T with time constant w: it smooths the thermometer's noise.
     """
     return Effect(
         f"{slot}.rate",
         slot,
-        basis=partial(_smoothed_rate, column),
+        basis=partial(_rate_basis, column),
         coefficients=(Coefficient(unit, Normal(0.0, size)),),
         shapes=(Shape("window", "s", *WINDOWS_SECONDS, scale="bounded"),),
         columns=("time", column),
@@ -126,24 +127,24 @@ def hysteresis(
 ) -> Effect:
     """Return c·D in a continuous record: +c while warming, −c while cooling, reversed within w of the temperature.
 
-    D is Dahl's hysteresis, of the body where one lags behind the thermometer. Of the state in which a run began
-    exp(−travel/w) is left: one coefficient a run.
+    D is Dahl's hysteresis, of the lagging body's temperature if there is one. The unknown initial state of a run decays
+    as exp(−travel/w): one coefficient per run.
 
     Args:
         size: prior standard deviation of c, in `unit`.
-        column: that it follows.
+        column: input of the hysteresis.
         widths: plausible range of w, and its unit: that of the column.
     """
 
     return Effect(
         f"{slot}.hysteresis",
         slot,
-        basis=partial(_directions, column),
-        coefficients=(Coefficient(unit, Normal(0.0, size)), _start(unit, size)),
+        basis=partial(_hysteresis_basis, column),
+        coefficients=(Coefficient(unit, Normal(0.0, size)), _initial_state(unit, size)),
         shapes=(Shape("width", widths[2], *widths[:2]),),
         columns=("time", column),
         varies=(column,),
-        untestable=partial(_one_way, column, widths),
+        untestable=partial(_why_one_way, column, widths),
         equation="c·D + d[run]·exp(−∫|dT|/w),  dD/dT = (sign(dT) − D)/w",
         source=source,
         kind="hysteresis",
@@ -165,30 +166,29 @@ def thermal_lag(
     bodies: Mapping[str, Body] | None = None,
     short: Effect | None = None,
 ) -> Effect:
-    """Return a thermal lag: c·(T̃ − T), T̃ a first-order body that lags T by τ; or all that depends on T acts at T̃.
+    """Return a thermal lag: c·(T̃ − T), T̃ a first-order body that lags T by τ; or every effect of T acts at T̃.
 
-    In the first form something of its own lags, such as electronics beside a sensor that does not. In the others the
-    sensor is itself at T̃, so that its line, its curve and its scale factor follow that in place of T: the body is of
-    first order, of two stages, two side by side with a share of the sensor each, or heat diffuses into it. Where it was
-    not at T when a run began, exp(−t/τ) remains: one coefficient a run, whose standard deviation is learned and has the
-    plausible size `start`.
+    In the first form a part lags, such as electronics beside the sensor. In the alternative forms the sensor itself is
+    at T̃, so that all effects of temperature use T̃ in place of T; the body is of first order, two bodies in series, two
+    in parallel, or heat diffusion. An initial difference from T decays as exp(−t/τ): one coefficient per run, whose
+    standard deviation is learned, with the plausible size `start`.
 
     Args:
         size: prior standard deviation of c, in `unit`.
         low, high: plausible range of τ, s.
         start: plausible standard deviation, between runs, of the initial state's effect, in `start_unit`.
         name: of the effect, after the slot; another for a second lag.
-        bodies: forms in which all that depends on T lags, by name; all if not given, empty where it does not.
-        short: the form that it takes where τ is too short to be seen: a rate.
+        bodies: alternative forms with T̃ in place of T, by name; all of `BODIES` if not given.
+        short: alternative form for unresolvably short τ: a rate.
     """
-    how: dict[str, Any] = {"low": low, "high": high, "source": source, "column": column}
+    options: dict[str, Any] = {"low": low, "high": high, "source": source, "column": column}
     forms = list[Effect]()
-    for form, behind in (BODIES if bodies is None else bodies).items():
-        variant = body(slot, start, start_unit, behind=behind, name=f"{name}.{form}", **how)
-        forms.append(replace(variant, general=behind.general and f"{slot}.{name}.{behind.general}"))
-    coefficients = Coefficient(unit, Normal(0.0, size)), _start(start_unit, start)
+    for form, variant in (BODIES if bodies is None else bodies).items():
+        lag = body(slot, start, start_unit, behind=variant, name=f"{name}.{form}", **options)
+        forms.append(replace(lag, general=variant.general and f"{slot}.{name}.{variant.general}"))
+    coefficients = Coefficient(unit, Normal(0.0, size)), _initial_state(start_unit, start)
     equation = "c·(T̃ − T) + d[run]·exp(−(t − t_start)/τ),  τ·dT̃/dt = T − T̃"
-    lag = _lag_effect(slot, name, _lagging, coefficients, equation, **how)
+    lag = _lag_effect(slot, name, _lag_basis, coefficients, equation, **options)
     return replace(lag, kind="lag", forms=(*forms, *(() if short is None else (short,))))
 
 
@@ -204,24 +204,24 @@ def body(
     column: str = "temperature",
     name: str = "body",
 ) -> Effect:
-    """Let every effect that depends on the temperature T act at T̃, that of a body which lags T by τ.
+    """Return an effect that replaces the temperature T in all other effects by T̃ of a body that lags T by τ.
 
-    T̃ = Σ wₖ·T̃ₖ with mₖ·τ·dT̃ₖ/dt = T − T̃ₖ: one mode for a body of first order, two for one behind or beside another,
-    a series for heat that diffuses into a slab. Σ wₖ = Σ wₖ·mₖ = 1: τ is in each the time by which it is behind a ramp.
-    Where the body was not at T when a run began, Σ wₖ·exp(−t/(mₖ·τ)) remains: one coefficient a run.
+    T̃ = Σ wₖ·T̃ₖ with mₖ·τ·dT̃ₖ/dt = T − T̃ₖ: one mode for a first-order body, two for bodies in series or in parallel, a
+    series for heat diffusion. Σ wₖ = Σ wₖ·mₖ = 1: τ is the delay behind a ramp. An initial difference from T decays as
+    Σ wₖ·exp(−t/(mₖ·τ)): one coefficient per run.
 
     Args:
         slot: that the initial state adds to.
         start: plausible standard deviation, between runs, of what it adds, in `start_unit`.
         low, high: plausible range of τ, s.
-        behind: how it follows, of `BODIES`.
+        behind: thermal response of the body, of `BODIES`.
         name: of the effect, after the slot.
     """
-    coefficients = _start(start_unit, start, slot), Coefficient("1", Known(1.0))
+    coefficients = _initial_state(start_unit, start, slot), Coefficient("1", Known(1.0))
     equation = f"{behind.equation},  τ·dT̃/dt = T − T̃;  + d[run]·exp(−(t − t_start)/τ)"
-    how: dict[str, Any] = {"low": low, "high": high, "source": source, "column": column}
-    basis = partial(_body_columns, behind.modes)
-    effect = _lag_effect(slot, name, basis, coefficients, equation, behind.shapes, **how)
+    options: dict[str, Any] = {"low": low, "high": high, "source": source, "column": column}
+    basis = partial(_body_basis, behind.modes)
+    effect = _lag_effect(slot, name, basis, coefficients, equation, behind.shapes, **options)
     return replace(effect, slot=column)
 
 
@@ -235,16 +235,16 @@ def temperature_x_lag(
     source: str,
     column: str = "temperature",
 ) -> Effect:
-    """Return c·(T − T0)·(T̃ − T): a lag that grows with the temperature, or shrinks.
+    """Return c·(T − T0)·(T̃ − T): a lag whose amplitude is linear in temperature.
 
     Args:
         size: prior standard deviation of c, in `unit`, such as "deg/s/degC^2".
         low, high: plausible range of τ, s.
     """
-    terms = (Coefficient(unit, Normal(0.0, size)),)
+    coefficients = (Coefficient(unit, Normal(0.0, size)),)
     equation = "c·(T − T0)·(T̃ − T),  τ·dT̃/dt = T − T̃"
-    how: dict[str, Any] = {"low": low, "high": high, "source": source, "column": column}
-    return _lag_effect(slot, "temperature_x_lag", _lag_by_temperature, terms, equation, **how)
+    options: dict[str, Any] = {"low": low, "high": high, "source": source, "column": column}
+    return _lag_effect(slot, "temperature_x_lag", _product_basis, coefficients, equation, **options)
 
 
 def _lag_effect(
@@ -260,7 +260,7 @@ def _lag_effect(
     source: str,
     column: str,
 ) -> Effect:
-    """Return an effect of a body that lags a column by τ, `low` to `high`, s; one τ for all channels of a unit."""
+    """Return an effect with a lag time τ, `low` to `high`, s, common to all channels of a device."""
     return Effect(
         f"{slot}.{name}",
         slot,
@@ -269,27 +269,27 @@ def _lag_effect(
         shapes=(Shape("tau", "s", low, high, shared=True), *shapes),
         columns=("time", column),
         varies=(column,),
-        untestable=partial(_too_short, low),
+        untestable=partial(_why_too_short, low),
         equation=equation,
         source=source,
     )
 
 
-def _start(unit: str, size: float, slot: str | None = None) -> Coefficient:
-    """Return the coefficient of a run's initial state: one per run, of learned spread."""
-    of_runs = {"per": "run", "group_sd": HalfNormal(size), "initial": True}
-    return Coefficient(unit, Normal(0.0, size), part="start", slot=slot, **of_runs)
+def _initial_state(unit: str, size: float, slot: str | None = None) -> Coefficient:
+    """Return the coefficient of the initial state of a run: one per run, with learned standard deviation."""
+    options = {"per": "run", "group_sd": HalfNormal(size), "initial": True}
+    return Coefficient(unit, Normal(0.0, size), part="start", slot=slot, **options)
 
 
-def _smoothed_rate(column: str, r: Frame, window: Any) -> Any:
+def _rate_basis(column: str, r: Frame, window: Any) -> Any:
     return -r.behind(window, column) / window
 
 
-def _directions(column: str, r: Frame, width: Any) -> Any:
+def _hysteresis_basis(column: str, r: Frame, width: Any) -> Any:
     return xp.stack(r.direction(width, column), axis=-1)
 
 
-def _body_columns(
+def _body_basis(
     modes: Callable[..., Modes],
     column: str,
     r: Frame,
@@ -297,34 +297,34 @@ def _body_columns(
     ratio: Any = None,
     share: Any = None,
 ) -> Any:
-    """Return the decay of a run's first state, and T̃ − T, of a body of modes with up to two shapes beside τ (n, 2)."""
+    """Return the decay of the initial state and T̃ − T of a body with up to two shapes in addition to τ (n, 2)."""
     pairs = modes(*(shape for shape in (ratio, share) if shape is not None))
     behind = sum(w * r.behind(m * tau, column) for m, w in pairs)
     return xp.stack([sum(w * xp.exp(-r.elapsed / (m * tau)) for m, w in pairs), behind], axis=-1)
 
 
-def _lagging(column: str, r: Frame, tau: Any) -> Any:
+def _lag_basis(column: str, r: Frame, tau: Any) -> Any:
     return xp.stack([r.lag(tau, column), xp.exp(-r.elapsed / tau)], axis=-1)
 
 
-def _lag_by_temperature(column: str, r: Frame, tau: Any) -> Any:
+def _product_basis(column: str, r: Frame, tau: Any) -> Any:
     return r.centred(column) * r.lag(tau, column)
 
 
-def _one_way(column: str, widths: tuple[float, float, str], readings: Measurements) -> str | None:
-    """Return why a column that does not change in both directions cannot test hysteresis; None if it does."""
+def _why_one_way(column: str, widths: Any, readings: Measurements) -> str | None:
+    """Return a message if a column does not change in both directions, as a test of hysteresis needs; else None."""
     frame = build_frame(readings, reference_of(readings))
-    turned = np.asarray(frame.direction(math.sqrt(math.prod(widths[:2])), column)[0])
-    least = DIRECTION_SHARE
-    warmed, cooled = (turned > 0.5).mean() >= least, (turned < -0.5).mean() >= least
-    if warmed and cooled:
+    direction = np.asarray(frame.direction(math.sqrt(math.prod(widths[:2])), column)[0])
+    minimum = DIRECTION_SHARE
+    rises, falls = (direction > 0.5).mean() >= minimum, (direction < -0.5).mean() >= minimum
+    if rises and falls:
         return None
-    motion = "only rises" if warmed else "only falls" if cooled else "stands still"
+    motion = "only rises" if rises else "only falls" if falls else "stands still"
     return f"needs {column} to rise and to fall within runs, by over {widths[0]:g} {unit_label(widths[2])}; it {motion}"
 
 
-def _too_short(low: float, readings: Measurements) -> str | None:
-    """Return why no run is long enough to test a lag of at least `low`, s; None if one is."""
+def _why_too_short(low: float, readings: Measurements) -> str | None:
+    """Return a message if no run is longer than the shortest plausible lag `low`, s; else None."""
     longest = max(float(np.ptp(readings["time"][rows])) for rows in readings.records.rows)
     if longest >= low:
         return None

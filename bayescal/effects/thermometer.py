@@ -1,4 +1,4 @@
-"""Errors in variables: the true input of each reading is unknown; of a thermometer that it is noisy, off or late."""
+"""Errors in variables: input columns with noise, an offset or a delay, such as a thermometer's."""
 
 from __future__ import annotations
 
@@ -12,36 +12,35 @@ from bayescal._model.prior import Normal
 from bayescal.effects.constant import deviation, one
 
 
-def _rate(column: str, r: Frame) -> Any:
+def _rate_basis(column: str, r: Frame) -> Any:
     return r.rate(column)
 
 
-def _column(name: str, r: Frame) -> Any:
+def _column_basis(name: str, r: Frame) -> Any:
     return r[name]
 
 
 def uncertain_input(column: str, sd: float | str, unit: str = "1", *, source: str) -> Effect:
     """Correct a column by an independent error of each reading, of known standard deviation.
 
-    The column is corrected before any other effect sees it: the variance of each reading grows by the square of the
-    output's slope by the column times `sd`. (An error shared by all readings would be part of a constant or a scale
-    factor, and is left there.)
+    The column is corrected before any other effect uses it: the variance of each reading grows by
+    (∂output/∂column)²·sd². An error common to all readings is part of a constant or a scale factor.
 
     Args:
         column: numeric, such as "pressure".
-        sd: standard deviation, in `unit`; or the name of a column that holds that of each reading.
+        sd: standard deviation, in `unit`; or the name of a column of standard deviations.
         unit: of `sd`, "delta_degC" for a temperature; of a column of standard deviations leave it out.
         source: where the standard deviation comes from.
 
     Source: JCGM 100:2008, 5.1.2; of a straight line ISO/TS 28037:2010, 7.
     """
-    named = isinstance(sd, str)
+    is_column = isinstance(sd, str)
     return Effect(
         f"{column}.reading",
         column,
-        basis=partial(_column, sd) if named else one,
-        coefficients=(Coefficient(unit, Normal(0.0, 1.0 if named else sd), per="reading"),),
-        columns=(column, sd) if named else (column,),
+        basis=partial(_column_basis, sd) if is_column else one,
+        coefficients=(Coefficient(unit, Normal(0.0, 1.0 if is_column else sd), per="reading"),),
+        columns=(column, sd) if is_column else (column,),
         equation=f"{column}_true = {column} + e,  e ~ N(0, s²)",
         source=source,
     )
@@ -60,15 +59,15 @@ def thermometer_offset(
     per: str = "run",
     unit: str = "delta_degC",
 ) -> Effect:
-    """Return the thermometer's constant error in each run, of unknown spread: it was re-seated, or exchanged.
+    """Return an offset of the thermometer in each run, of unknown standard deviation: re-seated, or exchanged.
 
-    It corrects the column before any other effect sees it. Where the output is a line of the temperature, that is a
-    deviation of the bias in each run, `deviation("bias", "run")`; a curve or a second slot tells them apart.
+    It corrects the column before any other effect uses it. If the output is linear in temperature it is collinear with
+    a deviation of the bias in each run, `deviation("bias", "run")`; a nonlinearity or a second slot identifies both.
 
     Args:
-        size: scale of the half-normal prior of the spread between the groups, in `unit`.
-        column: that it corrects, of a thermometer or of another instrument.
-        per: group whose members have an error each.
+        size: scale of the half-normal prior of the standard deviation between members, in `unit`.
+        column: corrected column, of a thermometer or another instrument.
+        per: group with one offset per member.
         unit: of the error, that of a difference of the column.
     """
     offset = deviation(column, per, size, unit, source=source)
@@ -76,14 +75,12 @@ def thermometer_offset(
 
 
 def thermometer_delay(sd: float, *, source: str, column: str = "temperature") -> Effect:
-    """Return a thermometer's delay, s: of first order with the time τ, or a column written τ later.
+    """Return a thermometer's delay τ, s: a first-order response, or readings recorded τ late.
 
-    The first is exact, τ·dT/dt = T_true − T; the second holds while the temperature changes evenly over τ. It corrects
-    the column before any other effect sees it. Where the output is a line of the temperature, that is `rate`, with the
-    coefficient slope × τ; a curve or a second slot tells them apart.
-
-    The rate is the slope over the last minute, itself half a minute late: of a delay below a minute the size is known
-    to that.
+    For the former τ·dT/dt = T_true − T is exact; for the latter it holds while dT/dt is constant over τ. It corrects
+    the column before any other effect uses it. If the output is linear in temperature it is collinear with `rate`; a
+    nonlinearity or a second slot identifies both. dT/dt is a slope over the last minute: τ is biased by up to half a
+    minute.
 
     Args:
         sd: prior standard deviation of τ, s.
@@ -91,7 +88,7 @@ def thermometer_delay(sd: float, *, source: str, column: str = "temperature") ->
     return Effect(
         f"{column}.delay",
         column,
-        basis=partial(_rate, column),
+        basis=partial(_rate_basis, column),
         coefficients=(Coefficient("s", Normal(0.0, sd)),),
         columns=("time", column),
         varies=(column,),

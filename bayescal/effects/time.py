@@ -12,24 +12,24 @@ from bayescal._model.frame import Frame
 from bayescal._model.prior import Normal
 from bayescal.effects.thermal import Modes, slab
 
-BENDS = (0.03, 3.0)  # of the test, after which a drift has slowed down to a half
-RATIOS = (0.05, 0.5)  # of the shorter time of a warm-up of two to the longer
+BENDS = (0.03, 3.0)  # b of a logarithmic drift, relative to the test: its rate has halved after b
+RATIOS = (0.05, 0.5)  # shorter over longer time constant of a two-exponential warm-up
 
 
-def _progress(r: Frame) -> Any:
+def _drift_basis(r: Frame) -> Any:
     return r.progress
 
 
-def _ageing(r: Frame, bend: Any) -> Any:
-    share = xp.maximum(r.position("time"), 0.0)
-    return xp.log1p(share / bend) / xp.log1p(1.0 / bend) - 0.5
+def _ageing_basis(r: Frame, bend: Any) -> Any:
+    fraction = xp.maximum(r.position("time"), 0.0)
+    return xp.log1p(fraction / bend) / xp.log1p(1.0 / bend) - 0.5
 
 
-def _decays(modes: Modes, r: Frame, tau: Any) -> Any:
+def _decay_basis(modes: Modes, r: Frame, tau: Any) -> Any:
     return sum(w * xp.exp(-r.elapsed / (m * tau)) for m, w in modes)
 
 
-def _two_decays(r: Frame, tau: Any, ratio: Any) -> Any:
+def _two_decays_basis(r: Frame, tau: Any, ratio: Any) -> Any:
     return xp.stack([xp.exp(-r.elapsed / tau), xp.exp(-r.elapsed / (ratio * tau))], axis=-1)
 
 
@@ -39,37 +39,37 @@ def drift(slot: str, size: float, unit: str, *, source: str) -> Effect:
     The logarithm is how resonators and stressed packages age: fast at first, and ever more slowly.
     Source of the second form: MIL-PRF-55310E (2006), 6.4.2, f(t) = A·ln(B·t + 1).
     """
-    steady = Effect(
+    linear = Effect(
         f"{slot}.drift",
         slot,
-        basis=_progress,
+        basis=_drift_basis,
         coefficients=(Coefficient(unit, Normal(0.0, size)),),
         columns=("time",),
         equation="c·(t − t̄)/(tmax − tmin)",
         source=source,
         kind="drift",
     )
-    slowing = replace(
-        steady,
+    logarithmic = replace(
+        linear,
         name=f"{slot}.drift.logarithmic",
-        basis=_ageing,
+        basis=_ageing_basis,
         shapes=(Shape("bend", "1", *BENDS),),
         equation="c·(ln(1 + s/b)/ln(1 + 1/b) − ½),  s = (t − tmin)/(tmax − tmin)",
     )
-    return replace(steady, forms=(slowing,))
+    return replace(linear, forms=(logarithmic,))
 
 
 def warm_up(slot: str, size: float, unit: str, *, low: float, high: float, source: str) -> Effect:
-    """Return c·exp(−(t − t_start)/τ) within each run; in other forms with two times, or by diffusion of heat.
+    """Return c·exp(−(t − t_start)/τ) within each run; alternative forms: two exponentials, heat diffusion.
 
     Args:
         size: prior standard deviation of c, in `unit`.
         low, high: plausible range of τ, s.
     """
-    first = Effect(
+    single = Effect(
         f"{slot}.warm_up",
         slot,
-        basis=partial(_decays, ((1.0, 1.0),)),
+        basis=partial(_decay_basis, ((1.0, 1.0),)),
         coefficients=(Coefficient(unit, Normal(0.0, size)),),
         shapes=(Shape("tau", "s", low, high),),
         columns=("time",),
@@ -78,15 +78,15 @@ def warm_up(slot: str, size: float, unit: str, *, low: float, high: float, sourc
         along="elapsed",
         kind="warm-up",
     )
-    two = replace(
-        first,
+    double = replace(
+        single,
         name=f"{slot}.warm_up.two_times",
-        basis=_two_decays,
-        coefficients=(*first.coefficients, Coefficient(unit, Normal(0.0, size), "fast")),
-        shapes=(*first.shapes, Shape("ratio", "1", *RATIOS, scale="bounded")),
+        basis=_two_decays_basis,
+        coefficients=(*single.coefficients, Coefficient(unit, Normal(0.0, size), "fast")),
+        shapes=(*single.shapes, Shape("ratio", "1", *RATIOS, scale="bounded")),
         equation="c·exp(−t/τ) + d·exp(−t/(r·τ)),  t from the run's start",
     )
     terms = " + ".join(f"{w:.3g}·exp(−t/({m:.3g}·τ))" for m, w in slab())
-    diffusion = {"basis": partial(_decays, slab()), "equation": f"c·({terms})"}
-    heat = replace(first, name=f"{slot}.warm_up.diffusion", **diffusion)
-    return replace(first, forms=(two, heat))
+    diffusion = {"basis": partial(_decay_basis, slab()), "equation": f"c·({terms})"}
+    by_diffusion = replace(single, name=f"{slot}.warm_up.diffusion", **diffusion)
+    return replace(single, forms=(double, by_diffusion))

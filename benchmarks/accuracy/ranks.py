@@ -37,7 +37,7 @@ def draw_prior(layout: Layout, key: Array) -> tuple[Array, Array]:
     Raises:
         ValueError: a prior is flat.
     """
-    if layout.improper:
+    if layout.is_improper:
         raise ValueError("a flat prior cannot be sampled: give a proper prior to simulate from it")
     # One more than is needed: a seed stands for the data set that it always gave.
     keys = jax.random.split(key, len(layout.hypers) + 2)

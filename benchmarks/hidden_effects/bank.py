@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 import bayescal as bc
-from bayescal._model.model import testable
+from bayescal._model.model import why_untestable
 from bayescal_models import mems_gyro
 from benchmarks.hidden_effects.drawn import by_law as drawn_by_law
 from benchmarks.hidden_effects.searched import noise_of
@@ -106,7 +106,7 @@ def open_effects(model: bc.Model, readings: bc.Measurements) -> list[bc.Effect]:
         for e in model.instrument.candidates
         for form in (*(f for f in e.forms if not f.name.startswith(f"{e.name}.")), e)
     )
-    return [e for e in effects if e.name not in model.names and testable(e, readings) is None]
+    return [e for e in effects if e.name not in model.names and why_untestable(e, readings) is None]
 
 
 def plan(instrument: bc.Instrument) -> list[Case]:

@@ -65,7 +65,7 @@ def _effects(structures: Structures, names: list[str], rng: np.random.Generator)
     v = np.array([same_effect.get(h.name, _coordinate(h, rng)) for h in problem.hypers])
     hyper = problem.hyper(v)
     prior = problem.prior(hyper, np.ones(problem.size))
-    positions = {t.effect.name: t.at for t in base.problem.in_x}
+    positions = {t.effect.name: t.x_slice for t in base.problem.in_x}
     x = np.zeros(problem.size)
     placed = dict.fromkeys(positions, 0)
     for t in problem.in_x:
@@ -73,9 +73,9 @@ def _effects(structures: Structures, names: list[str], rng: np.random.Generator)
             same_effect = [b for b in base.problem.in_x if b.effect.name == t.effect.name]
             at = same_effect[placed[t.effect.name]].at
             placed[t.effect.name] += 1
-            x[t.at] = base.mode.x[at]
+            x[t.x_slice] = base.mode.x[at]
         else:
-            x[t.at] = prior.mean[t.at] + prior.sd[t.at] * rng.standard_normal(t.size)
+            x[t.x_slice] = prior.mean[t.x_slice] + prior.sd[t.x_slice] * rng.standard_normal(t.size)
     # The fitted baseline by itself: a body moves what depends on its temperature too.
     baseline = base.problem.linearise(base.mode.x, base.problem.hyper(base.mode.v))
     changed = problem.linearise(x, hyper)

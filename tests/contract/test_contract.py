@@ -89,7 +89,7 @@ def test_the_reference_problem_is_small_fixed_and_proper(case: Case) -> None:
     assert len(case.readings) == len(other) <= 200
     assert case.readings.columns == other.columns
     assert (case.readings["output"] != other["output"]).mean() > 0.9
-    assert not case.bound.layout.improper
+    assert not case.bound.layout.is_improper
 
 
 @pytest.mark.parametrize("case", SMALL_FIRST, indirect=True)
@@ -214,7 +214,7 @@ def test_every_slot_is_linear_in_its_coefficients(case: Case) -> None:
             e.name: e.evaluate(frame, {s.name: hyper[e.shape_name(s)] for s in e.shapes})
             for e in effects
         }
-        slots = forward.composed(layout, frame, x, hyper)[2].slots
+        slots = forward.compose_at(layout, frame, x, hyper)[2].slots
         none = dict.fromkeys((s.name for s in case.instrument.slots), jnp.zeros(frame.size))
         return none | slots, bases
 

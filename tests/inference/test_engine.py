@@ -26,8 +26,8 @@ from bayescal._inference.record import Record, record_of
 from bayescal._inference.sampling import BatchedDensity, Mixture, weighted_draws
 from bayescal._model import composition, forward
 from bayescal._model.parameters import bind
-from bayescal._model.summed_noise import over_record
-from bayescal._model.terms import ColumnsOf
+from bayescal._model.summed_noise import build_ornstein_uhlenbeck
+from bayescal._model.terms import ColumnSpec
 from bayescal.effects.thermal import BODIES
 from bayescal_models import (
     differential_pair,
@@ -41,7 +41,7 @@ from tests.support.inside import constants_of, frame_of
 from tests.support.tiers import slow_but
 
 GYRO = mems_gyro.INSTRUMENT
-WANDER = over_record(bc.HalfCauchy(0.1), 10.0, 3000.0)
+WANDER = build_ornstein_uhlenbeck(bc.HalfCauchy(0.1), 10.0, 3000.0)
 KNOWN = np.random.default_rng(9).uniform(0.1, 0.5, 14)
 SCATTER = bc.Heteroscedastic("temperature rate", bc.HalfCauchy(0.1))
 LAG = GYRO.baseline() + "bias.thermal_lag" + "bias.run"
@@ -134,7 +134,9 @@ CASES: dict[str, tuple[Any, Any]] = {
     "inclinometer": (inclinometer.INSTRUMENT.baseline(), lambda: inclinometer.simulate({}, seed=1)),
     "still": (still, lambda: still_sensor.simulate({}, seed=1)),
     "still, wandering": (
-        lambda readings: still(readings).with_noise(over_record(bc.HalfCauchy(10), 10.0, 3000.0)),
+        lambda readings: still(readings).with_noise(
+            build_ornstein_uhlenbeck(bc.HalfCauchy(10), 10.0, 3000.0)
+        ),
         lambda: still_sensor.simulate({}, seed=1, noise_law="ornstein_uhlenbeck"),
     ),
 }
@@ -162,14 +164,14 @@ def somewhere(a: Problem, seed: int = 0) -> tuple[np.ndarray, np.ndarray]:
     """An x and a coordinate of φ at random, within the priors."""
     random = np.random.default_rng(seed)
     v = 0.5 * random.standard_normal(len(a.hypers))
-    sd = a.sizes.at(a.hyper(v)) * 0.3
+    sd = a.sizes.evaluate(a.hyper(v)) * 0.3
     return a.mean_of_x + sd * random.standard_normal(a.size), v
 
 
 compiled = eqx.filter_jit(forward.linearise)  # a program, not one for each step of it
 
 
-def composed(a: Problem, x: np.ndarray, hyper: forward.Values) -> composition.Linearised:
+def composed(a: Problem, x: np.ndarray, hyper: forward.Values) -> composition.Linearisation:
     """What the composition itself says at an x."""
     return compiled(a.layout, a.record.frame, jnp.asarray(x), hyper)
 
@@ -383,7 +385,7 @@ def test_two_sided_proposals_are_drawn_by_their_density() -> None:
 @pytest.mark.parametrize("tau", [61.0, 300.0, 1150.0])
 def test_columns_in_a_box_are_as_good_as_computed(tau: float) -> None:
     a = assembled("gyro")
-    effect = ColumnsOf.of(GYRO.effect("bias.thermal_lag"))
+    effect = ColumnSpec.from_effect(GYRO.effect("bias.thermal_lag"))
     v = np.array([effect.priors[0].coordinate(tau)])
     box = a.record.expansions(effect, (None,)).at(v + 0.2, True)
     exact = a.record.columns(effect, (tau,))

@@ -13,7 +13,7 @@ from scipy.optimize import least_squares
 import bayescal as bc
 from bayescal_models import accelerometer_triad, magnetometer_triad
 from bayescal_models.accelerometer_triad.simulator import BASELINE
-from tests.support.inside import excess, inverted, still_stretches
+from tests.support.inside import invert_equation, radial_residual, still_stretches
 from tests.support.references import shared
 from tests.support.tiers import slow_but
 from tests.support.triad_truth import matrix_of
@@ -63,7 +63,7 @@ def test_the_inverse_undoes_terms_of_second_order() -> None:
     def h(f):
         return f @ matrix.T + 0.03 + square * f**2
 
-    found, inverse = inverted(h, jnp.asarray(h(force)))
+    found, inverse = invert_equation(h, jnp.asarray(h(force)))
     assert np.max(np.abs(found - force)) < 1e-12
     slopes = matrix + 2 * square * force[:, :, None] * np.eye(3)
     assert np.max(np.abs(inverse @ slopes - np.eye(3))) < 1e-12
@@ -82,7 +82,7 @@ def test_the_estimating_equation_is_unbiased_where_poses_are_noisy() -> None:
         return float(each.mean()), float(each.std() / np.sqrt(count))
 
     x = length - 1
-    ours, error = score(excess(length), 0.5 + 2 / (2 + 4 * x / 3) ** 2)
+    ours, error = score(radial_residual(length), 0.5 + 2 / (2 + 4 * x / 3) ** 2)
     assert abs(ours) < 4 * error + 5 * sd**2
     assert score(x, np.ones(count))[0] > 0.2
 

@@ -9,7 +9,7 @@ import pytest
 
 import bayescal as bc
 from bayescal_models import mems_gyro, still_sensor
-from tests.support.inside import frame_of, over_record
+from tests.support.inside import build_ornstein_uhlenbeck, frame_of
 
 FAST = bc.LeastSquares(draws=200)
 SENSOR = still_sensor.instrument("ug", size=30.0, constant=300.0, span=20.0)
@@ -85,7 +85,7 @@ def test_correlated_noise_does_not_take_the_place_of_a_constant(missing) -> None
     wrong = right.with_column("output", right["output"] + 1446.0)
     frame = frame_of(right)
     steps, span = np.asarray(frame.step), float(np.max(np.asarray(frame.elapsed)))
-    law = over_record(bc.HalfCauchy(0.1), float(np.median(steps[steps > 0])), span)
+    law = build_ornstein_uhlenbeck(bc.HalfCauchy(0.1), float(np.median(steps[steps > 0])), span)
     errors = []
     for data in (right, wrong):
         found = bc.fit(model.with_noise(law), data, FAST, strict=False)

@@ -11,7 +11,7 @@ import pytest
 import bayescal as bc
 from bayescal import effects
 from bayescal_models import still_sensor
-from tests.support.inside import Record, frame_of, on_residuals, over_octaves
+from tests.support.inside import Record, build_sum, frame_of, on_residuals
 
 SENSOR = still_sensor.instrument("ug", size=30.0, constant=300.0, span=20.0)
 LEVEL = effects.constant("bias", 30.0, "ug", source="none")
@@ -40,7 +40,7 @@ def recorded(seed: int, slope: float, n: int = 1500) -> bc.Measurements:
 
 
 def law(scatter: str = "temperature") -> bc.SummedNoise:
-    return over_octaves(bc.HalfCauchy(1.0), STEP, 1500.0, ("correlated",), scatter=scatter)
+    return build_sum(bc.HalfCauchy(1.0), STEP, 1500.0, ("correlated",), scatter=scatter)
 
 
 def gain(readings: bc.Measurements) -> float:
@@ -113,7 +113,7 @@ def evidence_of_tone(amplitude: float, seed: int) -> tuple[float, dict[str, floa
     fit = bc.fit(model, data, bc.LeastSquares(draws=20))
     left, scale = bc.predict(fit).residual, model.noise.parameters()["noise.white"]
     sums = {
-        terms: over_octaves(
+        terms: build_sum(
             scale, TONE_STEP, ROWS * TONE_STEP, terms, "temperature" if "tone" in terms else ""
         )
         for terms in (("correlated",), ("correlated", "tone"))

@@ -24,7 +24,7 @@ from bayescal._inference.problem import Problem
 from bayescal._inference.record import Record, record_of
 from bayescal._inference.sampling import weighted_draws
 from bayescal._model import forward
-from bayescal._model.model import testable
+from bayescal._model.model import why_untestable
 from bayescal._model.parameters import Layout, bind
 from benchmarks.accuracy import reference_posteriors
 from tests.support import references
@@ -64,7 +64,7 @@ def differences(layout: Layout, frame, x, v) -> tuple[Any, jax.Array, jax.Array]
     sd = forward.prior_sd(layout, hyper)
 
     def by(push):
-        return forward.with_inputs(layout, frame, x + STEP * push * sd, hyper)[0]
+        return forward.predict_moments(layout, frame, x + STEP * push * sd, hyper)[0]
 
     def along(one):
         return (by(one) - by(-one)) / (2 * STEP)
@@ -124,7 +124,7 @@ class Case:
         return self.model + [
             e
             for e in self.instrument.candidates
-            if e.name not in self.model.names and testable(e, self.readings) is None
+            if e.name not in self.model.names and why_untestable(e, self.readings) is None
         ]
 
     @cached_property

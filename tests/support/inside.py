@@ -41,12 +41,12 @@ from bayescal._inference.noise_on_record import Whitening as Whitening
 from bayescal._inference.record import Record as Record
 from bayescal._model import forward as forward
 from bayescal._model.frame import build_frame, reference_of
-from bayescal._model.model import testable
+from bayescal._model.model import why_untestable
 from bayescal._model.noise_law import Parameters as Parameters
-from bayescal._model.summed_noise import over_octaves as over_octaves
-from bayescal._model.summed_noise import over_record as over_record
-from bayescal._model.vector import excess as excess
-from bayescal._model.vector import inverted as inverted
+from bayescal._model.summed_noise import build_ornstein_uhlenbeck as build_ornstein_uhlenbeck
+from bayescal._model.summed_noise import build_sum as build_sum
+from bayescal._model.vector import invert_equation as invert_equation
+from bayescal._model.vector import radial_residual as radial_residual
 from bayescal._report.result_json import result
 from bayescal._report.whole_folder import refuse_mixed as refuse_mixed
 from bayescal._search.next_experiment import Outlook as Outlook
@@ -128,7 +128,7 @@ def write_mapping(path: Path, said: Mapping[str, Any]) -> None:
 
 def why_not_testable(effect: bc.Effect, readings: bc.Measurements) -> str | None:
     """Why readings cannot test an effect; None where they can."""
-    return testable(effect, readings)
+    return why_untestable(effect, readings)
 
 
 def nominal_scale_of(instrument: bc.Instrument, said: str) -> bc.NominalScale | None:

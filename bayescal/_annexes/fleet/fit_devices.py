@@ -247,7 +247,7 @@ def _solve(
         jacobian: by the coefficients.
     """
     n, p = jacobian.shape[1:]
-    scale = problem.sizes.at(problem.fixed_values)
+    scale = problem.sizes.evaluate(problem.fixed_values)
     columns = jacobian * scale
     base, upper = np.linalg.qr(columns)
     diagonal = np.abs(np.diagonal(upper, axis1=1, axis2=2))

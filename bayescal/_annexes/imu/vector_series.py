@@ -254,7 +254,7 @@ def _slots(
     vector = calibration.model.instrument.vector
     assert vector is not None
     x, v = calibration.draws()
-    x = x + at.layout.origin_of_x
+    x = x + at.layout.x_origins
     count, known_columns = len(x), {TEMPERATURE, *vector.beside}
     random = np.random.default_rng(0)  # of a new run, and of a moment of the test
     # In even shares, so that no mean moves by the chance of a draw.

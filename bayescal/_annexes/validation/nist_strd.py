@@ -82,7 +82,7 @@ def _linear(name: str, y: np.ndarray, x: np.ndarray) -> list[Estimate]:
             matrix[: k + 1, k] = powers.coef
     c = fit(y, {f"x{i}": column for i, column in enumerate(fitted.T)})
     draws = c.draws()[0] @ matrix.T
-    best = matrix @ (c.mode.x + c.layout.origin_of_x)  # the mean of draws but for rounding
+    best = matrix @ (c.mode.x + c.layout.x_origins)  # the mean of draws but for rounding
     certified = [np.array(printed[f"{key}_exact"], float) for key in ("beta", "sd", "residual_sd")]
     return [_estimate(c, best, draws, certified, design * certified[0])]
 
@@ -107,7 +107,7 @@ def _nonlinear(name: str, y: np.ndarray, x: np.ndarray) -> list[Estimate]:
     each_start = []
     for start in (printed["start1"], printed["start2"]):
         c = fit(y, columns, start, expected, method=bc.LeastSquares(draws=512))
-        draws = start + c.draws()[0] + c.layout.origin_of_x  # which have the moments of the fit
+        draws = start + c.draws()[0] + c.layout.x_origins  # which have the moments of the fit
         each_start.append(_estimate(c, draws.mean(axis=0), draws, certified, slopes))
     return each_start
 
