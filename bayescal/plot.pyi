@@ -1,6 +1,5 @@
 """Pictures, each listed once. `lazy_loader` reads this file when `bayescal.plot` is imported."""
 
-from ._annexes.imu.sphere import sphere as sphere
 from ._report.plots import allan as allan
 from ._report.plots import loop as loop
 from ._report.plots import missing as missing

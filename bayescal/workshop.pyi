@@ -154,7 +154,6 @@ from ._model.installed import installed_names as installed_names
 from ._model.parameters import bind as bind
 from ._model.unknowns import Unknowns as Unknowns
 from ._report import plot_colours as plot_colours
-from ._report.plots import new_figure as new_figure
 from ._report.report import Pictures as Pictures
 from ._report.result_json import Chapter as Chapter
 from ._report.result_json import Foreword as Foreword

@@ -12,7 +12,6 @@ An installed package offers one by an entry point of the group `bayescal.annexes
     noise_file          channels, topic, quantile → their noise as a file for another program
     result              calibration, average → entries of result.json behind the coefficients
     coefficient_tables  result.json → captions and tables behind a report's table of coefficients
-    pictures            calibration → captions and pictures for the first page of a report
     log                 path, name, channels → the table of a log
     scalar_readings     instrument, values, units, file → three outputs as readings of one, their units, flags
 

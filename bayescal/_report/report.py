@@ -294,10 +294,8 @@ def _budget(chapter: Chapter) -> tuple[Budget | None, str]:
 def _pictures(chapter: Chapter, pictures: Pictures) -> dict[str, Any]:
     c = chapter.calibration
     of_last = pictures.residuals(c, chapter.check)
-    offers = ((caption, make) for offer in offered("pictures") for caption, make in offer(c))
-    front = next((pictures.draw(make, caption) for caption, make in offers), None)
     return {
-        "last": of_last if front else of_last[1:],
-        "front": front or next(iter(of_last), None),  # on the page that is signed
+        "last": of_last[1:],
+        "front": next(iter(of_last), None),  # on the page that is signed
         "error": pictures.error(chapter.data["steps"]),
     }

@@ -15,7 +15,7 @@ from tests.house.test_architecture import MODULES, PACKAGE, parsed
 from tests.house.test_startup import run_python
 
 # What one annex has from another: the workbench offers what these decide and write, a validation compares decisions.
-FROM_OTHERS = {("workbench", "imu"), ("workbench", "metrology"), ("validation", "metrology")}
+FROM_OTHERS = {("workbench", "metrology"), ("validation", "metrology")}
 
 
 def annex_of(module: str) -> str:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-from dataclasses import replace
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -219,46 +218,6 @@ def test_heading_and_its_uncertainty_in_any_attitude() -> None:
     fields = field + random.standard_normal((20_000, 3)) @ b.T
     drawn, _ = of(fields, none).heading_over(of(ups, none))
     assert sd[0] == pytest.approx(drawn.std(), rel=0.03)
-
-
-@pytest.mark.slow
-def test_a_heading_counts_the_errors_that_field_and_force_share() -> None:
-    """Another calibration of the accelerometers, by one standard deviation of a random combination of its terms, turns
-    the magnetometers with it: by as much as their stated covariance says, and the heading follows both."""
-    drawn, own, _ = magnetometers(72)
-    forces, _ = both(simulate_log(seed=72))
-    force = bc.vector_correction(bc.fit(FORCE.baseline(), bc.poses(forces, FORCE)))
-    turned = bc.in_frame_of(own, drawn, force, forces)
-    assert turned.shared is not None and turned.axes_of == force.source
-    moved_by = turned.shared @ np.linalg.pinv(force.covariance, rcond=1e-12, hermitian=True)
-    values, vectors = np.linalg.eigh(force.covariance)
-    root = vectors * np.sqrt(
-        np.maximum(values, 0.0)
-    )  # three of twelve terms are zero by convention
-    random = np.random.default_rng(9)
-    y_field, y_force = np.array([[20.0, 5.0, -40.0]]), np.array([[0.3, -0.4, 0.85]])
-    found = turned(y_field, noise=0.0), force(y_force, noise=0.0)
-    _, sd = found[0].heading_over(found[1])
-    alone = replace(found[0], slopes=None).heading_over(found[1])[1]
-    assert abs(sd[0] / alone[0] - 1) > 1e-3  # what they share is not nothing
-    assert found[0].slopes is not None and found[1].slopes is not None
-    for _ in range(3):
-        error = root @ random.standard_normal(force.terms.size)
-        other = replace(force, terms=force.terms + error.reshape(force.terms.shape))
-        again = bc.in_frame_of(own, drawn, other, forces)
-        expected = (moved_by @ error).reshape(turned.terms.shape)
-        assert np.allclose(again.terms - turned.terms, expected, atol=0.05 * np.abs(expected).max())
-    # Of the force's calibration alone, against headings of drawn ones.
-    only = replace(turned, covariance=moved_by @ force.covariance @ moved_by.T)
-    stated = only(y_field, noise=0.0).heading_over(found[1])[1][0]
-    errors = root @ random.standard_normal((12, 500))
-    fields = [
-        replace(turned, terms=turned.terms + (moved_by @ e)[None])(y_field, noise=0.0)
-        for e in errors.T
-    ]
-    ups = [replace(force, terms=force.terms + e[None])(y_force, noise=0.0) for e in errors.T]
-    drawn_headings = [f.heading_over(u)[0][0] for f, u in zip(fields, ups, strict=True)]
-    assert stated == pytest.approx(np.std(drawn_headings), rel=0.12)
 
 
 @pytest.mark.slow

@@ -6,31 +6,17 @@ import os
 from collections.abc import Iterable, Sequence
 from contextlib import suppress
 from pathlib import Path
-from typing import NamedTuple, TypeVar
+from typing import TypeVar
 
 import pyarrow as pa
 import pyarrow.parquet as pq
 
 import bayescal as bc
 from bayescal import workshop as ws
-from bayescal._annexes.fleet.devices import Devices, open_readings, split_table
+from bayescal._annexes.fleet.devices import Devices
 
 T = TypeVar("T")
 BYTES_A_ROW = 30  # of a text file, a log
-
-
-class ReadFile(NamedTuple):
-    """The devices of a file, or those that were given."""
-
-    name: str
-    devices: Devices
-
-    @classmethod
-    def of(cls, path: Path, model: bc.Model, options: ws.ReadOptions) -> ReadFile:
-        """Read a file; refuse what cannot be read, or is too large once unpacked."""
-        needs = tuple(dict.fromkeys(c for e in model.effects for c in e.columns))
-        table = open_readings(path, options)
-        return cls(path.name, split_table(table, path.stem, model.instrument, options, needs))
 
 
 def packed(sized: Iterable[tuple[T, int]], most: int) -> list[list[T]]:
@@ -50,15 +36,13 @@ def parts_of(files: Iterable[Path], rows: int) -> list[list[Path]]:
     return packed(((path, _readings_in(path)) for path in files), rows)
 
 
-def cut(files: Iterable[ReadFile], rows: int) -> list[list[ReadFile]]:
+def cut(files: Iterable[Devices], rows: int) -> list[list[Devices]]:
     """Split devices that were read into parts of about so many readings."""
-    pieces = list[tuple[ReadFile, int]]()
-    for name, devices in files:
-        chunks = devices.measurements
-        sized = ((n, len(chunks[n]) if n in chunks else 0) for n in devices.names)
-        some = map(devices.some, packed(sized, rows))
-        pieces += [(ReadFile(name, piece), piece.readings) for piece in some]
-    return packed(pieces, rows)
+    pieces = list[Devices]()
+    for devices in files:
+        sizes = ((n, len(devices.measurements.get(n, ()))) for n in devices.names)
+        pieces += map(devices.some, packed(sizes, rows))
+    return packed(((piece, piece.readings) for piece in pieces), rows)
 
 
 def _readings_in(path: Path) -> int:

@@ -31,11 +31,13 @@ class Devices:
         names: of all devices, in order of appearance, refused ones too.
         measurements: by name, of those that were let in.
         refused: name → why its rows cannot be used.
+        file: that they stand in; empty for several, or none.
     """
 
     names: tuple[str, ...]
     measurements: dict[str, bc.Measurements]
     refused: dict[str, str] = field(default_factory=dict)
+    file: str = ""
 
     def __len__(self) -> int:
         return len(self.names)
@@ -58,8 +60,9 @@ class Devices:
 
     def some(self, names: Sequence[str]) -> Devices:
         """Return some of the devices."""
-        both = self.measurements, self.refused
-        return Devices(tuple(names), *({n: d[n] for n in names if n in d} for d in both))
+        accepted = {n: self.measurements[n] for n in names if n in self.measurements}
+        refused = {n: self.refused[n] for n in names if n in self.refused}
+        return Devices(tuple(names), accepted, refused, self.file)
 
     def __repr__(self) -> str:
         return f"<{self.readings} readings of {len(self)} devices, {len(self.refused)} of them refused>"
@@ -137,45 +140,38 @@ def split_devices(
     if not files:
         raise bc.InputError("no file was given to split into devices: give at least one")
     options = ws.ReadOptions.of(instrument, **{k: v for k, v in how.items() if v is not None})
-    whole = Devices((), {})
+    measurements, refused = dict[str, bc.Measurements](), dict[str, str]()
+    names = dict[str, None]()
     for path in files:
-        table = open_readings(path, options, max_bytes)
-        devices = split_table(table, path.stem, instrument, options, needs)
-        if twice := {*whole.names}.intersection(devices.names):
+        devices = devices_of(path, instrument, options, needs, max_bytes)
+        if twice := names.keys() & {*devices.names}:
             raise bc.InputError(
                 f"{path.name!r} holds device {min(twice)!r}, which a file before it holds too: put the "
                 "readings of a device into one file"
             )
-        both = whole.measurements | devices.measurements, whole.refused | devices.refused
-        whole = Devices((*whole.names, *devices.names), *both)
-    return whole
+        names |= dict.fromkeys(devices.names)
+        measurements |= devices.measurements
+        refused |= devices.refused
+    return Devices(tuple(names), measurements, refused)
 
 
-def open_readings(path: Path, options: ws.ReadOptions, max_bytes: int = ws.MAX_BYTES) -> ws.Table:
-    """Open a file of readings as a table; of a log, the channels that the options name.
+def devices_of(
+    path: Path,
+    instrument: bc.Instrument,
+    options: ws.ReadOptions,
+    needs: Sequence[str] = (),
+    max_bytes: int = ws.MAX_BYTES,
+) -> Devices:
+    """Read one file; without a column `device` it is a device called as the file; of a log, the channels named.
 
     Raises:
-        InputError: it cannot be read, or is larger than it may be.
+        InputError: as `split_devices`; or it is larger than it may be.
     """
     if path.is_file() and path.stat().st_size > max_bytes:
         raise bc.InputError(
             f"{path.name!r} is larger than {max_bytes} bytes: split it, or raise max_bytes"
         )
-    return ws.open_table(path, path.name, max_bytes, options.decimal, options.headers)
-
-
-def split_table(
-    table: ws.Table,
-    stem: str,
-    instrument: bc.Instrument,
-    options: ws.ReadOptions,
-    needs: Sequence[str] = (),
-) -> Devices:
-    """Split one table into devices; without a column `device` it is a device called `stem`.
-
-    Raises:
-        InputError: as `split_devices`.
-    """
+    table = ws.open_table(path, path.name, max_bytes, options.decimal, options.headers)
     problems, options = ws.Objections(table.problems), options.of_file(table)
     ws.unused_options([table], options, problems)
     problems.refuse()
@@ -184,7 +180,7 @@ def split_table(
     expects = ws.ExpectedColumns(instrument.name, columns, instrument.nominal_scale, output)
     file = ws.MatchedFile(table, expects, options, problems)
     problems.refuse()
-    table, labels = file.table, np.full(table.rows, stem, dtype=object)
+    table, labels = file.table, np.full(table.rows, path.stem, dtype=object)
     if (position := file.positions.get(DEVICE)) is not None:
         labels = ws.load_whole(table, {position: False})[position].values
     codes, levels = pd.factorize(labels)
@@ -203,7 +199,7 @@ def split_table(
         else:
             source = ws.Source(f"{table.file}, device {name}", table.sha256, int(end - first))
             by_name[name] = bc.Measurements(device, units, (source,), output=output)
-    return Devices(names, by_name, refused)
+    return Devices(names, by_name, refused, path.name)
 
 
 def _further(

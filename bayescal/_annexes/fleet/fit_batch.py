@@ -5,7 +5,6 @@ Files are cut into parts that one process can hold; each is read and fitted, and
 
 from __future__ import annotations
 
-import threading
 import time
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import nullcontext
@@ -24,8 +23,8 @@ from bayescal._annexes.fleet.batch_result import (
     once_each,
     pooled,
 )
-from bayescal._annexes.fleet.device_files import ReadFile, cut, files_of, parts_of
-from bayescal._annexes.fleet.devices import Devices, gathered
+from bayescal._annexes.fleet.device_files import cut, files_of, parts_of
+from bayescal._annexes.fleet.devices import Devices, devices_of, gathered
 from bayescal._annexes.fleet.engine import run_tasks
 from bayescal._annexes.fleet.find_devices import (
     DeviceStructure,
@@ -50,7 +49,6 @@ if TYPE_CHECKING:
 ROWS = 500_000  # readings in a part, which with JAX takes 0.6 GB of a worker
 FIND_ROWS = 5_000  # where each device is searched: so that no more than a minute or two is lost
 PROGRESS_SECONDS = 9.0  # between two lines about how far it is
-HOLDS_PART = threading.Lock()  # a worker of several threads holds one part at a time all the same
 
 Readings = (
     Devices
@@ -60,7 +58,7 @@ Readings = (
     | Path
     | Sequence[str | Path]
 )
-Part = Sequence[Path | ReadFile]
+Part = Sequence[Path | Devices]
 
 
 @dataclass(frozen=True)
@@ -73,14 +71,17 @@ class Request:
     find: Find | None  # what is looked for in each device, if anything is
     settings: bc.Settings  # that hold where this was asked, and are to hold on the workers
 
-    def read(self, part: Part) -> tuple[list[ReadFile], dict[str, str]]:
+    def read(self, part: Part) -> tuple[list[Devices], dict[str, str]]:
         """Read a part; and why files of it cannot be used."""
-        pieces, unreadable = list[ReadFile](), dict[str, str]()
+        pieces, unreadable = list[Devices](), dict[str, str]()
+        model = self.model
+        needs = tuple(dict.fromkeys(c for e in model.effects for c in e.columns))
         for entry in part:
-            try:
-                if not isinstance(entry, ReadFile):
-                    entry = ReadFile.of(entry, self.model, self.read_options)
+            if isinstance(entry, Devices):
                 pieces.append(entry)
+                continue
+            try:
+                pieces.append(devices_of(entry, model.instrument, self.read_options, needs))
             except (bc.InputError, OSError) as error:
                 unreadable[entry.name] = str(error)
         return pieces, unreadable
@@ -96,12 +97,12 @@ class Fits(NamedTuple):
 
 def fit_part(request: Request, part: Part) -> Fits:
     """Read and fit the devices of a part."""
-    with HOLDS_PART, bc.use_settings(request.settings):
+    with bc.use_settings(request.settings):
         (pieces, unreadable), options = request.read(part), request.fit_options
-        devices = [(piece, name) for piece in pieces for name in piece.devices.names]
-        refused = [piece.devices.refused.get(name) for piece, name in devices]
+        devices = [(piece, name) for piece in pieces for name in piece.names]
+        refused = [piece.refused.get(name) for piece, name in devices]
         fitted = {i: DeviceResult(reason=why) for i, why in enumerate(refused) if why}
-        good = {i: p.devices[name] for i, (p, name) in enumerate(devices) if i not in fitted}
+        good = {i: p[name] for i, (p, name) in enumerate(devices) if i not in fitted}
         structures, models = dict[str, DeviceStructure](), dict.fromkeys(good, request.model)
         starts = dict[int, Mapping[str, float]]()
         for i, find in ((i, request.find) for i in [*good] if request.find):
@@ -114,7 +115,7 @@ def fit_part(request: Request, part: Part) -> Fits:
         with ws.deadline.finishing() if request.find else nullcontext():
             fitted |= fit_devices(models, good, options, starts)
         results = [
-            replace(fitted[i], device=name, file=piece.name)
+            replace(fitted[i], device=name, file=piece.file)
             for i, (piece, name) in enumerate(devices)
         ]
         return Fits(tuple(results), structures, unreadable)
@@ -122,11 +123,11 @@ def fit_part(request: Request, part: Part) -> Fits:
 
 def _refused(part: Part, why: str) -> Fits:
     """Return a part that nothing came of: devices of what was read have that reason, of files nothing is known."""
-    read = [piece for piece in part if isinstance(piece, ReadFile)]
     results = tuple(
-        DeviceResult(name, piece.devices.refused.get(name, why), file=piece.name)
-        for piece in read
-        for name in piece.devices.names
+        DeviceResult(name, piece.refused.get(name, why), file=piece.file)
+        for piece in part
+        if isinstance(piece, Devices)
+        for name in piece.names
     )
     return Fits(results, {}, {piece.name: why for piece in part if isinstance(piece, Path)})
 
@@ -135,7 +136,7 @@ def sum_temperatures(request: Request, part: Part) -> dict[str, np.ndarray]:
     """Return sum and number of a part's temperatures, by the name of each column's reference."""
     total: dict[str, np.ndarray] = {}
     with bc.use_settings(request.settings):
-        for device in (device for piece in request.read(part)[0] for device in piece.devices):
+        for device in (device for piece in request.read(part)[0] for device in piece):
             for name in (n for n in device.columns if device.unit(n) == "degC"):
                 sums = total.setdefault(ws.reference_name(name), np.zeros(2))
                 sums += np.sum(device[name]), len(device)
@@ -175,7 +176,7 @@ class _Run:
             InputError: a part cannot be read.
         """
         options = self.request.fit_options
-        if not isinstance(self.parts[-1][0], ReadFile):
+        if not isinstance(self.parts[-1][0], Devices):
             if "T0" in options.reference:
                 return self
             ws.tell("reading all temperatures, for a common T0 (a reference given spares that)")
@@ -196,7 +197,7 @@ class _Run:
         """
         model, refusals = self.request.model, list[str]()
         for part in self.parts if model.instrument.tailor is not None else ():
-            for readings in (d for piece in self.request.read(part)[0] for d in piece.devices):
+            for readings in (d for piece in self.request.read(part)[0] for d in piece):
                 try:
                     return self.with_request(model=tailored(model, readings))
                 except bc.InputError as error:
@@ -294,7 +295,7 @@ def fit_batch(
             pieces = cut((piece for devices in by_file.values() for piece in devices), rows)
             parts = [part for part in (lost, *pieces) if part]
     else:
-        parts += cut([ReadFile("", _gather(readings))], rows)
+        parts += cut([_gather(readings)], rows)
     if client is not None and client.cluster is None and client.dashboard_link:
         ws.tell(f"the cluster's dashboard: {client.dashboard_link}")
     with ws.deadline.until(time_limit):

@@ -63,27 +63,14 @@ class FitOptions:
 def tailored(model: bc.Model, readings: bc.Measurements) -> bc.Model:
     """Return the model with its instrument tailored to one device's readings, if it can be.
 
-    What it has of the instrument's own (effects, the noise law) is that of the tailored one; what was changed stays. A
-    size that was changed is one in parts of what a record shows, as all of the general instrument's are.
+    What it has of the instrument's own (effects, the noise law) is that of the tailored one; what was changed stays.
     """
     general = model.instrument
     specific = general.for_readings(readings)
-    if specific is general:
-        return model
-    stated = {e.name: e for e in (*general.effects, *general.candidates)}
-    sized = {e.name: e for e in (*specific.effects, *specific.candidates)}
-    parts = {
-        e.name: e.coefficients[0].size / stated[e.name].coefficients[0].size
-        for e in model.effects
-        if e.name in stated and e == replace(stated[e.name], coefficients=e.coefficients)
-    }
-    effects = tuple(sized.get(e.name, e) if e.name in parts else e for e in model.effects)
+    own, tailored = ({e.name: e for e in (*i.effects, *i.candidates)} for i in (general, specific))
+    effects = (tailored.get(e.name, e) if e == own.get(e.name) else e for e in model.effects)
     noise = specific.noise if model.noise == general.noise else model.noise
-    tailored = bc.Model(specific, effects, noise, model.fixed)
-    for name, part in parts.items():
-        if part != 1:
-            tailored = tailored.resize(name, part * tailored.effect(name).coefficients[0].size)
-    return tailored
+    return bc.Model(specific, tuple(effects), noise, model.fixed)
 
 
 def fit_devices(

@@ -6,10 +6,10 @@ With û and n̂ the directions of the specific force and of the field in a pose,
 
 for one rotation R and one dip (negative here where the field points down): four unknowns, by generalised least squares
 over the poses of one log. Errors of both calibrations are shared by all poses and are in the covariance; the rotation's
-own error is that of the correction that leaves, together with what it shares with the matrix and with the force's
-correction, which a heading by both counts. Where poses scatter by more than their uncertainty (iron near by), the
-rotation is that much more uncertain (R. Birge, Phys. Rev. 40 (1932) 207). An axis that points backwards and a field
-that points to the other side of the level are the same to it: the dip found is said.
+own error is that of the correction that leaves, together with what it shares with the matrix. Where poses scatter by
+more than their uncertainty (iron near by), the rotation is that much more uncertain (R. Birge, Phys. Rev. 40 (1932)
+207). An axis that points backwards and a field that points to the other side of the level are the same to it: the dip
+found is said.
 """
 
 from __future__ import annotations
@@ -81,7 +81,7 @@ def in_frame_of(
     terms = field.covariance
 
     def linearise(turn: np.ndarray, dip: float) -> tuple[np.ndarray, ...]:
-        """Return residuals, weight, gain, sensitivities to the terms of field and force, covariance of the poses."""
+        """Return residuals, weight, gain, sensitivities to the terms of the field, covariance of the poses."""
         turned = field_direction @ turn.T
         cosine = np.sum(up * turned, axis=1)
         by_force = block_diag(*(turned - cosine[:, None] * up) / f_size)
@@ -97,14 +97,14 @@ def in_frame_of(
                 "other: turn the unit about all three axes"
             )
         gain = np.linalg.solve(information, slopes.T @ weight)
-        return cosine - dip, weight, gain, shared, by_force @ f_slopes, pose_cov
+        return cosine - dip, weight, gain, shared, pose_cov
 
-    residuals, weight, gain, shared, by_force_terms, pose_cov = linearise(turn, dip)
+    residuals, weight, gain, shared, pose_cov = linearise(turn, dip)
     for _ in range(MAX_ITERATIONS):
         step = -gain @ residuals
         turn = Rotation.from_rotvec(step[:3]).as_matrix() @ turn
         dip += float(step[3])
-        residuals, weight, gain, shared, by_force_terms, pose_cov = linearise(turn, dip)
+        residuals, weight, gain, shared, pose_cov = linearise(turn, dip)
         if np.max(np.abs(step)) < CONVERGENCE_RADIANS:
             break
     if not np.std(residuals) < MAX_DIP_SCATTER:
@@ -114,14 +114,13 @@ def in_frame_of(
         )
     ratio = max(1.0, float(residuals @ weight @ residuals) / (len(residuals) - N_PARAMETERS))
     gain = gain[:3]
-    moved, by_turn = _rotate(field, turn, gain @ shared, ratio * gain @ pose_cov @ gain.T)
-    with_force = by_turn @ gain @ by_force_terms @ force.covariance
+    moved = _rotate(field, turn, gain @ shared, ratio * gain @ pose_cov @ gain.T)
     down = np.rad2deg(np.arcsin(np.clip(-dip, -1.0, 1.0)))
     note = (
         f"Axes are those of the accelerometers, by a field {abs(down):.1f}° {'below' if down >= 0 else 'above'} the "
         "level. If it points to the other side where you are, an axis of the magnetometers points backwards."
     )
-    return replace(moved, notes=(note, *moved.notes), axes_of=force.source, shared=with_force)
+    return replace(moved, notes=(note, *moved.notes))
 
 
 def _rotate(
@@ -129,8 +128,8 @@ def _rotate(
     turn: Float[np.ndarray, "3 3"],
     turn_by_terms: Float[np.ndarray, "3 q"],
     turn_cov: Float[np.ndarray, "3 3"],
-) -> tuple[VectorCorrection, Float[np.ndarray, "q 3"]]:
-    """Return a rotated correction, and the sensitivities of its terms to a small rotation, 1/rad."""
+) -> VectorCorrection:
+    """Rotate a correction, given the rotation's sensitivities to its terms and its own covariance."""
     k, p = field.terms.shape
     rotate = np.eye(p)
     rotate[3:12, 3:12] = np.kron(np.eye(3), turn)
@@ -143,8 +142,7 @@ def _rotate(
     jacobian = np.kron(np.eye(k), rotate) + by_turn @ turn_by_terms
     covariance = jacobian @ field.covariance @ jacobian.T + by_turn @ turn_cov @ by_turn.T
     notes = [note for note in field.notes if note != UNKNOWN_DIRECTIONS]
-    rotated = replace(field, terms=terms, covariance=covariance, notes=tuple(notes))
-    return rotated, by_turn
+    return replace(field, terms=terms, covariance=covariance, notes=tuple(notes))
 
 
 def _directions_and_lengths(vectors: Float[np.ndarray, "n 3"]) -> tuple[np.ndarray, np.ndarray]:

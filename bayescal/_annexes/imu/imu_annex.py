@@ -326,7 +326,6 @@ ANNEX = {
     "noise_file": "bayescal:kalibr_yaml",
     "result": _result,
     "coefficient_tables": f"{ROOM}.vector_files:coefficient_tables",
-    "pictures": f"{ROOM}.sphere:pictures",
     "log": f"{ROOM}.logs:open_log",
     "scalar_readings": f"{ROOM}.scalar_readings:scalar_readings",
 }

@@ -70,17 +70,6 @@ SPREAD_RATIOS = np.geomspace(0.1, 1000.0, 17)  # times the known deviation
 SAMPLES_PER_BLOCK = 20_000  # whose forces are corrected at once
 
 
-class _Readings(NamedTuple):
-    """Readings of one run, in rad/s and g: outputs, design matrix and standard uncertainties."""
-
-    output: Float[np.ndarray, "r"]
-    design: Float[np.ndarray, "r 27"]  # across, turned, pulled, squared, around
-    uncertainty: Float[np.ndarray, "r"]
-    windows: Float[np.ndarray, "r 2"]  # s
-    force: Float[np.ndarray, "r 3"]  # g, its mean
-    kinds: tuple[str, ...]
-
-
 def moves(
     log: bc.Measurements,
     instrument: bc.Instrument,
@@ -135,15 +124,17 @@ def moves(
                 "together, and a move needs two: hold the unit still for some seconds before and after each move"
             )
         poses += len(windows)
+        labels, codes = log.groups("run")
+        samples = log.select(codes == labels.index(run))
         try:
-            rows, disagreeing = _fit_run(gyro, f_runs[run], windows, correction, len(rates))
+            line, fit, disagreeing = _fit_run(gyro, f_runs[run], windows, correction, len(rates))
         except bc.InputError as error:
             raise bc.InputError(f"{log.file}, run {run!r}: {error}") from None
         outliers += disagreeing
-        labels, codes = log.groups("run")
-        samples = log.select(codes == labels.index(run))
-        gravity = instrument.vector.beside
-        for name, values in _as_columns(rows, samples, gyro, gravity, unit).items():
+        columns = line.columns(fit, instrument.vector.beside, unit)
+        others = [n for n in samples.columns if n not in (*columns, *ws.DIRECTION, MOUNTING)]
+        columns |= averaged(samples, others, (gyro.inside(*w) for w in line.windows))
+        for name, values in columns.items():
             column_parts.setdefault(name, []).append(values)
     columns = {name: np.concatenate(parts) for name, parts in column_parts.items()}
     # The noise law has the variance of the surest reading, the column the excess of the others: a noise in addition to
@@ -223,8 +214,8 @@ def _fit_run(
     windows: Float[np.ndarray, "k 2"],
     correction: VectorCorrection,
     shared: int,
-) -> tuple[_Readings, list[str]]:
-    """Fit bias and matrix to the moves of one run; return its readings, and descriptions of what was set aside.
+) -> tuple[_LinearModel, _Estimate, list[str]]:
+    """Fit bias and matrix to the moves of one run; return model and estimate, and names of what was set aside.
 
     Args:
         log: of the gyroscopes.
@@ -243,7 +234,7 @@ def _fit_run(
     session = _Session(at_rest, windows, force, forces, white, nominal)
     path = _paths(log, windows, f_run, _correct_forces(f_run, correction))
     max_set_aside = max(1, int(MAX_SET_ASIDE_SHARE * len(path.rate)))
-    origin, aside = session.nominal[:N_RATE], _Outliers((), ())
+    origin, aside = session.nominal[:N_RATE], frozenset[int]()
     at = _integrate_moves(path, force, origin)
     for _ in range(MAX_ITERATIONS):
         line = _LinearModel.of(session, at, origin, aside)
@@ -265,7 +256,7 @@ def _fit_run(
         if extended == aside:
             break
         aside = extended
-        if len(aside.moves) > max_set_aside:
+        if sum(k >= len(windows) for k in aside) > max_set_aside:
             raise bc.InputError(
                 f"more than {max_set_aside} of {len(path.rate)} moves disagree with each other by more than they "
                 "scatter. Were samples lost, is a rate beyond the gyroscopes' range, or did accelerometers and "
@@ -282,7 +273,10 @@ def _fit_run(
             "standard uncertainties. Turn the unit less between two poses, about all three axes, and hold it still for "
             "longer; see that no rate is beyond the gyroscopes' range"
         )
-    return line.rows(fit), line.describe_set_aside(fit, aside)
+    ends = np.concatenate([windows, np.stack([windows[:-1, 1], windows[1:, 0]], axis=1)])
+    spans = {k: " to ".join(ws.number(end, 5) for end in ends[k]) for k in sorted(aside)}
+    kinds = ("pose", "move")
+    return line, fit, [f"the {kinds[k >= len(windows)]} from {spans[k]} s" for k in spans]
 
 
 class _Session(NamedTuple):
@@ -295,13 +289,6 @@ class _Session(NamedTuple):
     white: float  # variance of a mean output over a second, (rad/s)²
     # Prior mean of the parameters: the bias as at rest, the matrix one.
     nominal: Float[np.ndarray, "27"]
-
-
-class _Outliers(NamedTuple):
-    """Outlying poses and moves, by number."""
-
-    poses: tuple[int, ...]
-    moves: tuple[int, ...]
 
 
 class _Estimate(NamedTuple):
@@ -323,37 +310,45 @@ class _LinearModel(NamedTuple):
 
     session: _Session
     closure: _Closure
-    origin: Float[np.ndarray, "12"]
     output: Float[np.ndarray, "r"]
     design: Float[np.ndarray, "r 27"]
-    pose: Int[np.ndarray, "p"]  # of each output at rest, which come first
-    move: Int[np.ndarray, "q"]  # of each over a move
+    owner: Int[
+        np.ndarray, "r"
+    ]  # of each the pose, which come first, or the move, by number after these
     at_rest: Float[np.ndarray, "p"]  # known variance
     moving: Float[np.ndarray, "q q"]  # known covariance
     duration: Float[np.ndarray, "q"]  # s
 
     @classmethod
-    def of(cls, session: _Session, closure: _Closure, origin: np.ndarray, aside: _Outliers) -> Self:
+    def of(
+        cls, session: _Session, closure: _Closure, origin: np.ndarray, aside: frozenset[int]
+    ) -> Self:
         poses, count = len(session.windows), len(closure.duration)
-        pose, move = np.repeat(np.arange(poses), 3), np.repeat(np.arange(count), 2)
-        keep_pose, keep_move = ~np.isin(pose, aside.poses), ~np.isin(move, aside.moves)
+        owner = np.concatenate([np.repeat(np.arange(poses), 3), poses + np.repeat(range(count), 2)])
+        keep = ~np.isin(owner, [*aside])
         covariance = closure.of_forces @ session.of_forces @ closure.of_forces.T
         covariance += session.white * block_diag(*closure.of_noise)
         output = closure.residual + closure.design[:, :N_RATE] @ origin
         at_rest = _rest_design(origin[3:].reshape(3, 3), session.force, closure.world)
         length = session.windows[:, 1] - session.windows[:, 0]
+        keep_rest, keep_move = keep[: 3 * poses], keep[3 * poses :]
         return cls(
             session,
             closure,
-            origin,
-            output=np.concatenate([session.at_rest.ravel()[keep_pose], output[keep_move]]),
-            design=np.concatenate([at_rest[keep_pose], closure.design[keep_move]]),
-            pose=pose[keep_pose],
-            move=move[keep_move],
-            at_rest=(session.white / length)[pose[keep_pose]],
+            output=np.concatenate([session.at_rest.ravel(), output])[keep],
+            design=np.concatenate([at_rest, closure.design])[keep],
+            owner=owner[keep],
+            at_rest=np.repeat(session.white / length, 3)[keep_rest],
             moving=covariance[np.ix_(keep_move, keep_move)],
-            duration=closure.duration[move[keep_move]],
+            duration=np.repeat(closure.duration, 2)[keep_move],
         )
+
+    @property
+    def windows(self) -> Float[np.ndarray, "r 2"]:
+        """Return begin and end of what each output is a mean of, s."""
+        windows = self.session.windows
+        between = np.stack([windows[:-1, 1], windows[1:, 0]], axis=1)
+        return np.concatenate([windows, between])[self.owner]
 
     def variances(self, wander: float, closing: float) -> tuple[np.ndarray, np.ndarray]:
         """Return variances at rest (p,) and the covariance over moves (q, q), (rad/s)²."""
@@ -390,72 +385,53 @@ class _LinearModel(NamedTuple):
     def weighted_rss(self, at: _Closure, phi: Float[np.ndarray, "12"], fit: _Estimate) -> float:
         """Return the weighted residual sum of squares of an integration with parameters phi, others as estimated."""
         values = np.concatenate([phi, fit.mean[N_RATE:]])
-        count = len(self.pose)
+        count = len(self.at_rest)
         at_rest = self.output[:count] - self.design[:count] @ values
-        is_kept = np.isin(np.repeat(np.arange(len(at.duration)), 2), self.move)
-        moving = (at.residual - at.design[:, N_RATE:] @ fit.mean[N_RATE:])[is_kept]
+        moves = len(self.session.windows) + np.repeat(np.arange(len(at.duration)), 2)
+        moving = at.residual - at.design[:, N_RATE:] @ fit.mean[N_RATE:]
+        moving = moving[np.isin(moves, self.owner)]
         rest_var, covariance = self.variances(fit.wander, fit.closing)
         squares = np.sum(at_rest**2 / rest_var) + moving @ np.linalg.solve(covariance, moving)
         return float(squares + np.sum(((values - self.session.nominal) / PRIOR_SD) ** 2))
 
-    def find_outlier(self, fit: _Estimate, aside: _Outliers) -> _Outliers:
+    def find_outlier(self, fit: _Estimate, aside: frozenset[int]) -> frozenset[int]:
         """Add the pose or the move that is the most significant outlier, if there is one."""
-        residuals, count = self.output - self.design @ fit.mean, len(self.pose)
+        residuals, count = self.output - self.design @ fit.mean, len(self.at_rest)
         rest_var, move_cov = self.variances(fit.wander, fit.closing)
-        least, worst = OUTLIER_PROBABILITY / (len({*self.pose}) + len({*self.move})), aside
-        for field, of in (("poses", self.pose), ("moves", self.move)):
-            cov, begin = (np.diag(rest_var), 0) if field == "poses" else (move_cov, count)
-            free = max(1, len(of) - (3 if field == "poses" else N_RATE))
-            for k in dict.fromkeys(of.tolist()):
-                at = np.flatnonzero(of == k)
-                design, outlying = self.design[begin + at], residuals[begin + at]
-                covariance = cov[np.ix_(at, at)] - design @ fit.covariance @ design.T
-                square = float(outlying @ np.linalg.solve(covariance, outlying))
-                chance = float(fdtrc(len(at), free, square / len(at)))
-                if chance < least:
-                    least, worst = chance, aside._replace(**{field: (*getattr(aside, field), k)})
-        return worst
+        variances, chances = block_diag(np.diag(rest_var), move_cov), dict[int, float]()
+        for k in np.unique(self.owner).tolist():
+            at = np.flatnonzero(self.owner == k)
+            covariance = variances[np.ix_(at, at)]
+            covariance = covariance - self.design[at] @ fit.covariance @ self.design[at].T
+            square = float(residuals[at] @ np.linalg.solve(covariance, residuals[at]))
+            is_pose = k < len(self.session.windows)
+            free = max(1, count - 3 if is_pose else len(move_cov) - N_RATE)
+            chances[k] = float(fdtrc(len(at), free, square / len(at)))
+        worst = min(chances, key=chances.__getitem__)
+        is_outlier = chances[worst] < OUTLIER_PROBABILITY / len(chances)
+        return aside | {worst} if is_outlier else aside
 
-    def describe_set_aside(self, fit: _Estimate, aside: _Outliers) -> list[str]:
-        """Describe each pose or move that was set aside with its residual."""
-        closure, windows = self.closure, self.session.windows
-        closing = (closure.residual - closure.design[:, N_RATE:] @ fit.mean[N_RATE:]).reshape(-1, 2)
-        angle = np.rad2deg(np.linalg.norm(closing, axis=1) * closure.duration)
-        usual_angle = float(np.median(np.delete(angle, aside.moves)))
-        rates = self.session.at_rest - fit.mean[:3]
-        rate = np.rad2deg(np.linalg.norm(rates - rates.mean(axis=0), axis=1))
-        usual_rate = float(np.median(np.delete(rate, aside.poses)))
-        poses = (
-            f"the pose from {ws.number(windows[k, 0], 5)} to {ws.number(windows[k, 1], 5)} s, in which the outputs "
-            f"stand {ws.number(rate[k], 2)} deg/s off (others {ws.number(usual_rate, 2)})"
-            for k in sorted(aside.poses)
-        )
-        moves = (
-            f"the move from {ws.number(windows[k, 1], 5)} to {ws.number(windows[k + 1, 0], 5)} s, which leaves "
-            f"{ws.number(angle[k], 2)} deg over (others {ws.number(usual_angle, 2)})"
-            for k in sorted(aside.moves)
-        )
-        return [*poses, *moves]
-
-    def rows(self, fit: _Estimate) -> _Readings:
-        """Return the innovations of poses and moves in order, as readings."""
+    def columns(
+        self, fit: _Estimate, forces: tuple[str, ...], unit: float
+    ) -> dict[str, np.ndarray]:
+        """Return the innovations of poses and moves in order, as columns of readings, rates in the output's unit."""
         rest_var, move_cov = self.variances(fit.wander, fit.closing)
-        windows, count = self.session.windows, len(rest_var)
+        count = len(rest_var)
         factor = np.linalg.cholesky(move_cov)
         innovation_sd = np.diag(factor)
+        table = np.column_stack([self.output, self.design])
         # Lower with a diagonal of ones: each move given those before it.
-        table = np.column_stack([self.output, self.design])[count:]
-        table = solve_triangular(factor / innovation_sd, table, lower=True, unit_diagonal=True)
-        between = np.stack([windows[:-1, 1], windows[1:, 0]], axis=1)
-        axis = np.arange(3 * len(windows)).reshape(-1, 3)[self.pose[::3]].ravel() % 3
-        return _Readings(
-            output=np.concatenate([self.output[:count], table[:, 0]]),
-            design=np.concatenate([self.design[:count], table[:, 1:]]),
-            uncertainty=np.concatenate([np.sqrt(rest_var), innovation_sd]),
-            windows=np.concatenate([windows[self.pose], between[self.move]]),
-            force=np.concatenate([self.session.force[self.pose], self.closure.force[self.move]]),
-            kinds=(*(ws.AXES[i] for i in axis), *("move", "move too") * (len(self.move) // 2)),
-        )
+        lower = factor / innovation_sd
+        table[count:] = solve_triangular(lower, table[count:], lower=True, unit_diagonal=True)
+        force = np.concatenate([self.session.force, self.closure.force])[self.owner]
+        kinds = [*ws.AXES] * (count // 3) + ["move", "move too"] * (len(self.duration) // 2)
+        powers = np.repeat([0.0, 1.0, 0.0, 2.0, 0.0], [3, 9, 9, 3, 3])
+        names = (*ws.ACROSS, *ws.TURNED, *PULLED, *SQUARED, *AROUND)
+        columns = dict(zip(names, (table[:, 1:] / unit**powers).T, strict=True))
+        uncertainty = np.concatenate([np.sqrt(rest_var), innovation_sd])
+        columns |= {"output": table[:, 0] / unit, ws.UNCERTAINTY: uncertainty / unit}
+        columns |= {ws.OF: np.array(kinds)}
+        return columns | {name: force[:, j] for j, name in enumerate(forces)}
 
 
 class _Closure(NamedTuple):
@@ -523,17 +499,3 @@ def _rest_design(
     none = np.zeros((k, 3, 9))
     design = [np.broadcast_to(identity, (k, 3, 3)), none, pulled, none[..., :3], around]
     return np.concatenate(design, axis=2).reshape(3 * k, -1)
-
-
-def _as_columns(
-    rows: _Readings, samples: bc.Measurements, log: LoggedRun, forces: tuple[str, ...], unit: float
-) -> dict[str, np.ndarray]:
-    """Return the columns of readings, rates in the unit of the output; other recorded columns averaged over each."""
-    powers = np.repeat([0.0, 1.0, 0.0, 2.0, 0.0], [3, 9, 9, 3, 3])
-    names = (*ws.ACROSS, *ws.TURNED, *PULLED, *SQUARED, *AROUND)
-    columns = dict(zip(names, (rows.design / unit**powers).T, strict=True))
-    columns |= {"output": rows.output / unit, ws.UNCERTAINTY: rows.uncertainty / unit}
-    columns |= {ws.OF: np.array(rows.kinds)}
-    columns |= {name: rows.force[:, j] for j, name in enumerate(forces)}
-    others = [n for n in samples.columns if n not in (*columns, *ws.DIRECTION, MOUNTING)]
-    return columns | averaged(samples, others, (log.inside(*w) for w in rows.windows))

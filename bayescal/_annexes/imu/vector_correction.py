@@ -33,25 +33,6 @@ UNKNOWN_DIRECTIONS = (
 )
 RELATIVE_STEP = 1e-6  # of a vector's length, for central differences: 1e-10 of a slope
 NEWTON_STEPS = 4  # steps of the inverse: each squares the error
-SAVED_AS = {  # keys of the JSON of a correction, and its attributes
-    **{"calibration": "source", "instrument": "instrument", "outputs": "outputs", "unit": "unit"},
-    **{"beside": "beside", "reference_degC": "reference", "reach": "reach", "terms": "terms"},
-    **{"covariance": "covariance", "noise": "noise", "notes": "notes", "why_not": "against"},
-    "axes_of": "axes_of",
-}
-
-
-class TermSlopes(NamedTuple):
-    """Negative derivatives of corrected vectors by the terms of their correction: `powers` times `by_term`."""
-
-    correction: VectorCorrection  # whose terms
-    powers: Float[np.ndarray, "n k"]  # of T − T0 (n, k)
-    by_term: Float[np.ndarray, "n 3 p"]  # by the terms at its temperature (n, 3, p)
-
-    def along(self, slope: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n q"]:
-        """Return the derivatives by the terms of a quantity with this slope by the vector."""
-        gradient = np.einsum("nk,nip,ni->nkp", self.powers, self.by_term, slope)
-        return gradient.reshape(len(slope), -1)
 
 
 Uncertain = tuple[np.ndarray, np.ndarray]  # a quantity and its standard uncertainty, (n,) each
@@ -66,14 +47,12 @@ class CorrectedVector:
         covariance: of it (n, 3, 3), `unit` squared.
         unit: of both.
         outside: where the temperature is outside the calibrated range (n,).
-        slopes: by the terms of the correction; None where no correction made it.
     """
 
     vector: Float[np.ndarray, "n 3"]
     covariance: Float[np.ndarray, "n 3 3"]
     unit: str
     outside: np.ndarray
-    slopes: TermSlopes | None = None
 
     @property
     def magnitude(self) -> Uncertain:
@@ -100,9 +79,9 @@ class CorrectedVector:
         """Return the heading of the x axis by a magnetic field, of a body at rest in any attitude.
 
         Args:
-            force: specific force of the same moments in the same axes, which says where up is. Where `in_frame_of` took
-                the field's correction to the axes of the force's, the errors that it shares with them count as such;
-                otherwise errors of force and field count as independent.
+            force: specific force of the same moments in the same axes, which says where up is. Errors of force and
+                field count as independent, also where `in_frame_of` took the field to the axes of the force (which
+                makes half a per cent of the uncertainty).
 
         Returns:
             Angle from magnetic north, clockwise as seen from above, rad, and its standard uncertainty; not determined
@@ -119,9 +98,9 @@ class CorrectedVector:
 
 
 def _propagate(quantity: Callable[..., np.ndarray], *of: CorrectedVector) -> Uncertain:
-    """Propagate the covariance of vectors, and the errors that two share, to a length or an angle, by its slopes."""
-    vectors, slopes = [corrected.vector for corrected in of], []
-    for index, vector in enumerate(vectors):
+    """Propagate the covariance of vectors to a length or an angle, by its slopes."""
+    vectors, variance = [corrected.vector for corrected in of], 0.0
+    for index, (vector, corrected) in enumerate(zip(vectors, of, strict=True)):
         step, by_axis = RELATIVE_STEP * np.linalg.norm(vector, axis=1)[:, None], []
         for axis in np.eye(3):
             forward, backward = (
@@ -130,17 +109,8 @@ def _propagate(quantity: Callable[..., np.ndarray], *of: CorrectedVector) -> Unc
             )
             # An angle's across ±π.
             by_axis.append(np.angle(np.exp(1j * (forward - backward))) / (2 * step[:, 0]))
-        slopes.append(np.stack(by_axis, axis=1))
-    variance = sum(
-        np.einsum("ni,nij,nj->n", slope, corrected.covariance, slope)
-        for corrected, slope in zip(of, slopes, strict=True)
-    )
-    first_slopes, second_slopes = of[0].slopes, of[-1].slopes
-    if len(of) == 2 and first_slopes is not None and second_slopes is not None:
-        shared = first_slopes.correction.shared_with(second_slopes.correction)
-        if shared is not None:
-            by_terms = first_slopes.along(slopes[0]) @ shared * second_slopes.along(slopes[1])
-            variance = variance + 2 * np.sum(by_terms, axis=1)
+        slope = np.stack(by_axis, axis=1)
+        variance = variance + np.einsum("ni,nij,nj->n", slope, corrected.covariance, slope)
     return quantity(*vectors), np.sqrt(np.maximum(variance, 0.0))
 
 
@@ -166,8 +136,6 @@ class VectorCorrection(ws.CorrectionInUse):
         beside: columns of what acts beside; empty for none.
         instrument: its name.
         reach: largest magnitude of what acted in the calibration, `unit`.
-        axes_of: identity of the calibration whose axes `in_frame_of` took it to; empty for its own.
-        shared: covariance of `terms` with those of that correction, both raveled (k·p, q); None for its own axes.
         against: why the result is not to be used, which is among the notes too; empty where it may be.
     """
 
@@ -184,14 +152,7 @@ class VectorCorrection(ws.CorrectionInUse):
     beside: tuple[str, ...] = ()
     instrument: str = "triad"
     reach: float = 1.0
-    axes_of: str = ""
-    shared: Float[np.ndarray, "q r"] | None = None
     against: str = ""
-
-    def shared_with(self, other: VectorCorrection) -> Float[np.ndarray, "q r"] | None:
-        """Return the covariance of the terms with those of the correction whose axes these are; None for another."""
-        is_same_frame = self.axes_of != "" and self.axes_of == other.source
-        return self.shared if is_same_frame else None
 
     @property
     def order(self) -> int:
@@ -213,16 +174,11 @@ class VectorCorrection(ws.CorrectionInUse):
         return self.instrument, self.notes, self.against
 
     def data(self) -> dict[str, Any]:
-        head = {
-            "made_by": f"bayescal {bc.__version__}",
-            "equation": "outputs = offset + matrix·f (+ higher orders) (+ beside·g), each a polynomial of T − "
-            "reference",
-            "order_of_terms": "offset x y z; matrix by rows; second order xx yy zz xy xz yz by rows; cubes; beside by "
-            "rows",
-            "temperatures_degC": None if self.low is None else [self.low, self.high],
-        }
-        shared = {} if self.shared is None else {"covariance_with_axes_of": self.shared.tolist()}
-        return head | {key: ws.as_json(getattr(self, of)) for key, of in SAVED_AS.items()} | shared
+        equation = (
+            "outputs = offset + matrix·f (+ higher orders) (+ beside·g), each a polynomial of T − reference, °C; "
+            "terms: offset x y z; matrix by rows; second order xx yy zz xy xz yz by rows; cubes; beside by rows"
+        )
+        return {"made_by": f"bayescal {bc.__version__}", "equation": equation} | ws.as_json(self)
 
     @property
     def calibrated_at(self) -> str:
@@ -296,8 +252,7 @@ class VectorCorrection(ws.CorrectionInUse):
         covariance = slope @ cov @ slope.transpose(0, 2, 1) + sd**2 * inverse @ inverse.transpose(
             0, 2, 1
         )
-        slopes = TermSlopes(self, self.powers(temperatures), slope)
-        return CorrectedVector(force, covariance, self.unit, self.is_outside(temperatures), slopes)
+        return CorrectedVector(force, covariance, self.unit, self.is_outside(temperatures))
 
     def in_poses(
         self, run: LoggedRun, windows: Float[np.ndarray, "n 2"]

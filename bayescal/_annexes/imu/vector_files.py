@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import fields
 from pathlib import Path
-from typing import Any
+from typing import Any, TypedDict, get_type_hints
 
 import numpy as np
 
@@ -14,7 +14,6 @@ from bayescal import workshop as ws
 from bayescal._annexes.imu.firmware_parameters import AUTOPILOTS
 from bayescal._annexes.imu.vector_correction import (
     NEWTON_STEPS,
-    SAVED_AS,
     SIZES,
     VectorCorrection,
     term_rows,
@@ -25,47 +24,26 @@ from bayescal._annexes.imu.vector_parameters import READ_BY_OTHERS, left_out, pa
 PACKAGE = "bayescal._annexes.imu"  # whose templates these are
 
 
-@dataclass(frozen=True)
-class SavedCorrection:
-    """Fields of the JSON of a correction of three axes."""
-
-    made_by: str
-    calibration: str
-    instrument: str
-    outputs: tuple[str, str, str]
-    unit: str
-    equation: str
-    order_of_terms: str
-    reference_degC: float
-    temperatures_degC: tuple[float, float] | None
-    reach: float
-    terms: list[list[float]]
-    covariance: list[list[float]]
-    noise: float
-    notes: tuple[str, ...]
-    beside: tuple[str, ...] = ()
-    why_not: str = ""
-    axes_of: str = ""
-    covariance_with_axes_of: list[list[float]] | None = None
+_ARRAYS = dict.fromkeys(("terms", "covariance"), list[list[float]])
+SavedCorrection = TypedDict(
+    "SavedCorrection",
+    {"made_by": str, "equation": str} | get_type_hints(VectorCorrection) | _ARRAYS,
+)
 
 
 def vector_from_data(data: Any, file: str) -> VectorCorrection:
     """Build a correction of three axes from JSON data; raise InputError where it is damaged."""
     try:
-        saved = ws.as_type(data, SavedCorrection)
-        fields = {of: getattr(saved, key) for key, of in SAVED_AS.items()}
-        fields |= {of: np.array(fields[of], float) for of in ("terms", "covariance")}
-        terms, covariance = fields["terms"], fields["covariance"]
-        shared = saved.covariance_with_axes_of
-        fits = terms.ndim == 2 and terms.shape[1] - 9 * bool(saved.beside) in SIZES
+        saved = dict(ws.as_type(data, SavedCorrection))
+        saved |= {n: np.array(saved[n], float) for n in _ARRAYS}
+        terms, covariance = saved["terms"], saved["covariance"]
+        fits = terms.ndim == 2 and terms.shape[1] - 9 * bool(saved["beside"]) in SIZES
         if not fits or covariance.shape != 2 * (terms.size,):
             shapes = f"{terms.shape} with a covariance of shape {covariance.shape}"
             raise ValueError(f"terms of shape {shapes}")
-        shared = None if shared is None else np.array(shared, float)
     except ValueError as error:
         raise bc.InputError(f"{file} is damaged: {error}. Export it again") from None
-    low, high = saved.temperatures_degC or (None, None)
-    return VectorCorrection(**fields, low=low, high=high, shared=shared)
+    return VectorCorrection(**{f.name: saved[f.name] for f in fields(VectorCorrection)})
 
 
 def headers(named: Mapping[str, VectorCorrection], uncertainty: bool) -> str:
@@ -95,7 +73,6 @@ def module(named: Mapping[str, VectorCorrection], uncertainty: bool) -> str:
     data_by_name = {n: c.data() for n, c in named.items()}
     for data in () if uncertainty else data_by_name.values():
         del data["covariance"]
-        data.pop("covariance_with_axes_of", None)
     return ws.template(PACKAGE, "vector.py.jinja", {"comment": ws.python_words}).render(
         named=named,
         data={n: repr(data) for n, data in data_by_name.items()},

@@ -20,7 +20,6 @@ import numpy as np
 
 import bayescal as bc
 from bayescal import workshop as ws
-from bayescal._annexes.imu.firmware_parameters import AUTOPILOTS, axis_of
 from bayescal._annexes.workbench import session_store as store
 from bayescal._annexes.workbench.session_store import Origin, SearchOptions, State, path_to, script
 
@@ -493,22 +492,13 @@ class Session:
         """Export the current model to the folder, as `bayescal export` does.
 
         Args:
-            file: its name, by the suffix a correction, or that of an autopilot.
+            file: its name, whose suffix is the format's.
 
         Raises:
             InputError, ModelError: there is no such format, or the model cannot be exported so.
         """
         folder, trail = self._result()
-        compensator, autopilot = bc.compensator(trail.calibration), Path(file).stem
-        if autopilot not in AUTOPILOTS:
-            return compensator.export(folder / file)
-        axis = axis_of(trail.final.calibration)
-        if axis is None:
-            raise bc.InputError(
-                "these readings do not say of which axis they are, and an autopilot's parameters need it: export the "
-                f"calibration with bayescal export --format {autopilot} --axis gyro_x=FILE"
-            )
-        return bc.firmware_parameters({axis: compensator}, autopilot).write(folder / file)
+        return bc.compensator(trail.calibration).export(folder / file)
 
     @property
     def _loop(self) -> ws.Loop:

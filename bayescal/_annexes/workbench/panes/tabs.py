@@ -323,8 +323,6 @@ EXPORTS = {
     "C header": ("compensation.h", "Compensation as a C99 header."),
     "JSON": ("compensation.json", "Compensation as JSON, with its covariance."),
     "Python function": ("compensation.py", "Compensation as a Python function."),
-    "PX4 parameters": ("px4-params.txt", "Thermal polynomial, as PX4 takes it."),
-    "ArduPilot parameters": ("ardupilot-params.txt", "Thermal polynomial, as ArduPilot takes it."),
 }
 
 
