@@ -252,24 +252,24 @@ def test_what_is_offered_beside_an_instrument_is_there(group: str) -> None:
 # Lines of Python that each part may have: lowered by whoever takes lines out, never raised. What needs more room takes
 # it from the same part first.
 CEILINGS = {
-    "bayescal/_core": 2_117,
+    "bayescal/_core": 2_116,
     "bayescal/_tables": 1_609,
     "bayescal/_data": 4_383,
-    "bayescal/_model": 5_498,
-    "bayescal/effects": 656,
+    "bayescal/_model": 5_477,
+    "bayescal/effects": 653,
     "bayescal/_inference": 6_044,
     "bayescal/_calibration": 4_713,
     "bayescal/_use": 2_987,
     "bayescal/_search": 5_685,
-    "bayescal/_report": 1_726,
+    "bayescal/_report": 1_724,
     "bayescal/_cli": 1_714,
-    "bayescal/_annexes/fleet": 2_340,
-    "bayescal/_annexes/imu": 3_804,
+    "bayescal/_annexes/fleet": 2_308,
+    "bayescal/_annexes/imu": 3_612,
     "bayescal/_annexes/metrology": 1_654,
     "bayescal/_annexes/validation": 747,
-    "bayescal/_annexes/workbench": 3_258,
+    "bayescal/_annexes/workbench": 3_246,
     "models": 8_816,
-    "tests": 25_156,
+    "tests": 25_110,
     "benchmarks": 10_609,
 }
 WORDS = 49_758  # of docs/, README.md and CHANGELOG.md together
