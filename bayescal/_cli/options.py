@@ -4,6 +4,7 @@ Typer shows and runs a data class as it does a function. Annotations are no text
 in the module of the command. This module imports little: `bayescal --help` loads it.
 """
 
+import inspect
 import math
 import os
 import sys
@@ -109,9 +110,8 @@ class Options:
     def __init_subclass__(cls) -> None:
         """Make a data class of a command: its own options first, then those of its groups."""
         if hasattr(cls, "answer"):
-            kinds = dict[str, Any]()
-            for base in cls.__mro__:
-                kinds |= {**vars(base).get("__annotations__", {}), **kinds}
+            pairs = [p for base in cls.__mro__ for p in inspect.get_annotations(base).items()]
+            kinds = {**dict(pairs), **dict(reversed(pairs))}  # in this order, of its own the kinds
             for name in (n for n, kind in kinds.items() if kind in (bool, "bool")):
                 getattr(cls, name).param_decls = (f"--{name.strip('_').replace('_', '-')}",)
             cls.__annotations__ = kinds
