@@ -20,6 +20,7 @@ MODULES = {  # each name's module, with `BANKS` or `main()`, and perhaps `render
     "hidden_effects": "hidden_effects.measurement",
     "false_discoveries": "hidden_effects.false_discoveries",
     "triads": "hidden_effects.triads",
+    "evidence_greedy": "evidence_greedy",
     "equivalent": "hidden_effects.equivalent",
     "ordinary_test": "ordinary_test.measurement",
     "no_family": "ordinary_test.no_family",

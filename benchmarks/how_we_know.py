@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import Any
 
-from benchmarks import pages
+from benchmarks import evidence_greedy, pages
 from benchmarks.accuracy.certified import worst
 from benchmarks.hidden_effects import measurement as bank
 from benchmarks.ordinary_test import page as ordinary
@@ -27,39 +27,24 @@ Line = tuple[str, str, str]
 def lines() -> Iterator[Line]:
     """Give what was tried, what came out, and the page with more."""
     certified, page = read("certified"), "[certified data](certified.md)"
-    yield (
-        "NIST, nonlinear, 27 sets from both starts",
-        f"digits of the worst parameter {worst(certified['nonlinear'])[0]}",
-        page,
-    )
-    yield (
-        "NIST, linear, 11 sets",
-        f"digits of the worst parameter {worst(certified['linear'])[0]}",
-        page,
-    )
+    for kind, sets in (("nonlinear", "27 sets from both starts"), ("linear", "11 sets")):
+        words = f"digits of the worst parameter {worst(certified[kind])[0]}"
+        yield f"NIST, {kind}, {sets}", words, page
     shift = max(abs(r["shift"]) for r in certified["posteriordb"])
-    yield (
-        "posteriordb: means against reference draws",
-        f"6 posteriors within {shift:.2f} standard deviations",
-        page,
-    )
+    within = f"6 posteriors within {shift:.2f} standard deviations"
+    yield "posteriordb: means against reference draws", within, page
     yield from _coverage()
-    yield (
-        "public records of eleven sensors",
-        "each beside what is customary",
-        "[public records](records_of_others.md)",
-    )
+    page = "[public records](records_of_others.md)"
+    yield "public records of eleven sensors", "each beside what is customary", page
     yield from _ordinary()
     yield from _hidden()
+    yield from evidence_greedy.lines()
     yield from _spoilt()
     all_rows = [row for rows in foreign.results().values() for row in rows]
     for words, say in foreign.CLAIMS[:2]:
         page = "[model misspecification](wrong_model.md)"
-        yield (
-            f"{len(all_rows)} campaigns whose physics is foreign to the catalogue, {words}",
-            say(all_rows),
-            page,
-        )
+        words = f"{len(all_rows)} campaigns whose physics is foreign to the catalogue, {words}"
+        yield words, say(all_rows), page
     yield from _released()
 
 
@@ -70,61 +55,40 @@ def _coverage() -> Iterator[Line]:
     )
     farthest = max(instrument["largest_distance"] for instrument in instruments.values())
     words = f"{sets:,} data sets drawn from the priors of {len(instruments)} instruments, {unknowns} unknowns: ranks"
-    page = "[mathematics](mathematics.md#identifiability)"
-    yield (
-        f"{words} of the truth (simulation-based calibration)",
-        f"within {farthest:.2f} of uniform",
-        page,
-    )
+    words, page = f"{words} of the truth", "[mathematics](mathematics.md#identifiability)"
+    yield f"{words} (simulation-based calibration)", f"within {farthest:.2f} of uniform", page
 
 
 def _ordinary() -> Iterator[Line]:
     rows, page = ordinary.whole("ordinary_test"), "[simulated chamber tests](ordinary_test.md)"
     good, strange = ordinary.whole("good_records"), ordinary.strange(ordinary.whole("no_family"))
-    yield (
-        f"{len(rows)} chamber tests: what is hidden and clear is named",
-        ordinary.named(rows),
-        page,
-    )
+    words = f"{len(rows)} chamber tests: what is hidden and clear is named"
+    yield words, ordinary.named(rows), page
     yield "the same: something named that is not there", ordinary.wrong_name(rows), page
-    yield (
-        "the same: intervals of 95 %, profiles that differ",
-        ordinary.inside(rows, repeats=False),
-        page,
-    )
+    words = "the same: intervals of 95 %, profiles that differ"
+    yield words, ordinary.inside(rows, repeats=False), page
     yield "the same, one profile repeated", ordinary.inside(rows, repeats=True), page
     yield f"{len(good)} records with nothing wrong: shut", ordinary.shut(good), page
-    yield (
-        "what nothing in the catalogue describes: a wrong name",
-        ordinary.wrong_name(strange),
-        page,
-    )
+    words = "what nothing in the catalogue describes: a wrong name"
+    yield words, ordinary.wrong_name(strange), page
 
 
 def _hidden() -> Iterator[Line]:
     groups, page = bank.results(), "[hidden effects](hidden_effects.md)"
     all_rows: Rows = [row for rows in groups.values() for row in rows]
-    yield (
-        f"{len(all_rows):,} campaigns of {len(groups)} instruments: {bank.SHORT[0][0]}",
-        bank.SHORT[0][1](all_rows),
-        page,
-    )
+    words = f"{len(all_rows):,} campaigns of {len(groups)} instruments: {bank.SHORT[0][0]}"
+    yield words, bank.SHORT[0][1](all_rows), page
     for words, say in bank.SHORT[1:]:
         yield words, say(all_rows), page
 
 
 def _spoilt() -> Iterator[Line]:
-    for banks, words in (
-        (spoilt.SPOILT, "known when checks were written"),
-        (spoilt.SIXTY, "listed before any check"),
-    ):
+    known, before = "known when checks were written", "listed before any check"
+    for banks, words in ((spoilt.SPOILT, known), (spoilt.SIXTY, before)):
         count = spoilt.verdicts([row for rows in spoilt.results(banks).values() for row in rows])
         three = "; ".join(f"{v} {proportion(count[v], count.total())}" for v in spoilt.VERDICTS[:3])
-        yield (
-            f"{count.total():,} files spoilt as laboratories have them, of kinds {words}",
-            three,
-            "[corrupted records](gauntlet.md)",
-        )
+        words = f"{count.total():,} files spoilt as laboratories have them, of kinds {words}"
+        yield words, three, "[corrupted records](gauntlet.md)"
 
 
 def _released() -> Iterator[Line]:
@@ -137,8 +101,6 @@ def _released() -> Iterator[Line]:
 
 def render() -> pages.Texts:
     """Return the page from the results that stand."""
-    days = [
-        r["day"] for rows in (*bank.results().values(), *spoilt.results().values()) for r in rows
-    ]
+    days = [r["day"] for b in (*bank.results().values(), *spoilt.results().values()) for r in b]
     table = pages.table(["tried", "came out", "more"], lines())
     return pages.page("how_we_know", "Validation", "render", days, ABOUT, table)

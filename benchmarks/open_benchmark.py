@@ -19,10 +19,8 @@ from benchmarks.record import REFERENCE_DATA, ROOT, read, write
 EDITION = 113767  # drawn at random after the last change of any entry
 SIZE = 100
 ENTRIES = ("bayescal", "exhaustive", "bma", "bma_ar1", "bic", "mbic", "susie")
-ISOLATED = (
-    "bayescal",
-    "exhaustive",
-)  # the others in this process: quick, and a start counted for each task
+# The others in this process: quick, and a start counted for each task.
+ISOLATED = ("bayescal", "exhaustive")
 REAL = ("bayescal", "exhaustive", "bma", "bma_ar1", "bic")
 PACKAGES = (
     ROOT / "benchmarks" / "missing_effect",

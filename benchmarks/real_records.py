@@ -120,10 +120,9 @@ def measured() -> Iterator[tuple[str, dict[str, Any]]]:
         y, x = np.genfromtxt(path, delimiter=",", skip_header=1, unpack=True)
         rank = np.argsort(np.argsort(x, kind="stable"))
         holdout = (rank * BLOCKS // x.size) % 2 == 1
-        whole = bc.Measurements.from_arrays(
-            instrument_of(record), **{record.driver: x, "output": y}
-        )
-        row = calibrated(instrument_of(record), whole, holdout) | peers(x, y, holdout)
+        instrument = instrument_of(record)
+        whole = bc.Measurements.from_arrays(instrument, **{record.driver: x, "output": y})
+        row = calibrated(instrument, whole, holdout) | peers(x, y, holdout)
         yield title, {"known": record.known, "unit": record.output_unit, **row}
     path = REFERENCE_DATA / RAMP
     for axis, unit in AXES.items() if path.is_file() else ():

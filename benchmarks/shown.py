@@ -24,18 +24,15 @@ from typing import NamedTuple
 
 from benchmarks.record import DOCS
 
-BLOCK = re.compile(
-    r'^```(python|sh|text)(?: title="([^"]+)")?\n(.*?)^```', re.DOTALL | re.MULTILINE
-)
+BLOCK = re.compile(r'^```(python|sh|text)(?: title="([^"]+)")?\n(.*?)^```', re.S | re.M)
 LEFT_OUT = re.compile(r"^…\n", re.MULTILINE)
 NUMBER = re.compile(r"(?<![\w.])-?\d+(?:\.\d+)?(?:e[+-]?\d+)?(?!\w)")
 BOUND = re.compile(r"[<>] (?=\d)")  # of a probability: "< 0.01" is compared as 0.01
 RELATIVE = 0.02
 LAST_DIGITS = 2.0  # units of the last digit shown, within which a number is the same
 
-Run = Callable[
-    [Sequence[str]], tuple[int, str]
-]  # arguments of bayescal; exit status, what it printed
+# Arguments of bayescal; exit status, what it printed.
+Run = Callable[[Sequence[str]], tuple[int, str]]
 
 
 class Example(NamedTuple):

@@ -14,6 +14,7 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable, Iterator
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -21,16 +22,14 @@ import numpy as np
 import pandas as pd
 
 import bayescal as bc
+from bayescal._model import state_space
 from bayescal_models import mems_gyro
 from benchmarks import pages
 from benchmarks.record import ROOT, read, today, write
 
 TABLE = ROOT / "models" / "bayescal_models" / "mems_gyro" / "data" / "zero_rate_table.csv"
-SIZES = (
-    50.0,
-    0.05,
-    5e-4,
-)  # prior sd of offset, slope and square, °/s, °/s/°C, °/s/°C²: the instrument's own
+# Prior sd of offset, slope and square, °/s, °/s/°C, °/s/°C²: the instrument's own.
+SIZES = (50.0, 0.05, 5e-4)
 NOISE = 0.1  # half-Cauchy scale of the noise, °/s: the instrument's own
 REPEATS = 5  # of what is timed, of which the least counts
 NEAR = 0.1  # standard deviations that answers may differ by
@@ -181,9 +180,8 @@ def devices() -> Iterator[Row]:
         fit = line_by(name)
         seconds, values = least(lambda fit=fit: np.array([fit(*part) for part in parts]))
         scaled = seconds * DEVICES / SAMPLE, values
-        yield compared(
-            f"a line for each of 10,000 devices, beside a loop of {name}", our_time, scaled, sd
-        )
+        what = f"a line for each of 10,000 devices, beside a loop of {name}"
+        yield compared(what, our_time, scaled, sd)
 
 
 def single() -> Iterator[Row]:
@@ -204,13 +202,8 @@ def single() -> Iterator[Row]:
 
     our_time = least(ours)
     for name in ("scipy", "lmfit"):
-        fit_line = line_by(name)
-        yield compared(
-            f"a line through 600 readings, beside {name}",
-            our_time,
-            least(lambda fit_line=fit_line: fit_line(t, output)),
-            sd,
-        )
+        their_time = least(partial(line_by(name), t, output))
+        yield compared(f"a line through 600 readings, beside {name}", our_time, their_time, sd)
 
 
 def posteriors() -> Iterator[Row]:
@@ -222,19 +215,44 @@ def posteriors() -> Iterator[Row]:
         start = time.process_time()
         calibration = bc.fit(model, readings, method, strict=False)
         rates.append((time.process_time() - start) / (calibration.verdict.ess or np.nan) * 1000)
-        values = [
-            calibration.samples(n) for n in ("bias.temperature", "bias.temperature_quadratic")
-        ]
+        names = ("bias.temperature", "bias.temperature_quadratic")
+        values = [calibration.samples(n) for n in names]
         means.append(np.array([np.mean(d) for d in values]))
         sd = np.array([np.std(d) for d in values])
     what = "1,000 effective draws, compilation included, beside NumPyro's NUTS of the same program"
     yield compared(what, (rates[0], means[0]), (rates[1], means[1]), sd)
 
 
+def noise() -> Iterator[Row]:
+    """Time the log likelihood of 100,000 uneven readings under white noise and two Ornstein–Uhlenbeck processes."""
+    import celerite2  # pyright: ignore[reportMissingImports]
+    import jax
+
+    step = np.random.default_rng(1).uniform(0.5, 1.5, 100_000)
+    y, times, variances = np.random.default_rng(2).standard_normal(100_000), (5.0, 80.0), (0.5, 2.0)
+    fast, slow = (celerite2.terms.RealTerm(a=v, c=1 / t) for v, t in ((0.5, 5.0), (2.0, 80.0)))
+
+    def theirs() -> np.ndarray:
+        process = celerite2.GaussianProcess(fast + slow)
+        process.compute(np.cumsum(step), diag=np.ones_like(y))
+        return np.array([process.log_likelihood(y)])
+
+    @jax.jit
+    def likelihood(h: jax.Array, y: jax.Array) -> jax.Array:
+        block = state_space.exponential(np.array(times), np.array(variances), h)
+        states = state_space.states_of([block], h.at[0].set(-1.0))
+        new, log_sd = state_space.filtered(states, np.ones(len(step)), y[:, None])
+        return -0.5 * jax.numpy.sum(new**2 + np.log(2 * np.pi)) - jax.numpy.sum(log_sd)
+
+    ours = least(lambda: np.array([likelihood(step, y)]))
+    what = "log likelihood of 100,000 readings under two Ornstein–Uhlenbeck processes, beside celerite2"
+    yield compared(what, ours, least(theirs), 1e-6)
+
+
 def main() -> None:
     """Measure all; a row whose peer is not installed stays."""
     rows = {row["what"]: row for row in read("speed").get("rows", [])}
-    for part in (commands, devices, single, posteriors):
+    for part in (commands, devices, single, posteriors, noise):
         try:
             for row in part():
                 rows[row["what"]] = row
@@ -250,14 +268,8 @@ def render() -> pages.Texts:
     table = pages.table(
         ["processor seconds, on one machine", "bayescal", "peer", "peer over bayescal", "measured"],
         [
-            [
-                r["what"],
-                f"{r['ours_s']:.3g}",
-                f"{r['peer_s']:.3g}",
-                f"{r['peer_s'] / r['ours_s']:.2g}",
-                r["day"],
-            ]
-            for r in rows
+            [r["what"], *(f"{n:.3g}" for n in (a, b)), f"{b / a:.2g}", r["day"]]
+            for r, a, b in ((r, r["ours_s"], r["peer_s"]) for r in rows)
         ],
     )
     about = """

@@ -23,9 +23,8 @@ from benchmarks.record import CERTIFIED_DATA
 FOLDER = CERTIFIED_DATA / "posteriordb"
 SCHOOLS = "eight_schools-eight_schools_noncentered"
 NO_NOISE = 1e-9  # where every reading's uncertainty is known; beside 10 it is nothing
-METHOD = bc.Marginal(
-    draws=16_000, proposals=32_768
-)  # so that its Monte-Carlo error is below the reference's
+# So that its Monte-Carlo error is below the reference's.
+METHOD = bc.Marginal(draws=16_000, proposals=32_768)
 
 
 class Problem(NamedTuple):

@@ -21,33 +21,10 @@ INSTRUMENTS = (
 )
 SIZES = (1 / 3, 3.0)  # of the plausible size
 # Campaigns of each kind for each instrument; single: times each candidate; several: only where there is a long one.
-COUNTS = {
-    "single": 5,
-    "empty": 120,
-    "pair": 24,
-    "outside": 24,
-    "prior": 60,
-    "law": 120,
-    "several": 12,
-}
-PACE = {
-    "single": 25,
-    "empty": 20,
-    "pair": 6,
-    "outside": 6,
-    "prior": 10,
-    "law": 20,
-    "several": 3,
-}  # in turn
-FIRST_SEED = {
-    "single": 1000,
-    "empty": 2000,
-    "pair": 3000,
-    "outside": 4000,
-    "prior": 5000,
-    "law": 6000,
-    "several": 8000,
-}
+KINDS = ("single", "empty", "pair", "outside", "prior", "law", "several")
+COUNTS = dict(zip(KINDS, (5, 120, 24, 24, 60, 120, 12), strict=True))
+PACE = dict(zip(KINDS, (25, 20, 6, 6, 10, 20, 3), strict=True))  # in turn
+FIRST_SEED = dict(zip(KINDS, (1000, 2000, 3000, 4000, 5000, 6000, 8000), strict=True))
 # What no catalogue has, and the placeholder that is nearest to it. A wave and a step have a form of their own among
 # the placeholders; a shock that dies away has none.
 OUTSIDE = {
@@ -61,15 +38,10 @@ CAMPAIGNS: dict[str, dict[str, Any]] = {
     "mems_gyro": {"campaign": mems_gyro.Campaign(rate_input=(0.0, 100.0, -100.0))}
 }
 # Several effects at once, on a longer record: three runs, 1,608 readings 20 s apart.
+HOLDS: dict[str, Any] = {"temperatures": tuple(range(10, 81, 10)), "dwell": 1340.0, "average": 20.0}
+SEVERAL = ("bias.run", "bias.thermal_lag", "bias.warm_up", "bias.temperature_quadratic")
 LONG: dict[str, tuple[dict[str, Any], tuple[str, ...]]] = {
-    "mems_gyro": (
-        {
-            "campaign": mems_gyro.Campaign(
-                temperatures=tuple(range(10, 81, 10)), dwell=1340.0, average=20.0
-            )
-        },
-        ("bias.run", "bias.thermal_lag", "bias.warm_up", "bias.temperature_quadratic"),
-    )
+    "mems_gyro": ({"campaign": mems_gyro.Campaign(**HOLDS)}, SEVERAL)
 }
 
 

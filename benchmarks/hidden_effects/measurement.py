@@ -21,16 +21,7 @@ from bayescal._model.summed_noise import OrnsteinUhlenbeck
 from bayescal._search.structures import Structure
 from benchmarks import pages
 from benchmarks.bank import Bank
-from benchmarks.hidden_effects import false_discoveries, triads
-from benchmarks.hidden_effects.bank import (
-    INSTRUMENTS,
-    OUTSIDE,
-    Case,
-    by_law,
-    instrument_named,
-    plan,
-    simulated,
-)
+from benchmarks.hidden_effects import bank, false_discoveries, triads
 from benchmarks.hidden_effects.searched import Later, Searched
 from benchmarks.pages import Claim, Rows, share, stated_and_true
 from benchmarks.record import ROOT
@@ -40,26 +31,28 @@ STRONG, CLEAR = 8.0, 15.0  # oracle
 WANDER = OrnsteinUhlenbeck.law
 
 
-def cases(name: str) -> Iterator[tuple[tuple[Any, ...], tuple[str, Case]]]:
+def cases(name: str) -> Iterator[tuple[tuple[Any, ...], tuple[str, bank.Case]]]:
     """Give the campaigns of an instrument's bank."""
-    return (((case.seed,), (name, case)) for case in plan(instrument_named(name)))
+    return (((case.seed,), (name, case)) for case in bank.plan(bank.instrument_named(name)))
 
 
-def measure(task: tuple[str, Case]) -> dict[str, Any]:
+def measure(task: tuple[str, bank.Case]) -> dict[str, Any]:
     """Return the row of a campaign."""
     name, case = task
-    return (stated if case.kind in ("prior", "law") else campaign)(instrument_named(name), case)
+    return (stated if case.kind in ("prior", "law") else campaign)(
+        bank.instrument_named(name), case
+    )
 
 
-BANKS = tuple(Bank(f"hidden_effects_{n}", partial(cases, n), measure) for n in INSTRUMENTS)
+BANKS = tuple(Bank(f"hidden_effects_{n}", partial(cases, n), measure) for n in bank.INSTRUMENTS)
 
 
-def stated(instrument: bc.Instrument, case: Case) -> dict[str, Any]:
+def stated(instrument: bc.Instrument, case: bank.Case) -> dict[str, Any]:
     """Search a campaign drawn from the priors; return its stated probabilities."""
     if case.kind == "law":
-        readings, hidden, wanders = by_law(instrument, case)
+        readings, hidden, wanders = bank.by_law(instrument, case)
     else:
-        readings, hidden, wanders = simulated(instrument, case), list(case.hidden), False
+        readings, hidden, wanders = bank.simulated(instrument, case), list(case.hidden), False
     start = time.perf_counter()
     searched = Searched.of(instrument.for_readings(readings).baseline(), readings)
     seconds = time.perf_counter() - start
@@ -79,16 +72,16 @@ def stated(instrument: bc.Instrument, case: Case) -> dict[str, Any]:
     }
 
 
-def campaign(instrument: bc.Instrument, case: Case) -> dict[str, Any]:
+def campaign(instrument: bc.Instrument, case: bank.Case) -> dict[str, Any]:
     """Search one campaign by every method."""
-    readings, second = (simulated(instrument, case, held_out) for held_out in (False, True))
+    readings, second = (bank.simulated(instrument, case, held_out) for held_out in (False, True))
     model = instrument.for_readings(readings).baseline()
     start = time.perf_counter()
     trial = Searched.of(model, readings)
     final, sets, probabilities = trial.chosen, trial.sets, trial.probabilities
     seconds = time.perf_counter() - start
     p_complete, structures = trial.posterior.complete(), trial.structures
-    missing = [OUTSIDE[case.shape]] if case.kind == "outside" else list(case.hidden)
+    missing = [bank.OUTSIDE[case.shape]] if case.kind == "outside" else list(case.hidden)
     truth = Structure(frozenset(missing))
     against = _against(trial, missing, False)
     base, later = trial.base, Later.of(trial, second)
@@ -170,7 +163,7 @@ def _outside(rows: Rows, shape: str = "") -> Rows:
 
 def _names_outside(row: dict[str, Any]) -> bool:
     """Return whether the column outside the catalogue is in the final model, in whatever form."""
-    column = OUTSIDE[row["shape"]].removesuffix(")").split(",")[0]
+    column = bank.OUTSIDE[row["shape"]].removesuffix(")").split(",")[0]
     return any(n.removesuffix(")").split(",")[0] == column for n in row["final"])
 
 
@@ -235,7 +228,7 @@ CLAIMS: tuple[Claim, ...] = (
             f"outside the catalogue, {shape}: its column in the final model",
             lambda rows, shape=shape: share(map(_names_outside, _outside(rows, shape))),
         )
-        for shape in OUTSIDE
+        for shape in bank.OUTSIDE
     ),
     ("error of a second campaign over the true model's, median", _held_out),
     *(
@@ -262,7 +255,7 @@ it says; *due*: the central 95 % of what right statements give. Brackets: exact 
 @cache
 def results() -> dict[str, Rows]:
     """Return the rows of each instrument."""
-    return dict(zip(INSTRUMENTS, (bank.rows for bank in BANKS), strict=True)) | triads.results()
+    return dict(zip(bank.INSTRUMENTS, (b.rows for b in BANKS), strict=True)) | triads.results()
 
 
 def render() -> pages.Texts:
@@ -278,7 +271,7 @@ def render() -> pages.Texts:
     page = pages.page("hidden_effects", "Hidden effects", "hidden_effects", days, ABOUT, *tables)
     readme, marks = ROOT / "README.md", ("<!-- the bank in short -->", "<!-- end of it -->")
     before, _, tail = readme.read_text("utf-8").partition(marks[0])
-    six = [row for name in INSTRUMENTS for row in groups[name]]
+    six = [row for name in bank.INSTRUMENTS for row in groups[name]]
     short = pages.claims_table({"count": six}, SHORT)
     text = f"{before}{marks[0]}\n\n{short}\n{marks[1]}{tail.partition(marks[1])[2]}"
     return {**page, readme: text}

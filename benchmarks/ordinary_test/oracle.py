@@ -9,9 +9,8 @@ from __future__ import annotations
 import numpy as np
 from scipy.special import logsumexp
 
-GRID = np.linspace(
-    -12.0, 12.0, 4001
-)  # of log σ about the residuals' own, refined about its maximum
+# Of log σ about the residuals' own, refined about its maximum.
+GRID = np.linspace(-12.0, 12.0, 4001)
 
 
 def log_evidence(y: np.ndarray, columns: np.ndarray, sd: np.ndarray) -> float:

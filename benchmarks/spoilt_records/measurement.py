@@ -27,10 +27,8 @@ SAMPLE = 6  # records of each file that a release measures anew
 NOTHING = "nothing"  # the kind that is not spoilt
 VERDICTS = ("right", "said", "wrong", "crash")
 FURTHER = kinds_of(Path(__file__).with_name("covariates.toml"))
-FURTHER_SEEDS, FURTHER_RECORDS = (
-    range(101, 106),
-    20,
-)  # seeds, and records of each instrument, drawn at random
+# Seeds, and records of each instrument, drawn at random.
+FURTHER_SEEDS, FURTHER_RECORDS = (range(101, 106), 20)
 ABOUT = f"""
 Each record is a simulated campaign, in three of five with an effect hidden in it, spoilt as files from a laboratory
 are, written to a CSV file, read by `bc.read` and searched by `bc.calibrate` (least squares, at most three effects).

@@ -27,9 +27,8 @@ from missing_effect.task import OUTSIDE
 
 FLOOR = 1e-3  # a probability below it counts as it: one blunder costs ln 1000 = 6.9, not everything
 CLAIM = 0.95  # probability that something is missing from which an entry is taken to say so
-CLEAR = (
-    15.0  # nats by which the readings decide for the truth, as the simulator's likelihood has it
-)
+# Nats by which the readings decide for the truth, as the simulator's likelihood has it.
+CLEAR = 15.0
 BANDS = (0.0, 0.5, 0.8, 0.95, 1.0)  # of the probability of the most probable set
 Z95 = 1.959963984540054
 RESAMPLES = 2000

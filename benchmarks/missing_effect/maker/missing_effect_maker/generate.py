@@ -21,14 +21,11 @@ from missing_effect_maker.simulate.disturbances import NOT_WHITE, OUTSIDE, Noise
 from missing_effect_maker.simulate.instruments import HOLDOUTS, INSTRUMENTS, READINGS, World, fleet
 
 SPREAD = 3.0  # a hidden effect has between a third of its plausible size and three times that
-CORRELATIONS = (
-    0.9,
-    0.999,
-)  # correlation of confounded rivals, of their difference from one as 1 − ρ uniform in logarithm
+# Correlation of confounded rivals, of their difference from one as 1 − ρ uniform in logarithm.
+CORRELATIONS = (0.9, 0.999)
 FREE = 0.3  # correlation of the same two quantities in the other tracks
-GROUPED = (
-    3.0  # nats: a rival within it is not told apart (Kass & Raftery 1995: "positive" begins there)
-)
+# Nats: a rival within it is not told apart (Kass & Raftery 1995: "positive" begins there).
+GROUPED = 3.0
 
 
 class Case(NamedTuple):

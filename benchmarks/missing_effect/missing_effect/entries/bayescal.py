@@ -32,17 +32,12 @@ from missing_effect.task import OUTSIDE, Task, Term
 
 NUMBER = "1"  # everything is a plain number: the task says no more than that units agree
 LABELS = ("run", "device")
-CORRELATE = (
-    4.0  # standard errors of the correlation of neighbouring residuals, from which they correlate
-)
+# Standard errors of the correlation of neighbouring residuals, from which they correlate.
+CORRELATE = 4.0
 UNKNOWN = "unknown("  # begins the names of the search's descriptions of what has no name
 TONE = "unknown(time, cycle)"  # without other noise a law of noise, as the data sheet has it
-PLACES = (
-    "temperature",
-    "temperature rate",
-    "time",
-    "elapsed",
-)  # of what the data sheet has outside
+# Of what the data sheet has outside.
+PLACES = ("temperature", "temperature rate", "time", "elapsed")
 CURVES = 30  # descriptions along these, about
 FURTHER_PRIOR = 0.03  # prior of each further effect, absent from the data sheet
 SELDOM = 0.01  # least probability of that, for a candidate's columns are not quite the effect
