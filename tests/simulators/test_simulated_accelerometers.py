@@ -92,10 +92,10 @@ def unexplained(component: np.ndarray, seconds: np.ndarray, stretch: float) -> f
 
 def test_the_tide_is_the_five_constituents_and_little_else() -> None:
     seconds = np.arange(0.0, 60 * 86400.0, 1800.0)
-    for component in tide(seconds, 7730.0, 30.5, 114.4):
+    for component in tide(seconds):
         assert unexplained(component, seconds, 1.0) < 0.1
         assert unexplained(component, seconds, 1.02) > 0.5
-    east, north = plumb_line(7730.0 + seconds / 86400.0, 30.5, 114.4)
+    east, north = plumb_line(7730.0 + seconds / 86400.0)
     assert 0.8e-7 < np.abs(east).max() < 1.5e-7  # 84 nrad of the Moon and 39 of the Sun, at most
     assert 0.3e-7 < np.abs(north).max() < 1.5e-7
 

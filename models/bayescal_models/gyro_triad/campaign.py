@@ -16,7 +16,6 @@ class Campaign:
         rates: of the table, °/s, at each temperature; 0 is at rest.
         temperatures: °C.
         noise: standard deviation of an averaged output, °/s.
-        mounting_uncertainty: standard deviation of the mounting's rotation about each axis, rad.
         interval: between readings, s.
         soak: before the first reading at a temperature, s.
         runs: sessions, through all of it each.
@@ -26,7 +25,6 @@ class Campaign:
     rates: tuple[float, ...] = (0.0, 50.0, -50.0, 100.0, -100.0)
     temperatures: tuple[float, ...] = (25.0,)
     noise: float = 5e-3
-    mounting_uncertainty: float = 1e-3
     interval: float = 30.0
     soak: float = 60.0
     runs: int = 1

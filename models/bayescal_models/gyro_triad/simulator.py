@@ -15,6 +15,7 @@ import numpy as np
 from bayescal_models.gyro_triad.campaign import Campaign
 from bayescal_models.triad.simulator import BODY, REFERENCE, matrix_of, members_of
 
+MOUNTING_SD = 1e-3  # rad, of the mounting's rotation about each axis
 # The unit that is there unless effects say otherwise: bias °/s, scale ppm, misalignment mrad.
 BASELINE = {
     "bias.constant": (0.5, -0.8, 0.3),
@@ -63,7 +64,7 @@ def simulated_columns(
         for place, mounting in enumerate(plan.mountings):
             up = np.zeros(3)
             up["xyz".index(mounting[-1])] = -1.0 if mounting.startswith("-") else 1.0
-            true = up + np.cross(plan.mounting_uncertainty * rng.standard_normal(3), up)
+            true = up + np.cross(MOUNTING_SD * rng.standard_normal(3), up)
             for temperature in plan.temperatures:
                 for i, rate in enumerate(plan.rates):
                     pause = plan.soak if i == 0 else plan.interval
@@ -90,7 +91,7 @@ def simulated_columns(
     output += plan.noise * noise
     names = ("run", "time", "temperature", "rate", "mounting")
     cols: dict[str, Any] = {name: np.array([row[name] for row in rows]) for name in names}
-    cols["pose_uncertainty"] = np.full(len(rows), plan.mounting_uncertainty)
+    cols["pose_uncertainty"] = np.full(len(rows), MOUNTING_SD)
     for i, a in enumerate("xyz"):
         cols[f"output_{a}"] = output[:, i]
         cols[f"direction_{a}"] = cols[f"gravity_{a}"] = np.array([row["up"][i] for row in rows])

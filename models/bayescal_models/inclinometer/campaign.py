@@ -60,11 +60,9 @@ class Campaign:
         interval: between readings, s.
         pause: between runs, s.
         noise: standard deviation of a reading, arcsec (source 4 has only the table's 2″).
-        dividing: the table's angles are good to this, uniformly, arcsec (source 4: 2″).
         repeatability: standard deviation between mountings, arcsec.
         swing: the laboratory's temperature goes up and down by this, °C.
         period: of that swing, s.
-        lag_time: of the hinge behind the thermometer, s.
 
     Raises:
         ValueError: a verification of other axes.
@@ -80,11 +78,9 @@ class Campaign:
     interval: float = 120.0
     pause: float = 1800.0
     noise: float = 2.0
-    dividing: float = 2.0
     repeatability: float = 0.5
     swing: float = 2.0
     period: float = 4 * 3600.0
-    lag_time: float = 300.0
 
     def __post_init__(self) -> None:
         refuse(

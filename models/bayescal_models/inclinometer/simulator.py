@@ -18,6 +18,8 @@ from bayescal_models.inclinometer.geometry import ARCSEC, exact_placement, sense
 
 MEAN_TEMPERATURE = 20.0  # °C
 STREAMS = ("noise", "run", "table", "thermometer", "device", "supply")
+DIVIDING = 2.0  # arcsec, to which the table's angles are good, uniformly (source 4)
+LAG_TIME = 300.0  # s, of the hinge behind the thermometer
 WARM_UP_TIME = 900.0  # s, of the electronics in a mounting
 SETTLING_TIME = 12 * 3600.0  # s, of a base that goes on tilting
 REVERSAL = 2.0  # deg, within which hysteresis follows a change of direction
@@ -65,14 +67,14 @@ class World:
         )
         self.forward, turned, self.time = motion
         phase = 2 * np.pi * self.time / plan.period + PHASES[0]
-        turn = 2 * np.pi * plan.lag_time / plan.period  # of a body of first order, in its swing
+        turn = 2 * np.pi * LAG_TIME / plan.period  # of a body of first order, in its swing
         noise = 0.01 * random["thermometer"].standard_normal(self.time.size)
         self.thermometer = MEAN_TEMPERATURE + plan.swing * np.sin(phase) + noise
         self.warmth = plan.swing * np.sin(phase - np.arctan(turn)) / np.hypot(1.0, turn)
         self.supply = simulated.wandering_supply(random["supply"], self.time)
         settled = 1 - np.exp(-(self.time - self.time.min()) / SETTLING_TIME)
         self.settled = settled / max(float(settled.max()), 1e-300) - 0.5
-        limit = ARCSEC * plan.dividing
+        limit = ARCSEC * DIVIDING
         error = random["table"].uniform(-limit, limit, self.time.size)
         self.placement = self.cross = self.placement_set + error
         if plan.grid and plan.exact:

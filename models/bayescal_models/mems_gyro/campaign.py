@@ -9,8 +9,7 @@ import numpy as np
 from bayescal_models.mems_gyro.resonance import Resonance
 from bayescal_models.simulated import Array, refuse, refuse_unknown
 
-GRID = 1.0
-"""Step of the grid on which a test is simulated, s."""
+GRID, LOGGING_INTERVAL = 1.0, 5.0  # s, steps of the simulated test and of the logger
 
 
 @dataclass(frozen=True)
@@ -26,10 +25,7 @@ class Campaign:
         runs: how many times the series is gone through.
         alternate: every second run goes through the set points backwards (up, down, up).
         pause: time with the power off between runs, s; the chamber goes to the next start.
-        chamber_time: first-order time constant of the chamber's air, s.
-        chamber_ramp: fastest change of the chamber's set point, °C/min.
-        logging_interval: time between samples of the logger, s, a whole number.
-        average: time averaged into one reading, s, a multiple of `logging_interval`.
+        average: time averaged into one reading, s, a multiple of `LOGGING_INTERVAL`.
         rate_input: rates of the turntable, °/s, one a step, cycled over all steps of all runs;
             None leaves the gyro at rest, and the column out.
         noise: standard deviation of the white noise of one averaged reading, °/s.
@@ -55,9 +51,6 @@ class Campaign:
     runs: int = 3
     alternate: bool = True
     pause: float = 3600.0
-    chamber_time: float = 60.0
-    chamber_ramp: float = 5.0
-    logging_interval: float = 5.0
     average: float = 30.0
     rate_input: tuple[float, ...] | None = None
     noise: float = 0.05
@@ -75,17 +68,13 @@ class Campaign:
 
     def __post_init__(self) -> None:
         refuse_unknown(self, law=("line", "resonance"))
-        # Every time of the plan is a multiple of the next shorter one, ending at the grid.
-        grid = ("the integration grid", GRID)
-        average, logging = ((n, getattr(self, n)) for n in ("average", "logging_interval"))
-        for longer, (name, unit) in (
-            *(("pause", grid), ("dwell", average), ("average", logging)),
-            ("logging_interval", grid),
-        ):
-            long = getattr(self, longer)
+        # Every time of the plan is a multiple of the next shorter one.
+        shorter = {"pause": GRID, "dwell": self.average, "average": LOGGING_INTERVAL}
+        for name, unit in shorter.items():
+            time = getattr(self, name)
             refuse(
-                abs(long / unit - round(long / unit)) > 1e-9,
-                f"Campaign({longer}={long!r}): it has to be a multiple of {name} ({unit:g} s); change one of the two.",
+                abs(time / unit - round(time / unit)) > 1e-9,
+                f"Campaign({name}={time!r}): it has to be a multiple of {unit:g} s.",
             )
 
     @property

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from bayescal_models import simulated
 from bayescal_models.mems_gyro import NOMINAL_SCALE
-from bayescal_models.mems_gyro.campaign import GRID, Campaign
+from bayescal_models.mems_gyro.campaign import GRID, LOGGING_INTERVAL, Campaign
 from bayescal_models.simulated import Array, Clock, Simulated, correlated, refuse
 
 NOISE_LAWS = ("white", "student_t", "ornstein_uhlenbeck")
@@ -29,6 +29,7 @@ SILICON_TEMPERATURE = (
     500.0  # K, characteristic temperature of the modulus in Varshni's law; ours, about silicon's
 )
 SATURATION = 60.0  # °C, temperature change over which a built-in compensation saturates; ours
+CHAMBER_TIME, CHAMBER_RAMP = 60.0, 5.0  # s, of the chamber's air; °C/min, of its set point at most
 PACKAGE_TIME = 20.0  # s, of the package, through which heat flows
 SLOW_TIME = 2400.0  # s, of what lags slowly, such as the chamber's load
 BOARD_TIME, BOARD_HEATING = 480.0, 2.0  # s, of the electronics board; °C, by which it heats itself
@@ -62,15 +63,15 @@ class World(Clock):
         self._run = np.maximum(np.searchsorted(starts, self.time, side="left") - 1, 0)
         self.since = self.time - starts[self._run]
         self.powered = (self.since > 0) & (self.time <= starts[self._run] + plan.run_duration)
-        self.ambient = self.body(_set_point(plan, self.time), plan.chamber_time)
+        self.ambient = self.body(_set_point(plan, self.time), CHAMBER_TIME)
         self.turn_on = generators["run"].standard_normal(plan.runs)[self._run]
         self.supply = simulated.wandering_supply(generators["supply"], self.time)
         moist = 45.0 + 5.0 * correlated(generators["humidity"], length, 2400.0, GRID)
         self.humidity = np.clip(moist, 2.0, 98.0)
-        samples = round(plan.run_duration / plan.logging_interval)
-        taken_at = starts[:, None] + plan.logging_interval * np.arange(1, samples + 1)
+        samples = round(plan.run_duration / LOGGING_INTERVAL)
+        taken_at = starts[:, None] + LOGGING_INTERVAL * np.arange(1, samples + 1)
         points = np.rint(taken_at / GRID).astype(np.intp)
-        self.samples = points.reshape(-1, round(plan.average / plan.logging_interval))
+        self.samples = points.reshape(-1, round(plan.average / LOGGING_INTERVAL))
         self.run = self._run[self.samples[:, 0]]
 
     @cached_property
@@ -103,7 +104,7 @@ def _set_point(plan: Campaign, time: Array) -> Array:
         if k + 1 < plan.runs and plan.pause > 0:
             starts.append(start + plan.run_duration)
             goals.append(plan.set_points(k + 1)[0])
-    return ramp_limited(time, starts, goals, plan.chamber_ramp)
+    return ramp_limited(time, starts, goals, CHAMBER_RAMP)
 
 
 def ramp_limited(

@@ -65,7 +65,6 @@ class Campaign:
         alternate: every second run goes through the set points backwards.
         soak: time at a set point before the first reading, s.
         ramp: pace of the chamber's set point, °C/min.
-        reading_time: over which the output is averaged, s; a whole number of grid steps.
         pause: between runs, power off, the chamber going to the next start, s.
         noise: standard deviation of a reading, µg.
         thermometer_noise: of an averaged temperature, °C.
@@ -73,9 +72,6 @@ class Campaign:
         laboratory: mean temperature of the laboratory, °C (source 0: 23 ± 1).
         laboratory_wander: its standard deviation from hour to hour, °C.
         laboratory_daily: amplitude of its daily course, °C.
-        lag_time: of the sensing element behind the device's thermometer, s.
-        begin: start of the test, days since 2000-01-01 12:00 UT: when the Moon and the Sun stand where.
-        latitude, longitude: of the laboratory, degrees north and east (source 0: Wuhan).
         truth: true baseline coefficients, by name and in their units; for `.cell`, the standard deviation.
     """
 
@@ -88,7 +84,6 @@ class Campaign:
     alternate: bool = False
     soak: float = HOUR
     ramp: float = 1.0
-    reading_time: float = 60.0
     pause: float = 12 * HOUR
     noise: float = 0.5
     thermometer_noise: float = 0.002
@@ -96,18 +91,10 @@ class Campaign:
     laboratory: float = 23.0
     laboratory_wander: float = 0.3
     laboratory_daily: float = 0.4
-    lag_time: float = 1800.0
-    begin: float = 7730.0
-    latitude: float = 30.5
-    longitude: float = 114.4
     truth: Mapping[str, float] = field(default_factory=lambda: TRUTH_A)
 
     def __post_init__(self) -> None:
-        """Refuse, by a ValueError, a reading time off the grid or an input beyond full scale."""
-        refuse(
-            self.reading_time <= 0 or self.reading_time % GRID,
-            f"Campaign(reading_time={self.reading_time:g}): must be a positive multiple of {GRID:g} s",
-        )
+        """Refuse an input beyond full scale by a ValueError."""
         for tilt, position in self.set_ups or [(tilt, math.pi / 2) for tilt in self.tilts]:
             needed = abs(1e6 * math.sin(tilt) * math.sin(position))
             refuse(

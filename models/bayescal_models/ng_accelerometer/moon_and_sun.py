@@ -9,7 +9,7 @@ Source: J. Meeus, Astronomical Algorithms, ch. 25 and 47, leading terms; the pea
 
 from __future__ import annotations
 
-from functools import lru_cache
+from functools import cache
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -22,19 +22,16 @@ MOON, SUN = 4.9028e12, 1.32712e20  # GM, m³/s²
 ASTRONOMICAL_UNIT = 1.495979e11  # m
 OBLIQUITY = np.radians(23.439)
 DAY = 86400.0
+BEGIN = 7730.0  # days since 2000-01-01 12:00 UT, of a test
+LATITUDE, LONGITUDE = 30.5, 114.4  # degrees north and east (source 0: Wuhan)
 MONTH = 30.0  # days over which the peak of a tide is taken
 
 
-def plumb_line(days: ArrayLike, latitude: float, longitude: float) -> tuple[Array, Array]:
-    """Return the tilt of the plumb line towards east and north, rad, for a rigid Earth.
-
-    Args:
-        days: since 2000-01-01 12:00 UT, any shape.
-        latitude, longitude: degrees north and east.
-    """
+def plumb_line(days: ArrayLike) -> tuple[Array, Array]:
+    """Return the tilt of the plumb line towards east and north, rad, days since 2000-01-01 12:00 UT; a rigid Earth."""
     days = np.asarray(days, dtype=float)
-    north = np.radians(latitude)
-    hour_angle_of = np.radians(280.46062 + 360.98564737 * days + longitude)
+    north = np.radians(LATITUDE)
+    hour_angle_of = np.radians(280.46062 + 360.98564737 * days + LONGITUDE)
     total = [np.zeros_like(days), np.zeros_like(days)]
     for mass, (ecliptic, latitude_of, distance) in ((MOON, _moon(days)), (SUN, _sun(days))):
         x = np.cos(latitude_of) * np.cos(ecliptic)
@@ -52,24 +49,16 @@ def plumb_line(days: ArrayLike, latitude: float, longitude: float) -> tuple[Arra
     return total[0], total[1]
 
 
-def tide(time: ArrayLike, begin: float, latitude: float, longitude: float) -> tuple[Array, Array]:
-    """Return the tilt of the plumb line, each component relative to its maximum in the month from `begin`.
-
-    Args:
-        time: since `begin`, s, any shape.
-        begin: days since 2000-01-01 12:00 UT.
-        latitude, longitude: degrees north and east.
-    """
-    days = begin + np.asarray(time, dtype=float) / DAY
-    east, north = plumb_line(days, latitude, longitude)
-    peak = _peak(begin, latitude, longitude)
+def tide(time: ArrayLike) -> tuple[Array, Array]:
+    """Return the tilt of the plumb line at times since `BEGIN`, s, each component relative to its month's maximum."""
+    east, north = plumb_line(BEGIN + np.asarray(time, dtype=float) / DAY)
+    peak = _peak()
     return east / peak[0], north / peak[1]
 
 
-@lru_cache(maxsize=32)
-def _peak(begin: float, latitude: float, longitude: float) -> tuple[float, float]:
-    days = begin + np.arange(0.0, MONTH, 600.0 / DAY)
-    east, north = plumb_line(days, latitude, longitude)
+@cache
+def _peak() -> tuple[float, float]:
+    east, north = plumb_line(BEGIN + np.arange(0.0, MONTH, 600.0 / DAY))
     return float(np.abs(east).max()), float(np.abs(north).max())
 
 

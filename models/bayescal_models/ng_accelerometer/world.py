@@ -13,7 +13,7 @@ from functools import partial
 import numpy as np
 
 from bayescal_models.ng_accelerometer.campaign import GRID, Campaign, SetUp
-from bayescal_models.ng_accelerometer.moon_and_sun import DAY, tide
+from bayescal_models.ng_accelerometer.moon_and_sun import BEGIN, DAY, tide
 from bayescal_models.simulated import HOUR, Array, correlated, first_order_body, wandering_supply
 
 CHAMBER_TIME, DEVICE_TIME, FIXTURE_TIME = 180.0, 600.0, 900.0  # s, behind set point, air, air
@@ -21,6 +21,8 @@ BASE_TIME, LABORATORY_TIME = 1800.0, 900.0  # s, of the base behind chamber and 
 WANDER_TIME, LABORATORY_WANDER_TIME = 600.0, 2 * HOUR  # s, of the Ornstein–Uhlenbeck records
 REVERSAL = 1.0  # °C, of path on which hysteresis follows a change of direction
 FORGETTING = 2 * HOUR  # s, in which hysteresis is lost while the power is off
+LAG_TIME = 1800.0  # s, of the sensing element behind the device's thermometer
+READING_TIME = 60.0  # s, over which the output is averaged; a whole number of grid steps
 POWER_ON = 300.0  # s before the first reading of a run
 WARM_UP_TIME = 1800.0  # s, of the electronics after power-on
 MOVE_TIME = 60.0  # s, turning to a position and coming to rest
@@ -64,7 +66,7 @@ class World:
         grid, body = np.arange(0.0, done.end + GRID, GRID), partial(first_order_body, step=GRID)
         run, cell, self.point, tilt, angle, start = map(np.array, zip(*done.readings, strict=True))
         self.run, self.cell, self.tilt, self.angle = run, cell, tilt[:, None], angle[:, None]
-        moments = np.arange(round(plan.reading_time / GRID))
+        moments = np.arange(round(READING_TIME / GRID))
         index = np.rint(start / GRID).astype(int)[:, None] + moments
         self.time = grid[index] + 0.5 * GRID
         middle = self.time.mean(axis=1)
@@ -76,18 +78,18 @@ class World:
         air = calm + plan.chamber_wander * wander
         device = body(air, DEVICE_TIME)
         self.device = device[index]
-        self.element = body(device, plan.lag_time)[index]
+        self.element = body(device, LAG_TIME)[index]
         self.fixture = body(air, FIXTURE_TIME)[index]
         self.base = body(air, BASE_TIME)[index]
         self.heating = (np.gradient(device) * HOUR / GRID)[index]
         self.direction = _hysteresis(grid, body(calm, DEVICE_TIME), done.power)[index]
         slow = correlated(generators["laboratory"], grid.size, LABORATORY_WANDER_TIME, GRID)
-        daily = plan.laboratory_daily * np.cos(2 * np.pi * (plan.begin + grid / DAY))
+        daily = plan.laboratory_daily * np.cos(2 * np.pi * (BEGIN + grid / DAY))
         laboratory = plan.laboratory + plan.laboratory_wander * slow - daily
         self.laboratory = laboratory[index]
         self.foundation = body(laboratory, LABORATORY_TIME)[index]
         self.supply = wandering_supply(generators["supply"], self.time)
-        self.tide = tide(self.time, plan.begin, plan.latitude, plan.longitude)
+        self.tide = tide(self.time)
         normal = generators["groups"].standard_normal
         self.by_cell = {name: normal(cell.max() + 1)[cell][:, None] for name in cells}
         self.by_run = {name: normal(run.max() + 1)[run][:, None] for name in runs}
@@ -122,11 +124,11 @@ class _CarriedOut:
                     for _ in range(plan.repeats):
                         now = GRID * np.ceil(now / GRID)
                         self.readings.append((run, cells, point, *set_up, now))
-                        now += plan.reading_time
+                        now += READING_TIME
                 cells += 1
             self.power[-1] = (self.power[-1][0], now)
             free, now = now, now + plan.pause
-        self.end = self.readings[-1][-1] + 2 * plan.reading_time
+        self.end = self.readings[-1][-1] + 2 * READING_TIME
 
 
 def _set_point(grid: Array, goals: list[tuple[float, float]], ramp: float) -> Array:

@@ -37,16 +37,12 @@ class Campaign:
         temperatures: soak temperatures in the order of the first run, °C; ramps span them.
         repeats: tumble runs; every second one goes backwards.
         soak: time at each temperature before the tumble, s.
-        position_time: from position to position, s.
         attitudes: input accelerations of the ramp runs, g.
         ramp_speeds: °C/min; each attitude is gone through at each speed.
         hold: time at the start and at both ends of a ramp run, s.
         interval: between readings of a ramp, s.
-        average: time averaged into one reading, s, at most `interval` and `position_time`.
-        room: temperature at power-on, °C.
+        average: time averaged into one reading, s, at most `interval`.
         pause: time without power between runs, s.
-        chamber_speed: of the chamber between soak temperatures, °C/min.
-        air_time: first-order time constant of the chamber's air, s.
         device: "cubic", whose bias and scale factor follow the head's temperature by a cubic, so that the baseline
             is right unless something is hidden; or "beams", two beams with their own lag, unlike in their
             temperature coefficients, and a circuit: no polynomial.
@@ -54,7 +50,6 @@ class Campaign:
         noise_law: "white", or "ornstein_uhlenbeck" (correlated noise of the same size beside it, time 300 s).
         thermometer_noise: white error of both thermometers' readings, °C (standard deviation).
         frequency_sum: record the sum of both beams' frequencies, Hz.
-        lag_time: time constant of the hidden lag, s.
         T0: temperature about which every law of the world is written, °C.
 
     Raises:
@@ -64,22 +59,17 @@ class Campaign:
     temperatures: tuple[float, ...] = tuple(float(t) for t in range(-40, 71, 10))
     repeats: int = 2
     soak: float = 5400.0
-    position_time: float = 180.0
     attitudes: tuple[float, ...] = (1.0, 0.0, -1.0)
     ramp_speeds: tuple[float, ...] = (2.0,)
     hold: float = 900.0
     interval: float = 60.0
     average: float = 60.0
-    room: float = 25.0
     pause: float = 7200.0
-    chamber_speed: float = 2.0
-    air_time: float = 60.0
     device: str = "cubic"
     noise: float = 5.0
     noise_law: str = "white"
     thermometer_noise: float = 0.002
     frequency_sum: bool = False
-    lag_time: float = 600.0
     T0: float = 15.0
 
     def __post_init__(self) -> None:

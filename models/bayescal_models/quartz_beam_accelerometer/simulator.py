@@ -36,7 +36,7 @@ KELVIN = 273.15
 EINSTEIN = 400.0  # K, of the oscillators whose energy bends the circuit's tempco; ours
 LEAKAGE = 80.0  # °C, over which leakage currents grow by e; ours
 BOW = 60.0  # °C of gradient at which a bowed plate has stiffened; ours
-WANDER_TIME = 300.0  # s
+WANDER_TIME, LAG_TIME = 300.0, 600.0  # s, of correlated noise and of the hidden lag
 CHANCES = ("noise", "wander", "thermometers", "bias", "scale", "frequency", "supply")
 
 CUBIC: Mapping[str, float] = MappingProxyType(
@@ -150,7 +150,7 @@ LAWS: Mapping[str, Callable[[World], Array]] = MappingProxyType(
         "temperature_x_rate": lambda w: (w.head - w.plan.T0) * w.head_rate,
         "temperature_x_gradient": lambda w: (w.head - w.plan.T0) * w.uneven,
         # the resonators are not at the temperature of the head's thermometer
-        "thermal_lag": lambda w: w.body(w.head, w.plan.lag_time) - w.head,
+        "thermal_lag": lambda w: w.body(w.head, LAG_TIME) - w.head,
         "hysteresis": lambda w: simulated.sticking(w.head),
         # the oscillators are off when cold and right when they have warmed
         "warm_up": lambda w: 1.0 - w.warmth,

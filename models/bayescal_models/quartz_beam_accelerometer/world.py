@@ -14,7 +14,9 @@ import numpy as np
 from bayescal_models.quartz_beam_accelerometer.campaign import GRID, POSITIONS, Campaign
 from bayescal_models.simulated import SUPPLY, Clock
 
-CIRCUIT_TIME, HEAD_TIME = 300.0, 720.0  # s
+CIRCUIT_TIME, HEAD_TIME, AIR_TIME = 300.0, 720.0, 60.0  # s, the last of the chamber's air
+POSITION_TIME = 180.0  # s, from position to position
+ROOM, CHAMBER_SPEED = 25.0, 2.0  # °C at power-on; °C/min between soak temperatures
 COUPLING = 0.15  # share of the head's surroundings that is the circuit, the rest being air
 SELF_HEATING = 4.0  # °C, by which the powered circuit ends up warmer than its surroundings
 WARM_UP_TIME = 900.0  # s
@@ -41,7 +43,7 @@ class World(Clock):
         self.plan, carried_out = plan, _CarriedOut(plan)
         self.time = GRID * np.arange(int(np.ceil(carried_out.now / GRID)) + 1, dtype=np.float64)
         knots, goals = np.array(carried_out.knots).T
-        air = self.body(np.interp(self.time, knots, goals), plan.air_time)
+        air = self.body(np.interp(self.time, knots, goals), AIR_TIME)
         powered = np.zeros(self.time.size)
         for on, off in carried_out.power:
             powered[(self.time > on) & (self.time <= off)] = 1.0
@@ -69,8 +71,8 @@ class _CarriedOut:
     """A campaign gone through: knots of the set point, when power was on, and when what was read; times in s."""
 
     def __init__(self, plan: Campaign) -> None:
-        self.plan, self.now, self.here = plan, 0.0, plan.room
-        self.knots: list[tuple[float, float]] = [(0.0, plan.room)]
+        self.plan, self.now, self.here = plan, 0.0, ROOM
+        self.knots: list[tuple[float, float]] = [(0.0, ROOM)]
         self.power: list[tuple[float, float]] = []
         self.readings: list[tuple[float, int, float, float]] = []  # end, run, point, acceleration
         run = 0
@@ -97,10 +99,10 @@ class _CarriedOut:
         self._wait(self.plan.average)
         self.readings.append((self.now, run, np.nan, POSITIONS[0]))
         for temperature in temperatures:
-            self._go(temperature, self.plan.chamber_speed)
+            self._go(temperature, CHAMBER_SPEED)
             self._wait(self.plan.soak)
             for acceleration in POSITIONS:
-                self._wait(self.plan.position_time)
+                self._wait(POSITION_TIME)
                 self.readings.append((self.now, run, temperature, acceleration))
         self._switch_off(on)
 
@@ -110,12 +112,12 @@ class _CarriedOut:
         for goal in (min(plan.temperatures), max(plan.temperatures)):
             self._go(goal, speed)
             self._wait(plan.hold)
-        self._go(plan.room, speed)
+        self._go(ROOM, speed)
         for end in np.arange(on + plan.interval, self.now + 1e-6, plan.interval):
             self.readings.append((float(end), run, np.nan, attitude))
         self._switch_off(on)
 
     def _switch_off(self, on: float) -> None:
         self.power.append((on, self.now))
-        self._go(self.plan.room, self.plan.chamber_speed)
+        self._go(ROOM, CHAMBER_SPEED)
         self._wait(self.plan.pause)
