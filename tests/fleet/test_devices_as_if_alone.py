@@ -71,11 +71,6 @@ def test_flat_priors_give_ordinary_least_squares(readings) -> None:
         np.testing.assert_allclose(found[name].covariance[:2, :2], expected, rtol=1e-8)
 
 
-def test_chunks_change_nothing(readings, result) -> None:
-    for name, one in zip(readings.names, bc.fit_batch(MODEL, readings, chunk=5), strict=True):
-        np.testing.assert_allclose(one.mean, result[name].mean, rtol=1e-12)
-
-
 def test_marginal_carries_the_noise(readings) -> None:
     """Against the posterior in closed form at each noise, summed over a grid of it."""
     own = {name: readings[name].select(np.arange(11)) for name in readings.names[:3]}

@@ -67,18 +67,19 @@ def files_of(paths: Sequence[Path]) -> tuple[list[Path], dict[str, str]]:
         if not path.is_dir():
             files.append(path)
             continue
-        in_folder = list[Path]()
-        for place, folders, names in os.walk(path):
-            whys = {name: _why_not(Path(place, name)) for name in sorted((*folders, *names))}
-            folders[:] = [name for name in folders if not whys[name]]
-            in_folder += [Path(place, name) for name in names if not whys[name]]
-            entries = Path(place).relative_to(path)
-            left_out |= {ws.one_line(entries / name): why for name, why in whys.items() if why}
-        files += sorted(in_folder)
+        unread = set[Path]()
+        for place in sorted(path.rglob("*")):
+            if not unread.isdisjoint(place.parents):
+                continue
+            if why := _why_not(place):
+                unread.add(place)
+                left_out[ws.one_line(place.relative_to(path))] = why
+            elif place.is_file():
+                files.append(place)
     if not files:
-        unread = "".join(f"; {name}: {why}" for name, why in list(left_out.items())[:3])
+        first = "".join(f"; {name}: {why}" for name, why in list(left_out.items())[:3])
         raise bc.InputError(
-            f"no file of readings in {', '.join(map(str, paths))}: one of {', '.join(ws.READ)} was expected{unread}"
+            f"no file of readings in {', '.join(map(str, paths))}: one of {', '.join(ws.READ)} was expected{first}"
         )
     if len({p.resolve() for p in files}) < len(files):
         raise bc.InputError("a file of readings was given twice: give each file once")

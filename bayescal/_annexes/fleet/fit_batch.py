@@ -34,7 +34,6 @@ from bayescal._annexes.fleet.find_devices import (
     search_device,
 )
 from bayescal._annexes.fleet.fit_devices import (
-    CHUNK,
     FitOptions,
     Reference,
     fit_devices,
@@ -225,7 +224,6 @@ def fit_batch(
     method: ws.Method | None = None,
     population: AskedPopulation = False,
     seed: int | np.random.Generator = 0,
-    chunk: int = CHUNK,
     reference: Reference | None = None,
     time_limit: float | None = None,
     client: Client | None = None,
@@ -257,7 +255,6 @@ def fit_batch(
         population: True for all coefficients that a device has one of, or names, or names with priors of their standard
             deviations between devices.
         seed: of every random number, or NumPy's generator, which draws it.
-        chunk: devices fitted at once at most, which bounds memory.
         reference: constants of the bases, in place of each device's own; a population sets T0 to that of all readings.
         time_limit: seconds, after which devices that were not reached are refused with that reason, as at Ctrl-C.
         client: of a Dask cluster whose workers see the files under the same paths.
@@ -270,12 +267,10 @@ def fit_batch(
         InputError: no device that can be used, paths that are not there, a result that cannot be written.
         ModelError: a population of something that is no coefficient.
     """
-    if chunk < 1:
-        raise bc.InputError(f"chunk is {chunk}: give at least 1")
     method = method or bc.LeastSquares()
     if isinstance(method, bc.Marginal):  # chains of single devices, minutes each, are left to `fit`
         method = replace(method, chains=False)
-    options = FitOptions(method, ws.seed_of(seed), chunk, dict(reference or {}))
+    options = FitOptions(method, ws.seed_of(seed), dict(reference or {}))
     chosen(model, population)  # a wrong name is refused before anything is read
     search = Find() if find is True else find or None
     read_options = ws.ReadOptions.of(model.instrument, **(columns or {}))

@@ -33,8 +33,7 @@ from bayescal._annexes.fleet.engine import NOT_REACHED
 
 Reference = dict[str, Any]  # constants of bases
 
-CHUNK = 4096  # devices fitted at once at most
-NUMBERS = 2_000_000  # readings of these at most
+NUMBERS = 2_000_000  # readings fitted at once at most
 PLAIN_SD = 3.0  # prior standard deviations that a coefficient stands from its prior's mean, at most
 PLAIN_SHARE = 1e-5  # of two sizes, above which neither is in a wrong unit
 PLAIN_DIGITS = 1e6  # times the noise, up to which an output keeps enough of its digits
@@ -51,7 +50,6 @@ class FitOptions:
 
     method: ws.Method  # of every fit
     seed: int  # of every random number
-    chunk: int  # devices fitted at once at most
     reference: Reference  # constants of the bases, in place of each device's own
 
     def reference_for(self, readings: bc.Measurements) -> Reference:
@@ -150,7 +148,7 @@ def _fit_plain(
         ):
             groups.setdefault((len(device), *device.columns), []).append(i)
     for (count, *_), members in groups.items():
-        most = min(options.chunk, max(1, NUMBERS // count))
+        most = max(1, NUMBERS // count)
         for begin in range(0, len(members), most):
             some = members[begin : begin + most]
             first = devices[some[0]]
