@@ -27,7 +27,6 @@ from bayescal._annexes.workbench.session_store import Origin as Origin
 from bayescal._calibration.check import autocorrelation as autocorrelation
 from bayescal._calibration.claim import CRITERIA as CRITERIA
 from bayescal._calibration.claim import Claim as Claim
-from bayescal._calibration.claim import Criterion as Criterion
 from bayescal._calibration.claim import as_claim as as_claim
 from bayescal._core.formatting import interval as interval
 from bayescal._core.importance_weights import smoothed as smoothed

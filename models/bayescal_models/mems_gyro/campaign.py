@@ -25,6 +25,8 @@ class Campaign:
         runs: how many times the series is gone through.
         alternate: every second run goes through the set points backwards (up, down, up).
         pause: time with the power off between runs, s; the chamber goes to the next start.
+        chamber_time: first-order time constant of the chamber's air, s.
+        chamber_ramp: fastest change of the chamber's set point, °C/min.
         average: time averaged into one reading, s, a multiple of `LOGGING_INTERVAL`.
         rate_input: rates of the turntable, °/s, one a step, cycled over all steps of all runs;
             None leaves the gyro at rest, and the column out.
@@ -51,6 +53,8 @@ class Campaign:
     runs: int = 3
     alternate: bool = True
     pause: float = 3600.0
+    chamber_time: float = 60.0
+    chamber_ramp: float = 5.0
     average: float = 30.0
     rate_input: tuple[float, ...] | None = None
     noise: float = 0.05

@@ -29,7 +29,6 @@ SILICON_TEMPERATURE = (
     500.0  # K, characteristic temperature of the modulus in Varshni's law; ours, about silicon's
 )
 SATURATION = 60.0  # °C, temperature change over which a built-in compensation saturates; ours
-CHAMBER_TIME, CHAMBER_RAMP = 60.0, 5.0  # s, of the chamber's air; °C/min, of its set point at most
 PACKAGE_TIME = 20.0  # s, of the package, through which heat flows
 SLOW_TIME = 2400.0  # s, of what lags slowly, such as the chamber's load
 BOARD_TIME, BOARD_HEATING = 480.0, 2.0  # s, of the electronics board; °C, by which it heats itself
@@ -63,7 +62,7 @@ class World(Clock):
         self._run = np.maximum(np.searchsorted(starts, self.time, side="left") - 1, 0)
         self.since = self.time - starts[self._run]
         self.powered = (self.since > 0) & (self.time <= starts[self._run] + plan.run_duration)
-        self.ambient = self.body(_set_point(plan, self.time), CHAMBER_TIME)
+        self.ambient = self.body(_set_point(plan, self.time), plan.chamber_time)
         self.turn_on = generators["run"].standard_normal(plan.runs)[self._run]
         self.supply = simulated.wandering_supply(generators["supply"], self.time)
         moist = 45.0 + 5.0 * correlated(generators["humidity"], length, 2400.0, GRID)
@@ -104,7 +103,7 @@ def _set_point(plan: Campaign, time: Array) -> Array:
         if k + 1 < plan.runs and plan.pause > 0:
             starts.append(start + plan.run_duration)
             goals.append(plan.set_points(k + 1)[0])
-    return ramp_limited(time, starts, goals, CHAMBER_RAMP)
+    return ramp_limited(time, starts, goals, plan.chamber_ramp)
 
 
 def ramp_limited(

@@ -43,6 +43,8 @@ class Campaign:
         interval: between readings of a ramp, s.
         average: time averaged into one reading, s, at most `interval`.
         pause: time without power between runs, s.
+        chamber_speed: of the chamber between soak temperatures, °C/min.
+        air_time: first-order time constant of the chamber's air, s.
         device: "cubic", whose bias and scale factor follow the head's temperature by a cubic, so that the baseline
             is right unless something is hidden; or "beams", two beams with their own lag, unlike in their
             temperature coefficients, and a circuit: no polynomial.
@@ -65,6 +67,8 @@ class Campaign:
     interval: float = 60.0
     average: float = 60.0
     pause: float = 7200.0
+    chamber_speed: float = 2.0
+    air_time: float = 60.0
     device: str = "cubic"
     noise: float = 5.0
     noise_law: str = "white"

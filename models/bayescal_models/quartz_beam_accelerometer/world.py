@@ -14,9 +14,9 @@ import numpy as np
 from bayescal_models.quartz_beam_accelerometer.campaign import GRID, POSITIONS, Campaign
 from bayescal_models.simulated import SUPPLY, Clock
 
-CIRCUIT_TIME, HEAD_TIME, AIR_TIME = 300.0, 720.0, 60.0  # s, the last of the chamber's air
+CIRCUIT_TIME, HEAD_TIME = 300.0, 720.0  # s
 POSITION_TIME = 180.0  # s, from position to position
-ROOM, CHAMBER_SPEED = 25.0, 2.0  # °C at power-on; °C/min between soak temperatures
+ROOM = 25.0  # °C, at power-on
 COUPLING = 0.15  # share of the head's surroundings that is the circuit, the rest being air
 SELF_HEATING = 4.0  # °C, by which the powered circuit ends up warmer than its surroundings
 WARM_UP_TIME = 900.0  # s
@@ -43,7 +43,7 @@ class World(Clock):
         self.plan, carried_out = plan, _CarriedOut(plan)
         self.time = GRID * np.arange(int(np.ceil(carried_out.now / GRID)) + 1, dtype=np.float64)
         knots, goals = np.array(carried_out.knots).T
-        air = self.body(np.interp(self.time, knots, goals), AIR_TIME)
+        air = self.body(np.interp(self.time, knots, goals), plan.air_time)
         powered = np.zeros(self.time.size)
         for on, off in carried_out.power:
             powered[(self.time > on) & (self.time <= off)] = 1.0
@@ -99,7 +99,7 @@ class _CarriedOut:
         self._wait(self.plan.average)
         self.readings.append((self.now, run, np.nan, POSITIONS[0]))
         for temperature in temperatures:
-            self._go(temperature, CHAMBER_SPEED)
+            self._go(temperature, self.plan.chamber_speed)
             self._wait(self.plan.soak)
             for acceleration in POSITIONS:
                 self._wait(POSITION_TIME)
@@ -119,5 +119,5 @@ class _CarriedOut:
 
     def _switch_off(self, on: float) -> None:
         self.power.append((on, self.now))
-        self._go(ROOM, CHAMBER_SPEED)
+        self._go(ROOM, self.plan.chamber_speed)
         self._wait(self.plan.pause)
