@@ -23,18 +23,10 @@ from bayescal._inference.nuts_chains import Plan, iterate
 from bayescal._inference.problem import Problem
 from bayescal._inference.record import record_of
 from bayescal._model import forward
+from bayescal._model import prior as priors
 from bayescal._model.frame import Frame, reference_of
 from bayescal._model.model import Model
 from bayescal._model.parameters import Layout, bind
-from bayescal._model.prior import (
-    FlatLine,
-    HalfCauchy,
-    HalfNormal,
-    LogNormal,
-    LogUniform,
-    Normal,
-    Positive,
-)
 
 
 class NUTS(Method):
@@ -104,20 +96,22 @@ def beginning(problem: Problem, mode: Mode) -> Callable[[Any], Any]:
     return partial(begin)
 
 
-def law_of(prior: Normal | FlatLine | Positive) -> Any:
+def law_of(prior: priors.Normal | priors.FlatLine | priors.Positive) -> Any:
     """Return a prior of φ, of the value in its own unit, as a NumPyro distribution."""
     import numpyro.distributions as dist  # NumPyro only where its program is asked for
 
     match prior:
-        case Normal(mean=mean, sd=sd):
+        case priors.Normal(mean=mean, sd=sd):
             return dist.Normal(mean, sd)
-        case LogNormal(median=median, sd=sd):
+        case priors.LogNormal(median=median, sd=sd):
             return dist.LogNormal(np.log(median), sd)
-        case LogUniform(low=low, high=high):
+        case priors.LogUniform(low=low, high=high):
             return dist.LogUniform(low, high)
-        case HalfNormal() | HalfCauchy():
+        case priors.OtherPrior():
+            return prior.distribution
+        case priors.HalfNormal() | priors.HalfCauchy():
             return getattr(dist, type(prior).__name__)(prior.scale)
-    real = isinstance(prior, FlatLine)
+    real = isinstance(prior, priors.FlatLine)
     return dist.ImproperUniform(
         dist.constraints.real if real else dist.constraints.positive, (), ()
     )

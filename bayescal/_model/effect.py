@@ -12,6 +12,7 @@ from dataclasses import field, replace
 from functools import cached_property
 from typing import Any, Literal
 
+import numpy as np
 from jaxtyping import Float
 
 from bayescal._core.errors import ModelError
@@ -19,6 +20,7 @@ from bayescal._core.jit import by_value
 from bayescal._core.lazy_jax import Array
 from bayescal._core.xp import xp
 from bayescal._data.measurements import Measurements
+from bayescal._model import prior as priors
 from bayescal._model.frame import Frame
 from bayescal._model.prior import Flat, HalfCauchy, HalfNormal, Known, LogNormal, LogUniform, Normal
 from bayescal._model.static import set_fields, static
@@ -61,6 +63,7 @@ class Coefficient:
     initial: bool = field(default=False, repr=False)
 
     def __post_init__(self) -> None:
+        set_once(self, prior=priors.taken(self.prior), group_sd=priors.taken(self.group_sd))
         if not isinstance(self.prior, Normal | Flat | Known):
             raise ModelError(
                 f"a coefficient's prior is Normal, Flat or Known, not {_type_name(self.prior)}, since coefficients are "
@@ -115,17 +118,24 @@ class Shape:
             log-uniform one: `low` and `high` are then a definition, beyond which it would be another effect.
         ragged: whether the evidence has many maxima over it, as over a period; the search begins at more points.
         shared: whether it is one for all channels of a unit, as the time of a body that they share.
+        own_prior: in place of a range: LogNormal, Normal, or a distribution of NumPyro's, such as TruncatedNormal.
     """
 
     name: str
     unit: str
-    low: float
-    high: float
+    low: float = math.nan
+    high: float = math.nan
     scale: Literal["log", "linear", "bounded"] = "log"
     ragged: bool = False
     shared: bool = field(default=False, repr=False)
+    own_prior: Any = None
 
     def __post_init__(self) -> None:
+        if self.own_prior is not None:
+            own = priors.taken(self.own_prior, of_shape=True)
+            low, high = own.value(np.array([-CENTRAL_95, CENTRAL_95])).tolist()
+            scale = "linear" if isinstance(own, Normal) else "log"
+            set_once(self, own_prior=own, low=low, high=high, scale=scale)
         positive = self.low > 0 or self.open
         if not self.low < self.high or (self.scale != "linear" and not positive):
             raise ValueError(f"shape {self.name!r} needs low < high, and positive if logarithmic")
@@ -136,12 +146,14 @@ class Shape:
         return (self.low, self.high) == OPEN
 
     @property
-    def prior(self) -> LogNormal | LogUniform | Normal:
+    def prior(self) -> LogNormal | LogUniform | Normal | priors.OtherPrior:
         """Return the prior of the value.
 
         Raises:
             ModelError: its range is open still.
         """
+        if self.own_prior is not None:
+            return self.own_prior
         if self.open:
             raise ModelError(
                 f"the plausible range of {self.name!r} is taken from readings, and there are none yet: fit the model, "
@@ -170,8 +182,7 @@ class Effect:
 
     Attributes:
         name: canonical name, `slot.cause`.
-        slot: the slot of the instrument that it adds to. A slot named after a column corrects that column
-            before any other effect sees it (errors in variables).
+        slot: what it adds to. A slot named after a column corrects that before other effects (errors in variables).
         basis: function of a `Frame` and, as keywords, of the shapes; one column (n,) or several (n, p),
             one for each coefficient. It gets columns in the units that the instrument declares, others in base
             units; coefficient × basis is in the slot's unit, converted between the units declared.
@@ -180,15 +191,11 @@ class Effect:
         columns: what the readings must have.
         equation, source: for people; the source is a document, data sheet, standard or script.
         varies: a column that must take more than one value for the effect to be testable.
-        weights: function of some shapes (as keywords) that gives the prior standard deviation of each coefficient,
-            in parts of its plausible size. These shapes are no arguments of the basis.
-        measure: the shape that says how large the effect is, as an amplitude of standard normal coefficients;
-            None where its first coefficient does.
+        weights: function of some shapes (keywords, not of the basis): prior sd of each coefficient over its size.
+        measure: the shape that is its amplitude, of standard normal coefficients; None where its first coefficient is.
         untestable: why readings that have all this still cannot test the effect, or None where they can.
-        along: covariate that it is a function of, where that is not the one column that it needs: a numeric column,
-            "elapsed", or a rate such as "temperature rate".
-        forms: other forms that the same physics may take, each an effect of its own: a search weighs them in its place,
-            at most one at a time, and they share its prior probability.
+        along: covariate, if not the one column that it needs: a column, "elapsed", or a rate ("temperature rate").
+        forms: other forms of the same physics, effects that a search weighs in its place, one at a time.
         family: the effect of which it is a form; empty where it is none.
         general: the form of which it is one at a value of a shape; where that was weighed, it counts for nothing.
         kind: form of the dependence, by which a report describes the effect; empty if it is none of these.

@@ -13,7 +13,10 @@ import math
 from dataclasses import field
 from typing import Any, ClassVar
 
-from bayescal._core.xp import special_of, xp
+import numpy as np
+
+from bayescal._core.errors import ModelError
+from bayescal._core.xp import is_traced, special_of, xp
 from bayescal._model.static import static
 
 _LOG_2 = math.log(2.0)
@@ -113,6 +116,28 @@ class LogUniform(_StandardNormal):
 
 
 @static
+class OtherPrior(_StandardNormal):
+    """A positive quantity by another distribution of NumPyro's; its coordinate is standard normal: icdf(Φ(v))."""
+
+    name: str
+    parameters: tuple[tuple[str, float], ...]
+
+    @property
+    def distribution(self) -> Any:
+        import numpyro.distributions as dist  # only where a prior is one of these
+
+        return getattr(dist, self.name)(**dict(self.parameters))
+
+    def value(self, v: Any) -> Any:
+        value = self.distribution.icdf(xp.clip(special_of(v).ndtr(v), _EDGE, 1 - _EDGE))
+        return value if is_traced(v) else np.asarray(value)
+
+    def coordinate(self, value: Any) -> Any:
+        share = xp.clip(self.distribution.cdf(value), _EDGE, 1 - _EDGE)
+        return special_of(share).ndtri(share)
+
+
+@static
 class HalfNormal(_Scaled):
     """The positive half of N(0, scale²), for spreads and noise scales."""
 
@@ -176,6 +201,34 @@ def deviation(prior: Any) -> float | None:
             width = math.log(high / low)
             return math.sqrt((high**2 - low**2) / (2 * width) - ((high - low) / width) ** 2)
     return None
+
+
+def taken(prior: Any, of_shape: bool = False) -> Any:
+    """Return a prior of these for a distribution of NumPyro's, which is not imported for it; others as they are.
+
+    Raises:
+        ModelError: it is none of one normal or positive number with cdf and icdf, or none that a shape takes.
+    """
+    name, reason = type(prior).__name__, "a shape does not take it"
+    if type(prior).__module__.startswith("numpyro."):
+        names, base = {*prior.arg_constraints}, getattr(prior, "base_dist", prior)
+        if name.endswith("TruncatedDistribution") and type(base).__name__ == "Normal":
+            name, names = "TruncatedNormal", names | {"loc", "scale"}
+        try:
+            values = {n: float(getattr(prior, n, getattr(base, n, None))) for n in sorted(names)}
+            lowest, reason = float(prior.icdf(_EDGE)), "it may be negative"
+        except (TypeError, ValueError, NotImplementedError, ImportError) as error:
+            lowest, values, reason = -1.0, {}, str(error).rstrip(".") or "it has no icdf"
+        usual = {"Normal": Normal} if of_shape else {k.__name__: k for k in KINDS[:5]}
+        prior = OtherPrior(name, tuple(values.items())) if lowest >= 0 else None
+        if values and name in usual and name[:3] != "Log":
+            prior = usual[name](*values.values())
+    if (prior is None and name != "NoneType") or (
+        of_shape and not isinstance(prior, Normal | LogNormal | OtherPrior)
+    ):
+        takes = "Coefficients take Normal, standard deviations HalfNormal or HalfCauchy, shapes"
+        raise ModelError(f"prior {name}: {reason}. {takes} Normal or what is positive with icdf")
+    return prior
 
 
 KINDS = (Normal, LogNormal, LogUniform, HalfNormal, HalfCauchy, Flat, FlatLine)

@@ -120,22 +120,13 @@ FACTORS = {
     **{(f"ppm{per}", "1"): 1e-6 for per in ("", "/degC", "/degC^2", "/degC^3")},
     **{(f"urad{per}", "rad"): 1e-6 for per in ("", "/degC")},
     **{(f"{unit}/(degC/min)", unit): 60.0 for unit in ("1", "ug", "deg/s")},
-    ("mg/g^2", "1/g"): 1e-3,
-    ("mg/g^3", "1/g^2"): 1e-3,
-    ("ms", "s"): 1e-3,
-    ("nrad", "rad"): 1e-9,
-    ("ppm*s/deg", "s/deg"): 1e-6,
-    ("ppm/g", "1"): 1e-6 * 1e-6,
-    ("ppm/g^2", "1"): 1e-6 * 1e-12,
-    ("ppm/(degC/min)", "1"): 1e-6 * 60,
-    ("ppm/degC/(degC/min)", "1"): 1e-6 * 60,
-    ("ug/degC/(degC/min)", "ug"): 60.0,
-    ("ug/(degC/h)", "ug"): 3600.0,
-    ("arcsec", "rad"): np.pi / 180 / 3600,
-    ("deg", "rad"): np.pi / 180,
-    ("arcsec/deg", "arcsec"): 180 / np.pi,
-    ("arcsec/deg^2", "arcsec"): (180 / np.pi) ** 2,
-}
+    ("mg/g^2", "1/g"): 1e-3, ("mg/g^3", "1/g^2"): 1e-3, ("ms", "s"): 1e-3, ("nrad", "rad"): 1e-9,
+    ("ppm*s/deg", "s/deg"): 1e-6, ("ppm/g", "1"): 1e-6 * 1e-6, ("ppm/g^2", "1"): 1e-6 * 1e-12,
+    ("ppm/(degC/min)", "1"): 1e-6 * 60, ("ppm/degC/(degC/min)", "1"): 1e-6 * 60,
+    ("ug/degC/(degC/min)", "ug"): 60.0, ("ug/(degC/h)", "ug"): 3600.0,
+    ("arcsec", "rad"): np.pi / 180 / 3600, ("deg", "rad"): np.pi / 180,
+    ("arcsec/deg", "arcsec"): 180 / np.pi, ("arcsec/deg^2", "arcsec"): (180 / np.pi) ** 2,
+}  # fmt: skip
 
 
 def contributions(

@@ -31,33 +31,26 @@ TYPES = {
 # The keys of schema bayescal.result/2, which no later version may drop.
 KEYS = {
     "": "schema complete search calibration instrument method seed versions reference readings holdout gate steps "
-    "check missing coefficients hyperparameters identifiability verdict",
-    "reference": "T0",
-    "readings": "file sha256 rows groups",
-    "holdout": "file sha256 rows",
-    "gate": "ok reason",
+    "check missing coefficients hyperparameters identifiability verdict", "reference": "T0",
+    "readings": "file sha256 rows groups", "holdout": "file sha256 rows", "gate": "ok reason",
     "search": "weighed complete stopped ending seconds structures averaged_over",
     "search.structures[]": "effects correlated_noise noise log_evidence probability",
     "search.averaged_over[]": "effects probability",
     "other_path": "noise added log_bayes_factor in_words",
     "steps[]": "effects added dropped rmse rmse_fitted unit holdout_rmse leave_one_group_out "
-    "log_evidence noise noise_floor verdict",
-    "steps[].leave_one_group_out": "group n rmse",
+    "log_evidence noise noise_floor verdict", "steps[].leave_one_group_out": "group n rmse",
     "steps[].log_evidence": "value se",
     "steps[].noise": "law white correlated diffusion tau slope curvature freedom",
-    "check[]": "step against log_bayes_factor worst",
-    "check[].worst": "from to group size unit",
+    "check[]": "step against log_bayes_factor worst", "check[].worst": "from to group size unit",
     "missing[]": "step nothing_missing_probability unstated correlated_noise noise_laws unnamed sets candidates "
-    "unknown",
-    "missing[].sets[]": "effects probability",
+    "unknown", "missing[].sets[]": "effects probability",
     "missing[].candidates[]": "effect form probability log_bayes_factor source z size size_sd unit "
     "shape visibility minimum_detectable kind indistinguishable_from",
     "missing[].unknown[]": "column size unit log_bayes_factor probability",
     "coefficients[]": "name effect unit mean sd interval95 contraction averaged",
     "hyperparameters[]": "name effect unit mean sd interval95 contraction averaged",
-    "identifiability": "null_directions",
-    "verdict": "ok reasons",
-}
+    "identifiability": "null_directions", "verdict": "ok reasons",
+}  # fmt: skip
 
 
 def _refuse(token: str) -> None:

@@ -22,25 +22,14 @@ from tests.support.tiers import slow_but
 SENSOR = still_sensor.instrument("ug", size=30.0, constant=300.0, span=20.0)
 STEP, SPAN = 2.0, 150.0  # s
 VALUES = {
-    "noise.white": 0.3,
-    "noise.diffusion": 0.2,
-    "noise.correlated.time": 7.0,
-    "noise.correlated1.diffusion": 0.2,
-    "noise.correlated1.time": 7.0,
-    "noise.correlated2.diffusion": 0.1,
-    "noise.correlated2.place": -0.3,
-    "noise.correlated3.diffusion": 0.05,
-    "noise.correlated3.place": 0.6,
-    "noise.smooth": 0.5,
-    "noise.smooth.time": 30.0,
-    "noise.walk": 0.04,
-    "noise.flicker": 0.25,
-    "noise.tone": 0.4,
-    "noise.tone.frequency": 0.07,
-    "noise.tone.time": 60.0,
-    "noise.quantisation": 0.35,
+    "noise.white": 0.3, "noise.diffusion": 0.2, "noise.correlated.time": 7.0,
+    "noise.correlated1.diffusion": 0.2, "noise.correlated1.time": 7.0,
+    "noise.correlated2.diffusion": 0.1, "noise.correlated2.place": -0.3,
+    "noise.correlated3.diffusion": 0.05, "noise.correlated3.place": 0.6, "noise.smooth": 0.5,
+    "noise.smooth.time": 30.0, "noise.walk": 0.04, "noise.flicker": 0.25, "noise.tone": 0.4,
+    "noise.tone.frequency": 0.07, "noise.tone.time": 60.0, "noise.quantisation": 0.35,
     "noise.averaging": 0.45,
-}
+}  # fmt: skip
 ALONE = ("Ornstein–Uhlenbeck",)  # the law of its own
 SUMS = [
     ("correlated",), ("walk",), ("flicker",), ("smooth",), ("tone",), ("correlated", "correlated"),

@@ -80,30 +80,19 @@ HEAD = b"time [s],temperature [degC],output [deg/s]\n"
 
 
 NO_TABLES = {
-    "a quotation mark behind a return": b'\r"',
-    "the same in UTF-16": '\r"'.encode("utf-16"),
-    "the same in a header": b'a,b\r"\n1,2\n',
-    "a quotation mark": b'"',
-    "quotation marks": b'"' * 200_001,
-    "quoted nothing": b'"",""\n"",""\n',
-    "separators": b";;;\n;;;\n",
-    "tabs": b"\t\t\t",
-    "zeros": b"\0" * 50,
-    "a mark": b"\xef\xbb\xbf",
-    "a mark of UTF-16": b"\xff\xfe",
-    "a mark and a quotation mark": b'\xef\xbb\xbf"',
-    "half a character of UTF-16": b"\xff\xfe\x00\xd8",
-    "returns": b"\r\r\r",
-    "a form feed": b"\x0c",
-    "an end of file": b"\x1a",
-    "no characters": b"\xff\xff\xff",
-    "comments": b"# one\n# two",
+    "a quotation mark behind a return": b'\r"', "the same in UTF-16": '\r"'.encode("utf-16"),
+    "the same in a header": b'a,b\r"\n1,2\n', "a quotation mark": b'"',
+    "quotation marks": b'"' * 200_001, "quoted nothing": b'"",""\n"",""\n',
+    "separators": b";;;\n;;;\n", "tabs": b"\t\t\t", "zeros": b"\0" * 50, "a mark": b"\xef\xbb\xbf",
+    "a mark of UTF-16": b"\xff\xfe", "a mark and a quotation mark": b'\xef\xbb\xbf"',
+    "half a character of UTF-16": b"\xff\xfe\x00\xd8", "returns": b"\r\r\r", "a form feed": b"\x0c",
+    "an end of file": b"\x1a", "no characters": b"\xff\xff\xff", "comments": b"# one\n# two",
     "a quotation mark that never ends": HEAD + b'0,"20,1\n1,21,2\n',
     "one in the header": b'time [s],temperature [degC],"output [deg/s]\n0,20,1\n1,21,2\n',
     "quoted text without end": HEAD + b'0,"' + b"x" * 200_000 + b'",1\n1,20,2\n',
     "a name without end": b'"' + b"x" * 200_000 + b'",b\n1,2\n',
     "numbers between blanks": b"0 20 1\n1 21 2\n",
-}
+}  # fmt: skip
 
 
 @pytest.mark.parametrize("content", NO_TABLES.values(), ids=NO_TABLES)

@@ -39,16 +39,10 @@ CELLS = [
     '"a,0,30,1', "a,0,30\r,1", "a\x07,5,30,1",
 ]  # fmt: skip
 CONTENTS = [
-    "",
-    "\n \n",
-    "# only a comment\n",
-    HEAD,
-    GOOD.encode("utf-16-le"),
-    GOOD.encode() + b"a,0,3\x000,1\n",
-    GOOD.replace("degC", "°Cé").encode("latin-1") + b"\x81",
-    GOOD.replace("degC", "°C").encode() + b"caf\xe9,0,30,1\n",
-    '"run,output [V]\n1,2\n',
-]
+    "", "\n \n", "# only a comment\n", HEAD, GOOD.encode("utf-16-le"),
+    GOOD.encode() + b"a,0,3\x000,1\n", GOOD.replace("degC", "°Cé").encode("latin-1") + b"\x81",
+    GOOD.replace("degC", "°C").encode() + b"caf\xe9,0,30,1\n", '"run,output [V]\n1,2\n',
+]  # fmt: skip
 NAMES = ["t.log", "t.xls", "t.xlsx", "t.mat", "t", "t.pkl", "t.npy", "t.parquet", "t.nc"]
 ANGLES = "position_angle [rad],temperature [degC],output [V]\n"
 DEVICES = "device,axis,time [s],temperature [degC],output [V]\n"
